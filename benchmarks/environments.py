@@ -58,7 +58,7 @@ class Plain:
         """Play so many simulated seconds."""
         script = self._gait.script(self._time + seconds)
         for _ in range(round(seconds / self._piece)):
-            part = script.part(self._time, self._time + self._piece)
+            part = script.slice(self._time, self._time + self._piece)
             self._batch.play([part] * len(self._batch), round(self._piece / STEP_S))
             self._time += self._piece
 

@@ -46,7 +46,7 @@ def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory
     times = 1.0 / samples * np.arange(1, samples + 1)
     for second in range(round(first.duration)):
         traces = [
-            twin.physics.fill(script.part(second, second + 1), steps)
+            twin.physics.advance_chambers(script.slice(second, second + 1), steps)
             for twin, script in zip(twins, scripts, strict=True)
         ]
         controls = np.zeros((len(twins), steps, models[0].nu))
@@ -56,7 +56,7 @@ def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory
         out = engine.rollout(steps, controls, record=(_SEEN, "sensordata"))
         for k, twin in enumerate(twins):
             mujoco.mj_setState(models[k], twin.physics.data.ptr, engine.state[k], _WHOLE)
-            stretch = twin.physics.recorded(out[_SEEN][k], out["sensordata"][k])
+            batch = twin.physics.evaluate(out[_SEEN][k], out["sensordata"][k])
             trace = traces[k].at(np.arange(1, steps + 1))
-            recorders[k].add(twin._history(second + times, trace, stretch, steps // samples))
+            recorders[k].add(twin._chunk_history(second + times, trace, batch, steps // samples))
     return [recorder.trajectory() for recorder in recorders]

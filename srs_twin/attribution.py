@@ -166,7 +166,7 @@ class Ladder:
                 contact,
                 slip_time=contact.slip_time / 2,
                 axle_time=contact.axle_time / 2,
-                preload=2 * contact.pressed,
+                preload=2 * contact.preload_ratio,
             )
             title = "slip of MuJoCo's smoothed friction"
             return [Refinement("contact softness", title, {"contact": stiffer}, 2.0)]

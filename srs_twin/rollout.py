@@ -101,7 +101,7 @@ def rollout(
     watchers, passed = tuple(observers), float(state.time)
     script = None if until is not None or watchers else controller.script(passed + ticks * plant.tick)
     if script is not None and passed:
-        script = script.part(passed, passed + ticks * plant.tick)
+        script = script.slice(passed, passed + ticks * plant.tick)
     try:
         if script is None or not _play_script(recorder, script, ticks, progress):
             _step_ticks(recorder, state, ticks, until, watchers, progress)
@@ -121,12 +121,12 @@ def _play_script(
     Stretches are whole numbers of recorded ticks, the last one apart, whose unrecorded rest is only played.
     """
     plant, stride, controller = recorder.plant, recorder.stride, _described(recorder.controller)
-    stretch = max(1, round(plant.stretch / plant.tick / stride)) * stride
+    stretch = max(1, round(plant.max_chunk_s / plant.tick / stride)) * stride
     recorded = ticks - ticks % stride
     begun = 0
     while begun < ticks:
         now = min(stretch, (recorded if begun < recorded else ticks) - begun)
-        part = script.part(begun * plant.tick, (begun + now) * plant.tick)
+        part = script.slice(begun * plant.tick, (begun + now) * plant.tick)
         check_commands(controller, begun * plant.tick, part.states)
         history = plant.play(part, now * recorder.samples // stride if begun < recorded else 1)
         if history is None:
@@ -468,10 +468,10 @@ def run_scripts(
     for k, recorder in enumerate(recorders):
         recorder.add(resting.at(k))
     whole = ticks - ticks % stride
-    stretch = max(1, round(batch.twins[0].stretch / batch.tick / stride)) * stride
+    stretch = max(1, round(batch.twins[0].max_chunk_s / batch.tick / stride)) * stride
     for begun in range(0, whole, stretch):
         now = min(stretch, whole - begun)
-        parts = [script.part(begun * batch.tick, (begun + now) * batch.tick) for script in scripts]
+        parts = [script.slice(begun * batch.tick, (begun + now) * batch.tick) for script in scripts]
         for recorder, history in zip(recorders, batch.play(parts, now * samples // stride), strict=True):
             if history is not None:
                 recorder.add(history)

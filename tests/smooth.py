@@ -51,7 +51,7 @@ class Wave(Pneumatics):
             swell[2] * wave[0] + 2 * swell[1] * wave[1] + swell[0] * wave[2],
         )
 
-    def _follow(
+    def _simulate(
         self, schedule: Schedule, times: np.ndarray, bend: np.ndarray | None, bend_rate: np.ndarray | None
     ) -> Trace:
         q, dq, ddq = self.free(self._now + times)

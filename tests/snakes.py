@@ -84,7 +84,7 @@ def _throw_twin(plant: TwinSnake, velocity: tuple[float, float], spin: float) ->
         along = at(place) @ [np.cos(heading), np.sin(heading)]
         for side, sign in (("left", 1), ("right", -1)):
             rolling = along - sign * g.half_track * spin
-            if physics.loaded is not None:
-                physics.loaded.feet.rim[2 * i - 2 + (side == "right")] = rolling
+            if physics.stepper is not None:
+                physics.stepper.contact_state.rim_speed[2 * i - 2 + (side == "right")] = rolling
                 continue
             physics.named.data.qvel[f"axle_{side}_{i}"] = rolling / g.wheel_radius

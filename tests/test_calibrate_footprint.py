@@ -135,12 +135,12 @@ def test_a_measurement_records_the_contact_of_its_twin(contact):
 
 def test_a_run_that_diverges_is_named(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    runs = [object(), DivergedError("twin", 1.5, "its state held nan"), object()]
+    runs = [object(), DivergedError("twin", 1.5, "its state contains nan"), object()]
     monkeypatch.setattr(study_module, "run_many", lambda *_, **__: runs)
     with pytest.raises(SystemExit) as end:
         main(list(SHORT))
     assert end.value.code == 3
-    assert "offset 0: twin diverged at t = 1.5 s: its state held nan" in capsys.readouterr().err
+    assert "offset 0: twin diverged at t = 1.5 s: its state contains nan" in capsys.readouterr().err
 
 
 def test_help_of_the_sub_command(srs_twin, tmp_path):

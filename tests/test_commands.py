@@ -46,7 +46,7 @@ def test_chambers_fill_to_what_the_supply_is_regulated_to():
     fill = np.full((SPEC.segments, 2), 1, dtype=np.int8)
     told = []
     for pressure in (60e3, 30e3, 45e3):
-        chambers.regulate(pressure)
+        chambers.set_supply_pressure(pressure)
         chambers.advance(chambers.schedule(fill, 5.0), np.array([5.0]))
         told.append(float(chambers.pressure[0, 0]))
     assert told == pytest.approx([60e3, 30e3, 45e3], rel=1e-6)
@@ -55,7 +55,7 @@ def test_chambers_fill_to_what_the_supply_is_regulated_to():
 def test_regulated_chambers_are_those_made_for_that_pressure_bit_for_bit():
     made = make_pneumatics("lag", SPEC, supply_pa=45e3, layout="3/2")
     regulated = make_pneumatics("lag", SPEC, supply_pa=60e3, layout="3/2")
-    regulated.regulate(45e3)
+    regulated.set_supply_pressure(45e3)
     gait = Gait(2.0)
     gait.reset(SPEC, 0.02)
     for k in range(30):
@@ -70,11 +70,11 @@ def test_a_supply_that_cannot_be_is_refused():
     for kind in ("lag", "orifice"):
         chambers = make_pneumatics(kind, SPEC, supply_pa=60e3, layout="3/2")
         for pressure in (-1.0, 60.1e3, math.nan):
-            with pytest.raises(InputError, match="it must be 0 to 60000 Pa, which these chambers were made"):
-                chambers.regulate(pressure)
+            with pytest.raises(InputError, match="it must be 0 to 60000 Pa, the pressure at construction"):
+                chambers.set_supply_pressure(pressure)
     log = RecordedPressures(SPEC, np.array([0.0, 1.0]), np.zeros((2, 4, 2)), supply_pa=60e3)
-    with pytest.raises(InputError, match="'recorded' has no supply that could be regulated"):
-        log.regulate(1e3)
+    with pytest.raises(InputError, match="'recorded' has no pressure regulator; use 'lag' or 'orifice'"):
+        log.set_supply_pressure(1e3)
 
 
 def test_a_command_takes_effect_on_gait_and_supply():

@@ -93,7 +93,7 @@ def test_a_copied_physics_is_one_that_steps_and_contacts_alone_are_refused():
         physics.copy(share_model=True)
     for way in WAYS.values():
         with pytest.raises(InputError, match=r"contacts .* neither copied nor pickled alone; .*save\(\)"):
-            way(twin.physics.loaded)
+            way(twin.physics.stepper)
 
 
 def test_a_copied_batch_continues_with_the_bits_of_the_original():

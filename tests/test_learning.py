@@ -284,7 +284,7 @@ def test_stop_ends_the_run_once_a_fault_is_named():
 class StuckValve(LagPneumatics):
     """One valve that stays as it is, whatever is commanded."""
 
-    def effective(self, schedule: Schedule) -> Schedule:
+    def effective_schedule(self, schedule: Schedule) -> Schedule:
         states = schedule.states.copy()
         states[:, 2, 0] = self.stays
         return Schedule(schedule.span, schedule.starts, states)

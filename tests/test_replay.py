@@ -53,8 +53,8 @@ def test_recorded_pressures_bend_as_the_valves_that_made_them_did():
     # Rates are the derivatives of bends, also across stretches and where bends flatten.
     spec = with_values(spec, {"actuator.bend_limit_rad": 1.2})
     _, chambers = recorded_of(spec, schedule, times, 0.002)
-    first = chambers.advance(schedule.part(0.0, 0.9), np.linspace(0.0, 0.9, 9001))
-    second = chambers.advance(schedule.part(0.9, 2.0), np.linspace(0.0, 1.1, 11001))
+    first = chambers.advance(schedule.slice(0.0, 0.9), np.linspace(0.0, 0.9, 9001))
+    second = chambers.advance(schedule.slice(0.9, 2.0), np.linspace(0.0, 1.1, 11001))
     assert first.bend[-1] == pytest.approx(second.bend[0], abs=1e-12)
     for name, rate in (("bend", "bend_rate"), ("bend_rate", "bend_acceleration")):
         slope = np.gradient(getattr(second, name), 1e-4, axis=0)[2:-2]
@@ -66,7 +66,7 @@ def test_recorded_pressures_that_cannot_be():
     time = np.array([0.0, 1.0])
     with pytest.raises(InputError, match=r"shape \(2, 1, 2\); gen2 needs \(2, 4, 2\)"):
         RecordedPressures(SPEC, time, np.zeros((2, 1, 2)), supply_pa=SUPPLY)
-    with pytest.raises(InputError, match="must be finite and their times rise"):
+    with pytest.raises(InputError, match="must be finite, and their times must increase"):
         RecordedPressures(SPEC, time[::-1], np.zeros((2, 4, 2)), supply_pa=SUPPLY)
 
 
@@ -95,7 +95,7 @@ def perfect(tmp_path_factory):
     rest = Schedule(0.4, np.zeros(1), np.full((1, 4, 2), -1, dtype=np.int8))
     gait = Gait(2.0, 0.1)
     gait.reset(SPEC, 0.02)
-    whole = rest.then(gait.script(2.6))
+    whole = rest.followed_by(gait.script(2.6))
     # What pressures do between the samples of a log is a straight line: at 100 Hz that costs 2 % of the way.
     truth = rollout(plant, Replay(whole), 3.0, pose=(1.0, -2.0, 2.5), record_hz=1000)
     write_motive(truth, Take(layout="pair", noise=0.0, digits=4, rate_hz=100), folder / "take.csv")

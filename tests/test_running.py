@@ -153,10 +153,10 @@ def test_a_plant_that_diverges_leaves_its_trajectory_and_the_other_still_runs(tm
     def unsound(schedule, samples):
         if schedule.span < 1.0:  # the tick that compiles
             return sound(schedule, samples)
-        first = sound(schedule.part(0.0, 1.0), samples // 2)
+        first = sound(schedule.slice(0.0, 1.0), samples // 2)
         plant._body.state[3] = np.nan
         try:
-            return sound(schedule.part(1.0, 2.0), samples // 2)
+            return sound(schedule.slice(1.0, 2.0), samples // 2)
         except DivergedError as error:
             error.history = first
             raise
@@ -165,7 +165,9 @@ def test_a_plant_that_diverges_leaves_its_trajectory_and_the_other_still_runs(tm
     result = job.execute()
     (error,) = result.diverged
     assert error.exit_code == 3
-    assert str(error).startswith("short: analytical diverged at t = 1.002 s: its state held nan before the")
+    assert str(error).startswith(
+        "short: analytical diverged at t = 1.002 s: its state contains nan before the"
+    )
     assert str(error).endswith(str(tmp_path / "out/analytical.parquet"))
     kept = Trajectory.from_parquet(tmp_path / "out/analytical.parquet")
     assert kept.time[-1] == pytest.approx(1.0)

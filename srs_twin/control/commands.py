@@ -99,7 +99,7 @@ class CommandedGait(Remembers):
         self._pneumatics, self.command = pneumatics, command
         self.gait = Gait(command.frequency, command.offset)
         self.gait.reset(spec, tick)
-        pneumatics.regulate(command.pressure)
+        pneumatics.set_supply_pressure(command.pressure)
 
     def valves(self, time: float, command: GaitCommand) -> np.ndarray:
         """Obey a command and return the valves of the tick that begins at `time` (s).
@@ -112,7 +112,7 @@ class CommandedGait(Remembers):
         if command.frequency != self.gait.frequency:
             self.gait.change_frequency(command.frequency, time)
         self.gait.offset = command.offset
-        self._pneumatics.regulate(command.pressure)
+        self._pneumatics.set_supply_pressure(command.pressure)
         self.command = command
         return self.gait.valves_at(time)
 

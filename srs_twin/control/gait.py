@@ -135,7 +135,7 @@ class Gait(Controller):
         slot = self._tick / len(self._middle)
         count = round(duration / slot)
         if self._shorter_half_wave() < 2 * slot:
-            return Schedule.of_slots(_antagonistic(self._wave(slot * (np.arange(count) + 0.5))), duration)
+            return Schedule.from_slots(_antagonistic(self._wave(slot * (np.arange(count) + 0.5))), duration)
         # Where S changes, and the slots beside it: rounding may place an edge one slot off.
         period, (up, down) = 1 / self.frequency, self._crossings()
         turns = [-up, math.pi + up, -down, math.pi + down] if self.rest else [-up, math.pi + up]

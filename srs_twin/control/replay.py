@@ -60,7 +60,7 @@ class Replay(Controller):
         schedule = self.schedule
         if duration > schedule.span:
             return Schedule(duration, schedule.starts, schedule.states)
-        return schedule.part(0.0, duration)
+        return schedule.slice(0.0, duration)
 
 
 STATES = {"fill": 1, "hold": 0, "vent": -1}

@@ -352,7 +352,7 @@ class SnakeVectorEnv(CopiedWhole, SyncVectorEnv[np.ndarray, np.ndarray]):
         for k in going:
             valves[k] = self.envs[k]._running().command(actions[k])
         most = max(each.shape[0] if each.ndim == 3 else 1 for each in valves)
-        batch.regulate()
+        batch.update_supply_pressure()
         batch.step(np.stack([np.broadcast_to(v, (most, *rest.shape)) if v.ndim == 2 else v for v in valves]))
         for k in going:
             episode, error = self.envs[k]._running(), batch.errors[k]

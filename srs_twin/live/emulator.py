@@ -171,7 +171,7 @@ class EmulatedRobot:
             if isinstance(self._air, OrificePneumatics) and each.kind == "leak":
                 self._air.leak(each.number, each.side, each.how)
             else:
-                self._air.regulate(each.how * self.supply_pa)
+                self._air.set_supply_pressure(each.how * self.supply_pa)
         shape = (self.segments, 2)
         wanted = np.full(shape, -1.0) if command is None else np.asarray(command, dtype=float)
         states = np.isin(wanted, (-1.0, 1.0)).all()

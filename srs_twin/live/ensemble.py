@@ -37,7 +37,7 @@ from srs_twin.live.habits import Habits
 from srs_twin.live.modules import BIAS, FILL, GAIN, VENT, ModuleFilter
 from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.floor import floor_friction
-from srs_twin.plants.analytical.kinematics import Solid
+from srs_twin.plants.analytical.kinematics import BodyParameters
 from srs_twin.pneumatics.chambers import AMBIENT_PA, free_bends
 from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import RobotSpec
@@ -170,7 +170,9 @@ class Ensemble:
             name: slice(int(a), int(b)) for name, a, b in zip(sizes, ends[:-1], ends[1:], strict=True)
         }
         g, mu = spec.geometry, spec.friction
-        self._solid = Solid(spec.mass.array(), spec.yaw_inertia(), g.segment_length, g.rigid_gap, 0.0)
+        self._solid = BodyParameters(
+            spec.mass.array(), spec.yaw_inertia(), g.segment_length, g.rigid_gap, 0.0
+        )
         lean, drag = g.com_height / (2 * g.half_track), mu.drag / g.connectors
         self._floor = floor_friction("wheel", g.half_track, mu.mu_t, mu.mu_n, 0.001, lean, drag=drag)
         self._mass = self._solid.mass

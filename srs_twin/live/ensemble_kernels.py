@@ -31,7 +31,7 @@ def advance(states, velocities, steps, moments, springs, mu, solid, floor):  # t
 def _with_mu(floor, mu):  # type: ignore[no-untyped-def]
     """Return a floor with another μ_t."""
     return FloorFriction(
-        floor.case, floor.track, mu, floor.mu_n, floor.slip, floor.drag, floor.lean, floor.down,
+        floor.case, floor.track, mu, floor.mu_n, floor.slip, floor.drag, floor.load_transfer, floor.gravity,
         floor.pull_x, floor.pull_y,
     )  # fmt: skip
 
@@ -42,7 +42,7 @@ def set_momenta(states, velocities, springs, solid, floor):  # type: ignore[no-u
     n, size = solid.mass.shape[0], velocities.shape[1]
     segments, ahead = n - 1, compliant_kernels.BENDS
     momentum, force, moment = np.empty(size), np.empty(size), np.zeros(segments)
-    work = compliant_kernels.room(n)
+    work = compliant_kernels.work_arrays(n)
     for m in range(states.shape[0]):
         state, u = states[m], velocities[m]
         c, s = math.cos(state[kernels.HEADING]), math.sin(state[kernels.HEADING])

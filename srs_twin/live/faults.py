@@ -29,7 +29,7 @@ import numpy as np
 
 from srs_twin.io.saved_state import Remembers, names
 from srs_twin.live.balance import AirBalance
-from srs_twin.pneumatics.chambers import free_bends, gains, largest_bend
+from srs_twin.pneumatics.chambers import chamber_gains, free_bends, largest_bend
 from srs_twin.robot.spec import RobotSpec
 
 OBEYS, FILLS, VENTS, LEAKS = range(4)
@@ -174,7 +174,7 @@ class FaultBank(Remembers):
         self.settings, self._spec, actuator = settings, spec, spec.actuator
         self._fill, self._vent, self._tau = actuator.tau_fill, actuator.tau_vent, actuator.tau_mode
         count, kinds = spec.segments, len(HYPOTHESES)
-        self._supply, self._gain = supply_pa, gains(spec)
+        self._supply, self._gain = supply_pa, chamber_gains(spec)
         # Whoever starts beside a robot that moves does not know what its chambers hold.
         self._settles = 4 * (max(self._fill, self._vent) + self._tau)
         self._pressure = np.zeros((count, kinds, 2))

@@ -1,1 +1,1 @@
-"""Plants: the analytical model and the MuJoCo twin, behind one contract."""
+"""Plants: the analytical model and the MuJoCo twin, with a common interface."""

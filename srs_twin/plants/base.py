@@ -1,13 +1,14 @@
-"""Plant: what takes valve commands and moves. SnakeState: what can be seen of it at one moment.
+"""Plant, the interface of all simulated snakes, and SnakeState, the observable state of a snake.
 
-`check_plausible` and `check_commands` find divergence that no integrator sees, within a tick: a number that
-was wrong before a step need not hurt it, be it a place of 1e15 m, a pressure of infinity that the engine
-takes for 0, or a valve state that is no number.
+`check_plausible`, `check_before_step` and `check_commands` detect divergence that the integrators do not
+detect, within one tick. A wrong number before a step does not necessarily spoil the step: examples are a
+position of 1e15 m, an infinite pressure, which the engine takes as 0, or a valve state of NaN.
 """
 
 from __future__ import annotations
 
 import reprlib
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -26,38 +27,40 @@ Pose = tuple[float, float, float]
 PlantState = SavedState
 
 BASES = ("free", "clamped")
-"""How a chain is held: not at all, or at its head, in the air, as on a bench."""
+"""Supports of the chain: "free" on the floor, or "clamped" at its head in the air, as on a test bench."""
 
 
 @dataclass(frozen=True)
 class SnakeState:
-    """One moment of a snake, SI, world frame (z up, yaw counter-clockwise), connectors head first.
+    """Observable state of a snake at one time, in SI units and the world frame.
 
-    With a leading axis of samples on every field it is a history; `at` picks a moment of it.
+    z points up, yaw is counter-clockwise, and connectors are numbered from the head. With a leading axis of
+    samples on every field, the object is a history; `at` selects a state from it.
 
     Attributes:
         time: s.
         com: centre of mass, shape (2,), m.
-        com_velocity: shape (2,), m/s.
+        com_velocity: velocity of the centre of mass, shape (2,), m/s.
         heading: mean of the connector headings, unwrapped, rad.
-        position: connectors, shape (N, 2), m.
+        position: positions of the connectors, shape (N, 2), m.
         theta: connector headings, unwrapped, shape (N,), rad.
         bend: q_j = θ_j − θ_{j+1}, shape (segments,), rad.
         bend_rate: shape (segments,), rad/s.
         pressure: gauge pressure of the + and − chamber, shape (segments, 2), Pa.
-        valves: valve states that led here, shape (segments, 2).
-        sensed: what the curvature sensors say of `bend`, shape (segments,), rad.
-        contact_force: horizontal floor force on each connector, shape (N, 2), N; momentary in the
-            analytical model, the twin's is the mean since the last sample (contacts ripple).
-        obstacle_force: horizontal force of all obstacles on each connector and the halves of its segments,
-            shape (N, 2), N, the mean since the last sample; 0 on plants that obstacles do not touch.
-        torque: net moment of each segment on the connectors it joins (air, spring and damper together),
-            shape (segments,), N·m.
-        work: that the torques have done since the start, ∫ Σ T_j q̇_j dt, J.
-        internal_loss: part of it that segments have dissipated inside, without bending as a whole, J; 0 in
-            the analytical models, whose segments have one bend each.
-        air: work drawn from the air supply since the start, J, see `Pneumatics.air`.
-        qpos: the twin's generalised positions, else empty.
+        valves: valve states during the preceding interval, shape (segments, 2).
+        sensed: sensor readings of `bend`, shape (segments,), rad.
+        contact_force: horizontal force of the floor on each connector, shape (N, 2), N. In the analytical
+            model it is the momentary force, in the twin the mean since the previous sample, because contacts
+            ripple.
+        obstacle_force: horizontal force of all obstacles on each connector and the adjoining halves of its
+            segments, mean since the previous sample, shape (N, 2), N; 0 on plants without obstacles.
+        torque: net moment of each segment on the connectors that it joins, from air, spring and damper, shape
+            (segments,), N·m.
+        work: work of the torques since the start, ∫ Σ T_j q̇_j dt, J.
+        internal_loss: share of the work that segments have dissipated without bending as a whole, J; 0 in the
+            analytical models, whose segments have one bend each.
+        air: pneumatic energy drawn from the supply since the start, J, see `Pneumatics.air`.
+        qpos: generalised positions of the twin; empty on other plants.
     """
 
     time: float | np.ndarray
@@ -80,112 +83,129 @@ class SnakeState:
     qpos: np.ndarray
 
     def at(self, k: int | slice) -> SnakeState:
-        """Return moment k of a history, or a part of it."""
+        """Return the state with index k of a history, or a slice of the history."""
         return SnakeState(*(getattr(self, name)[k] for name in _FIELDS))
 
     @staticmethod
-    def history(parts: Sequence[SnakeState]) -> SnakeState:
-        """Return the history of these histories, one after the other; a moment counts as one sample."""
-        whole = [part if np.ndim(part.time) else part._sample() for part in parts]
-        return joined(whole)
+    def history(states: Sequence[SnakeState]) -> SnakeState:
+        """Return the concatenation of histories; a single state counts as one sample."""
+        return joined([state if np.ndim(state.time) else state._as_history() for state in states])
 
-    def _sample(self) -> SnakeState:
+    def _as_history(self) -> SnakeState:
         return SnakeState(*(np.asarray(getattr(self, name))[None] for name in _FIELDS))
 
 
-_FIELDS = tuple(each.name for each in fields(SnakeState))  # asked for every tick
+_FIELDS = tuple(field.name for field in fields(SnakeState))  # cached: `fields` is too slow for every tick
+
+
+_STRETCH_DEPRECATED = "Plant.stretch is deprecated; use Plant.max_chunk_s"
 
 
 class Plant(Remembers, ABC):
-    """A snake that obeys valve commands, analytical or in MuJoCo.
+    """Abstract snake that follows valve commands.
 
     Attributes:
         name: "analytical" or "twin".
         spec: the robot.
         tick: control tick, s; a multiple of the plant's time step.
-        stretch: how much of a script it likes to follow at a time, s.
-        layout: its valves, one of `pneumatics.valves.LAYOUTS`.
-        state: the last moment that it returned; only of plants that can be saved.
+        max_chunk_s: longest interval of a script that `play` should get in one call, s.
+        layout: valve layout, one of `pneumatics.valves.LAYOUTS`.
+        state: the latest state that was returned; only on plants that can be saved.
     """
 
     name: str
     spec: RobotSpec
     tick: float
-    stretch: float = 1.0
+    max_chunk_s: float = 1.0
     layout: str = "3/2"
     state: SnakeState
     touches: bool = False
-    """Whether there is anything that it can run into."""
+    """Whether there are obstacles."""
     metered: bool = True
-    """Whether it knows what air its chambers draw and how often they open; a trajectory says neither else."""
+    """Whether pneumatic energy and valve openings are known; otherwise trajectories omit them."""
     has_internal_loss: bool = False
-    """Whether segments can dissipate energy without bending as a whole; else no such column is recorded."""
+    """Whether segments can dissipate energy without bending; otherwise trajectories omit the column."""
 
     @property
     def sample_step(self) -> float | None:
-        """Unit of the intervals between samples within a tick, s; None: any interval is allowed."""
+        """Unit of the interval between samples within a tick, s; None if every interval is possible."""
         return self.tick if type(self).advance is Plant.advance else None
+
+    @property
+    def stretch(self) -> float:
+        """Deprecated name of `max_chunk_s`."""
+        warnings.warn(_STRETCH_DEPRECATED, DeprecationWarning, stacklevel=2)
+        return self.max_chunk_s
+
+    @stretch.setter
+    def stretch(self, value: float) -> None:
+        warnings.warn(_STRETCH_DEPRECATED, DeprecationWarning, stacklevel=2)
+        self.max_chunk_s = value
 
     @abstractmethod
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
-        """Lay the snake straight, at rest, chambers empty.
+        """Lay the snake straight and at rest with empty chambers.
 
         Args:
             pose: centre of mass x, y (m) and mean heading (rad).
-            seed: for whatever is random in the plant (sensor noise).
+            seed: random seed of the plant, for sensor noise.
         """
 
     def save(self) -> PlantState:
-        """Return all that decides what comes next, for `restore` here or in another process.
+        """Return the saved state for `restore`, in this or another process.
 
         Raises:
-            InputError: a plant that does not say what it remembers (`memory`).
+            InputError: the class does not list its state attributes (`memory`).
         """
         self.check_memory(Plant, f"plant '{self.name}'")
         return PlantState(self.identity(), self.remembered())
 
     def restore(self, state: PlantState) -> SnakeState:
-        """Go on from a saved state, with the same bits as the plant that it was taken from.
+        """Continue from a saved state, with the same bits as the original plant.
 
         Returns:
-            The moment at which it was taken.
+            The state of the snake at that time.
 
         Raises:
-            InputError: a state of another plant or robot.
+            InputError: the saved state belongs to another plant or robot.
         """
         state.check(f"plant '{self.name}'", self.identity())
         self.recall(state.content)
         return self.state
 
     def place(self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0) -> SnakeState:
-        """Begin at time 0 from a physical state, which another plant may have been in.
+        """Start at time 0 from a physical state, which may come from another plant.
 
         Args:
-            snake: of it `com`, `com_velocity`, `heading`, `bend`, `bend_rate` and `pressure` count. Where the
-                bends are what the chambers give (`complete`, `simplified`), their rates are, too.
-            yaw_rate: of the mean heading, rad/s.
+            snake: its fields `com`, `com_velocity`, `heading`, `bend`, `bend_rate` and `pressure` are used.
+                Where bends follow the pressures (`complete`, `simplified`), so do the bend rates.
+            yaw_rate: rate of the mean heading, rad/s.
             seed: as in `reset`.
 
         Raises:
-            InputError: a state that this plant cannot be in, or a plant that begins at rest only.
+            InputError: the plant cannot be in this state, or can only start at rest.
         """
-        raise InputError(f"plant '{self.name}' begins straight and at rest only")
+        raise InputError(f"plant '{self.name}' can only start straight and at rest")
 
     def identity(self) -> dict[str, Any]:
-        """Return what a saved state must share with the plant, JSON values."""
+        """Return the settings that a saved state and the plant must have in common (JSON values)."""
         return {**self.describe(), "robot_digest": fingerprint(self.spec)}
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         if cls.step is Plant.step and cls.advance is Plant.advance:
-            raise TypeError(f"{cls.__name__} must say how it moves: override step or advance")
+            raise TypeError(f"{cls.__name__} must override step or advance")
+        if "stretch" in vars(cls):  # a class attribute would hide the deprecated property
+            warnings.warn(_STRETCH_DEPRECATED, DeprecationWarning, stacklevel=2)
+            cls.max_chunk_s = vars(cls)["stretch"]
+            del cls.stretch
 
     def step(self, valves: np.ndarray) -> SnakeState:
-        """Advance one tick.
+        """Advance by one tick.
 
         Args:
-            valves: int8 of shape (segments, 2), +1 fill, 0 hold, −1 vent, columns + and − chamber; or
-                (slots, segments, 2): equal parts of the tick, in order.
+            valves: valve states, int8, shape (segments, 2): +1 fill, 0 hold, −1 vent, columns + and −
+                chamber; or shape (slots, segments, 2) with slots of equal length.
 
         Raises:
             InputError: as in `advance`.
@@ -194,57 +214,58 @@ class Plant(Remembers, ABC):
         return self.advance(valves, 1)[-1]
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
-        """Advance one tick and return that many equally spaced states, the last at its end.
+        """Advance by one tick and return equally spaced states, the last one at the end of the tick.
 
-        A plant overrides this, or `step` alone when it cannot look inside a tick.
+        A plant overrides this method, or only `step` if it cannot sample within a tick.
 
         Args:
             valves: see `step`.
-            samples: 1 or more; tick / samples must be a multiple of the time step.
+            samples: number of states, 1 or more; tick / samples must be a multiple of the time step.
 
         Raises:
-            InputError: a wrong shape, a state other than −1, 0, +1, or more samples than the plant can give.
+            InputError: wrong shape, a valve state other than −1, 0, +1, or more samples than the plant
+                provides.
             DivergedError: the state is no longer finite and plausible.
         """
         if samples != 1:
             raise InputError(
-                f"plant '{self.name}' gives one sample a tick, not {samples}; "
-                f"record_hz {exact(1 / self.tick)} or a whole fraction of it would do"
+                f"plant '{self.name}' provides one sample per tick, not {samples}; "
+                f"record_hz must be {exact(1 / self.tick)} or a whole fraction of it"
             )
         return [self.step(valves)]
 
     def play(self, schedule: Schedule, samples: int) -> SnakeState | None:
-        """Follow a schedule that no feedback changes; None from a plant that knows only ticks.
+        """Follow a schedule without feedback.
 
         Args:
             schedule: valve states over a whole number of ticks.
-            samples: how many equally spaced samples to return, the last at its end.
+            samples: number of equally spaced samples, the last one at the end.
 
         Returns:
-            Their history.
+            The history of the samples; None from a plant that only advances tick by tick.
 
         Raises:
-            InputError: states that the valves cannot take.
+            InputError: the valves do not have a state.
             DivergedError: as in `advance`; its `history` holds the samples before.
         """
         return None
 
     def openings(self) -> np.ndarray:
-        """Return how often each chamber's inlet has opened since `reset`, shape (segments, 2)."""
+        """Return the number of openings of each chamber's inlet since `reset`, shape (segments, 2)."""
         return np.zeros((self.spec.segments, 2), dtype=int)
 
     def describe(self) -> dict[str, Any]:
-        """Return the settings worth recording beside a trajectory (JSON values)."""
+        """Return the settings for the provenance of a run (JSON values)."""
         return {"plant": self.name, "robot": self.spec.name, "tick_s": self.tick}
 
 
 class PneumaticPlant(Plant):
-    """A plant with the package's chambers and sensors; a subclass says how its bodies follow a schedule.
+    """Plant with a `Pneumatics` and a `Sensor`; subclasses implement the motion in `_simulate`.
 
     Attributes:
-        pneumatics: its chambers.
-        sensor: of its bends.
-        seed: of its noise.
+        pneumatics: chambers and valves.
+        sensor: curvature sensors.
+        seed: random seed of the sensor noise.
     """
 
     memory = names("_ticks", "seed", "pneumatics", "state")
@@ -253,10 +274,10 @@ class PneumaticPlant(Plant):
     sensor: Sensor
     seed: int
 
-    def _equip(
+    def _make_pneumatics_and_sensor(
         self, pneumatics: str | Pneumatics, supply_pa: float | None, layout: str, sensor: str | Sensor
     ) -> float:
-        """Make the robot's chambers and sensors; return the supply pressure, Pa."""
+        """Construct chambers and sensors; return the supply pressure, Pa."""
         supply = self.spec.supply.nominal if supply_pa is None else supply_pa
         self.pneumatics = make_pneumatics(pneumatics, self.spec, supply_pa=supply, layout=layout)
         self.layout, self.sensor = self.pneumatics.layout, make_sensor(sensor, self.spec)
@@ -265,50 +286,59 @@ class PneumaticPlant(Plant):
         return supply
 
     def identity(self) -> dict[str, Any]:
-        """See `Plant.identity`; stuck valves may come and go."""
-        own = super().identity()
-        chambers = {key: value for key, value in own["pneumatics"].items() if key != "stuck_valves"}
-        return own | {"pneumatics": chambers, "supply_pa": self._supply}
+        """See `Plant.identity`; stuck valves may differ."""
+        settings = super().identity()
+        chambers = {key: value for key, value in settings["pneumatics"].items() if key != "stuck_valves"}
+        return settings | {"pneumatics": chambers, "supply_pa": self._supply}
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
-        """Advance one tick; see `Plant.advance`."""
-        history = self._follow(self.pneumatics.schedule(valves, self.tick), 1, samples)
-        moments = [history.at(k) for k in range(samples)]
-        self.state = moments[-1]
-        return moments
+        """See `Plant.advance`."""
+        history = self._simulate(self.pneumatics.schedule(valves, self.tick), 1, samples)
+        states = [history.at(k) for k in range(samples)]
+        self.state = states[-1]
+        return states
 
     def play(self, schedule: Schedule, samples: int) -> SnakeState:
-        """Follow a schedule; see `Plant.play`."""
+        """See `Plant.play`."""
         self.pneumatics.check(schedule.states)
         ticks = whole_steps("schedule", schedule.span, "tick", self.tick)
-        history = self._follow(schedule, ticks, samples)
+        history = self._simulate(schedule, ticks, samples)
         self.state = history.at(-1)
         return history
 
     def openings(self) -> np.ndarray:
-        """Return how often each chamber's inlet has opened, shape (segments, 2)."""
+        """See `Plant.openings`."""
         return self.pneumatics.openings
 
     def describe(self) -> dict[str, Any]:
-        """Return the settings worth recording."""
+        """See `Plant.describe`."""
         air = {"pneumatics": self.pneumatics.describe(), "layout": self.layout}
         return super().describe() | air | {"sensor": self.sensor.describe()}
 
     @abstractmethod
-    def _follow(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
-        """Follow a schedule of possible valve states over so many ticks; return so many samples."""
+    def _simulate(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
+        """Follow a schedule of checked valve states.
+
+        Args:
+            schedule: valve states over `ticks` ticks.
+            ticks: number of ticks.
+            samples: number of equally spaced samples.
+
+        Returns:
+            The history of the samples.
+        """
 
 
-def check_moment(snake: SnakeState, yaw_rate: float, segments: int) -> None:
-    """Refuse a state that no snake with so many segments can begin in, before anything has moved.
+def check_initial_state(snake: SnakeState, yaw_rate: float, segments: int) -> None:
+    """Check that a snake can start in a state, before anything moves.
 
     Args:
         snake: see `Plant.place`.
         yaw_rate: rad/s.
-        segments: of the plant.
+        segments: number of segments of the plant.
 
     Raises:
-        InputError: a value has another shape, or is not a finite number; or `snake` is a history.
+        InputError: a value has another shape or is not finite, or `snake` is a history.
     """
     shapes = {"com": (2,), "com_velocity": (2,), "heading": (), "bend": (segments,)}
     shapes |= {"bend_rate": (segments,), "pressure": (segments, 2)}
@@ -316,71 +346,71 @@ def check_moment(snake: SnakeState, yaw_rate: float, segments: int) -> None:
     for name, value in values.items():
         array, shape = np.asarray(value), shapes.get(name, ())
         if array.dtype.kind not in "iuf" or array.shape != shape or not np.isfinite(array).all():
-            wanted = f"finite numbers of shape {shape}" if shape else "a finite number"
-            raise InputError(f"{name} {reprlib.repr(array.tolist())} is not allowed; it must be {wanted}")
+            allowed = f"finite numbers of shape {shape}" if shape else "a finite number"
+            raise InputError(f"{name} {reprlib.repr(array.tolist())} is not allowed; it must be {allowed}")
 
 
-_STATES = np.iinfo(np.int8)
+_VALVE_STATE_RANGE = np.iinfo(np.int8)
 
 
 def check_plausible(plant: str, state: SnakeState) -> SnakeState:
-    """Return a moment or a history that is plausible.
+    """Return a state or a history after a check that it is plausible.
 
     Args:
-        plant: the plant's name.
-        state: what it says of itself.
+        plant: name of the plant.
+        state: state or history.
 
     Raises:
         DivergedError: it is not plausible; the error's `history` holds the samples before.
     """
-    # The other fields follow from these. Single numbers apart: to numpy each costs as much as an array.
-    singles: tuple[Any, ...] = (state.heading, state.work, state.air)
-    moment = not isinstance(state.time, np.ndarray)
-    fine = all(abs(each) < LARGEST for each in singles) if moment else plausible(*singles)
-    if fine and plausible(state.com, state.bend, state.pressure):
+    # The other fields follow from these. Scalars are compared in Python: NumPy takes as long as for an array.
+    scalars: tuple[Any, ...] = (state.heading, state.work, state.air)
+    single = not isinstance(state.time, np.ndarray)
+    scalars_plausible = all(abs(value) < LARGEST for value in scalars) if single else plausible(*scalars)
+    if scalars_plausible and plausible(state.com, state.bend, state.pressure):
         return state
     history = SnakeState.history([state])
     for k, time in enumerate(np.asarray(history.time)):
-        for each in fields(history):
-            wrong = implausible(getattr(history, each.name)[k])
+        for field in fields(history):
+            wrong = implausible(getattr(history, field.name)[k])
             if wrong is not None:
                 before = history.at(slice(k)) if k else None
-                what = f"{each.name} is {wrong:g}, which no snake reaches"
-                raise DivergedError(plant, float(time), what, history=before)
+                reason = f"{field.name} is {wrong:g}, which no snake reaches"
+                raise DivergedError(plant, float(time), reason, history=before)
     return state
 
 
-def check_before(plant: str, time: float, *state: Any) -> None:
-    """Refuse to go on from a state that no snake has.
+def check_before_step(plant: str, time: float, *state: Any) -> None:
+    """Check that the state before a step is plausible.
 
     Args:
-        plant: the plant's name.
-        time: of the end of the next step, s.
-        state: numbers and arrays.
+        plant: name of the plant.
+        time: end of the step, s.
+        state: numbers and arrays of the state.
 
     Raises:
         DivergedError: it is not plausible.
     """
     if not plausible(*state):
-        wrong = implausible(np.concatenate([np.ravel(each) for each in state]))
-        what = f"its state held {wrong:g} before the step, which no snake reaches"
-        raise DivergedError(plant, time, what)
+        wrong = implausible(np.concatenate([np.ravel(values) for values in state]))
+        reason = f"its state contains {wrong:g} before the step, which no snake reaches"
+        raise DivergedError(plant, time, reason)
 
 
-def check_commands(who: str, time: float, valves: Any) -> None:
-    """Tell commands that have diverged from those that are merely wrong, which the chambers refuse.
+def check_commands(source: str, time: float, valves: Any) -> None:
+    """Check for diverged valve commands; the chambers report commands that are merely wrong.
 
     Args:
-        who: gives the commands.
-        time: of the tick for which they are, s.
-        valves: as commanded, any shape.
+        source: name of the controller or policy.
+        time: start of the tick for the commands, s.
+        valves: commanded valve states, any shape.
 
     Raises:
-        DivergedError: a valve state that is not a number, infinite, or too large for int8.
+        DivergedError: a valve state is NaN, infinite, or out of the range of int8.
     """
     states = np.asarray(valves)
     if states.dtype == np.int8 or states.dtype.kind not in "fiu":
         return
-    wild = states[~((states >= _STATES.min) & (states <= _STATES.max))]
-    if wild.size:
-        raise DivergedError(who, time, f"it commands the valve state {wild.flat[0]:g}")
+    diverged = states[~((states >= _VALVE_STATE_RANGE.min) & (states <= _VALVE_STATE_RANGE.max))]
+    if diverged.size:
+        raise DivergedError(source, time, f"it commands the valve state {diverged.flat[0]:g}")

@@ -1,4 +1,4 @@
-"""Valves, chambers and the free bend they give: one law for both plants, in two fidelities."""
+"""Valves, chambers and free bends for both plants, with two models of the chambers."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ KINDS = {"lag": LagPneumatics, "orifice": OrificePneumatics}
 def make_pneumatics(
     kind: str | Pneumatics, spec: RobotSpec, *, supply_pa: float, layout: str, **options: float | None
 ) -> Pneumatics:
-    """Return chambers for a robot.
+    """Return the chambers of a robot.
 
     Args:
-        kind: a name in `KINDS`, or chambers made beforehand, which are returned as they are.
+        kind: a name in `KINDS`, or existing chambers, which are returned unchanged.
         spec: the robot.
-        supply_pa: supply pressure, Pa.
+        supply_pa: supply pressure, gauge, Pa.
         layout: valve layout, one of `LAYOUTS`.
-        **options: further arguments of that kind.
+        **options: further arguments of the class of that kind.
 
     Raises:
-        UnknownNameError: another name.
-        InputError: as the kind raises it.
+        UnknownNameError: the kind is unknown.
+        InputError: as raised by the class.
     """
     if isinstance(kind, Pneumatics):
         return kind

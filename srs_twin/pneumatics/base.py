@@ -1,4 +1,4 @@
-"""Pneumatics: what turns valve commands into pressures and free bends. Trace: what the chambers did."""
+"""Abstract pneumatics, which map valve commands to chamber pressures and free bends."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from srs_twin.io.saved_state import Remembers, names
 from srs_twin.pneumatics.valves import LAYOUTS, Schedule, StuckValve
 from srs_twin.robot.spec import RobotSpec
 
-Known = np.ndarray | None
-"""Of each segment, shape (segments,); None where nobody knows it."""
+OptionalArray = np.ndarray | None
+"""One value per segment, shape (segments,), or None if it is unknown."""
 
 
 class Trace(NamedTuple):
-    """What the chambers did at given times; kernels take it as it is.
+    """State of the chambers at several times; kernels take it as a tuple.
 
     Attributes:
-        pressure: gauge, shape (times, segments, 2), Pa.
+        pressure: gauge pressure, shape (times, segments, 2), Pa.
         bend: free bend, shape (times, segments), rad.
-        bend_rate: its rate, shape (times, segments), rad/s.
-        bend_acceleration: its acceleration, shape (times, segments), rad/s².
-        valves: valve states that led there, shape (times, segments, 2).
-        air: work drawn from the supply since `reset`, shape (times,), J.
+        bend_rate: rate of the free bend, shape (times, segments), rad/s.
+        bend_acceleration: acceleration of the free bend, shape (times, segments), rad/s².
+        valves: valve states up to each time, shape (times, segments, 2).
+        air: pneumatic energy drawn from the supply since `reset`, shape (times,), J.
     """
 
     pressure: np.ndarray
@@ -40,52 +40,52 @@ class Trace(NamedTuple):
 
     @classmethod
     def empty(cls, times: int, segments: int) -> Trace:
-        """Return a trace to be filled."""
+        """Return an uninitialised trace."""
         sides = times, segments, 2
         q, dq, ddq = (np.empty((times, segments)) for _ in range(3))
         return cls(np.empty(sides), q, dq, ddq, np.empty(sides, dtype=np.int8), np.empty(times))
 
     def at(self, rows: np.ndarray) -> Trace:
-        """Return some of the times, by their numbers."""
+        """Return the trace at the times with the given indices."""
         return Trace(*(column.take(rows, axis=0) for column in self))
 
 
 class Pneumatics(Remembers, ABC):
-    """Valves and chambers of a robot, and the bend that they would give a segment without load.
+    """Valves and chambers of a robot, and the free bends of its segments.
 
-    A subclass says in `_follow` what the chambers do; commands reach it the valve delay later.
+    A subclass implements the physics in `_simulate`, to which valve commands arrive after the valve delay.
 
     Attributes:
         kind: short name.
-        feels_bend: whether pressures depend on the actual bend, so that a plant whose bends are not the
-            free ones must tell them to `advance`.
-        felt_s: how long chambers that feel the bends may take these to go on as they do, s: bodies and
-            chambers take turns at least that often.
-        stiffness: most that closed chambers stiffen a segment by, N·m/rad.
-        overshoot: how many times the supply's pressure a chamber may reach.
-        pressure: gauge pressures now, shape (segments, 2), Pa.
-        bend: free bends now, shape (segments,), rad.
-        air: work drawn from the supply since `reset`, J: the supply's gauge pressure times the volume of
-            air drawn from it, measured at the supply's pressure. Venting gives nothing back.
-        metered: whether `air` and `openings` are known; they stay 0 else.
-        openings: how often each chamber's inlet has opened, shape (segments, 2).
-        valves: last valve states, shape (segments, 2).
-        stuck: valves that do not obey, none at first.
-        rest_bend: bends of free segments without pressure, shape (segments,), rad.
+        depends_on_bend: whether pressures depend on the actual bends. A plant with compliant bends must then
+            pass these to `advance`.
+        coupling_step_s: largest interval between two exchanges of bends and pressures with the plant, if
+            pressures depend on the bends, s.
+        stiffness: largest stiffness that closed chambers add to a segment, N·m/rad.
+        max_pressure_ratio: largest possible chamber pressure as a multiple of the supply pressure, 1.
+        pressure: current gauge pressures, shape (segments, 2), Pa.
+        bend: current free bends, shape (segments,), rad.
+        air: pneumatic energy drawn from the supply since `reset`, J: the supply's gauge pressure times the
+            volume of air drawn from it, measured at the supply's pressure. Venting returns no energy.
+        metered: whether `air` and `openings` are known; otherwise they stay 0.
+        openings: number of times that each chamber's inlet has opened since `reset`, shape (segments, 2).
+        valves: latest valve states, shape (segments, 2).
+        stuck: valves with a fault; none at first.
+        rest_bend: rest bends, shape (segments,), rad.
     """
 
-    memory = names("pressure", "bend", "air", "_elapsed", "openings", "valves", "_coming", "stuck")
+    memory = names("pressure", "bend", "air", "_elapsed", "openings", "valves", "_pending", "stuck")
     kind = "own"
     stuck: tuple[StuckValve, ...] = ()
-    feels_bend = False
-    overshoot = 1.0
+    depends_on_bend = False
+    max_pressure_ratio = 1.0
     metered = True
-    felt_s = math.inf
+    coupling_step_s = math.inf
     stiffness = 0.0
 
     def __init__(self, spec: RobotSpec, *, layout: str, valve_delay_s: float = 0.0) -> None:
         one_of("valve layout", layout, LAYOUTS)
-        not_negative(valve_delay_s=valve_delay_s)
+        check_not_negative(valve_delay_s=valve_delay_s)
         self.layout, self._delay = layout, valve_delay_s
         self._segments = spec.segments
         self.rest_bend = spec.modules.array("bias")
@@ -100,41 +100,42 @@ class Pneumatics(Remembers, ABC):
         self._elapsed = 0.0
         self.openings = np.zeros(shape, dtype=int)
         self.valves = np.full(shape, -1, dtype=np.int8)
-        self._coming = Schedule(self._delay, np.zeros(1), self.valves[None])
+        self._pending = Schedule(self._delay, np.zeros(1), self.valves[None])
 
     def place(self, pressure: np.ndarray, bend: np.ndarray) -> None:
-        """Begin with these pressures and free bends; valves and what is metered stay as they are.
+        """Set pressures and free bends; valves and metered quantities stay unchanged.
 
         Args:
-            pressure: gauge, shape (segments, 2), Pa.
-            bend: shape (segments,), rad.
+            pressure: gauge pressure, shape (segments, 2), Pa.
+            bend: free bends, shape (segments,), rad.
 
         Raises:
-            InputError: chambers whose pressures are given, or pressures and bends that they do not reach.
+            InputError: the pressures of these chambers are prescribed, or the chambers cannot reach the
+                values.
         """
-        raise InputError(f"pneumatics '{self.kind}' cannot begin with pressures of one's own")
+        raise InputError(f"pneumatics '{self.kind}' cannot start with given pressures")
 
-    def resting(self) -> Trace:
-        """Return a trace of one moment, now, taken to be at rest."""
+    def rest_trace(self) -> Trace:
+        """Return a trace of the current time with the bends at rest."""
         trace = Trace.empty(1, self._segments)
         trace.pressure[0], trace.bend[0], trace.valves[0] = self.pressure, self.bend, self.valves
         trace.bend_rate[:] = trace.bend_acceleration[:] = 0.0
         trace.air[:] = self.air
         return trace
 
-    def now(self) -> Trace:
-        """Return a trace of one moment, now, as the chambers go on with their valves as they are."""
-        return self._follow(Schedule(0.0, np.zeros(1), self.valves[None]), np.zeros(1), None, None)
+    def current_trace(self) -> Trace:
+        """Return a trace of the current time, with the rates that follow from the current valve states."""
+        return self._simulate(Schedule(0.0, np.zeros(1), self.valves[None]), np.zeros(1), None, None)
 
     def schedule(self, valves: np.ndarray, span: float) -> Schedule:
         """Return checked commands as a schedule.
 
         Args:
-            valves: (segments, 2), or (slots, segments, 2), equal parts of the stretch.
-            span: its length, s.
+            valves: shape (segments, 2), or (slots, segments, 2) with slots of equal length.
+            span: s.
 
         Raises:
-            InputError: a wrong shape, or a state that the valve layout does not have.
+            InputError: the shape is wrong, or the valve layout does not have a state.
         """
         commands = np.asarray(valves)
         if commands.ndim == 2:
@@ -145,102 +146,108 @@ class Pneumatics(Remembers, ABC):
                 f"(slots, {self._segments}, 2)"
             )
         self.check(commands)
-        return Schedule.of_slots(commands.astype(np.int8), span)
+        return Schedule.from_slots(commands.astype(np.int8), span)
 
     def check(self, states: np.ndarray) -> None:
-        """Refuse states that the valve layout does not have.
+        """Check that the valve layout has all of the given states.
 
         Raises:
-            InputError: there is one.
+            InputError: it does not have one of them.
         """
-        known = LAYOUTS[self.layout]
-        possible = states == known[0]
-        for state in known[1:]:
+        allowed = LAYOUTS[self.layout]
+        possible = states == allowed[0]
+        for state in allowed[1:]:
             possible |= states == state
         if not possible.all():
             raise InputError(
                 f"valve state {states[~possible][0]} is not possible with layout {self.layout}; "
-                f"allowed: {known}"
+                f"allowed: {allowed}"
             )
 
-    def effective(self, schedule: Schedule) -> Schedule:
-        """Return what the valves will do while these commands are given: these, late, but the stuck."""
-        happening = schedule
+    def effective_schedule(self, schedule: Schedule) -> Schedule:
+        """Return the valve states that result from commands, with the valve delay and stuck valves."""
+        effective = schedule
         if self._delay:
-            happening = self._coming.then(schedule).part(0.0, schedule.span)
+            effective = self._pending.followed_by(schedule).slice(0.0, schedule.span)
         for valve in self.stuck:
-            happening = happening.stuck(
+            effective = effective.with_stuck_valve(
                 valve.since - self._elapsed, valve.segment - 1, valve.side, valve.state
             )
-        return happening
+        return effective
 
     def advance(
-        self, schedule: Schedule, times: np.ndarray, *, bend: Known = None, bend_rate: Known = None
+        self,
+        schedule: Schedule,
+        times: np.ndarray,
+        *,
+        bend: OptionalArray = None,
+        bend_rate: OptionalArray = None,
     ) -> Trace:
-        """Advance by a schedule's span and return what happened at `times`.
+        """Advance over a schedule and return the state of the chambers at some times.
 
         Args:
             schedule: checked valve states, as commanded.
-            times: ascending, within [0, span], s from its start.
-            bend: the segments' actual bends at the start, shape (segments,), rad; only chambers that
-                feel them take notice. None: the free ones, throughout.
-            bend_rate: their rates, shape (segments,), rad/s; over the stretch they are taken to go on.
+            times: ascending, within [0, span], from the start of the schedule, s.
+            bend: actual bends at the start, shape (segments,), rad, for chambers that depend on them; None
+                for bends that follow the free bends.
+            bend_rate: rates of the actual bends, shape (segments,), rad/s; they are taken as constant over
+                the schedule.
 
         Raises:
-            DivergedError: pressures, free bends or air drawn are not finite and plausible.
+            DivergedError: pressures, free bends or the energy drawn are not finite and plausible.
         """
-        self._refuse_implausible()
+        self._check_state()
         if schedule.states.dtype != np.int8:
             schedule = schedule._replace(states=schedule.states.astype(np.int8))
-        happening = self.effective(schedule)
+        effective = self.effective_schedule(schedule)
         if self._delay:
-            whole = self._coming.then(schedule)
-            self._coming = whole.part(schedule.span, whole.span)
-        trace = self._follow(happening, times, bend, bend_rate)
-        before = np.concatenate([self.valves[None], happening.states[:-1]])
-        self.openings = self.openings + ((happening.states == 1) & (before != 1)).sum(axis=0)
-        self.valves = happening.states[-1]
+            joined = self._pending.followed_by(schedule)
+            self._pending = joined.slice(schedule.span, joined.span)
+        trace = self._simulate(effective, times, bend, bend_rate)
+        before = np.concatenate([self.valves[None], effective.states[:-1]])
+        self.openings = self.openings + ((effective.states == 1) & (before != 1)).sum(axis=0)
+        self.valves = effective.states[-1]
         self._elapsed += schedule.span
         return trace
 
-    def _refuse_implausible(self) -> None:
-        """Refuse to go on from a state that no chambers have."""
+    def _check_state(self) -> None:
+        """Raise `DivergedError` if the current state is not plausible."""
         if plausible(self.pressure, self.bend, self.air):
             return
         for name, values in (("pressure", self.pressure), ("free bend", self.bend), ("air drawn", self.air)):
             wrong = implausible(values)
             if wrong is not None:
-                what = f"{name} is {wrong:g}, which no chamber reaches"
-                raise DivergedError(f"pneumatics '{self.kind}'", self._elapsed, what)
+                reason = f"{name} is {wrong:g}, which no chamber reaches"
+                raise DivergedError(f"pneumatics '{self.kind}'", self._elapsed, reason)
 
     @abstractmethod
-    def _follow(self, schedule: Schedule, times: np.ndarray, bend: Known, bend_rate: Known) -> Trace:
-        """Do what `advance` says, with the valve states as they are; set pressure, bend and air."""
+    def _simulate(
+        self, schedule: Schedule, times: np.ndarray, bend: OptionalArray, bend_rate: OptionalArray
+    ) -> Trace:
+        """Advance as in `advance` under effective valve states; set `pressure`, `bend` and `air`."""
 
-    def regulate(self, supply_pa: float) -> None:
-        """Set the supply's pressure from now on, also over a `reset`.
+    def set_supply_pressure(self, supply_pa: float) -> None:
+        """Set the pressure of the supply; a `reset` keeps it.
 
         Args:
-            supply_pa: gauge, Pa; at most what the chambers were made for.
+            supply_pa: gauge pressure, Pa; at most the one with which the chambers were constructed.
 
         Raises:
-            InputError: more than that or below 0, or chambers without a regulator.
+            InputError: the pressure is out of range, or the chambers have no regulator.
         """
-        raise InputError(
-            f"pneumatics '{self.kind}' has no supply that could be regulated; 'lag' and 'orifice' have"
-        )
+        raise InputError(f"pneumatics '{self.kind}' has no pressure regulator; use 'lag' or 'orifice'")
 
     def describe(self) -> dict[str, Any]:
-        """Return the settings worth recording (JSON values)."""
+        """Return the settings for the provenance of a run (JSON values)."""
         stuck = {"stuck_valves": [asdict(valve) for valve in self.stuck]} if self.stuck else {}
         return {"kind": self.kind, "valve_delay_s": self._delay} | stuck
 
 
-def not_negative(**values: float) -> None:
-    """Refuse numbers that are below 0 or not finite.
+def check_not_negative(**values: float) -> None:
+    """Check that numbers are finite and not negative.
 
     Raises:
-        InputError: the first of them, by its name.
+        InputError: one of them is not; the message has its name.
     """
     for name, value in values.items():
         if not (math.isfinite(value) and value >= 0):

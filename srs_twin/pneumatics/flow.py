@@ -1,12 +1,13 @@
-r"""Flow through a valve, ISO 6358: sonic conductance C and critical pressure ratio b.
+r"""Flow through a valve after ISO 6358, with sonic conductance C and critical pressure ratio b.
 
-From absolute pressure P₁ down to P₂, r = P₂/P₁, at one temperature, as amount of air (P V) a time:
+The flow of an amount of air n = P V from the absolute pressure P₁ to P₂, with r = P₂/P₁ and at constant
+temperature, is
 
 $$ \dot n = P_0\,C\,P_1\,\psi(r),\qquad
 \psi = \begin{cases} 1 & r \le b \\ \sqrt{1 - \bigl(\tfrac{r-b}{1-b}\bigr)^2} & b < r \le r_l \end{cases} $$
 
-with P₀ = 100 kPa, the standard's reference. At equal pressures ψ has no finite slope; above r_l = 0.999
-the flow is linear in P₁ − P₂, as usual in simulation (laminar flow).
+P₀ = 100 kPa is the reference pressure of the standard. At equal pressures ψ has an infinite slope. Above
+r_l = 0.999 the flow is therefore linear in P₁ − P₂ (laminar flow), as usual in simulation.
 """
 
 from __future__ import annotations
@@ -22,33 +23,35 @@ REFERENCE_PA = 100_000.0
 """Absolute pressure of the reference state of ISO 6358, Pa."""
 
 LAMINAR = 0.999
-"""r_l, pressure ratio above which the flow is linear."""
+"""Pressure ratio r_l above which the flow is linear, 1."""
 
 REMAINING = math.exp(-2)
-"""Share of its swing that a chamber still has before it at the working point, after two time constants."""
+"""Share of a pressure change that remains at the working point, 1: that after two time constants."""
 
 
 @compiled
 def flow(first, second, critical):  # type: ignore[no-untyped-def]
-    """Return P₁ ψ from the first to the second side (Pa), below 0 backward, and its two partial derivatives.
+    """Return P₁ ψ from the first to the second side (Pa) and its partial derivatives by the two pressures.
+
+    The flow is negative if it is from the second to the first side.
 
     Args:
         first: absolute pressure on the first side, Pa.
-        second: on the second, Pa.
-        critical: b.
+        second: absolute pressure on the second side, Pa.
+        critical: critical pressure ratio b, 1.
     """
     backward = second > first
     high, low = (second, first) if backward else (first, second)
     ratio = low / high
     value, by_high, by_low = high, 1.0, 0.0
     if ratio > critical:
-        part = (min(ratio, LAMINAR) - critical) / (1.0 - critical)
-        psi = math.sqrt(1.0 - part * part)
+        fraction = (min(ratio, LAMINAR) - critical) / (1.0 - critical)
+        psi = math.sqrt(1.0 - fraction * fraction)
         if ratio > LAMINAR:
             by_high = psi / (1.0 - LAMINAR)
             value, by_low = by_high * (high - low), -by_high
         else:
-            by_low = -part / (psi * (1.0 - critical))
+            by_low = -fraction / (psi * (1.0 - critical))
             value, by_high = high * psi, psi - ratio * by_low
     if backward:
         return -value, -by_low, -by_high
@@ -56,15 +59,20 @@ def flow(first, second, critical):  # type: ignore[no-untyped-def]
 
 
 def conductances(spec: RobotSpec, critical: float) -> tuple[float, float, float]:
-    """Return the conductances of inlet and outlet (m³/(s Pa)) that give a robot's τ₁ at small signals.
+    """Return the conductances of inlet and outlet for which the small-signal response has the robot's τ₁.
 
-    A single chamber fills or vents, the opposite one is vented, and the bend follows, q ≈ G (p − τ₂ ṗ). To
-    raise the gauge pressure p by dp takes the air K dp with K(p) = V + (p + P_a) A G; so ṗ = ṅ/K, and terms
-    of first order in τ₂ are put right. In `lag`, dṗ/dp = −1/τ₁ everywhere; here C is such that it is so at
-    the working point: where a chamber between ambient and the nominal supply has done 1 − e⁻² of its way.
+    One chamber fills or vents, the opposite one is vented, and the bend follows as q ≈ G (p − τ₂ ṗ). A change
+    dp of the gauge pressure needs the amount of air K dp with K(p) = V + (p + P_a) A G, so that ṗ = ṅ/K;
+    terms of first order in τ₂ are corrected. Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all
+    pressures. Here C is chosen so that this holds at the working point: where the pressure between ambient
+    and the nominal supply has completed 1 − e⁻² of its change.
+
+    Args:
+        spec: the robot.
+        critical: critical pressure ratio b, 1.
 
     Returns:
-        C of the inlet, C of the outlet, and K at the working point of filling, J/Pa.
+        C of the inlet and of the outlet (m³/(s Pa)), and K at the working point of filling (J/Pa).
     """
     actuator, supply = spec.actuator, spec.supply.nominal
 
@@ -81,23 +89,31 @@ def conductances(spec: RobotSpec, critical: float) -> tuple[float, float, float]
 
 
 def _conductance(passed: Callable[[float], float], p: float, tau: float, spec: RobotSpec) -> float:
-    """Return C for which dṗ/dp = −1/τ at p, where a valve passes P₀ C `passed(p)` into the chamber."""
+    """Return the C for which dṗ/dp = −1/τ at the gauge pressure p.
+
+    Args:
+        passed: P₁ ψ of the valve into the chamber as a function of the gauge pressure, Pa.
+        p: gauge pressure at the working point, Pa.
+        tau: time constant τ, s.
+        spec: the robot.
+    """
     dead, growth = spec.chamber.dead_volume, spec.chamber.displacement * spec.actuator.gain
-    late, step = min(spec.actuator.tau_mode, 0.1 * tau), 1e-3 * p
+    lag, step = min(spec.actuator.tau_mode, 0.1 * tau), 1e-3 * p
 
-    def slope(of: Callable[[float], float], at: float) -> float:
-        return (of(at + step) - of(at - step)) / (2 * step)
+    def slope(function: Callable[[float], float], at: float) -> float:
+        return (function(at + step) - function(at - step)) / (2 * step)
 
-    def prompt(at: float) -> float:
+    def rate_without_lag(at: float) -> float:
         return REFERENCE_PA * c * passed(at) / (dead + growth * (2 * at + AMBIENT_PA))
 
-    def lagging(at: float) -> float:
-        space = dead + growth * (at - late * prompt(at))
-        grown = growth * (at + AMBIENT_PA) * (1 - late * slope(prompt, at))
-        return REFERENCE_PA * c * passed(at) / (space + grown)
+    def rate(at: float) -> float:
+        chamber_volume = dead + growth * (at - lag * rate_without_lag(at))
+        expansion = growth * (at + AMBIENT_PA) * (1 - lag * slope(rate_without_lag, at))
+        return REFERENCE_PA * c * passed(at) / (chamber_volume + expansion)
 
+    # The rate is linear in C without the lag, nearly so with it: a few fixed-point iterations suffice.
     c = 1.0
-    c = -1 / (tau * slope(prompt, p))
+    c = -1 / (tau * slope(rate_without_lag, p))
     for _ in range(8):
-        c /= -tau * slope(lagging, p)
+        c /= -tau * slope(rate, p)
     return c

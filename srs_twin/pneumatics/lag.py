@@ -1,19 +1,22 @@
-r"""LagPneumatics: chambers that fill and vent with a first-order lag, in closed form.
+r"""Chambers that fill and vent with a first-order lag, in closed form.
 
-A valve state +1 fills its chamber from the supply, −1 vents it, 0 holds it. Between valve events each
-chamber relaxes exponentially, p(t) = P + (p₀ − P) e^{−at}, with a = 1/τ₁ plus the leak. The linear bend x of
-a module without load follows the chambers' difference with the lag τ₂,
+A valve state of +1 fills the chamber from the supply, −1 vents it, and 0 holds it. Between valve events the
+gauge pressure of each chamber relaxes exponentially,
+
+$$ p(t) = P + (p_0 - P)\,e^{-a t}, $$
+
+to the asymptote P with the rate a, which is 1/τ₁ plus the leak rate λ. The linear bend x of a segment without
+load follows the pressures with the mode time constant τ₂,
 
 $$ \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q = b + \varphi(x), $$
 
-so that nominal modules with τ_fill = τ_vent = τ₁ obey Eq. 14–15 as corrected by E1 and E2:
-q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀ u/(τ₁τ₂). φ, b and the gains g are those of `bending`. Everything is
-evaluated in closed form, at any time.
-A valve's 3 ms of switching are part of τ₂; a delay besides is 0 unless asked for.
+with φ, b and the gains of `chambers`. Nominal modules with τ_fill = τ_vent = τ₁ obey Eq. 14–15 as corrected
+by E1 and E2: q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀ u/(τ₁τ₂). The switching time of a valve, 3 ms, is part of
+τ₂; a further valve delay is 0 by default.
 
-Air drawn: while a chamber fills, its content n = P V(q) grows by what comes in less what leaks, so a fill
-draws Δn + λ ∫ p V dt. Δn is exact, with V from the free bend; the leak's integral is taken by Simpson's
-rule between the times asked for.
+**Pneumatic energy.** The content n = P V(q) of a filling chamber increases by the inflow less the leak, so
+that a fill draws Δn + λ ∫ p V dt. Δn is exact, with V at the free bend; the integral of the leak is evaluated
+by Simpson's rule between the requested times.
 """
 
 from __future__ import annotations
@@ -26,26 +29,38 @@ import numpy as np
 from srs_twin.compute.compiled import allocating, compiled
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import names
-from srs_twin.pneumatics.base import Known, Pneumatics, Trace, not_negative
-from srs_twin.pneumatics.chambers import AMBIENT_PA, BendLaw, bend_law, bent, gains, reached, unbent, volume
+from srs_twin.pneumatics.base import OptionalArray, Pneumatics, Trace, check_not_negative
+from srs_twin.pneumatics.chambers import (
+    AMBIENT_PA,
+    BendLaw,
+    apply_bend_law,
+    bend_law,
+    chamber_gains,
+    check_pressure,
+    invert_bend_law,
+    volume,
+)
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
 
 
 class Relaxation(NamedTuple):
-    """What chambers do in a time in which no valve switches, for who follows them elsewhere.
+    """Exact propagation of the chambers over a time without valve events, for the device engine.
+
+    Kinds group chambers with equal time constants. Factors by kind and valve state have the shape (kinds, 3),
+    with the columns −1, 0, +1.
 
     Attributes:
-        kinds: of each chamber, shape (segments, 2): a row of what follows.
-        asymptotes: where a pressure relaxes to, by kind and valve state + 1, Pa.
-        decay: what is left of its swing, same shape.
-        lag: and of that in x, same shape.
-        mode: what is left of x.
-        gain: of each chamber, shape (segments, 2), rad/Pa.
-        bias: b, shape (segments,), rad.
-        law: of the bend.
-        space: V₀ (m³) and A (m³/rad) of a chamber.
-        worth: what an amount of air that is drawn costs as work.
+        kinds: kind of each chamber, shape (segments, 2).
+        asymptotes: P by kind and valve state, Pa.
+        decay: factor e^{−at} of the deviation p − P, by kind and valve state, 1.
+        lag: response of x to this deviation, per gain, by kind and valve state, 1.
+        mode: factor e^{−t/τ₂} of x, 1.
+        gain: gain of each chamber, shape (segments, 2), rad/Pa.
+        bias: rest bends, shape (segments,), rad.
+        law: a `BendLaw`.
+        space: dead volume V₀ (m³) and A (m³/rad) of a chamber.
+        worth: pneumatic energy per amount of air drawn, 1.
     """
 
     kinds: np.ndarray
@@ -61,10 +76,10 @@ class Relaxation(NamedTuple):
 
 
 class LagPneumatics(Pneumatics):
-    """Chambers with a first-order lag each (module docstring)."""
+    """Chambers with a first-order lag (module docstring)."""
 
     kind = "lag"
-    memory = names("_linear", "_asymptote", "_worth")
+    memory = names("_linear", "_asymptote", "_energy_per_amount")
 
     def __init__(
         self,
@@ -75,34 +90,34 @@ class LagPneumatics(Pneumatics):
         leak_per_s: float = 0.0,
         valve_delay_s: float = 0.0,
     ) -> None:
-        """Make the chambers.
+        """Construct the chambers.
 
         Args:
             spec: the robot.
             supply_pa: supply pressure, gauge, Pa.
             layout: valve layout, one of `LAYOUTS`.
-            leak_per_s: λ, rate at which a held pressure falls, as a share of itself, 1/s.
-            valve_delay_s: how much later than commanded a valve switches, s.
+            leak_per_s: leak rate λ, the relative rate at which a held pressure falls, 1/s.
+            valve_delay_s: time from a command until the valve switches, s.
 
         Raises:
-            InputError: an unknown layout, or a leak or delay below 0.
+            InputError: the layout is unknown, or leak or delay are negative.
         """
-        not_negative(leak_per_s=leak_per_s)
+        check_not_negative(leak_per_s=leak_per_s)
         actuator, chamber = spec.actuator, spec.chamber
         self._leak = leak_per_s
         fill = actuator.tau_fill * spec.modules.array("tau_fill")
         vent = actuator.tau_vent * spec.modules.array("tau_vent")
-        # Chambers with the same time constants are of one kind, and share what is an exponential.
+        # Chambers of one kind have the same time constants and share the evaluation of exponentials.
         kinds, kind = np.unique(np.stack([fill.ravel(), vent.ravel()]), axis=1, return_inverse=True)
         self._kind = kind.reshape(fill.shape)
         # Relaxation rate a and asymptote P, by kind and valve state + 1.
         self._rate = np.stack([1 / kinds[1], np.zeros_like(kinds[0]), 1 / kinds[0]], axis=1) + leak_per_s
         self._asymptote = np.zeros_like(self._rate)
-        self._tau_fill, self._largest = kinds[0], supply_pa
-        self.regulate(supply_pa)
-        self._tau, self._gain = actuator.tau_mode, gains(spec)
+        self._tau_fill, self._max_supply = kinds[0], supply_pa
+        self.set_supply_pressure(supply_pa)
+        self._tau_mode, self._gain = actuator.tau_mode, chamber_gains(spec)
         self._law = bend_law(spec)
-        self._space = chamber.dead_volume, chamber.displacement
+        self._volume_law = chamber.dead_volume, chamber.displacement
         super().__init__(spec, layout=layout, valve_delay_s=valve_delay_s)
 
     def reset(self) -> None:
@@ -112,28 +127,29 @@ class LagPneumatics(Pneumatics):
 
     def place(self, pressure: np.ndarray, bend: np.ndarray) -> None:
         """See `Pneumatics.place`."""
-        self._linear = unbent(bend - self.rest_bend, self._law)
-        self.pressure, self.bend = reached(pressure, self._largest), np.array(bend, dtype=float)
+        self._linear = invert_bend_law(bend - self.rest_bend, self._law)
+        self.pressure, self.bend = check_pressure(pressure, self._max_supply), np.array(bend, dtype=float)
 
-    def regulate(self, supply_pa: float) -> None:
-        """See `Pneumatics.regulate`: a regulator without a lag of its own."""
-        if not 0 <= supply_pa <= self._largest:
+    def set_supply_pressure(self, supply_pa: float) -> None:
+        """See `Pneumatics.set_supply_pressure`; the pressure changes immediately."""
+        if not 0 <= supply_pa <= self._max_supply:
             raise InputError(
-                f"supply pressure {supply_pa!r} Pa is not allowed; it must be 0 to {self._largest:g} Pa, "
-                "which these chambers were made for"
+                f"supply pressure {supply_pa!r} Pa is not allowed; it must be 0 to {self._max_supply:g} Pa, "
+                "the pressure at construction"
             )
+        # A leak lowers the equilibrium pressure below that of the supply.
         self._asymptote[:, 2] = supply_pa / self._tau_fill / self._rate[:, 2]
-        self._worth = supply_pa / (supply_pa + AMBIENT_PA)
+        self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
 
     def describe(self) -> dict[str, Any]:
         """See `Pneumatics.describe`."""
         return super().describe() | {"leak_per_s": self._leak}
 
     def relaxation(self, time: float) -> Relaxation:
-        """Return what the chambers do in a time (s); a kind each, however many are alike."""
+        """Return the propagation over a time (s), with one kind per chamber."""
         rate, asymptote = self._rate[self._kind.ravel()], self._asymptote[self._kind.ravel()]
         decay, lag = np.empty_like(rate), np.empty_like(rate)
-        mode = _fade(time, rate, self._tau, decay, lag)
+        mode = _decay_factors(time, rate, self._tau_mode, decay, lag)
         kinds = np.arange(self._kind.size).reshape(self._kind.shape)
         return Relaxation(
             kinds,
@@ -144,83 +160,92 @@ class LagPneumatics(Pneumatics):
             self._gain,
             self.rest_bend,
             self._law,
-            self._space,
-            self._worth,
+            self._volume_law,
+            self._energy_per_amount,
         )
 
     @property
     def leaks(self) -> bool:
-        """Whether closed chambers lose air."""
+        """Whether held chambers lose air."""
         return self._leak > 0
 
-    def _follow(self, schedule: Schedule, times: np.ndarray, bend: Known, bend_rate: Known) -> Trace:
+    def _simulate(
+        self, schedule: Schedule, times: np.ndarray, bend: OptionalArray, bend_rate: OptionalArray
+    ) -> Trace:
         trace = Trace.empty(len(times), self._segments)
         pressure, linear = self.pressure.copy(), self._linear.copy()
         free = np.empty(self._segments)
-        law = self._kind, self._rate, self._asymptote, self._leak
-        bending = self._tau, self._gain, self.rest_bend, self._law
-        drawn = _relax(pressure, linear, free, schedule, times, law, bending, self._space, trace)
-        np.multiply(trace.air, self._worth, out=trace.air)
+        relaxation = self._kind, self._rate, self._asymptote, self._leak
+        bending = self._tau_mode, self._gain, self.rest_bend, self._law
+        drawn = _fill_trace(
+            pressure, linear, free, schedule, times, relaxation, bending, self._volume_law, trace
+        )
+        np.multiply(trace.air, self._energy_per_amount, out=trace.air)
         np.add(trace.air, self.air, out=trace.air)
         self._linear = linear
-        self.pressure, self.bend, self.air = pressure, free, self.air + self._worth * drawn
+        self.pressure, self.bend, self.air = pressure, free, self.air + self._energy_per_amount * drawn
         return trace
 
 
 @allocating
-def _relax(pressure, linear, bend, schedule, times, law, bending, space, trace):  # type: ignore[no-untyped-def]
-    """Fill a trace at `times`, advance to the end of a schedule, return the air drawn (J).
+def _fill_trace(pressure, linear, bend, schedule, times, relaxation, bending, space, trace):  # type: ignore[no-untyped-def]
+    """Fill a trace at `times`, advance to the end of a schedule, and return the amount of air drawn (J).
 
     Args:
-        pressure: at the start, in place, shape (segments, 2), Pa.
-        linear: x at the start, in place, shape (segments,), rad.
-        bend: out, at the end, same shape, rad.
-        schedule: of the valves.
+        pressure: gauge pressure at the start, in place, shape (segments, 2), Pa.
+        linear: linear bend x at the start, in place, shape (segments,), rad.
+        bend: out, free bend at the end, shape (segments,), rad.
+        schedule: effective valve states.
         times: ascending, shape (times,), s.
-        law: kind of each chamber, shape (segments, 2); relaxation rates by kind and valve state + 1, 1/s;
-            where the pressure relaxes to, same shape, Pa; λ, 1/s.
-        bending: τ₂, s; gain of each chamber, shape (segments, 2), rad/Pa; b, shape (segments,), and its law.
-        space: V₀ (m³) and A (m³/rad) of a chamber.
-        trace: out; air as amount drawn since the start, J.
+        relaxation: kind of each chamber, shape (segments, 2); rates a (1/s) and asymptotes P (Pa) by kind and
+            valve state + 1, shape (kinds, 3); leak rate λ (1/s).
+        bending: τ₂ (s); gain of each chamber, shape (segments, 2), rad/Pa; rest bends, shape (segments,),
+            rad; a `BendLaw`.
+        space: dead volume V₀ (m³) and A (m³/rad) of a chamber.
+        trace: out; its air is the amount drawn since the start, J.
     """
     span, starts, states = schedule
-    kinds, rates, asymptotes, leak = law
-    tau, gain, bias, curved = bending
+    kinds, rates, asymptotes, leak = relaxation
+    tau, gain, bias, law = bending
     decay, lag = np.empty_like(rates), np.empty_like(rates)
     row, drawn = 0, 0.0
     for run in range(starts.shape[0]):
         state, start = states[run], starts[run]
         stop = starts[run + 1] if run + 1 < starts.shape[0] else span
-        held, leaked, last = 0.0, 0.0, 0.0
+        # Filling chambers draw what their content gains and leaks; other chambers draw nothing.
+        content_before, leaked, last = 0.0, 0.0, 0.0
         for j in range(bend.shape[0]):
-            free = bias[j] + bent(linear[j], curved)[0]
-            held += _filling(state[j], pressure[j, 0], pressure[j, 1], free, space, AMBIENT_PA)
+            free = bias[j] + apply_bend_law(linear[j], law)[0]
+            content_before += filling_content(
+                state[j], pressure[j, 0], pressure[j, 1], free, space, AMBIENT_PA
+            )
         while True:
-            # Rows up to and at the end of the run, then the end itself, from which the next run starts.
-            within = row < times.shape[0] and (times[row] <= stop or run + 1 == starts.shape[0])
-            t = (times[row] if within else stop) - start
+            # The rows of the trace within the run, then the end of the run, from which the next one starts.
+            requested = row < times.shape[0] and (times[row] <= stop or run + 1 == starts.shape[0])
+            t = (times[row] if requested else stop) - start
             if leak > 0.0:
+                # Simpson's rule for λ ∫ p V dt since the previous row.
                 for at, weight in ((last, 1 / 6), (0.5 * (last + t), 4 / 6), (t, 1 / 6)):
-                    mode = _fade(at, rates, tau, decay, lag)
+                    mode = _decay_factors(at, rates, tau, decay, lag)
                     for j in range(bend.shape[0]):
-                        plus, minus, x = _segment(
+                        plus, minus, x = advance_segment(
                             state[j], kinds[j], pressure[j], linear[j], asymptotes, gain[j], decay, lag, mode
                         )
-                        free = bias[j] + bent(x, curved)[0]
-                        inside = _filling(state[j], plus, minus, free, space, 0.0)
-                        leaked += leak * (t - last) * weight * inside
+                        free = bias[j] + apply_bend_law(x, law)[0]
+                        gauge_content = filling_content(state[j], plus, minus, free, space, 0.0)
+                        leaked += leak * (t - last) * weight * gauge_content
                 last = t
-            mode = _fade(t, rates, tau, decay, lag)
+            mode = _decay_factors(t, rates, tau, decay, lag)
             content = 0.0
             for j in range(bend.shape[0]):
-                plus, minus, x = _segment(
+                plus, minus, x = advance_segment(
                     state[j], kinds[j], pressure[j], linear[j], asymptotes, gain[j], decay, lag, mode
                 )
-                turned, slope, curve = bent(x, curved)
-                turned += bias[j]
-                content += _filling(state[j], plus, minus, turned, space, AMBIENT_PA)
-                if not within:
-                    pressure[j, 0], pressure[j, 1], linear[j], bend[j] = plus, minus, x, turned
+                free, slope, curve = apply_bend_law(x, law)
+                free += bias[j]
+                content += filling_content(state[j], plus, minus, free, space, AMBIENT_PA)
+                if not requested:
+                    pressure[j, 0], pressure[j, 1], linear[j], bend[j] = plus, minus, x, free
                     continue
                 up, down = state[j, 0] + 1, state[j, 1] + 1
                 first, second = kinds[j, 0], kinds[j, 1]
@@ -228,11 +253,11 @@ def _relax(pressure, linear, bend, schedule, times, law, bending, space, trace):
                 rise -= gain[j, 1] * rates[second, down] * (asymptotes[second, down] - minus)
                 speed = (gain[j, 0] * plus - gain[j, 1] * minus - x) / tau
                 trace.pressure[row, j, 0], trace.pressure[row, j, 1] = plus, minus
-                trace.bend[row, j], trace.bend_rate[row, j] = turned, slope * speed
+                trace.bend[row, j], trace.bend_rate[row, j] = free, slope * speed
                 trace.bend_acceleration[row, j] = slope * (rise - speed) / tau + curve * speed * speed
                 trace.valves[row, j, 0], trace.valves[row, j, 1] = state[j, 0], state[j, 1]
-            amount = drawn + leaked + content - held
-            if not within:
+            amount = drawn + leaked + content - content_before
+            if not requested:
                 drawn = amount
                 break
             trace.air[row] = amount
@@ -241,30 +266,60 @@ def _relax(pressure, linear, bend, schedule, times, law, bending, space, trace):
 
 
 @compiled
-def _fade(t, rates, tau, decay, lag):  # type: ignore[no-untyped-def]
-    """Fill what is left of a pressure's swing after t, and of its lag; return what is left of τ₂'s."""
+def _decay_factors(t, rates, tau, decay, lag):  # type: ignore[no-untyped-def]
+    """Fill the factors `decay` and `lag` of `Relaxation` after a time t (s); return its factor `mode`.
+
+    Args:
+        t: s.
+        rates: a by kind and valve state, shape (kinds, 3), 1/s.
+        tau: τ₂, s.
+        decay: out, shape (kinds, 3).
+        lag: out, shape (kinds, 3).
+    """
     mode = math.exp(-t / tau)
     for kind in range(rates.shape[0]):
         for s in range(3):
             decay[kind, s] = math.exp(-rates[kind, s] * t)
-            lag[kind, s] = _lag_of_exponential(rates[kind, s], tau, t, decay[kind, s], mode)
+            lag[kind, s] = _exponential_response(rates[kind, s], tau, t, decay[kind, s], mode)
     return mode
 
 
 @compiled
-def _segment(state, kind, pressure, linear, asymptotes, gain, decay, lag, mode):  # type: ignore[no-untyped-def]
-    """Return both pressures and the linear bend of a segment from those of the run's start."""
+def advance_segment(state, kind, pressure, linear, asymptotes, gain, decay, lag, mode):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return the pressures (Pa) and the linear bend (rad) of a segment after a time without valve events.
+
+    Args:
+        state: valve states, shape (2,).
+        kind: kinds of the two chambers, shape (2,).
+        pressure: gauge pressures before, shape (2,), Pa.
+        linear: linear bend before, rad.
+        asymptotes: as in `Relaxation`.
+        gain: gains of the two chambers, shape (2,), rad/Pa.
+        decay, lag, mode: as in `Relaxation`.
+    """
     first, second, up, down = kind[0], kind[1], state[0] + 1, state[1] + 1
-    end, other = asymptotes[first, up], asymptotes[second, down]
-    high, low = pressure[0] - end, pressure[1] - other
-    lagged = gain[0] * (end * (1.0 - mode) + high * lag[first, up])
-    lagged -= gain[1] * (other * (1.0 - mode) + low * lag[second, down])
-    return end + high * decay[first, up], other + low * decay[second, down], linear * mode + lagged
+    target_plus, target_minus = asymptotes[first, up], asymptotes[second, down]
+    deviation_plus, deviation_minus = pressure[0] - target_plus, pressure[1] - target_minus
+    lagged = gain[0] * (target_plus * (1.0 - mode) + deviation_plus * lag[first, up])
+    lagged -= gain[1] * (target_minus * (1.0 - mode) + deviation_minus * lag[second, down])
+    return (
+        target_plus + deviation_plus * decay[first, up],
+        target_minus + deviation_minus * decay[second, down],
+        linear * mode + lagged,
+    )
 
 
 @compiled
-def _filling(state, plus, minus, bend, space, ambient):  # type: ignore[no-untyped-def]
-    """Return the sum of (p + ambient) V over the chambers of a segment that fill, J."""
+def filling_content(state, plus, minus, bend, space, ambient):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return the sum of (p + ambient) V over those chambers of a segment that fill, J.
+
+    Args:
+        state: valve states, shape (2,).
+        plus, minus: gauge pressures, Pa.
+        bend: q, rad.
+        space: dead volume V₀ (m³) and A (m³/rad) of a chamber.
+        ambient: ambient pressure, Pa; 0 for the content by gauge pressure.
+    """
     total = float(0.0)
     if state[0] == 1:
         size, _ = volume(space[0], space[1], bend, 0)
@@ -276,9 +331,17 @@ def _filling(state, plus, minus, bend, space, ambient):  # type: ignore[no-untyp
 
 
 @compiled
-def _lag_of_exponential(rate, tau, t, decay, mode):  # type: ignore[no-untyped-def]
-    """Return the response of τ ẏ + y = e^{−at} from y = 0: (e^{−at} − e^{−t/τ})/(1 − aτ)."""
+def _exponential_response(rate, tau, t, decay, mode):  # type: ignore[no-untyped-def]
+    """Return y(t) of τ ẏ + y = e^{−at} with y(0) = 0: (e^{−at} − e^{−t/τ})/(1 − aτ).
+
+    Args:
+        rate: a, 1/s.
+        tau: τ, s.
+        t: s.
+        decay: e^{−at}.
+        mode: e^{−t/τ}.
+    """
     gap = 1 - rate * tau
-    if abs(gap) < 1e-6:
+    if abs(gap) < 1e-6:  # the limit for equal rates
         return t / tau * mode
     return (decay - mode) / gap

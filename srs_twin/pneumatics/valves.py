@@ -1,4 +1,8 @@
-"""Schedule: which valve stands how, and from when. StuckValve: a fault of one."""
+"""Valve schedules: piecewise constant valve states over time, and valve faults.
+
+A valve state is +1 (filling), 0 (holding) or −1 (venting). Arrays of valve states have the columns + chamber
+and − chamber.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +14,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class StuckValve:
-    """A valve that no longer obeys.
+    """Fault of one valve that stays in one state.
 
     Attributes:
         segment: from 1, at the head.
-        side: 0 for the + chamber's, 1 for the − chamber's.
-        state: in which it stays, +1 filling, 0 holding, −1 venting.
-        since: s from `Pneumatics.reset` on.
+        side: 0 for the valve of the + chamber, 1 for that of the − chamber.
+        state: valve state in which it stays.
+        since: time of the fault, from `Pneumatics.reset`, s.
     """
 
     segment: int
@@ -26,21 +30,22 @@ class StuckValve:
 
 
 LAYOUTS = {"3/2": (-1, 1), "in_out": (-1, 0, 1)}
-"""Valve layout → states it can take: one 3/2 valve a chamber, or an inlet and an outlet valve."""
+"""Valve layout → possible valve states: one 3/2 valve per chamber, or an inlet and an outlet valve."""
 
 SLOT_S = 1e-4
-"""Edges inside a tick fall on a raster of 0.1 ms."""
+"""Time raster of valve events within a control tick, s."""
 
-_SAME = 1e-9  # s: events closer than this are one
+# Smallest time between two valve events, s; closer events are merged, which absorbs rounding.
+_EVENT_TOLERANCE = 1e-9
 
 
 class Schedule(NamedTuple):
-    """Valve states over a stretch of time, piecewise constant; kernels take it as it is.
+    """Piecewise constant valve states over a time span; kernels take it as a tuple.
 
     Attributes:
-        span: length of the stretch, s.
-        starts: when each state begins, ascending from 0, shape (runs,), s from the start of the stretch.
-        states: +1 fill, 0 hold, −1 vent, shape (runs, segments, 2), columns + and − chamber.
+        span: length of the schedule, s.
+        starts: start time of each run of constant states, ascending from 0, shape (runs,), s.
+        states: valve states of each run, shape (runs, segments, 2).
     """
 
     span: float
@@ -48,8 +53,13 @@ class Schedule(NamedTuple):
     states: np.ndarray
 
     @classmethod
-    def of_slots(cls, commands: np.ndarray, span: float) -> Schedule:
-        """Return the schedule of commands that share a stretch equally, shape (slots, segments, 2)."""
+    def from_slots(cls, commands: np.ndarray, span: float) -> Schedule:
+        """Return the schedule of commands that divide a time span equally.
+
+        Args:
+            commands: valve states, shape (slots, segments, 2).
+            span: s.
+        """
         if len(commands) == 1:
             return cls(span, np.zeros(1), np.ascontiguousarray(commands))
         changes = np.flatnonzero((commands[1:] != commands[:-1]).any(axis=(1, 2))) + 1
@@ -58,44 +68,45 @@ class Schedule(NamedTuple):
 
     @property
     def events(self) -> np.ndarray:
-        """Return the times at which a valve changes, shape (runs − 1,), s."""
+        """Return the times at which a valve changes its state, shape (runs − 1,), s."""
         return self.starts[1:]
 
-    def stretched(self, span: float) -> Schedule:
-        """Return the same order of states over another span (s)."""
+    def scaled_to(self, span: float) -> Schedule:
+        """Return the schedule with its times scaled to another span (s)."""
         return Schedule(span, self.starts * (span / self.span), self.states)
 
-    def part(self, begin: float, end: float) -> Schedule:
-        """Return the schedule from `begin` to `end`, its times counted from `begin` (s)."""
-        if begin == 0.0 and end == self.span and self.starts[-1] < end - _SAME:
+    def slice(self, begin: float, end: float) -> Schedule:
+        """Return the schedule from `begin` to `end` (s), with times from `begin`."""
+        if begin == 0.0 and end == self.span and self.starts[-1] < end - _EVENT_TOLERANCE:
             return self
-        first = int(np.searchsorted(self.starts, begin + _SAME, side="right")) - 1
-        last = int(np.searchsorted(self.starts, end - _SAME, side="left"))
+        first = int(np.searchsorted(self.starts, begin + _EVENT_TOLERANCE, side="right")) - 1
+        last = int(np.searchsorted(self.starts, end - _EVENT_TOLERANCE, side="left"))
         starts = np.maximum(self.starts[first:last] - begin, 0.0)
         return Schedule(end - begin, starts, self.states[first:last])
 
-    def stuck(self, begin: float, segment: int, side: int, state: int) -> Schedule:
-        """Return the same with one valve in one state from `begin` (s) on.
+    def with_stuck_valve(self, begin: float, segment: int, side: int, state: int) -> Schedule:
+        """Return the schedule with one valve in one state from `begin` on.
 
         Args:
-            begin: s, before the stretch or in it; after it nothing changes.
+            begin: s; may lie before the schedule. A time after its end changes nothing.
             segment: from 0.
-            side: 0 for the + chamber's valve, 1 for the − chamber's.
-            state: in which it stays.
+            side: 0 for the valve of the + chamber, 1 for that of the − chamber.
+            state: valve state in which it stays.
         """
-        if begin >= self.span - _SAME:
+        if begin >= self.span - _EVENT_TOLERANCE:
             return self
         starts, states = self.starts, self.states
-        if not (np.abs(starts - max(begin, 0.0)) < _SAME).any():
+        if not (np.abs(starts - max(begin, 0.0)) < _EVENT_TOLERANCE).any():
             after = int(np.searchsorted(starts, begin))
             starts = np.insert(starts, after, begin)
             states = np.insert(states, after, states[after - 1], axis=0)
         states = states.copy()
-        states[starts > begin - _SAME, segment, side] = state
+        states[starts > begin - _EVENT_TOLERANCE, segment, side] = state
         return Schedule(self.span, starts, states)
 
-    def then(self, other: Schedule) -> Schedule:
-        """Return this schedule and another after it as one."""
-        same = int((self.states[-1] == other.states[0]).all())
-        starts = np.concatenate([self.starts, self.span + other.starts[same:]])
-        return Schedule(self.span + other.span, starts, np.concatenate([self.states, other.states[same:]]))
+    def followed_by(self, other: Schedule) -> Schedule:
+        """Return the concatenation of this schedule and another one."""
+        # Equal states at the joint are one run.
+        merged = int((self.states[-1] == other.states[0]).all())
+        starts = np.concatenate([self.starts, self.span + other.starts[merged:]])
+        return Schedule(self.span + other.span, starts, np.concatenate([self.states, other.states[merged:]]))

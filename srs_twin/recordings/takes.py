@@ -185,7 +185,7 @@ def commands(recording: Recording, name: str) -> Schedule:
         return Schedule(float(time[-1] - time[0]), np.zeros(1), vented)
     schedule = log.schedule()
     begin = min(max(float(recording.trajectory.time[0] - log.time[0]), 0.0), schedule.span - _STILL)
-    return schedule.part(begin, schedule.span)
+    return schedule.slice(begin, schedule.span)
 
 
 def starts_at_rest(recording: Recording) -> bool:

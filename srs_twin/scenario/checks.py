@@ -118,11 +118,15 @@ def check_controller(
 def _check_felt(document: Document, file: ScenarioFile, chambers: Pneumatics) -> None:
     """Chambers that feel how segments bend take turns with the bodies."""
     twin = file.plants.twin
-    if twin is not None and chambers.feels_bend and twin.timestep_s > chambers.felt_s * (1 + 1e-9):
+    if (
+        twin is not None
+        and chambers.depends_on_bend
+        and twin.timestep_s > chambers.coupling_step_s * (1 + 1e-9)
+    ):
         document.report(
             ("plants", "twin", "timestep_s"),
             f"{twin.timestep_s:g} s is too long for these chambers, which feel how the segments bend; it "
-            f"must be {chambers.felt_s:g} s or less",
+            f"must be {chambers.coupling_step_s:g} s or less",
         )
 
 

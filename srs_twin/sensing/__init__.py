@@ -1,4 +1,4 @@
-"""Curvature sensors: what controllers are told of the bends."""
+"""Curvature sensors, which give controllers their readings of the bends."""
 
 from __future__ import annotations
 
@@ -35,33 +35,33 @@ __all__ = [
     "make_sensor",
 ]
 
-_STRIP = {each.name for each in fields(Strip)} - {"segment_length"}
-_HALL = {each.name for each in fields(HallSensor)} - {"strip"}
+_STRIP_OPTIONS = {field.name for field in fields(Strip)} - {"segment_length"}
+_HALL_OPTIONS = {field.name for field in fields(HallSensor)} - {"strip"}
 
 
 def make_sensor(kind: str | Sensor, spec: RobotSpec, *, span: float = SPAN, **options: Any) -> Sensor:
-    """Return the sensors of a robot.
+    """Return the curvature sensors of a robot.
 
     Args:
-        kind: a name in `KINDS`, or a sensor made beforehand, which is returned as it is.
-        spec: the robot; its segments' length decides how far a strip bends, its modules' drift is theirs.
-        span: angles over which a Hall sensor is trimmed (unless `gain` is given) and calibrated, ± rad;
-            nothing to other sensors.
+        kind: a name in `KINDS`, or an existing `Sensor`, which is returned unchanged.
+        spec: the robot; it gives the length of the strips, and the drift of each module's sensor.
+        span: largest bend to both sides for which a Hall sensor is trimmed (unless `gain` is given) and
+            calibrated, rad; other sensors ignore it.
         **options: attributes of `Strip` and `HallSensor`.
 
     Raises:
-        UnknownNameError: another name, or an option that the kind does not have.
-        InputError: as the kind raises it, or options for a sensor that needs none.
+        UnknownNameError: the kind is unknown, or does not have an option.
+        InputError: options for a sensor without any, or as raised by the class.
     """
     if options and (isinstance(kind, Sensor) or kind == IdealSensor.kind):
-        raise InputError(f"this sensor takes no options; given: {', '.join(options)}")
+        raise InputError(f"this sensor has no options; leave out {', '.join(options)}")
     if isinstance(kind, Sensor):
         return kind
     sensor: Sensor
     if kind == IdealSensor.kind:
         sensor = IdealSensor()
     elif kind in KINDS:
-        sensor = _hall(spec, span, options)
+        sensor = _hall_sensor(spec, span, options)
     else:
         raise UnknownNameError("sensor", kind, KINDS)
     modules = spec.modules
@@ -70,11 +70,11 @@ def make_sensor(kind: str | Sensor, spec: RobotSpec, *, span: float = SPAN, **op
     return sensor
 
 
-def _hall(spec: RobotSpec, span: float, options: dict[str, Any]) -> Sensor:
-    for name in options.keys() - _STRIP - _HALL:
-        raise UnknownNameError("option of sensor 'hall'", name, _STRIP | _HALL)
-    strip = Strip(spec.geometry.segment_length, **{k: v for k, v in options.items() if k in _STRIP})
-    electronics = {k: v for k, v in options.items() if k in _HALL}
+def _hall_sensor(spec: RobotSpec, span: float, options: dict[str, Any]) -> Sensor:
+    for name in options.keys() - _STRIP_OPTIONS - _HALL_OPTIONS:
+        raise UnknownNameError("option of sensor 'hall'", name, _STRIP_OPTIONS | _HALL_OPTIONS)
+    strip = Strip(spec.geometry.segment_length, **{k: v for k, v in options.items() if k in _STRIP_OPTIONS})
+    electronics = {k: v for k, v in options.items() if k in _HALL_OPTIONS}
     if "gain" in electronics:
         hall = HallSensor(strip, **electronics)
     else:

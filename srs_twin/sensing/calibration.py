@@ -1,13 +1,13 @@
-r"""Calibration: the straight line from a sensor's voltage to the segment's angle.
+r"""Calibration of a curvature sensor: the straight line from its voltage to the bend.
 
-As the text calibrates (Section 3.4.3: a line fit to the bending angle against the voltage): the module is
-held at evenly spaced angles over ± span, the reading at each is averaged until the noise is gone, and the
-angle is regressed on the voltage by least squares,
+As in the dissertation (Section 3.4.3, a line fit to the bending angle against the voltage), the module is
+held at evenly spaced angles over ± span. The reading at each angle is averaged until the noise vanishes, and
+the angle is regressed on the voltage by least squares:
 
 $$ q \approx a V + b. $$
 
-All that is not a straight line in the sensor (its field, the rails, a pressing chamber) stays in the
-readings as an error; `worst_error` says how much.
+All nonlinearity of the sensor (field, rails, a pressing chamber) remains in the readings as an error; its
+largest value is `worst_error`.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from srs_twin.errors import InputError
 from srs_twin.sensing.hall import SPAN, HallSensor
 
 ANGLES = 181
-"""Angles held during a calibration: one a degree over ±90°."""
+"""Number of angles in a calibration: one per degree over ±90°."""
 
 LEAST_R_SQUARED = 0.5
-"""A line that explains less of the angle is refused: nothing can be controlled with it."""
+"""Smallest share of the variance that a line must explain, 1; less is useless for control."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """A straight line from voltage to angle, and how good it is.
+    """Straight line from voltage to bend, with its quality.
 
     Attributes:
         slope: a, rad/V.
         intercept: b, rad.
-        r_squared: share of the variance that the line explains.
-        span: largest angle held, to both sides, rad.
-        voltage_range: V, lowest and highest voltage read.
-        worst_error: largest difference of line and angle, rad.
-        monotonic: whether the voltage never turns back as the angle grows.
+        r_squared: share of the variance that the line explains, 1.
+        span: largest angle to both sides, rad.
+        voltage_range: lowest and highest voltage, V.
+        worst_error: largest difference between line and angle, rad.
+        monotonic: whether the voltage is monotonic in the angle.
     """
 
     slope: float
@@ -50,29 +50,32 @@ class Calibration:
     monotonic: bool
 
     def angle(self, voltage: np.ndarray | float) -> np.ndarray:
-        """Return the angle that voltages (V, any shape) stand for, rad, beyond the span as well."""
+        """Return the bends for voltages (V, any shape), rad; the line continues beyond the span."""
         return self.slope * np.asarray(voltage) + self.intercept
 
 
 def fit_line(voltage: np.ndarray, angle: np.ndarray) -> Calibration:
-    """Fit a line to measured pairs.
+    """Fit a line to measured pairs of voltage and angle.
 
     Args:
         voltage: in the order of the angles, shape (angles,), V.
         angle: ascending, shape (angles,), rad.
 
     Raises:
-        InputError: fewer than 3 pairs, something not finite, or voltages that are all the same.
+        InputError: there are fewer than 3 pairs, a value is not finite, or all voltages are equal.
     """
     voltage, angle = np.asarray(voltage, dtype=float), np.asarray(angle, dtype=float)
     if voltage.ndim != 1 or voltage.shape != angle.shape or len(voltage) < 3:
-        raise InputError(f"a line needs 3 or more pairs; given: {voltage.shape} and {angle.shape}")
+        raise InputError(
+            f"a calibration needs 3 or more pairs of voltage and angle, not {voltage.shape} and {angle.shape}"
+        )
     if not (np.isfinite(voltage).all() and np.isfinite(angle).all()):
-        raise InputError("a line can be fitted to finite voltages and angles only")
+        raise InputError("voltages and angles of a calibration must be finite")
     low, high = float(voltage.min()), float(voltage.max())
     if low == high or (np.diff(angle) <= 0).any():
         raise InputError(
-            f"no line from {low:g} to {high:g} V to these angles: the voltage must change, the angles ascend"
+            f"voltages from {low:g} to {high:g} V do not give a line: the voltage must change, and the "
+            "angles must ascend"
         )
     v, q = voltage - voltage.mean(), angle - angle.mean()
     slope = float(v @ q / (v @ v))
@@ -90,14 +93,14 @@ def fit_line(voltage: np.ndarray, angle: np.ndarray) -> Calibration:
 
 
 def calibrate(sensor: HallSensor, span: float = SPAN) -> Calibration:
-    """Calibrate a sensor as it was before it drifted (module docstring).
+    """Calibrate a sensor in its state before it drifted (module docstring).
 
     Args:
-        sensor: its `bias` and `gain_error` come later, so they are left out.
+        sensor: its `bias` and `gain_error` arise later and are ignored.
         span: largest angle to both sides, rad.
 
     Raises:
-        InputError: a span that is no angle, or a reading that does not follow it.
+        InputError: the span is not a positive angle, or the readings do not follow a line.
     """
     if not (math.isfinite(span) and span > 0):
         raise InputError(f"calibration span {span!r} rad is not allowed; it must be finite and above 0")
@@ -106,6 +109,6 @@ def calibrate(sensor: HallSensor, span: float = SPAN) -> Calibration:
     if line.r_squared < LEAST_R_SQUARED:
         raise InputError(
             f"this sensor cannot be calibrated over ±{span:g} rad: a line explains {line.r_squared:.1%} of "
-            f"the angle, less than {LEAST_R_SQUARED:.0%}; change its heights, distance or orientation"
+            f"the variance, less than {LEAST_R_SQUARED:.0%}; change its heights, distance or orientation"
         )
     return line

@@ -1,15 +1,16 @@
-"""Sensors: what controllers are told of the bends, with noise and faults.
+"""Curvature sensors with noise and faults.
 
-`IdealSensor` tells the bend as it is, `CurvatureSensor` reads a Hall sensor in each segment through its
-calibration; `DriftedSensor` and `FaultySensor` add what is wrong with the sensors of single modules.
+`IdealSensor` returns the bend, and `CurvatureSensor` reads a Hall sensor in each segment through its
+calibration. `DriftedSensor` and `FaultySensor` add drift and faults of single modules.
 
-Noise has no state: a number depends on the seed, the segment and the time, and on nothing else, so a sensor
-says the same to a controller that reads it once a tick and to a recorder that reads a whole run at once, on
-one thread or many. The numbers of one segment are SplitMix64 (Steele, Lea, Flood, 2014), read at the places
-2n and 2n + 1 of its sequence, n the time in slots of 0.1 ms, and made normal by Box and Muller's transform.
-Each (seed, segment) starts elsewhere in the sequence. A controller asks for one moment after another, each
-of which would cost as much as a thousand at once, so single moments are looked up in blocks of slots that
-are kept.
+**Noise without state.** A random number depends only on the seed, the segment and the time. A controller that
+reads once per tick and a recorder that reads a whole run at once therefore get the same values, on any number
+of threads. The numbers of a segment are the outputs 2n and 2n + 1 of a SplitMix64 sequence (Steele, Lea,
+Flood, 2014), where n is the time in slots of 0.1 ms, transformed to a normal distribution by Box and Muller.
+Each pair of seed and segment starts at another place of the sequence.
+
+A single number takes as long to compute as a thousand at once, and a controller requests one time after
+another. Numbers are therefore computed in blocks of slots and cached.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ from srs_twin.sensing.hall import SPAN, HallSensor
 
 
 class Sensor(ABC):
-    """Tells the bend of each segment, with its own errors.
+    """Abstract curvature sensors of a robot.
 
-    Sensors hold no state: a reading depends on the arguments of `read` alone, so it is the same whoever
-    asks, in whichever order, one moment or a whole run at a time.
+    Sensors have no state: a reading depends only on the arguments of `read`, so that it is the same for every
+    caller, in every order, for one time or a whole run.
 
     Attributes:
         kind: short name.
@@ -40,25 +41,25 @@ class Sensor(ABC):
 
     @abstractmethod
     def read(self, bend: np.ndarray, time: np.ndarray | float, seed: int) -> np.ndarray:
-        """Return the sensed bends, rad, shape (…, segments).
+        """Return sensor readings, rad, shape (…, segments).
 
         Args:
-            bend: actual bends, shape (…, segments), rad. A bend that is NaN is sensed as NaN: a lost
-                reading, for the controller to deal with.
+            bend: actual bends, shape (…, segments), rad. The reading of a NaN is NaN: a lost reading, which
+                the controller must handle.
             time: s, shape (…,).
-            seed: of the noise.
+            seed: random seed of the noise.
 
         Raises:
-            InputError: a time that is not finite, from a sensor with noise.
+            InputError: a time is not finite, with a noisy sensor.
         """
 
     def describe(self) -> dict[str, Any]:
-        """Return the settings worth recording (JSON values)."""
+        """Return the settings for the provenance of a run (JSON values)."""
         return {"kind": self.kind}
 
 
 class IdealSensor(Sensor):
-    """Tells the bend as it is."""
+    """Sensor without errors."""
 
     kind = "ideal"
 
@@ -68,57 +69,59 @@ class IdealSensor(Sensor):
 
 
 SLOT = 1e-4
-"""Readings within a slot are the same, those of different slots independent, s."""
+"""Time within which readings have the same noise, s; different slots are independent."""
 
+# Constants of SplitMix64: increment of the state, and multipliers of the output function.
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
-_LATEST = 2.0**53 * SLOT
-_BLOCK = 1024  # slots
+
+_MAX_TIME = 2.0**53 * SLOT  # up to which slots are exact integers, s
+_BLOCK = 1024  # slots per cached block
 
 
 def standard_normal(seed: int, time: np.ndarray | float, segments: int) -> np.ndarray:
     """Return standard normal numbers, shape (…, segments).
 
     Args:
-        seed: any whole number; equal ones modulo 2⁶⁴ give the same.
-        time: s, shape (…,), taken to the nearest slot.
-        segments: how many; the first ones do not depend on it.
+        seed: any integer; seeds that are equal modulo 2⁶⁴ give the same numbers.
+        time: s, shape (…,), rounded to the nearest slot.
+        segments: number of segments; the numbers of the first segments do not depend on it.
 
     Raises:
-        InputError: a time that is not finite, or too long for whole slots.
+        InputError: a time is not finite, or too large for exact slots.
     """
     time = np.asarray(time, dtype=float)
-    if not (np.abs(time) < _LATEST).all():
-        raise InputError(f"sensor noise has no time that is not finite or beyond {_LATEST:g} s")
+    if not (np.abs(time) < _MAX_TIME).all():
+        raise InputError(f"times of sensor noise must be finite and at most {_MAX_TIME:g} s")
     slot = np.rint(time / SLOT).astype(np.int64)
     if slot.size == 1:
         number, place = divmod(slot.item(), _BLOCK)
         return _block(int(seed) % 2**64, number, segments)[place].reshape(*slot.shape, segments)
-    return _at(int(seed) % 2**64, slot, segments)
+    return _normal_numbers(int(seed) % 2**64, slot, segments)
 
 
 @lru_cache(maxsize=64)
 def _block(seed: int, number: int, segments: int) -> np.ndarray:
-    """Return the numbers of the slots of a block, shape (_BLOCK, segments)."""
-    found = _at(seed, np.arange(number * _BLOCK, (number + 1) * _BLOCK), segments)
-    found.setflags(write=False)  # the next who asks gets the same
-    return found
+    """Return the numbers for the slots of a block, shape (_BLOCK, segments)."""
+    numbers = _normal_numbers(seed, np.arange(number * _BLOCK, (number + 1) * _BLOCK), segments)
+    numbers.setflags(write=False)  # the cache returns the same array to other callers
+    return numbers
 
 
-def _at(seed: int, slot: np.ndarray, segments: int) -> np.ndarray:
-    """Return the numbers of slots, int64 of shape (…,); shape (…, segments)."""
-    # Arrays, not scalars: NumPy warns of a scalar's overflow, which is meant here.
-    start = _mixed(np.full(segments, seed, dtype=np.uint64) + _GOLDEN)
-    start = _mixed(start ^ (np.arange(1, segments + 1, dtype=np.uint64) * _GOLDEN))
+def _normal_numbers(seed: int, slot: np.ndarray, segments: int) -> np.ndarray:
+    """Return the numbers for slots, int64 of shape (…,), with shape (…, segments)."""
+    # Arrays, not scalars: NumPy warns of the overflow of a scalar, which is intended here.
+    start = _splitmix(np.full(segments, seed, dtype=np.uint64) + _GOLDEN)
+    start = _splitmix(start ^ (np.arange(1, segments + 1, dtype=np.uint64) * _GOLDEN))
     place = start + (slot.view(np.uint64)[..., None] << np.uint64(1)) * _GOLDEN
-    radius = (_mixed(place) >> np.uint64(11)).astype(float) + 1  # 1 … 2⁵³, never 0
-    turn = (_mixed(place + _GOLDEN) >> np.uint64(11)).astype(float)
-    return np.asarray(np.sqrt(-2 * np.log(radius * 2.0**-53)) * np.cos(2 * np.pi * 2.0**-53 * turn))
+    radius = (_splitmix(place) >> np.uint64(11)).astype(float) + 1  # 1 … 2⁵³, never 0
+    angle = (_splitmix(place + _GOLDEN) >> np.uint64(11)).astype(float)
+    return np.asarray(np.sqrt(-2 * np.log(radius * 2.0**-53)) * np.cos(2 * np.pi * 2.0**-53 * angle))
 
 
-def _mixed(word: np.ndarray) -> np.ndarray:
-    """Return SplitMix64's output for a state: each bit of it depends on each bit of the state."""
+def _splitmix(word: np.ndarray) -> np.ndarray:
+    """Return the output of SplitMix64 for a state: each of its bits depends on each bit of the state."""
     word = (word ^ (word >> np.uint64(30))) * _FIRST
     word = (word ^ (word >> np.uint64(27))) * _SECOND
     return word ^ (word >> np.uint64(31))
@@ -126,11 +129,11 @@ def _mixed(word: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class CurvatureSensor(Sensor):
-    """The dissertation's sensor (Section 2.2.2): field, amplifier, converter, straight line.
+    """Curvature sensor of the dissertation (Section 2.2.2): field, amplifier, converter and straight line.
 
     Attributes:
-        hall: from bend to voltage, the same in all segments.
-        calibration: from voltage to angle.
+        hall: Hall sensor, the same in all segments.
+        calibration: line from voltage to bend.
     """
 
     hall: HallSensor
@@ -140,11 +143,11 @@ class CurvatureSensor(Sensor):
 
     @classmethod
     def calibrated(cls, hall: HallSensor, span: float = SPAN) -> CurvatureSensor:
-        """Return a sensor with the calibration that the documented routine finds.
+        """Return a sensor with the calibration of `calibrate`.
 
         Args:
-            hall: the sensor.
-            span: largest angle held, rad.
+            hall: the Hall sensor.
+            span: largest angle of the calibration, rad.
 
         Raises:
             InputError: as in `calibrate`.
@@ -164,24 +167,28 @@ class CurvatureSensor(Sensor):
 
 @dataclass(frozen=True)
 class _AlteredSensor(Sensor):
-    """Sensors that say something else than they would: `sensor` is what they would say."""
+    """Sensors that change the readings of other sensors.
+
+    Attributes:
+        sensor: sensors whose readings are changed.
+    """
 
     sensor: Sensor
 
     @property
     def kind(self) -> str:  # type: ignore[override]
-        """Short name of what is altered."""
+        """Short name of the sensors whose readings are changed."""
         return self.sensor.kind
 
 
 @dataclass(frozen=True)
 class DriftedSensor(_AlteredSensor):
-    """Sensors that have each drifted by themselves since their calibration.
+    """Sensors that have drifted since their calibration, each by its own amount.
 
     Attributes:
-        sensor: what they would say without.
-        gain: what they say over that, shape (segments,).
-        bias: what they say besides, shape (segments,), rad.
+        sensor: sensors without drift.
+        gain: factor on the reading, shape (segments,), 1.
+        bias: addition to the reading, shape (segments,), rad.
     """
 
     gain: tuple[float, ...]
@@ -198,12 +205,12 @@ class DriftedSensor(_AlteredSensor):
 
 @dataclass(frozen=True)
 class DeadSensor:
-    """A sensor that tells nothing more.
+    """Fault of one sensor that no longer follows the bend.
 
     Attributes:
         segment: from 1, at the head.
-        reading: what it says instead of the bend, rad; NaN: nothing at all.
-        since: s.
+        reading: constant reading, rad; NaN for no reading.
+        since: time of the fault, s.
     """
 
     segment: int
@@ -213,11 +220,11 @@ class DeadSensor:
 
 @dataclass(frozen=True)
 class FaultySensor(_AlteredSensor):
-    """Sensors some of which are dead from some time on.
+    """Sensors with single failures.
 
     Attributes:
-        sensor: what they would say without.
-        dead: which, and since when.
+        sensor: sensors without faults.
+        dead: faults of single sensors.
     """
 
     dead: tuple[DeadSensor, ...]
@@ -225,16 +232,16 @@ class FaultySensor(_AlteredSensor):
     def read(self, bend: np.ndarray, time: np.ndarray | float, seed: int) -> np.ndarray:
         """See `Sensor.read`."""
         sensed = self.sensor.read(bend, time, seed)
-        for each in self.dead:
-            # A tick's begin and its sum of steps may differ by rounding.
-            gone = np.asarray(time) >= each.since - 1e-9
-            column = sensed[..., each.segment - 1]
-            sensed[..., each.segment - 1] = np.where(gone, each.reading, column)
+        for fault in self.dead:
+            # The start of a tick and the sum of its steps may differ by rounding.
+            failed = np.asarray(time) >= fault.since - 1e-9
+            column = sensed[..., fault.segment - 1]
+            sensed[..., fault.segment - 1] = np.where(failed, fault.reading, column)
         return sensed
 
     def describe(self) -> dict[str, Any]:
         """See `Sensor.describe`."""
-        dead = [asdict(each) for each in self.dead]
-        for each in dead:
-            each["reading"] = None if np.isnan(each["reading"]) else each["reading"]
+        dead = [asdict(fault) for fault in self.dead]
+        for fault in dead:
+            fault["reading"] = None if np.isnan(fault["reading"]) else fault["reading"]
         return self.sensor.describe() | {"dead_sensors": dead}

@@ -1,5 +1,5 @@
-"""Twins on an accelerator: MuJoCo Warp steps them, the laws are those of the processor."""
+"""Twins on a GPU, stepped by MuJoCo Warp with the same laws as on the CPU."""
 
 import warp
 
-warp.config.log_level = warp.LOG_ERROR  # it would greet, and name each kernel, on the standard output
+warp.config.log_level = warp.LOG_ERROR  # Warp would print a greeting and the name of each kernel to stdout

@@ -1,7 +1,7 @@
-"""WarpBatch: many twins stepped together by MuJoCo Warp, on an accelerator or, to test, on the processor.
+"""WarpBatch: many twins stepped together by MuJoCo Warp, on a GPU or, for tests, on the CPU.
 
-Its engine, chambers and friction are those of `TwinSnake`, in single precision. What decides a twin is taken
-from one that the processor builds for each distinct robot, so no formula of the model stands here.
+Engine, chambers and friction are those of `TwinSnake`, in single precision. The model of each distinct robot
+is built on the CPU and copied to the device, so that no formula of the model is repeated here.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import copy
 import warnings
 from collections.abc import Sequence
 from dataclasses import fields, replace
-from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -20,48 +19,56 @@ import warp as wp
 
 from srs_twin.errors import DivergedError, EngineWarning, InputError, whole_steps
 from srs_twin.plants.base import Pose, SnakeState
+from srs_twin.plants.twin.friction_solve import ContactState
 from srs_twin.plants.twin.mjcf.numerics import LoadedContact
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics import Schedule
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.pneumatics.lag import LagPneumatics
 from srs_twin.pneumatics.valves import SLOT_S
-from srs_twin.warp.kernels import Air, Bodies, Kept, Wave, kernels
-from srs_twin.warp.ported import Ported, record, stacked
+from srs_twin.warp.kernels import (
+    Accumulators,
+    BodyViews,
+    ChamberState,
+    GaitWave,
+    StepSettings,
+    build_kernels,
+)
+from srs_twin.warp.translation import WarpStruct, stack_records, warp_struct
 
-_ROOM = 4
-"""For contacts and rows of constraints, as a multiple of those of a snake at rest."""
+_CAPACITY_FACTOR = 4
+"""Capacity for contacts and constraint rows, as a multiple of those of a snake at rest."""
 
-_IDLE = ("dof_length",)
-"""Numbers of a model that decide when bodies may sleep, which they never do here."""
+_UNUSED_FIELDS = ("dof_length",)
+"""Model fields that may differ between runs: they matter for sleeping bodies only, and no body sleeps."""
 
-_ITERATIONS = 50
-"""Of the engine's solver at most."""
+_MAX_ITERATIONS = 50
+"""Iterations of the engine's solver."""
 
-_LIFTED = 1e-8
-"""Snakes at rest are on the verge of touching; rounding must not decide whether they do, m."""
+_INITIAL_LIFT = 1e-8
+"""Lift of the snakes at the start, m: at rest they just touch the floor, and rounding would decide."""
 
-_REACH = 16.0
-"""Largest distance of a start from the origin of the device's coordinates, m.
+_MAX_START_DISTANCE = 16.0
+"""Largest distance of a start from the origin of the device coordinates, m.
 
-Single precision rounds a coordinate x by up to x 2⁻²⁴: by 2⁻²⁰ m, 1 µm, at 16 m. This is 1 % of the 0.1 mm
-that a snake of 0.1 m/s travels in a step of 1 ms; at 2 km it is as much as that step.
+Single precision rounds a coordinate x by up to 2⁻²⁴ x, which is 2⁻²⁰ m or 1 µm at 16 m. A snake with 0.1 m/s
+travels 0.1 mm per step of 1 ms, so that the error is 1 % of a step at 16 m, and a whole step at 2 km.
 """
 
 _AUTORESET = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
 
 class WarpBatch:
-    """Many twins with one number of connectors and one tick, on a device; used as `TwinBatch`.
+    """Many twins with the same number of connectors and the same tick on a device; used like `TwinBatch`.
 
     Attributes:
-        twins: of each run, what says of what it is; runs of one robot share it.
+        twins: twin of each run, which holds its settings; runs with the same robot share one twin.
         tick: control tick, s.
-        state: the last state of every run, with a leading axis of runs on every field.
-        errors: of each run, None or what ended it.
-        device: where they are.
-        origins: position of each run's device coordinates in the world, shape (runs, 2), m. Runs that start
-            more than 16 m from the world's origin have theirs at the start, in single precision's range.
+        state: the latest state of every run, with a leading axis of runs on every field.
+        errors: None or the error that ended it, for each run.
+        device: the Warp device.
+        origins: origin of each run's device coordinates in the world, shape (runs, 2), m. Runs that start
+            more than 16 m from the world's origin have their origin at the start, for single precision.
     """
 
     origins: np.ndarray
@@ -72,193 +79,213 @@ class WarpBatch:
     def __init__(
         self, twins: Sequence[TwinSnake], *, device: str | None = None, deterministic: bool = False
     ) -> None:
-        """Put twins on a device.
+        """Copy twins to a device.
 
         Args:
-            twins: of each run; those of one robot may be the same object.
-            device: as Warp calls it, such as "cuda:0"; None: its preferred one.
-            deterministic: sum in one order, so that a run gives the same bits again.
+            twins: twin of each run; runs with the same robot may share one object.
+            device: Warp's name of the device, such as "cuda:0"; None for Warp's default.
+            deterministic: sum in a fixed order, so that repeated runs give the same bits.
 
         Raises:
-            InputError: no twin at all, twins that differ in what is one for all runs, or that the device
-                engine cannot do, by its name.
+            InputError: there is no twin, the twins differ in settings that all runs share, or the device
+                engine does not support a setting.
         """
         self.device = wp.get_device(device)
         if device is None and not self.device.is_cuda:
-            told = "engine 'warp' finds no accelerator and steps on the processor, slower than engine 'cpu'"
-            warnings.warn(told, EngineWarning, stacklevel=2)
+            message = "engine 'warp' finds no GPU and runs on the CPU, slower than engine 'cpu'"
+            warnings.warn(message, EngineWarning, stacklevel=2)
         self.twins = tuple(twins)
-        known: dict[int, int] = {}
-        self._which = np.array([known.setdefault(id(twin), len(known)) for twin in self.twins])
-        built = self._robots = tuple({id(twin): twin for twin in self.twins}.values())
-        for twin in built:
-            _refuse(twin, built[0])
-        self.tick, self._h = built[0].tick, built[0].timestep
-        self._loaded = isinstance(built[0].contact, LoadedContact)
+        numbers: dict[int, int] = {}
+        self._robot_of_run = np.array([numbers.setdefault(id(twin), len(numbers)) for twin in self.twins])
+        distinct = self._robots = tuple({id(twin): twin for twin in self.twins}.values())
+        for twin in distinct:
+            _check_supported(twin, distinct[0])
+        self.tick, self._h = distinct[0].tick, distinct[0].timestep
+        self._loaded = isinstance(distinct[0].contact, LoadedContact)
         self.origins = np.zeros((len(self), 2))
-        self._put(deterministic)
+        self._copy_to_device(deterministic)
         self.reset()
 
     @staticmethod
     def check(twin: TwinSnake) -> None:
-        """Refuse a twin of which the device engine cannot do something, by its name.
+        """Check that the device engine supports a twin.
 
         Raises:
-            InputError: it cannot.
+            InputError: it does not support a setting; the message names it.
         """
-        _refuse(twin, twin)
+        _check_supported(twin, twin)
 
     @staticmethod
     def accelerated() -> bool:
-        """Say whether there is a device that is faster than the processor."""
+        """Return whether there is a GPU."""
         return bool(wp.get_preferred_device().is_cuda)
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """Refuse: the runs' states are on the device.
+        """Refuse to be copied: the states of the runs are on the device.
 
         Raises:
             InputError: always.
         """
         raise InputError(
-            "a batch of engine 'warp' can be neither copied nor pickled; engine 'cpu' can, and each of its "
-            "twins has save() and restore()"
+            "a batch of engine 'warp' can be neither copied nor pickled; use engine 'cpu', or save() and "
+            "restore() of its twins"
         )
 
     def __len__(self) -> int:
         """Return the number of runs."""
         return len(self.twins)
 
-    def _put(self, deterministic: bool) -> None:
-        """Put models, states and records on the device, and compile what steps them."""
-        models = [each.physics.model.ptr for each in self._robots]
+    def _copy_to_device(self, deterministic: bool) -> None:
+        """Copy models, states and records to the device, and compile the kernels."""
+        models = [twin.physics.model.ptr for twin in self._robots]
         raw = copy.copy(models[0])
-        raw.opt.disableflags &= ~_AUTORESET  # the engine knows no other way
-        raw.opt.solver, raw.opt.iterations = mujoco.mjtSolver.mjSOL_NEWTON, _ITERATIONS
+        raw.opt.disableflags &= ~_AUTORESET  # MuJoCo Warp supports no other value
+        raw.opt.solver, raw.opt.iterations = mujoco.mjtSolver.mjSOL_NEWTON, _MAX_ITERATIONS
         data = mujoco.MjData(raw)
         mujoco.mj_resetDataKeyframe(raw, data, 0)
         mujoco.mj_forward(raw, data)
-        room = {"nconmax": _ROOM * max(data.ncon, 8), "njmax": _ROOM * max(data.nefc, 8)}
+        capacity = {
+            "nconmax": _CAPACITY_FACTOR * max(data.ncon, 8),
+            "njmax": _CAPACITY_FACTOR * max(data.nefc, 8),
+        }
         slot = self._slot = min(SLOT_S, self._h)
         self._slots, self._steps = round(self._h / slot), round(self.tick / self._h)
         segments = self.twins[0].spec.segments
         with wp.ScopedDevice(self.device):
             self._model = mjw.put_model(raw)
             self._model.opt.deterministic = deterministic
-            self._data = mjw.put_data(raw, data, nworld=len(self), **room)
-            _expand(self._model, [models[k] for k in self._which])
-            ported = self._note(data.qpos, segments)
+            self._data = mjw.put_data(raw, data, nworld=len(self), **capacity)
+            _set_individual_parameters(self._model, [models[k] for k in self._robot_of_run])
+            structs = self._copy_records(data.qpos, segments)
             self._count = wp.zeros(1, dtype=int)
             self._valves = wp.zeros((len(self), self._slots, segments, 2), dtype=int)
-            self._given = wp.zeros((len(self), 1, segments, 2), dtype=int)
-            self.spent, self._internal = (wp.zeros(len(self), dtype=wp.float64) for _ in range(2))
-            dampers = [each.physics.internal.damping for each in self._robots]
-            self._dampers = wp.array(np.stack([dampers[k] for k in self._which]), dtype=float)
-        numbers = {"h": self._h, "slot": slot, "slots": self._slots, "tick": self._steps}
-        self._kernels = kernels(ported, SimpleNamespace(**numbers, middle=self._loaded))
+            self._commands = wp.zeros((len(self), 1, segments, 2), dtype=int)
+            self._energy_loss = wp.zeros(len(self), dtype=wp.float64)
+            self._internal_loss = wp.zeros(len(self), dtype=wp.float64)
+            damping = [twin.physics.internal_joints.damping for twin in self._robots]
+            self._damping = wp.array(np.stack([damping[k] for k in self._robot_of_run]), dtype=float)
+        settings = StepSettings(self._h, slot, self._slots, self._steps, mean_pressure=self._loaded)
+        self._kernels = build_kernels(structs, settings)
         self._graphs: dict[bool, Any] = {}
 
-    def _note(self, qpos: np.ndarray, segments: int) -> dict[str, Ported]:
-        """Put the records of all worlds on the device; return their types."""
-        columns = self._robots[0].physics.columns
-        hulls = len(columns.bump)
-        contacts = len(columns.load) + (hulls if self._loaded else 0)
-        self._air = [each.pneumatics for each in self._robots if isinstance(each.pneumatics, LagPneumatics)]
+    def _copy_records(self, qpos: np.ndarray, segments: int) -> dict[str, WarpStruct]:
+        """Copy the records of all worlds to the device; return their structs by name."""
+        addresses = self._robots[0].physics.sensor_addresses
+        hulls = len(addresses.obstacle_force)
+        contacts = len(addresses.floor_force) + (hulls if self._loaded else 0)
+        self._chambers = [
+            twin.pneumatics for twin in self._robots if isinstance(twin.pneumatics, LagPneumatics)
+        ]
         empty = np.zeros((segments, 2))
+        forces = np.zeros((contacts, 3))
         records: dict[str, Sequence[Any]] = {
-            "relaxation": [air.relaxation(self._slot) for air in self._air],
-            "air": [Air(empty, empty[:, 0], empty.astype(int) - 1, empty.astype(int), empty[:, 0])],
-            "kept": [Kept(qpos, np.zeros((contacts, 3)), np.zeros((contacts, 3)), np.zeros((hulls, 3)))],
-            "wave": [Wave(1.0, 0.0, 0.0, empty[:, 0])],
+            "relaxation": [chambers.relaxation(self._slot) for chambers in self._chambers],
+            "chambers": [
+                ChamberState(empty, empty[:, 0], empty.astype(int) - 1, empty.astype(int), empty[:, 0])
+            ],
+            "accumulators": [Accumulators(qpos, forces, forces, np.zeros((hulls, 3)))],
+            "wave": [GaitWave(1.0, 0.0, 0.0, empty[:, 0])],
         }
-        solves = [each.physics.loaded.records for each in self._robots if each.physics.loaded is not None]
+        solves = [twin.physics.stepper.records for twin in self._robots if twin.physics.stepper is not None]
         if self._loaded:
-            records |= {
-                name: [each[name] for each in solves] for name in ("contacts", "pattern", "feet", "work")
-            }
-        ported = {name: record(values[0]) for name, values in records.items()}
-        self._own = {
-            name: stacked(ported[name], [v[k] if len(v) > 1 else v[0] for k in self._which], self.device)
+            names = "contacts", "sparsity", "contact_state", "work"
+            records |= {name: [solve[name] for solve in solves] for name in names}
+        structs = {name: warp_struct(values[0]) for name, values in records.items()}
+        # A record is one for all robots, or one per robot.
+        self._structs = {
+            name: stack_records(
+                structs[name], [v[k] if len(v) > 1 else v[0] for k in self._robot_of_run], self.device
+            )
             for name, v in records.items()
         }
-        bodies = Bodies(*(np.zeros(self._view(name).shape[1:]) for name in Bodies._fields))
-        ported |= {"columns": record(columns), "bodies": record(bodies)}
-        self._own["bodies"] = self._viewed(ported["bodies"], Bodies._fields)
-        self._own["columns"] = ported["columns"].one()
-        for name, value in columns._asdict().items():
-            whole = wp.array(value, dtype=int) if isinstance(value, np.ndarray) else value
-            setattr(self._own["columns"], name, whole)
+        bodies = BodyViews(*(np.zeros(self._view(name).shape[1:]) for name in BodyViews._fields))
+        structs |= {"addresses": warp_struct(addresses), "bodies": warp_struct(bodies)}
+        self._structs["bodies"] = self._views(structs["bodies"], BodyViews._fields)
+        self._structs["addresses"] = structs["addresses"].single()
+        for name, value in addresses._asdict().items():
+            on_device = wp.array(value, dtype=int) if isinstance(value, np.ndarray) else value
+            setattr(self._structs["addresses"], name, on_device)
         if self._loaded:
             engine = solves[0]["engine"]
-            ported["engine"] = record(engine, without=("model", "data"))
-            self._own["engine"] = self._viewed(ported["engine"], engine._fields[2:])
-            self._own["engine"].qfrc_bias = wp.zeros_like(self._data.qfrc_bias)
-            self._own["work"].residual = self._data.qfrc_bias
+            structs["engine"] = warp_struct(engine, without=("model", "data"))
+            self._structs["engine"] = self._views(structs["engine"], engine._fields[2:])
+            # The solve needs c(v₋) and c(v̄): the engine's array receives the second.
+            self._structs["engine"].qfrc_bias = wp.zeros_like(self._data.qfrc_bias)
+            self._structs["work"].residual = self._data.qfrc_bias
+        # Columns of an observation (kernel `observe`).
         self._widths = {
-            "qpos": len(qpos), "qvel": self._model.nv, "com": 6, "connectors": 4 * len(columns.connectors),
-            "chambers": 5 * segments, "force": 3 * contacts, "bumps": 3 * hulls, "spent": 3,
+            "qpos": len(qpos), "qvel": self._model.nv, "com": 6, "connectors": 4 * len(addresses.connectors),
+            "chambers": 5 * segments, "force": 3 * contacts, "obstacles": 3 * hulls, "energy": 3,
         }  # fmt: skip
-        return ported
+        return structs
 
     def _view(self, name: str) -> Any:
-        """Return an array of the engine's data as one of numbers."""
-        of = getattr(self._data, name)
-        size = wp.types.type_size(of.dtype)
-        shape = (*of.shape, size) if size > 1 else of.shape
-        return wp.array(ptr=of.ptr, shape=shape, dtype=float, device=self.device) if size > 1 else of
+        """Return an array of vectors or matrices of the engine's data as an array of numbers."""
+        array = getattr(self._data, name)
+        size = wp.types.type_size(array.dtype)
+        if size == 1:
+            return array
+        return wp.array(ptr=array.ptr, shape=(*array.shape, size), dtype=float, device=self.device)
 
-    def _viewed(self, kind: Ported, names: Sequence[str]) -> Any:
-        found = kind.each()
+    def _views(self, struct: WarpStruct, names: Sequence[str]) -> Any:
+        views = struct.batched()
         for name in names:
-            setattr(found, name, self._view(name))
-        return found
+            setattr(views, name, self._view(name))
+        return views
 
     def _launch(self, gait: bool) -> None:
-        """Make one step."""
-        k, own, data, model = self._kernels, self._own, self._data, self._model
-        each = len(self), self.twins[0].spec.segments
+        """Launch the kernels of one time step."""
+        k, structs, data, model = self._kernels, self._structs, self._data, self._model
+        segments = len(self), self.twins[0].spec.segments
+        accumulators = structs["accumulators"]
         if gait:
-            wp.launch(k.wave, dim=each, inputs=[self._count, own["wave"], self._valves])
+            wp.launch(k.set_gait, dim=segments, inputs=[self._count, structs["wave"], self._valves])
         else:
-            wp.launch(k.command, dim=each, inputs=[self._count, self._given, self._valves])
-        wp.launch(k.fill, dim=each, inputs=[own["relaxation"], own["air"], self._valves, data.ctrl])
+            wp.launch(k.set_commands, dim=segments, inputs=[self._count, self._commands, self._valves])
+        wp.launch(
+            k.advance_chambers,
+            dim=segments,
+            inputs=[structs["relaxation"], structs["chambers"], self._valves, data.ctrl],
+        )
         if not self._loaded:
             mjw.step(model, data)
         else:
-            records = [own[name] for name in ("engine", "contacts", "pattern", "feet", "work")]
-            engine, _, _, _, work = records
-            wp.launch(k.begin, dim=len(self), inputs=[engine, work, own["kept"]])
+            names = "engine", "contacts", "sparsity", "contact_state", "work"
+            friction = [structs[name] for name in names]
+            engine, work = structs["engine"], structs["work"]
+            wp.launch(k.begin_step, dim=len(self), inputs=[engine, work, accumulators])
             mjw.step1(model, data)
-            wp.launch(k.push, dim=len(self), inputs=records)
+            wp.launch(k.apply_friction, dim=len(self), inputs=friction)
             mjw.step2(model, data)
-            wp.launch(k.middle, dim=len(self), inputs=[engine, work, own["kept"], data.qfrc_bias])
+            wp.launch(k.return_to_middle, dim=len(self), inputs=[engine, work, accumulators, data.qfrc_bias])
             mjw.com_vel(model, data)
             mjw.rne(model, data)
-            wp.launch(k.finish, dim=len(self), inputs=[*records, own["kept"], self.spent])
+            wp.launch(k.finish_step, dim=len(self), inputs=[*friction, accumulators, self._energy_loss])
         wp.launch(
-            k.tally,
+            k.accumulate,
             dim=len(self),
             inputs=[
-                self._count, data.sensordata, own["columns"], own["kept"], data.qvel, self._dampers,
-                self.spent, self._internal,
+                self._count, data.sensordata, structs["addresses"], accumulators, data.qvel, self._damping,
+                self._energy_loss, self._internal_loss,
             ],
         )  # fmt: skip
 
     def run(self, steps: int, *, gait: bool = False) -> None:
-        """Make steps without looking; on an accelerator one graph a step.
+        """Make time steps without observation; on a GPU each step is one CUDA graph.
 
         Args:
-            steps: how many.
-            gait: whether the waves of `set_gaits` command the valves, or what was commanded last.
+            steps: number of steps.
+            gait: whether the gaits of `set_gaits` command the valves, instead of the latest commands.
         """
         self._time += steps * self._h
-        self._unseen += steps
+        self._unobserved_steps += steps
         with wp.ScopedDevice(self.device):
             if not self.device.is_cuda:
                 for _ in range(steps):
                     self._launch(gait)
                 return
             if steps and gait not in self._graphs:
-                self._launch(gait)  # compiles, and is a step
+                self._launch(gait)  # compiles the kernels; it is one of the steps
                 steps -= 1
                 with wp.ScopedCapture() as capture:
                     self._launch(gait)
@@ -267,102 +294,101 @@ class WarpBatch:
                 wp.capture_launch(self._graphs[gait])
 
     def set_gaits(self, gaits: Sequence[Any]) -> None:
-        """Give each run a `control.gait.Gait` that the device follows by itself (`run`, `follow`).
+        """Give each run a `control.gait.Gait`, which the device follows in `run` and `follow`.
 
         Raises:
-            InputError: not one gait a run.
+            InputError: the number of gaits differs from the number of runs.
         """
         if len(gaits) != len(self):
-            raise InputError(f"gaits: {len(gaits)} were given for {len(self)} runs; give one a run")
+            raise InputError(f"gaits: {len(gaits)} were given for {len(self)} runs; give one per run")
         for gait, twin in zip(gaits, self.twins, strict=True):
             gait.reset(twin.spec, self.tick)
-        waves = [Wave(g.frequency, g.offset, g.rest, g.lag) for g in gaits]
-        fresh = stacked(record(waves[0]), waves, self.device)
-        for name in Wave._fields:
-            wp.copy(getattr(self._own["wave"], name), getattr(fresh, name))
+        waves = [GaitWave(g.frequency, g.offset, g.rest, g.lag) for g in gaits]
+        stacked = stack_records(warp_struct(waves[0]), waves, self.device)
+        for name in GaitWave._fields:
+            wp.copy(getattr(self._structs["wave"], name), getattr(stacked, name))
 
     def reset(
         self, *, poses: Sequence[Pose] | None = None, seed: int = 0, worlds: Sequence[int] | None = None
     ) -> SnakeState:
-        """Lay snakes straight, at rest, chambers empty.
+        """Lay snakes straight and at rest with empty chambers.
 
         Args:
-            poses: centre of mass x, y (m) and mean heading (rad), one a run that is laid down; default all
-                at the origin.
-            seed: of the sensors' noise.
-            worlds: runs, from 0; None: all, and time begins anew.
+            poses: centre of mass x, y (m) and mean heading (rad) of each run that is reset; default the
+                origin.
+            seed: random seed of the sensor noise.
+            worlds: indices of the runs to reset; None for all, which also resets the time.
 
         Raises:
-            InputError: not one pose a run, or a start too far from the origin in a world with obstacles.
+            InputError: the number of poses is wrong, or a start is too far from the origin in a world with
+                obstacles.
         """
         chosen = np.arange(len(self)) if worlds is None else np.asarray(worlds, dtype=int)
         places = np.zeros((len(chosen), 3)) if poses is None else np.array(poses, dtype=float).reshape(-1, 3)
         if len(places) != len(chosen):
-            raise InputError(f"poses: {len(places)} were given for {len(chosen)} runs; give one a run")
+            raise InputError(f"poses: {len(places)} were given for {len(chosen)} runs; give one per run")
         origins = self._origins_of(places, chosen)
-        for k in np.unique(self._which[chosen]):
+        for k in np.unique(self._robot_of_run[chosen]):
             self._robots[k].reset(seed=seed)
         if worlds is None:
             self.errors = [None] * len(self)
-            self._time, self._begun, self._unseen = 0.0, np.zeros(len(self)), 0
+            self._time, self._begun, self._unobserved_steps = 0.0, np.zeros(len(self)), 0
             self._count.zero_()
         self._begun[chosen] = self._time
         for k in chosen:
             self.errors[k] = None
-        rest = [self._robots[k].physics for k in self._which[chosen]]
-        qpos = np.array([each.data.qpos for each in rest])
+        rest = [self._robots[k].physics for k in self._robot_of_run[chosen]]
+        qpos = np.array([physics.data.qpos for physics in rest])
         self.origins[chosen] = origins
         x, y = (places[:, :2] - origins).T
-        turn = places[:, 2]
-        c, s = np.cos(turn), np.sin(turn)
+        yaw = places[:, 2]
+        c, s = np.cos(yaw), np.sin(yaw)
         qpos[:, 0], qpos[:, 1] = x + c * qpos[:, 0] - s * qpos[:, 1], y + s * qpos[:, 0] + c * qpos[:, 1]
-        qpos[:, 2] += _LIFTED
-        half = np.stack([np.cos(turn / 2), np.sin(turn / 2)])
+        qpos[:, 2] += _INITIAL_LIFT
+        # Quaternion of the yaw times the present one.
         w, i, j, k = qpos[:, 3:7].T
-        (a, b) = half
+        a, b = np.cos(yaw / 2), np.sin(yaw / 2)
         qpos[:, 3:7] = np.stack([a * w - b * k, a * i - b * j, a * j + b * i, a * k + b * w], axis=1)
         self._set(self._data.qpos, chosen, qpos)
-        for array in (self._data.qvel, self._data.qacc_warmstart, self.spent, self._internal):
+        for array in (self._data.qvel, self._data.qacc_warmstart, self._energy_loss, self._internal_loss):
             self._set(array, chosen, 0.0)
-        air, kept = self._own["air"], self._own["kept"]
+        chambers, accumulators = self._structs["chambers"], self._structs["accumulators"]
         for name in ("pressure", "linear", "openings", "drawn"):
-            self._set(getattr(air, name), chosen, 0)
-        self._set(air.valves, chosen, -1)
-        for name in ("now", "force", "bumps"):
-            self._set(getattr(kept, name), chosen, 0.0)
+            self._set(getattr(chambers, name), chosen, 0)
+        self._set(chambers.valves, chosen, -1)
+        for name in ("step_force", "force_sum", "obstacle_sum"):
+            self._set(getattr(accumulators, name), chosen, 0.0)
         if self._loaded:
-            feet = self._own["feet"]
-            for name in ("push", "rim", "load", "slip"):
-                value = np.array(
-                    [getattr(each.loaded.feet, name) for each in rest if each.loaded is not None]
-                )
-                self._set(getattr(feet, name), chosen, value)
+            states = [physics.stepper.contact_state for physics in rest if physics.stepper is not None]
+            for name in ContactState._fields:
+                value = np.array([getattr(state, name) for state in states])
+                self._set(getattr(self._structs["contact_state"], name), chosen, value)
         theta = (
             np.zeros((len(self), self.twins[0].spec.geometry.connectors)) if worlds is None else self._theta
         )
-        theta[chosen] = turn[:, None]
+        theta[chosen] = yaw[:, None]
         self._theta = theta
-        self.state = self._moment(self._history([self._look()], np.array([self._time]), np.ones(1)))
+        self.state = self._last_state(self._history([self._observe()], np.array([self._time]), np.ones(1)))
         return self.state
 
     def _origins_of(self, places: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """Return the origins of the device coordinates for these starts, shape (chosen, 2).
+        """Return the origins of the device coordinates for given starts, shape (chosen, 2), m.
 
         Raises:
-            InputError: a start is too far away, and obstacles keep the origin where it is.
+            InputError: a start is too far away, and obstacles fix the origin.
         """
-        far = np.hypot(*places[:, :2].T) > _REACH
+        far = np.hypot(*places[:, :2].T) > _MAX_START_DISTANCE
         for place, k in zip(places[far], chosen[far], strict=True):
             if self.twins[k].touches:
                 raise InputError(
-                    f"run {k} starts at ({place[0]:g}, {place[1]:g}) m, but engine 'warp' computes in "
-                    f"single precision and takes starts within {_REACH:g} m of the origin in a world with "
-                    "obstacles; move the world nearer to the origin, or use the processor"
+                    f"run {k} starts at ({place[0]:g}, {place[1]:g}) m, but engine 'warp' has single "
+                    f"precision and needs starts within {_MAX_START_DISTANCE:g} m of the origin in a world "
+                    "with obstacles; move the world closer to the origin, or use engine 'cpu'"
                 )
         return np.where(far[:, None], places[:, :2], 0.0)
 
     def _set(self, array: Any, chosen: np.ndarray, value: Any) -> None:
-        """Set some worlds' part of an array."""
+        """Set the rows of some worlds in an array on the device."""
         if len(chosen) == len(self):
             full = np.broadcast_to(np.asarray(value), (len(self), *array.shape[1:]))
             array.assign(np.ascontiguousarray(full))
@@ -371,12 +397,13 @@ class WarpBatch:
         whole[chosen] = value
         array.assign(whole)
 
-    def regulate(self) -> None:
-        """Take the supplies' pressures from the twins' chambers anew, as these have been regulated since."""
-        law, fresh = self._own["relaxation"], [air.relaxation(self._slot) for air in self._air]
+    def update_supply_pressure(self) -> None:
+        """Copy the supply pressures of the twins' chambers to the device after they have changed."""
+        struct = self._structs["relaxation"]
+        relaxations = [chambers.relaxation(self._slot) for chambers in self._chambers]
         for name in ("asymptotes", "worth"):
-            rows = np.array([getattr(fresh[k], name) for k in self._which], dtype=np.float32)
-            getattr(law, name).assign(rows)
+            rows = np.array([getattr(relaxations[k], name) for k in self._robot_of_run], dtype=np.float32)
+            getattr(struct, name).assign(rows)
 
     def step(self, valves: Any) -> SnakeState:
         """Advance all runs by one tick and return `state`; see `TwinBatch.step`."""
@@ -387,139 +414,143 @@ class WarpBatch:
         """Advance all runs by one tick; see `TwinBatch.advance`.
 
         Args:
-            valves: see `TwinBatch.step`; an array, or what has DLPack.
-            samples: how many equally spaced samples to return.
+            valves: see `TwinBatch.step`; an array, or an object with the DLPack interface.
+            samples: number of equally spaced samples.
         """
         self.command(valves)
-        return self._observed(self._steps, samples, gait=False)
+        return self._run_observed(self._steps, samples, gait=False)
 
     def command(self, valves: Any) -> None:
-        """Set what the valves do in each tick from now on.
+        """Set the valve states of each tick from now on.
 
         Args:
-            valves: (runs, segments, 2) or (runs, slots, segments, 2), −1 or 1; NumPy, or of integers on the
-                device by DLPack, which is not looked at.
+            valves: shape (runs, segments, 2) or (runs, slots, segments, 2), −1 or 1; a NumPy array, or an
+                int32 array on the device with the DLPack interface, whose values are not checked.
 
         Raises:
-            InputError: a wrong shape, or a state that the valves cannot take.
+            InputError: wrong shape or type, or a state that the valves do not have.
         """
         shape, segments = tuple(valves.shape), self.twins[0].spec.segments
         if len(shape) not in (3, 4) or shape[0] != len(self) or shape[-2:] != (segments, 2):
             raise InputError(
-                f"valves of shape {shape} are not allowed; give ({len(self)}, {segments}, 2), or slots after "
-                "the runs"
+                f"valves of shape {shape} are not allowed; give ({len(self)}, {segments}, 2) or "
+                f"({len(self)}, slots, {segments}, 2)"
             )
         if isinstance(valves, np.ndarray):
             self.twins[0].pneumatics.check(valves)
-            given = wp.array(valves, dtype=int, device=self.device)
+            commands = wp.array(valves, dtype=int, device=self.device)
         else:
-            given = wp.from_dlpack(valves)
-            if given.dtype is not wp.int32:
-                raise InputError(f"valves on a device must be int32, not {given.dtype.__name__}")
-        given = given if given.ndim == 4 else given.reshape((len(self), 1, segments, 2))
-        if given.shape[1] > self._slots * self._steps:
+            commands = wp.from_dlpack(valves)
+            if commands.dtype is not wp.int32:
+                raise InputError(f"valves on a device must be int32, not {commands.dtype.__name__}")
+        commands = commands if commands.ndim == 4 else commands.reshape((len(self), 1, segments, 2))
+        if commands.shape[1] > self._slots * self._steps:
             raise InputError(
-                f"{given.shape[1]} slots a tick are too many; there are {self._slots * self._steps}"
+                f"{commands.shape[1]} slots per tick are not allowed; at most {self._slots * self._steps}"
             )
-        if given.shape != self._given.shape:
-            self._given, self._graphs = wp.empty_like(given), {}
-        wp.copy(self._given, given)
+        if commands.shape != self._commands.shape:
+            self._commands, self._graphs = wp.empty_like(commands), {}
+        wp.copy(self._commands, commands)
 
     def play(self, schedules: Sequence[Schedule | None], samples: int) -> list[SnakeState | None]:
-        """Follow schedules that no feedback changes; see `TwinBatch.play`."""
+        """Follow schedules without feedback; see `TwinBatch.play`."""
         if len(schedules) != len(self):
-            raise InputError(f"schedules: {len(schedules)} were given for {len(self)} runs; give one a run")
+            raise InputError(f"schedules: {len(schedules)} were given for {len(self)} runs; give one per run")
         if not any(schedules):
             return [None] * len(self)
-        span = max(each.span for each in schedules if each is not None)
+        span = max(schedule.span for schedule in schedules if schedule is not None)
         ticks, slots = whole_steps("span", span, "tick", self.tick), self._steps * self._slots
         if max(ticks, samples) % min(ticks, samples):
-            raise InputError(f"{samples} samples of {ticks} ticks: engine 'warp' takes whole ones of either")
+            raise InputError(
+                f"{samples} samples in {ticks} ticks are not possible with engine 'warp'; one number must "
+                "be a multiple of the other"
+            )
         middles = (np.arange(ticks * slots) + 0.5) * self.tick / slots
         idle = np.full((len(middles), self.twins[0].spec.segments, 2), -1, dtype=np.int8)
         valves = np.stack(
             [
-                idle if each is None else each.states[np.searchsorted(each.starts, middles, "right") - 1]
-                for each in schedules
+                idle if s is None else s.states[np.searchsorted(s.starts, middles, "right") - 1]
+                for s in schedules
             ]
         )
-        parts: list[list[SnakeState]] = [[] for _ in schedules]
+        histories: list[list[SnakeState]] = [[] for _ in schedules]
         for tick in range(ticks):
             self.command(valves[:, tick * slots : (tick + 1) * slots])
             if samples < ticks and (tick + 1) % (ticks // samples):
                 self.run(self._steps)
                 continue
-            seen = self._observed(self._steps, max(samples // ticks, 1), gait=False)
-            for part, one in zip(parts, seen, strict=True):
-                if one is not None:
-                    part.append(one)
-        return [SnakeState.history(part) if part else None for part in parts]
+            ticked = self._run_observed(self._steps, max(samples // ticks, 1), gait=False)
+            for pieces, piece in zip(histories, ticked, strict=True):
+                if piece is not None:
+                    pieces.append(piece)
+        return [SnakeState.history(pieces) if pieces else None for pieces in histories]
 
     def follow(self, duration: float, samples: int) -> list[SnakeState | None]:
-        """Follow the gaits of `set_gaits`; samples are equally spaced, the last at the end."""
-        return self._observed(whole_steps("duration", duration, "time step", self._h), samples, gait=True)
+        """Follow the gaits of `set_gaits`; the samples are equally spaced, the last one at the end."""
+        return self._run_observed(whole_steps("duration", duration, "time step", self._h), samples, gait=True)
 
     def arrays(self) -> dict[str, Any]:
-        """Return what is on the device, a run a row: qpos, qvel, pressure, valves; DLPack takes them.
+        """Return arrays on the device with a leading axis of runs: qpos, qvel, pressure, valves.
 
-        Positions in `qpos` are relative to `origins`.
+        They have the DLPack interface. Positions in `qpos` are relative to `origins`.
         """
-        air = self._own["air"]
+        chambers = self._structs["chambers"]
         return {
             "qpos": self._data.qpos,
             "qvel": self._data.qvel,
-            "pressure": air.pressure,
-            "valves": air.valves,
+            "pressure": chambers.pressure,
+            "valves": chambers.valves,
         }
 
     def openings(self) -> np.ndarray:
-        """Return how often inlets have opened, shape (runs, segments, 2)."""
-        return np.asarray(self._own["air"].openings.numpy())
+        """Return the number of openings of each inlet, shape (runs, segments, 2)."""
+        return np.asarray(self._structs["chambers"].openings.numpy())
 
     def describe(self) -> dict[str, Any]:
-        """Return what is worth recording besides what the twins say."""
+        """Return the settings of the batch for the provenance of a run, in addition to those of its twins."""
         return {"engine": "warp", "device": self.device.name}
 
-    def _observed(self, steps: int, samples: int, *, gait: bool) -> list[SnakeState | None]:
-        """Step and look so many times; return the history of each run that had not ended."""
-        each = whole_steps("sample interval", steps * self._h / samples, "time step", self._h)
+    def _run_observed(self, steps: int, samples: int, *, gait: bool) -> list[SnakeState | None]:
+        """Make steps with equally spaced observations; return the history of each run that has not ended."""
+        interval = whole_steps("sample interval", steps * self._h / samples, "time step", self._h)
         rows, times, passed = [], np.empty(samples), np.empty(samples)
         for k in range(samples):
-            self.run(each, gait=gait)
-            times[k], passed[k] = self._time, self._unseen
-            rows.append(self._look())
-        going = [error is None for error in self.errors]
-        whole = self._history(rows, times, passed)
-        found = [self._of(whole, k) if going[k] else None for k in range(len(self))]
+            self.run(interval, gait=gait)
+            times[k], passed[k] = self._time, self._unobserved_steps
+            rows.append(self._observe())
+        running = [error is None for error in self.errors]
+        together = self._history(rows, times, passed)
+        histories = [self._history_of_run(together, k) if running[k] else None for k in range(len(self))]
         if any(self.errors):
-            last = [self.state.at(k) if own is None else own.at(-1) for k, own in enumerate(found)]
+            last = [self.state.at(k) if own is None else own.at(-1) for k, own in enumerate(histories)]
             self.state = SnakeState.history(last)
         else:
-            self.state = self._moment(whole)
-        return found
+            self.state = self._last_state(together)
+        return histories
 
-    def _moment(self, whole: SnakeState) -> SnakeState:
-        """Return the last sample."""
-        return replace(whole.at(-1), time=self._time - self._begun)
+    def _last_state(self, history: SnakeState) -> SnakeState:
+        """Return the last sample of all runs."""
+        return replace(history.at(-1), time=self._time - self._begun)
 
-    def _of(self, whole: SnakeState, k: int) -> SnakeState | None:
-        """Return one run's history up to where it diverged."""
-        own = SnakeState(
-            whole.time - self._begun[k], *(getattr(whole, f.name)[:, k] for f in fields(SnakeState)[1:])
+    def _history_of_run(self, together: SnakeState, k: int) -> SnakeState | None:
+        """Return the history of run k until it diverges, and set its error."""
+        history = SnakeState(
+            together.time - self._begun[k],
+            *(getattr(together, f.name)[:, k] for f in fields(SnakeState)[1:]),
         )
-        fine = np.isfinite(own.qpos).all(axis=1) & np.isfinite(own.com).all(axis=1)
+        fine = np.isfinite(history.qpos).all(axis=1) & np.isfinite(history.com).all(axis=1)
         if fine.all():
-            return own
+            return history
         last = int(np.argmin(fine))
         self.errors[k] = DivergedError(
-            "twin", float(np.asarray(own.time)[last]), "the state is not finite any more"
+            "twin", float(np.asarray(history.time)[last]), "the state is no longer finite"
         )
-        return own.at(slice(0, last)) if last else None
+        return history.at(slice(0, last)) if last else None
 
-    def _look(self) -> Any:
-        """Return what is to be seen now, a row a run, on the device; sums begin anew."""
-        self._unseen = 0
-        own, data, model = self._own, self._data, self._model
+    def _observe(self) -> Any:
+        """Return an observation of all runs on the device, one row per run; reset the accumulators."""
+        self._unobserved_steps = 0
+        structs, data, model = self._structs, self._data, self._model
         out = wp.zeros((len(self), sum(self._widths.values())), dtype=float, device=self.device)
         with wp.ScopedDevice(self.device):
             mjw.kinematics(model, data)
@@ -527,15 +558,22 @@ class WarpBatch:
             mjw.com_vel(model, data)
             mjw.subtree_vel(model, data)
             wp.launch(
-                self._kernels.look, dim=len(self),
+                self._kernels.observe, dim=len(self),
                 inputs=[
-                    own["bodies"], own["columns"], own["air"], own["kept"], self.spent, self._internal, out
+                    structs["bodies"], structs["addresses"], structs["chambers"], structs["accumulators"],
+                    self._energy_loss, self._internal_loss, out,
                 ],
             )  # fmt: skip
         return out
 
     def _history(self, rows: list[Any], times: np.ndarray, steps: np.ndarray) -> SnakeState:
-        """Return what rows say, with axes of samples and runs; forces are means over so many steps."""
+        """Return the history of all runs, with axes of samples and runs.
+
+        Args:
+            rows: observations, one per sample.
+            times: shape (samples,), s.
+            steps: time steps before each sample, over which forces are averaged, shape (samples,).
+        """
         table = np.stack([row.numpy() for row in rows]).astype(float)
         ends = np.cumsum([0, *self._widths.values()])
         cut = {name: table[..., a:b] for name, a, b in zip(self._widths, ends[:-1], ends[1:], strict=True)}
@@ -543,22 +581,22 @@ class WarpBatch:
         physics, spec = self._robots[0].physics, self._robots[0].spec
         connectors = cut["connectors"].reshape(*shape, -1, 4)
         chambers = cut["chambers"].reshape(*shape, -1, 5)
-        bend, rate = physics.seen(cut["qpos"], cut["qvel"])
+        bend, rate = physics.bends_and_rates(cut["qpos"], cut["qvel"])
         theta = np.unwrap(np.concatenate([self._theta[None], connectors[..., 3]]), axis=0)[1:]
         self._theta = theta[-1].copy()
         force = cut["force"].reshape(*shape, -1, 3) / steps[:, None, None, None]
-        wheels = len(physics.columns.load)
+        wheels = len(physics.sensor_addresses.floor_force)
         floor = force[..., :wheels, :2].reshape(*shape, -1, 2, 2).sum(axis=-2)
-        bumps = cut["bumps"].reshape(*shape, -1, 3) / steps[:, None, None, None]
+        obstacles = cut["obstacles"].reshape(*shape, -1, 3) / steps[:, None, None, None]
         if self._loaded:
-            bumps = bumps + force[..., wheels:, :]
+            obstacles = obstacles + force[..., wheels:, :]
         torque, sensed, stored = np.empty_like(bend), bend.copy(), np.empty(shape)
         for number, twin in enumerate(self._robots):
-            mine = self._which == number
-            law, own = twin.spec.bending, chambers[:, mine, :, :2]
-            air = law.stiffness * (twin.spec.modules.array("bias") + air_bend(twin.spec, own))
+            mine = self._robot_of_run == number
+            law, pressure = twin.spec.bending, chambers[:, mine, :, :2]
+            air = law.stiffness * (twin.spec.modules.array("bias") + air_bend(twin.spec, pressure))
             torque[:, mine] = air - law.stiffness * bend[:, mine] - law.damping * rate[:, mine]
-            stored[:, mine] = twin.physics.internal.stored(cut["qpos"][:, mine])
+            stored[:, mine] = twin.physics.internal_joints.stored(cut["qpos"][:, mine])
         for k in range(len(self)) if self._robots[0].sensor.kind != "ideal" else ():
             twin = self.twins[k]
             sensed[:, k] = twin.sensor.read(bend[:, k], times, twin.seed + k)
@@ -577,23 +615,23 @@ class WarpBatch:
             valves=chambers[..., 2:4].astype(np.int8),
             sensed=sensed,
             contact_force=np.add.reduceat(floor, np.arange(spec.geometry.connectors), axis=-2),
-            obstacle_force=physics.bumped(bumps)[..., :2],
+            obstacle_force=physics.connector_forces(obstacles)[..., :2],
             torque=torque,
-            work=cut["spent"].sum(axis=-1) + stored,
-            internal_loss=cut["spent"][..., 2],
+            work=cut["energy"].sum(axis=-1) + stored,
+            internal_loss=cut["energy"][..., 2],
             air=chambers[..., 4].sum(axis=-1),
             qpos=qpos,
         )
 
 
-def _refuse(twin: TwinSnake, first: TwinSnake) -> None:
-    """Refuse, by its name, what the device engine cannot do, or not beside the first twin.
+def _check_supported(twin: TwinSnake, first: TwinSnake) -> None:
+    """Check that the device engine supports a twin together with the first twin of the batch.
 
     Raises:
-        InputError: the first such thing.
+        InputError: it does not support a setting; the message names it.
     """
     air = twin.pneumatics
-    cannot = {
+    unsupported = {
         f"pneumatics {air.kind!r}": not isinstance(air, LagPneumatics),
         "leak_per_s": getattr(air, "leaks", False),
         "valve_delay_s": air.describe().get("valve_delay_s", 0.0) > 0,
@@ -603,35 +641,43 @@ def _refuse(twin: TwinSnake, first: TwinSnake) -> None:
         "a floor that slopes or has steps": twin.uneven,
         "obstacles with contact 'preloaded'": twin.touches and not isinstance(twin.contact, LoadedContact),
     }
-    own, other = twin.identity(), first.identity()
-    same = own.keys() - {"robot", "robot_digest", "supply_pa"}
-    same -= set() if twin.touches or first.touches else {"world"}  # goals and rooms are not felt
-    cannot |= {f"runs that differ in {name}": own[name] != other[name] for name in sorted(same)}
-    for name, there in cannot.items():
-        if there:
-            raise InputError(f"engine 'warp' cannot do {name}; the processor can")
+    settings, first_settings = twin.identity(), first.identity()
+    same = settings.keys() - {"robot", "robot_digest", "supply_pa"}
+    same -= set() if twin.touches or first.touches else {"world"}  # goals and bounds do not affect the motion
+    unsupported |= {
+        f"runs that differ in {name}": settings[name] != first_settings[name] for name in sorted(same)
+    }
+    for name, present in unsupported.items():
+        if present:
+            raise InputError(f"engine 'warp' does not support {name}; use engine 'cpu'")
 
 
-def _expand(model: Any, of_each: list[mujoco.MjModel]) -> None:
-    """Give each world its own numbers of the model, where worlds differ in them.
+def _set_individual_parameters(model: Any, models: list[mujoco.MjModel]) -> None:
+    """Give each world its own values of the model fields in which worlds differ.
+
+    Args:
+        model: the model of MuJoCo Warp, made from the first of `models`.
+        models: the model of each world.
 
     Raises:
-        InputError: they differ in what the engine has only once.
+        InputError: they differ in a field that the engine has only once.
     """
-    distinct = {id(each): each for each in of_each}
+    distinct = {id(world_model): world_model for world_model in models}
     if len(distinct) == 1:
         return
     for name, array in vars(model).items():
-        if not isinstance(array, wp.array) or not hasattr(of_each[0], name) or name in _IDLE:
+        if not isinstance(array, wp.array) or not hasattr(models[0], name) or name in _UNUSED_FIELDS:
             continue
-        values = {key: np.asarray(getattr(each, name)) for key, each in distinct.items()}
+        values = {key: np.asarray(getattr(world_model, name)) for key, world_model in distinct.items()}
         first = next(iter(values.values()))
         if all(np.array_equal(first, value) for value in values.values()):
             continue
         if array.shape[0] != 1:
-            raise InputError(f"engine 'warp' has {name} once for all runs; the processor runs such robots")
-        rows = np.stack([values[id(each)] for each in of_each])
+            raise InputError(
+                f"robots that differ in {name} cannot run together on engine 'warp'; use engine 'cpu'"
+            )
+        rows = np.stack([values[id(world_model)] for world_model in models])
         inner = array.shape[1:]
         size = wp.types.type_size(array.dtype)
-        rows = rows.reshape(len(of_each), *inner, *((size,) if size > 1 else ()))
+        rows = rows.reshape(len(models), *inner, *((size,) if size > 1 else ()))
         setattr(model, name, wp.array(rows, dtype=array.dtype, device=array.device))

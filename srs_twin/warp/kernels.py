@@ -1,37 +1,77 @@
-"""Kernels around MuJoCo Warp's steps: chambers, friction on momentary loads, and what a run keeps.
+"""Warp kernels around the steps of MuJoCo Warp: chambers, friction of loaded contacts, accumulation.
 
-One thread a world, or one a segment; a world's records are views of those of all.
+A kernel has one thread per world, or one per world and segment. The struct of one world is a view of that of
+all worlds.
 """
 
-# No `annotations` from the future: Warp reads the types themselves.
+# No `from __future__ import annotations`: Warp needs the types themselves.
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
 
-from srs_twin.plants.twin import friction_held, friction_solve
+from srs_twin.plants.twin import friction_solve, stick_slip
 from srs_twin.pneumatics import chambers, lag
 from srs_twin.pneumatics.chambers import AMBIENT_PA
-from srs_twin.warp.ported import Ported, ported
+from srs_twin.warp.translation import WarpStruct, as_warp_functions
 
-_SOLVE = (
-    *("_clear", "_multiply", "dot", "point", "_look", "_feel", "_carry", "_project", "_forces", "_slip"),
-    *("_load", "_theta", "_law", "_residual", "_assemble", "_search", "_solve"),
-    *("approach", "expect", "settle", "note"),
+_FRICTION_SOLVE = (
+    "_clear",
+    "_add_product",
+    "dot",
+    "point_jacobian",
+    "_locate_wheels",
+    "_read_normal_forces",
+    "_spatial_velocities",
+    "_project",
+    "_generalised_forces",
+    "_contact_velocity",
+    "_friction_load",
+    "_evaluation_fraction",
+    "_friction_law",
+    "_evaluate_residual",
+    "_assemble",
+    "_line_search",
+    "_newton",
+    "apply_stored_friction",
+    "set_mid_velocity",
+    "solve_friction",
+    "store_friction",
 )
-_AT_REST = 1e-5  # rad: below it what bends is the slope
+"""Functions of `friction_solve`; each comes before those that call it."""
+
+_MIN_LINEAR_RAD = 1e-5
+"""Linear bend below which φ(x)/x is replaced by its limit, rad; single precision."""
 
 
-class Air(NamedTuple):
-    """What chambers keep.
+class StepSettings(NamedTuple):
+    """Constants of the kernels.
 
     Attributes:
-        pressure: gauge, shape (segments, 2), Pa.
-        linear: x, shape (segments,), rad.
-        valves: states of the last slot, shape (segments, 2).
-        openings: how often each inlet has opened, same shape.
-        drawn: work that each segment's air has cost since the beginning, shape (segments,), J.
+        h: time step, s.
+        slot: length of a valve slot, s.
+        slots: slots per time step.
+        tick: time steps per tick.
+        mean_pressure: whether the mean pressure over a step drives it, instead of that at its beginning.
+    """
+
+    h: float
+    slot: float
+    slots: int
+    tick: int
+    mean_pressure: bool
+
+
+class ChamberState(NamedTuple):
+    """State of the chambers of one world.
+
+    Attributes:
+        pressure: gauge pressure, shape (segments, 2), Pa.
+        linear: linear bend x, shape (segments,), rad.
+        valves: valve states of the latest slot, shape (segments, 2).
+        openings: number of openings of each inlet, shape (segments, 2).
+        drawn: pneumatic energy of each segment since `reset`, shape (segments,), J.
     """
 
     pressure: np.ndarray
@@ -41,14 +81,14 @@ class Air(NamedTuple):
     drawn: np.ndarray
 
 
-class Wave(NamedTuple):
-    """A gait's, as `control.gait` has it.
+class GaitWave(NamedTuple):
+    """Parameters of a gait (`control.gait`).
 
     Attributes:
         frequency: f, Hz.
-        offset: φ.
-        rest: sine of r π/2.
-        lag: of each segment, shape (segments,), rad.
+        offset: φ, 1.
+        rest: sin(r π/2) of the rest share r, 1.
+        lag: phase lag of each segment, shape (segments,), rad.
     """
 
     frequency: float
@@ -57,8 +97,8 @@ class Wave(NamedTuple):
     lag: np.ndarray
 
 
-class Bodies(NamedTuple):
-    """What is seen of the engine, named as in MjData."""
+class BodyViews(NamedTuple):
+    """Views of the engine's data for observation, named as in MjData."""
 
     qpos: np.ndarray
     qvel: np.ndarray
@@ -69,95 +109,108 @@ class Bodies(NamedTuple):
     sensordata: np.ndarray
 
 
-class Kept(NamedTuple):
-    """What a world has done.
+class Accumulators(NamedTuple):
+    """Quantities of one world between samples.
 
     Attributes:
-        place: qpos at mid-step.
-        now: forces on wheels and hulls in the last step, shape (contacts, 3), N.
-        force: their sum since the last sample, same shape.
-        bumps: sum of what obstacles press with since then, shape (hulls, 3), N.
+        mid_qpos: qpos at mid-step, shape (nq,).
+        step_force: forces on wheels and hulls in the latest step, shape (contacts, 3), N.
+        force_sum: sum of `step_force` over the steps since the latest sample, shape (contacts, 3), N.
+        obstacle_sum: sum of the normal forces of obstacles since then, shape (hulls, 3), N.
     """
 
-    place: np.ndarray
-    now: np.ndarray
-    force: np.ndarray
-    bumps: np.ndarray
+    mid_qpos: np.ndarray
+    step_force: np.ndarray
+    force_sum: np.ndarray
+    obstacle_sum: np.ndarray
 
 
-def functions() -> dict[str, Any]:
-    """Return Warp functions of the laws and of the friction solve, by their names."""
-    found = ported([friction_held.held, friction_held.rolling, chambers.volume, chambers._log_cosh])
-    found = ported([chambers.bent, lag._segment, lag._filling], **found)
-    found = ported([friction_solve._factor, friction_solve._substitute, friction_solve.divide_alone], **found)
-    found["_divide"] = found["divide_alone"]  # the engine's own is the processor's
-    return ported([getattr(friction_solve, name) for name in _SOLVE], **found)
+def warp_functions() -> dict[str, Any]:
+    """Return the Warp versions of the chamber laws, friction laws and friction solve, by name."""
+    friction_laws = [stick_slip.stick_slip_friction, stick_slip.rolling_friction]
+    functions = as_warp_functions([*friction_laws, chambers.volume, chambers._log_cosh])
+    chamber_laws = [chambers.apply_bend_law, lag.advance_segment, lag.filling_content]
+    functions = as_warp_functions(chamber_laws, **functions)
+    linear_algebra = [
+        friction_solve._factor,
+        friction_solve._substitute,
+        friction_solve.solve_direction_portably,
+    ]
+    functions = as_warp_functions(linear_algebra, **functions)
+    # The CPU version calls the engine's C functions.
+    functions["_solve_direction"] = functions["solve_direction_portably"]
+    return as_warp_functions([getattr(friction_solve, name) for name in _FRICTION_SOLVE], **functions)
 
 
-def kernels(records: dict[str, Ported], spec: SimpleNamespace) -> SimpleNamespace:
-    """Return the kernels for records of given shapes.
+def build_kernels(structs: dict[str, WarpStruct], settings: StepSettings) -> SimpleNamespace:
+    """Return the kernels for structs of given shapes.
 
     Args:
-        records: by what they are: `relaxation`, `air`, `wave`, `kept`, and under `loaded` those of the
-            friction solve.
-        spec: numbers that are the same for all worlds: `h` (s), `slot` (s), `slots` (a step), `tick` (steps),
-            `middle` (whether the mean of a step's pressures drives it).
+        structs: struct by name: `relaxation`, `chambers`, `wave`, `accumulators`, `addresses`, `bodies`, and
+            under loaded contact `engine`, `contacts`, `sparsity`, `contact_state` and `work`.
+        settings: constants that are the same for all worlds.
     """
-    laws = functions()
-    bent, segment, filling = laws["bent"], laws["_segment"], laws["_filling"]
-    Relaxation, AirEach, WaveEach = (records[k].each for k in ("relaxation", "air", "wave"))
-    relaxation, air_of, wave_of = (records[k].world for k in ("relaxation", "air", "wave"))
-    H, SLOT, SLOTS, TICK, MIDDLE = spec.h, spec.slot, spec.slots, spec.tick, spec.middle
-    HALF = 0.5 if MIDDLE else 0.0
+    functions = warp_functions()
+    bend_law = functions["apply_bend_law"]
+    segment, filling = functions["advance_segment"], functions["filling_content"]
+    names = "relaxation", "chambers", "wave"
+    Relaxations, ChamberStates, GaitWaves = (structs[name].batched for name in names)
+    relaxation_of, chambers_of, wave_of = (structs[name].select for name in names)
+    # Warp takes these as compile-time constants.
+    H, SLOT, SLOTS, TICK = settings.h, settings.slot, settings.slots, settings.tick
+    END_WEIGHT = 0.5 if settings.mean_pressure else 0.0
     options = {"enable_backward": False, "module": "unique"}
 
     @wp.kernel(**options)
-    def command(count: wp.array(dtype=int), given: wp.array4d(dtype=int), out: wp.array4d(dtype=int)):
-        """Take the valves of the step's slots from those of a tick."""
+    def set_commands(count: wp.array(dtype=int), commands: wp.array4d(dtype=int), out: wp.array4d(dtype=int)):
+        """Set the valve states of a step's slots from the commands of its tick."""
         i, j = wp.tid()
         begun = (count[0] % TICK) * SLOTS
         for s in range(SLOTS):
-            row = (begun + s) * given.shape[1] / (TICK * SLOTS)
-            out[i, s, j, 0] = given[i, row, j, 0]
-            out[i, s, j, 1] = given[i, row, j, 1]
+            row = (begun + s) * commands.shape[1] / (TICK * SLOTS)
+            out[i, s, j, 0] = commands[i, row, j, 0]
+            out[i, s, j, 1] = commands[i, row, j, 1]
 
     @wp.kernel(**options)
-    def wave(count: wp.array(dtype=int), each: WaveEach, out: wp.array4d(dtype=int)):
-        """Take them from a gait, in the middle of each slot."""
+    def set_gait(count: wp.array(dtype=int), waves: GaitWaves, out: wp.array4d(dtype=int)):
+        """Set the valve states of a step's slots from a gait, evaluated in the middle of each slot."""
         i, j = wp.tid()
-        own = wave_of(each, i)
+        gait = wave_of(waves, i)
         for s in range(SLOTS):
             time = (wp.float64(count[0] * SLOTS + s) + wp.float64(0.5)) * wp.float64(SLOT)
-            turns = wp.float64(own.frequency) * time
-            angle = wp.float64(6.283185307179586) * (turns - wp.floor(turns)) - wp.float64(own.lag[j])
-            value = wp.sin(angle) + wp.float64(own.offset)
-            edge = wp.float64(own.rest) - wp.float64(1e-9)
+            turns = wp.float64(gait.frequency) * time
+            angle = wp.float64(6.283185307179586) * (turns - wp.floor(turns)) - wp.float64(gait.lag[j])
+            value = wp.sin(angle) + wp.float64(gait.offset)
+            edge = wp.float64(gait.rest) - wp.float64(1e-9)
             out[i, s, j, 0] = 2 * int(value >= edge) - 1
             out[i, s, j, 1] = 2 * int(value < -edge) - 1
 
     @wp.kernel(**options)
-    def fill(
-        each: Relaxation, all_air: AirEach, valves: wp.array4d(dtype=int), ctrl: wp.array2d(dtype=float)
+    def advance_chambers(
+        relaxations: Relaxations,
+        all_chambers: ChamberStates,
+        valves: wp.array4d(dtype=int),
+        ctrl: wp.array2d(dtype=float),
     ):
-        """Let the chambers relax over a step, slot by slot, and say what drives the bodies."""
+        """Advance the chambers over a step, slot by slot, and set the controls of the bodies."""
         i, j = wp.tid()
-        law, air = relaxation(each, i), air_of(all_air, i)
+        law, air = relaxation_of(relaxations, i), chambers_of(all_chambers, i)
         pressure = air.pressure[j]
-        first = float(pressure[0])  # Warp would else read it where it is used
+        first = float(pressure[0])  # a copy: Warp would read the array where the variable is used
         second = float(pressure[1])
-        before, _, _ = bent(air.linear[j], law.law)
+        before, _, _ = bend_law(air.linear[j], law.law)
         before += law.bias[j]
         for s in range(SLOTS):
             state = valves[i, s, j]
-            held = filling(state, pressure[0], pressure[1], before, law.space, AMBIENT_PA)
+            content_before = filling(state, pressure[0], pressure[1], before, law.space, AMBIENT_PA)
             plus, minus, x = segment(
                 state, law.kinds[j], pressure, air.linear[j], law.asymptotes, law.gain[j], law.decay, law.lag,
                 law.mode,
             )  # fmt: skip
-            after, _, _ = bent(x, law.law)
+            after, _, _ = bend_law(x, law.law)
             after += law.bias[j]
             content = filling(state, plus, minus, after, law.space, AMBIENT_PA)
-            air.drawn[j] = air.drawn[j] + law.worth * (content - held)
+            air.drawn[j] = air.drawn[j] + law.worth * (content - content_before)
             pressure[0] = plus
             pressure[1] = minus
             air.linear[j] = x
@@ -166,66 +219,73 @@ def kernels(records: dict[str, Ported], spec: SimpleNamespace) -> SimpleNamespac
                     air.openings[j, side] = air.openings[j, side] + 1
                 air.valves[j, side] = state[side]
             before = after
-        mean, other = first + HALF * (pressure[0] - first), second + HALF * (pressure[1] - second)
-        linear = law.gain[j, 0] * mean - law.gain[j, 1] * other
-        _, share, _ = bent(0.0, law.law)
-        if wp.abs(linear) > _AT_REST:
-            turned, _, _ = bent(linear, law.law)
-            share = turned / linear
-        ctrl[i, 2 * j] = mean * share
-        ctrl[i, 2 * j + 1] = other * share
+        mean_plus, mean_minus = (
+            first + END_WEIGHT * (pressure[0] - first),
+            second + END_WEIGHT * (pressure[1] - second),
+        )
+        linear = law.gain[j, 0] * mean_plus - law.gain[j, 1] * mean_minus
+        _, ratio, _ = bend_law(0.0, law.law)
+        if wp.abs(linear) > _MIN_LINEAR_RAD:
+            bend, _, _ = bend_law(linear, law.law)
+            ratio = bend / linear
+        ctrl[i, 2 * j] = mean_plus * ratio
+        ctrl[i, 2 * j + 1] = mean_minus * ratio
 
-    KeptEach, kept_of, LOADED = records["kept"].each, records["kept"].world, "work" in records
-    ColumnsOne = records["columns"].one
-    BodiesEach, bodies_of = records["bodies"].each, records["bodies"].world
+    AllAccumulators, accumulators_of = structs["accumulators"].batched, structs["accumulators"].select
+    LOADED = "work" in structs
+    Addresses = structs["addresses"].single
+    AllBodies, bodies_of = structs["bodies"].batched, structs["bodies"].select
 
     @wp.kernel(**options)
-    def tally(
-        count: wp.array(dtype=int), sensed: wp.array2d(dtype=float), at: ColumnsOne, kept: KeptEach,
-        speeds: wp.array2d(dtype=float), dampers: wp.array2d(dtype=float),
-        spent: wp.array(dtype=wp.float64), internal: wp.array(dtype=wp.float64),
+    def accumulate(
+        count: wp.array(dtype=int), sensors: wp.array2d(dtype=float), at: Addresses,
+        all_accumulators: AllAccumulators, qvel: wp.array2d(dtype=float), damping: wp.array2d(dtype=float),
+        energy_loss: wp.array(dtype=wp.float64), internal_loss: wp.array(dtype=wp.float64),
     ):  # fmt: skip
-        """Sum forces and what is spent; where friction is the engine's, from its sensors."""
+        """Add the forces and energy losses of a step; under a preloaded contact from the engine's sensors."""
         i = wp.tid()
-        lost = float(0.0)  # see `internal_joints`
+        internal_power = float(0.0)  # see `internal_joints`
         for j in range(at.hinges.shape[0]):
             mean = float(0.0)
             for n in range(at.hinges.shape[1]):
-                mean += speeds[i, at.hinges[j, n]] / float(at.hinges.shape[1])
+                mean += qvel[i, at.hinges[j, n]] / float(at.hinges.shape[1])
             for n in range(at.hinges.shape[1]):
-                apart = speeds[i, at.hinges[j, n]] - mean
-                lost += dampers[i, at.hinges[j, n]] * apart * apart
-        for n in range(at.others.shape[0]):
-            speed = speeds[i, at.others[n]]
-            lost += dampers[i, at.others[n]] * speed * speed
-        internal[i] = internal[i] + wp.float64(H * lost)
-        own, power = kept_of(kept, i), float(0.0)
-        for w in range(at.load.shape[0]):
+                deviation = qvel[i, at.hinges[j, n]] - mean
+                internal_power += damping[i, at.hinges[j, n]] * deviation * deviation
+        for n in range(at.out_of_plane.shape[0]):
+            speed = qvel[i, at.out_of_plane[n]]
+            internal_power += damping[i, at.out_of_plane[n]] * speed * speed
+        internal_loss[i] = internal_loss[i] + wp.float64(H * internal_power)
+        sums, power = accumulators_of(all_accumulators, i), float(0.0)
+        for w in range(at.floor_force.shape[0]):
             if not LOADED:
+                # The force of the previous step acts with the velocity that the sensors report now.
                 for k in range(2):
-                    power -= own.now[w, k] * sensed[i, at.foot[w] + k]
+                    power -= sums.step_force[w, k] * sensors[i, at.foot_velocity[w] + k]
                 for k in range(3):
-                    own.now[w, k] = sensed[i, at.load[w] + k]
-        for w in range(own.now.shape[0]):
+                    sums.step_force[w, k] = sensors[i, at.floor_force[w] + k]
+        for w in range(sums.step_force.shape[0]):
             for k in range(3):
-                own.force[w, k] = own.force[w, k] + own.now[w, k]
-        for w in range(at.bump.shape[0]):
+                sums.force_sum[w, k] = sums.force_sum[w, k] + sums.step_force[w, k]
+        for w in range(at.obstacle_force.shape[0]):
             for k in range(3):
-                own.bumps[w, k] = own.bumps[w, k] + sensed[i, at.bump[w] + k]
-        for w in range(at.pushed.shape[0]):
-            power -= sensed[i, at.pushed[w]] * sensed[i, at.moving[w]]
-        spent[i] = spent[i] + wp.float64(H * power)
+                sums.obstacle_sum[w, k] = sums.obstacle_sum[w, k] + sensors[i, at.obstacle_force[w] + k]
+        for w in range(at.external_force.shape[0]):
+            power -= sensors[i, at.external_force[w]] * sensors[i, at.external_velocity[w]]
+        energy_loss[i] = energy_loss[i] + wp.float64(H * power)
         if i == 0:
             count[0] = count[0] + 1
 
     @wp.kernel(**options)
-    def look(
-        bodies: BodiesEach, at: ColumnsOne, all_air: AirEach, kept: KeptEach,
-        spent: wp.array(dtype=wp.float64), internal: wp.array(dtype=wp.float64), out: wp.array2d(dtype=float),
+    def observe(
+        bodies: AllBodies, at: Addresses, all_chambers: ChamberStates, all_accumulators: AllAccumulators,
+        energy_loss: wp.array(dtype=wp.float64), internal_loss: wp.array(dtype=wp.float64),
+        out: wp.array2d(dtype=float),
     ):  # fmt: skip
-        """Write what is to be seen of each world into a row, and begin new sums."""
+        """Write the observation of each world into a row of `out`, and reset the accumulators."""
         i = wp.tid()
-        body, air, own, k = bodies_of(bodies, i), air_of(all_air, i), kept_of(kept, i), int(0)
+        body, air = bodies_of(bodies, i), chambers_of(all_chambers, i)
+        sums, k = accumulators_of(all_accumulators, i), int(0)
         for n in range(body.qpos.shape[0]):
             out[i, k] = body.qpos[n]
             k += 1
@@ -247,33 +307,39 @@ def kernels(records: dict[str, Ported], spec: SimpleNamespace) -> SimpleNamespac
                 out[i, k + 2 + side] = float(air.valves[j, side])
             out[i, k + 4] = air.drawn[j]
             k += 5
-        for w in range(own.force.shape[0]):
+        for w in range(sums.force_sum.shape[0]):
             for n in range(3):
-                out[i, k + n] = own.force[w, n]
-                own.force[w, n] = 0.0
+                out[i, k + n] = sums.force_sum[w, n]
+                sums.force_sum[w, n] = 0.0
             k += 3
-        for w in range(own.bumps.shape[0]):
+        for w in range(sums.obstacle_sum.shape[0]):
             for n in range(3):
-                out[i, k + n] = own.bumps[w, n]
-                own.bumps[w, n] = 0.0
+                out[i, k + n] = sums.obstacle_sum[w, n]
+                sums.obstacle_sum[w, n] = 0.0
             k += 3
-        out[i, k] = float(spent[i])
-        out[i, k + 1] = body.sensordata[at.energy]
-        out[i, k + 2] = float(internal[i])
+        out[i, k] = float(energy_loss[i])
+        out[i, k + 1] = body.sensordata[at.kinetic_energy]
+        out[i, k + 2] = float(internal_loss[i])
 
-    found = SimpleNamespace(command=command, wave=wave, fill=fill, tally=tally, look=look)
-    return _friction(found, records, laws, H, options) if "work" in records else found
+    kernels = SimpleNamespace(
+        set_commands=set_commands,
+        set_gait=set_gait,
+        advance_chambers=advance_chambers,
+        accumulate=accumulate,
+        observe=observe,
+    )
+    return _add_friction_kernels(kernels, structs, functions, H, options) if "work" in structs else kernels
 
 
 @wp.func
-def advance(qpos: wp.array(dtype=float), qvel: wp.array(dtype=float), h: float):
-    """Move the root, which is first, and the hinges."""
+def integrate_position(qpos: wp.array(dtype=float), qvel: wp.array(dtype=float), h: float):
+    """Advance qpos by qvel over the time h: the free joint, which is first, and the hinges."""
     for k in range(3):
         qpos[k] = qpos[k] + h * qvel[k]
-    turn = wp.vec3(qvel[3], qvel[4], qvel[5])
-    speed = wp.length(turn)
+    rotation = wp.vec3(qvel[3], qvel[4], qvel[5])
+    speed = wp.length(rotation)
     half = 0.5 * h * speed
-    axis = turn / wp.max(speed, 1e-20)
+    axis = rotation / wp.max(speed, 1e-20)
     w, x, y, z = qpos[3], qpos[4], qpos[5], qpos[6]
     c, u = wp.cos(half), wp.sin(half) * axis
     a, b = c * w - x * u[0] - y * u[1] - z * u[2], c * x + w * u[0] + y * u[2] - z * u[1]
@@ -287,59 +353,73 @@ def advance(qpos: wp.array(dtype=float), qvel: wp.array(dtype=float), h: float):
         qpos[i + 1] = qpos[i + 1] + h * qvel[i]
 
 
-def _friction(found: SimpleNamespace, records: dict[str, Ported], laws: Any, H: float, options: Any) -> Any:
-    """Add the kernels of momentary loads, between MuJoCo's half-steps."""
-    approach, expect, settle, note = (laws[name] for name in ("approach", "expect", "settle", "note"))
-    names = "engine", "contacts", "pattern", "feet", "work", "kept"
-    EngineEach, ContactsEach, PatternEach, FeetEach, WorkEach, KeptEach = (records[n].each for n in names)
-    engine_of, contacts_of, pattern_of, feet_of, work_of, kept_of = (records[n].world for n in names)
+def _add_friction_kernels(
+    kernels: SimpleNamespace, structs: dict[str, WarpStruct], functions: Any, H: float, options: Any
+) -> Any:
+    """Add the kernels of loaded contact, which run between the two halves of MuJoCo's step."""
+    apply_stored_friction = functions["apply_stored_friction"]
+    set_mid_velocity = functions["set_mid_velocity"]
+    solve_friction = functions["solve_friction"]
+    store_friction = functions["store_friction"]
+    names = "engine", "contacts", "sparsity", "contact_state", "work", "accumulators"
+    Engines, AllContacts, Sparsities, ContactStates, Workspaces, AllAccumulators = (
+        structs[name].batched for name in names
+    )
+    engine_of, contacts_of, sparsity_of, state_of, work_of, accumulators_of = (
+        structs[name].select for name in names
+    )
 
     @wp.kernel(**options)
-    def begin(engines: EngineEach, works: WorkEach, kept: KeptEach):
-        """Go to mid-step with v₋."""
+    def begin_step(engines: Engines, works: Workspaces, all_accumulators: AllAccumulators):
+        """Store v₋ and move to mid-step."""
         i = wp.tid()
         engine, work = engine_of(engines, i), work_of(works, i)
         for k in range(engine.qvel.shape[0]):
-            work.before[k] = engine.qvel[k]
-        advance(engine.qpos, engine.qvel, 0.5 * H)
+            work.v_start[k] = engine.qvel[k]
+        integrate_position(engine.qpos, engine.qvel, 0.5 * H)
         for k in range(engine.qpos.shape[0]):
-            kept.place[i, k] = engine.qpos[k]
+            all_accumulators.mid_qpos[i, k] = engine.qpos[k]
 
     @wp.kernel(**options)
-    def push(
-        engines: EngineEach, contacts: ContactsEach, patterns: PatternEach, feet: FeetEach, works: WorkEach
-    ):
+    def apply_friction(
+        engines: Engines, contacts: AllContacts, sparsities: Sparsities, states: ContactStates,
+        works: Workspaces,
+    ):  # fmt: skip
+        """Apply the friction of the previous step."""
         i = wp.tid()
-        approach(
-            engine_of(engines, i), contacts_of(contacts, i), pattern_of(patterns, i), feet_of(feet, i),
+        apply_stored_friction(
+            engine_of(engines, i), contacts_of(contacts, i), sparsity_of(sparsities, i), state_of(states, i),
             work_of(works, i),
         )  # fmt: skip
 
     @wp.kernel(**options)
-    def middle(engines: EngineEach, works: WorkEach, kept: KeptEach, bias: wp.array2d(dtype=float)):
-        """Take v̂ from the engine's step, and go back to where it was made."""
+    def return_to_middle(
+        engines: Engines, works: Workspaces, all_accumulators: AllAccumulators, bias: wp.array2d(dtype=float)
+    ):
+        """Take v̂ from the engine's step and restore the positions at mid-step."""
         i = wp.tid()
         engine, work = engine_of(engines, i), work_of(works, i)
         for k in range(engine.qvel.shape[0]):
-            work.predicted[k] = engine.qvel[k]
+            work.v_predicted[k] = engine.qvel[k]
             engine.qfrc_bias[k] = bias[i, k]
         for k in range(engine.qpos.shape[0]):
-            engine.qpos[k] = kept.place[i, k]
-        expect(engine, work)
+            engine.qpos[k] = all_accumulators.mid_qpos[i, k]
+        set_mid_velocity(engine, work)
 
     @wp.kernel(**options)
-    def finish(
-        engines: EngineEach, contacts: ContactsEach, patterns: PatternEach, feet: FeetEach, works: WorkEach,
-        all_kept: KeptEach, spent: wp.array(dtype=wp.float64),
+    def finish_step(
+        engines: Engines, contacts: AllContacts, sparsities: Sparsities, states: ContactStates,
+        works: Workspaces, all_accumulators: AllAccumulators, energy_loss: wp.array(dtype=wp.float64),
     ):  # fmt: skip
-        """Find friction, go to the step's end, keep what there was."""
+        """Solve for friction, move to the end of the step, and record the friction."""
         i = wp.tid()
-        engine, contact, own = engine_of(engines, i), contacts_of(contacts, i), feet_of(feet, i)
-        work, kept = work_of(works, i), kept_of(all_kept, i)
-        settle(engine, contact, pattern_of(patterns, i), own, work, H)
-        power = note(contact, own, work, kept.now)
-        spent[i] = spent[i] + wp.float64(H * power)
-        advance(engine.qpos, engine.qvel, 0.5 * H)
+        engine, contact, state = engine_of(engines, i), contacts_of(contacts, i), state_of(states, i)
+        work, sums = work_of(works, i), accumulators_of(all_accumulators, i)
+        solve_friction(engine, contact, sparsity_of(sparsities, i), state, work, H)
+        power = store_friction(contact, state, work, sums.step_force)
+        energy_loss[i] = energy_loss[i] + wp.float64(H * power)
+        integrate_position(engine.qpos, engine.qvel, 0.5 * H)
 
-    found.begin, found.push, found.middle, found.finish = begin, push, middle, finish
-    return found
+    kernels.begin_step, kernels.apply_friction = begin_step, apply_friction
+    kernels.return_to_middle, kernels.finish_step = return_to_middle, finish_step
+    return kernels

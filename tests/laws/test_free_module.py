@@ -18,7 +18,7 @@ VENT = np.array([[-1, -1]], dtype=np.int8)
 
 
 def step_response(time: np.ndarray) -> np.ndarray:
-    """Return gen 4's bend after a step to 8 psi with the printed coefficients (Eq. 15, E1, E2), rad."""
+    """Return the bend of gen 4 after a step to 8 psi from the printed coefficients (Eq. 15, E1, E2), rad."""
     return 0.8366 - 0.8531 * np.exp(-time / 0.1107) + 0.0165 * np.exp(-time / 0.00214)
 
 
@@ -41,7 +41,7 @@ def test_chambers_give_the_identified_step_response():
 
 
 def test_step_response_solves_the_identified_equation():
-    """Eq. 14 in the printed numbers: q̈ + 476.49 q̇ + 4221.8 (q − C₀) = 0, by differences."""
+    """Check Eq. 14 with the printed numbers by differences: q̈ + 476.49 q̇ + 4221.8 (q − C₀) = 0."""
     pneumatics = LagPneumatics(module("gen4", 1.0), supply_pa=SUPPLY)
     step = 1e-5
     time = np.arange(2, 30_000) * step
@@ -69,14 +69,14 @@ def test_bend_of_a_stiff_module_in_mujoco_follows_the_identified_step_response(t
 
 
 def test_stiff_module_in_mujoco_follows_the_chambers_through_valve_events():
-    """Valves at random every 5 ms, against the same chambers without a body: first order in the step."""
+    """Random valve events every 5 ms: the deviation from the chambers is of first order in the step."""
     coarse, fine = _distance_from_free_bend(0.001), _distance_from_free_bend(0.00025)
     assert coarse < 0.02
     assert fine < 0.5 * coarse
 
 
 def _distance_from_free_bend(timestep: float) -> float:
-    """Return the RMS distance of the twin's bend from the free one, as a share of its deviation."""
+    """Return the RMS distance of the twin's bend from the free bend, relative to its deviation."""
     spec = module("gen2", 20.0)
     plant = TwinSnake(spec, timestep=timestep)
     free = LagPneumatics(spec, supply_pa=spec.supply.nominal)
@@ -89,7 +89,7 @@ def _distance_from_free_bend(timestep: float) -> float:
     return float(np.sqrt(np.mean(np.subtract(twin, chambers) ** 2)) / np.std(chambers))
 
 
-def test_soft_module_lags_and_overshoots_what_a_stiff_one_follows():
+def test_soft_module_lags_and_overshoots():
     errors = []
     for stiffness in (0.05, 20.0):
         plant = TwinSnake(module("gen4", stiffness), supply_pa=SUPPLY)

@@ -1,4 +1,4 @@
-"""A snake that only bends gains neither momentum nor moment of momentum from a floor without friction."""
+"""Without friction, a bending snake conserves momentum and moment of momentum."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def valves(plant: Plant) -> np.ndarray:
 
 @ALL
 @pytest.mark.parametrize("law", ["axis", "wheel", "ellipse", "viscous"])
-def test_analytical_snake_that_bends_keeps_its_momenta_to_rounding(options, law):
+def test_bending_analytical_snake_conserves_momentum(options, law):
     plant = AnalyticalSnake(UNEVEN, friction=law, **options)
     gait = Gait(2.0, 0.2)
     throw(plant, (0.3, -0.2), spin=2.0, heading=0.4)
@@ -44,8 +44,8 @@ def test_analytical_snake_that_bends_keeps_its_momenta_to_rounding(options, law)
 
 
 @pytest.mark.parametrize("name", ["complete", "simplified", "compliant"])
-def test_moment_of_momentum_of_the_recorded_places_stays(name):
-    """Σ m ρ × ρ̇ from differences of places, which know nothing of the kernels' state."""
+def test_moment_of_momentum_of_recorded_positions_is_conserved(name):
+    """Σ m ρ × ρ̇ from differences of recorded positions, independent of the kernels' state."""
     step = 2e-4
     plant = AnalyticalSnake(
         UNEVEN, timestep=step, pneumatics=Wave(UNEVEN, bias=0.2), **{**MODELS[name], "inertia": "point"}
@@ -65,8 +65,8 @@ def test_moment_of_momentum_of_the_recorded_places_stays(name):
 
 @pytest.mark.parametrize("spec", [EVEN, UNEVEN], ids=["even", "uneven"])
 @pytest.mark.parametrize("smooth", [False, True], ids=["gait", "smooth"])
-def test_twins_momenta_drift_to_first_order_in_the_step(spec, smooth):
-    """Half the step, half the drift: generalised coordinates take the inertia of a step's beginning."""
+def test_twin_momentum_drift_is_of_first_order(spec, smooth):
+    """Half the step has half the drift: the integrator uses the inertia at the beginning of a step."""
     drifts = np.array([drift(spec, timestep, smooth) for timestep in (0.001, 0.0005, 0.00025)])
     order = np.log2(drifts[:-1] / drifts[1:])
     assert order == pytest.approx(np.ones_like(order), abs=0.15)
@@ -78,7 +78,8 @@ def test_twins_momenta_drift_to_first_order_in_the_step(spec, smooth):
 def drift(spec: RobotSpec, timestep: float, smooth: bool) -> tuple[float, float]:
     """Return the largest speed of the centre of mass (m/s) and moment of momentum (kg·m²/s) of a twin.
 
-    Without preload: MuJoCo's contacts have no friction below 1e-5, which a preload multiplies.
+    The contact has no preload: the smallest friction coefficient of MuJoCo is 1e-5, which a preload would
+    amplify.
     """
     chambers = {"pneumatics": Wave(spec, bias=0.2)} if smooth else {}
     plant = TwinSnake(spec, timestep=timestep, contact=PreloadedContact(preload=0.0), **chambers)

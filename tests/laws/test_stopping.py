@@ -1,4 +1,4 @@
-"""A straight snake thrown across the floor stops where Coulomb's law says, on both plants."""
+"""A coasting straight snake stops where Coulomb's law predicts, on both plants."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from srs_twin.plants.twin.mjcf.numerics import LAW_OF
 SPEC = robot(stiffness=20.0)
 MU_T, MU_N = SPEC.friction.mu_t, SPEC.friction.mu_n
 MASS = SPEC.mass.total
-# Rolling wheels have to stop spinning as well: Σ I/R² with I = m R²/2, two wheels a connector.
+# Rolling wheels must stop spinning, too: Σ I/R² with I = m R²/2, two wheels per connector.
 SPIN_MASS = 2 * SPEC.geometry.connectors * SPEC.mass.wheel / 2
 
 
@@ -26,7 +26,7 @@ def twin(wheels: str = "rolling", contact: str = "preloaded", slip_speed: float 
 
 
 def stopped(plant: Plant, velocity: tuple[float, float], heading: float = 0.0) -> np.ndarray:
-    """Throw a plant, let it come to rest and return how far its centre of mass went, body frame, m."""
+    """Start a plant with a velocity; return its displacement until it rests, body frame, m."""
     c, s = math.cos(heading), math.sin(heading)
     throw(plant, (c * velocity[0] - s * velocity[1], s * velocity[0] + c * velocity[1]), heading=heading)
     start = plant.physics.center_of_mass()[:2] if isinstance(plant, TwinSnake) else np.zeros(2)
@@ -37,10 +37,10 @@ def stopped(plant: Plant, velocity: tuple[float, float], heading: float = 0.0) -
 
 
 def sliding_wheel(velocity: tuple[float, float], spin_share: float) -> np.ndarray:
-    """Integrate a unit mass on free wheels under sharp Coulomb friction until it rests; return its way, m.
+    """Integrate a unit mass on wheels under sharp friction until it rests; return its displacement, m.
 
-    Floor force along: the axle's drag over what the wheels' inertia adds, or all the cone gives when that
-    is less; across: what the cone has left.
+    The force along is the axle's drag, reduced by the wheels' inertia, or the whole friction cone if that
+    is smaller; the force across is the remainder of the cone.
     """
     step = 2e-4
     v, place = np.array(velocity), np.zeros(2)
@@ -69,18 +69,18 @@ def test_analytical_stops_along_and_across(law, heading):
 @pytest.mark.parametrize("speed", [0.5, 1.0])
 def test_twin_stops_along(speed):
     expected = (MASS + SPIN_MASS) * speed**2 / (2 * MU_T * GRAVITY * MASS)
-    way = stopped(twin(), (speed, 0.0))
-    assert way == pytest.approx([expected, 0], rel=0.01, abs=1e-6)
+    displacement = stopped(twin(), (speed, 0.0))
+    assert displacement == pytest.approx([expected, 0], rel=0.01, abs=1e-6)
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0])
 def test_twin_stops_across(speed):
-    way = stopped(twin(), (0.0, speed))
-    assert way == pytest.approx([0, speed**2 / (2 * MU_N * GRAVITY)], rel=0.03, abs=1e-4)
+    displacement = stopped(twin(), (0.0, speed))
+    assert displacement == pytest.approx([0, speed**2 / (2 * MU_N * GRAVITY)], rel=0.03, abs=1e-4)
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0])
-def test_wheels_on_their_loads_stop_along_and_across(speed):
+def test_loaded_wheels_stop_along_and_across(speed):
     along = stopped(twin(contact="loaded"), (speed, 0.0), 2.0)
     expected = (MASS + SPIN_MASS) * speed**2 / (2 * MU_T * GRAVITY * MASS)
     assert along == pytest.approx([expected, 0], rel=1e-4, abs=1e-9)
@@ -88,10 +88,10 @@ def test_wheels_on_their_loads_stop_along_and_across(speed):
     assert across == pytest.approx([0, -(speed**2) / (2 * MU_N * GRAVITY)], rel=1e-4, abs=1e-7)
 
 
-def test_wheels_that_stop_within_a_step_get_no_kick_sideways():
-    """By symmetry there is none.
+def test_wheels_stopping_within_a_step_get_no_lateral_impulse():
+    """By symmetry, the lateral impulse is 0.
 
-    The friction solve leaves 1e-7 of friction's impulse at most, and its error lies along the wheels.
+    The friction solve has an error of at most 1e-7 of the friction impulse, along the wheels.
     """
     plant = twin(contact="loaded")
     sideways = [stopped(plant, (0.3 + 0.02 * k, 0.0), 0.7 * k)[1] for k in range(20)]
@@ -99,7 +99,7 @@ def test_wheels_that_stop_within_a_step_get_no_kick_sideways():
 
 
 @pytest.mark.parametrize("degrees", [30, 60])
-def test_wheels_on_their_loads_stop_at_an_angle(degrees):
+def test_loaded_wheels_stop_at_an_angle(degrees):
     velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
     expected = sliding_wheel(velocity, SPIN_MASS / MASS)
     assert stopped(twin(contact="loaded"), velocity, 0.3) == pytest.approx(expected, rel=0.01)
@@ -108,20 +108,20 @@ def test_wheels_on_their_loads_stop_at_an_angle(degrees):
 @pytest.mark.parametrize("degrees", [30, 60, 87])
 def test_analytical_stops_at_an_angle_as_a_wheeled_point_does(degrees):
     velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
-    way = stopped(AnalyticalSnake(SPEC, friction="wheel", slip_speed=1e-4), velocity)
-    assert way == pytest.approx(sliding_wheel(velocity, 0.0), rel=0.005, abs=1e-5)
+    displacement = stopped(AnalyticalSnake(SPEC, friction="wheel", slip_speed=1e-4), velocity)
+    assert displacement == pytest.approx(sliding_wheel(velocity, 0.0), rel=0.005, abs=1e-5)
 
 
 @pytest.mark.parametrize("degrees", [30, 60])
 def test_twin_stops_at_an_angle_as_a_wheeled_point_does(degrees):
     velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
-    way, expected = stopped(twin(), velocity), sliding_wheel(velocity, SPIN_MASS / MASS)
-    assert way[0] == pytest.approx(expected[0], rel=0.02)
-    assert way[1] == pytest.approx(expected[1], rel=0.03)
+    displacement, expected = stopped(twin(), velocity), sliding_wheel(velocity, SPIN_MASS / MASS)
+    assert displacement[0] == pytest.approx(expected[0], rel=0.02)
+    assert displacement[1] == pytest.approx(expected[1], rel=0.03)
 
 
 def sliding_skid(velocity: tuple[float, float]) -> np.ndarray:
-    """Integrate a unit mass on skids under sharp friction of maximum dissipation; return its way, m."""
+    """Integrate a unit mass on skids under friction of maximum dissipation; return its displacement, m."""
     step, v, place = 1e-4, np.array(velocity), np.zeros(2)
     mu = np.array([MU_T, MU_N])
     while np.hypot(*v) > 1e-3:
@@ -134,7 +134,7 @@ def sliding_skid(velocity: tuple[float, float]) -> np.ndarray:
 @pytest.mark.parametrize("heading", [0.0, 2.0])
 @pytest.mark.parametrize("speed", [0.5, 1.0])
 def test_skids_stop_along_and_across(speed, heading):
-    """No wheel has to stop spinning: the plain formula."""
+    """Without wheel inertia the stopping distance is v²/(2 μ g)."""
     along = stopped(twin("skid"), (speed, 0.0), heading)
     assert along == pytest.approx([speed**2 / (2 * MU_T * GRAVITY), 0], rel=0.002, abs=1e-5)
     across = stopped(twin("skid"), (0.0, speed), heading)
@@ -151,7 +151,7 @@ def test_both_plants_stop_at_an_angle_as_a_sliding_point_does(degrees):
     assert stopped(twin("skid", "loaded"), velocity, 0.3) == pytest.approx(expected, rel=0.005, abs=1e-5)
 
 
-def test_axis_law_stops_each_direction_by_itself():
-    way = stopped(AnalyticalSnake(SPEC, friction="axis"), (0.6, 0.8))
+def test_axis_law_stops_each_direction_independently():
+    displacement = stopped(AnalyticalSnake(SPEC, friction="axis"), (0.6, 0.8))
     expected = [0.6**2 / (2 * MU_T * GRAVITY), 0.8**2 / (2 * MU_N * GRAVITY)]
-    assert way == pytest.approx(expected, rel=0.01)
+    assert displacement == pytest.approx(expected, rel=0.01)

@@ -1,4 +1,4 @@
-"""The floor has no preferred place, direction or side: turned, shifted and mirrored runs correspond."""
+"""The floor is homogeneous and isotropic: shifted, rotated and mirrored runs correspond."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PLANTS = {
     "loaded ellipse": lambda: TwinSnake(robot(), contact=LoadedContact("ellipse")),
 }
 OFFSET = 0.2
-# What sticks or slides multiplies rounding: by 3e7 in 2 s where friction across is ten times that along.
+# Stick-slip amplifies rounding: by 3e7 in 2 s if friction across is ten times that along.
 ROUNDING = {"loaded ellipse": 1e-8}
 
 
@@ -40,25 +40,25 @@ def plant(name: str) -> Plant:
 
 @cache
 def turning(name: str) -> Trajectory:
-    """A left turn from the origin, 2 s."""
+    """Left turn from the origin, 2 s."""
     return rollout(plant(name), Gait(2.0, OFFSET), 2.0)
 
 
 @pytest.mark.parametrize("pose", [(0.0, 0.0, np.pi / 6), (0.3, -0.2, 0.0), (-1.0, 2.0, np.pi / 6)])
 @pytest.mark.parametrize("name", PLANTS)
-def test_turning_and_shifting_the_start_turns_and_shifts_the_trajectory(name, pose):
+def test_trajectory_transforms_with_the_initial_pose(name, pose):
     x, y, angle = pose
-    here, there = turning(name), rollout(plant(name), Gait(2.0, OFFSET), 2.0, pose=pose)
+    on_cpu, on_device = turning(name), rollout(plant(name), Gait(2.0, OFFSET), 2.0, pose=pose)
     c, s = np.cos(angle), np.sin(angle)
-    turned = here.position @ np.array([[c, s], [-s, c]]) + [x, y]
+    turned = on_cpu.position @ np.array([[c, s], [-s, c]]) + [x, y]
     rounding = ROUNDING.get(name, 1e-9)
-    assert np.abs(there.position - turned).max() < rounding
-    assert np.abs(there["heading"] - here["heading"] - angle).max() < rounding
-    assert np.abs(there.stack("bend") - here.stack("bend")).max() < rounding
+    assert np.abs(on_device.position - turned).max() < rounding
+    assert np.abs(on_device["heading"] - on_cpu["heading"] - angle).max() < rounding
+    assert np.abs(on_device.stack("bend") - on_cpu.stack("bend")).max() < rounding
 
 
 @pytest.mark.parametrize("name", PLANTS)
-def test_opposite_offset_with_half_a_period_gives_the_mirrored_path(name):
+def test_opposite_offset_and_half_period_mirror_the_path(name):
     left, right = turning(name), rollout(plant(name), Gait(2.0, -OFFSET, phase=np.pi), 2.0)
     # The same code runs with left and right exchanged: no more than rounding is allowed to differ.
     assert np.abs(right.position - left.position * [1, -1]).max() < 1e-9

@@ -82,7 +82,7 @@ def test_chambers_that_lag_are_sound():
 def test_a_weak_supply_is_no_leak():
     spec = robot("gen4")
     chambers = chambers_of(spec)
-    _, found = stroked(chambers, spec, after=lambda: chambers.regulate(0.5 * spec.supply.nominal))
+    _, found = stroked(chambers, spec, after=lambda: chambers.set_supply_pressure(0.5 * spec.supply.nominal))
     assert (found.argmax(axis=-1) == WEAK).all()
 
 

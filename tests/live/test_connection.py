@@ -8,13 +8,13 @@ from live_runs import Run, followed_estimate
 
 from srs_twin import load_robot
 from srs_twin.live.connection import LocalConnection
-from srs_twin.plants.analytical.kinematics import Solid
+from srs_twin.plants.analytical.kinematics import BodyParameters
 
 
 def connection(robot="gen4"):
     spec = load_robot(robot)
     g = spec.geometry
-    mass = Solid(spec.mass.array(), spec.yaw_inertia(), g.segment_length, g.rigid_gap, 0.0).mass
+    mass = BodyParameters(spec.mass.array(), spec.yaw_inertia(), g.segment_length, g.rigid_gap, 0.0).mass
     return LocalConnection(spec, mass)
 
 

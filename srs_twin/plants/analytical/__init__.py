@@ -1,15 +1,17 @@
-r"""AnalyticalSnake: the dissertation's planar model, masses on constant-curvature segments.
+r"""AnalyticalSnake: the dissertation's planar model, with connectors on segments of constant curvature.
 
-What moves is a `Body`: bends as given (`GivenBends`), a chain held at its head (`ClampedBends`), or bends
-that yield, as springs with dampers that the chambers pull (`YieldingBends`, model `compliant`).
+The mechanics are those of a `Body`: `PrescribedBends` follow the chambers regardless of load (models
+`complete` and `simplified`), `ClampedBends` are a chain that is held at its head, and `CompliantBends` have
+stiffness and damping (model `compliant`).
 
-The bends of a clamped chain are the free ones of Eq. 14, as on a bench.
-Nothing but the clamp touches it, so that its motion is geometry. What its segments must exert follows from
-the head to the tail and back: accelerations of the connectors outwards,
+The bends of a clamped chain are the free bends of Eq. 14, as on a test bench. Only the clamp touches the
+chain, so that its motion is pure geometry. The moments of its segments follow from the recursive Newton–Euler
+algorithm: accelerations from the head to the tail,
 
 $$ a_{j+1} = a_j - (\ddot L - L\dot\psi^2)\,e(\psi) - (L\ddot\psi + 2\dot L\dot\psi)\,e_\perp(\psi), $$
 
-with ψ the direction of chord j, and moments inwards: T_j is the force conjugate to the bend q_j.
+with the direction ψ and the length L of chord j, and moments from the tail to the head: T_j is the
+generalised force of the bend q_j.
 """
 
 from __future__ import annotations
@@ -28,15 +30,15 @@ from srs_twin.io.saved_state import Remembers, fingerprint, names
 from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
 from srs_twin.plants.analytical.kernels import inverse_dynamics
-from srs_twin.plants.analytical.kinematics import ROWS, Solid, chord_terms, pose_body
+from srs_twin.plants.analytical.kinematics import ROWS, BodyParameters, chord_terms, pose_body
 from srs_twin.plants.analytical.steps import Steps, advance
 from srs_twin.plants.base import (
     BASES,
     PneumaticPlant,
     Pose,
     SnakeState,
-    check_before,
-    check_moment,
+    check_before_step,
+    check_initial_state,
     check_plausible,
 )
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
@@ -48,15 +50,15 @@ from srs_twin.sensing import Sensor
 
 
 class Motion(NamedTuple):
-    """What a body did at some moments.
+    """Motion of a body at several times.
 
     Attributes:
-        states: by the indices in `kernels`, shape (samples, STATES or more).
-        velocities: of the centre of mass in the mean-heading frame (m/s), yaw rate (rad/s) and, where they
-            are not given, bend rates, shape (samples, 3 or more).
+        states: indices as in `kernels`, shape (samples, STATES or more).
+        velocities: velocity of the centre of mass in the mean-heading frame (m/s), yaw rate (rad/s) and, for
+            compliant bends, bend rates (rad/s), shape (samples, 3 or more).
         bend: shape (samples, segments), rad.
-        bend_rate: same shape, rad/s.
-        torque: net moment of each segment, same shape, N·m.
+        bend_rate: shape (samples, segments), rad/s.
+        torque: net moment of each segment, shape (samples, segments), N·m.
     """
 
     states: np.ndarray
@@ -67,13 +69,13 @@ class Motion(NamedTuple):
 
 
 class Body(Remembers, ABC):
-    """The mechanics of an analytical model, driven by what the chambers do.
+    """Abstract mechanics of an analytical model, driven by the chambers.
 
     Attributes:
-        state: pose, velocity, moment of momentum and more by the indices in `kernels`.
-        velocity: what `Motion.velocities` holds, now.
-        solid: for the kernels.
-        floor: for the kernels.
+        state: current state, with the indices of `kernels` and, for compliant bends, more.
+        velocity: current velocities, as in `Motion.velocities`.
+        solid: constants of the body for the kernels.
+        floor: floor for the kernels.
     """
 
     memory = names("state", "velocity")
@@ -81,30 +83,35 @@ class Body(Remembers, ABC):
     state: np.ndarray
     velocity: np.ndarray
 
-    yields = False
-    """Whether the bends are the body's own, not the free ones that the chambers would give."""
+    compliant = False
+    """Whether the bends are degrees of freedom, instead of the free bends of the chambers."""
 
-    def __init__(self, solid: Solid, floor: FloorFriction, own: int = 0) -> None:
-        """Take solid and floor for the kernels, and how many bends of its own the body has."""
+    def __init__(self, solid: BodyParameters, floor: FloorFriction, bends: int = 0) -> None:
+        """Set the constants; `bends` is the number of bends that are degrees of freedom."""
         self.solid, self.floor = solid, floor
-        self._shapes = kernels.STATES + 2 * own, 3 + own
+        self._shapes = kernels.STATES + 2 * bends, 3 + bends
 
     def bends(self) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
-        """Return the bends (rad) and their rates (rad/s) now; None from a body that has none of its own."""
+        """Return the current bends (rad) and bend rates (rad/s) if they are degrees of freedom, else None."""
         return None, None
 
     def reset(self, pose: Pose) -> None:
-        """Lie straight, at rest, with the centre of mass at x, y (m) and that heading (rad)."""
+        """Lay the body straight and at rest.
+
+        Args:
+            pose: centre of mass x, y (m) and mean heading (rad).
+        """
         self.state, self.velocity = map(np.zeros, self._shapes)
         self.state[:3] = pose
 
     def place(self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
-        """Move from where `reset` has laid it.
+        """Set velocities, bends and bend rates after `reset`.
 
         Args:
-            velocity: of the centre of mass, world frame (m/s), and yaw rate (rad/s), shape (3,).
+            velocity: velocity of the centre of mass in the world frame (m/s) and yaw rate (rad/s), shape
+                (3,).
             bend: shape (segments,), rad.
-            rate: same shape, rad/s.
+            rate: bend rates, shape (segments,), rad/s.
         """
         (x, y, yaw), heading = velocity, float(self.state[kernels.HEADING])
         c, s = math.cos(heading), math.sin(heading)
@@ -113,126 +120,146 @@ class Body(Remembers, ABC):
         inertia, moment = pose_body(bend, rate, self.solid, np.empty((ROWS, len(self.solid.mass))))
         self.state[kernels.MOMENT] = inertia * yaw + moment
 
-    def _seen(self, marks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return room for states and velocities at some marks."""
-        states, velocities = (np.zeros((len(marks), count)) for count in self._shapes)
+    def _allocate(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return arrays for states and velocities of samples."""
+        states, velocities = (np.zeros((samples, count)) for count in self._shapes)
         return states, velocities
 
     @abstractmethod
-    def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
-        """Advance by some steps.
+    def move(
+        self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
+    ) -> tuple[int, np.ndarray, np.ndarray]:
+        """Advance by several steps.
 
         Args:
-            steps: step lengths, shape (steps,), s.
-            trace: what the chambers do at the start and at each step's two stages, 1 + 2 · steps rows.
-            marks: numbers of steps after which to look, ascending, shape (samples,).
+            steps: lengths of the steps, shape (steps,), s.
+            trace: of the chambers, at the start and the two stages of each step, 1 + 2 steps rows.
+            sample_steps: number of steps before each sample, ascending, shape (samples,).
 
         Returns:
-            How many steps were made, fewer than asked if one failed; the states and velocities of `Motion`
-            at the marks, filled as far as they were reached.
+            The number of completed steps, smaller than requested after a failure; states and velocities as in
+            `Motion` at the samples, filled as far as they were reached.
         """
 
     @abstractmethod
-    def look(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
-        """Return the motion at moments for which the trace has one row each."""
+    def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
+        """Return the motion at times for which the trace has one row each."""
 
 
-class GivenBends(Body):
-    """`complete` and `simplified`: the bends are the free ones of Eq. 14, whatever the load."""
+class PrescribedBends(Body):
+    """Body of `complete` and `simplified`: the bends are the free bends of Eq. 14, regardless of load."""
 
-    memory = names("_slope")
+    memory = names("_state_rate")
 
-    def __init__(self, solid: Solid, floor: FloorFriction, *, turning: bool, tolerance: float) -> None:
+    def __init__(
+        self, solid: BodyParameters, floor: FloorFriction, *, friction_torque: bool, tolerance: float
+    ) -> None:
         super().__init__(solid, floor)
-        self._model, self._tolerance = (solid, floor, turning), tolerance
+        self._model, self._tolerance = (solid, floor, friction_torque), tolerance
 
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`."""
         super().reset(pose)
-        self._slope = np.zeros(kernels.STATES)
+        self._state_rate = np.zeros(kernels.STATES)
 
-    def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
+    def move(
+        self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
+    ) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
-        now, seen = (self.state, self._slope, self.velocity), self._seen(marks)
-        done, _ = advance(now, steps, trace, marks, self._model, self._tolerance, seen)
-        return done, *seen
+        now = self.state, self._state_rate, self.velocity
+        samples = self._allocate(len(sample_steps))
+        done, _ = advance(now, steps, trace, sample_steps, self._model, self._tolerance, samples)
+        return done, *samples
 
-    def look(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
-        """See `Body.look`."""
+    def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
+        """See `Body.motion`."""
         torque = np.empty_like(trace.bend)
         inverse_dynamics(velocities, trace, self._model, torque)
         return Motion(states, velocities, trace.bend, trace.bend_rate, torque)
 
 
 class ClampedBends(Body):
-    """A chain held at its head (module docstring)."""
+    """Chain that is held at its head in the air (module docstring)."""
 
-    memory = names("_head")
+    memory = names("_head_pose")
 
-    def __init__(self, solid: Solid, floor: FloorFriction) -> None:
-        # In the air: the floor of the others takes no part.
+    def __init__(self, solid: BodyParameters, floor: FloorFriction) -> None:
+        # In the air: no friction.
         super().__init__(solid, floor._replace(mu_t=0.0, mu_n=0.0, drag=0.0))
 
     def reset(self, pose: Pose) -> None:
-        """See `Body.reset`; the head stays where it is then."""
+        """See `Body.reset`; the head stays at its initial pose."""
         super().reset(pose)
         mass = self.solid.mass
         pitch = self.solid.length + self.solid.gap
         ahead = pitch * float(np.arange(len(mass)) @ mass) / float(mass.sum())
         x, y, heading = pose
-        self._head = np.array([x + ahead * math.cos(heading), y + ahead * math.sin(heading), heading])
+        self._head_pose = np.array([x + ahead * math.cos(heading), y + ahead * math.sin(heading), heading])
 
     def place(self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
-        """See `Body.place`: its head is held."""
-        raise InputError("a snake that is held at its head begins at rest only")
+        """See `Body.place`; a clamped chain can only start at rest."""
+        raise InputError("a snake that is clamped at its head can only start at rest")
 
-    def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
-        """See `Body.move`; `look` finds out where the chain is."""
-        return len(steps), *self._seen(marks)
+    def move(
+        self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
+    ) -> tuple[int, np.ndarray, np.ndarray]:
+        """See `Body.move`; `motion` computes the states."""
+        return len(steps), *self._allocate(len(sample_steps))
 
-    def look(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
-        """See `Body.look`; where the chain is follows from its bends alone."""
+    def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
+        """See `Body.motion`; the bends determine the motion."""
         torque = np.empty_like(trace.bend)
-        hang(trace, self.solid, self._head, states, velocities, torque)
+        simulate_clamped(trace, self.solid, self._head_pose, states, velocities, torque)
         return Motion(states, velocities, trace.bend, trace.bend_rate, torque)
 
 
 @allocating
-def hang(trace, solid, head, states, velocities, torque):  # type: ignore[no-untyped-def]
-    """Fill what follows from the bends of a chain that is held at its head.
+def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: ignore[no-untyped-def]
+    """Fill states, velocities and moments of a chain that is held at its head.
 
     Args:
-        trace: of the chambers, whose free bends they are.
+        trace: of the chambers, whose free bends are the bends.
         solid: the chain.
-        head: where it is held: x, y (m), heading (rad).
-        states: out, pose and velocity of the centre of mass by the indices in `kernels`, world frame.
-        velocities: out, the same velocity in the mean-heading frame and the mean spin, shape (samples, 3).
-        torque: out, net moments that the bends need, shape (samples, segments), N·m.
+        head: pose of the head: x, y (m), heading (rad).
+        states: out, pose and velocity of the centre of mass in the world frame, indices as in `kernels`.
+        velocities: out, velocity in the mean-heading frame and mean spin, shape (samples, 3).
+        torque: out, net moments of the segments, shape (samples, segments), N·m.
     """
     n, total = solid.mass.shape[0], solid.mass.sum()
-    place, pull, gain = np.empty((n, 2)), np.empty((n, 2)), np.empty(n)
+    position, acceleration, alpha = np.empty((n, 2)), np.empty((n, 2)), np.empty(n)
     lever = np.empty((n - 1, 2))
     for k in range(trace.bend.shape[0]):
         angle, spin, mean, mean_spin = head[2], 0.0, head[2], 0.0
-        gain[0] = 0.0
-        place[0], pull[0] = 0.0, 0.0
+        alpha[0] = 0.0
+        position[0], acceleration[0] = 0.0, 0.0
         v_x = v_y = com_x = com_y = com_vx = com_vy = 0.0
         for j in range(n - 1):
             q, dq, ddq = trace.bend[k, j], trace.bend_rate[k, j], trace.bend_acceleration[k, j]
-            psi, turn, twist = angle - q / 2, spin - dq / 2, gain[j] - ddq / 2
-            angle, spin, gain[j + 1] = angle - q, spin - dq, gain[j] - ddq
+            psi, chord_spin, chord_alpha = (
+                angle - q / 2,
+                spin - dq / 2,
+                alpha[j] - ddq / 2,
+            )
+            angle, spin, alpha[j + 1] = angle - q, spin - dq, alpha[j] - ddq
             _, _, span, slope, curvature = chord_terms(q, solid)
-            stretch, swell = slope * dq, curvature * dq * dq + slope * ddq
-            inward, aside = swell - span * turn * turn, span * twist + 2 * stretch * turn
+            chord_rate, chord_acceleration = slope * dq, curvature * dq * dq + slope * ddq
+            inward, aside = (
+                chord_acceleration - span * chord_spin * chord_spin,
+                span * chord_alpha + 2 * chord_rate * chord_spin,
+            )
             c, s = math.cos(psi), math.sin(psi)
-            place[j + 1, 0], place[j + 1, 1] = place[j, 0] - span * c, place[j, 1] - span * s
-            v_x, v_y = v_x - stretch * c + span * turn * s, v_y - stretch * s - span * turn * c
-            pull[j + 1, 0] = pull[j, 0] - inward * c + aside * s
-            pull[j + 1, 1] = pull[j, 1] - inward * s - aside * c
-            # The bend's lever on what is behind: the chord shortens, and turns by half of the bend.
+            position[j + 1, 0], position[j + 1, 1] = position[j, 0] - span * c, position[j, 1] - span * s
+            v_x, v_y = (
+                v_x - chord_rate * c + span * chord_spin * s,
+                v_y - chord_rate * s - span * chord_spin * c,
+            )
+            acceleration[j + 1, 0] = acceleration[j, 0] - inward * c + aside * s
+            acceleration[j + 1, 1] = acceleration[j, 1] - inward * s - aside * c
+            # Velocity of everything behind per bend rate: the chord shortens, and rotates by half of the
+            # bend.
             lever[j, 0], lever[j, 1] = -slope * c - span / 2 * s, -slope * s + span / 2 * c
             share = solid.mass[j + 1] / total
-            com_x, com_y = com_x + share * place[j + 1, 0], com_y + share * place[j + 1, 1]
+            com_x, com_y = com_x + share * position[j + 1, 0], com_y + share * position[j + 1, 1]
             com_vx, com_vy = com_vx + share * v_x, com_vy + share * v_y
             mean, mean_spin = mean + (angle - head[2]) / n, mean_spin + spin / n
         states[k, kernels.STATE_X], states[k, kernels.STATE_Y] = head[0] + com_x, head[1] + com_y
@@ -241,29 +268,32 @@ def hang(trace, solid, head, states, velocities, torque):  # type: ignore[no-unt
         c, s = math.cos(mean), math.sin(mean)
         velocities[k, 0], velocities[k, 1] = com_vx * c + com_vy * s, com_vy * c - com_vx * s
         velocities[k, 2] = mean_spin
-        push_x = push_y = moment = 0.0
+        force_x = force_y = moment = 0.0
         for j in range(n - 2, -1, -1):
-            # Of all behind segment j: net force, and its moment about the connector at its rear end.
+            # Net force on everything behind segment j, and its moment about the connector at its rear end.
             if j < n - 2:
-                arm_x, arm_y = place[j + 2, 0] - place[j + 1, 0], place[j + 2, 1] - place[j + 1, 1]
-                moment += arm_x * push_y - arm_y * push_x
-            push_x += solid.mass[j + 1] * pull[j + 1, 0]
-            push_y += solid.mass[j + 1] * pull[j + 1, 1]
-            moment += solid.inertia[j + 1] * gain[j + 1]
-            torque[k, j] = lever[j, 0] * push_x + lever[j, 1] * push_y - moment
+                arm_x, arm_y = (
+                    position[j + 2, 0] - position[j + 1, 0],
+                    position[j + 2, 1] - position[j + 1, 1],
+                )
+                moment += arm_x * force_y - arm_y * force_x
+            force_x += solid.mass[j + 1] * acceleration[j + 1, 0]
+            force_y += solid.mass[j + 1] * acceleration[j + 1, 1]
+            moment += solid.inertia[j + 1] * alpha[j + 1]
+            torque[k, j] = lever[j, 0] * force_x + lever[j, 1] * force_y - moment
 
 
-class YieldingBends(Body):
-    """Point masses on springs with dampers.
+class CompliantBends(Body):
+    """Body of `compliant`: masses on springs with dampers.
 
-    A segment feels the moment that `bending` tells, k G (p⁺ − p⁻) where all is nominal and linear, against
-    its stiffness k and damping c = k · damping_time, so that a massless free one obeys Eq. 14; masses and
-    floor bend it further.
+    The air exerts the moment k φ(x) + k b on a segment (`pneumatics.chambers`), k G (p⁺ − p⁻) for a nominal
+    linear one, against its stiffness k and damping c = k · damping_time. A massless segment without load
+    obeys Eq. 14; masses and floor deflect it.
     """
 
-    yields = True
+    compliant = True
 
-    def __init__(self, spec: RobotSpec, solid: Solid, floor: FloorFriction) -> None:
+    def __init__(self, spec: RobotSpec, solid: BodyParameters, floor: FloorFriction) -> None:
         super().__init__(solid, floor, spec.segments)
         bending = spec.bending
         self._spring = bending.stiffness, bending.damping
@@ -280,33 +310,38 @@ class YieldingBends(Body):
         super().place(velocity, bend, rate)
         self.bends()[0][:], self.velocity[3:] = bend, rate
         momentum, force = np.empty((2, len(self.velocity)))
-        model, work = (self.solid, self._spring, self.floor), compliant_kernels.room(len(self.solid.mass))
+        model, work = (
+            (self.solid, self._spring, self.floor),
+            compliant_kernels.work_arrays(len(self.solid.mass)),
+        )
         compliant_kernels.balance(
             bend, self.velocity, np.zeros(self._segments), 0.0, model, momentum, force, work
         )
         self.state[compliant_kernels.BENDS + self._segments :] = momentum[3:]
 
-    def move(self, steps: np.ndarray, trace: Trace, marks: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
+    def move(
+        self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
+    ) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
         now, model = (self.state, self.velocity), (self.solid, self._spring, self.floor)
-        seen = self._seen(marks)
-        moments = self._moments(trace)[1:].reshape(len(steps), 2, -1)
-        done: int = compliant_kernels.advance(now, steps, moments, marks, model, seen)
-        return done, *seen
+        samples = self._allocate(len(sample_steps))
+        moments = self._air_moments(trace)[1:].reshape(len(steps), 2, -1)
+        done: int = compliant_kernels.advance(now, steps, moments, sample_steps, model, samples)
+        return done, *samples
 
     def bends(self) -> tuple[np.ndarray, np.ndarray]:
         """See `Body.bends`."""
         return self.state[compliant_kernels.BENDS :][: self._segments], self.velocity[3:]
 
-    def look(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
-        """See `Body.look`."""
+    def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
+        """See `Body.motion`."""
         bend, rate = states[:, compliant_kernels.BENDS :][:, : self._segments], velocities[:, 3:]
         stiffness, damping = self._spring
-        torque = self._moments(trace) - stiffness * bend - damping * rate
+        torque = self._air_moments(trace) - stiffness * bend - damping * rate
         return Motion(states[:, : kernels.STATES], velocities, bend, rate, torque)
 
-    def _moments(self, trace: Trace) -> np.ndarray:
-        """Return what chambers and bias exert on each segment, N·m."""
+    def _air_moments(self, trace: Trace) -> np.ndarray:
+        """Return the moments of air and rest bend on each segment, N·m."""
         moments: np.ndarray = self._spring[0] * (self._bias + air_bend(self._spec, trace.pressure))
         return moments
 
@@ -314,24 +349,60 @@ class YieldingBends(Body):
 MODELS = ("complete", "simplified", "compliant")
 LOADS = ("static", "momentary")
 INERTIAS = ("point", "connector", "lumped")
-_MASSLESS_S = 0.0001  # at 0.25 ms pressures of point masses swing below ambient; half of this changes nothing
+
+# Largest interval between exchanges of bends and pressures for point masses, s. With 0.25 ms their pressures
+# oscillate below ambient; half of this interval does not change the results.
+_POINT_MASS_COUPLING_STEP = 0.0001
+
+
+def _check_options(
+    spec: RobotSpec,
+    world: World,
+    model: str,
+    friction: str,
+    load: str,
+    friction_torque: bool,
+    inertia: str,
+    base: str,
+) -> None:
+    """Check names and combinations of the options of `AnalyticalSnake`."""
+    one_of("model", model, MODELS)
+    one_of("friction law", friction, LAWS)
+    one_of("load", load, LOADS)
+    one_of("inertia", inertia, INERTIAS)
+    if load == "momentary" and friction not in AT_TRACK:
+        raise InputError(
+            f"friction '{friction}' has one contact per connector; momentary loads need two: use 'wheel' "
+            "or 'ellipse'"
+        )
+    if world.steps:
+        raise InputError("the floor of the analytical model is a plane; use the twin for steps")
+    if spec.tail is not None:
+        raise InputError(
+            "the analytical model has one axle per connector; use the twin for a tail on two axles"
+        )
+    one_of("base", base, BASES)
+    if not friction_torque and model != "simplified":
+        raise InputError(f"model '{model}' has a friction torque; use 'simplified' to leave it out")
+    if base == "clamped" and model == "compliant":
+        raise InputError("model 'compliant' needs base 'free'; use 'complete' or the twin when clamped")
 
 
 class AnalyticalSnake(PneumaticPlant):
-    """The planar model (Section 3.1): `complete`, whose bends follow Eq. 14, or one of its neighbours.
+    """Planar model of the dissertation (Section 3.1), whose bends follow Eq. 14, and its variants.
 
-    Point masses on arcs of constant curvature under the floor's friction; Eq. 11 summed over the body (E22).
-    `simplified` freezes every chord at its straight length; `compliant` lets the bends yield to load and
-    inertia.
+    Masses on arcs of constant curvature move under the friction of the floor, by Eq. 11 summed over the body
+    (E22). `simplified` keeps the chords at their straight length; in `compliant`, load and inertia deflect
+    the bends.
 
     Attributes:
         timestep: longest step of the integrator, s; steps also end on valve events.
-        friction: law of the floor, one of `friction.LAWS`.
+        friction: friction law of the floor, one of `robot.friction.LAWS`.
     """
 
     name = "analytical"
     memory = names("_body")
-    stretch = 10.0
+    max_chunk_s = 10.0
 
     def __init__(
         self,
@@ -358,145 +429,140 @@ class AnalyticalSnake(PneumaticPlant):
 
         Args:
             spec: the robot.
-            model: "complete" (bends as given), "simplified" (chords frozen at l + L_o besides) or
-                "compliant" (bends that load and inertia deflect).
-            friction: "axis" (one point a connector, the text's law), "wheel" (two wheels at the track),
-                "ellipse" (two skids there) or "viscous" (a law to test with).
-            load: of a wheel or skid, "static" (half its connector's weight) or "momentary" (what the force
-                across shifts between the two, `floor`).
-            friction_torque: whether friction's moment about the centre of mass acts; False is the text's
-                first model, `simplified` only.
-            inertia: of each connector about itself: "point" none, "connector" that of a compact body with
-                two wheels, as the twin has it, "lumped" the text's j(i) = Σ m L²/3, which counts the
-                segments' masses twice (E19).
-            supply_pa: supply pressure, Pa; default the robot's nominal one.
+            model: "complete" (prescribed bends), "simplified" (prescribed bends, chords frozen at l + L_o) or
+                "compliant" (bends deflected by load and inertia).
+            friction: "axis" (one contact per connector, the law of the dissertation), "wheel" (two wheels at
+                the track), "ellipse" (two skids at the track) or "viscous" (for tests).
+            load: load of a wheel or skid, "static" (half of its connector's weight) or "momentary" (with the
+                load transfer by the lateral force, see `floor`).
+            friction_torque: whether the moment of friction about the centre of mass acts; False gives the
+                first model of the dissertation, with `simplified` only.
+            inertia: moment of inertia of each connector: "point" for none, "connector" for a compact body
+                with two wheels as in the twin, "lumped" for the dissertation's j(i) = Σ m L²/3, which counts
+                the masses of the segments twice (E19).
+            supply_pa: supply pressure, Pa; default the robot's nominal pressure.
             tick: control tick, s.
-            timestep: longest step, s.
-            tolerance: of what a step may misjudge while friction turns, as a velocity, m/s; where bends are
-                given, steps are cut until they keep it, see `steps`.
-            slip_speed: ε of the friction law, m/s.
+            timestep: longest time step, s.
+            tolerance: largest error of a step where friction reverses, as a velocity, m/s; with prescribed
+                bends, steps are divided until they meet it, see `steps`.
+            slip_speed: slip speed ε of the friction law, m/s.
             layout: valve layout, "3/2" or "in_out".
-            pneumatics: "lag", "orifice", or chambers of one's own.
-            track: where the two contacts of a connector stand, m; default the robot's half track for a law
-                that acts at the wheels and 0, one contact, for the others.
+            pneumatics: "lag", "orifice", or a `Pneumatics` object.
+            track: distance of the two contacts of a connector from the centre line, m; default the robot's
+                half track for a law at the wheels, and 0, one contact, for other laws.
             base: "free", or "clamped": held at the head, in the air (not with "compliant").
-            sensor: of the bends, "ideal", "hall" with its defaults, or one of one's own.
-            world: whose floor it lies on; None: a level one. Nothing else of it is felt.
+            sensor: curvature sensor: "ideal", "hall" with its defaults, or a `Sensor` object.
+            world: world whose floor slope is used; None for a level floor. Obstacles have no effect.
 
         Raises:
-            InputError: an unknown model, law, load, inertia or layout, a tick, time step or tolerance that is
-                not above 0, no friction torque with another model, momentary loads of a law that does not act
-                at the wheels, a floor with steps, or a tail on two axles.
+            InputError: unknown model, law, load, inertia or layout; a tick, time step or tolerance that is
+                not positive; no friction torque with another model; momentary loads with a law that does not
+                act at the wheels; a floor with steps; or a tail on two axles.
         """
-        one_of("model", model, MODELS)
-        one_of("friction law", friction, LAWS)
-        one_of("load", load, LOADS)
-        one_of("inertia", inertia, INERTIAS)
-        if load == "momentary" and friction not in AT_TRACK:
-            raise InputError(f"friction '{friction}' acts in one point a connector; momentary loads need two")
         world = world or World()
-        if world.steps:
-            raise InputError("the analytical model's floor is a plane; only the twin climbs steps")
-        if spec.tail is not None:
-            raise InputError("the analytical model has an axle a connector; a tail on two is the twin's")
-        one_of("base", base, BASES)
-        if not friction_torque and model != "simplified":
-            raise InputError(f"model '{model}' has a friction torque; only 'simplified' goes without")
-        if base == "clamped" and model == "compliant":
-            raise InputError("model 'compliant' is for a free snake; on a bench 'complete' and the twin run")
+        _check_options(spec, world, model, friction, load, friction_torque, inertia, base)
         check_positive("tick", tick, "s")
         check_positive("time step", timestep, "s")
         check_positive("tolerance", tolerance, "m/s")
         self.spec, self.tick, self.timestep, self.friction = spec, tick, timestep, friction
-        self._equip(pneumatics, supply_pa, layout, sensor)
-        self._model, self._inertia, self._turning = model, inertia, friction_torque
+        self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
+        self._model, self._inertia, self._friction_torque = model, inertia, friction_torque
         self.base = base
         if track is None:
             track = spec.geometry.half_track if friction in AT_TRACK else 0.0
         mu = spec.friction
         self._tolerance = tolerance
         self.load = load
-        lean = spec.geometry.com_height / (2 * track) if load == "momentary" else 0.0
+        load_transfer = spec.geometry.com_height / (2 * track) if load == "momentary" else 0.0
         x, y, z = world.floor.down
         gravity = GRAVITY * x, GRAVITY * y, GRAVITY * z
         drag = mu.drag / spec.geometry.connectors
-        self._ground = world.floor
-        self._floor = floor_friction(friction, track, mu.mu_t, mu.mu_n, slip_speed, lean, gravity, drag)
+        self._floor_plane = world.floor
+        self._floor = floor_friction(
+            friction, track, mu.mu_t, mu.mu_n, slip_speed, load_transfer, gravity, drag
+        )
         self._body = self._make_body()
         self.reset()
 
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
-        """Lay the snake straight, at rest, chambers empty. `seed` is the sensors' noise's."""
+        """Lay the snake straight and at rest with empty chambers.
+
+        Args:
+            pose: centre of mass x, y (m) and mean heading (rad).
+            seed: random seed of the sensor noise.
+        """
         self.pneumatics.reset()
         self._ticks, self.seed = 0, seed
         self._body.reset(pose)
-        body, trace = self._body, self.pneumatics.resting()
-        now = body.look(body.state[None].copy(), body.velocity[None].copy(), trace)
+        body, trace = self._body, self.pneumatics.rest_trace()
+        now = body.motion(body.state[None].copy(), body.velocity[None].copy(), trace)
         self.state = self._observe(np.zeros(1), now, trace).at(0)
         return self.state
 
     def place(self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0) -> SnakeState:
         """See `Plant.place`."""
-        check_moment(snake, yaw_rate, self.spec.segments)
+        check_initial_state(snake, yaw_rate, self.spec.segments)
         x, y = map(float, snake.com)
         self.reset(pose=(x, y, float(snake.heading)), seed=seed)
         self.pneumatics.place(snake.pressure, snake.bend)
-        body, trace = self._body, self.pneumatics.now()
-        own = (snake.bend, snake.bend_rate) if body.yields else (trace.bend[0], trace.bend_rate[0])
-        body.place(np.array([*snake.com_velocity, yaw_rate]), *(np.array(each, dtype=float) for each in own))
-        now = body.look(body.state[None].copy(), body.velocity[None].copy(), trace)
+        body, trace = self._body, self.pneumatics.current_trace()
+        bends = (snake.bend, snake.bend_rate) if body.compliant else (trace.bend[0], trace.bend_rate[0])
+        body.place(
+            np.array([*snake.com_velocity, yaw_rate]), *(np.array(values, dtype=float) for values in bends)
+        )
+        now = body.motion(body.state[None].copy(), body.velocity[None].copy(), trace)
         self.state = self._observe(np.zeros(1), now, trace).at(0)
         return self.state
 
-    def _follow(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
-        """Follow a schedule of possible valve states over so many ticks."""
+    def _simulate(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
+        """See `PneumaticPlant._simulate`."""
         begun = self._ticks * self.tick
-        check_before(self.name, begun + self.timestep, self._body.state, self._body.velocity)
-        steps = self._steps(self.pneumatics.effective(schedule), samples)
-        done, motion, trace = self._drive(schedule, steps)
+        check_before_step(self.name, begun + self.timestep, self._body.state, self._body.velocity)
+        steps = self._steps(self.pneumatics.effective_schedule(schedule), samples)
+        done, motion, trace = self._advance(schedule, steps)
         times = begun + schedule.span * np.arange(1, samples + 1) / samples
         history = self._observe(times[: len(motion.states)], motion, trace)
         if done < len(steps.ends):
             state = ", ".join(f"{value:.4g}" for value in self._body.state)
-            text = f"step {done + 1} of {len(steps.ends)} found no plausible solution, state {state}"
+            text = f"step {done + 1} of {len(steps.ends)} has no plausible solution, state {state}"
             raise DivergedError(self.name, begun + steps.ends[done], text, history=history)
         self._ticks += ticks
         return check_plausible(self.name, history)
 
-    def _drive(self, schedule: Schedule, steps: Steps) -> tuple[int, Motion, Trace]:
-        """Advance chambers and body; return the steps made, and what was at the marks that were reached.
+    def _advance(self, schedule: Schedule, steps: Steps) -> tuple[int, Motion, Trace]:
+        """Advance chambers and body; return the number of completed steps and the samples up to there.
 
-        Chambers that feel how a yielding body bends take turns with it, a step or two each.
+        Chambers whose pressures depend on compliant bends alternate with the body, every step or two.
         """
         motions, traces, done = [], [], 0
-        for part, piece in self._turns(schedule, steps):
+        for chunk_schedule, chunk in self._chunks(schedule, steps):
             bend, rate = self._body.bends()
-            trace = self.pneumatics.advance(part, piece.moments, bend=bend, bend_rate=rate)
-            made, states, velocities = self._body.move(piece.lengths, trace, piece.marks)
-            reached = int(np.searchsorted(piece.marks, made, side="right"))
-            traces.append(trace.at(2 * piece.marks[:reached]))
-            motions.append(self._body.look(states[:reached], velocities[:reached], traces[-1]))
-            done += made
-            if made < len(piece.lengths):
+            trace = self.pneumatics.advance(chunk_schedule, chunk.stage_times, bend=bend, bend_rate=rate)
+            completed, states, velocities = self._body.move(chunk.lengths, trace, chunk.sample_steps)
+            reached = int(np.searchsorted(chunk.sample_steps, completed, side="right"))
+            traces.append(trace.at(2 * chunk.sample_steps[:reached]))
+            motions.append(self._body.motion(states[:reached], velocities[:reached], traces[-1]))
+            done += completed
+            if completed < len(chunk.lengths):
                 break
         return done, joined(motions), joined(traces)
 
-    def _turns(self, schedule: Schedule, steps: Steps) -> Iterator[tuple[Schedule, Steps]]:
-        if not self._chambers_feel:
+    def _chunks(self, schedule: Schedule, steps: Steps) -> Iterator[tuple[Schedule, Steps]]:
+        if not self._coupled:
             yield schedule, steps
             return
-        for begin, end, piece in steps.pieces(self._turn):
-            yield schedule.part(begin, end), piece
+        for begin, end, piece in steps.chunks(self._coupling_step):
+            yield schedule.slice(begin, end), piece
 
     def describe(self) -> dict[str, Any]:
-        """Return the settings worth recording."""
+        """Return the settings for the provenance of a run."""
         return (
             super().describe()
             | {
                 "model": self._model,
                 "base": self.base,
                 "friction": self.friction,
-                "friction_torque": self._turning,
+                "friction_torque": self._friction_torque,
                 "inertia": self._inertia,
                 "track_m": self._floor.track,
                 "timestep_s": self.timestep,
@@ -508,31 +574,37 @@ class AnalyticalSnake(PneumaticPlant):
 
     def identity(self) -> dict[str, Any]:
         """See `Plant.identity`."""
-        return super().identity() | {"floor": fingerprint(self._ground)}
+        return super().identity() | {"floor": fingerprint(self._floor_plane)}
 
     def _make_body(self) -> Body:
         g = self.spec.geometry
         frozen = 1.0 if self._model == "simplified" else 0.0
         lengths = g.segment_length, g.rigid_gap
-        solid = Solid(self.spec.mass.array(), self._own_inertia(), *lengths, frozen)
+        solid = BodyParameters(self.spec.mass.array(), self._connector_inertia(), *lengths, frozen)
         if self.base == "clamped":
             return ClampedBends(solid, self._floor)
         if self._model != "compliant":
-            return GivenBends(solid, self._floor, turning=self._turning, tolerance=self._tolerance)
-        return YieldingBends(self.spec, solid, self._floor)
+            return PrescribedBends(
+                solid, self._floor, friction_torque=self._friction_torque, tolerance=self._tolerance
+            )
+        return CompliantBends(self.spec, solid, self._floor)
 
     @property
-    def _chambers_feel(self) -> bool:
-        return self.pneumatics.feels_bend and self._body.yields
+    def _coupled(self) -> bool:
+        return self.pneumatics.depends_on_bend and self._body.compliant
 
     @property
-    def _turn(self) -> float:
-        """How often bodies and chambers take turns at least, s: what has no inertia follows air at once."""
+    def _coupling_step(self) -> float:
+        """Largest interval between exchanges of bends and pressures, s; point masses need a shorter one."""
         massless = not self._body.solid.inertia.all()
-        return min(self.pneumatics.felt_s, _MASSLESS_S) if massless else self.pneumatics.felt_s
+        return (
+            min(self.pneumatics.coupling_step_s, _POINT_MASS_COUPLING_STEP)
+            if massless
+            else self.pneumatics.coupling_step_s
+        )
 
-    def _own_inertia(self) -> np.ndarray:
-        """Return the connectors' moments of inertia about themselves, shape (N,), kg·m²."""
+    def _connector_inertia(self) -> np.ndarray:
+        """Return the moments of inertia of the connectors about their centres, shape (N,), kg·m²."""
         if self._inertia == "connector":
             return self.spec.yaw_inertia()
         mass = self.spec.mass.array()
@@ -544,12 +616,12 @@ class AnalyticalSnake(PneumaticPlant):
         return lumped
 
     def _steps(self, schedule: Schedule, samples: int) -> Steps:
-        """Return the integrator's steps, as fine as the time step asks."""
-        longest = min(self.timestep, self._turn) if self._chambers_feel else self.timestep
+        """Return the integrator's steps for a schedule."""
+        longest = min(self.timestep, self._coupling_step) if self._coupled else self.timestep
         return Steps.between(schedule.span, schedule.events, samples, longest=longest, same=1e-9 * self.tick)
 
     def _observe(self, time: np.ndarray, motion: Motion, trace: Trace) -> SnakeState:
-        """Return the history of these moments."""
+        """Return the history of a motion."""
         count, n = len(time), self.spec.geometry.connectors
         position, theta, force = np.empty((count, n, 2)), np.empty((count, n)), np.empty((count, n, 2))
         energy = np.empty(count)
@@ -570,7 +642,7 @@ class AnalyticalSnake(PneumaticPlant):
             contact_force=force,
             obstacle_force=np.zeros_like(force),
             torque=motion.torque,
-            work=energy + motion.states[:, kernels.SPENT],
+            work=energy + motion.states[:, kernels.ENERGY_LOSS],
             internal_loss=np.zeros(count),
             air=trace.air,
             qpos=np.empty((count, 0)),

@@ -1,48 +1,50 @@
 r"""Compiled kernel of the `compliant` analytical model.
 
-Kinematics and floor are those of `complete` (`kernels`), but the bends q are unknowns. With the velocities
-u = (v_c in the frame of the mean heading, θ̇, q̇), every connector has a velocity along and across its heading
-and a yaw rate that are linear in u: three rows R_i(q). Lagrange's equations in Hamilton's variables are
+**Equations.** Kinematics and floor are those of `complete` (`kernels`), but the bends q are unknown. The
+velocities are u = (v_c in the frame of the mean heading, θ̇, q̇). The velocity along and across and the yaw
+rate of each connector are linear in u, with three rows R_i(q). Lagrange's equations in Hamilton's variables
+are
 
 $$ p = M(q)\,u, \quad M = \sum m_i \bigl(R_{t,i}^T R_{t,i} + R_{n,i}^T R_{n,i}\bigr), \qquad
    \dot p_q = \frac{\partial T}{\partial q} + \tau - k q - c \dot q + \sum R_i^T f_i, $$
 
-with T the kinetic energy, τ = k G (p⁺ − p⁻) the chambers' moment and f_i a connector's friction force and
-moment. The first three momenta are M v_c and L, as in `complete`: the floor alone changes them, so without
-friction the scheme keeps them exactly, and no acceleration appears.
+with the kinetic energy T, the moment of the air τ = k G (p⁺ − p⁻), and the friction force and moment f_i of a
+connector. The first three momenta are M v_c and L, as in `complete`. Only the floor changes them, so that the
+scheme conserves them exactly without friction, and no acceleration appears.
 
-SDIRK2 as in `kernels`; a stage solves for u by Newton's method. Its matrix holds friction, stiffness, damping
-and, as an odd part, the forces that come of turning; what friction and M change with q is left out (of order
-GAMMA² h²). The odd part matters: at the straight shape connectors that turn to and fro move no point mass, so
-M is singular there and only damping holds that motion. Friction has a convex potential; its slope along a
-step tells whether the step was too long.
+**Integration.** SDIRK2 as in `kernels`. A stage is solved for u by Newton's method. Its matrix contains
+friction, stiffness, damping and, as an antisymmetric part, the gyroscopic forces. It neglects the changes of
+friction and M with q, which are of order γ² h². The antisymmetric part is necessary: at the straight shape,
+alternating rotations of connectors move no point mass, so that M is singular and only damping resists that
+motion. Friction has a convex potential, whose slope along a Newton step shows whether the step was too long.
 
-All this is linear in the number of segments. With z a connector's velocity, spin and the rate of its velocity
-while u stays, each relative to those of the frame, a segment hands on
+**Linear cost.** z denotes the velocity of a connector, its spin, and the rate of its velocity at constant u,
+all relative to the mean-heading frame. A segment propagates
 
 $$ z_{j+1} = z_j + \tau_j\,\omega_j + t_j\,\dot q_j, $$
 
-and Newton's matrix is the sum of Zᵀ B Z over the connectors, with B their masses, slopes and, between
-velocities and rates, ± a m. It is solved as an articulated body is: from tail to head each bend is eliminated
-from the matrix of all that is behind it, from head to tail the bends follow. The head's z is then unknown,
-and rates are to be relative to the centre of mass; what keeps them so, Σ m ż = 0, are two multipliers, which
-carried along with z turn out as v_c.
+and Newton's matrix is the sum of Zᵀ B Z over the connectors, where B contains mass, friction slopes and,
+between velocities and rates, ± a m. It is solved like an articulated body: from tail to head each bend is
+eliminated from the matrix of everything behind it, and from head to tail the bends are substituted. The z of
+the head is then unknown. Rates must be relative to the centre of mass, Σ m ż = 0; the two Lagrange
+multipliers of this constraint are propagated with z and turn out to be v_c.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from srs_twin.compute.compiled import allocating, compiled
-from srs_twin.plants.analytical.floor import connector_friction, smoothed
+from srs_twin.plants.analytical.floor import connector_friction, with_reduced_slip_speed
 from srs_twin.plants.analytical.kernels import (
+    ENERGY_LOSS,
     GAMMA,
     HEADING,
     MOMENT,
     SPEED_LIMIT,
-    SPENT,
     STATE_VX,
     STATE_VY,
     STATE_X,
@@ -53,55 +55,55 @@ from srs_twin.plants.analytical.kernels import (
 from srs_twin.plants.analytical.kinematics import COS, ROWS, SIN, SPIN, VX, VY, X, Y, chord_terms, pose_body
 
 BENDS = STATES
-"""Index of the first bend in the state; the first are those of `kernels`, the bends' momenta end it."""
+"""Index of the first bend in the state: those of `kernels`, then the bends, then their momenta."""
 
-_NEWTON_STEPS = 1000  # at rest on a slope the law is a kink
-_NEWTON_TOLERANCE = 1e-9
-_OVERSHOT = 0.1  # rise after a Newton step, over the fall before it, from which it was too long
+_NEWTON_STEPS = 1000  # largest number of iterations; many are needed at rest on a slope, at a kink of the law
+_NEWTON_TOLERANCE = 1e-9  # of the velocities, m/s; a tenth of the rates (rad/s) counts
+_OVERSHOOT = 0.1  # slope after a Newton step over that before it, above which the step was too long, 1
 
 
 @compiled
-def _link(body, q, u, solid, links):  # type: ignore[no-untyped-def]
-    """Fill what carries z from each connector to the next: τ and t.
+def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
+    """Fill the coefficients τ and t that propagate z from each connector to the next.
 
     Args:
-        body: what `pose_body` filled, shape (ROWS, N).
+        body: posed body, shape (ROWS, N).
         q: bends, shape (segments,), rad.
         u: velocities, shape (3 + segments,).
         solid: the body.
-        links: out, by which τ and then t change velocity (2) and its rate (2), shape (segments, 8); the spin
-            is changed by 0 and by −1.
+        links: out, shape (segments, 8): τ for the velocity (2) and its rate (2), then t for both. The spin
+            has the coefficients 0 and −1.
     """
     for j in range(q.shape[0]):
         spin = u[2] + 0.5 * (body[SPIN, j] + body[SPIN, j + 1])
-        # Direction of the chord: half a bend behind the heading of its front end.
+        # The direction of a chord is half a bend behind the heading of its front end.
         half_c, half_s, span, slope, curvature = chord_terms(q[j], solid)
         c = body[COS, j] * half_c + body[SIN, j] * half_s
         s = body[SIN, j] * half_c - body[COS, j] * half_s
-        stretch = slope * u[3 + j]
-        forth, aside = curvature * u[3 + j] + 0.5 * span * spin, slope * spin - 0.5 * stretch
+        chord_rate = slope * u[3 + j]
+        forth, aside = curvature * u[3 + j] + 0.5 * span * spin, slope * spin - 0.5 * chord_rate
         link = links[j]
         link[0], link[1] = span * s, -span * c
-        link[2], link[3] = span * spin * c + stretch * s, span * spin * s - stretch * c
+        link[2], link[3] = span * spin * c + chord_rate * s, span * spin * s - chord_rate * c
         link[4], link[5] = -slope * c - 0.5 * span * s, 0.5 * span * c - slope * s
         link[6], link[7] = aside * s - forth * c, -forth * s - aside * c
 
 
 @compiled
-def _load(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def]
-    """Fill every connector's momentum, its friction and the even part of Newton's matrix.
+def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def]
+    """Fill momentum and friction of each connector, and the symmetric part of Newton's matrix.
 
     Args:
-        body: what `pose_body` filled, shape (ROWS, N).
+        body: posed body, shape (ROWS, N).
         u: velocities, shape (3 + segments,).
-        a: s.
+        a: γ h, s.
         solid: the body.
         floor: the floor.
-        loads: out, shape (N, 12): momentum relative to the centre of mass x, y and of the spin; friction x,
-            y and moment; mass less a times friction's slope: xx, xy, xm, yy, ym, mm.
+        loads: out, shape (N, 12): momentum relative to the centre of mass x, y and of the spin; friction x, y
+            and moment; mass minus a times the slope of friction, xx, xy, xm, yy, ym, mm.
 
     Returns:
-        The floor's force (x, y) and moment about the centre of mass; the power it takes, W.
+        Force of the floor (x, y), its moment about the centre of mass, and the dissipated power, W.
     """
     fx = fy = moment = power = 0.0
     for i in range(solid.mass.shape[0]):
@@ -110,7 +112,7 @@ def _load(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def]
         vx, vy, spin = body[VX, i] - u[2] * y, body[VY, i] + u[2] * x, u[2] + body[SPIN, i]
         load[0], load[1], load[2] = mass * vx, mass * vy, solid.inertia[i] * spin
         along, across = (vx + u[0]) * c + (vy + u[1]) * s, (vy + u[1]) * c - (vx + u[0]) * s
-        t, n, m, tt, tn, tm, nn, nm, mm = connector_friction(along, across, spin, mass * floor.down, floor)
+        t, n, m, tt, tn, tm, nn, nm, mm = connector_friction(along, across, spin, mass * floor.gravity, floor)
         load[3], load[4], load[5] = t * c - n * s, t * s + n * c, m
         power -= t * along + n * across + m * spin
         fx, fy, moment = fx + load[3], fy + load[4], moment + x * load[4] - y * load[3] + m
@@ -123,39 +125,39 @@ def _load(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def]
 
 @compiled
 def balance(q, u, moment, a, model, momentum, force, work):  # type: ignore[no-untyped-def]
-    """Evaluate both sides of Lagrange's equations in the frame of the mean heading.
+    """Evaluate momenta and forces of Lagrange's equations in the frame of the mean heading.
 
     Args:
         q: bends, shape (segments,), rad.
-        u: velocity of the centre of mass in that frame (m/s), yaw rate and bend rates (rad/s),
-            shape (3 + segments,).
-        moment: what the chambers exert on each segment, N·m.
-        a: s, for `solve`.
-        model: solid; stiffness k (N·m/rad) and damping c (N·m·s/rad) of a segment; floor.
+        u: velocity of the centre of mass in that frame (m/s), yaw rate and bend rates (rad/s), shape
+            (3 + segments,).
+        moment: moment of the air on each segment, shape (segments,), N·m.
+        a: γ h for `solve`, s.
+        model: body; stiffness k (N·m/rad) and damping c (N·m·s/rad) of a segment; floor.
         momentum: out, p, shape (3 + segments,).
-        force: out, dp/dt, same shape.
-        work: from `room`; out, what `solve` takes.
+        force: out, dp/dt, shape (3 + segments,).
+        work: from `work_arrays`; on return the input of `solve`.
 
     Returns:
-        The power that friction takes, W.
+        Power that friction dissipates, W.
     """
     solid, (stiffness, damping), floor = model
     body, links, loads, _, _ = work
     n, weight = solid.mass.shape[0], solid.mass.sum()
-    inertia, turning = pose_body(q, u[3:], solid, body)
-    _link(body, q, u, solid, links)
-    fx, fy, turned, power = _load(body, u, a, solid, floor, loads)
-    momentum[0], momentum[1], momentum[2] = weight * u[0], weight * u[1], inertia * u[2] + turning
-    force[0], force[1], force[2] = fx, fy, turned
-    # Of all behind a segment, about the connector at its front end.
+    inertia, h = pose_body(q, u[3:], solid, body)
+    _fill_propagation(body, q, u, solid, links)
+    fx, fy, floor_moment, power = _fill_loads(body, u, a, solid, floor, loads)
+    momentum[0], momentum[1], momentum[2] = weight * u[0], weight * u[1], inertia * u[2] + h
+    force[0], force[1], force[2] = fx, fy, floor_moment
+    # Sums over all connectors behind a segment, about the connector at its front end.
     px = py = pm = x = y = m = 0.0
     for j in range(n - 2, -1, -1):
         load, link, share = loads[j + 1], links[j], (n - 1 - j) / n
-        own = solid.mass[j + 1] / weight
+        mass_share = solid.mass[j + 1] / weight
         px, py, pm = px + load[0], py + load[1], pm + load[2]
-        x, y, m = x + load[3] - own * fx, y + load[4] - own * fy, m + load[5]
+        x, y, m = x + load[3] - mass_share * fx, y + load[4] - mass_share * fy, m + load[5]
         momentum[3 + j] = link[4] * px + link[5] * py - pm + share * momentum[2]
-        force[3 + j] = link[4] * x + link[5] * y - m + link[6] * px + link[7] * py + share * turned
+        force[3 + j] = link[4] * x + link[5] * y - m + link[6] * px + link[7] * py + share * floor_moment
         force[3 + j] += moment[j] - stiffness * q[j] - damping * u[3 + j]
         pm += link[0] * px + link[1] * py
         m += link[0] * x + link[1] * y + link[2] * px + link[3] * py
@@ -163,8 +165,8 @@ def balance(q, u, moment, a, model, momentum, force, work):  # type: ignore[no-u
 
 
 @compiled
-def _add(matrix, load, mass, weight, share, a, pushed):  # type: ignore[no-untyped-def]
-    """Add B of a connector with the multipliers, and the momentum that the whole body lacks at its share."""
+def _add_connector(matrix, load, mass, weight, share, a, residual):  # type: ignore[no-untyped-def]
+    """Add B of a connector, the multipliers, and its share of the residual of the whole body's momentum."""
     matrix[0, 0] += load[6]
     matrix[0, 1] += load[7]
     matrix[1, 0] += load[7]
@@ -174,60 +176,67 @@ def _add(matrix, load, mass, weight, share, a, pushed):  # type: ignore[no-untyp
     matrix[1, 2] += load[10]
     matrix[2, 1] += load[10]
     matrix[2, 2] += load[11]
-    matrix[2, 7] += pushed[2] * share
+    matrix[2, 7] += residual[2] * share
     for i in range(2):
         matrix[i, 3 + i] += a * mass
         matrix[3 + i, i] -= a * mass
         matrix[3 + i, 5 + i] += a * mass
         matrix[5 + i, 3 + i] -= a * mass
-        matrix[i, 7] += mass / weight * pushed[i]
+        matrix[i, 7] += mass / weight * residual[i]
 
 
 @compiled
 def solve(a, model, residual, step, work):  # type: ignore[no-untyped-def]
-    """Fill `step` so that Newton's matrix times it is the residual, at what `balance` was given.
+    """Solve Newton's linear system at the point of the preceding `balance`.
 
     Args:
-        a: s, above 0.
+        a: γ h, positive, s.
         model: as in `balance`.
         residual: shape (3 + segments,).
-        step: out, same shape.
-        work: what `balance` filled.
+        step: out, solution, shape (3 + segments,).
+        work: as filled by `balance`.
     """
     solid, (stiffness, damping), _ = model
-    _, links, loads, gains, matrix = work
-    n, weight, held = solid.mass.shape[0], solid.mass.sum(), a * damping + a * a * stiffness
+    _, links, loads, pivots, matrix = work
+    n, weight, bend_stiffness = solid.mass.shape[0], solid.mass.sum(), a * damping + a * a * stiffness
     for i in range(7):
         for k in range(8):
             matrix[i, k] = 0.0
     for j in range(n - 2, -1, -1):
-        link, gain = links[j], gains[j]
-        _add(matrix, loads[j + 1], solid.mass[j + 1], weight, 1 / n, a, residual)
-        # The bend by all that is behind it, eliminated; then all that is carried to the connector before.
+        link, pivot = links[j], pivots[j]
+        _add_connector(matrix, loads[j + 1], solid.mass[j + 1], weight, 1 / n, a, residual)
+        # Eliminate the bend from everything behind it, then move the matrix to the connector in front.
         for k in range(8):
-            gain[k] = link[4] * matrix[0, k] + link[5] * matrix[1, k] - matrix[2, k]
-            gain[k] += link[6] * matrix[3, k] + link[7] * matrix[4, k]
-        gain[7] += residual[3 + j]
-        stiff = held + link[4] * gain[0] + link[5] * gain[1] - gain[2] + link[6] * gain[3] + link[7] * gain[4]
+            pivot[k] = link[4] * matrix[0, k] + link[5] * matrix[1, k] - matrix[2, k]
+            pivot[k] += link[6] * matrix[3, k] + link[7] * matrix[4, k]
+        pivot[7] += residual[3 + j]
+        stiff = (
+            bend_stiffness
+            + link[4] * pivot[0]
+            + link[5] * pivot[1]
+            - pivot[2]
+            + link[6] * pivot[3]
+            + link[7] * pivot[4]
+        )
         for k in range(8):
-            gain[k] /= stiff
+            pivot[k] /= stiff
         for i in range(7):
             row = matrix[i]
-            by = link[4] * row[0] + link[5] * row[1] - row[2] + link[6] * row[3] + link[7] * row[4]
+            factor = link[4] * row[0] + link[5] * row[1] - row[2] + link[6] * row[3] + link[7] * row[4]
             for k in range(8):
-                row[k] -= by * gain[k]
+                row[k] -= factor * pivot[k]
             row[2] += link[0] * row[0] + link[1] * row[1] + link[2] * row[3] + link[3] * row[4]
         for k in range(8):
             matrix[2, k] += link[0] * matrix[0, k] + link[1] * matrix[1, k]
             matrix[2, k] += link[2] * matrix[3, k] + link[3] * matrix[4, k]
-        gain[2] += link[0] * gain[0] + link[1] * gain[1] + link[2] * gain[3] + link[3] * gain[4]
-    _add(matrix, loads[0], solid.mass[0], weight, 1 / n, a, residual)
+        pivot[2] += link[0] * pivot[0] + link[1] * pivot[1] + link[2] * pivot[3] + link[3] * pivot[4]
+    _add_connector(matrix, loads[0], solid.mass[0], weight, 1 / n, a, residual)
     x, y, m, ax, ay, vx, vy = _eliminate(matrix)
     step[0], step[1], step[2] = vx, vy, m
     for j in range(n - 1):
-        link, gain = links[j], gains[j]
-        bend = gain[7] - gain[0] * x - gain[1] * y - gain[2] * m - gain[3] * ax - gain[4] * ay
-        bend -= gain[5] * vx + gain[6] * vy
+        link, pivot = links[j], pivots[j]
+        bend = pivot[7] - pivot[0] * x - pivot[1] * y - pivot[2] * m - pivot[3] * ax - pivot[4] * ay
+        bend -= pivot[5] * vx + pivot[6] * vy
         step[3 + j] = bend
         step[2] -= (n - 1 - j) / n * bend
         x, y = x + link[0] * m + link[4] * bend, y + link[1] * m + link[5] * bend
@@ -236,7 +245,7 @@ def solve(a, model, residual, step, work):  # type: ignore[no-untyped-def]
 
 @compiled
 def _eliminate(matrix):  # type: ignore[no-untyped-def]
-    """Solve for the last column in place; without pivots, for the even part is not negative."""
+    """Solve for the last column in place; no pivoting: the symmetric part is positive semidefinite."""
     for j in range(7):
         for i in range(j + 1, 7):
             factor = matrix[i, j] / matrix[j, j]
@@ -249,10 +258,29 @@ def _eliminate(matrix):  # type: ignore[no-untyped-def]
     return matrix[0, 7], matrix[1, 7], matrix[2, 7], matrix[3, 7], matrix[4, 7], matrix[5, 7], matrix[6, 7]
 
 
+class WorkArrays(NamedTuple):
+    """Work arrays of `balance` and `solve`.
+
+    Attributes:
+        body: posed body, shape (ROWS, N).
+        links: coefficients of the propagation (`_fill_propagation`), shape (segments, 8).
+        loads: momenta, friction and mass matrices of the connectors (`_fill_loads`), shape (N, 12).
+        pivots: eliminated rows of the bends, with the right side last, shape (segments, 8).
+        matrix: Newton's matrix of everything behind a connector for velocity (2), spin, rate of the velocity
+            (2) and the multipliers (2), with the right side last, shape (7, 8).
+    """
+
+    body: np.ndarray
+    links: np.ndarray
+    loads: np.ndarray
+    pivots: np.ndarray
+    matrix: np.ndarray
+
+
 @allocating
-def room(n):  # type: ignore[no-untyped-def]
-    """Return the work arrays of `balance` and `solve` for so many connectors."""
-    return (
+def work_arrays(n):  # type: ignore[no-untyped-def]
+    """Return the work arrays of `balance` and `solve` for n connectors."""
+    return WorkArrays(
         np.empty((ROWS, n)),
         np.empty((n - 1, 8)),
         np.empty((n, 12)),
@@ -262,8 +290,18 @@ def room(n):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _residual(known, a, u, weight, floor, momentum, force, out):  # type: ignore[no-untyped-def]
-    """Fill out = p(u) − p_known − a dp/dt in the frame of the mean heading."""
+def _residual(known, a, u, weight, floor, momentum, force, out):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Fill the residual p(u) − p_known − a dp/dt in the frame of the mean heading.
+
+    Args:
+        known: known part of the state, shape (STATES + 2 segments,).
+        a: γ h, s.
+        u: velocities, shape (3 + segments,).
+        weight: total mass, kg.
+        floor: the floor.
+        momentum, force: as filled by `balance`.
+        out: out, shape (3 + segments,).
+    """
     heading = known[HEADING] + a * u[2]
     c, s = math.cos(heading), math.sin(heading)
     size = u.shape[0]
@@ -283,8 +321,8 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
     momentum, force, posed, q, residual, step = work
     segments, size = moment.shape[0], u.shape[0]
     floor, weight = model[2], model[0].mass.sum()
-    share = 0.0  # of the last step that has been made
-    fall = 0.0  # of the potential along that step, at its start
+    step_share = 0.0  # fraction of the latest Newton step that has been made
+    slope_before = 0.0  # slope of the potential along that step at its start
     converged = False
     power = 0.0
     for _ in range(_NEWTON_STEPS):
@@ -292,21 +330,21 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
             q[j] = known[BENDS + j] + a * u[3 + j]
         power = balance(q, u, moment, a, model, momentum, force, posed)
         _residual(known, a, u, weight, floor, momentum, force, residual)
-        falls = 0.0
+        slope_after = 0.0
         for j in range(size):
-            falls += residual[j] * step[j]
-        if falls < -_OVERSHOT * fall:
-            # Past the lowest point along the step, across a kink of the friction law: some way back.
-            back = share * min(max(fall / (fall - falls), 0.1), 0.7)
+            slope_after += residual[j] * step[j]
+        if slope_after < -_OVERSHOOT * slope_before:
+            # The step overshot the minimum, across a kink of the friction law: shorten it.
+            back = step_share * min(max(slope_before / (slope_before - slope_after), 0.1), 0.7)
             for j in range(size):
-                u[j] += (share - back) * step[j]
-            share = back
+                u[j] += (step_share - back) * step[j]
+            step_share = back
             continue
         solve(a, model, residual, step, posed)
-        fall, share, longest = 0.0, 1.0, 0.0
+        slope_before, step_share, longest = 0.0, 1.0, 0.0
         for j in range(size):
             u[j] -= step[j]
-            fall += residual[j] * step[j]
+            slope_before += residual[j] * step[j]
             longest = max(longest, abs(step[j]) * (1.0 if j < 2 else 0.1))
         if longest < _NEWTON_TOLERANCE:
             converged = True
@@ -320,38 +358,38 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
     k[STATE_VX] = (force[0] * c - force[1] * s) / weight + floor.pull_x
     k[STATE_VY] = (force[0] * s + force[1] * c) / weight + floor.pull_y
     power -= weight * (floor.pull_x * k[STATE_X] + floor.pull_y * k[STATE_Y])
-    k[HEADING], k[MOMENT], k[SPENT] = u[2], force[2], power
+    k[HEADING], k[MOMENT], k[ENERGY_LOSS] = u[2], force[2], power
     for j in range(segments):
         k[BENDS + j], k[BENDS + segments + j] = u[3 + j], force[3 + j]
     return converged
 
 
 @compiled
-def _draw_on(u, rate, time, last):  # type: ignore[no-untyped-def]
-    """Keep u in `last` and add rate · time to it."""
+def _extrapolate(u, rate, time, last):  # type: ignore[no-untyped-def]
+    """Copy u to `last`, and add rate · time to u."""
     for j in range(u.shape[0]):
         last[j] = u[j]
         u[j] += rate[j] * time
 
 
 @allocating
-def advance(now, steps, moments, marks, model, seen):  # type: ignore[no-untyped-def]
-    """Advance a body in place over the given steps; return how many were made: fewer, if one failed.
+def advance(now, steps, moments, marks, model, samples):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Advance a body in place over given steps; return the number of completed steps.
 
     Args:
-        now: state: that of `kernels`, bends (rad), their momenta (kg·m²/s), shape (STATES + 2 segments,); and
-            velocities as in `balance`, kept from call to call as Newton's first guess.
-        steps: step lengths, shape (steps,), s.
-        moments: chambers' moments at each step's two stages, shape (steps, 2, segments), N·m.
-        marks: numbers of steps after which to look, ascending, shape (samples,).
+        now: state, that of `kernels` followed by bends (rad) and their momenta (kg·m²/s), shape
+            (STATES + 2 segments,); and velocities as in `balance`, kept between calls as first guesses.
+        steps: lengths of the steps, shape (steps,), s.
+        moments: moments of the air at the two stages of each step, shape (steps, 2, segments), N·m.
+        marks: number of steps before each sample, ascending, shape (samples,).
         model: as in `balance`.
-        seen: out, states and velocities at the marks, shapes (samples, …).
+        seen: out, states and velocities at the samples, shapes (samples, …).
     """
-    (state, u), (states, velocities) = now, seen
+    (state, u), (states, velocities) = now, samples
     solid, spring, floor = model
     reach = (solid.length + solid.gap) / 2
     n, size = solid.mass.shape[0], u.shape[0]
-    work = np.empty(size), np.empty(size), room(n), np.empty(n - 1), np.empty(size), np.zeros(size)
+    work = np.empty(size), np.empty(size), work_arrays(n), np.empty(n - 1), np.empty(size), np.zeros(size)
     k1, k2, known = np.empty_like(state), np.empty_like(state), np.empty_like(state)
     last, drift = u.copy(), np.zeros(size)
     mark = 0
@@ -361,21 +399,21 @@ def advance(now, steps, moments, marks, model, seen):  # type: ignore[no-untyped
         fastest = abs(u[0]) + abs(u[1])
         for j in range(2, size):
             fastest = max(fastest, reach * abs(u[j]))
-        model = solid, spring, smoothed(floor, fastest)
-        # Velocities drawn on in a straight line from stage to stage save every second of Newton's steps.
-        _draw_on(u, drift, a, last)
+        model = solid, spring, with_reduced_slip_speed(floor, fastest)
+        # Linear extrapolation of the velocities between stages saves half of the Newton iterations.
+        _extrapolate(u, drift, a, last)
         fine = _stage(state, a, moments[i, 0], model, u, k1, work)
         for j in range(state.shape[0]):
             known[j] = state[j] + (1 - GAMMA) * h * k1[j]
         for j in range(size):
             drift[j] = (u[j] - last[j]) / a
-        _draw_on(u, drift, h - a, last)
+        _extrapolate(u, drift, h - a, last)
         fine &= _stage(known, a, moments[i, 1], model, u, k2, work)
         for j in range(state.shape[0]):
             state[j] = known[j] + a * k2[j]
         for j in range(size):
             drift[j] = (u[j] - last[j]) / (h - a)
-        # Not a number fails every comparison.
+        # A NaN fails every comparison.
         if not (fine and abs(state[STATE_VX]) < SPEED_LIMIT and abs(state[STATE_VY]) < SPEED_LIMIT):
             return i
         while mark < marks.shape[0] and marks[mark] == i + 1:

@@ -1,1 +1,1 @@
-"""The MuJoCo twin: model, physics, contacts and batches."""
+"""The MuJoCo twin: model, physics, contacts and batches of twins."""

@@ -1,14 +1,18 @@
-"""TwinBatch: many twins of one robot, with parameters of their own, stepped together over threads.
+"""TwinBatch: many twins with individual parameters, stepped in parallel by threads.
 
-Every run is a `TwinSnake` of its own spec, so a batch gives bit for bit what that twin alone gives, and no
-law stands here a second time. Each distinct spec is compiled once (24 ms for gen2; a copy takes 2 ms).
+Each run is a `TwinSnake` of its spec, so that a batch gives the same bits as that twin alone, and no formula
+of the model is repeated here. Each distinct spec is compiled once (24 ms for gen2; a copy takes 2 ms).
 
-Threads share out whole twins, chambers and observation included, and every engine call frees the
-interpreter's lock. `mujoco.batch.Batch`, one call for the steps of all runs, is as fast in the engine and
-gives the same bits, but all Python would then run while its threads wait: 5 % of a run that is played, a
-third of one that is commanded tick by tick. (A `mujoco.rollout.Rollout` with threads hands no warm start
-back, so a run in pieces would change its bits.) Expanding parameters instead of compiling would save those
-24 ms, against one second for ten simulated ones, and write every formula of the model twice.
+Threads process whole twins, including chambers and observation, and every engine call releases the global
+interpreter lock. Alternatives that were considered:
+
+- `mujoco.batch.Batch` makes the steps of all runs in one call. It is as fast in the engine and gives the same
+  bits, but its threads wait while Python runs: 5 % of the time if runs are played, a third if they are
+  commanded tick by tick.
+- `mujoco.rollout.Rollout` with threads does not return the warm start, so that a run in chunks has other
+  bits.
+- Setting parameters in a compiled model would save the 24 ms, compared with one second for ten simulated
+  seconds, but would repeat every formula of the model.
 
 >>> from dataclasses import replace
 >>> from srs_twin import Gait, Job, TwinBatch, load_robot, run_many
@@ -40,37 +44,37 @@ ENGINES = ("cpu", "warp")
 
 
 class TwinBatch(CopiedWhole):
-    """Many twins with one number of connectors and one tick, stepped together over threads.
+    """Many twins with the same number of connectors and the same tick, stepped in parallel by threads.
 
-    Each gives bit for bit what a `TwinSnake` of its spec alone gives.
+    Each run gives the same bits as a `TwinSnake` of its spec alone.
 
     Attributes:
-        twins: the runs, each a `TwinSnake` that may also be used alone.
+        twins: the runs; each is a `TwinSnake` that can also be used alone.
         tick: control tick, s.
-        state: the last state of every run, with a leading axis of runs on every field; of a run that
-            diverged the last plausible one.
-        errors: of each run, None or what ended it; runs that ended take no further part until `reset`.
+        state: the latest state of every run, with a leading axis of runs on every field; for a run that
+            diverged, its last plausible state.
+        errors: None or the error that ended it, for each run; runs that have ended stop until `reset`.
     """
 
     twins: tuple[TwinSnake, ...]
     state: SnakeState
     errors: list[DivergedError | None]
 
-    def __new__(cls, *given: Any, engine: str = "cpu", device: str | None = None, **settings: Any) -> Any:
-        """Return a batch of another engine where that is asked for (`plants.device.batch.WarpBatch`).
+    def __new__(cls, *arguments: Any, engine: str = "cpu", device: str | None = None, **settings: Any) -> Any:
+        """Return a batch, of the class `WarpBatch` (`srs_twin.warp`) for the engine "warp".
 
         Args:
-            *given: see `__init__`.
-            engine: "cpu", or "warp": MuJoCo Warp.
-            device: of Warp, such as "cuda:0" or "cpu"; None: its preferred one.
-            **settings: see `__init__`; `deterministic=True` lets Warp sum in one order.
+            *arguments: see `__init__`.
+            engine: "cpu", or "warp" for MuJoCo Warp.
+            device: device of Warp, such as "cuda:0" or "cpu"; None for Warp's default.
+            **settings: see `__init__`; with `deterministic=True` Warp sums in a fixed order.
 
         Raises:
-            InputError: MuJoCo Warp is not installed, or cannot do this.
-            UnknownNameError: another engine.
+            InputError: MuJoCo Warp is not installed, or does not support the settings.
+            UnknownNameError: the engine is unknown.
         """
         one_of("engine", engine, ENGINES)
-        return super().__new__(cls) if engine == "cpu" else on_warp(*given, device=device, **settings)
+        return super().__new__(cls) if engine == "cpu" else on_warp(*arguments, device=device, **settings)
 
     def __init__(
         self,
@@ -84,15 +88,16 @@ class TwinBatch(CopiedWhole):
         """Build the twins.
 
         Args:
-            specs: the robot of each run: friction, stiffness, damping, masses, lengths may all differ.
-            supply_pa: supply pressure, Pa, of all runs or one each; default each robot's nominal one.
-            threads: how many; default one a processor.
+            specs: the robot of each run; friction, stiffness, damping, masses and lengths may all differ.
+            supply_pa: supply pressure of all runs or of each run, Pa; default the nominal pressure of each
+                robot.
+            threads: number of threads; default one per processor.
             engine: see `__new__`.
-            **settings: of all runs, as `TwinSnake` takes them.
+            **settings: further arguments of `TwinSnake`, for all runs.
 
         Raises:
-            InputError: no run at all, robots that differ in their number of connectors, pressures that are
-                not one a run, chambers made beforehand, or as `TwinSnake` raises it.
+            InputError: no run, robots with different numbers of connectors, a wrong number of pressures,
+                chambers given as an object, or as raised by `TwinSnake`.
         """
         self._workers = Workers(threads)
         self.twins = _twins(self._workers, specs, supply_pa, settings)
@@ -104,21 +109,21 @@ class TwinBatch(CopiedWhole):
         return len(self.twins)
 
     def reset(self, *, poses: Sequence[Pose] | None = None, seed: int = 0) -> SnakeState:
-        """Lay all snakes straight, at rest, chambers empty.
+        """Lay all snakes straight and at rest with empty chambers.
 
         Args:
-            poses: centre of mass x, y (m) and mean heading (rad), one a run; default all at the origin.
-            seed: for whatever is random in the twins.
+            poses: centre of mass x, y (m) and mean heading (rad) of each run; default the origin.
+            seed: random seed of the twins.
 
         Returns:
             `state`.
 
         Raises:
-            InputError: not one pose a run.
+            InputError: the number of poses differs from the number of runs.
         """
         places = [(0.0, 0.0, 0.0)] * len(self) if poses is None else list(poses)
         if len(places) != len(self):
-            raise InputError(f"poses: {len(places)} were given for {len(self)} runs; give one a run")
+            raise InputError(f"poses: {len(places)} were given for {len(self)} runs; give one per run")
         self.errors = [None] * len(self)
         resting = self._workers.each(len(self), lambda k, _: self.twins[k].reset(pose=places[k], seed=seed))
         self.state = SnakeState.history(resting)
@@ -128,52 +133,52 @@ class TwinBatch(CopiedWhole):
         """Advance all runs by one tick and return `state`.
 
         Args:
-            valves: (runs, segments, 2) or (runs, slots, segments, 2), otherwise as in `Plant.step`.
+            valves: shape (runs, segments, 2) or (runs, slots, segments, 2), otherwise as in `Plant.step`.
 
         Raises:
-            InputError: a wrong shape, or a state that the valves cannot take; nothing has moved then.
+            InputError: wrong shape, or a state that the valves do not have; no run has moved then.
         """
         self.advance(valves, 1)
         return self.state
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState | None]:
-        """Advance all runs by one tick; a run whose commands have diverged ends.
+        """Advance all runs by one tick; a run with diverged commands ends.
 
         Args:
             valves: see `step`.
-            samples: how many equally spaced samples to return, the last at the tick's end.
+            samples: number of equally spaced samples, the last one at the end of the tick.
 
         Returns:
-            Their history, run by run, as in `play`.
+            The history of each run, as in `play`.
 
         Raises:
             InputError: as in `step`.
         """
         if len(valves) != len(self):
-            raise InputError(f"valves: {len(valves)} were given for {len(self)} runs; give one array a run")
-        errors = [self.errors[k] or self._wild(k, own) for k, own in enumerate(valves)]
+            raise InputError(f"valves: {len(valves)} were given for {len(self)} runs; give one array per run")
+        errors = [self.errors[k] or self._command_error(k, commands) for k, commands in enumerate(valves)]
         schedules = [
-            None if error else twin.pneumatics.schedule(own, self.tick)
-            for twin, own, error in zip(self.twins, valves, errors, strict=True)
+            None if error else twin.pneumatics.schedule(commands, self.tick)
+            for twin, commands, error in zip(self.twins, valves, errors, strict=True)
         ]
         self.errors = errors
         return self.play(schedules, samples)
 
     def play(self, schedules: Sequence[Schedule | None], samples: int) -> list[SnakeState | None]:
-        """Follow schedules that no feedback changes.
+        """Follow schedules without feedback.
 
         Args:
-            schedules: of each run, over a whole number of ticks; None for one that has ended.
-            samples: how many equally spaced samples to return of each run, the last at its end.
+            schedules: schedule of each run, over a whole number of ticks; None for a run that has ended.
+            samples: number of equally spaced samples of each run, the last one at the end.
 
         Returns:
-            Their history, run by run: a run that diverges stops there; None from one without samples.
+            The history of each run; a run that diverges ends there, and one without samples returns None.
 
         Raises:
-            InputError: not one schedule a run, or as in `Plant.play`.
+            InputError: the number of schedules differs from the number of runs, or as in `Plant.play`.
         """
         if len(schedules) != len(self):
-            raise InputError(f"schedules: {len(schedules)} were given for {len(self)} runs; give one a run")
+            raise InputError(f"schedules: {len(schedules)} were given for {len(self)} runs; give one per run")
         histories = self._workers.each(len(self), lambda k, _: self._play(k, schedules[k], samples))
         last = [
             self.state.at(k) if history is None else history.at(-1) for k, history in enumerate(histories)
@@ -182,15 +187,15 @@ class TwinBatch(CopiedWhole):
         return histories
 
     def openings(self) -> np.ndarray:
-        """Return how often inlets have opened, shape (runs, segments, 2)."""
+        """Return the number of openings of each chamber's inlet, shape (runs, segments, 2)."""
         return np.array([twin.openings() for twin in self.twins])
 
     def describe(self) -> dict[str, Any]:
-        """Return what is worth recording besides what the twins say."""
+        """Return the settings of the batch for the provenance of a run, in addition to those of its twins."""
         return {}
 
-    def _wild(self, k: int, valves: np.ndarray) -> DivergedError | None:
-        """Return what ends a run whose commands have diverged."""
+    def _command_error(self, k: int, valves: np.ndarray) -> DivergedError | None:
+        """Return the error of a run whose commands have diverged, otherwise None."""
         try:
             check_commands("policy", float(np.asarray(self.state.time)[k]), valves)
         except DivergedError as error:
@@ -203,7 +208,7 @@ class TwinBatch(CopiedWhole):
         try:
             return self.twins[k].play(schedule, samples)
         except DivergedError as error:
-            self.errors[k] = error.with_traceback(None)  # its frames hold what the engine recorded
+            self.errors[k] = error.with_traceback(None)  # its frames would keep the engine's records alive
             history: SnakeState | None = error.history
             return history
 
@@ -217,7 +222,7 @@ def on_warp(
     deterministic: bool = False,
     **settings: Any,
 ) -> Any:
-    """Return a `WarpBatch`; arguments as `TwinBatch` takes them."""
+    """Return a `WarpBatch`; arguments as in `TwinBatch`."""
     return warp_batch()(
         _twins(Workers(threads), specs, supply_pa, settings, once=True),
         device=device, deterministic=deterministic,
@@ -246,27 +251,27 @@ def _twins(
     *,
     once: bool = False,
 ) -> tuple[TwinSnake, ...]:
-    """Return a twin of each spec; `once`: runs of one robot and supply share theirs."""
-    supplies = _one_each("supply_pa", supply_pa, len(specs))
-    lengths = sorted({spec.geometry.connectors for spec in specs})
-    if len(lengths) != 1:
-        found = ", ".join(map(str, lengths)) or "no robot at all"
-        raise InputError(f"a batch needs robots with one number of connectors; found {found}")
+    """Build a twin of each spec; with `once`, runs with the same robot and supply pressure share one twin."""
+    supplies = _one_per_run("supply_pa", supply_pa, len(specs))
+    counts = sorted({spec.geometry.connectors for spec in specs})
+    if len(counts) != 1:
+        numbers = ", ".join(map(str, counts)) or "no robot"
+        raise InputError(f"the robots of a batch must have the same number of connectors, not {numbers}")
     if isinstance(settings.get("pneumatics"), Pneumatics):
-        raise InputError("pneumatics: one object cannot be the chambers of every twin; give its kind")
-    keys = [repr(each) if once else str(k) for k, each in enumerate(zip(specs, supplies, strict=True))]
-    first = {key: k for k, key in reversed(list(enumerate(keys)))}
-    needed = sorted(first.values())
-    made = workers.each(
-        len(needed), lambda n, _: TwinSnake(specs[needed[n]], supply_pa=supplies[needed[n]], **settings)
+        raise InputError("pneumatics: the twins of a batch cannot share one object; give its kind")
+    keys = [repr(pair) if once else str(k) for k, pair in enumerate(zip(specs, supplies, strict=True))]
+    first_run = {key: k for k, key in reversed(list(enumerate(keys)))}
+    distinct = sorted(first_run.values())
+    built = workers.each(
+        len(distinct), lambda n, _: TwinSnake(specs[distinct[n]], supply_pa=supplies[distinct[n]], **settings)
     )
-    of = dict(zip(needed, made, strict=True))
-    return tuple(of[first[key]] for key in keys)
+    twin_of_run = dict(zip(distinct, built, strict=True))
+    return tuple(twin_of_run[first_run[key]] for key in keys)
 
 
-def _one_each(name: str, given: float | Sequence[float] | None, runs: int) -> list[float | None]:
-    if given is None or isinstance(given, int | float):
-        return [given] * runs
-    if len(given) != runs:
-        raise InputError(f"{name}: {len(given)} were given for {runs} runs; give one, or one a run")
-    return list(given)
+def _one_per_run(name: str, values: float | Sequence[float] | None, runs: int) -> list[float | None]:
+    if values is None or isinstance(values, int | float):
+        return [values] * runs
+    if len(values) != runs:
+        raise InputError(f"{name}: {len(values)} were given for {runs} runs; give one value, or one per run")
+    return list(values)

@@ -1,26 +1,38 @@
-r"""Friction on the loads that MuJoCo finds: a compiled loop of steps around the engine's C functions.
+r"""Loaded contact: friction as a law on MuJoCo's normal forces, implicit in the velocities.
 
-MuJoCo keeps the wheels on the floor, without friction (condim 1). Friction is a law of `friction` on the
-loads of the same step, implicit in the velocities: with the engine's solution v̂ under the friction f̂ of the
-step before,
+MuJoCo keeps the wheels on the floor with frictionless contacts (condim 1). Friction is a law of
+`robot.friction` on the normal forces of the same step. This module runs the time steps in a compiled loop
+around the engine's C functions; `friction_solve` solves for the friction of one step.
 
-$$ \bigl(A + J_n^T R^{-1} J_n\bigr)(v - \hat v) = h \sum_w J_w^T (f_w - \hat f_w)
-   + h\,\bigl(c(v_-) - c(\bar v)\bigr) + (h D - C)(\hat v - v_-), \qquad \bar v = (v_- + v)/2, $$
+**Equation of a step.** The step has the length h, begins with the velocities v₋ and ends with v. MuJoCo first
+solves it with the friction forces f̂ of the previous step, which gives v̂:
 
-where A = M + C, C are the dampers (`_dampers`), h D the engine's, c the Coriolis forces (those of c(v̄) from
-v̂), and J_n the rows of the normals that press, with the engine's softness R: what stands on the floor does
-not yield to friction downward. Their forces follow, by −J_n (v − v̂)/(h R).
+$$ (M + h D)(\hat v - v_-) = h\,\bigl(Q - c(v_-)\bigr) + h J_n^T \hat N + h \sum_w J_w^T \hat f_w , $$
 
-Obstacles press on the body without friction, too, and rub with `held` where their force acts; what they
-press on yields to friction.
+with the inertia M, the dampers h D that MuJoCo takes implicitly (together with the springs,
+`_damping_matrices`), the applied forces Q, the Coriolis and centrifugal forces c, the normal forces N̂ and
+the friction forces on the contacts w. The desired step has dampers C of second order instead of h D, Coriolis
+forces at mid-step, and its own friction f:
 
-Friction is taken at mid-step where a wheel slides, towards the step's end where it sticks (`_theta`). It acts
-on a connector where its wheel touches the floor, but for what spins the wheel, which acts at the hub.
+$$ (M + C)(v - v_-) = h\,\bigl(Q - c(\bar v)\bigr) + h J_n^T N + h \sum_w J_w^T f_w , \qquad
+   \bar v = (v_- + v)/2 . $$
 
-Newton's method is that of `friction_solve`.
+Subtracting the first equation, with A = M + C and δ = v − v̂,
 
-Positions are those of the middle of the step, so that springs, friction and Coriolis forces are of second
-order in it. MuJoCo's contacts act with what they are at the step's end: they are stiff, 2 steps in time.
+$$ \bigl(A + J_n^T R^{-1} J_n\bigr)\,\delta = h \sum_w J_w^T (f_w - \hat f_w)
+   + h\,\bigl(c(v_-) - c(\bar v)\bigr) + (h D - C)(\hat v - v_-) . $$
+
+The change of the normal forces, N − N̂ = −J_n δ/(h R), has moved to the left side. J_n are the rows of the
+wheels that press on the floor and R is MuJoCo's regularisation, so that friction does not push wheels into
+the floor. c(v̄) is evaluated with v̂ in place of v.
+
+**Obstacles** press on the hulls of the body without friction, too. Friction acts on a hull where the force of
+the obstacle acts (`stick_slip`). There is no such row in J_n: the normal force of an obstacle stays N̂.
+
+**Time levels.** Positions are those at mid-step, so that springs, friction and Coriolis forces are of second
+order. MuJoCo's contacts act with their state at the end of the step: their time constant is only two steps.
+The friction of a wheel acts where it touches the floor, except for the part that spins the wheel, which acts
+at the hub.
 """
 
 from __future__ import annotations
@@ -41,25 +53,24 @@ from srs_twin.errors import InputError
 from srs_twin.io.saved_state import Remembers, names
 from srs_twin.plants.twin.friction_solve import (
     Contacts,
-    Engine,
-    Feet,
-    Pattern,
-    Work,
-    approach,
+    ContactState,
+    EngineData,
+    Sparsity,
+    Workspace,
+    apply_stored_friction,
     c_function,
-    expect,
-    note,
-    settle,
+    set_mid_velocity,
+    solve_friction,
+    store_friction,
 )
 from srs_twin.plants.twin.mjcf import surroundings
 from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS, LOADS, LoadedContact, ModelSettings
-from srs_twin.plants.twin.mjcf.wheels import rest_loads, softness, treads
+from srs_twin.plants.twin.mjcf.wheels import contact_regularisation, static_loads, treads
 from srs_twin.robot.spec import RobotSpec
 
-_VELOCITIES_KNOWN = int(mujoco.mjtStage.mjSTAGE_VEL)
-_SINKS_IN_S = 0.05
-_SLOWEST = 1e-9  # of decays, over a step: less is rounding where nothing damps
-
+_SKIP_TO_FORCES = int(mujoco.mjtStage.mjSTAGE_VEL)  # positions and velocities are already evaluated
+_SINKING_TIME = 0.05  # s, after which a snake at rest has sunk into the floor to its equilibrium
+_MIN_DECAY = 1e-9  # of a mode over one step, 1; less is rounding of an undamped motion
 
 mj_step1, mj_comVel = c_function("mj_step1"), c_function("mj_comVel")
 mj_forwardSkip = c_function("mj_forwardSkip", types.int32, types.int32)
@@ -67,21 +78,21 @@ mj_rne = c_function("mj_rne", types.int32, types.intp)
 mj_integratePos = c_function("mj_integratePos", types.intp, types.float64)
 
 
-class Given(NamedTuple):
-    """What only the loop reads and writes of the engine's data, named as there."""
+class StepInputs(NamedTuple):
+    """Views of the engine's data that only the loop writes, named as in MjData."""
 
     ctrl: np.ndarray
     qacc_warmstart: np.ndarray
 
 
 class LoadedStepper(Remembers):
-    """The contacts of one twin on the loads of its own data.
+    """Time steps of one twin with loaded contact.
 
     Attributes:
-        feet: what they keep from step to step.
+        contact_state: friction, rim speeds and loads that the contacts keep from step to step.
     """
 
-    memory = names("feet")
+    memory = names("contact_state")
 
     def __init__(
         self,
@@ -91,66 +102,33 @@ class LoadedStepper(Remembers):
         settings: ModelSettings,
         air: np.ndarray | None = None,
     ) -> None:
-        """Look up what the loop needs.
+        """Collect the constants of the contacts and allocate the arrays of a step.
 
         Args:
             model: compiled from `settings`.
-            data: what it steps.
+            data: data that the steps advance.
             spec: the robot.
             settings: time step, and a `LoadedContact`.
-            air: most that the chambers stiffen the joints by, shape (nv, nv); None: not at all.
+            air: largest stiffness that the air in the chambers adds to the joints, shape (nv, nv), N·m/rad;
+                None for no stiffness.
         """
-        # The kernels call the engine by the names of its functions, which are looked up at their first call.
+        # The kernels call C functions of the engine by name: make their symbols known to LLVM.
         llvm.load_library_permanently(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
-        nv, self._h = model.nv, settings.timestep
-        contact = settings.contact
-        assert isinstance(contact, LoadedContact)
-        feet, touching = treads(spec), surroundings.hulls(model)
-        geoms = [model.geom(name) for name in feet + touching]
-        body = np.array([geom.bodyid[0] for geom in geoms])
-        mass, easy = _reference(model, feet, touching)
-        with one_blas_thread():
-            damping, less = _dampers(model, mass, self._h, np.zeros((nv, nv)) if air is None else air)
-            ease = np.einsum("wi,ij,wj->w", easy, np.linalg.inv(mass + damping), easy)
-        triangle = np.repeat(np.arange(nv), model.M_rownnz), model.M_colind
-        spin = 0.0 if contact.law == "ellipse" else settings.numerics.wheel_spin * spec.mass.wheel / 2
-        none = np.zeros(len(touching))
-        sensors = [model.sensor(f"floor_force_{foot}").adr[0] + 2 for foot in feet]
-        sensors += [model.sensor(f"obstacle_force_{hull}").adr[0] for hull in touching]
-        self._contacts = Contacts(
-            wheels=len(feet),
-            body=body,
-            place=np.stack([geom.pos for geom in geoms[: len(feet)]]),
-            last=model.body_dofadr[body] + model.body_dofnum[body] - 1,
-            softness=np.append(softness(model, spec), none + math.inf),
-            ease=ease,
-            rest=np.append(rest_loads(spec, -model.opt.gravity[2]), none),
-            load=LOADS.index(contact.load),
-            sensor=np.array(sensors),
-            radius=spec.geometry.wheel_radius,
-            kind=LAWS_ON_LOADS.index(contact.law),
-            law=(spec.friction.mu_t, spec.friction.mu_n, contact.slip_speed, spin),
-        )
-        self._pattern = Pattern(
-            entries=model.M_rownnz.astype(int),
-            first=model.M_rowadr.astype(int),
-            column=model.M_colind.astype(int),
-            parent=model.dof_parentid.astype(int),
-            damping=damping[triangle],
-            less=less[triangle],
-        )
-        views = (getattr(data, name) for name in Engine._fields[2:])
-        self._engine = Engine(model._address, data._address, *views)
-        self._given = Given(data.ctrl, data.qacc_warmstart)
-        self._kept = model, data  # addresses alone keep nothing alive
-        count, entries = len(geoms), len(data.M)
+        self._contacts, self._sparsity = _constants(model, spec, settings, air)
+        views = (getattr(data, name) for name in EngineData._fields[2:])
+        self._engine = EngineData(model._address, data._address, *views)
+        self._inputs = StepInputs(data.ctrl, data.qacc_warmstart)
+        self._model, self._data = model, data  # the kernels hold addresses, which keep nothing alive
+        self._h, nv = settings.timestep, model.nv
+        count, entries = len(self._contacts.body), len(data.M)
+        # In the order of the fields of `Workspace`.
         shapes = [(count, 4, 6), (count, 2), (count, 8), (count,), (count,), *[(nv, 6)] * 4, (nv, 6, 6)]
         shapes += [(entries,)] * 2 + [(nv,)] * 7
-        self._work = Work(*map(np.zeros, shapes))._replace(matrix=data.M)
-        self._stand()
+        self._work = Workspace(*map(np.zeros, shapes))._replace(newton_matrix=data.M)
+        self._reset_contact_state()
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """Refuse: a copy would hold addresses in the original's data.
+        """Refuse to be copied: a copy would hold addresses in the data of the original.
 
         Raises:
             InputError: always.
@@ -160,75 +138,133 @@ class LoadedStepper(Remembers):
         )
 
     @property
-    def settled(self) -> tuple[Contacts, Pattern]:
-        """Numbers taken from the model when the contacts were made."""
-        return self._contacts, self._pattern
+    def constants(self) -> tuple[Contacts, Sparsity]:
+        """Constants that were taken from the model at construction."""
+        return self._contacts, self._sparsity
 
-    @settled.setter
-    def settled(self, numbers: tuple[Contacts, Pattern]) -> None:
-        self._contacts, self._pattern = numbers
+    @constants.setter
+    def constants(self, constants: tuple[Contacts, Sparsity]) -> None:
+        self._contacts, self._sparsity = constants
 
     @property
     def records(self) -> dict[str, Any]:
-        """What `friction_solve` takes, by its names, for who steps the bodies elsewhere."""
-        named = {"engine": self._engine, "contacts": self._contacts, "pattern": self._pattern}
-        return named | {"feet": self.feet, "work": self._work}
+        """Arguments of `friction_solve` by name, for another engine that steps the bodies."""
+        return {
+            "engine": self._engine,
+            "contacts": self._contacts,
+            "sparsity": self._sparsity,
+            "contact_state": self.contact_state,
+            "work": self._work,
+        }
 
     def reset(self) -> None:
-        """Let the wheels stand, each with its share of the weight.
+        """Sink the snake into the floor until it rests, and give each wheel its static load.
 
-        The snake sinks in by some micrometres, first, on a level floor and without friction: what it moves
-        along the floor meanwhile would stay as friction that holds.
+        The snake sinks by some micrometres. It does so on a level floor and without friction, because
+        friction would hold the small displacements along the floor that sinking causes.
         """
-        model, data = self._kept
+        model, data = self._model, self._data
         contacts, gravity = self._contacts, model.opt.gravity.copy()
-        self._contacts = contacts._replace(law=(0.0, 0.0, *contacts.law[2:]))
+        self._contacts = contacts._replace(coefficients=(0.0, 0.0, *contacts.coefficients[2:]))
         model.opt.gravity[:2] = 0.0
-        self._stand()
-        self.run(np.zeros((math.ceil(_SINKS_IN_S / self._h), model.nu)))
+        self._reset_contact_state()
+        self.run(np.zeros((math.ceil(_SINKING_TIME / self._h), model.nu)))
         self._contacts, model.opt.gravity[:] = contacts, gravity
         data.qvel[:], data.time = 0.0, 0.0
-        self._stand()
+        self._reset_contact_state()
 
-    def _stand(self) -> None:
-        rest = self._contacts.rest
-        self.feet = Feet(np.zeros((len(rest), 3)), np.zeros(len(rest)), rest.copy(), np.zeros(len(rest)))
+    def _reset_contact_state(self) -> None:
+        load = self._contacts.static_load
+        zeros = np.zeros(len(load))
+        self.contact_state = ContactState(np.zeros((len(load), 3)), zeros, load.copy(), zeros.copy())
 
     def roll(self) -> None:
-        """Let the wheels turn as fast as they move along their headings."""
-        (model, data), contacts, moving = self._kept, self._contacts, np.empty(6)
+        """Set the rim speeds of wheels that roll at their current velocity along the heading."""
+        contacts, velocity = self._contacts, np.empty(6)
         for w in range(contacts.wheels):
             body = int(contacts.body[w])
-            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, moving, 1)
-            self.feet.rim[w] = (moving[3:] + np.cross(moving[:3], contacts.place[w]))[0]
+            mujoco.mj_objectVelocity(self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 1)
+            self.contact_state.rim_speed[w] = (velocity[3:] + np.cross(velocity[:3], contacts.centre[w]))[0]
 
     def run(self, controls: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Make a step for each row of controls.
+        """Make one time step for each row of controls.
 
         Args:
             controls: shape (steps, nu).
 
         Returns:
-            Time, qpos and qvel at the steps' ends, NaN after one that diverged; sensors; the floor's force on
-            each wheel, shape (steps, axles, 2, 3), N, world; the power that friction takes, (steps,), W; and
-            the obstacles' friction on what may touch them, shape (steps, hulls, 3), N, world.
+            states: time, qpos and qvel at the end of each step, NaN after a step that diverged, shape
+                (steps, 1 + nq + nv).
+            sensors: shape (steps, nsensordata).
+            floor_force: force of the floor on each wheel in the world frame, shape (steps, axles, 2, 3), N.
+            power: power that friction dissipates, shape (steps,), W.
+            obstacle_friction: friction of the obstacles on the hulls in the world frame, shape
+                (steps, hulls, 3), N.
         """
-        (model, data), steps, wheels = self._kept, len(controls), self._contacts.wheels
+        model, data, steps, wheels = self._model, self._data, len(controls), self._contacts.wheels
         states = np.full((steps, 1 + model.nq + model.nv), np.nan)
-        sensed, force = np.zeros((steps, model.nsensordata)), np.zeros((steps, len(self._contacts.rest), 3))
+        sensors = np.zeros((steps, model.nsensordata))
+        force = np.zeros((steps, len(self._contacts.static_load), 3))
         power = np.zeros(steps)
-        out = states, sensed, force, power
-        friction = self._contacts, self._pattern, self.feet, self._work, self._h
-        _run(self._given, self._engine, *friction, controls, out)
+        out = states, sensors, force, power
+        friction = self._contacts, self._sparsity, self.contact_state, self._work, self._h
+        _run(self._inputs, self._engine, *friction, controls, out)
         states[:, 0] = data.time + self._h * np.arange(1, steps + 1)
         data.time += self._h * steps
-        return states, sensed, force[:, :wheels].reshape(steps, -1, 2, 3), power, force[:, wheels:]
+        return states, sensors, force[:, :wheels].reshape(steps, -1, 2, 3), power, force[:, wheels:]
 
 
-def _reference(model: mujoco.MjModel, feet: list[str], touching: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Return M (nv, nv) of the straight snake, and what gives the velocities of these geoms, (C, nv).
+def _constants(
+    model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings, air: np.ndarray | None
+) -> tuple[Contacts, Sparsity]:
+    """Return the constants of the contacts and of the mass matrix; arguments as in `LoadedStepper`."""
+    contact, nv, h = settings.contact, model.nv, settings.timestep
+    assert isinstance(contact, LoadedContact)
+    wheels, hulls = treads(spec), surroundings.hulls(model)
+    geoms = [model.geom(name) for name in wheels + hulls]
+    body = np.array([geom.bodyid[0] for geom in geoms])
+    mass, jacobian = _reference_dynamics(model, wheels, hulls)
+    with one_blas_thread():
+        no_air = np.zeros((nv, nv))
+        damping, excess = _damping_matrices(model, mass, h, no_air if air is None else air)
+        admittance = np.einsum("wi,ij,wj->w", jacobian, np.linalg.inv(mass + damping), jacobian)
+    triangle = np.repeat(np.arange(nv), model.M_rownnz), model.M_colind
+    # A solid disc rolling adds half of its mass to the motion along.
+    spin_mass = 0.0 if contact.law == "ellipse" else settings.numerics.wheel_spin * spec.mass.wheel / 2
+    zeros = np.zeros(len(hulls))
+    sensors = [model.sensor(f"floor_force_{wheel}").adr[0] + 2 for wheel in wheels]
+    sensors += [model.sensor(f"obstacle_force_{hull}").adr[0] for hull in hulls]
+    contacts = Contacts(
+        wheels=len(wheels),
+        body=body,
+        centre=np.stack([geom.pos for geom in geoms[: len(wheels)]]),
+        last_dof=model.body_dofadr[body] + model.body_dofnum[body] - 1,
+        regularisation=np.append(contact_regularisation(model, spec), zeros + math.inf),
+        admittance=admittance,
+        static_load=np.append(static_loads(spec, -model.opt.gravity[2]), zeros),
+        load_kind=LOADS.index(contact.load),
+        sensor=np.array(sensors),
+        wheel_radius=spec.geometry.wheel_radius,
+        law=LAWS_ON_LOADS.index(contact.law),
+        coefficients=(spec.friction.mu_t, spec.friction.mu_n, contact.slip_speed, spin_mass),
+    )
+    sparsity = Sparsity(
+        row_length=model.M_rownnz.astype(int),
+        row_start=model.M_rowadr.astype(int),
+        column=model.M_colind.astype(int),
+        parent=model.dof_parentid.astype(int),
+        damping=damping[triangle],
+        damping_excess=excess[triangle],
+    )
+    return contacts, sparsity
 
-    Of feet, that across; of what may touch obstacles, that along the body.
+
+def _reference_dynamics(
+    model: mujoco.MjModel, wheels: list[str], hulls: list[str]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return M and the contact Jacobian of the straight snake, shapes (nv, nv) and (C, nv).
+
+    The rows of wheels give their velocity across, those of hulls their velocity along the body.
     """
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -236,36 +272,38 @@ def _reference(model: mujoco.MjModel, feet: list[str], touching: list[str]) -> t
     mass, jacobian = np.zeros((model.nv, model.nv)), np.zeros((3, model.nv))
     mujoco.mj_fullM(model, data, mass)
     rows = []
-    for k, name in enumerate(feet + touching):
+    for k, name in enumerate(wheels + hulls):
         geom = data.geom(name)
         mujoco.mj_jac(model, data, jacobian, None, geom.xpos, model.geom_bodyid[geom.id])
-        rows.append(jacobian[1 if k < len(feet) else 0].copy())
+        rows.append(jacobian[1 if k < len(wheels) else 0].copy())
     return mass, np.array(rows)
 
 
-def _dampers(
+def _damping_matrices(
     model: mujoco.MjModel, mass: np.ndarray, h: float, air: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    r"""Return what the dampers add to A, and by how much the engine's h D + h² K is more, (nv, nv).
+    r"""Return C of second order in time, and (h D + h² K) − C, shapes (nv, nv).
 
-    The engine's dampers act with the velocity at the end of a step. Taken as
+    MuJoCo's dampers and springs act with their state at the end of a step, which is first order. The matrix
 
-    $$ C = M\,\varphi(h M^{-1} D) - M, \qquad \varphi(x) = x/(1 - e^{-x}) = 1 + x/2 + \dots, $$
+    $$ C = M\,\varphi(h M^{-1} D) - M, \qquad \varphi(x) = x/(1 - e^{-x}) = 1 + x/2 + \dots $$
 
-    a step with (M + C)(v − v₋) = h (f − D v₋) decays as an exponential does: of second order, and without
-    ringing however fast. M is that of the straight snake; any other would do for the order.
+    makes the step (M + C)(v − v₋) = h (f − D v₋) decay as the exact exponential does: with second order, and
+    without ringing of fast modes. M is the inertia of the straight snake; the order does not depend on the
+    choice.
 
-    Air that the bends compress is a spring K_a of its own, whose force is that of the middle of the step.
-    With h² K_a/4 in A besides, which changes results in the second order, no step is too long for the
-    fastest of its oscillations, those of a connector between closed chambers.
+    Air that the bends compress is a further spring K_a, whose force is evaluated at mid-step. The term h²
+    K_a/4 in A makes the step stable for its fastest oscillation, that of a connector between two closed
+    chambers. It changes results in the second order.
     """
     hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
     rates = h * model.dof_damping
     rates[model.jnt_dofadr[hinges]] += h**2 * model.jnt_stiffness.reshape(model.njnt, -1)[hinges, 0]
     decays, modes = scipy.linalg.eigh(np.diag(rates), mass)
     shapes = mass @ modes
-    # Motions of the whole snake are not damped: a rest of rounding would be mass that does not turn with it.
-    damped = decays > _SLOWEST
+    # Rigid motions are undamped. A rounding error in their rates would add mass that does not rotate with
+    # the snake.
+    damped = decays > _MIN_DECAY
     decays[~damped] = 1.0
     damping: np.ndarray = (shapes * np.where(damped, decays / -np.expm1(-decays) - 1, 0.0)) @ shapes.T
     damping += h**2 / 4 * air
@@ -273,39 +311,40 @@ def _dampers(
 
 
 @compiled
-def _run(given, engine, contacts, pattern, feet, work, h, controls, out):  # type: ignore[no-untyped-def]
-    """Make steps; `out` is what `LoadedStepper.run` returns."""
+def _run(inputs, engine, contacts, sparsity, state, work, h, controls, out):  # type: ignore[no-untyped-def]
+    """Make one step per row of controls; fill `out`, the results of `LoadedStepper.run`."""
     for step in range(controls.shape[0]):
-        _begin(given, engine, contacts, pattern, feet, work, h, controls[step])
-        mj_forwardSkip(engine.model, engine.data, _VELOCITIES_KNOWN, 0)
-        if not _end(given, engine, contacts, pattern, feet, work, h, step, out):
+        _begin_step(inputs, engine, contacts, sparsity, state, work, h, controls[step])
+        mj_forwardSkip(engine.model, engine.data, _SKIP_TO_FORCES, 0)
+        if not _end_step(inputs, engine, contacts, sparsity, state, work, h, step, out):
             break
     for i in range(engine.qvel.shape[0]):
         engine.qfrc_applied[i] = 0.0
 
 
 @compiled
-def _begin(given, engine, contacts, pattern, feet, work, h, control):  # type: ignore[no-untyped-def]
-    """Go to the middle of a step, with the friction of the step before."""
-    _copy(control, given.ctrl)
+def _begin_step(inputs, engine, contacts, sparsity, state, work, h, control):  # type: ignore[no-untyped-def]
+    """Move to mid-step and apply the friction of the previous step."""
+    _copy(control, inputs.ctrl)
     mj_integratePos(engine.model, engine.qpos.ctypes.data, engine.qvel.ctypes.data, h / 2)
-    _copy(engine.qvel, work.before)
+    _copy(engine.qvel, work.v_start)
     mj_step1(engine.model, engine.data)
-    approach(engine, contacts, pattern, feet, work)
+    apply_stored_friction(engine, contacts, sparsity, state, work)
 
 
 @compiled
-def _end(given, engine, contacts, pattern, feet, work, h, step, out):  # type: ignore[no-untyped-def]
-    """Solve friction, go to the end of a step and note what happened; return whether it is finite."""
-    states, sensed, force, power = out
+def _end_step(inputs, engine, contacts, sparsity, state, work, h, step, out):  # type: ignore[no-untyped-def]
+    """Solve for friction, move to the end of the step and record it; return whether the step is finite."""
+    states, sensors, force, power = out
     model, data, nq, nv = engine.model, engine.data, engine.qpos.shape[0], engine.qvel.shape[0]
-    _copy(engine.qacc, given.qacc_warmstart)
+    _copy(engine.qacc, inputs.qacc_warmstart)
     for i in range(nv):
-        work.predicted[i] = work.before[i] + h * engine.qacc[i]
-    expect(engine, work)
+        work.v_predicted[i] = work.v_start[i] + h * engine.qacc[i]
+    # Coriolis forces at mid-step; `solve_friction` expects them in `residual`.
+    set_mid_velocity(engine, work)
     mj_comVel(model, data)
     mj_rne(model, data, 0, work.residual.ctypes.data)
-    settle(engine, contacts, pattern, feet, work, h)
+    solve_friction(engine, contacts, sparsity, state, work, h)
     total = 0.0
     for i in range(nv):
         total += engine.qvel[i] * engine.qvel[i]
@@ -314,13 +353,13 @@ def _end(given, engine, contacts, pattern, feet, work, h, step, out):  # type: i
     mj_integratePos(model, engine.qpos.ctypes.data, engine.qvel.ctypes.data, h / 2)
     _copy(engine.qpos, states[step, 1:])
     _copy(engine.qvel, states[step, 1 + nq :])
-    _copy(engine.sensordata, sensed[step])
-    power[step] = note(contacts, feet, work, force[step])
+    _copy(engine.sensordata, sensors[step])
+    power[step] = store_friction(contacts, state, work, force[step])
     return True
 
 
 @inside
-def _copy(of, to):  # type: ignore[no-untyped-def]
-    # Loops: a slice that is assigned to takes numba seconds to compile, for the words of an error.
-    for k in range(of.shape[0]):
-        to[k] = of[k]
+def _copy(source, target):  # type: ignore[no-untyped-def]
+    # A loop: numba takes seconds to compile an assignment to a slice, for its error message.
+    for k in range(source.shape[0]):
+        target[k] = source[k]

@@ -1,11 +1,32 @@
-r"""The friction solve of one step: what `loaded` derives, for numba and for other compilers.
+r"""Newton's method for the implicit friction of one time step.
 
-Everything here is written in what numba and Warp both compile: records of arrays, numbers, loops; constants
-have a point, and what changes in a loop is made by `float`.
+`contact_loaded` derives the equation of a step. Its unknown is the change of velocity δ = v − v̂ that the
+friction forces f_w of this step make, compared with the engine's solution v̂ under the forces f̂_w of the
+previous step:
 
-Newton's method. Its matrix has the pattern of M and is factored like M, because a wheel moves with the
-ancestors of its connector alone: as in the composite-rigid-body algorithm, what wheels add is summed from the
-ends of the chain to its root. Spatial vectors are rotation first, about the centre of mass, as in `cdof`.
+$$ r(\delta) = (A + J_n^T R^{-1} J_n)\,\delta - h \sum_w J_w^T \bigl(f_w(u_w) - \hat f_w\bigr) - b = 0, \qquad
+   b = h\,\bigl(c(v_-) - c(\bar v)\bigr) + (h D - C)(\hat v - v_-) . $$
+
+- w counts the contacts: the wheels first, then the hulls that may touch an obstacle.
+- J_w maps velocities to the velocity of contact w along and across, J_n to the normal velocities of the
+  wheels that press on the floor, and R is MuJoCo's regularisation of their normal forces.
+- u_w is the velocity of a contact within the step, u_w = J_w (v₋ + θ (v − v₋)). The fraction θ is 1/2 for a
+  contact that slides (second order) and tends to 1 for one that sticks (`_evaluation_fraction`).
+
+The part of a wheel's friction that spins the wheel acts at the hub, not at the contact point
+(`_SPIN_FORCE`).
+
+**Newton's matrix** is A + J_nᵀ R⁻¹ J_n − h Σ θ J_wᵀ (∂f_w/∂u_w) J_w. A contact moves with the ancestors of
+its connector only, so the matrix has the sparsity pattern of the joint-space inertia M and is factored like
+M. As in the composite-rigid-body algorithm (Featherstone 2008, Section 6.2), the slopes of the contacts are
+summed from the ends of the chain to its root as spatial 6 × 6 matrices, and projected on the joint axes.
+Spatial vectors have rotation first and refer to the centre of mass of the snake, as `cdof` in MuJoCo.
+
+**Loads.** Friction depends on the normal forces, which themselves depend on δ. The equation is solved under
+the loads of v̂ with one Newton step, and then under the loads that this step leaves, to the tolerance.
+
+The functions use only what both numba and Warp compile: records of arrays, numbers and loops. Numbers have a
+decimal point, and a variable that a loop changes is created with `float`.
 """
 
 from __future__ import annotations
@@ -16,35 +37,63 @@ import numpy as np
 from numba import types
 
 from srs_twin.compute.compiled import inside
-from srs_twin.plants.twin.friction_held import held, rolling
 from srs_twin.plants.twin.mjcf import surroundings
 from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS, LOADS
+from srs_twin.plants.twin.stick_slip import rolling_friction, stick_slip_friction
 
-_MOMENTARY, _ACROSS_ONLY = LOADS.index("momentary"), LOADS.index("across")
-_WHEEL, _ELLIPSE = LAWS_ON_LOADS.index("wheel"), LAWS_ON_LOADS.index("ellipse")
-_MOST_ITERATIONS, _MOST_TRIALS = 30, 12
-_SMALL = 1e-14  # of the square of friction's impulse: friction is then right to 1e-7
-_ROUNDING = 1e-24  # of the largest first residual's square
-_OVERSHOOT = 0.5  # slope at which a line search ends, as a share of its slope at the start
-_LEAST = 0.0  # of a residual's square, (kg·m/s)²
-_ALONG, _ACROSS, _UP, _HUB = range(4)
-_RUBS = surroundings.FRICTION
+_MOMENTARY = LOADS.index("momentary")
+_ACROSS_ONLY = LOADS.index("across")
+_WHEEL = LAWS_ON_LOADS.index("wheel")
+_ELLIPSE = LAWS_ON_LOADS.index("ellipse")
+
+# Coefficient of the friction between body and obstacle, 1.
+_OBSTACLE_FRICTION = surroundings.FRICTION
+
+_MAX_ITERATIONS = 30  # Newton steps under the final loads
+_MAX_TRIALS = 12  # evaluations of one line search
+
+# Tolerances of the squared residual, all relative but the last.
+_RELATIVE_TOLERANCE = 1e-14  # of the squared friction impulse: friction is then exact to 1e-7
+_ROUNDING_TOLERANCE = 1e-24  # of the largest first residual: below it there is only rounding
+_ABSOLUTE_TOLERANCE = 0.0  # (kg·m/s)²; Warp, in single precision, replaces it (`warp.translation`)
+
+# A line search ends where the slope has fallen below this fraction of the slope at its start, 1.
+_MAX_SLOPE_RATIO = 0.5
+
+# Rows of `Workspace.jacobian`.
+_ALONG = 0
+_ACROSS = 1
+_UP = 2
+_HUB = 3
+
+# Columns of `Workspace.response`.
+_FORCE_ALONG = 0  # N
+_FORCE_ACROSS = 1  # N
+_SLOPE_ALONG = 2  # of the force along, by the velocity along, N·s/m
+_SLOPE_MIXED = 3  # of the force along, by the velocity across, N·s/m
+_SLOPE_ACROSS = 4  # of the force across, by the velocity across, N·s/m
+_RIM_SPEED = 5  # of a wheel, where friction is evaluated, m/s
+_UNLOADING = 6  # decrease of the normal force that δ makes, N
+_SPIN_FORCE = 7  # part of the force along that spins the wheel, N
+
+# Columns of `ContactState.force`; the first two are those of the response.
+_STORED_SPIN = 2
 
 
 def c_function(name: str, *more: Any) -> Any:
-    """Return a C function of MuJoCo's that takes a model, data, and more; kernels call it by its name."""
+    """Return a C function of MuJoCo for kernels, which takes a model, its data, and further arguments."""
     return types.ExternalFunction(name, types.void(types.intp, types.intp, *more))
 
 
 mj_factorM, mj_solveM = c_function("mj_factorM"), c_function("mj_solveM", types.intp, types.intp, types.int32)
 
 
-class Engine(NamedTuple):
-    """What the friction solve reads and writes of the engine, views named as in MjData; one world's.
+class EngineData(NamedTuple):
+    """Views of the engine's data that the friction solve reads and writes, named as in MjData.
 
     Attributes:
-        model: its address, and
-        data: that of its data; other compilers than numba do without.
+        model: address of the MjModel; only for numba.
+        data: address of the MjData; only for numba.
     """
 
     model: int
@@ -62,179 +111,196 @@ class Engine(NamedTuple):
     sensordata: np.ndarray
 
 
-class Pattern(NamedTuple):
-    """Lower triangle of M, row by row: the ancestors of a degree of freedom, itself last.
+class Sparsity(NamedTuple):
+    """Lower triangle of M in compressed rows, and the damping matrices with the same pattern.
+
+    The entries of a row belong to the ancestors of its degree of freedom, which is itself the last entry.
 
     Attributes:
-        entries: of each row, their number.
-        first: where a row begins.
-        column: of each entry.
-        parent: the ancestor before, −1 where there is none.
-        damping: what A has besides M, entry by entry.
-        less: by how much the engine's has more, entry by entry.
+        row_length: number of entries of each row, shape (nv,).
+        row_start: index of the first entry of each row, shape (nv,).
+        column: column of each entry, shape (nM,).
+        parent: ancestor before each degree of freedom, −1 for the root, shape (nv,).
+        damping: C of the module docstring, A = M + C, shape (nM,), kg or kg·m².
+        damping_excess: h D − C, shape (nM,), same unit.
     """
 
-    entries: np.ndarray
-    first: np.ndarray
+    row_length: np.ndarray
+    row_start: np.ndarray
     column: np.ndarray
     parent: np.ndarray
     damping: np.ndarray
-    less: np.ndarray
+    damping_excess: np.ndarray
 
 
 class Contacts(NamedTuple):
-    """What may touch something: wheels first, then what of the body may touch an obstacle; C in all.
+    """Constants of the C possible contacts: the wheels first, then the hulls that may touch obstacles.
 
     Attributes:
-        wheels: how many of them are wheels.
-        body: of each, shape (C,).
-        place: of a wheel's centre in the body's frame, shape (wheels, 3), m.
-        last: last of the degrees of freedom that move it, shape (C,).
-        softness: R of a wheel's normal, shape (C,), 1/kg; infinite elsewhere.
-        ease: how fast an impulse across a wheel, or along the body, makes it, shape (C,), 1/kg.
-        rest: its share of the weight, shape (C,), N.
-        load: which one friction takes, a place in `numerics.LOADS`.
-        sensor: where a wheel's load stands in `sensordata`, or force and place of an obstacle's, shape (C,).
-        radius: of a wheel, m.
-        kind: of the law.
-        law: μ_t, μ_n, slip speed ε (m/s), mass that the spin adds (kg).
+        wheels: number of wheels.
+        body: body of each contact, shape (C,).
+        centre: centre of each wheel in the frame of its body, shape (wheels, 3), m.
+        last_dof: last degree of freedom that moves the contact, shape (C,).
+        regularisation: R of the normal force, shape (C,), 1/kg; infinite for a hull.
+        admittance: change of velocity per impulse, across for a wheel and along the body for a hull, shape
+            (C,), 1/kg.
+        static_load: shape (C,), N.
+        load_kind: load that friction takes, an index into `numerics.LOADS`.
+        sensor: index into `sensordata` of a wheel's normal force, or of the force on a hull, which its place
+            follows, shape (C,).
+        wheel_radius: m.
+        law: friction law of the wheels, an index into `numerics.LAWS_ON_LOADS`.
+        coefficients: μ_t, μ_n, slip speed ε (m/s), and the mass that the spin of a wheel adds (kg).
     """
 
     wheels: int
     body: np.ndarray
-    place: np.ndarray
-    last: np.ndarray
-    softness: np.ndarray
-    ease: np.ndarray
-    rest: np.ndarray
-    load: int
+    centre: np.ndarray
+    last_dof: np.ndarray
+    regularisation: np.ndarray
+    admittance: np.ndarray
+    static_load: np.ndarray
+    load_kind: int
     sensor: np.ndarray
-    radius: float
-    kind: int
-    law: tuple[float, float, float, float]
+    wheel_radius: float
+    law: int
+    coefficients: tuple[float, float, float, float]
 
 
-class Feet(NamedTuple):
-    """What each contact keeps from step to step.
+class ContactState(NamedTuple):
+    """State that the contacts keep from step to step.
 
     Attributes:
-        push: friction along and across the heading, and what of it spins the wheel, shape (C, 3), N.
-        rim: speed of the rim, shape (C,), m/s.
-        load: that friction takes, shape (C,), N.
-        slip: speed at which it slides, shape (C,), m/s.
+        force: friction along and across the heading, and its part that spins the wheel, shape (C, 3), N.
+        rim_speed: shape (C,), m/s.
+        load: normal force that friction takes, shape (C,), N.
+        slip_speed: shape (C,), m/s.
     """
 
-    push: np.ndarray
-    rim: np.ndarray
+    force: np.ndarray
+    rim_speed: np.ndarray
     load: np.ndarray
-    slip: np.ndarray
+    slip_speed: np.ndarray
 
 
-class Work(NamedTuple):
-    """Memory of the loop.
+class Workspace(NamedTuple):
+    """Arrays of one step. C contacts, nv degrees of freedom, nM entries of M.
+
+    Arrays of shape (nv, 6) hold the spatial velocity of, or force on, the bodies beyond a degree of freedom.
 
     Attributes:
-        rows: what gives a contact's velocity along, across, up, and its hub's along, shape (C, 4, 6).
-            Along an obstacle's face is along; across is up.
-        heading: cosine and sine, shape (C, 2).
-        found: friction, slopes (along by along, along by across, across by across), rim's speed where
-            friction is taken, by how much less the floor presses, what spins the wheel, shape (C, 8).
-        press: loads under v̂, shape (C,), N.
-        theta: where in the step friction is taken, 1/2 to 1, same shape.
-        gain: what v̂ − v₋ adds to the spatial velocity beyond each degree of freedom, shape (nv, 6).
-        start: that velocity at mid-step, without the change, same shape.
-        motion: what the change adds, or the forces on it, same shape.
-        pushed: forces that the change makes, same shape.
-        yielding: spatial slopes of the forces beyond each degree of freedom, shape (nv, 6, 6).
-        metric: A, as M.
-        matrix: Newton's, as M; numba's is where the engine keeps M.
-        before: v₋, shape (nv,).
-        predicted: v̂, same shape.
-        bias: momentum that the last two terms of the equation give, same shape.
-        change: v − v̂, same shape.
-        residual: same shape.
-        other: same shape.
-        direction: same shape.
+        jacobian: spatial vectors that give a contact's velocity along, across and up, and its hub's velocity
+            along, shape (C, 4, 6). For an obstacle, along is along its face, and across is up.
+        heading: cosine and sine of the direction along, shape (C, 2).
+        response: forces and slopes of the friction law, shape (C, 8); columns `_FORCE_ALONG` and so on.
+        normal_force: under v̂, shape (C,), N.
+        theta: fraction θ of the step at which friction is evaluated, 1/2 to 1, shape (C,).
+        step_motion: spatial velocities of v̂ − v₋, shape (nv, 6).
+        mid_motion: spatial velocities of (v₋ + v̂)/2, shape (nv, 6).
+        motion: spatial velocities of δ, or the forces that friction exerts, shape (nv, 6).
+        impulse: spatial impulses of the changed contact forces, shape (nv, 6).
+        slope: spatial slopes of the contact forces, shape (nv, 6, 6).
+        inertia: A, shape (nM,).
+        newton_matrix: shape (nM,); numba uses the engine's M for it.
+        v_start: v₋, shape (nv,).
+        v_predicted: v̂, shape (nv,).
+        bias: b, shape (nv,), kg·m/s or kg·m²/s.
+        v_change: δ, shape (nv,).
+        residual: r, shape (nv,); c(v̄) before the solve.
+        trial_residual: r at a trial of the line search, shape (nv,).
+        direction: Newton's direction, shape (nv,).
     """
 
-    rows: np.ndarray
+    jacobian: np.ndarray
     heading: np.ndarray
-    found: np.ndarray
-    press: np.ndarray
+    response: np.ndarray
+    normal_force: np.ndarray
     theta: np.ndarray
-    gain: np.ndarray
-    start: np.ndarray
+    step_motion: np.ndarray
+    mid_motion: np.ndarray
     motion: np.ndarray
-    pushed: np.ndarray
-    yielding: np.ndarray
-    metric: np.ndarray
-    matrix: np.ndarray
-    before: np.ndarray
-    predicted: np.ndarray
+    impulse: np.ndarray
+    slope: np.ndarray
+    inertia: np.ndarray
+    newton_matrix: np.ndarray
+    v_start: np.ndarray
+    v_predicted: np.ndarray
     bias: np.ndarray
-    change: np.ndarray
+    v_change: np.ndarray
     residual: np.ndarray
-    other: np.ndarray
+    trial_residual: np.ndarray
     direction: np.ndarray
 
 
 @inside
-def approach(engine, contacts, pattern, feet, work):  # type: ignore[no-untyped-def]
-    """See where the wheels are, and push with the friction of the step before."""
-    _look(engine, contacts, work)
-    _forces(engine.cdof, contacts, pattern, feet.push, work, engine.qfrc_applied)
+def apply_stored_friction(engine, contacts, sparsity, state, work):  # type: ignore[no-untyped-def]
+    """Locate the wheels and apply the friction of the previous step as `qfrc_applied`."""
+    _locate_wheels(engine, contacts, work)
+    _generalised_forces(engine.cdof, contacts, sparsity, state.force, work, engine.qfrc_applied)
 
 
 @inside
-def expect(engine, work):  # type: ignore[no-untyped-def]
-    """Go on with the velocities at mid-step, v̄ without the change; v̂ is known."""
-    for i in range(work.before.shape[0]):
-        engine.qvel[i] = 0.5 * (work.before[i] + work.predicted[i])
+def set_mid_velocity(engine, work):  # type: ignore[no-untyped-def]
+    """Set `qvel` to the velocity at mid-step without δ, (v₋ + v̂)/2."""
+    for i in range(work.v_start.shape[0]):
+        engine.qvel[i] = 0.5 * (work.v_start[i] + work.v_predicted[i])
 
 
 @inside
-def settle(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped-def]
-    """Find friction and the velocities that it leaves.
+def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
+    """Solve for the friction of a step and set `qvel` to the velocity at its end.
 
-    Needs v₋ and v̂ in `before` and `predicted`, c(v₋) in the engine's `qfrc_bias`, c(v̄) in `residual`.
+    On entry the workspace holds v₋ and v̂, its `residual` c(v̄), and `qfrc_bias` of the engine c(v₋).
     """
-    for i in range(work.before.shape[0]):
+    for i in range(work.v_start.shape[0]):
         work.bias[i] = h * (engine.qfrc_bias[i] - work.residual[i])
-        work.other[i] = work.predicted[i] - work.before[i]
-    _multiply(pattern, pattern.less, work.other, work.bias)
-    for k in range(work.metric.shape[0]):
-        work.metric[k] = engine.M[k] + pattern.damping[k]
-    _carry(engine.cdof, pattern, engine.qvel, work.start)
-    _carry(engine.cdof, pattern, work.other, work.gain)
-    _feel(engine, contacts, work)
+        work.trial_residual[i] = work.v_predicted[i] - work.v_start[i]
+    _add_product(sparsity, sparsity.damping_excess, work.trial_residual, work.bias)
+    for k in range(work.inertia.shape[0]):
+        work.inertia[k] = engine.M[k] + sparsity.damping[k]
+    _spatial_velocities(engine.cdof, sparsity, engine.qvel, work.mid_motion)
+    _spatial_velocities(engine.cdof, sparsity, work.trial_residual, work.step_motion)
+    _read_normal_forces(engine, contacts, work)
     for w in range(contacts.body.shape[0]):
-        mu = contacts.law[1] if w < contacts.wheels else _RUBS
-        grip = mu * work.press[w] / max(feet.slip[w], contacts.law[2])
-        work.theta[w] = _theta(h * grip * contacts.ease[w])
-    _solve(engine, contacts, pattern, feet, work, h)
-    for i in range(work.before.shape[0]):
-        engine.qvel[i] = work.predicted[i] + work.change[i]
+        mu = contacts.coefficients[1] if w < contacts.wheels else _OBSTACLE_FRICTION
+        # Secant slope of the friction force over the slip speed of the previous step, N·s/m.
+        grip = mu * work.normal_force[w] / max(state.slip_speed[w], contacts.coefficients[2])
+        work.theta[w] = _evaluation_fraction(h * grip * contacts.admittance[w])
+    _newton(engine, contacts, sparsity, state, work, h)
+    for i in range(work.v_start.shape[0]):
+        engine.qvel[i] = work.v_predicted[i] + work.v_change[i]
 
 
 @inside
-def note(contacts, feet, work, force):  # type: ignore[no-untyped-def]
-    """Keep what friction was; fill the forces on all contacts, (C, 3), N; return the power it takes, W."""
+def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def]
+    """Store the friction for the next step and return its power.
+
+    Args:
+        contacts: constants of the contacts.
+        state: out.
+        work: workspace after `solve_friction`.
+        force: out, force on each contact in the world frame, shape (C, 3), N. For a hull it is friction only.
+
+    Returns:
+        Power that friction dissipates, W.
+    """
     power = float(0.0)
     for w in range(contacts.body.shape[0]):
-        f_t, f_n, rim = work.found[w, 0], work.found[w, 1], work.found[w, 5]
-        along, across = _slip(contacts, work, w, 0.5)
+        f_t, f_n, rim = work.response[w, 0], work.response[w, 1], work.response[w, 5]
+        along, across = _contact_velocity(contacts, work, w, 0.5)
         power -= f_t * along + f_n * across
-        gap = along - rim if contacts.kind == _WHEEL else along
-        feet.slip[w] = np.sqrt(gap * gap + across * across)
-        feet.push[w, 0] = f_t
-        feet.push[w, 1] = f_n
-        feet.push[w, 2] = work.found[w, 7]
-        feet.rim[w] += (rim - feet.rim[w]) / work.theta[w]
+        slip_along = along - rim if contacts.law == _WHEEL else along
+        state.slip_speed[w] = np.sqrt(slip_along * slip_along + across * across)
+        state.force[w, _FORCE_ALONG] = f_t
+        state.force[w, _FORCE_ACROSS] = f_n
+        state.force[w, _STORED_SPIN] = work.response[w, _SPIN_FORCE]
+        # The rim speed is known at the fraction θ of the step: extrapolate to its end.
+        state.rim_speed[w] += (rim - state.rim_speed[w]) / work.theta[w]
         c, s = work.heading[w, 0], work.heading[w, 1]
         if w < contacts.wheels:
             force[w, 0] = c * f_t - s * f_n
             force[w, 1] = s * f_t + c * f_n
-            force[w, 2] = max(work.press[w] - work.found[w, 6], 0.0)
+            force[w, 2] = max(work.normal_force[w] - work.response[w, _UNLOADING], 0.0)
         else:
             force[w, 0] = c * f_t
             force[w, 1] = s * f_t
@@ -250,13 +316,13 @@ def _clear(array):  # type: ignore[no-untyped-def]
 
 
 @inside
-def _multiply(pattern, matrix, x, out):  # type: ignore[no-untyped-def]
-    """Add the product of a symmetric matrix of a pattern."""
+def _add_product(sparsity, matrix, x, out):  # type: ignore[no-untyped-def]
+    """Add the product of a symmetric matrix and the vector x to `out`."""
     for i in range(x.shape[0]):
-        row, last = pattern.first[i], pattern.first[i] + pattern.entries[i] - 1
+        row, last = sparsity.row_start[i], sparsity.row_start[i] + sparsity.row_length[i] - 1
         for k in range(row, last):
-            out[i] += matrix[k] * x[pattern.column[k]]
-            out[pattern.column[k]] += matrix[k] * x[i]
+            out[i] += matrix[k] * x[sparsity.column[k]]
+            out[sparsity.column[k]] += matrix[k] * x[i]
         out[i] += matrix[last] * x[i]
 
 
@@ -267,33 +333,34 @@ def dot(a, b):  # type: ignore[no-untyped-def]
 
 
 @inside
-def _look(engine, contacts, work):  # type: ignore[no-untyped-def]
-    """Fill the rows of each wheel's contact, which lies below its centre, and the headings."""
+def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
+    """Fill Jacobian and heading of each wheel's contact, which is straight below the wheel's centre."""
     com = engine.subtree_com[1]
     for w in range(contacts.wheels):
-        body, place = contacts.body[w], contacts.place[w]
+        body, centre = contacts.body[w], contacts.centre[w]
         m = engine.xmat[body]
         norm = 1.0 / np.sqrt(m[0] * m[0] + m[3] * m[3])
         c, s = m[0] * norm, m[3] * norm
         work.heading[w, 0] = c
         work.heading[w, 1] = s
-        x = engine.xpos[body, 0] + m[0] * place[0] + m[1] * place[1] + m[2] * place[2] - com[0]
-        y = engine.xpos[body, 1] + m[3] * place[0] + m[4] * place[1] + m[5] * place[2] - com[1]
-        z = engine.xpos[body, 2] + m[6] * place[0] + m[7] * place[1] + m[8] * place[2] - com[2]
-        z -= contacts.radius
-        point(work.rows[w, _ALONG], x, y, z, c, s, 0.0)
-        point(work.rows[w, _ACROSS], x, y, z, -s, c, 0.0)
-        point(work.rows[w, _UP], x, y, z, 0.0, 0.0, 1.0)
-        row, ahead = work.rows[w, _HUB], work.rows[w, _ALONG]
+        x = engine.xpos[body, 0] + m[0] * centre[0] + m[1] * centre[1] + m[2] * centre[2] - com[0]
+        y = engine.xpos[body, 1] + m[3] * centre[0] + m[4] * centre[1] + m[5] * centre[2] - com[1]
+        z = engine.xpos[body, 2] + m[6] * centre[0] + m[7] * centre[1] + m[8] * centre[2] - com[2]
+        z -= contacts.wheel_radius
+        point_jacobian(work.jacobian[w, _ALONG], x, y, z, c, s, 0.0)
+        point_jacobian(work.jacobian[w, _ACROSS], x, y, z, -s, c, 0.0)
+        point_jacobian(work.jacobian[w, _UP], x, y, z, 0.0, 0.0, 1.0)
+        # The hub is one radius above the contact: only the moments of its row differ.
+        hub, along = work.jacobian[w, _HUB], work.jacobian[w, _ALONG]
         for k in range(6):
-            row[k] = ahead[k]
-        row[0] = row[0] - contacts.radius * s
-        row[1] = row[1] + contacts.radius * c
+            hub[k] = along[k]
+        hub[0] = hub[0] - contacts.wheel_radius * s
+        hub[1] = hub[1] + contacts.wheel_radius * c
 
 
 @inside
-def point(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
-    """Fill what gives the velocity of a place along an axis."""
+def point_jacobian(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
+    """Fill the spatial vector that gives the velocity of the point (x, y, z) along the axis e."""
     row[0] = y * ez - z * ey
     row[1] = z * ex - x * ez
     row[2] = x * ey - y * ex
@@ -303,31 +370,31 @@ def point(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
 
 
 @inside
-def _feel(engine, contacts, work):  # type: ignore[no-untyped-def]
-    """Fill what presses on each contact, and the rows of those with obstacles, whose faces are upright."""
-    com, sensed = engine.subtree_com[1], engine.sensordata
+def _read_normal_forces(engine, contacts, work):  # type: ignore[no-untyped-def]
+    """Read the normal forces from the sensors; locate contacts with obstacles, which have upright faces."""
+    com, sensors = engine.subtree_com[1], engine.sensordata
     for w in range(contacts.body.shape[0]):
         k = contacts.sensor[w]
         if w < contacts.wheels:
-            work.press[w] = max(sensed[k], 0.0)
+            work.normal_force[w] = max(sensors[k], 0.0)
             continue
-        fx, fy = sensed[k], sensed[k + 1]
-        pressed = np.sqrt(fx * fx + fy * fy)
-        work.press[w] = pressed
-        if pressed > 0.0:
-            c, s = -fy / pressed, fx / pressed
-            x, y, z = sensed[k + 3] - com[0], sensed[k + 4] - com[1], sensed[k + 5] - com[2]
+        fx, fy = sensors[k], sensors[k + 1]
+        normal = np.sqrt(fx * fx + fy * fy)
+        work.normal_force[w] = normal
+        if normal > 0.0:
+            c, s = -fy / normal, fx / normal
+            x, y, z = sensors[k + 3] - com[0], sensors[k + 4] - com[1], sensors[k + 5] - com[2]
             work.heading[w, 0] = c
             work.heading[w, 1] = s
-            point(work.rows[w, _ALONG], x, y, z, c, s, 0.0)
-            point(work.rows[w, _ACROSS], x, y, z, 0.0, 0.0, 1.0)
+            point_jacobian(work.jacobian[w, _ALONG], x, y, z, c, s, 0.0)
+            point_jacobian(work.jacobian[w, _ACROSS], x, y, z, 0.0, 0.0, 1.0)
 
 
 @inside
-def _carry(cdof, pattern, velocity, motion):  # type: ignore[no-untyped-def]
-    """Fill the spatial velocity beyond each degree of freedom."""
+def _spatial_velocities(cdof, sparsity, velocity, motion):  # type: ignore[no-untyped-def]
+    """Fill the spatial velocity beyond each degree of freedom, from the root to the ends."""
     for i in range(velocity.shape[0]):
-        p = pattern.parent[i]
+        p = sparsity.parent[i]
         for k in range(6):
             motion[i, k] = cdof[i, k] * velocity[i]
             if p >= 0:
@@ -335,176 +402,210 @@ def _carry(cdof, pattern, velocity, motion):  # type: ignore[no-untyped-def]
 
 
 @inside
-def _project(cdof, pattern, motion, out):  # type: ignore[no-untyped-def]
-    """Sum spatial forces toward the root and fill what they do on each degree of freedom."""
+def _project(cdof, sparsity, force, out):  # type: ignore[no-untyped-def]
+    """Sum spatial forces toward the root, in place, and fill the generalised forces `out`, shape (nv,)."""
     for i in range(out.shape[0] - 1, -1, -1):
-        out[i] = dot(cdof[i], motion[i])
-        p = pattern.parent[i]
+        out[i] = dot(cdof[i], force[i])
+        p = sparsity.parent[i]
         if p >= 0:
             for k in range(6):
-                motion[p, k] += motion[i, k]
+                force[p, k] += force[i, k]
 
 
 @inside
-def _forces(cdof, contacts, pattern, push, work, out):  # type: ignore[no-untyped-def]
-    """Fill the generalised forces of friction."""
+def _generalised_forces(cdof, contacts, sparsity, force, work, out):  # type: ignore[no-untyped-def]
+    """Fill the generalised forces of given friction forces, shape (nv,)."""
     _clear(work.motion)
     for w in range(contacts.body.shape[0]):
         for k in range(6):
-            part = push[w, 0] * work.rows[w, _ALONG, k] + push[w, 1] * work.rows[w, _ACROSS, k]
-            part += push[w, 2] * (work.rows[w, _HUB, k] - work.rows[w, _ALONG, k])
-            work.motion[contacts.last[w], k] += part
-    _project(cdof, pattern, work.motion, out)
+            component = force[w, 0] * work.jacobian[w, _ALONG, k] + force[w, 1] * work.jacobian[w, _ACROSS, k]
+            component += force[w, 2] * (work.jacobian[w, _HUB, k] - work.jacobian[w, _ALONG, k])
+            work.motion[contacts.last_dof[w], k] += component
+    _project(cdof, sparsity, work.motion, out)
 
 
 @inside
-def _slip(contacts, work, w, theta):  # type: ignore[no-untyped-def]
-    """Return a contact's velocity along and across at mid-step, m/s; the change's `motion` is known."""
-    last = contacts.last[w]
-    start, gain, change = work.start[last], work.gain[last], work.motion[last]
-    ahead, aside, more = work.rows[w, _ALONG], work.rows[w, _ACROSS], theta - 0.5
+def _contact_velocity(contacts, work, w, theta):  # type: ignore[no-untyped-def]
+    """Return u of a contact along and across at the fraction θ of the step, m/s; `motion` holds δ."""
+    last = contacts.last_dof[w]
+    middle, step, change = work.mid_motion[last], work.step_motion[last], work.motion[last]
+    # v₋ + θ (v − v₋) = (v₋ + v̂)/2 + (θ − 1/2)(v̂ − v₋) + θ δ
+    ahead, aside, more = work.jacobian[w, _ALONG], work.jacobian[w, _ACROSS], theta - 0.5
     return (
-        dot(ahead, start) + more * dot(ahead, gain) + theta * dot(ahead, change),
-        dot(aside, start) + more * dot(aside, gain) + theta * dot(aside, change),
+        dot(ahead, middle) + more * dot(ahead, step) + theta * dot(ahead, change),
+        dot(aside, middle) + more * dot(aside, step) + theta * dot(aside, change),
     )
 
 
 @inside
-def _load(contacts, work, w):  # type: ignore[no-untyped-def]
-    """Return the load that friction takes, N."""
-    pressed, rest = max(work.press[w] - work.found[w, 6], 0.0), contacts.rest[w]
-    if contacts.load == _MOMENTARY or w >= contacts.wheels:
-        return pressed
-    other = max(work.press[w ^ 1] - work.found[w ^ 1, 6], 0.0)
-    if contacts.load == _ACROSS_ONLY and pressed > 0.0:
-        return 2.0 * rest * pressed / (pressed + other)
-    return rest
+def _friction_load(contacts, work, w):  # type: ignore[no-untyped-def]
+    """Return the load that the friction of a contact takes (`numerics.LOADS`), N."""
+    normal = max(work.normal_force[w] - work.response[w, _UNLOADING], 0.0)
+    static = contacts.static_load[w]
+    if contacts.load_kind == _MOMENTARY or w >= contacts.wheels:
+        return normal
+    # The wheels 2k and 2k + 1 share an axle.
+    opposite = max(work.normal_force[w ^ 1] - work.response[w ^ 1, _UNLOADING], 0.0)
+    if contacts.load_kind == _ACROSS_ONLY and normal > 0.0:
+        return 2.0 * static * normal / (normal + opposite)
+    return static
 
 
 @inside
-def _theta(x):  # type: ignore[no-untyped-def]
-    """Return where in a step friction is taken that lets slip decay by x: its middle, or its end if fast."""
+def _evaluation_fraction(x):  # type: ignore[no-untyped-def]
+    """Return the fraction θ of a step at which friction is evaluated, for slip that decays by e^(−x).
+
+    With it the implicit step reproduces the exponential decay. θ is 1/2 for slow decay, 1 for fast decay.
+    """
     if x > 0.1:
         return 1.0 / (1.0 - np.exp(-x)) - 1.0 / x
     return 0.5 + x / 12.0 - x * x * x / 720.0
 
 
 @inside
-def _law(contacts, w, along, across, load, push, rim, h):  # type: ignore[no-untyped-def]
-    """Return force, slopes (along by along, along by across, across by across), rim's speed at mid-step."""
-    law = contacts.law
+def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Evaluate the friction law of a contact.
+
+    Args:
+        contacts: constants of the contacts.
+        w: contact.
+        along, across: velocity, m/s.
+        load: normal force, N.
+        force: friction of the previous step, a row of `ContactState.force`, N.
+        rim: rim speed at the beginning of the step, m/s.
+        h: time from the beginning of the step to the evaluation, s.
+
+    Returns:
+        Force along and across (N), slopes along, mixed and across (N·s/m), and rim speed (m/s).
+    """
+    law = contacts.coefficients
     mu_t, mu_n, slip, mass = law[0], law[1], law[2], law[3]
     if w >= contacts.wheels:
-        f_t, f_n, tt, tn, nn = held(along, across, load, _RUBS, _RUBS, slip, push[0], push[1])
+        f_t, f_n, tt, tn, nn = stick_slip_friction(
+            along, across, load, _OBSTACLE_FRICTION, _OBSTACLE_FRICTION, slip, force[0], force[1]
+        )
         return f_t, f_n, tt, tn, nn, 0.0
-    lag, drag = mass / h, push[0] - push[2]
-    if contacts.kind == _WHEEL:
-        return rolling(along, across, load, mu_t, mu_n, slip, push[0], push[1], rim, lag)
-    if contacts.kind == _ELLIPSE:
-        f_t, f_n, tt, tn, nn = held(along, across, load, mu_t, mu_n, slip, drag, push[1])
+    inertia, drag = mass / h, force[0] - force[2]
+    if contacts.law == _WHEEL:
+        return rolling_friction(along, across, load, mu_t, mu_n, slip, force[0], force[1], rim, inertia)
+    if contacts.law == _ELLIPSE:
+        f_t, f_n, tt, tn, nn = stick_slip_friction(along, across, load, mu_t, mu_n, slip, drag, force[1])
         return f_t, f_n, tt, tn, nn, along
-    f_t, _, tt, _, _ = held(along, 0.0, load, mu_t, mu_t, slip, drag, 0.0)
-    _, f_n, _, _, nn = held(0.0, across, load, mu_n, mu_n, slip, 0.0, push[1])
-    return f_t - lag * (along - rim), f_n, tt - lag, 0.0, nn, along
+    # Law "axis": the two directions are independent, and the wheel rolls, so that its spin adds mass.
+    f_t, _, tt, _, _ = stick_slip_friction(along, 0.0, load, mu_t, mu_t, slip, drag, 0.0)
+    _, f_n, _, _, nn = stick_slip_friction(0.0, across, load, mu_n, mu_n, slip, 0.0, force[1])
+    return f_t - inertia * (along - rim), f_n, tt - inertia, 0.0, nn, along
 
 
 @inside
-def _solve(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped-def]
-    """Find friction and the change of velocity that it makes, by Newton's method with a line search."""
-    change, direction = work.change, work.direction
+def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
+    """Solve r(δ) = 0 by Newton's method with a line search."""
+    change, direction = work.v_change, work.direction
     for i in range(change.shape[0]):
         change[i] = 0.0
-    _clear(work.found)
+    _clear(work.response)
     first = float(0.0)
-    # The second time on the loads that friction leaves; the first need not be exact.
-    for turn in range(2):
-        most = 1 if turn == 0 else _MOST_ITERATIONS
-        impulse = float(0.0)
+    # The first pass uses the loads of v̂ and need not converge; the second uses the loads that it leaves.
+    for iteration in range(2):
+        max_iterations = 1 if iteration == 0 else _MAX_ITERATIONS
+        friction_impulse = float(0.0)
         for w in range(contacts.body.shape[0]):
-            feet.load[w] = _load(contacts, work, w)
-            impulse += h * contacts.law[1] * feet.load[w]
-        best = _residual(engine, contacts, pattern, feet, work, h, work.residual)
+            state.load[w] = _friction_load(contacts, work, w)
+            friction_impulse += h * contacts.coefficients[1] * state.load[w]
+        best = _evaluate_residual(engine, contacts, sparsity, state, work, h, work.residual)
         first = max(first, best)
-        enough = _SMALL * impulse * impulse + _ROUNDING * first + _LEAST
-        for _ in range(most):
-            if not best > enough:
+        tolerance = (
+            _RELATIVE_TOLERANCE * friction_impulse * friction_impulse
+            + _ROUNDING_TOLERANCE * first
+            + _ABSOLUTE_TOLERANCE
+        )
+        for _ in range(max_iterations):
+            if not best > tolerance:
                 break
-            _assemble(engine, contacts, pattern, feet, work, h)
-            _divide(engine, pattern, work)
-            best = _search(engine, contacts, pattern, feet, work, h)
+            _assemble(engine, contacts, sparsity, state, work, h)
+            _solve_direction(engine, sparsity, work)
+            best = _line_search(engine, contacts, sparsity, state, work, h)
             for i in range(direction.shape[0]):
-                work.residual[i] = work.other[i]
+                work.residual[i] = work.trial_residual[i]
 
 
 @inside
-def _search(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped-def]
-    """Move along Newton's direction until the residual is about normal to it; return the residual's square.
+def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
+    """Move along Newton's direction until the residual is nearly normal to it; return its square.
 
-    Under given loads friction dissipates the most that it can, so the residual is the gradient of a convex
-    function. That function falls at each such step. The residual's square may rise where a contact changes
-    between sticking and sliding, so a search that demands its fall gives up near a stop.
+    Under given loads friction maximises dissipation, so the residual is the gradient of a convex function,
+    which decreases at each such step. The squared residual may increase where a contact changes between
+    sticking and sliding, so that a search that requires its decrease stalls when the robot stops.
     """
-    change, direction = work.change, work.direction
+    change, direction = work.v_change, work.direction
     start = float(0.0)
     for i in range(direction.shape[0]):
         start += work.residual[i] * direction[i]
     low, high, scale, done = float(0.0), float(1.0), float(1.0), float(0.0)
-    before, beyond, merit = start, float(0.0), float(0.0)
-    for _ in range(_MOST_TRIALS):
+    slope_low, slope_high, square = start, float(0.0), float(0.0)
+    for _ in range(_MAX_TRIALS):
         for i in range(direction.shape[0]):
             change[i] -= (scale - done) * direction[i]
         done = scale
-        merit = _residual(engine, contacts, pattern, feet, work, h, work.other)
+        square = _evaluate_residual(engine, contacts, sparsity, state, work, h, work.trial_residual)
         slope = float(0.0)
         for i in range(direction.shape[0]):
-            slope += work.other[i] * direction[i]
-        if slope >= -_OVERSHOOT * start and (scale == 1.0 or slope <= _OVERSHOOT * start):
+            slope += work.trial_residual[i] * direction[i]
+        if slope >= -_MAX_SLOPE_RATIO * start and (scale == 1.0 or slope <= _MAX_SLOPE_RATIO * start):
             break
         if slope < 0.0:
             high = scale
-            beyond = slope
+            slope_high = slope
         else:
             low = scale
-            before = slope
-        # By the secant, kept off the ends.
-        scale = low + min(max(before / (before - beyond), 0.1), 0.9) * (high - low)
-    return merit
+            slope_low = slope
+        # Secant step, at least a tenth of the bracket from either end.
+        scale = low + min(max(slope_low / (slope_low - slope_high), 0.1), 0.9) * (high - low)
+    return square
 
 
 @inside
-def _residual(engine, contacts, pattern, feet, work, h, out):  # type: ignore[no-untyped-def]
-    """Fill what the equation lacks, kg·m/s; return its square; note what the law says."""
-    change, motion, rows, found = work.change, work.motion, work.rows, work.found
-    _carry(engine.cdof, pattern, change, motion)
+def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type: ignore[no-untyped-def]
+    """Fill r(δ) (kg·m/s or kg·m²/s) and the response of the friction law; return the square of r."""
+    change, motion, jacobian, response = work.v_change, work.motion, work.jacobian, work.response
+    _spatial_velocities(engine.cdof, sparsity, change, motion)
     for w in range(contacts.body.shape[0]):
-        if w >= contacts.wheels and feet.load[w] == 0.0:
-            continue  # touches nothing
-        along, across = _slip(contacts, work, w, work.theta[w])
-        f_t, f_n, tt, tn, nn, rim = _law(
-            contacts, w, along, across, feet.load[w], feet.push[w], feet.rim[w], h * work.theta[w]
+        if w >= contacts.wheels and state.load[w] == 0.0:
+            continue  # the hull touches no obstacle
+        along, across = _contact_velocity(contacts, work, w, work.theta[w])
+        f_t, f_n, tt, tn, nn, rim = _friction_law(
+            contacts, w, along, across, state.load[w], state.force[w], state.rim_speed[w], h * work.theta[w]
         )
-        found[w, 0] = f_t
-        found[w, 1] = f_n
-        found[w, 5] = rim
-        found[w, 2] = tt
-        found[w, 3] = tn
-        found[w, 4] = nn
-        found[w, 7] = -contacts.law[3] / (h * work.theta[w]) * (rim - feet.rim[w])
-        rise = dot(rows[w, _UP], motion[contacts.last[w]])
-        found[w, 6] = rise / (h * contacts.softness[w]) if work.press[w] > 0.0 else 0.0
-    pushed = work.pushed
-    _clear(pushed)
+        response[w, _FORCE_ALONG] = f_t
+        response[w, _FORCE_ACROSS] = f_n
+        response[w, _RIM_SPEED] = rim
+        response[w, _SLOPE_ALONG] = tt
+        response[w, _SLOPE_MIXED] = tn
+        response[w, _SLOPE_ACROSS] = nn
+        response[w, _SPIN_FORCE] = (
+            -contacts.coefficients[3] / (h * work.theta[w]) * (rim - state.rim_speed[w])
+        )
+        rise = dot(jacobian[w, _UP], motion[contacts.last_dof[w]])
+        response[w, _UNLOADING] = (
+            rise / (h * contacts.regularisation[w]) if work.normal_force[w] > 0.0 else 0.0
+        )
+    impulse = work.impulse
+    _clear(impulse)
     for w in range(contacts.body.shape[0]):
-        f_t, f_n = h * (found[w, 0] - feet.push[w, 0]), h * (found[w, 1] - feet.push[w, 1])
-        spun = h * (found[w, 7] - feet.push[w, 2])
+        f_t, f_n = h * (response[w, 0] - state.force[w, 0]), h * (response[w, 1] - state.force[w, 1])
+        spin = h * (response[w, _SPIN_FORCE] - state.force[w, _STORED_SPIN])
         for k in range(6):
-            less = h * found[w, 6] * rows[w, _UP, k]
-            more = (f_t - spun) * rows[w, _ALONG, k] + spun * rows[w, _HUB, k] + f_n * rows[w, _ACROSS, k]
-            pushed[contacts.last[w], k] += less - more
-    _project(engine.cdof, pattern, pushed, out)
+            less = h * response[w, _UNLOADING] * jacobian[w, _UP, k]
+            more = (
+                (f_t - spin) * jacobian[w, _ALONG, k]
+                + spin * jacobian[w, _HUB, k]
+                + f_n * jacobian[w, _ACROSS, k]
+            )
+            impulse[contacts.last_dof[w], k] += less - more
+    _project(engine.cdof, sparsity, impulse, out)
     for i in range(change.shape[0]):
         out[i] -= work.bias[i]
-    _multiply(pattern, work.metric, change, out)
+    _add_product(sparsity, work.inertia, change, out)
     total = float(0.0)
     for i in range(change.shape[0]):
         total += out[i] * out[i]
@@ -512,74 +613,78 @@ def _residual(engine, contacts, pattern, feet, work, h, out):  # type: ignore[no
 
 
 @inside
-def _assemble(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped-def]
-    """Fill Newton's matrix: A, the normals that press, friction's slopes."""
-    matrix, rows, found, yielding = work.matrix, work.rows, work.found, work.yielding
-    for i in range(yielding.shape[0]):
-        _clear(yielding[i])
+def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
+    """Fill Newton's matrix: A, the regularised normal forces, and the slopes of friction."""
+    matrix, jacobian, response, slope = work.newton_matrix, work.jacobian, work.response, work.slope
+    for i in range(slope.shape[0]):
+        _clear(slope[i])
     for w in range(contacts.body.shape[0]):
-        part = -work.theta[w] * h
-        tt, tn, nn = part * found[w, 2], part * found[w, 3], part * found[w, 4]
-        up = 1.0 / contacts.softness[w] if work.press[w] > 0.0 else 0.0
-        ahead = rows[w, _HUB if found[w, 5] != 0.0 else _ALONG]
-        aside, above, own = rows[w, _ACROSS], rows[w, _UP], yielding[contacts.last[w]]
+        weight = -work.theta[w] * h
+        tt = weight * response[w, _SLOPE_ALONG]
+        tn = weight * response[w, _SLOPE_MIXED]
+        nn = weight * response[w, _SLOPE_ACROSS]
+        up = 1.0 / contacts.regularisation[w] if work.normal_force[w] > 0.0 else 0.0
+        # While a wheel turns, its force along acts on the connector at the hub.
+        ahead = jacobian[w, _HUB if response[w, _RIM_SPEED] != 0.0 else _ALONG]
+        aside, above, composite = jacobian[w, _ACROSS], jacobian[w, _UP], slope[contacts.last_dof[w]]
         for a in range(6):
             t, n, z = tt * ahead[a] + tn * aside[a], tn * ahead[a] + nn * aside[a], up * above[a]
             for b in range(6):
-                own[a, b] += t * ahead[b] + n * aside[b] + z * above[b]
+                composite[a, b] += t * ahead[b] + n * aside[b] + z * above[b]
     for k in range(matrix.shape[0]):
-        matrix[k] = work.metric[k]
-    for i in range(pattern.entries.shape[0] - 1, -1, -1):
-        d, own, p, row = engine.cdof[i], yielding[i], pattern.parent[i], pattern.first[i]
-        on = work.pushed[i]
+        matrix[k] = work.inertia[k]
+    # Sum the slopes toward the root; project those beyond each degree of freedom on its ancestors.
+    for i in range(sparsity.row_length.shape[0] - 1, -1, -1):
+        d, composite, p, row = engine.cdof[i], slope[i], sparsity.parent[i], sparsity.row_start[i]
+        reaction = work.impulse[i]
         for a in range(6):
-            on[a] = dot(own[a], d)
-        for k in range(row, row + pattern.entries[i]):
-            matrix[k] += dot(on, engine.cdof[pattern.column[k]])
+            reaction[a] = dot(composite[a], d)
+        for k in range(row, row + sparsity.row_length[i]):
+            matrix[k] += dot(reaction, engine.cdof[sparsity.column[k]])
         if p >= 0:
             for a in range(6):
                 for b in range(6):
-                    yielding[p, a, b] += own[a, b]
+                    slope[p, a, b] += composite[a, b]
 
 
 @inside
-def _divide(engine, pattern, work):  # type: ignore[no-untyped-def]
-    """Fill the direction that Newton's matrix gives the residual, by the engine's own routines."""
+def _solve_direction(engine, sparsity, work):  # type: ignore[no-untyped-def]
+    """Solve for Newton's direction with the engine's own factorisation; numba only."""
     mj_factorM(engine.model, engine.data)
     mj_solveM(engine.model, engine.data, work.direction.ctypes.data, work.residual.ctypes.data, np.int32(1))
 
 
 @inside
-def divide_alone(engine, pattern, work):  # type: ignore[no-untyped-def]
-    """Do the same without the engine's routines."""
+def solve_direction_portably(engine, sparsity, work):  # type: ignore[no-untyped-def]
+    """Solve for Newton's direction without the engine's factorisation, as Warp needs it."""
     for i in range(work.direction.shape[0]):
         work.direction[i] = work.residual[i]
-    _factor(work.matrix, pattern)
-    _substitute(work.matrix, pattern, work.direction)
+    _factor(work.newton_matrix, sparsity)
+    _substitute(work.newton_matrix, sparsity, work.direction)
 
 
 @inside
-def _factor(matrix, pattern):  # type: ignore[no-untyped-def]
-    """Factor a matrix of M's pattern into LᵀDL, in place: no entry appears that M does not have."""
-    for k in range(pattern.entries.shape[0] - 1, -1, -1):
-        row, last = pattern.first[k], pattern.entries[k] - 1
+def _factor(matrix, sparsity):  # type: ignore[no-untyped-def]
+    """Factor a matrix with the pattern of M into LᵀDL, in place and without fill-in."""
+    for k in range(sparsity.row_length.shape[0] - 1, -1, -1):
+        row, last = sparsity.row_start[k], sparsity.row_length[k] - 1
         over = 1.0 / matrix[row + last]
         for a in range(last - 1, -1, -1):
-            part, to = matrix[row + a] * over, pattern.first[pattern.column[row + a]]
+            factor, to = matrix[row + a] * over, sparsity.row_start[sparsity.column[row + a]]
             for b in range(a + 1):
-                matrix[to + b] -= part * matrix[row + b]
-            matrix[row + a] = part
+                matrix[to + b] -= factor * matrix[row + b]
+            matrix[row + a] = factor
 
 
 @inside
-def _substitute(matrix, pattern, x):  # type: ignore[no-untyped-def]
-    """Solve LᵀDL x = b in place."""
+def _substitute(matrix, sparsity, x):  # type: ignore[no-untyped-def]
+    """Solve LᵀDL x = b in place, with b in `x`."""
     for i in range(x.shape[0] - 1, -1, -1):
-        for k in range(pattern.first[i], pattern.first[i] + pattern.entries[i] - 1):
-            x[pattern.column[k]] -= matrix[k] * x[i]
+        for k in range(sparsity.row_start[i], sparsity.row_start[i] + sparsity.row_length[i] - 1):
+            x[sparsity.column[k]] -= matrix[k] * x[i]
     for i in range(x.shape[0]):
-        last = pattern.first[i] + pattern.entries[i] - 1
+        last = sparsity.row_start[i] + sparsity.row_length[i] - 1
         value = x[i] / matrix[last]
-        for k in range(pattern.first[i], last):
-            value -= matrix[k] * x[pattern.column[k]]
+        for k in range(sparsity.row_start[i], last):
+            value -= matrix[k] * x[sparsity.column[k]]
         x[i] = value

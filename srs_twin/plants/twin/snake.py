@@ -1,4 +1,4 @@
-"""TwinSnake: the snake in MuJoCo, in three dimensions, with compliant bends, on wheels or on skids."""
+"""TwinSnake: the three-dimensional twin in MuJoCo with compliant bends, on wheels or on skids."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from srs_twin.plants.base import (
     PneumaticPlant,
     Pose,
     SnakeState,
-    check_before,
-    check_moment,
+    check_before_step,
+    check_initial_state,
     check_plausible,
 )
 from srs_twin.plants.twin.mjcf.numerics import (
@@ -40,28 +40,34 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor
 
-_SPEED_LIMIT = 1e4  # rad/s or m/s: beyond it the state is not plausible
-_DESCRIBED = {
-    "law": "friction", "slip_speed": "slip_speed_m_s", "slip_time": "slip_time_s", "axle_time": "axle_time_s"
-}  # fmt: skip
+_MAX_SPEED = 1e4  # of any joint, above which a state is not plausible, rad/s or m/s
+
+# Option of a contact → key in the provenance of a run, where the two differ.
+_CONTACT_KEYS = {
+    "law": "friction",
+    "slip_speed": "slip_speed_m_s",
+    "slip_time": "slip_time_s",
+    "axle_time": "axle_time_s",
+}
 
 
 class TwinSnake(PneumaticPlant):
-    """The MuJoCo twin: rigid bodies in three dimensions, several hinges a segment, wheels or skids.
+    """Twin in MuJoCo: rigid bodies in three dimensions, several hinges per segment, on wheels or skids.
 
-    Its segments have stiffness k and damping c = k τ₂ and are driven by the moment k G (p⁺ − p⁻), so that a
-    free segment without mass obeys Eq. 14.
+    The segments have the stiffness k and the damping c = k τ₂. The air exerts the moment k G (p⁺ − p⁻), so
+    that a massless segment without load obeys Eq. 14.
 
     Attributes:
-        stretch: how much the engine runs at a time, s: its records of every step stay small.
-        physics: the `SnakePhysics`, for what the contract does not show.
+        max_chunk_s: longest interval that the engine simulates in one call, s; it bounds the memory for the
+            records of the steps.
+        physics: the `SnakePhysics`, for quantities that `Plant` does not provide.
         timestep: s.
-        contact: how the floor holds it.
+        contact: contact with the floor.
     """
 
     name = "twin"
-    memory = names("physics", "_spent", "_internal", "_theta", "_raised")
-    stretch = 1.0
+    memory = names("physics", "_energy_loss", "_internal_loss", "_theta", "_start_height_energy")
+    max_chunk_s = 1.0
     has_internal_loss = True
 
     def __init__(
@@ -79,87 +85,92 @@ class TwinSnake(PneumaticPlant):
         world: World | None = None,
         base: str = ModelSettings.base,
         numerics: Numerics = ModelSettings.numerics,
-        **former: Any,
+        **deprecated: Any,
     ) -> None:
         """Build and compile the twin.
 
         Args:
             spec: the robot.
-            contact: how the floor holds it; "loaded" and "preloaded" stand for `LoadedContact()` and
+            contact: contact with the floor; the names "loaded" and "preloaded" select `LoadedContact()` and
                 `PreloadedContact()`.
-            timestep: s; the tick is a multiple of it.
+            timestep: time step, s; the tick is a multiple of it.
             hinges_per_segment: bending hinges per segment.
-            supply_pa: supply pressure, Pa; default the robot's nominal one.
+            supply_pa: supply pressure, Pa; default the robot's nominal pressure.
             tick: control tick, s.
             layout: valve layout, "3/2" or "in_out".
-            pneumatics: "lag", "orifice", or chambers of one's own.
-            sensor: of the bends, "ideal", "hall" with its defaults, or one of one's own.
-            world: whose obstacles it may run into; None: an open floor.
-            base: "free", or "clamped": held at the head, in the air.
-            numerics: switches that only studies of the twin itself change.
-            former: deprecated keywords, now fields of the contact or of `numerics`; each warns.
+            pneumatics: "lag", "orifice", or a `Pneumatics` object.
+            sensor: curvature sensor: "ideal", "hall" with its defaults, or a `Sensor` object.
+            world: floor and obstacles; None for a level floor without obstacles.
+            base: "free", or "clamped": the head is held, and the snake hangs in the air.
+            numerics: switches for studies of the twin itself.
+            deprecated: former keywords, which are now fields of the contact or of `numerics`; each warns.
 
         Raises:
-            InputError: an unknown contact or layout, a tick that is no multiple of the time step, or a time
-                step that is too long for the chambers.
+            InputError: the contact or the layout is unknown, the tick is not a multiple of the time step, or
+                the time step is too long for the chambers.
         """
         contact = as_contact(contact)
-        if former:
-            contact, numerics = _take_former(contact, numerics, former)
+        if deprecated:
+            contact, numerics = _apply_deprecated(contact, numerics, deprecated)
         one_of("base", base, BASES)
         if world is not None and world.uneven and isinstance(contact, PreloadedContact):
             raise InputError("a floor that slopes or has steps needs contact 'loaded'")
         whole_steps("tick", tick, "time step", timestep)
         self.spec, self.tick, self.timestep, self.contact = spec, tick, timestep, contact
-        supply = self._equip(pneumatics, supply_pa, layout, sensor)
+        supply = self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
         self._settings = ModelSettings(timestep, hinges_per_segment, contact, base, numerics)
         self._bias = spec.modules.array("bias")
-        if self.pneumatics.feels_bend and timestep > self.pneumatics.felt_s * (1 + 1e-9):
+        if self.pneumatics.depends_on_bend and timestep > self.pneumatics.coupling_step_s * (1 + 1e-9):
             raise InputError(
-                f"time step {timestep:g} s is too long for these chambers, which feel how the segments bend; "
-                f"it must be {self.pneumatics.felt_s:g} s or less (timestep_s in a scenario)"
+                f"time step {timestep:g} s is too long for chambers whose pressures depend on the bends; it "
+                f"must be {self.pneumatics.coupling_step_s:g} s or less (timestep_s in a scenario)"
             )
         self.touches, self.uneven = world is not None and world.solid, world is not None and world.uneven
-        self._first_step = min((step.x for step in world.steps), default=math.inf) if world else math.inf
-        largest = supply * self.pneumatics.overshoot
+        self._first_step_x = min((step.x for step in world.steps), default=math.inf) if world else math.inf
+        largest = supply * self.pneumatics.max_pressure_ratio
         self._world = fingerprint(world)
         self.physics = SnakePhysics.build(spec, self._settings, self.pneumatics, largest, world)
         self.reset()
 
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
-        """Lay the snake straight, at rest, chambers empty. `seed` is the sensors' noise's."""
+        """Lay the snake straight and at rest with empty chambers.
+
+        Args:
+            pose: centre of mass x, y (m) and mean heading (rad).
+            seed: random seed of the sensor noise.
+        """
         physics = self.physics
         physics.lay_down(pose)
         foremost = float(physics.connector_positions()[:, 0].max()) + self.spec.geometry.wheel_radius
-        if foremost >= self._first_step:
+        if foremost >= self._first_step_x:
             raise InputError(
-                f"a snake begins before the first step, which is at x = {self._first_step:g} m, not at "
-                f"{foremost:.3g} m"
+                f"a snake must start before the first step, at x = {self._first_step_x:g} m; its front is at "
+                f"x = {foremost:.3g} m"
             )
         self._theta = np.full(self.spec.geometry.connectors, float(pose[2]))
-        return self._begin(seed, self.pneumatics.resting())
+        return self._begin(seed, self.pneumatics.rest_trace())
 
     def place(self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0) -> SnakeState:
         """See `Plant.place`."""
-        check_moment(snake, yaw_rate, self.spec.segments)
+        check_initial_state(snake, yaw_rate, self.spec.segments)
         x, y = map(float, snake.com)
         pose = x, y, float(snake.heading)
         self.reset(pose=pose, seed=seed)
         bend = np.array(snake.bend, dtype=float)
         self.pneumatics.place(snake.pressure, bend)
         self.physics.place(pose, np.array([*snake.com_velocity, yaw_rate]), bend, np.array(snake.bend_rate))
-        return self._begin(seed, self.pneumatics.now())
+        return self._begin(seed, self.pneumatics.current_trace())
 
     def _begin(self, seed: int, trace: Trace) -> SnakeState:
-        """Return the first moment of a run."""
+        """Return the first state of a run."""
         physics = self.physics
-        self._raised = self._height(physics.center_of_mass())
+        self._start_height_energy = self._potential_energy(physics.center_of_mass())
         self._ticks, self.seed = 0, seed
-        self._spent = self._internal = 0.0
+        self._energy_loss = self._internal_loss = 0.0
         state = np.concatenate([[0.0], physics.data.qpos, physics.data.qvel])[None]
         force, obstacles = np.zeros((1, len(self._theta), 2, 2)), np.zeros((1, len(self._theta), 2))
-        given, lost = np.array([physics.kinetic_energy()]), np.zeros(1)
-        self.state = self._observe(np.zeros(1), state, trace, force, obstacles, given, lost).at(0)
+        work, loss = np.array([physics.kinetic_energy()]), np.zeros(1)
+        self.state = self._observe(np.zeros(1), state, trace, force, obstacles, work, loss).at(0)
         return self.state
 
     @property
@@ -171,145 +182,158 @@ class TwinSnake(PneumaticPlant):
         """See `Plant.identity`."""
         return super().identity() | {"world": self._world}
 
-    def _follow(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
-        """Follow a schedule of possible valve states over so many ticks."""
+    def _simulate(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
+        """Follow a schedule in chunks, see `PneumaticPlant._simulate`."""
         interval = schedule.span / samples
         steps = whole_steps("sample interval", interval, "time step", self.timestep)
-        block = max(1, math.floor(self.stretch / interval))
-        begun, parts = self._ticks * self.tick, []
-        for first in range(0, samples, block):
-            count = min(block, samples - first)
-            part = schedule.part(first * interval, (first + count) * interval)
+        chunk_samples = max(1, math.floor(self.max_chunk_s / interval))
+        begun, histories = self._ticks * self.tick, []
+        for first in range(0, samples, chunk_samples):
+            count = min(chunk_samples, samples - first)
+            chunk = schedule.slice(first * interval, (first + count) * interval)
             try:
-                parts.append(self._block(part, begun + first * interval, count, steps))
+                histories.append(self._simulate_chunk(chunk, begun + first * interval, count, steps))
             except DivergedError as error:
-                kept = [*parts, *([error.history] if error.history is not None else [])]
-                error.history = SnakeState.history(kept) if kept else None
+                if error.history is not None:
+                    histories.append(error.history)
+                error.history = SnakeState.history(histories) if histories else None
                 raise
         self._ticks += ticks
-        return check_plausible(self.name, SnakeState.history(parts))
+        return check_plausible(self.name, SnakeState.history(histories))
 
     def describe(self) -> dict[str, Any]:
-        """Return the settings worth recording."""
+        """Return the settings for the provenance of a run."""
         settings = self._settings
-        own = {_DESCRIBED.get(name, name): value for name, value in vars(self.contact).items()}
+        options = {_CONTACT_KEYS.get(name, name): value for name, value in vars(self.contact).items()}
         if isinstance(self.contact, PreloadedContact):
-            own["preload"] = self.contact.pressed
+            options["preload"] = self.contact.preload_ratio
         rest = {name: getattr(settings, name) for name in ("hinges_per_segment", "base")}
         rest |= {"timestep_s": self.timestep, "preset": preset_of(settings)}
-        return super().describe() | {"contact": self.contact.name} | own | rest | vars(settings.numerics)
+        return super().describe() | {"contact": self.contact.name} | options | rest | vars(settings.numerics)
 
-    def _block(self, schedule: Schedule, begun: float, samples: int, steps: int) -> SnakeState:
-        """Follow a schedule for some samples of so many steps each."""
+    def _simulate_chunk(self, schedule: Schedule, begun: float, samples: int, steps: int) -> SnakeState:
+        """Follow a schedule in one call of the engine.
+
+        Args:
+            schedule: checked valve states.
+            begun: time at its beginning, s.
+            samples: number of equally spaced samples.
+            steps: time steps per sample.
+        """
         ENGINE_WARNINGS.last.clear()
         before = np.concatenate([[0.0], self.physics.data.qpos, self.physics.data.qvel])
-        # Before the engine sees it: it would take a quaternion of any length for a direction.
-        check_before(self.name, begun + self.timestep, before, self._theta, self._spent, self._internal)
-        trace, record = self._drive(schedule, samples * steps)
+        # Check before the engine steps: it would normalise a quaternion of any length.
+        check_before_step(
+            self.name, begun + self.timestep, before, self._theta, self._energy_loss, self._internal_loss
+        )
+        trace, batch = self._advance(schedule, samples * steps)
         interval = schedule.span / samples
         times = begun + interval * np.arange(1, samples + 1)
-        good = self._plausible_steps(record.states)
-        whole = good // steps
-        history = self._history(times[:whole], trace, record, steps)
-        if good < len(record.states):
-            last = record.states[good - 1] if good else before
-            raise self._diverged(begun + (good + 1) * self.timestep, last, history if whole else None)
+        plausible = self._count_plausible_steps(batch.states)
+        complete_samples = plausible // steps
+        history = self._chunk_history(times[:complete_samples], trace, batch, steps)
+        if plausible < len(batch.states):
+            last = batch.states[plausible - 1] if plausible else before
+            time = begun + (plausible + 1) * self.timestep
+            raise self._divergence_error(time, last, history if complete_samples else None)
         return history
 
-    def _drive(self, schedule: Schedule, steps: int) -> tuple[Trace, StepBatch]:
-        """Advance chambers and bodies; return what the chambers did at the steps' ends, and the bodies."""
-        felt = self.pneumatics.felt_s
-        if not self.pneumatics.feels_bend:
-            most = steps
-        elif self.physics.loaded is not None:
-            most = 1  # its closed chambers are stiff springs, stable with the bends of each step
+    def _advance(self, schedule: Schedule, steps: int) -> tuple[Trace, StepBatch]:
+        """Advance chambers and bodies; return their states at the end of each step."""
+        coupling_step = self.pneumatics.coupling_step_s
+        if not self.pneumatics.depends_on_bend:
+            interval = steps
+        elif self.physics.stepper is not None:
+            interval = 1  # closed chambers are stiff springs, stable with the bends of each step
         else:
-            most = max(1, math.floor(felt / self.timestep * (1 + 1e-9)))
-        traces, rolled = [], []
-        for first in range(0, steps, most):
-            last = min(first + most, steps)
-            part = schedule.part(first * self.timestep, last * self.timestep)
-            trace = self.physics.fill(part, last - first)
-            rolled.append(self.physics.roll(trace.pressure))
+            interval = max(1, math.floor(coupling_step / self.timestep * (1 + 1e-9)))
+        traces, results = [], []
+        for first in range(0, steps, interval):
+            last = min(first + interval, steps)
+            piece = schedule.slice(first * self.timestep, last * self.timestep)
+            trace = self.physics.advance_chambers(piece, last - first)
+            results.append(self.physics.advance_bodies(trace.pressure))
             traces.append(trace.at(np.arange(1, last - first + 1)))
-        return joined(traces), self.physics.recorded(*map(np.concatenate, zip(*rolled, strict=True)))
+        return joined(traces), self.physics.evaluate(*map(np.concatenate, zip(*results, strict=True)))
 
-    def _history(self, times: np.ndarray, trace: Trace, record: StepBatch, steps: int) -> SnakeState:
-        """Return what was to be seen at these times, each at the end of so many steps."""
+    def _chunk_history(self, times: np.ndarray, trace: Trace, batch: StepBatch, steps: int) -> SnakeState:
+        """Return the history at `times`, each at the end of a number of steps."""
         count, used = len(times), len(times) * steps
         ends = np.arange(1, count + 1) * steps - 1
-        push = record.floor_force[:used, ..., :2]
-        spent = self._spent + self.timestep * np.cumsum(record.power[:used])
-        internal = self._internal + self.timestep * np.cumsum(record.internal[:used])
+        floor_force = batch.floor_force[:used, ..., :2]
+        energy_loss = self._energy_loss + self.timestep * np.cumsum(batch.power[:used])
+        internal = self._internal_loss + self.timestep * np.cumsum(batch.internal[:used])
         if used:
-            self._spent, self._internal = float(spent[-1]), float(internal[-1])
-        given, lost = record.energy[ends] + spent[ends], internal[ends]
-        force = push.reshape(count, steps, *push.shape[1:]).mean(axis=1)
-        contact = record.obstacle_force[:used, :, :2]
+            self._energy_loss, self._internal_loss = float(energy_loss[-1]), float(internal[-1])
+        # Energy balance: the work of the torques is kinetic energy plus losses.
+        work, loss = batch.energy[ends] + energy_loss[ends], internal[ends]
+        force = floor_force.reshape(count, steps, *floor_force.shape[1:]).mean(axis=1)
+        contact = batch.obstacle_force[:used, :, :2]
         obstacles = contact.reshape(count, steps, *contact.shape[1:]).mean(axis=1)
-        return self._observe(times, record.states[ends], trace.at(ends), force, obstacles, given, lost)
+        return self._observe(times, batch.states[ends], trace.at(ends), force, obstacles, work, loss)
 
     def _observe(self, times: np.ndarray, states: np.ndarray, trace: Trace, *loads: np.ndarray) -> SnakeState:
-        """Return the history of these states.
+        """Return the history of some states.
 
         Args:
             times: shape (samples,), s.
             states: shape (samples, 1 + nq + nv), see `StepBatch`.
-            trace: what the chambers did.
-            *loads: forces of floor and obstacles, N; energy that body, floor and obstacles were given, J; and
-                what joints dissipated inside segments, J.
+            trace: of the chambers.
+            *loads: forces of the floor, shape (samples, axles, 2, 2), and of obstacles, shape (samples, N,
+                2), N; energy of body, floor and obstacles, shape (samples,), J; energy that joints dissipated
+                inside segments, shape (samples,), J.
         """
-        force, obstacles, given, lost = loads
-        seen = self.physics.look(states)
+        force, obstacles, work, loss = loads
+        kinematics = self.physics.kinematics(states)
         if self.uneven:
-            given = given + self._height(seen.com) - self._raised
-        # Unwrap against the last sample: a connector turns by far less than π in between.
-        theta = np.concatenate([self._theta[None], seen.headings])
+            work = work + self._potential_energy(kinematics.com) - self._start_height_energy
+        # Unwrap from the previous sample: a connector turns by far less than π between two samples.
+        theta = np.concatenate([self._theta[None], kinematics.headings])
         if (np.abs(theta[1:] - theta[:-1]) >= math.pi).any():
             theta = np.unwrap(theta, axis=0)
         theta = theta[1:]
         if len(theta):
-            self._theta = theta[-1].copy()  # what was handed out is no longer ours
+            self._theta = theta[-1].copy()  # callers may change the returned arrays
         bending = self.spec.bending
         air = bending.stiffness * (self._bias + air_bend(self.spec, trace.pressure))
         return SnakeState(
             time=times,
-            com=seen.com[:, :2],
-            com_velocity=seen.com_velocity[:, :2],
+            com=kinematics.com[:, :2],
+            com_velocity=kinematics.com_velocity[:, :2],
             heading=theta.mean(axis=1),
-            position=seen.positions[..., :2],
+            position=kinematics.positions[..., :2],
             theta=theta,
-            bend=seen.bends,
-            bend_rate=seen.bend_rates,
+            bend=kinematics.bends,
+            bend_rate=kinematics.bend_rates,
             pressure=trace.pressure,
             valves=trace.valves,
-            sensed=self.sensor.read(seen.bends, times, self.seed),
-            # A tail's second axle comes last: it is the last connector's as well.
+            sensed=self.sensor.read(kinematics.bends, times, self.seed),
+            # The second axle of a tail comes last and belongs to the last connector.
             contact_force=np.add.reduceat(force.sum(axis=2), np.arange(theta.shape[1]), axis=1),
             obstacle_force=obstacles,
-            torque=air - bending.stiffness * seen.bends - bending.damping * seen.bend_rates,
-            # All that the torques did, ∫ Σ T q̇ dt, which moves hinges against each other as well.
-            work=given + lost + self.physics.internal.stored(seen.qpos),
-            internal_loss=lost,
+            torque=air - bending.stiffness * kinematics.bends - bending.damping * kinematics.bend_rates,
+            # ∫ Σ T q̇ dt, with the energy of the relative motion of hinges (`internal_joints`).
+            work=work + loss + self.physics.internal_joints.stored(kinematics.qpos),
+            internal_loss=loss,
             air=trace.air,
-            qpos=seen.qpos,
+            qpos=kinematics.qpos,
         )
 
-    def _height(self, com: np.ndarray) -> np.ndarray:
-        """Return the potential energy of a centre of mass, shape (…, 3), J."""
+    def _potential_energy(self, com: np.ndarray) -> np.ndarray:
+        """Return the potential energy of centres of mass, shape (…, 3), J."""
         energy: np.ndarray = -self.spec.mass.total * (com @ self.physics.model.opt.gravity)
         return energy
 
-    def _plausible_steps(self, states: np.ndarray) -> int:
-        """Return how many steps, from the first, led to finite and plausible states."""
+    def _count_plausible_steps(self, states: np.ndarray) -> int:
+        """Return the number of steps, from the first, with finite and plausible states."""
         clock = states[:, 0]
-        moved = np.append(True, clock[1:] > clock[:-1])  # after a divergence the engine's time stands still
+        moved = np.append(True, clock[1:] > clock[:-1])  # the engine's clock stops after a divergence
         speeds = states[:, 1 + self.physics.model.nq :]
-        fine = moved & np.isfinite(states).all(axis=1) & (np.abs(speeds) < _SPEED_LIMIT).all(axis=1)
+        fine = moved & np.isfinite(states).all(axis=1) & (np.abs(speeds) < _MAX_SPEED).all(axis=1)
         return int(np.argmin(fine)) if not fine.all() else len(fine)
 
-    def _diverged(self, time: float, before: np.ndarray, history: SnakeState | None) -> DivergedError:
-        """Go back to the state before and say what it was and what MuJoCo warned of."""
+    def _divergence_error(self, time: float, before: np.ndarray, history: SnakeState | None) -> DivergedError:
+        """Restore the last plausible state and return an error with this state and MuJoCo's warnings."""
         warned = " ".join(" ".join(dict.fromkeys(ENGINE_WARNINGS.last)).split())
         physics = self.physics
         count = physics.model.nq
@@ -317,40 +341,44 @@ class TwinSnake(PneumaticPlant):
         physics.refresh()
         x, y, z = physics.center_of_mass()
         bends = ", ".join(f"{bend:.3g}" for bend in physics.bend_angles())
-        where = f"centre of mass ({x:.3g}, {y:.3g}, {z:.3g}) m, heading {float(self._theta.mean()):.3g} rad"
+        pose = f"centre of mass ({x:.3g}, {y:.3g}, {z:.3g}) m, heading {float(self._theta.mean()):.3g} rad"
         fastest = f"largest speed {np.abs(before[1 + count :]).max():.3g} m/s or rad/s"
-        why = warned or "speeds beyond the plausible"
-        text = f"{why}; before: {where}, bends {bends} rad, {fastest}"
+        reason = warned or "implausible speeds"
+        text = f"{reason}; last plausible state: {pose}, bends {bends} rad, {fastest}"
         return DivergedError(self.name, time, text, history=history)
 
 
-def _take_former(contact: Contact, numerics: Numerics, former: dict[str, Any]) -> tuple[Contact, Numerics]:
-    """Return contact and switches with deprecated keywords of `TwinSnake` applied.
+def _apply_deprecated(
+    contact: Contact, numerics: Numerics, deprecated: dict[str, Any]
+) -> tuple[Contact, Numerics]:
+    """Return contact and numerics with deprecated keywords of `TwinSnake` applied.
 
     Raises:
-        TypeError: an unknown keyword.
-        InputError: a keyword that the contact does not have, or a bad value.
+        TypeError: a keyword is unknown.
+        InputError: the contact does not have a keyword, or a value is not allowed.
     """
-    given = dict(former)
-    unknown = given.keys() - {"friction", *vars(LoadedContact()), *vars(PreloadedContact()), *vars(numerics)}
+    options = dict(deprecated)
+    unknown = options.keys() - {
+        "friction", *vars(LoadedContact()), *vars(PreloadedContact()), *vars(numerics)
+    }  # fmt: skip
     if unknown:
         raise TypeError(f"TwinSnake has no argument {min(unknown)!r}")
-    switches = {name: given.pop(name) for name in list(given) if name in vars(numerics)}
+    switches = {name: options.pop(name) for name in list(options) if name in vars(numerics)}
     if isinstance(contact, LoadedContact):
-        wheels, law = given.pop("wheels", None), given.pop("friction", None)
+        wheels, law = options.pop("wheels", None), options.pop("friction", None)
         if wheels is not None:
             one_of("wheels", wheels, WHEELS)
             law = law or LAW_OF[wheels]
-        given |= {"law": law} if law else {}
+        options |= {"law": law} if law else {}
         # A loaded twin always ignored these.
-        given = {name: value for name, value in given.items() if name not in ("slip_time", "axle_time")}
-    for name in given:
+        options = {name: value for name, value in options.items() if name not in ("slip_time", "axle_time")}
+    for name in options:
         if name not in vars(contact):
             raise InputError(f"{name} is not allowed with contact {contact.name!r}")
     warnings.warn(
-        f"{', '.join(former)} of TwinSnake: give contact=LoadedContact(…) or PreloadedContact(…), or "
-        "numerics=Numerics(…)",
+        f"the arguments {', '.join(deprecated)} of TwinSnake are deprecated; pass "
+        "contact=LoadedContact(…) or PreloadedContact(…), or numerics=Numerics(…)",
         DeprecationWarning,
         stacklevel=3,
     )
-    return replace(contact, **given), replace(numerics, **switches)
+    return replace(contact, **options), replace(numerics, **switches)

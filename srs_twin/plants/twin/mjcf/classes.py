@@ -1,7 +1,7 @@
-"""Default classes of the MJCF: what all hinges, wheels or muscles of a robot have in common, said once.
+"""Default classes of the MJCF: common properties of a robot's hinges, wheels and actuators.
 
-Elements name their class and state only what is their own: a name, a place, and what depends on the mass of
-their connector (axle friction, preload).
+Elements name their class and state only their own properties: name, position, and values that depend on the
+mass of their connector (axle friction, preload).
 """
 
 from __future__ import annotations
@@ -14,26 +14,37 @@ from srs_twin.plants.twin.mjcf.numerics import Contact, ModelSettings, Preloaded
 from srs_twin.robot.spec import RobotSpec
 
 ROOT = "snake"
-_SOFT, _HARD, _RUBBER = [0.93, 0.66, 0.42, 1], [0.2, 0.23, 0.28, 1], [0.07, 0.07, 0.08, 1]
-_DRAWN, _TOUCHING, _HIDDEN = 2, 3, 5  # geom and site groups; viewers show 0 to 2
-_FLANGE = 1.08  # radius of a connector's disc over that of the body
-_RUNNER = 0.25  # radius of a skid's runner over that of a wheel
-_CLEARANCE = 0.001  # m, of the drawn body above the floor
+"""Name of the class from which all classes of a robot inherit."""
+
+# Colours, RGBA.
+_SILICONE = [0.93, 0.66, 0.42, 1]
+_PLASTIC = [0.2, 0.23, 0.28, 1]
+_RUBBER = [0.07, 0.07, 0.08, 1]
+
+# Groups of geoms and sites; viewers show the groups 0 to 2.
+_VISUAL_GROUP = 2
+_COLLISION_GROUP = 3
+_HIDDEN_GROUP = 5
+
+_FLANGE_RATIO = 1.08  # radius of a connector's disc over that of the body, 1
+_RUNNER_RATIO = 0.25  # radius of a skid's runner over that of a wheel, 1
+_PLATE_HALF_HEIGHT = 0.003  # of a connector's disc, m
+_DRAWN_CLEARANCE = 0.001  # height of the drawn body above the floor, m
 
 
 def add_classes(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, *, limit_pa: float) -> None:
     """Add the classes of a robot.
 
     Args:
-        mj: the model to add them to.
+        mj: model, in place.
         spec: the robot.
-        settings: time step, discretisation, wheels.
-        limit_pa: upper end of the chambers' controls, Pa.
+        settings: time step, discretisation, contact.
+        limit_pa: upper limit of the chamber pressures, Pa.
     """
     root = mj.add_default(ROOT, mj.default)
     root.geom.contype = root.geom.conaffinity = 0
     root.geom.mass = 0
-    root.site.group = _HIDDEN
+    root.site.group = _HIDDEN_GROUP
     _add_joints(mj, root, spec, settings)
     _add_geoms(mj, root, spec, settings)
     muscle = mj.add_default("muscle", root).actuator
@@ -45,19 +56,20 @@ def add_classes(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, *, 
     press.gainprm[0] = 0.0
     press.ctrllimited, press.ctrlrange = True, [0, 1]
     if spec.friction.drag > 0.0:
-        most = spec.friction.drag / spec.geometry.connectors
+        limit = spec.friction.drag / spec.geometry.connectors
         drag = mj.add_default("drag", root).actuator
         drag.gear = [1, 0, 0, 0, 0, 0]
         drag.biastype, drag.gainprm[0] = mujoco.mjtBias.mjBIAS_AFFINE, 0.0
-        # In step with its speed below the slip speed: the integrator takes that much implicitly.
-        drag.biasprm[2] = -most / settings.contact.slip_speed
-        drag.forcelimited, drag.forcerange = True, [-most, most]
+        # Proportional to the speed up to the slip speed, which the integrator takes implicitly; then
+        # constant.
+        drag.biasprm[2] = -limit / settings.contact.slip_speed
+        drag.forcelimited, drag.forcerange = True, [-limit, limit]
         drag.ctrllimited, drag.ctrlrange = True, [0, 1]
 
 
 def foot_radius(spec: RobotSpec, contact: Contact) -> float:
-    """Return the radius of the spheres that touch the floor: wheels or the lower ends of runners, m."""
-    return spec.geometry.wheel_radius * (1.0 if contact.rolling else _RUNNER)
+    """Return the radius of the spheres that touch the floor, of wheels or of the lower ends of runners, m."""
+    return spec.geometry.wheel_radius * (1.0 if contact.rolling else _RUNNER_RATIO)
 
 
 def drawn_radius(spec: RobotSpec) -> float:
@@ -66,15 +78,17 @@ def drawn_radius(spec: RobotSpec) -> float:
 
 
 def drawn_height(spec: RobotSpec) -> float:
-    """Return how far above the centres of mass the body is drawn, m: a thick one must not sink in."""
-    return max(0.0, round(drawn_radius(spec) * _FLANGE + _CLEARANCE - spec.geometry.com_height, 6))
+    """Return the height of the drawn body above the centres of mass, so that it clears the floor, m."""
+    return max(
+        0.0, round(drawn_radius(spec) * _FLANGE_RATIO + _DRAWN_CLEARANCE - spec.geometry.com_height, 6)
+    )
 
 
 def _add_joints(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, settings: ModelSettings) -> None:
-    """Add the joints' classes.
+    """Add the classes of the joints.
 
-    The integrator takes a spring at the end of its step, which damps like h·k besides; that much is taken
-    off the dampers, so that spring and damper act together as stated.
+    The integrator evaluates a spring at the end of its step, which adds the damping h k. The dampers are
+    smaller by that much, so that spring and damper together have the nominal damping.
     """
     bending = spec.bending
     for name, axis, stiffness, time in (
@@ -98,20 +112,23 @@ def _add_geoms(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, sett
     upright = [math.sqrt(0.5), 0, math.sqrt(0.5), 0]
     skin, plate = mj.add_default("skin", root).geom, mj.add_default("plate", root).geom
     skin.type, skin.size = mujoco.mjtGeom.mjGEOM_CAPSULE, [drawn_radius(spec), 0, 0]
-    plate.type, plate.size = mujoco.mjtGeom.mjGEOM_CYLINDER, [_FLANGE * drawn_radius(spec), 0.003, 0]
-    skin.rgba, plate.rgba, plate.quat = _SOFT, _HARD, upright
-    skin.group = plate.group = _DRAWN
+    plate.type, plate.size = (
+        mujoco.mjtGeom.mjGEOM_CYLINDER,
+        [_FLANGE_RATIO * drawn_radius(spec), _PLATE_HALF_HEIGHT, 0],
+    )
+    skin.rgba, plate.rgba, plate.quat = _SILICONE, _PLASTIC, upright
+    skin.group = plate.group = _VISUAL_GROUP
 
 
 def _add_feet(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, settings: ModelSettings) -> None:
-    """Add class ``tread``, what touches the floor: the runner of a skid, or a sphere drawn as a ``rim``."""
+    """Add the class ``tread`` of the geoms on the floor: runners of skids, or spheres drawn as ``rim``."""
     tread = mj.add_default("tread", root).geom
     tread.size = [foot_radius(spec, settings.contact), 0, 0]
     if not settings.contact.rolling:
-        tread.type, tread.group, tread.rgba = mujoco.mjtGeom.mjGEOM_CAPSULE, _DRAWN, _RUBBER
+        tread.type, tread.group, tread.rgba = mujoco.mjtGeom.mjGEOM_CAPSULE, _VISUAL_GROUP, _RUBBER
         return
-    tread.type, tread.group = mujoco.mjtGeom.mjGEOM_SPHERE, _TOUCHING
+    tread.type, tread.group = mujoco.mjtGeom.mjGEOM_SPHERE, _COLLISION_GROUP
     radius, across = spec.geometry.wheel_radius, [math.sqrt(0.5), math.sqrt(0.5), 0, 0]
     rim = mj.add_default("rim", root).geom
     rim.type, rim.size, rim.quat = mujoco.mjtGeom.mjGEOM_CYLINDER, [radius, 0.2 * radius, 0], across
-    rim.rgba, rim.group = _RUBBER, _DRAWN
+    rim.rgba, rim.group = _RUBBER, _VISUAL_GROUP

@@ -1,13 +1,15 @@
-"""RobotSpec → MuJoCo model: the chain of connectors and segments, and the floor it crawls on.
+"""RobotSpec → MuJoCo model: the chain of connectors and segments on a floor.
 
-A free-floating chain in three dimensions, grown both ways from its middle connector. Connector i is a body
-with two feet on the floor (`wheels`). A segment is a chain of n equal bending hinges (stiffness n·k and
-damping n·c each, in series k and c) with one pitch and one roll hinge in its middle, so that the floor's
-load is shared. Chamber pressures are the controls, in Pa: actuators ``plus_j`` and
-``minus_j`` put the moment k·G·(p⁺ − p⁻) on tendon ``bend_j``, whose length is the segment's bend q_j.
+The robot is a free-floating chain in three dimensions, built in both directions from its middle connector. A
+connector is a body with two feet on the floor (`wheels`). A segment is a chain of n equal bending hinges with
+the stiffness n k and the damping n c each, in series k and c, with one pitch and one roll hinge in its
+middle, which distribute the load of the floor. The chamber pressures are the controls, in Pa: the actuators
+``plus_j`` and ``minus_j`` exert the moment k G (p⁺ − p⁻) on the tendon ``bend_j``, whose length is the bend
+q_j of the segment.
 
-On a bench (`ModelSettings.base` "clamped") the head is fixed to the world and there is no floor: no wheels,
-no preload, no hinges out of the plane, in which gravity does no work.
+With a clamped base (`ModelSettings.base`) the head is fixed to the world. There is no floor, so the model has
+no wheels and no preload. It has no pitch and roll hinges either: the chain bends in the horizontal plane, in
+which gravity does no work.
 """
 
 from __future__ import annotations
@@ -37,20 +39,20 @@ from srs_twin.robot.world import World
 def robot_mjcf(
     spec: RobotSpec, settings: ModelSettings, *, supply_pa: float | None = None, hull: bool = False
 ) -> MjSpec:
-    """Build the robot: bodies, joints, tendons and actuators, no floor.
+    """Build the robot without floor: bodies, joints, tendons and actuators.
 
     Args:
         spec: the robot.
         settings: time step, discretisation, contact.
-        supply_pa: upper end of the controls' range, Pa; no less than what a chamber may hold.
-        hull: whether it has a body that touches obstacles (`surroundings`).
+        supply_pa: upper limit of the controls, Pa; at least the robot's continuous limit is used.
+        hull: whether the body gets hulls that touch obstacles (`surroundings`).
 
     Raises:
-        InputError: the time step is too long for the robot's damping time, or the tail has two axles and the
-            contact is preloaded.
+        InputError: the time step is too long for the damping time of the segments, or the tail has two axles
+            and the contact is preloaded.
     """
     if spec.tail is not None and not isinstance(settings.contact, LoadedContact):
-        raise InputError("a tail on two axles needs contact 'loaded': pressed down it could not lift")
+        raise InputError("a tail on two axles needs contact 'loaded', because a preload would keep it down")
     shortest = min(spec.bending.damping_time, spec.bending.out_of_plane_damping_time)
     if not settings.timestep < shortest:
         raise InputError(
@@ -68,8 +70,8 @@ def robot_mjcf(
         add_hull_class(mj, spec, settings)
     free = settings.base == "free"
     middle = root_connector(spec) if free else 1
-    place = spec.geometry.body_length / 2 - (middle - 1) * spec.geometry.pitch
-    root = mj.worldbody.add_body(name=f"connector_{middle}", pos=[place, 0, spec.geometry.com_height])
+    x = spec.geometry.body_length / 2 - (middle - 1) * spec.geometry.pitch
+    root = mj.worldbody.add_body(name=f"connector_{middle}", pos=[x, 0, spec.geometry.com_height])
     if free:
         root.add_freejoint(name="root")
     _add_connector(mj, root, spec, middle, settings)
@@ -79,25 +81,29 @@ def robot_mjcf(
             body = _add_segment(mj, body, spec, i, i + step, settings)
             _add_connector(mj, body, spec, i + step, settings)
     for j in range(1, spec.segments + 1):
-        _add_muscles(mj, spec, j, settings)
+        _add_actuators(mj, spec, j, settings)
         if settings.numerics.constant_curvature:
-            _bend_alike(mj, j, settings)
+            _constrain_curvature(mj, j, settings)
     if free:
         if isinstance(settings.contact, PreloadedContact):
             add_preload(mj, spec, settings.contact)
         if spec.friction.drag > 0.0:
             add_drag(mj, spec)
         add_feet(mj, spec)
-    _add_home(mj)
+    _add_home_keyframe(mj)
     return mj
 
 
 def scene_mjcf(
     spec: RobotSpec, settings: ModelSettings, *, supply_pa: float | None = None, world: World | None = None
 ) -> MjSpec:
-    """Build the robot on a floor among obstacles, with its contact pairs and force sensors (world frame, N).
+    """Build the robot on a floor with obstacles, contact pairs and force sensors (world frame, N).
 
-    Arguments as in `robot_mjcf`, and the world, of which floor and obstacles matter.
+    Args:
+        spec: the robot.
+        settings: time step, discretisation, contact.
+        supply_pa: as in `robot_mjcf`.
+        world: floor and obstacles; None for a level floor without obstacles.
     """
     world = world or World()
     mj = robot_mjcf(spec, settings, supply_pa=supply_pa, hull=world.solid)
@@ -113,11 +119,11 @@ def scene_mjcf(
 
 
 def root_connector(spec: RobotSpec) -> int:
-    """Return which connector carries the free joint: the middle one.
+    """Return the number of the connector with the free joint: the middle one.
 
-    From there no contact is further away than half of the chain, which makes a step a third cheaper than
-    from the head, and the integrator, which evaluates inertia at the beginning of a step, errs a fifth as
-    much in the mean speed.
+    No contact is then more than half of the chain away from the root, which makes a step a third faster than
+    with the head as root. The integrator, which evaluates inertia at the beginning of a step, has a fifth of
+    the error in the mean speed.
     """
     return (spec.geometry.connectors + 1) // 2
 
@@ -127,29 +133,38 @@ def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
     option.timestep = settings.timestep
     option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    # Rows of friction make a dense one slow; normals alone are few, and the engine chooses by size.
+    # A dense Jacobian is slow with friction rows. Normal forces alone are few: the engine selects by size.
     loaded = settings.loaded
     option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO if loaded else mujoco.mjtJacobian.mjJAC_SPARSE
     option.impratio = 1
     option.iterations = 50
-    # Loads that are wrong by 1e-7 push stopping wheels sideways; which way depends on the processor. Where
-    # friction comes from the engine, 1e-7 changes gait speeds by 2e-7 and leaves less than 1e-5 m/s at rest.
+    # Under loaded contact, errors of 1e-7 in the loads push stopping wheels sideways, in a direction that
+    # depends on the processor. With the engine's own friction, a tolerance of 1e-7 changes gait speeds by
+    # 2e-7 and leaves less than 1e-5 m/s at rest.
     option.tolerance = 1e-12 if loaded else 1e-7
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
 
-def _set_inertia(
+def _set_link_inertia(
     body: MjsBody, spec: RobotSpec, mass: float, extra: tuple[float, Any] = (0.0, 0.0), x: float = 0.0
 ) -> None:
-    """Give a body a mass with a connector's gyration at x (m), and what is fixed to it there (kg, kg·m²)."""
+    """Set mass and inertia of a body with the gyration of a connector.
+
+    Args:
+        body: in place.
+        spec: the robot.
+        mass: kg.
+        extra: mass (kg) and moments of inertia (kg·m²) of parts that are fixed to the body.
+        x: centre of mass along the body's x axis, m.
+    """
     body.mass = mass + extra[0]
-    body.ipos = [x, 0, 0]  # left out, MjSpec takes the body's own `pos` for it
+    body.ipos = [x, 0, 0]  # the default of MjSpec would be the body's `pos`
     body.inertia = np.full(3, mass * spec.connector_gyration**2) + extra[1]
     body.explicitinertial = True
 
 
 def _link_mass(spec: RobotSpec, settings: ModelSettings) -> float:
-    """Return the mass of one link between two hinges, kg; taken off the connectors."""
+    """Return the mass of one link between two hinges, kg; it is subtracted from the connectors."""
     links = settings.hinges_per_segment - 1
     share = settings.numerics.link_share * min(spec.mass.connectors)
     return share / links if links else 0.0
@@ -163,7 +178,7 @@ def _add_connector(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, settings:
         body.mass, body.inertia = mass - links, np.full(3, mass * spec.tail.gyration**2)
         body.ipos, body.explicitinertial = [-spec.tail.com, 0, spec.tail.com_height - g.com_height], True
     else:
-        _set_inertia(body, spec, mass - 2 * spec.mass.wheel - links, fixed_inertia(spec, settings))
+        _set_link_inertia(body, spec, mass - 2 * spec.mass.wheel - links, fixed_inertia(spec, settings))
     body.add_geom(mj.find_default("plate"), name=f"plate_{i}", pos=[0, 0, drawn_height(spec)])
     if settings.base == "free":
         add_wheels(mj, body, spec, i, settings)
@@ -172,14 +187,22 @@ def _add_connector(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, settings:
 def _add_segment(
     mj: MjSpec, body: MjsBody, spec: RobotSpec, near: int, far: int, settings: ModelSettings
 ) -> MjsBody:
-    """Grow the segment between two neighbouring connectors from the near one; return the far one's body.
+    """Add the segment between two neighbouring connectors; return the body of the far connector.
 
-    Each hinge carries the body beyond it; the last one carries the far connector. Stations are distances
-    from the near connector of a straight segment. Names count from the head whichever way it grows.
+    Each hinge carries the body beyond it; the last hinge carries the far connector. Stations are distances
+    from the near connector along the straight segment. Names count from the head in both directions.
+
+    Args:
+        mj: model, in place.
+        body: body of the near connector.
+        spec: the robot.
+        near: number of the near connector.
+        far: number of the far connector.
+        settings: discretisation.
     """
     g, n, j = spec.geometry, settings.hinges_per_segment, min(near, far)
-    ahead = near - far  # which way it grows along x, ±1
-    names = [f"{j}_{k}" for k in range(n + 1)][::-ahead]  # of the pieces between the hinges
+    ahead = near - far  # direction along x, ±1
+    names = [f"{j}_{k}" for k in range(n + 1)][::-ahead]  # of the links between the hinges
     hinges = hinge_stations(n, g.segment_length, g.rigid_gap)
     origins = np.append(hinges[:-1], g.pitch)
     _add_skin(mj, body, spec, f"skin_{names[0]}", 0.0, ahead * hinges[0])
@@ -199,13 +222,13 @@ def _add_segment(
             _add_skin(mj, body, spec, f"skin_{names[k + 1]}", anchor, 0.0)
         else:
             end = ahead * (hinges[k + 1] - hinges[k])
-            _set_inertia(body, spec, _link_mass(spec, settings), x=end / 2)
+            _set_link_inertia(body, spec, _link_mass(spec, settings), x=end / 2)
             _add_skin(mj, body, spec, f"skin_{names[k + 1]}", 0.0, end)
     return body
 
 
 def _add_joint(mj: MjSpec, body: MjsBody, kind: str, name: str, x: float, ahead: int) -> MjsJoint:
-    """Add a joint at x (m); where the chain grows ahead its axis is turned round, so that signs stay."""
+    """Add a joint at x (m); ahead of the root its axis is reversed, so that its sign stays the same."""
     joint = body.add_joint(mj.find_default(kind), name=name, pos=[x, 0, 0])
     if ahead > 0:
         joint.axis = [-component for component in joint.axis]
@@ -213,26 +236,26 @@ def _add_joint(mj: MjSpec, body: MjsBody, kind: str, name: str, x: float, ahead:
 
 
 def _add_skin(mj: MjSpec, body: MjsBody, spec: RobotSpec, name: str, front: float, back: float) -> None:
-    """Draw the soft body between two stations of a body's x axis."""
+    """Add the drawn body, and its hull if there is one, between two stations of a body's x axis (m)."""
     z = drawn_height(spec)
     body.add_geom(mj.find_default("skin"), name=name, fromto=[front, 0, z, back, 0, z])
     if hull := mj.find_default("hull"):
         body.add_geom(hull, name=name.replace("skin", "hull"), fromto=[front, 0, 0, back, 0, 0])
 
 
-def _add_muscles(mj: MjSpec, spec: RobotSpec, j: int, settings: ModelSettings) -> None:
-    """Add tendon ``bend_j`` and its two chambers."""
+def _add_actuators(mj: MjSpec, spec: RobotSpec, j: int, settings: ModelSettings) -> None:
+    """Add the tendon ``bend_j`` and the actuators of its two chambers."""
     tendon = mj.add_tendon(name=f"bend_{j}")
     for k in range(1, settings.hinges_per_segment + 1):
         tendon.wrap_joint(f"hinge_{j}_{k}", 1.0)
-    for name, sign, own in zip(("plus", "minus"), (1, -1), spec.modules.gain[j - 1], strict=True):
+    for name, sign, gain in zip(("plus", "minus"), (1, -1), spec.modules.gain[j - 1], strict=True):
         actuator = mj.add_actuator(mj.find_default("muscle"), name=f"{name}_{j}", target=tendon.name)
         actuator.trntype = mujoco.mjtTrn.mjTRN_TENDON
-        actuator.gainprm[0] *= sign * own
+        actuator.gainprm[0] *= sign * gain
 
 
-def _bend_alike(mj: MjSpec, j: int, settings: ModelSettings) -> None:
-    """Constrain all hinges of segment j to the angle of the first."""
+def _constrain_curvature(mj: MjSpec, j: int, settings: ModelSettings) -> None:
+    """Constrain all hinges of segment j to the angle of the first one."""
     for k in range(2, settings.hinges_per_segment + 1):
         arc = mj.add_equality(name=f"arc_{j}_{k}", type=mujoco.mjtEq.mjEQ_JOINT)
         arc.name1, arc.name2 = f"hinge_{j}_{k}", f"hinge_{j}_1"
@@ -240,8 +263,8 @@ def _bend_alike(mj: MjSpec, j: int, settings: ModelSettings) -> None:
         arc.data[:5] = [0, 1, 0, 0, 0]
 
 
-def _add_home(mj: MjSpec) -> None:
-    """Add keyframe ``home``: straight, at rest, wheels on the floor, chambers empty."""
+def _add_home_keyframe(mj: MjSpec) -> None:
+    """Add the keyframe ``home``: straight, at rest, wheels on the floor, chambers empty."""
     root = mj.worldbody.first_body()
     free = any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in mj.joints)
     pose, hinges = ([*root.pos, 1, 0, 0, 0], len(mj.joints) - 1) if free else ([], len(mj.joints))

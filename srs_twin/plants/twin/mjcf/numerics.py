@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, get_args
 
@@ -11,16 +12,20 @@ import numpy as np
 from srs_twin.errors import InputError, one_of
 
 WALL_M = 0.001
-"""Radius of the capsules along the sides of a polygon: what obstacles are larger by than drawn."""
+"""Radius of the capsules along the sides of a polygon, by which it is larger than drawn, m."""
 
 Law = Literal["wheel", "ellipse", "axis"]
 LAWS_ON_LOADS: tuple[Law, ...] = get_args(Law)
-"""Friction laws that can act on momentary loads."""
+"""Friction laws for loaded contact."""
 
 LOADS = ("momentary", "across", "static")
-"""Load of a wheel that such a law takes. momentary: the contact force; across: the connector's weight,
-divided in the ratio of the contact forces of its two wheels (as in the analytical model); static: half of
-that weight."""
+"""Load of a wheel in the friction law.
+
+- momentary: its normal force.
+- across: the weight of the connector, divided in the ratio of the normal forces of its two wheels, as in the
+  analytical model.
+- static: half of the weight.
+"""
 
 Wheels = Literal["rolling", "skid"]
 WHEELS: tuple[Wheels, ...] = get_args(Wheels)
@@ -29,21 +34,23 @@ LAW_OF: dict[Wheels, Law] = {"rolling": "wheel", "skid": "ellipse"}
 """Friction law of wheels and of skids."""
 
 PRELOAD = {"rolling": 39.0, "skid": 99.0}
-"""Preload of a wheel and of a skid, as a multiple of its static load.
+"""Preload κ of a wheel and of a skid, 1.
 
-A skid slides along as well as across, so its contact wants to open more: with κ = 19 connectors rocked from
-one skid to the other and their loads swung by as much as their mean, with κ = 59 still the tail's.
+A skid slides in both directions, so that its contact opens more easily. With κ = 19 connectors rocked from
+one skid to the other, and their loads oscillated by as much as their mean; with κ = 59 only those of the tail
+did.
 """
 
 
 @dataclass(frozen=True)
 class LoadedContact:
-    """Floor contact whose normal forces come from MuJoCo and whose friction is a law on these loads.
+    """Floor contact with normal forces from MuJoCo and friction as a law on them.
 
     Attributes:
         law: friction law, "wheel", "ellipse" or "axis" (docs/models.md).
-        load: which load of a wheel the law takes, one of `LOADS`; all but "momentary" are for comparison.
-        slip_speed: below which a contact yields before it slides (`friction_held.held`), m/s.
+        load: load of a wheel in the law, one of `LOADS`; those other than "momentary" are for comparison.
+        slip_speed: slip speed ε; below the friction limit μN the force changes by μN/ε times the velocity, so
+            that a resting contact does not creep (`stick_slip`), m/s.
     """
 
     name: ClassVar[Literal["loaded"]] = "loaded"
@@ -63,14 +70,15 @@ class LoadedContact:
 class PreloadedContact:
     """Floor contact with MuJoCo's own friction, on wheels or skids with a preload.
 
-    Friction is then that of the static load, as in the analytical model.
+    The friction is that of the static load, as in the analytical model.
 
     Attributes:
         wheels: "rolling" (wheels on hinges) or "skid" (runners).
-        preload: κ, by how many times its static load each wheel is pressed down; None: `PRELOAD`.
+        preload: κ, additional normal force on each wheel as a multiple of its static load; None for
+            `PRELOAD`.
         slip_time: time constant with which contact friction stops a slip (`solreffriction`), s.
-        axle_time: the same for the axles' friction, s.
-        slip_speed: below which the body's drag is smoothed, m/s.
+        axle_time: time constant with which the friction of an axle stops its rotation, s.
+        slip_speed: slip speed of the axial drag, m/s.
     """
 
     name: ClassVar[Literal["preloaded"]] = "preloaded"
@@ -84,18 +92,26 @@ class PreloadedContact:
     def __post_init__(self) -> None:
         one_of("wheels", self.wheels, WHEELS)
         _check_positive(self, "slip_time", "axle_time", "slip_speed")
-        if not 0.0 <= self.pressed < math.inf:
+        if not 0.0 <= self.preload_ratio < math.inf:
             raise InputError(f"preload {self.preload} is not allowed; it must be finite and 0 or more")
 
     @property
     def rolling(self) -> bool:
-        """Whether the snake has wheels, not skids."""
+        """Whether the snake has wheels instead of skids."""
         return self.wheels == "rolling"
 
     @property
-    def pressed(self) -> float:
-        """By how many times its static load each wheel is pressed down."""
+    def preload_ratio(self) -> float:
+        """κ, with the default of `PRELOAD`, 1."""
         return PRELOAD[self.wheels] if self.preload is None else self.preload
+
+    @property
+    def pressed(self) -> float:
+        """Deprecated name of `preload_ratio`."""
+        warnings.warn(
+            "PreloadedContact.pressed is deprecated; use preload_ratio", DeprecationWarning, stacklevel=2
+        )
+        return self.preload_ratio
 
 
 def _check_positive(contact: LoadedContact | PreloadedContact, *names: str) -> None:
@@ -107,14 +123,14 @@ def _check_positive(contact: LoadedContact | PreloadedContact, *names: str) -> N
 Contact = LoadedContact | PreloadedContact
 ContactName = Literal["loaded", "preloaded"]
 UNSTATED_CONTACT: ContactName = "preloaded"
-"""Contact of the twin in kept results that do not state it; they are older than the choice."""
+"""Contact of the twin in stored results without this setting, which are older than it."""
 
 
 def as_contact(contact: Contact | str) -> Contact:
-    """Return a contact; a name gives the contact with its default options.
+    """Return a contact, or the contact of a given name with its default options.
 
     Raises:
-        InputError: something else.
+        InputError: the argument is neither a contact nor a known name.
     """
     if isinstance(contact, LoadedContact | PreloadedContact):
         return contact
@@ -127,13 +143,13 @@ def as_contact(contact: Contact | str) -> Contact:
 
 @dataclass(frozen=True)
 class Numerics:
-    """Switches that only studies of the twin itself change.
+    """Switches for studies of the twin itself.
 
     Attributes:
-        link_share: mass between the hinges of a segment, as a share of the lightest connector's; the
-            dissertation lumps all of it at the connectors.
-        wheel_spin: the wheels' inertia about their axles, as a multiple of what they have.
-        constant_curvature: force equal angles on the hinges of a segment, as in the analytical model;
+        link_share: mass between the hinges of a segment as a fraction of the lightest connector's mass, 1;
+            the dissertation places all of the mass at the connectors.
+        wheel_spin: factor on the wheels' moment of inertia about their axles, 1.
+        constant_curvature: constrain the hinges of a segment to equal angles, as in the analytical model;
             otherwise a loaded segment also bends into an S.
     """
 
@@ -149,9 +165,10 @@ class ModelSettings:
     Attributes:
         timestep: s.
         hinges_per_segment: bending hinges per segment, 1 or more.
-        contact: how the floor holds the snake.
-        base: "free", or "clamped": the head is held, the rest hangs in the air and bends in the plane only.
-        numerics: rarely changed switches.
+        contact: contact with the floor.
+        base: "free", or "clamped": the head is held, and the chain hangs in the air and bends in the
+            horizontal plane only.
+        numerics: switches for studies of the twin.
     """
 
     timestep: float = 0.001
@@ -162,47 +179,49 @@ class ModelSettings:
 
     @property
     def loaded(self) -> bool:
-        """Whether there is a floor, and its friction acts on the loads that MuJoCo finds."""
+        """Whether there is a floor with loaded contact."""
         return isinstance(self.contact, LoadedContact) and self.base == "free"
 
     @property
     def contact_time(self) -> float:
-        """Time constant of the normal contact, s; loaded: two steps, because loads oscillate with one."""
-        return 2 * self.timestep if self.loaded else _PRESSED_CONTACT_S
+        """Time constant of the normal contact, s.
+
+        Under loaded contact it is two time steps, because the loads oscillate with one.
+        """
+        return 2 * self.timestep if self.loaded else _PRELOADED_CONTACT_TIME
 
 
-_PRESSED_CONTACT_S = 0.001
+_PRELOADED_CONTACT_TIME = 0.001  # time constant of the normal contact under a preload, s
 
 Preset = Literal["reference", "fast"]
 PRESETS: dict[str, dict[str, Any]] = {"reference": {"timestep": 0.00025}, "fast": {"timestep": 0.002}}
-"""Name → settings of a twin: `TwinSnake(spec, **PRESETS["fast"])`. Their errors were measured by
-benchmarks/presets.py; 2 ms is the longest step below the segments' damping time.
+"""Preset → settings of a twin, for `TwinSnake(spec, **PRESETS["fast"])`.
+
+benchmarks/presets.py measures their errors. 2 ms is the longest step below the damping time of the segments.
 """
 
 
 def preset_of(settings: ModelSettings) -> str | None:
-    """Return the preset that gives these settings, if one does."""
+    """Return the name of the preset with these settings, or None."""
     if not settings.loaded:
         return None
-    return next((name for name, given in PRESETS.items() if given.items() <= vars(settings).items()), None)
+    return next((name for name, preset in PRESETS.items() if preset.items() <= vars(settings).items()), None)
 
 
 def hinge_stations(hinges: int, length: float, gap: float) -> np.ndarray:
-    """Return where the bending hinges of a straight segment stand, m from its front connector.
+    """Return the distances of a straight segment's hinges from its front connector, shape (n,), m.
 
-    With n ≥ 2 hinges that share a bend q equally, the chord agrees with the arc's l·sin(q/2)/(q/2) through
-    order q² when the first and last lie 1/(2(n+1)) of the length from its ends and the others evenly between.
+    With n ≥ 2 hinges that share a bend q equally, the chord agrees with that of the arc, l sin(q/2)/(q/2),
+    through order q² if the first and last hinges are 1/(2(n+1)) of the length from the ends, and the others
+    evenly spaced between them.
 
     Args:
         hinges: n.
-        length: l, of the part that bends, m.
-        gap: L_o, of the straight ends together, m.
-
-    Returns:
-        Shape (n,).
+        length: length l of the part that bends, m.
+        gap: length L_o of the two straight ends together, m.
 
     Raises:
-        InputError: there is no hinge.
+        InputError: n is less than 1.
     """
     if hinges < 1:
         raise InputError(f"hinges_per_segment: {hinges} is not allowed; a segment needs 1 or more")

@@ -1,24 +1,27 @@
-"""The two feet of each connector, their contacts with the floor, and their preload.
+"""Wheels and skids of the connectors, their contacts with the floor, and their preload.
 
-A connector touches the floor in two points at ± half the track, straight below its own frame.
+A connector touches the floor in two points at ± half the track, directly below its frame.
 
-Loaded contact: the feet are balls without friction, and friction is a law on their contact forces
-(`plants.loaded`). Preloaded contact:
+**Loaded contact.** The wheels are frictionless spheres, and friction is a law on their contact forces
+(`contact_loaded`).
 
-- ``rolling``: hinge wheels. They touch the floor as spheres, isotropic with μ_n; the axle's `frictionloss`
-  is μ_t × load × radius.
-- ``skid``: runners, fixed to the connector, that slide with μ_t along it and μ_n across. Only between a
-  plane and a capsule does MuJoCo turn the contact's frame with the geom, to the capsule's axis. A capsule
-  that lies flat touches with both ends; these rise ahead like the tip of a ski and touch with the lower one.
+**Preloaded contact.**
 
-Contacts are explicit pairs, which name the floor, so they belong to the scene and not to the robot.
+- ``rolling``: wheels on hinges. They touch the floor as spheres with the isotropic coefficient μ_n; the
+  `frictionloss` of the axle is μ_t × load × radius.
+- ``skid``: runners that are fixed to the connector and slide with μ_t along it and μ_n across. MuJoCo aligns
+  the contact frame with a geom only between a plane and a capsule, along the axis of the capsule. A
+  horizontal capsule touches with both ends; runners rise to the front like the tip of a ski and touch with
+  the rear end.
 
-Preload: MuJoCo's contact is convex, which lifts off the floor what slides on it; left alone, a snake's
-wheels are in the air more than half the time and it goes up to a tenth too fast. Actuators ``press_i``,
-which take no control, push every connector down with κ times its static load, and the pairs' coefficients
-are those of the robot over 1 + κ: the friction of the static load, as in the analytical models, from a
-contact that stays closed. Floor forces less the preload are the true loads, at rest within 2 %.
-docs/models.md says what it costs.
+MuJoCo's friction is convex, which lifts a sliding contact off the floor. Without preload, the wheels of a
+snake are in the air for more than half of the time, and it is up to a tenth too fast. The actuators
+``press_i``, which have no control, press each connector down with κ times its static load, and the friction
+coefficients of the pairs are those of the robot over 1 + κ. The contacts stay closed, and the friction is
+that of the static load, as in the analytical model. Floor forces without the preload are the true loads, at
+rest within 2 %. docs/models.md describes the drawbacks.
+
+Contacts are explicit pairs, which name the floor, so that they belong to the scene and not to the robot.
 """
 
 from __future__ import annotations
@@ -35,12 +38,12 @@ from srs_twin.plants.twin.mjcf.classes import ROOT, foot_radius
 from srs_twin.plants.twin.mjcf.numerics import LoadedContact, ModelSettings, PreloadedContact
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
-_NET_FORCE = 3  # contact sensor: sum over the contacts found
-_SIDES = {"left": 1, "right": -1}
-_RISE = 0.6  # slope of a runner ahead of the point where it touches: no pitch of a connector comes near
-_DIP = 1e-6  # m, of a runner in the floor at first: else rounding decides which of them the first step finds
-_TOUCHING = 5e-5  # m, of all feet in the floor, where their softness is looked at
-_PRESSED = {"rolling": "axle", "skid": "sole"}  # what the sites that the preload presses on are called
+_NET_FORCE = 3  # reduction of a contact sensor: sum over all contacts
+_SIDES = {"left": 1, "right": -1}  # sign of y
+_RUNNER_SLOPE = 0.6  # rise of a runner to the front, 1; far above any pitch of a connector
+_RUNNER_DEPTH = 1e-6  # initial depth of a runner in the floor, m, so that the first step detects all of them
+_REFERENCE_DEPTH = 5e-5  # depth of all feet in the floor at which regularisations are evaluated, m
+_PRELOAD_SITES = {"rolling": "axle", "skid": "sole"}  # names of the sites on which the preload acts
 
 
 def treads(spec: RobotSpec) -> list[str]:
@@ -48,23 +51,23 @@ def treads(spec: RobotSpec) -> list[str]:
     return [f"tread_{side}_{i}" for i in range(1, len(spec.axles) + 1) for side in _SIDES]
 
 
-def rest_loads(spec: RobotSpec, gravity: float = GRAVITY) -> np.ndarray:
+def static_loads(spec: RobotSpec, gravity: float = GRAVITY) -> np.ndarray:
     """Return the load of each wheel of a snake at rest, head first, shape (axles, 2), N."""
     return np.repeat([[axle.mass * gravity / 2] for axle in spec.axles], 2, axis=1)
 
 
 def preload_force(spec: RobotSpec, contact: PreloadedContact) -> np.ndarray:
-    """Return the force that presses each wheel down besides its load, head first, shape (N, 2), N."""
-    return np.repeat(contact.pressed * spec.mass.array()[:, None] * GRAVITY / 2, 2, axis=1)
+    """Return the preload of each wheel, head first, shape (N, 2), N."""
+    return np.repeat(contact.preload_ratio * spec.mass.array()[:, None] * GRAVITY / 2, 2, axis=1)
 
 
 def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, Any]:
-    """Return the attributes of a pair of floor and wheel or skid; friction along first, then across."""
+    """Return the attributes of a contact pair of floor and wheel or skid; friction is along, then across."""
     mu_t, mu_n, contact = spec.friction.mu_t, spec.friction.mu_n, settings.contact
     if isinstance(contact, LoadedContact):
         return {"condim": 1, "solref": [settings.contact_time, 1]}
-    across = mu_n / (1 + contact.pressed)
-    along = across if contact.rolling else mu_t / (1 + contact.pressed)
+    across = mu_n / (1 + contact.preload_ratio)
+    along = across if contact.rolling else mu_t / (1 + contact.preload_ratio)
     return {
         "condim": 3,
         "friction": [along, across, 0.005, 0.0001, 0.0001],
@@ -74,10 +77,11 @@ def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, Any]:
 
 
 def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> tuple[float, np.ndarray]:
-    """Return the mass (kg) and the moments of inertia (3,) (kg·m²) that a connector's skids add to its own.
+    """Return mass (kg) and moments of inertia (kg·m²) of skids or wheels fixed to a connector.
 
-    They have the mass of the wheels whose place they take. Wheels that turn on axles are bodies of their own:
-    0. On a bench nothing rolls: wheels are fixed there as well. Under `loaded` their spin is friction's.
+    Skids have the mass of the wheels that they replace. Under a preloaded contact, wheels on axles are
+    separate bodies and add 0. Without a floor the wheels do not turn and are fixed. Under loaded contact
+    their spin is part of the friction law.
     """
     rolling = settings.contact.rolling and settings.base == "free"
     if rolling and not settings.loaded:
@@ -88,26 +92,26 @@ def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> tuple[float, np.n
 
 
 def add_wheels(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, settings: ModelSettings) -> None:
-    """Put connector i on its wheels or skids."""
+    """Add the wheels or skids of connector i."""
     if settings.loaded:
-        for (name, place), part in itertools.product(_wheels(spec, i), ("tread", "rim")):
-            body.add_geom(mj.find_default(part), name=f"{part}_{name}", pos=place)
+        for (name, centre), geom in itertools.product(_wheels(spec, i), ("tread", "rim")):
+            body.add_geom(mj.find_default(geom), name=f"{geom}_{name}", pos=centre)
         return
     for side, sign in _SIDES.items():
         if settings.contact.rolling:
             _add_wheel(mj, body, spec, i, side, settings.numerics.wheel_spin)
         else:
             reach, y = spec.geometry.wheel_radius, sign * spec.geometry.half_track
-            z = foot_radius(spec, settings.contact) - spec.geometry.com_height - _DIP
-            runner = [0, y, z, reach, y, z + _RISE * reach]
+            z = foot_radius(spec, settings.contact) - spec.geometry.com_height - _RUNNER_DEPTH
+            runner = [0, y, z, reach, y, z + _RUNNER_SLOPE * reach]
             body.add_geom(mj.find_default("tread"), name=f"tread_{side}_{i}", fromto=runner)
 
 
 def _wheels(spec: RobotSpec, i: int) -> Iterator[tuple[str, list[float]]]:
-    """Yield side and number of the wheels of connector i, with their centres in its frame."""
+    """Yield side and axle number of the wheels of connector i, with their centres in its frame, m."""
     g = spec.geometry
     for number, axle in enumerate(spec.axles, start=1):
-        x = 0.0 - axle.behind  # not −0, which would stand in exported files
+        x = 0.0 - axle.behind  # 0 instead of −0, which exported files would show
         for side, sign in _SIDES.items():
             if axle.connector == i:
                 yield f"{side}_{number}", [x, sign * g.half_track, g.wheel_radius - g.com_height]
@@ -126,15 +130,15 @@ def _add_wheel(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, side: str, sc
 
 
 def add_preload(mj: MjSpec, spec: RobotSpec, contact: PreloadedContact) -> None:
-    """Press every connector down with a constant force along the world's z.
+    """Press each connector down with a constant force along the world's z axis.
 
-    It acts at the height of the centre about which a tilted foot rolls on the floor, so that it neither
-    rights a connector nor tips it over.
+    The force acts at the height of the centre about which a tilted foot rolls on the floor, so that it exerts
+    no moment on the connector.
     """
     mj.worldbody.add_site(mj.find_default(ROOT), name="origin")
     height = foot_radius(spec, contact) - spec.geometry.com_height
     for i, force in enumerate(preload_force(spec, contact).sum(axis=1), start=1):
-        site = f"{_PRESSED[contact.wheels]}_{i}"
+        site = f"{_PRELOAD_SITES[contact.wheels]}_{i}"
         mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=site, pos=[0, 0, height])
         actuator = mj.add_actuator(mj.find_default("press"), name=f"press_{i}", target=site)
         actuator.trntype, actuator.refsite = mujoco.mjtTrn.mjTRN_SITE, "origin"
@@ -142,7 +146,7 @@ def add_preload(mj: MjSpec, spec: RobotSpec, contact: PreloadedContact) -> None:
 
 
 def add_drag(mj: MjSpec, spec: RobotSpec) -> None:
-    """Brake every connector along its heading with an equal share of the robot's drag."""
+    """Brake each connector along its heading with an equal share of the robot's axial drag."""
     for i in range(1, spec.geometry.connectors + 1):
         mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=f"drag_{i}")
         actuator = mj.add_actuator(mj.find_default("drag"), name=f"drag_{i}", target=f"drag_{i}")
@@ -155,7 +159,7 @@ def add_drag(mj: MjSpec, spec: RobotSpec) -> None:
 
 
 def add_feet(mj: MjSpec, spec: RobotSpec) -> None:
-    """Mark the points of each connector where it touches the floor."""
+    """Add sites at the points where each connector touches the floor."""
     for i in range(1, spec.geometry.connectors + 1):
         for name, (x, y, _) in _wheels(spec, i):
             place = [x, y, -spec.geometry.com_height]
@@ -163,10 +167,16 @@ def add_feet(mj: MjSpec, spec: RobotSpec) -> None:
 
 
 def add_contacts(mj: MjSpec, spec: RobotSpec, settings: ModelSettings, levels: list[str]) -> None:
-    """Add the pairs of all wheels or skids with the floor and its levels, and sensors of what happens there.
+    """Add the contact pairs of wheels or skids with the floor and its levels, and their sensors.
 
-    Sensors: the floor's force on each (world frame, N), the velocity of the point of the connector above it
-    (world, m/s).
+    The sensors measure the force of the floor on each wheel (world frame, N), and under a preloaded contact
+    the velocity of the foot (world frame, m/s).
+
+    Args:
+        mj: model, in place.
+        spec: the robot.
+        settings: contact and time step.
+        levels: names of raised levels of the floor.
     """
     name = "wheel_on_floor" if settings.contact.rolling else "skid_on_floor"
     default = mj.add_default(name, mj.default)
@@ -178,52 +188,60 @@ def add_contacts(mj: MjSpec, spec: RobotSpec, settings: ModelSettings, levels: l
             mj.add_pair(default, name=f"{tread}_{floor}", geomname1=floor, geomname2=tread)
             for tread in treads(spec)
         ]
-    for pair, slower in zip(pairs, itertools.cycle(_slower(mj, spec)), strict=False):
-        pair.solref = [round(settings.contact_time * slower, 7), 1]
+    for pair, factor in zip(pairs, itertools.cycle(_contact_time_factors(mj, spec)), strict=False):
+        pair.solref = [round(settings.contact_time * factor, 7), 1]
     for tread in treads(spec):
-        what = (mjtObj.mjOBJ_BODY, "world") if levels else (mjtObj.mjOBJ_GEOM, "floor")
-        add_force_sensor(mj, f"floor_force_{tread}", *what, on=tread)
+        source = (mjtObj.mjOBJ_BODY, "world") if levels else (mjtObj.mjOBJ_GEOM, "floor")
+        add_force_sensor(mj, f"floor_force_{tread}", *source, on=tread)
     if settings.loaded:
-        return  # there friction is known with its power
+        return  # the friction law gives its power without velocity sensors
     for tread in treads(spec):
         foot = tread.replace("tread", "foot")
         add_velocity_sensor(mj, f"velocity_{foot}", mjtObj.mjOBJ_SITE, foot)
 
 
-def add_velocity_sensor(mj: MjSpec, name: str, kind: mjtObj, of: str) -> None:
-    """Add a sensor of the velocity of a site or of a geom's middle, world frame, m/s."""
-    mj.add_sensor(name=name, type=mjtSensor.mjSENS_FRAMELINVEL, objtype=kind, objname=of)
+def add_velocity_sensor(mj: MjSpec, name: str, kind: mjtObj, target: str) -> None:
+    """Add a sensor of the velocity of a site or of a geom's centre, world frame, m/s."""
+    mj.add_sensor(name=name, type=mjtSensor.mjSENS_FRAMELINVEL, objtype=kind, objname=target)
 
 
-def add_force_sensor(mj: MjSpec, name: str, kind: mjtObj, of: str, *, on: str, place: bool = False) -> None:
-    """Add a sensor of the force of a geom or of all geoms of a body on a geom, world frame, N.
+def add_force_sensor(
+    mj: MjSpec, name: str, kind: mjtObj, source: str, *, on: str, position: bool = False
+) -> None:
+    """Add a sensor of the contact force on a geom, world frame, N.
 
-    With `place` it also tells where the force acts, m.
+    Args:
+        mj: model, in place.
+        name: name of the sensor.
+        kind: whether `source` is a geom or a body.
+        source: geom, or body with all its geoms, that exerts the force.
+        on: geom on which the force acts.
+        position: whether to measure the point of application, too, m.
     """
-    sensor = mj.add_sensor(name=name, type=mjtSensor.mjSENS_CONTACT, objtype=kind, objname=of)
+    sensor = mj.add_sensor(name=name, type=mjtSensor.mjSENS_CONTACT, objtype=kind, objname=source)
     sensor.reftype, sensor.refname = mjtObj.mjOBJ_GEOM, on
     fields = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
-    fields |= (1 << int(mujoco.mjtConDataField.mjCONDATA_POS)) * place
+    fields |= (1 << int(mujoco.mjtConDataField.mjCONDATA_POS)) * position
     sensor.intprm[:3] = [fields, _NET_FORCE, 1]
 
 
-def _slower(mj: MjSpec, spec: RobotSpec) -> np.ndarray:
-    """Return by how much slower each normal contact must be for all to sink in alike, 1 for the fastest.
+def _contact_time_factors(mj: MjSpec, spec: RobotSpec) -> np.ndarray:
+    """Return the factors on the contact time constant with which all wheels sink in equally, 1 or more.
 
-    MuJoCo softens a contact by a regularisation R that it takes from the tree of bodies: 1.25 times as much
-    at gen 2's root as at its ends. What sinks deeper hands part of its load to its neighbours.
+    MuJoCo derives the regularisation R of a contact from the tree of bodies; at the root of gen 2 it is 1.25
+    times that at the ends. A contact that sinks deeper transfers part of its load to its neighbours.
     """
-    depth = softness(mj.compile(), spec)
-    depth *= rest_loads(spec).ravel()
-    slower: np.ndarray = np.sqrt(depth.max() / depth)
-    return slower
+    depth = contact_regularisation(mj.compile(), spec)
+    depth *= static_loads(spec).ravel()
+    factors: np.ndarray = np.sqrt(depth.max() / depth)
+    return factors
 
 
-def softness(model: mujoco.MjModel, spec: RobotSpec) -> np.ndarray:
-    """Return how softly each normal contact yields, MuJoCo's R, in the order of `treads`, 1/kg."""
+def contact_regularisation(model: mujoco.MjModel, spec: RobotSpec) -> np.ndarray:
+    """Return MuJoCo's regularisation R of each normal contact, in the order of `treads`, 1/kg."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
-    data.qpos[2] -= _TOUCHING
+    data.qpos[2] -= _REFERENCE_DEPTH
     mujoco.mj_forward(model, data)
-    found = {max(contact.geom): data.efc_R[contact.efc_address] for contact in data.contact}
-    return np.array([found[model.geom(tread).id] for tread in treads(spec)])
+    by_geom = {max(contact.geom): data.efc_R[contact.efc_address] for contact in data.contact}
+    return np.array([by_geom[model.geom(tread).id] for tread in treads(spec)])

@@ -1,4 +1,4 @@
-"""Twins on a device against those of the processor, world by world; here Warp steps on the processor, too."""
+"""Runs on a Warp device compared with the CPU engine; here Warp runs on the CPU, too."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ import srs_twin.envs  # noqa: F401
 from srs_twin import Gait, InputError, TwinBatch, TwinSnake, load_robot, run_scripts
 from srs_twin.compute.workers import Done
 from srs_twin.errors import EngineWarning
-from srs_twin.plants.twin.friction_held import held, rolling
-from srs_twin.pneumatics.chambers import as_felt
+from srs_twin.plants.twin.stick_slip import rolling_friction, stick_slip_friction
+from srs_twin.pneumatics.chambers import equivalent_linear_pressure
 from srs_twin.robot.world import Circle, World
 from srs_twin.studies.sweep.execution import local
 from srs_twin.studies.sweep.loading import load_sweep
@@ -39,26 +39,26 @@ def contact(request):
 
 
 def both(specs, gaits, seconds, **settings):
-    """Return the trajectories of the processor and of the device."""
-    found = []
+    """Return the trajectories of the CPU engine and of the device."""
+    result = []
     for more in ({}, ON):
         batch = TwinBatch(specs, **settings, **more)
-        found.append(run_scripts(batch, [Gait(*each) for each in gaits], seconds))
-    return found
+        result.append(run_scripts(batch, [Gait(*item) for item in gaits], seconds))
+    return result
 
 
-def test_the_laws_of_friction_are_the_same_in_warp():
-    from srs_twin.warp.ported import ported
+def test_friction_laws_agree_in_warp():
+    from srs_twin.warp.translation import as_warp_functions
 
-    laws = ported([held, rolling])
-    wheel = laws["rolling"]
+    laws = as_warp_functions([stick_slip_friction, rolling_friction])
+    wheel = laws["rolling_friction"]
 
     @wp.kernel(enable_backward=False)
-    def each(given: wp.array2d(dtype=float), out: wp.array2d(dtype=float)):
+    def each(inputs: wp.array2d(dtype=float), out: wp.array2d(dtype=float)):
         i = wp.tid()
         a, b, c, d, e, f = wheel(
-            given[i, 0], given[i, 1], given[i, 2], given[i, 3], given[i, 4], 0.001, given[i, 5], given[i, 6],
-            given[i, 7], given[i, 8],
+            inputs[i, 0], inputs[i, 1], inputs[i, 2], inputs[i, 3], inputs[i, 4], 0.001, inputs[i, 5],
+            inputs[i, 6], inputs[i, 7], inputs[i, 8],
         )  # fmt: skip
         out[i, 0] = a
         out[i, 1] = b
@@ -71,43 +71,53 @@ def test_the_laws_of_friction_are_the_same_in_warp():
     speed, load = rng.normal(scale=0.1, size=(200, 2)), rng.uniform(0, 1, size=(200, 1))
     mu = np.sort(rng.uniform(0.01, 0.5, size=(200, 2)), axis=1)
     push = rng.normal(scale=0.05, size=(200, 2))
-    given = np.hstack(
+    inputs = np.hstack(
         [speed, load, mu, push, rng.normal(scale=0.1, size=(200, 1)), rng.uniform(0.1, 9, (200, 1))]
     )
     out = wp.zeros((200, 6), dtype=float, device="cpu")
-    wp.launch(each, dim=200, inputs=[wp.array(given, dtype=float, device="cpu"), out], device="cpu")
-    here = np.array([rolling(*row[:5], 0.001, *row[5:]) for row in given])
-    scale = np.abs(here).max(axis=0)
-    assert np.abs(out.numpy() - here).max(axis=0) == pytest.approx(0 * scale, abs=1e-3 * scale.max())
-    assert np.abs(out.numpy() - here)[:, :2].max() < 1e-5
+    wp.launch(each, dim=200, inputs=[wp.array(inputs, dtype=float, device="cpu"), out], device="cpu")
+    on_cpu = np.array([rolling_friction(*row[:5], 0.001, *row[5:]) for row in inputs])
+    scale = np.abs(on_cpu).max(axis=0)
+    assert np.abs(out.numpy() - on_cpu).max(axis=0) == pytest.approx(0 * scale, abs=1e-3 * scale.max())
+    assert np.abs(out.numpy() - on_cpu)[:, :2].max() < 1e-5
 
 
 def waves(gaits, slot, slots, steps):
-    """Return the valves that the device computes for gaits, shape (gaits, slots, segments, 2)."""
-    from srs_twin.warp.kernels import Air, Bodies, Kept, Wave, kernels
-    from srs_twin.warp.ported import record, stacked
+    """Return the valve states that the device computes for gaits, shape (gaits, slots, segments, 2)."""
+    from srs_twin.warp.kernels import (
+        Accumulators,
+        BodyViews,
+        ChamberState,
+        GaitWave,
+        StepSettings,
+        build_kernels,
+    )
+    from srs_twin.warp.translation import stack_records, warp_struct
 
     twin, empty = TwinSnake(GEN2), np.zeros((GEN2.segments, 2))
     whole = empty.astype(int)
     records = {
-        "relaxation": twin.pneumatics.relaxation(slot), "columns": twin.physics.columns,
-        "air": Air(empty, empty[:, 0], whole, whole, empty[:, 0]), "kept": Kept(empty[0], *3 * [empty]),
-        "wave": Wave(1.0, 0.0, 0.0, empty[:, 0]), "bodies": Bodies(*7 * [empty]),
+        "relaxation": twin.pneumatics.relaxation(slot), "addresses": twin.physics.sensor_addresses,
+        "chambers": ChamberState(empty, empty[:, 0], whole, whole, empty[:, 0]),
+        "accumulators": Accumulators(empty[0], *3 * [empty]),
+        "wave": GaitWave(1.0, 0.0, 0.0, empty[:, 0]), "bodies": BodyViews(*7 * [empty]),
     }  # fmt: skip
-    ported = {name: record(each) for name, each in records.items()}
-    spec = SimpleNamespace(h=slots * slot, slot=slot, slots=slots, tick=1, middle=False)
-    kernel, found = kernels(ported, spec).wave, []
-    given = stacked(ported["wave"], [Wave(g.frequency, g.offset, g.rest, g.lag) for g in gaits], "cpu")
+    ported = {name: warp_struct(entry) for name, entry in records.items()}
+    spec = StepSettings(h=slots * slot, slot=slot, slots=slots, tick=1, mean_pressure=False)
+    kernel, actual = build_kernels(ported, spec).set_gait, []
+    waves_on_device = stack_records(
+        ported["wave"], [GaitWave(g.frequency, g.offset, g.rest, g.lag) for g in gaits], "cpu"
+    )
     out = wp.zeros((len(gaits), slots, GEN2.segments, 2), dtype=int, device="cpu")
     for step in range(steps):
         count = wp.full(1, step, dtype=int, device="cpu")
-        wp.launch(kernel, dim=(len(gaits), GEN2.segments), inputs=[count, given, out], device="cpu")
-        found.append(out.numpy().copy())
-    return np.concatenate(found, axis=1)
+        wp.launch(kernel, dim=(len(gaits), GEN2.segments), inputs=[count, waves_on_device, out], device="cpu")
+        actual.append(out.numpy().copy())
+    return np.concatenate(actual, axis=1)
 
 
-def test_device_gait_switches_valves_in_the_slots_of_its_schedule():
-    """No edge of these gaits is within single-precision rounding of the middle of a slot."""
+def test_device_gait_switches_valves_at_the_schedule_slots():
+    """No valve edge of these gaits is within single-precision rounding of the middle of a slot."""
     gaits = [
         Gait(1.37, 0.11), Gait(2.9, -0.43, phase=0.7), Gait(0.83, 0.27, phases=(0.1, 0.5, 0.2, 0.9)),
         Gait(1.7, 0.09, rest_share=0.3), Gait(2.3, -0.31, phase_step=0.6, rest_share=0.1),
@@ -116,39 +126,52 @@ def test_device_gait_switches_valves_in_the_slots_of_its_schedule():
         gait.reset(GEN2, 0.02)
     slot, slots, steps = 1e-4, 2000, 6
     there = waves(gaits, slot, slots, steps)
-    for gait, found in zip(gaits, there, strict=True):
+    for gait, values in zip(gaits, there, strict=True):
         schedule = gait.script(slot * slots * steps)
         at = np.searchsorted(schedule.starts, slot * (np.arange(slots * steps) + 0.5), side="right") - 1
         assert len(schedule.starts) > 8
-        assert (found == schedule.states[at]).all()
+        assert (values == schedule.states[at]).all()
 
 
-def test_pressures_on_the_device_act_as_on_the_processor():
-    """The bends of these segments saturate. Under equal pressures the law has its slope at rest."""
-    from srs_twin.warp.kernels import Air, Bodies, Kept, Wave, kernels
-    from srs_twin.warp.ported import record, stacked
+def test_device_controls_equal_linear_pressures():
+    """The bends of these segments saturate; at equal pressures the bend law has its slope at rest."""
+    from srs_twin.warp.kernels import (
+        Accumulators,
+        BodyViews,
+        ChamberState,
+        GaitWave,
+        StepSettings,
+        build_kernels,
+    )
+    from srs_twin.warp.translation import stack_records, warp_struct
 
     bent = replace(GEN2, actuator=replace(GEN2.actuator, bend_limit=0.6))
     twin, empty = TwinSnake(bent), np.zeros((bent.segments, 2))
     pressure = 1e3 * np.array([[0.0, 0.0], [30.0, 30.0], [45.0, 5.0], [2.0, 40.0]])
     whole = empty.astype(int)
-    air = Air(pressure, empty[:, 0], whole, whole, empty[:, 0])
+    air = ChamberState(pressure, empty[:, 0], whole, whole, empty[:, 0])
     records = {
-        "relaxation": twin.pneumatics.relaxation(1e-4), "columns": twin.physics.columns, "air": air,
-        "kept": Kept(empty[0], *3 * [empty]), "wave": Wave(1.0, 0.0, 0.0, empty[:, 0]),
-        "bodies": Bodies(*7 * [empty]),
+        "relaxation": twin.pneumatics.relaxation(1e-4), "addresses": twin.physics.sensor_addresses,
+        "chambers": air,
+        "accumulators": Accumulators(empty[0], *3 * [empty]), "wave": GaitWave(1.0, 0.0, 0.0, empty[:, 0]),
+        "bodies": BodyViews(*7 * [empty]),
     }  # fmt: skip
-    ported = {name: record(each) for name, each in records.items()}
-    spec = SimpleNamespace(h=1e-4, slot=1e-4, slots=1, tick=1, middle=False)
+    ported = {name: warp_struct(each) for name, each in records.items()}
+    spec = StepSettings(h=1e-4, slot=1e-4, slots=1, tick=1, mean_pressure=False)
     ctrl = wp.zeros((1, 2 * bent.segments), dtype=float, device="cpu")
-    given = [stacked(ported[name], [records[name]], "cpu") for name in ("relaxation", "air")]
+    structs = [stack_records(ported[name], [records[name]], "cpu") for name in ("relaxation", "chambers")]
     valves = wp.zeros((1, 1, bent.segments, 2), dtype=int, device="cpu")
-    wp.launch(kernels(ported, spec).fill, dim=(1, bent.segments), inputs=[*given, valves, ctrl], device="cpu")
-    assert ctrl.numpy().reshape(-1, 2) == pytest.approx(as_felt(bent, pressure), rel=1e-5)
+    wp.launch(
+        build_kernels(ported, spec).advance_chambers,
+        dim=(1, bent.segments),
+        inputs=[*structs, valves, ctrl],
+        device="cpu",
+    )
+    assert ctrl.numpy().reshape(-1, 2) == pytest.approx(equivalent_linear_pressure(bent, pressure), rel=1e-5)
 
 
 @pytest.mark.slow
-def test_the_points_of_agreement_are_those_of_the_processor(contact):
+def test_runs_agree_with_the_cpu_engine(contact):
     points = list(product((1.0, 1.5, 2.0), (41e3, 48e3, 55e3), (0.0, 0.0085), (0.0, 0.2)))
     specs = [replace(GEN2, geometry=replace(GEN2.geometry, rigid_gap=gap)) for _, _, gap, _ in points]
     gaits = [(f, offset) for f, _, _, offset in points]
@@ -163,7 +186,7 @@ def test_the_points_of_agreement_are_those_of_the_processor(contact):
 
 
 @pytest.mark.slow
-def test_each_world_has_its_own_numbers(contact):
+def test_each_world_has_individual_parameters(contact):
     specs = [GEN2, SOFT, SLICK, STRONG, HEAVY]
     here, there = both(specs, [(2.0, 0.2)] * 5, 0.3, contact=contact)
     ends = np.array([[run["com_x"][-1], run["com_y"][-1]] for run in there])
@@ -173,7 +196,7 @@ def test_each_world_has_its_own_numbers(contact):
 
 
 @pytest.mark.slow
-def test_what_runs_into_an_obstacle_is_held_as_on_the_processor():
+def test_obstacle_contact_agrees_with_the_cpu_engine():
     world = World((Circle(0.24, 0.03, 0.04),))
     here, there = both([GEN2], [(2.0, 0.0)], 0.8, contact="loaded", world=world)
     force = [
@@ -182,7 +205,7 @@ def test_what_runs_into_an_obstacle_is_held_as_on_the_processor():
     assert force[0] > 0.5 and force[1] == pytest.approx(force[0], rel=0.01)
 
 
-def test_a_reset_empties_the_chambers_of_the_chosen_worlds():
+def test_partial_reset_empties_the_chambers_of_chosen_worlds():
     batch = TwinBatch([GEN2] * 2, **ON)
     batch.arrays()["pressure"].fill_(48e3)
     batch.reset(worlds=[1])
@@ -192,14 +215,14 @@ def test_a_reset_empties_the_chambers_of_the_chosen_worlds():
 
 
 def displaced(place, steps=60):
-    """Return the motion of a turning snake relative to where it starts, and its states' mean position."""
+    """Return the motion of a turning snake relative to its start, and the mean position of its states."""
     batch = TwinBatch([GEN2] * 2, deterministic=True, **ON)
     batch.set_gaits([Gait(2.0, 0.4)] * 2)
     batch.reset(poses=[(*place, 0.3), (0.0, 0.0, 0.3)])
     return [state.com - state.com[0] for state in batch.follow(steps * 1e-3 * 4, 4)], batch
 
 
-def test_a_start_far_from_the_origin_moves_as_one_at_the_origin():
+def test_distant_start_moves_like_one_at_the_origin():
     place = (2000.0, -700.0)
     (far, near), batch = displaced(place)
     # The device computes both near zero; adding the start rounds in double precision.
@@ -211,7 +234,7 @@ def test_a_start_far_from_the_origin_moves_as_one_at_the_origin():
     assert np.abs(batch.state.com).max() < 0.5
 
 
-def test_a_start_that_is_too_far_for_single_precision_is_refused_beside_obstacles():
+def test_distant_start_with_obstacles_raises():
     batch = TwinBatch([GEN2], world=World((Circle(1.0, 0.0, 0.1),)), contact="loaded", **ON)
     batch.reset(poses=[(15.9, 0.0, 0.0)])
     with pytest.raises(InputError, match=r"run 0 starts at \(2000, 0\) m.* within 16 m of the origin"):
@@ -219,7 +242,7 @@ def test_a_start_that_is_too_far_for_single_precision_is_refused_beside_obstacle
 
 
 @pytest.mark.slow
-def test_a_batch_is_repeated_world_by_world_and_its_arrays_are_handed_out(contact):
+def test_repeated_batch_is_equal_and_exposes_its_arrays(contact):
     batch = TwinBatch([GEN2] * 3, contact=contact, deterministic=True, **ON)
     batch.set_gaits([Gait(2.0), Gait(2.0), Gait(2.0, 0.6)])
     first = batch.follow(0.1, 10)
@@ -232,15 +255,15 @@ def test_a_batch_is_repeated_world_by_world_and_its_arrays_are_handed_out(contac
     assert (batch.state.bend[0] == first[0].bend[-1]).all()
     batch.reset()
     assert (batch.follow(0.1, 10)[2].qpos == first[2].qpos).all()
-    told = np.tile([[1, -1], [-1, 1]], (3, 2, 1))
-    batch.step(wp.array(told, dtype=wp.int32, device="cpu"))
-    assert (batch.state.valves == told).all()
+    reported = np.tile([[1, -1], [-1, 1]], (3, 2, 1))
+    batch.step(wp.array(reported, dtype=wp.int32, device="cpu"))
+    assert (batch.state.valves == reported).all()
     with pytest.raises(InputError, match="int32, not int64"):
-        batch.step(wp.array(told, dtype=wp.int64, device="cpu"))
+        batch.step(wp.array(reported, dtype=wp.int64, device="cpu"))
 
 
 @pytest.mark.slow
-def test_environments_on_a_device_are_those_of_the_processor():
+def test_environments_agree_with_the_cpu_engine():
     made = [
         gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=2, limit_s=0.3, **more)
         for more in ({}, ON)
@@ -258,7 +281,7 @@ def test_environments_on_a_device_are_those_of_the_processor():
 
 
 @pytest.mark.slow
-def test_time_and_forces_count_steps_that_nobody_saw_and_a_run_that_diverges_ends_alone():
+def test_unobserved_steps_count_and_diverged_run_ends_alone():
     batch, here = (TwinBatch([GEN2] * 2, contact="loaded", **more) for more in (ON, {}))
     batch.set_gaits([Gait(2.0)] * 2)
     batch.run(80, gait=True)
@@ -287,7 +310,7 @@ plants: [twin]
 
 
 @pytest.mark.slow
-def test_a_sweep_on_a_device_says_what_one_on_the_processor_says(tmp_path):
+def test_sweep_agrees_with_the_cpu_engine(tmp_path):
     (tmp_path / "s.yaml").write_text(SWEEP)
     found = load_sweep(tmp_path / "s.yaml")
     here = {row.number: row.result for row in local(1)(found.experiment, found.points)}
@@ -310,21 +333,21 @@ def test_a_sweep_on_a_device_says_what_one_on_the_processor_says(tmp_path):
         ),
     ],
 )
-def test_what_a_device_cannot_do_is_refused_by_its_name(settings, named):
+def test_unsupported_settings_raise_by_name(settings, named):
     with pytest.raises(InputError, match=named):
         TwinBatch([GEN2], **settings, **ON)
 
 
-@pytest.mark.parametrize("way", [pickle.dumps, copy.deepcopy, copy.copy])
-def test_copies_of_a_batch_on_a_device_are_refused(way):
+@pytest.mark.parametrize("copy_of", [pickle.dumps, copy.deepcopy, copy.copy])
+def test_copying_a_warp_batch_raises(copy_of):
     from srs_twin.warp.batch import WarpBatch
 
     with pytest.raises(InputError, match=r"neither copied nor pickled; .* save\(\) and restore\(\)"):
-        way(object.__new__(WarpBatch))
+        copy_of(object.__new__(WarpBatch))
 
 
 @pytest.mark.parametrize("together", [2, 1024])
-def test_every_point_that_no_device_runs_is_run_once_here(tmp_path, monkeypatch, together):
+def test_unsupported_sweep_points_run_once_on_the_cpu(tmp_path, monkeypatch, together):
     def refuse(twin: TwinSnake) -> None:
         raise InputError("it cannot")
 
@@ -342,7 +365,7 @@ def test_every_point_that_no_device_runs_is_run_once_here(tmp_path, monkeypatch,
     assert [(row.number, row.result) for row in rows] == [(k, {"seed": k}) for k in range(5)]
 
 
-def test_without_an_accelerator_a_sweep_says_so_and_runs_on_the_processor(monkeypatch):
+def test_sweep_without_gpu_warns_and_runs_on_the_cpu(monkeypatch):
     from srs_twin.warp.batch import WarpBatch
 
     monkeypatch.setattr(WarpBatch, "accelerated", staticmethod(lambda: False))
@@ -350,7 +373,7 @@ def test_without_an_accelerator_a_sweep_says_so_and_runs_on_the_processor(monkey
         assert "on_device" not in on_device(None, 1).__qualname__
 
 
-def test_without_warp_the_extra_is_named(monkeypatch):
+def test_missing_warp_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "srs_twin.warp.batch", None)
     with pytest.raises(InputError, match=r"srs-twin\[gpu\]"):
         TwinBatch([GEN2], engine="warp")
@@ -358,7 +381,7 @@ def test_without_warp_the_extra_is_named(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.gpu
-def test_an_accelerator_crawls_as_fast_as_the_processor(contact):
+def test_gpu_speed_agrees_with_the_cpu_engine(contact):
     if not wp.get_preferred_device().is_cuda:
         pytest.skip("there is no accelerator here")
     found = [
@@ -366,8 +389,8 @@ def test_an_accelerator_crawls_as_fast_as_the_processor(contact):
         for engine in ("cpu", "warp")
     ]
     for a, b in zip(*found, strict=True):
-        way = [
+        distances = [
             np.hypot(run["com_x"][-1] - run["com_x"][400], run["com_y"][-1] - run["com_y"][400])
             for run in (a, b)
         ]
-        assert way[1] == pytest.approx(way[0], rel=5e-3)
+        assert distances[1] == pytest.approx(distances[0], rel=5e-3)

@@ -1,4 +1,4 @@
-"""Inverse dynamics from the tail against d'Alembert's sum over the rows of the whole body."""
+"""Recursive inverse dynamics, compared with the sum over the dense Jacobian of the whole body."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rows import fill_rows
 
 from srs_twin.plants.analytical.floor import FloorFriction, fill_forces, floor_friction
 from srs_twin.plants.analytical.kernels import inverse_dynamics
-from srs_twin.plants.analytical.kinematics import ROWS, Solid, pose_body
+from srs_twin.plants.analytical.kinematics import ROWS, BodyParameters, pose_body
 from srs_twin.pneumatics import Trace
 from srs_twin.robot.friction import LAWS
 
@@ -19,15 +19,15 @@ def by_rows(
     u: np.ndarray,
     bend: np.ndarray,
     acceleration: np.ndarray,
-    solid: Solid,
+    solid: BodyParameters,
     floor: FloorFriction,
     turning: bool,
 ) -> np.ndarray:
-    """Return the segments' moments as the sums of loads over what each bend moves.
+    """Return the moments of the segments from d'Alembert's principle with a dense Jacobian.
 
-    With r the connectors' velocities along, across and about themselves by the velocities u, and W their
-    masses and inertias, the whole body accelerates by w so that rᵀ (W (ṙ u + r u̇) − f) vanishes for its three
-    velocities; what is left for the bends are their moments.
+    The rows r give the velocities of the connectors along, across and about themselves for the velocities
+    u, W are their masses and inertias. The acceleration w of the whole body makes rᵀ (W (ṙ u + r u̇) − f)
+    vanish for its three velocities; the components of the bends are their moments.
     """
     n = len(solid.mass)
     body, pushed = np.empty((ROWS, n)), np.empty((n, 3))
@@ -57,19 +57,19 @@ def by_rows(
     heavy=st.booleans(),
     turning=st.booleans(),
 )
-def test_the_tail_knows_what_the_rows_of_the_whole_body_say(seed, connectors, law, frozen, heavy, turning):
+def test_recursive_inverse_dynamics_equals_the_dense_sum(seed, connectors, law, frozen, heavy, turning):
     random = np.random.default_rng(seed)
     mass = random.uniform(0.01, 0.1, connectors)
     inertia = random.uniform(0.0, 1e-4, connectors) if heavy else np.zeros(connectors)
-    solid = Solid(mass, inertia, 0.037, 0.018, frozen)
+    solid = BodyParameters(mass, inertia, 0.037, 0.018, frozen)
     floor = floor_friction(law, random.choice([0.0, 0.02]), 0.05, 0.5, 0.01)
     samples, segments = 3, connectors - 1
     u = random.normal(0, [0.3, 0.3, 2.0, *[5.0] * segments], (samples, 3 + segments))
     bend, acceleration = random.normal(0, 0.7, (samples, segments)), random.normal(0, 99, (samples, segments))
-    found = np.empty((samples, segments))
+    result = np.empty((samples, segments))
     trace = Trace.empty(samples, segments)._replace(
         bend=bend, bend_rate=u[:, 3:].copy(), bend_acceleration=acceleration
     )
-    inverse_dynamics(u[:, :3].copy(), trace, (solid, floor, turning), found)
+    inverse_dynamics(u[:, :3].copy(), trace, (solid, floor, turning), result)
     expected = [by_rows(u[k], bend[k], acceleration[k], solid, floor, turning) for k in range(samples)]
-    assert found == pytest.approx(np.array(expected), rel=1e-10, abs=1e-10)
+    assert result == pytest.approx(np.array(expected), rel=1e-10, abs=1e-10)

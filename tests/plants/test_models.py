@@ -1,4 +1,4 @@
-"""The exported MJCF: current, laid out as promised, the twin's own model, and at home in plain MuJoCo."""
+"""Exported MJCF: current, in the layout of Menagerie, equal to the twin's model, usable in MuJoCo alone."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from srs_twin.plants.twin.mjcf.wheels import preload_force, treads
 ROBOTS = ("gen1", "gen2", "gen3", "gen4")
 SECOND = round(1 / ModelSettings.timestep)
 
-# What a program without the package sees: a file, MuJoCo, and a random second.
+# A program without the package: a file, MuJoCo, and one second of random control.
 PLAIN = """
 import sys, numpy as np, mujoco
 model = mujoco.MjModel.from_xml_path(sys.argv[1])
@@ -60,7 +60,7 @@ def at_home(model):
     return data
 
 
-def test_the_shipped_files_are_what_an_export_writes(root, spec, tmp_path):
+def test_shipped_mjcf_files_are_current(root, spec, tmp_path):
     written = export_robot(spec, tmp_path)
     assert [path.name for path in written] == [f"{spec.name}.xml", SCENE]
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(path.name for path in written)
@@ -69,7 +69,7 @@ def test_the_shipped_files_are_what_an_export_writes(root, spec, tmp_path):
     assert stale_files(spec, root / "models" / spec.name) == []
 
 
-def test_stale_and_missing_files_are_told_apart_from_current_ones(tmp_path):
+def test_stale_and_missing_files_are_detected(tmp_path):
     gen2 = load_robot("gen2")
     assert stale_files(gen2, tmp_path) == ["gen2.xml", SCENE]
     export_robot(gen2, tmp_path)
@@ -80,7 +80,7 @@ def test_stale_and_missing_files_are_told_apart_from_current_ones(tmp_path):
     assert stale_files(rougher, tmp_path) == [SCENE]
 
 
-def test_the_files_compile_to_the_twins_own_model_bit_for_bit(spec, shipped):
+def test_exported_files_compile_to_the_model_of_the_twin_bit_for_bit(spec, shipped):
     twin = scene_mjcf(spec, ModelSettings(contact=PreloadedContact())).compile()
     for part in ("opt", "stat", "vis"):
         assert str(getattr(twin, part)) == str(getattr(shipped, part)), part
@@ -97,7 +97,7 @@ def test_the_files_compile_to_the_twins_own_model_bit_for_bit(spec, shipped):
     ]
 
 
-def test_both_move_alike_under_the_same_controls(spec, shipped):
+def test_exported_and_built_models_move_equally(spec, shipped):
     rng = np.random.default_rng(1)
     twin = scene_mjcf(spec, ModelSettings(contact=PreloadedContact())).compile()
     one, other = at_home(twin), at_home(shipped)
@@ -112,7 +112,7 @@ def test_both_move_alike_under_the_same_controls(spec, shipped):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_a_random_second_in_plain_mujoco(root, tmp_path, name):
+def test_exported_model_is_stable_under_random_control(root, tmp_path, name):
     command = [sys.executable, "-c", PLAIN, str(root / "models" / name / SCENE), "7"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
@@ -120,7 +120,7 @@ def test_a_random_second_in_plain_mujoco(root, tmp_path, name):
     assert list(tmp_path.iterdir()) == []  # no MUJOCO_LOG.TXT
 
 
-def test_at_home_it_rests_and_the_floor_carries_weight_and_preload(spec, shipped):
+def test_home_keyframe_rests_with_weight_and_preload_on_the_floor(spec, shipped):
     data = at_home(shipped)
     home = data.qpos.copy()
     for _ in range(SECOND):
@@ -136,7 +136,7 @@ def test_at_home_it_rests_and_the_floor_carries_weight_and_preload(spec, shipped
     )
 
 
-def test_numbers_of_the_robot_are_found_again_in_the_compiled_model(spec, shipped):
+def test_compiled_model_has_the_parameters_of_the_robot(spec, shipped):
     data, g = at_home(shipped), spec.geometry
     mujoco.mj_forward(shipped, data)
     places = np.array([data.body(f"connector_{i}").xpos for i in range(1, g.connectors + 1)])
@@ -154,7 +154,7 @@ def test_numbers_of_the_robot_are_found_again_in_the_compiled_model(spec, shippe
         assert shipped.actuator(f"plus_{j}").ctrlrange[1] == pytest.approx(spec.supply.continuous_limit)
 
 
-def test_pressure_in_a_plus_chamber_turns_the_head_end_left_by_the_free_bend(spec, shipped):
+def test_plus_pressure_gives_the_free_bend_to_the_left(spec, shipped):
     data = at_home(shipped)
     pressure = 0.2 / spec.actuator.gain
     data.actuator("plus_1").ctrl = pressure
@@ -169,14 +169,14 @@ def test_pressure_in_a_plus_chamber_turns_the_head_end_left_by_the_free_bend(spe
     assert 0.08 < bend < 0.2 + 1e-3  # what is missing is held by the wheels
 
 
-def test_the_robots_file_holds_the_robot_alone(root, spec):
+def test_robot_file_contains_the_robot_only(root, spec):
     robot = mujoco.MjModel.from_xml_path(str(root / "models" / spec.name / f"{spec.name}.xml"))
     assert (robot.npair, robot.nsensor, robot.nlight, robot.ntex) == (0, 0, 0, 0)
     assert robot.key("home").qpos.shape == (robot.nq,)
     assert not (robot.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any()
 
 
-def test_the_files_read_as_those_of_menagerie(spec):
+def test_files_have_the_layout_of_menagerie(spec):
     texts = robot_files(spec)
     robot, scene = texts[f"{spec.name}.xml"], texts[SCENE]
     assert "`srs-twin models export`" in robot and f"'{spec.name}'" in robot
@@ -193,29 +193,29 @@ def test_the_files_read_as_those_of_menagerie(spec):
             for element in tree.iterfind(f"./{section}//*"):
                 assert element.tag in unnamed or element.get("name"), ElementTree.tostring(element)
     tree = ElementTree.fromstring(robot)
-    classes = {each.get("class") for each in tree.iter("default")}
+    classes = {item.get("class") for item in tree.iter("default")}
     assert classes >= {"hinge", "pitch", "roll", "axle", "tread", "rim", "skin", "plate", "muscle", "press"}
     for tag, repeated in (("joint", "stiffness"), ("geom", "contype"), ("general", "ctrlrange")):
-        own = [each for section in ("worldbody", "actuator") for each in tree.iterfind(f"./{section}//{tag}")]
-        assert own and not [each for each in own if each.get(repeated)], (tag, repeated)
+        own = [item for section in ("worldbody", "actuator") for item in tree.iterfind(f"./{section}//{tag}")]
+        assert own and not [item for item in own if item.get(repeated)], (tag, repeated)
     ours, theirs = ElementTree.fromstring(scene), {"compiler", "option", "tendon", "actuator", "keyframe"}
     assert not theirs & {section.tag for section in ours}
 
 
-def test_a_title_cannot_break_out_of_the_comment(tmp_path):
+def test_title_is_escaped_in_the_comment(tmp_path):
     wild = dataclasses.replace(load_robot("gen2"), title="a --> <body/> <!-- 'b' & \"c\"")
     export_robot(wild, tmp_path)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / SCENE))
     assert model.nbody == scene_mjcf(wild, ModelSettings(contact=PreloadedContact())).compile().nbody
 
 
-def test_a_place_that_cannot_be_written_is_bad_input(tmp_path):
+def test_unwritable_folder_is_an_input_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
         export_robot(load_robot("gen2"), tmp_path / "file")
 
 
-def test_from_the_command_line(srs_twin, tmp_path):
+def test_models_command_exports_and_checks(srs_twin, tmp_path):
     done = srs_twin("models", "export", "gen2", "gen4", "--out", "here", cwd=tmp_path)
     assert (done.returncode, done.stdout) == (0, "here/gen2/scene.xml\nhere/gen4/scene.xml\n")
     done = srs_twin("models", "check", "here/gen4/scene.xml", "gen2", cwd=tmp_path)
@@ -225,7 +225,7 @@ def test_from_the_command_line(srs_twin, tmp_path):
     assert "models/gen2/scene.xml: current and fit for use (" in shipped
 
 
-def test_a_shipped_model_that_is_not_current_is_reported(root, monkeypatch, capsys, tmp_path):
+def test_models_check_reports_stale_files(root, monkeypatch, capsys, tmp_path):
     for folder in ("calibration/robots", "models/gen2"):
         shutil.copytree(root / folder, tmp_path / folder)
     with (tmp_path / "models/gen2/gen2.xml").open("a") as stream:
@@ -234,5 +234,7 @@ def test_a_shipped_model_that_is_not_current_is_reported(root, monkeypatch, caps
     with pytest.raises(typer.Exit) as stop:
         models.check(models=["gen2"])
     assert stop.value.exit_code == 2
-    said = capsys.readouterr().err
-    assert said.endswith("scene.xml: gen2.xml is not current; `srs-twin models export gen2` writes it anew\n")
+    output = capsys.readouterr().err
+    assert output.endswith(
+        "scene.xml: gen2.xml is not current; `srs-twin models export gen2` writes it anew\n"
+    )

@@ -18,8 +18,8 @@ from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, rollout
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.sensing import CurvatureSensor, HallSensor, IdealSensor, Strip, calibrate, make_sensor
 from srs_twin.sensing.calibration import fit_line
-from srs_twin.sensing.hall import MOMENT, ROUND_AT, SPAN, USED, dipole, element_place, field
-from srs_twin.sensing.sensors import SLOT, _mixed, standard_normal
+from srs_twin.sensing.hall import MOMENT, RAIL_SHARE, ROUNDING_BEND_RAD, SPAN, dipole, element_place, field
+from srs_twin.sensing.sensors import SLOT, _splitmix, standard_normal
 
 MU0_4PI = 1e-7
 LENGTH = 0.075
@@ -45,7 +45,7 @@ def flat(orientation: str, height: float = 0.0) -> Strip:
 
 
 def potential(r: np.ndarray, moment: np.ndarray) -> float:
-    """Return the dipole's scalar potential times μ₀, of which the field is −∇."""
+    """Return the scalar potential of a dipole times μ₀; the field is its negative gradient."""
     return float(MU0_4PI * moment @ r / np.linalg.norm(r) ** 3)
 
 
@@ -62,14 +62,14 @@ def slope_along(r: np.ndarray, moment: np.ndarray, direction: np.ndarray) -> flo
 def test_dipole_is_the_gradient_of_its_potential(angle, distance, tilt):
     r = distance * np.array([math.cos(angle), math.sin(angle)])
     moment = MOMENT * np.array([math.cos(tilt), math.sin(tilt)])
-    found = dipole(r[0], r[1], *moment)
+    result = dipole(r[0], r[1], *moment)
     scale = MU0_4PI * MOMENT / distance**3
-    wanted = [-slope_along(r, moment, axis) for axis in np.eye(2)]
-    assert found == pytest.approx(wanted, abs=1e-6 * scale)
+    expected = [-slope_along(r, moment, axis) for axis in np.eye(2)]
+    assert result == pytest.approx(expected, abs=1e-6 * scale)
 
 
 def test_dipole_is_the_limit_of_a_small_current_loop():
-    """Biot–Savart around circles in the x-z plane: the difference falls with the square of the radius."""
+    """Biot–Savart for circles in the x-z plane: the difference decreases with the squared radius."""
     place = np.array([0.004, 0.0015, 0.0])
     turn = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     b_dipole = np.array(dipole(place[0], place[1], 0.0, MOMENT))
@@ -87,20 +87,20 @@ def test_dipole_is_the_limit_of_a_small_current_loop():
 
 
 @given(strip=STRIPS, bend=st.floats(-6, 6))
-def test_the_element_is_where_walking_along_the_strip_leads(strip, bend):
+def test_element_place_is_the_integral_along_the_strip(strip, bend):
     s = (np.arange(2000) + 0.5) / 2000 * strip.distance
     heading = bend / strip.segment_length * s
     end = bend / strip.segment_length * strip.distance
     foot = strip.distance * np.array([np.cos(heading).mean(), np.sin(heading).mean()])
     normal = np.array([-math.sin(end), math.cos(end)])
-    wanted = foot + strip.element_height * normal - [0.0, strip.magnet_height]
+    required = foot + strip.element_height * normal - [0.0, strip.magnet_height]
     x, y, theta = element_place(bend, strip)
-    assert (x, y) == (pytest.approx(wanted[0], abs=1e-9), pytest.approx(wanted[1], abs=1e-9))
+    assert (x, y) == (pytest.approx(required[0], abs=1e-9), pytest.approx(required[1], abs=1e-9))
     assert theta == pytest.approx(end, abs=1e-12)
 
 
 @given(strip=STRIPS, bend=BEND)
-def test_equation_1_is_the_field_along_the_elements_normal(strip, bend):
+def test_equation_1_is_the_field_component_normal_to_the_element(strip, bend):
     x, y, theta = (float(value) for value in element_place(bend, strip))
     moment = strip.moment * np.array([0.0, 1.0] if strip.orientation == "up" else [1.0, 0.0])
     normal = np.array([-math.sin(theta), math.cos(theta)])
@@ -110,7 +110,7 @@ def test_equation_1_is_the_field_along_the_elements_normal(strip, bend):
 
 
 @given(strip=STRIPS)
-def test_a_straight_strip_has_the_field_beside_a_dipole(strip):
+def test_straight_strip_has_the_equatorial_field_of_a_dipole(strip):
     rise = strip.element_height - strip.magnet_height
     square = strip.distance**2 + rise**2
     along = 3 * rise**2 - square if strip.orientation == "up" else 3 * rise * strip.distance
@@ -119,15 +119,15 @@ def test_a_straight_strip_has_the_field_beside_a_dipole(strip):
 
 
 @given(strip=STRIPS, bend=BEND)
-def test_the_mirrored_strip_in_the_mirrored_bend(strip, bend):
-    """Components moved to the other side: `up` reads the same of −q, `side` the opposite."""
+def test_mirrored_strip_and_bend_give_the_mirrored_field(strip, bend):
+    """With mirrored heights, `up` reads the same for −q, and `side` the opposite."""
     mirrored = replace(strip, magnet_height=-strip.magnet_height, element_height=-strip.element_height)
     sign = 1 if strip.orientation == "up" else -1
     scale = MU0_4PI * strip.moment / strip.distance**3
     assert field(-bend, mirrored) == pytest.approx(sign * field(bend, strip), abs=1e-12 * scale)
 
 
-def test_components_in_the_neutral_axis_make_up_blind_to_the_side():
+def test_vertical_magnet_on_the_neutral_axis_cannot_sense_the_side():
     for orientation, sign in (("up", 1), ("side", -1)):
         b = field(BENDS, flat(orientation))
         assert b == pytest.approx(sign * b[::-1], abs=1e-18)
@@ -136,8 +136,8 @@ def test_components_in_the_neutral_axis_make_up_blind_to_the_side():
 
 
 @pytest.mark.parametrize("height", [0.0002, 0.00045, 0.0007])
-def test_slopes_of_small_bends(height):
-    """First order in θ = κL: −3 k h/L⁴ with north up, −k/(2 L³) to the side, k = μ₀ m/4π."""
+def test_slope_at_small_bends(height):
+    """First order in θ = κL: −3 k h/L⁴ for `up`, −k/(2 L³) for `side`, k = μ₀ m/4π."""
     h, k = 1e-4, MU0_4PI * MOMENT
     for orientation, slope in (("up", -3 * k * height / 0.0031**4), ("side", -k / (2 * 0.0031**3))):
         b = field(np.array([-h, h]), flat(orientation, height))
@@ -161,7 +161,7 @@ def plain(**changes: object) -> HallSensor:
 
 
 @given(bend=BEND, bits=st.integers(1, 16))
-def test_readings_stand_on_the_converters_steps(bend, bits):
+def test_readings_are_quantised(bend, bits):
     smooth, stepped = plain(bits=None), plain(bits=bits)
     read = float(stepped.voltage(bend))
     assert stepped.step == 5 / 2**bits
@@ -169,15 +169,15 @@ def test_readings_stand_on_the_converters_steps(bend, bits):
     assert abs(read - float(smooth.voltage(bend))) <= stepped.step / 2 * (1 + 1e-9)
 
 
-def test_a_trimmed_amplifier_uses_its_share_of_the_rails():
+def test_trimmed_amplifier_uses_its_rail_share():
     for strip in (Strip(LENGTH), Strip(0.037, orientation="side"), Strip(LENGTH, chamber="rectangular")):
         sensor = HallSensor.trimmed(strip, bits=None)
         volts = sensor.voltage(np.linspace(-SPAN, SPAN, 181))
-        assert np.abs(volts - 2.5).max() == pytest.approx(USED * 2.5, rel=1e-12)
+        assert np.abs(volts - 2.5).max() == pytest.approx(RAIL_SHARE * 2.5, rel=1e-12)
         assert sensor.voltage(0.0) == 2.5
 
 
-def test_rails_and_converter_hold_the_reading():
+def test_rails_and_converter_limit_the_reading():
     loud = replace(plain(bits=None), gain=1e5, rails=(0.3, 4.6))
     assert set(loud.voltage(np.array([-1.0, 1.0]))) == {0.3, 4.6}
     narrow = replace(loud, bits=8, converter_range=(1.0, 3.0))
@@ -186,7 +186,7 @@ def test_rails_and_converter_hold_the_reading():
 
 
 @given(bias=st.floats(-0.2, 0.2), bend=BEND)
-def test_bias_moves_the_angle_by_the_calibrations_slope(bias, bend):
+def test_bias_shifts_the_angle_by_the_calibration_slope(bias, bend):
     fresh = CurvatureSensor.calibrated(plain(bits=None, noise=0.0))
     drifted = CurvatureSensor.calibrated(plain(bits=None, noise=0.0, bias=bias))
     assert drifted.calibration == fresh.calibration
@@ -194,13 +194,13 @@ def test_bias_moves_the_angle_by_the_calibrations_slope(bias, bend):
     assert moved == pytest.approx([fresh.calibration.slope * bias], abs=1e-12)
 
 
-def test_gain_error_stretches_the_voltage_about_its_offset():
+def test_gain_error_scales_the_voltage_about_its_offset():
     fresh, drifted = plain(bits=None), plain(bits=None, gain_error=0.1)
     assert drifted.gain == fresh.gain
     assert drifted.voltage(BENDS) - 2.5 == pytest.approx(1.1 * (fresh.voltage(BENDS) - 2.5), abs=1e-12)
 
 
-def test_what_is_no_bend_is_no_reading():
+def test_nan_bend_gives_nan_reading():
     sensor = make_sensor("hall", GEN4)
     bend = np.array([[0.3, np.nan, -0.2, np.inf], [1e9, 0.1, -np.inf, 0.0]])
     read = sensor.read(bend, np.array([0.1, 0.2]), 3)
@@ -214,7 +214,7 @@ def test_what_is_no_bend_is_no_reading():
 
 
 @pytest.mark.parametrize("robot", ["gen1", "gen2", "gen3", "gen4"])
-def test_only_semicircular_chambers_leave_the_reading_monotonic(robot):
+def test_reading_is_monotonic_with_semicircular_chambers_only(robot):
     spec = load_robot(robot)
     good = make_sensor("hall", spec, bits=None)
     bad = make_sensor("hall", spec, bits=None, chamber="rectangular")
@@ -223,14 +223,14 @@ def test_only_semicircular_chambers_leave_the_reading_monotonic(robot):
     assert not bad.calibration.monotonic
     turned = np.abs(BENDS[1:][np.diff(bad.hall.voltage(BENDS)) > 0])
     # tanh'(q/q_c) = 1/2 at 0.88 q_c: there the reading turns; the field's own curvature moves it a little.
-    assert turned.max() == pytest.approx(math.acosh(math.sqrt(2)) * ROUND_AT, abs=0.02)
+    assert turned.max() == pytest.approx(math.acosh(math.sqrt(2)) * ROUNDING_BEND_RAD, abs=0.02)
     assert bad.calibration.r_squared < good.calibration.r_squared
     assert bad.calibration.worst_error > good.calibration.worst_error
 
 
-def test_a_round_chamber_presses_no_further():
+def test_pressing_saturates_for_round_chambers():
     good, bad = Strip(LENGTH), Strip(LENGTH, chamber="rectangular")
-    shift = 2 * ROUND_AT
+    shift = 2 * ROUNDING_BEND_RAD
     far = np.linspace(1.2, 2.0, 9)
     assert field(far, bad) == pytest.approx(field(far - shift, good), rel=1e-6)
     assert field(-far, bad) == pytest.approx(field(-far + shift, good), rel=1e-6)
@@ -241,52 +241,52 @@ def test_a_round_chamber_presses_no_further():
 
 
 @given(slope=st.floats(0.01, 100), sign=st.sampled_from([-1, 1]), intercept=st.floats(-3, 3))
-def test_a_line_is_recovered(slope, sign, intercept):
+def test_fit_recovers_a_line(slope, sign, intercept):
     angle = np.linspace(-1.2, 0.9, 40)
     voltage = (angle - intercept) / (sign * slope)
-    found = fit_line(voltage, angle)
-    assert found.slope == pytest.approx(sign * slope, rel=1e-9)
-    assert found.intercept == pytest.approx(intercept, abs=1e-9)
-    assert found.r_squared == pytest.approx(1, abs=1e-9)
-    assert found.worst_error < 1e-9
-    assert found.monotonic
-    assert found.span == 1.2
+    actual = fit_line(voltage, angle)
+    assert actual.slope == pytest.approx(sign * slope, rel=1e-9)
+    assert actual.intercept == pytest.approx(intercept, abs=1e-9)
+    assert actual.r_squared == pytest.approx(1, abs=1e-9)
+    assert actual.worst_error < 1e-9
+    assert actual.monotonic
+    assert actual.span == 1.2
 
 
-def test_a_scattered_line_is_fitted_as_scipy_fits_it():
+def test_fit_agrees_with_scipy():
     rng = np.random.default_rng(1)
     angle = np.linspace(-1, 1, 60)
     voltage = 2 - 0.4 * angle + 0.05 * rng.standard_normal(60)
-    found, theirs = fit_line(voltage, angle), stats.linregress(voltage, angle)
-    assert (found.slope, found.intercept) == pytest.approx((theirs.slope, theirs.intercept), rel=1e-9)
-    assert found.r_squared == pytest.approx(theirs.rvalue**2, rel=1e-9)
-    assert found.worst_error == pytest.approx(np.abs(found.angle(voltage) - angle).max(), rel=1e-9)
-    assert not found.monotonic
+    values, theirs = fit_line(voltage, angle), stats.linregress(voltage, angle)
+    assert (values.slope, values.intercept) == pytest.approx((theirs.slope, theirs.intercept), rel=1e-9)
+    assert values.r_squared == pytest.approx(theirs.rvalue**2, rel=1e-9)
+    assert values.worst_error == pytest.approx(np.abs(values.angle(voltage) - angle).max(), rel=1e-9)
+    assert not values.monotonic
 
 
 @given(share=st.floats(-1, 1), span=st.floats(0.2, 1.6), bits=st.sampled_from([None, 8, 10, 12]))
-def test_no_reading_within_the_span_errs_more_than_the_calibration_says(share, span, bits):
-    """A monotonic reading between two held angles lies between theirs: their spacing is all that can add."""
+def test_reading_error_is_within_the_worst_error(share, span, bits):
+    """A monotonic reading between two angles is between their readings, so that spacing limits the error."""
     sensor = make_sensor("hall", GEN4, span=span, bits=bits, noise=0.0)
     error = sensor.read(np.array([share * span]), 0.0, 0) - share * span
     assert sensor.calibration.monotonic
     assert np.abs(error) <= sensor.calibration.worst_error + 2 * span / 180 + 1e-12
 
 
-def test_a_sensor_that_tells_the_side_only_has_three_quarters_of_a_line():
-    """One bit: sgn q against q, whose squared correlation over an even span is 3/4."""
+def test_sign_only_sensor_has_r_squared_of_three_quarters():
+    """sgn q against q: the squared correlation over a symmetric span is 3/4."""
     sign = make_sensor("hall", GEN4, gain=1e9, bits=1)
     assert sign.calibration.r_squared == pytest.approx(0.75, abs=0.01)
 
 
-def test_a_shorter_span_is_read_better():
+def test_shorter_span_has_a_smaller_error():
     whole, bench = make_sensor("hall", GEN4), make_sensor("hall", GEN4, span=0.7326)
     assert bench.calibration.worst_error < 0.5 * whole.calibration.worst_error
     assert bench.calibration.r_squared > whole.calibration.r_squared
 
 
-def test_what_the_study_finds():
-    """Beside Section 2.2.2: L as the text has it, and side-facing the straighter one (docs/sensor.md)."""
+def test_sensor_study_results():
+    """Section 2.2.2: L as in the dissertation; the sideways magnet is more linear (docs/sensor.md)."""
     near, far = 3.1, 4.6
     for heights in ((0.45, 0.45), (0.45, 0.7), (0.7, 0.7)):
         up = [study.strip(d, heights, "up") for d in (near, far)]
@@ -303,34 +303,34 @@ def test_what_the_study_finds():
     )
 
 
-def test_a_cylinder_far_away_is_a_dipole():
+def test_distant_cylinder_is_a_dipole():
     ratios = []
     for distance in (3.1, 12.4):
         strip = study.strip(distance, (0.45, 0.7), "up")
         ratios.append(study.of_cylinder(strip).mean() / field(BENDS, strip).mean())
-    # What is left out falls with the square of the distance.
+    # The neglected terms decrease with the squared distance.
     assert abs(ratios[0] - 1) < 0.06
     assert (ratios[1] - 1) / (ratios[0] - 1) == pytest.approx(1 / 16, rel=0.2)
 
 
-def test_the_study_prints_and_draws(tmp_path, monkeypatch, capsys):
+def test_sensor_study_prints_and_plots(tmp_path, monkeypatch, capsys):
     picture = tmp_path / "sensor.png"
     monkeypatch.setattr(sys, "argv", ["sensor.py", "--out", str(picture)])
     study.main()
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert picture.read_bytes().startswith(b"\x89PNG")
-    assert said.count("\n| --- |") == 5
-    assert "| θ = q | up |" in said
-    assert "nan" not in said
+    assert output.count("\n| --- |") == 5
+    assert "| θ = q | up |" in output
+    assert "nan" not in output
 
 
 # The noise
 
 
-def test_splitmix64_gives_the_numbers_of_its_reference():
+def test_splitmix64_matches_reference_values():
     golden = np.uint64(0x9E3779B97F4A7C15)
     states = np.arange(1, 4, dtype=np.uint64) * golden  # seed 0
-    assert [int(word) for word in _mixed(states)] == [
+    assert [int(word) for word in _splitmix(states)] == [
         0xE220A8397B1DCDAF,
         0x6E789E6AA1B965F4,
         0x06C45D188009454F,
@@ -356,7 +356,7 @@ def test_noise_is_standard_normal_and_white(seed):
             assert np.abs((after[lag:] * before[:-lag]).mean(axis=0)).max() < 5 / math.sqrt(n)
 
 
-def test_seeds_and_segments_share_nothing():
+def test_seeds_and_segments_are_independent():
     time = np.arange(20_000) * 1e-3
     every = np.concatenate([standard_normal(seed, time, 3) for seed in range(6)], axis=1)
     assert np.abs(np.corrcoef(every.T) - np.eye(18)).max() < 5 / math.sqrt(len(time))
@@ -364,22 +364,22 @@ def test_seeds_and_segments_share_nothing():
 
 
 @given(seed=SEED, cuts=st.lists(st.integers(0, 60), max_size=4), order=st.permutations(range(12)))
-def test_noise_is_the_same_whoever_asks_and_in_whichever_order(seed, cuts, order):
+def test_noise_is_independent_of_the_order_of_reads(seed, cuts, order):
     time = np.arange(60) * 1e-3
     bend = np.sin(np.arange(60)[:, None] + np.arange(2))
     sensor = make_sensor("hall", GEN4)
     whole = sensor.read(bend, time, seed)
     edges = [0, *sorted(cuts), 60]
-    parts = [sensor.read(bend[a:b], time[a:b], seed) for a, b in zip(edges, edges[1:], strict=False)]
-    assert np.concatenate(parts).tolist() == whole.tolist()
+    pieces = [sensor.read(bend[a:b], time[a:b], seed) for a, b in zip(edges, edges[1:], strict=False)]
+    assert np.concatenate(pieces).tolist() == whole.tolist()
     for k in order:
         assert sensor.read(bend[k], float(time[k]), seed).tolist() == whole[k].tolist()
         assert sensor.read(bend[k, :1], time[k], seed).tolist() == whole[k, :1].tolist()
 
 
 @given(seed=SEED, first=st.integers(-3000, 10**9), segments=st.integers(1, 4))
-def test_single_moments_are_those_of_a_whole_run(seed, first, segments):
-    """They are looked up in blocks; a run of many moments is not."""
+def test_single_readings_equal_those_of_a_whole_run(seed, first, segments):
+    """Single readings come from cached blocks, those of a whole run do not."""
     slots = first + np.arange(0, 2600, 37)
     whole = standard_normal(seed, slots * SLOT, segments)
     for time, numbers in zip(slots * SLOT, whole, strict=True):
@@ -389,18 +389,18 @@ def test_single_moments_are_those_of_a_whole_run(seed, first, segments):
     assert many.shape == (1, 1, segments) and many.ravel().tolist() == whole[0].tolist()
 
 
-def test_noise_knows_a_moment_to_a_slot():
+def test_noise_is_constant_within_a_slot():
     ticks = np.arange(1, 5000)
-    summed = np.cumsum(np.full(4999, 1e-3))  # off by rounding, as a plant's clock is
+    summed = np.cumsum(np.full(4999, 1e-3))  # with rounding errors like the clock of a plant
     assert (standard_normal(1, summed, 1) == standard_normal(1, ticks * 1e-3, 1)).all()
     assert standard_normal(1, 0.0001, 1) != standard_normal(1, 0.0002, 1)
     assert (standard_normal(2**64 + 7, ticks, 2) == standard_normal(7, ticks, 2)).all()
     for time in (math.nan, math.inf, 1e300):
-        with pytest.raises(InputError, match="sensor noise has no time"):
+        with pytest.raises(InputError, match="times of sensor noise must be finite"):
             standard_normal(0, time, 1)
 
 
-def test_noise_reaches_the_angle_with_its_rms():
+def test_noise_propagates_to_the_angle():
     sensor = make_sensor("hall", GEN4, bits=None)
     time = np.arange(20_000) * 1e-3
     read = sensor.read(np.full((20_000, 1), 0.4), time, 5)
@@ -412,8 +412,8 @@ def test_noise_reaches_the_angle_with_its_rms():
 
 
 @pytest.mark.parametrize("plant", [AnalyticalSnake, TwinSnake])
-def test_each_seed_and_each_segment_of_a_run_has_noise_of_its_own(plant):
-    """A gait does not sense: what two runs of different seeds read apart is their noise, and nothing else."""
+def test_noise_differs_between_seeds_and_segments(plant):
+    """A gait ignores the sensors: readings of two runs with different seeds differ by noise only."""
     sensor = make_sensor("hall", GEN4, bits=None)
 
     def read(seed):
@@ -422,18 +422,18 @@ def test_each_seed_and_each_segment_of_a_run_has_noise_of_its_own(plant):
 
     first, again, *others = map(read, (1, 1, 2, 2**40 + 1))
     assert (first == again).all()
-    apart = np.concatenate([first - other for other in others], axis=1)
-    # The calibration is a line: noise does not depend on the bend.
+    noise = np.concatenate([first - other for other in others], axis=1)
+    # The calibration is linear, so that noise does not depend on the bend.
     wanted = math.sqrt(2) * abs(sensor.calibration.slope) * sensor.hall.gain * sensor.hall.noise
-    assert apart.std(axis=0) == pytest.approx(wanted, rel=0.3)
-    for half in np.split(apart, 2, axis=1):
+    assert noise.std(axis=0) == pytest.approx(wanted, rel=0.3)
+    for half in np.split(noise, 2, axis=1):
         assert np.abs(np.corrcoef(half.T) - np.eye(GEN4.segments)).max() < 5 / math.sqrt(len(first))
 
 
-# What a person asks for
+# Sensors by name and invalid options
 
 
-def test_sensors_by_name():
+def test_sensors_are_selected_by_name():
     ideal, hall = make_sensor("ideal", GEN4), make_sensor("hall", GEN4, orientation="side", bits=12)
     bend = np.array([[0.1, -0.2]])
     read = ideal.read(bend, 0.0, 1)
@@ -452,7 +452,7 @@ def test_sensors_by_name():
     ("options", "words"),
     [
         ({"kind": "halll"}, "unknown sensor 'halll'; did you mean hall?"),
-        ({"kind": "ideal", "bits": 8}, "this sensor takes no options; given: bits"),
+        ({"kind": "ideal", "bits": 8}, "this sensor has no options; leave out bits"),
         ({"bit": 8}, "unknown option of sensor 'hall' 'bit'; did you mean bits?"),
         ({"orientation": "upp"}, "unknown magnet orientation 'upp'; did you mean up?"),
         (
@@ -461,7 +461,7 @@ def test_sensors_by_name():
         ),
         ({"distance": 0.0}, "distance 0.0 is not allowed; it must be finite and above 0"),
         ({"moment": math.nan}, "moment nan is not allowed"),
-        ({"distance": 0.2}, "distance 0.2 m from magnet to element is not allowed; the segment is 0.075 m"),
+        ({"distance": 0.2}, "distance 0.2 m from magnet to element is not allowed; it must be at most"),
         (
             {"element_height": 0.001},
             "element_height 0.001 m is not allowed; at this distance it must be within",
@@ -475,12 +475,12 @@ def test_sensors_by_name():
         ({"bits": 0}, "bits 0 is not allowed; it must be 1 to 32, or none"),
         ({"rails": (5.0, 0.0)}, "rails 5.0 to 0.0 V is not allowed; it must be a finite range"),
         ({"offset": 5.0}, "offset 5.0 is not allowed; it must be finite and between the rails, 0 and 5 V"),
-        ({"offset": 0.1}, "no gain suits this sensor: its element swings by"),
-        ({"gain": 1e-9, "offset": 2.501}, "no line from 2.50244 to 2.50244 V to these angles"),
+        ({"offset": 0.1}, "no gain suits this sensor: the element's output changes by"),
+        ({"gain": 1e-9, "offset": 2.501}, "voltages from 2.50244 to 2.50244 V do not give a line"),
         ({"span": -1.0, "gain": 500.0}, "calibration span -1.0 rad is not allowed"),
     ],
 )
-def test_what_cannot_be_is_refused(options, words):
+def test_invalid_sensor_options_raise(options, words):
     options = {"kind": "hall", **options}
     with pytest.raises(InputError) as error:
         make_sensor(options.pop("kind"), GEN4, **options)
@@ -492,13 +492,13 @@ def test_what_cannot_be_is_refused(options, words):
 @pytest.mark.parametrize(
     ("voltage", "angle", "words"),
     [
-        ([1.0, 2.0], [0.0, 1.0], "a line needs 3 or more pairs"),
-        ([1.0, 2.0, 3.0], [0.0, 1.0], "a line needs 3 or more pairs"),
-        ([1.0, math.nan, 3.0], [0.0, 1.0, 2.0], "finite voltages and angles only"),
-        ([1.0, 1.0, 1.0], [0.0, 1.0, 2.0], "no line from 1 to 1 V to these angles: the voltage must change"),
-        ([1.0, 2.0, 3.0], [0.0, 2.0, 1.0], "the angles ascend"),
+        ([1.0, 2.0], [0.0, 1.0], "a calibration needs 3 or more pairs"),
+        ([1.0, 2.0, 3.0], [0.0, 1.0], "a calibration needs 3 or more pairs"),
+        ([1.0, math.nan, 3.0], [0.0, 1.0, 2.0], "voltages and angles of a calibration must be finite"),
+        ([1.0, 1.0, 1.0], [0.0, 1.0, 2.0], "voltages from 1 to 1 V do not give a line"),
+        ([1.0, 2.0, 3.0], [0.0, 2.0, 1.0], "the angles must ascend"),
     ],
 )
-def test_pairs_without_a_line_are_refused(voltage, angle, words):
+def test_invalid_calibration_pairs_raise(voltage, angle, words):
     with pytest.raises(InputError, match=words):
         fit_line(np.array(voltage), np.array(angle))

@@ -1,4 +1,4 @@
-"""The twin: named accessors, consistent states, rolling wheels, unwrapped headings, and what it refuses."""
+"""Twin: named accessors, consistent states, rolling wheels, unwrapped headings, invalid settings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PLUS = np.tile(np.array([1, -1], dtype=np.int8), (4, 1))
 
 
 def turn_left(timestep: float):
-    """Return the plant and the states every 2 ms of 0.6 s of an uneven snake that turns left."""
+    """Return the plant and its states every 2 ms for 0.6 s, of an uneven snake that turns left."""
     plant, states = TwinSnake(chain(MASSES), tick=0.002, timestep=timestep), []
     rollout(plant, Gait(2.0, 0.3), 0.6, record_hz=500, observers=[states.append])
     return plant, states
@@ -31,7 +31,7 @@ def column(states, name: str) -> np.ndarray:
     return np.array([getattr(state, name) for state in states])
 
 
-def test_starts_straight_at_rest_where_it_is_put():
+def test_reset_gives_a_straight_snake_at_rest_at_the_pose():
     plant = TwinSnake(chain(MASSES))
     plant.step(PLUS)
     state = plant.reset(pose=(0.3, -0.1, np.pi / 3))
@@ -44,10 +44,10 @@ def test_starts_straight_at_rest_where_it_is_put():
     assert state.time == 0 and not plant.openings().any()
 
 
-def test_states_fit_together(turning):
+def test_state_fields_are_consistent(turning):
     plant, states = turning
     mass, position = plant.spec.mass.array(), column(states, "position")
-    # Links between hinges and wheels beside the axle's middle carry 2 % of the mass elsewhere.
+    # Links between hinges, and wheels away from the centre of the axle, carry 2 % of the mass.
     centre = np.einsum("i,tij->tj", mass, position) / mass.sum()
     assert centre == pytest.approx(column(states, "com"), abs=1e-3)
     theta = column(states, "theta")
@@ -61,7 +61,7 @@ def test_states_fit_together(turning):
     assert chords == pytest.approx(arcs, rel=5e-3)
 
 
-def test_velocities_are_those_of_the_positions(turning):
+def test_velocities_are_time_derivatives_of_positions(turning):
     _, states = turning
     for name, rate in (("com", "com_velocity"), ("bend", "bend_rate")):
         difference = np.diff(column(states, name), axis=0) / 0.002
@@ -70,8 +70,8 @@ def test_velocities_are_those_of_the_positions(turning):
         assert rms < 0.1 * np.sqrt((middle**2).mean())
 
 
-def test_momentum_changes_by_what_the_floor_gives(turning):
-    """To second order in the time step; a step of the preloaded twin is of first."""
+def test_momentum_changes_by_the_impulse_of_the_floor(turning):
+    """To second order in the time step; first order for the preloaded twin."""
     coarse, fine = _momentum_error(*turning), _momentum_error(*turn_left(0.00025))
     assert fine < 0.002
     assert fine == pytest.approx(coarse / 16, rel=0.3)
@@ -84,7 +84,7 @@ def _momentum_error(plant: TwinSnake, states) -> float:
     return float(np.abs(momentum[1:] - momentum[0] - impulse).max() / np.abs(momentum).max())
 
 
-def test_friction_stays_near_the_cone_of_the_static_load(turning):
+def test_friction_stays_near_the_static_friction_cone(turning):
     plant, states = turning
     horizontal = np.linalg.norm(column(states, "contact_force"), axis=-1)
     share = horizontal / (plant.spec.friction.mu_n * plant.spec.mass.array() * GRAVITY)
@@ -94,7 +94,7 @@ def test_friction_stays_near_the_cone_of_the_static_load(turning):
     assert (share.max(axis=0) > 0.5).all()
 
 
-def test_accessors_name_what_mujoco_numbers():
+def test_named_accessors_agree_with_mujoco_arrays():
     plant = TwinSnake(SPEC)
     assert isinstance(plant.physics, dm.Physics)
     rollout(plant, Gait(2.0, 0.2), 0.3)
@@ -114,14 +114,14 @@ def test_accessors_name_what_mujoco_numbers():
     assert physics.center_of_mass() == pytest.approx(weights @ physics.data.xipos / weights.sum())
 
 
-def test_accessors_hand_out_copies():
+def test_accessors_return_copies():
     physics = TwinSnake(SPEC).physics
     for accessor in (physics.bend_angles, physics.connector_positions, physics.center_of_mass):
         accessor()[:] = 9.0
         assert np.abs(accessor()).max() < 1.0
 
 
-def test_physics_by_itself_does_what_the_plant_does():
+def test_physics_step_equals_the_plant_step():
     plant, other = TwinSnake(SPEC), TwinSnake(SPEC)
     state = plant.step(PLUS)
     other.physics.set_control(PLUS)
@@ -130,7 +130,7 @@ def test_physics_by_itself_does_what_the_plant_does():
     assert other.physics.time() == pytest.approx(0.02)
 
 
-def test_samples_within_a_tick_are_states_of_the_same_run():
+def test_samples_within_a_tick_belong_to_the_same_run():
     generator = np.random.default_rng(4)
     whole, parts = TwinSnake(SPEC), TwinSnake(SPEC)
     for _ in range(5):
@@ -140,7 +140,7 @@ def test_samples_within_a_tick_are_states_of_the_same_run():
         assert samples[-1].qpos == pytest.approx(end[0].qpos, abs=1e-9)
 
 
-def test_thrown_along_its_wheels_roll():
+def test_wheels_roll_when_coasting_along_the_heading():
     plant = TwinSnake(robot(stiffness=20.0), contact="preloaded")
     throw(plant, (0.5, 0.0))
     state = plant.step(vented(SPEC))
@@ -150,7 +150,7 @@ def test_thrown_along_its_wheels_roll():
     assert state.com_velocity[0] < 0.5
 
 
-def test_thrown_across_its_wheels_do_not_turn():
+def test_wheels_do_not_turn_when_sliding_sideways():
     plant = TwinSnake(robot(stiffness=20.0), contact="preloaded")
     throw(plant, (0.0, 0.5))
     for _ in range(4):
@@ -159,7 +159,7 @@ def test_thrown_across_its_wheels_do_not_turn():
     assert np.abs(plant.physics.named.data.qvel[axles]).max() * SPEC.geometry.wheel_radius < 1e-3
 
 
-def test_headings_keep_counting_beyond_a_full_turn():
+def test_headings_are_unwrapped_beyond_a_full_turn():
     plant = TwinSnake(robot(stiffness=20.0, mu_t=0.0, mu_n=0.0), contact=PreloadedContact(preload=0.0))
     throw(plant, (0.0, 0.0), spin=12.0)
     headings = [plant.step(vented(SPEC)).heading for _ in range(60)]
@@ -167,8 +167,8 @@ def test_headings_keep_counting_beyond_a_full_turn():
     assert headings[-1] > 4 * np.pi
 
 
-def test_rests_where_it_lies():
-    """No stiction in MuJoCo's contact: what creeps, creeps by micrometres."""
+def test_snake_at_rest_does_not_move():
+    """MuJoCo's contact has no stiction: it creeps by micrometres."""
     plant = TwinSnake(SPEC)
     start = plant.reset(pose=(0.0, 0.0, 1.0))
     for _ in range(100):
@@ -178,14 +178,14 @@ def test_rests_where_it_lies():
 
 
 @pytest.mark.parametrize("connectors", [2, 9])
-def test_snakes_of_any_length_run(connectors):
+def test_any_number_of_connectors_runs(connectors):
     plant = TwinSnake(chain((0.03,) * connectors))
     trajectory = rollout(plant, Gait(2.0, phase_step=np.pi / 2), 0.5)
     assert trajectory.stack("x").shape == (51, connectors)
     assert np.isfinite(trajectory.com).all()
 
 
-def test_openings_are_the_same_as_the_analytical_plants():
+def test_both_plants_count_the_same_openings():
     counts = [
         rollout(build(SPEC), Gait(1.7, 0.3), 2.0, record_hz=10).metadata["valve_switches"]
         for build in (TwinSnake, AnalyticalSnake)
@@ -194,13 +194,13 @@ def test_openings_are_the_same_as_the_analytical_plants():
     assert np.array(counts[0]).min() >= 3
 
 
-def test_both_plants_get_the_same_pressures():
+def test_both_plants_have_the_same_pressures():
     twin, analytical = (rollout(build(SPEC), Gait(1.7, 0.3), 0.5) for build in (TwinSnake, AnalyticalSnake))
     for name in ("pressure_plus", "pressure_minus"):
         assert twin.stack(name) == pytest.approx(analytical.stack(name), abs=1e-6)
 
 
-def test_what_cannot_be_built_is_refused():
+def test_invalid_settings_raise():
     with pytest.raises(InputError, match="wheels 'round' is unknown; allowed: rolling, skid"):
         TwinSnake(SPEC, contact=PreloadedContact("round"))
     with pytest.raises(InputError, match=r"tick 0.02 s is no multiple of time step 0.0015 s"):

@@ -1,4 +1,4 @@
-"""Work and power: what the segments give is what the body keeps and the floor takes, on every plant."""
+"""Work and energy: the work of the segments is the energy of the body plus the losses, on every plant."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MODELS = {
 
 
 def slow_but(quick, cases):
-    """Cases by name: but for the quick ones they are slow; kernels are compiled for each model and law."""
+    """Return test cases, slow except for the quick ones, because kernels compile per model and law."""
     return [
         pytest.param(case, id=name, marks=[] if name in quick else [pytest.mark.slow])
         for name, case in cases.items()
@@ -38,7 +38,7 @@ ALL = pytest.mark.parametrize("options", slow_but(("complete",), MODELS))
 
 
 def driven(plant: AnalyticalSnake | TwinSnake, duration: float, hz: float) -> SnakeState:
-    """Return a plant's motion in a turn at 2 Hz, from rest."""
+    """Return the motion of a plant in a turn at 2 Hz, from rest."""
     plant.reset()
     gait = Gait(2.0, 0.2)
     gait.reset(plant.spec, plant.tick)
@@ -59,8 +59,8 @@ def power(h: SnakeState) -> np.ndarray:
         pytest.param("wheel", {}, marks=pytest.mark.slow),
     ],
 )
-def test_work_is_the_torques_power_added_up(options, law, mu):
-    """To second order in the step: the kernels add up what friction takes, not what segments give."""
+def test_work_is_the_integral_of_the_torque_power(options, law, mu):
+    """To second order in the step: the kernels integrate the friction power, not the torque power."""
     spec = robot(**mu)
 
     def missed(step: float) -> float:
@@ -77,15 +77,15 @@ def test_work_is_the_torques_power_added_up(options, law, mu):
 
 
 def kinetic(h: SnakeState, spec: RobotSpec, step: float) -> np.ndarray:
-    """Return the energy of the point masses from their places, shape (samples,), J."""
+    """Return the energy of the point masses from their positions, shape (samples,), J."""
     velocity = np.gradient(h.position, step, axis=0)
     return (spec.mass.array()[:, None] * velocity**2).sum(axis=(1, 2)) / 2
 
 
 @pytest.mark.parametrize("law", [pytest.param("axis", marks=pytest.mark.slow), "wheel", "ellipse"])
 @pytest.mark.parametrize("options", [each for each in slow_but(("complete",), MODELS) if each.id != "lumped"])
-def test_friction_only_takes(options, law):
-    """Work less kinetic energy never falls."""
+def test_friction_only_dissipates(options, law):
+    """Work minus kinetic energy never decreases."""
     spec, step = robot(), 2e-4
     plant = AnalyticalSnake(spec, friction=law, timestep=step, supply_pa=SUPPLY, **options)
     h = driven(plant, 1.0, 1 / step)
@@ -103,8 +103,8 @@ def test_friction_only_takes(options, law):
     "name",
     ["complete", *(pytest.param(name, marks=pytest.mark.slow) for name in ("simplified", "compliant"))],
 )
-def test_mean_power_of_a_gait_is_what_friction_takes(name):
-    """Over whole periods: the metric against floor forces times velocities of places."""
+def test_mean_gait_power_equals_friction_power(name):
+    """Over whole periods, the metric equals floor forces times velocities."""
     plant = AnalyticalSnake(robot(), supply_pa=SUPPLY, timestep=5e-4, **MODELS[name])
     metrics = plant_metrics(rollout(plant, Gait(2.0, 0.2), 4.0))
     h, step = driven(plant, 4.0, 2000), 5e-4
@@ -113,12 +113,12 @@ def test_mean_power_of_a_gait_is_what_friction_takes(name):
     assert metrics["mechanical_power_w"] == pytest.approx(taken, rel=0.005)
     weight, speed = plant.spec.mass.total * 9.81, metrics["com_speed_m_s"]
     assert metrics["cost_of_transport"] == pytest.approx(taken / (weight * speed), rel=0.005)
-    # Every connector goes at least as far as the snake, against at least the drag of its wheels.
+    # Every connector travels at least as far as the snake, against at least the drag of its wheels.
     assert metrics["cost_of_transport"] > plant.spec.friction.mu_t
 
 
-def test_power_of_the_turning_body_counts_without_friction_torque_as_well():
-    """The moment that this model leaves out does no work in it: it neither turns nor takes."""
+def test_yaw_power_counts_without_friction_torque():
+    """The omitted moment does no work: it neither rotates the body nor dissipates."""
     spec, step = robot(), 2e-4
     plant = AnalyticalSnake(
         spec, timestep=step, slip_speed=0.01, pneumatics=Wave(spec, bias=0.1), **MODELS["no torque"]
@@ -127,10 +127,10 @@ def test_power_of_the_turning_body_counts_without_friction_torque_as_well():
     velocity, yaw_rate = np.gradient(h.position, step, axis=0), np.gradient(h.heading, step)
     arm = h.position - h.com[:, None]
     moment = (arm[..., 0] * h.contact_force[..., 1] - arm[..., 1] * h.contact_force[..., 0]).sum(axis=1)
-    given = (h.contact_force * velocity).sum(axis=(1, 2)) - moment * yaw_rate
+    floor_power = (h.contact_force * velocity).sum(axis=(1, 2)) - moment * yaw_rate
     change = np.gradient(kinetic(h, spec, step), step)
     inside = slice(5, -5)
-    assert (power(h) + given)[inside] == pytest.approx(change[inside], abs=2e-3 * np.abs(change).max())
+    assert (power(h) + floor_power)[inside] == pytest.approx(change[inside], abs=2e-3 * np.abs(change).max())
     assert np.abs(moment * yaw_rate).max() > 0.1 * np.abs(change).max()
 
 
@@ -140,41 +140,42 @@ CONTACTS = pytest.mark.parametrize("contact", ["preloaded", "loaded"])
 
 
 def against_each_other(plant: TwinSnake, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return energy stored (J) and power dissipated (W) by the two hinges of each segment, shape (samples,).
+    """Return energy stored (J) and power dissipated (W) in the relative motion of two hinges per segment.
 
-    Hinges of 2k and 2c whose angles differ by Δ store k Δ²/2 beyond the bend's own energy, and lose c Δ̇².
+    Hinges of stiffness 2k and damping 2c with a difference Δ of their angles store k Δ²/2 and dissipate c
+    Δ̇².
     """
     model, law = plant.physics.model.ptr, plant.spec.bending
     pairs = [[model.joint(f"hinge_{j + 1}_{k}") for j in range(plant.spec.segments)] for k in (1, 2)]
-    angle = np.diff([qpos[:, [each.qposadr[0] for each in row]] for row in pairs], axis=0)[0]
-    rate = np.diff([qvel[:, [each.dofadr[0] for each in row]] for row in pairs], axis=0)[0]
+    angle = np.diff([qpos[:, [item.qposadr[0] for item in row]] for row in pairs], axis=0)[0]
+    rate = np.diff([qvel[:, [item.dofadr[0] for item in row]] for row in pairs], axis=0)[0]
     return law.stiffness * (angle**2).sum(axis=1) / 2, law.damping * (rate**2).sum(axis=1)
 
 
 def recorded_work(h: SnakeState) -> np.ndarray:
-    """Return ∫ Σ T dq from the first sample on by the trapezoidal rule, J."""
+    """Return ∫ Σ T dq from the first sample by the trapezoidal rule, J."""
     mean = (h.torque[1:] + h.torque[:-1]) / 2
     return np.append(0.0, np.cumsum((mean * np.diff(h.bend, axis=0)).sum(axis=1)))
 
 
 @CONTACTS
 @pytest.mark.parametrize("offset", [0.0, 0.4])
-def test_twins_work_is_the_integral_of_torque_and_bend_rate(contact, offset):
-    """The preloaded contact is integrated to first order in the step, the loaded one to second order."""
+def test_twin_work_is_the_integral_of_torque_times_bend_rate(contact, offset):
+    """To first order in the step for the preloaded contact, second order for the loaded one."""
     step, duration = 2.5e-4, 1.5
     plant = TwinSnake(robot(), contact=contact, timestep=step, supply_pa=SUPPLY)
     gait = Gait(2.0, offset)
     gait.reset(plant.spec, plant.tick)
     h = plant.play(gait.script(duration), round(duration / step))
     begin = round(0.5 / step)
-    given, expected = h.work[begin:] - h.work[begin], recorded_work(h)[begin:] - recorded_work(h)[begin]
-    assert given[-1] == pytest.approx(expected[-1], rel={"loaded": 5e-4, "preloaded": 7e-3}[contact])
+    recorded, expected = h.work[begin:] - h.work[begin], recorded_work(h)[begin:] - recorded_work(h)[begin]
+    assert recorded[-1] == pytest.approx(expected[-1], rel={"loaded": 5e-4, "preloaded": 7e-3}[contact])
 
 
 def conserved(plant: TwinSnake, duration: float) -> tuple[float, float, float]:
-    """Return ∫ Σ T dq, energy that body and springs between hinges keep, and what hinges dissipate, J.
+    """Return ∫ Σ T dq, the energy of body and internal springs, and the internal loss, J.
 
-    All from recorded columns: places at the ends of steps, whose differences are velocities.
+    All follow from recorded columns; differences of the positions at the ends of steps are the velocities.
     """
     step = plant.timestep
     h = driven(plant, duration, 1 / step)
@@ -190,14 +191,14 @@ def conserved(plant: TwinSnake, duration: float) -> tuple[float, float, float]:
     return recorded_work(h)[-1], float(qvel[-1] @ inertia @ qvel[-1] / 2 + stored[-1]), step * lost.sum()
 
 
-def test_energy_of_a_twin_in_the_air_is_conserved():
-    """To first order in the step, as the engine is: twice the finer step's balance less the coarser one's."""
+def test_energy_of_a_clamped_twin_is_conserved():
+    """To first order in the step, like the engine: extrapolated from two time steps."""
     spec = robot()
 
     def missed(step: float) -> float:
-        given, kept, lost = conserved(TwinSnake(spec, timestep=step, supply_pa=SUPPLY, base="clamped"), 0.2)
-        assert lost > 0.02 * given
-        return (kept + lost) / given - 1
+        work, kept, lost = conserved(TwinSnake(spec, timestep=step, supply_pa=SUPPLY, base="clamped"), 0.2)
+        assert lost > 0.02 * work
+        return (kept + lost) / work - 1
 
     coarse, fine = missed(2.5e-4), missed(1.25e-4)
     assert 2 * fine - coarse == pytest.approx(0, abs=1e-3)
@@ -205,26 +206,26 @@ def test_energy_of_a_twin_in_the_air_is_conserved():
 
 @CONTACTS
 def test_energy_of_a_twin_on_the_floor_is_conserved(contact):
-    """∫ T dq is kinetic energy, springs between hinges, and what hinges and floor dissipate."""
+    """∫ T dq is kinetic energy, energy of internal springs, and the losses of hinges and floor."""
     plant = TwinSnake(robot(), contact=contact, timestep=2.5e-4, supply_pa=SUPPLY)
-    given, kept, lost = conserved(plant, 1.0)
+    work, kept, lost = conserved(plant, 1.0)
     h = driven(plant, 1.0, 1 / plant.timestep)
     velocity = np.gradient(h.position, plant.timestep, axis=0)
     friction = -plant.timestep * (h.contact_force * velocity).sum()
     # Recorded forces are sums over a connector's wheels, without the moment that brakes its turning.
-    assert kept + lost + friction == pytest.approx(given, rel=0.03)
+    assert kept + lost + friction == pytest.approx(work, rel=0.03)
     assert h.internal_loss[-1] == pytest.approx(lost, rel=0.02)  # pitch and roll hardly move
-    assert lost > 0.03 * given
+    assert lost > 0.03 * work
 
 
 @CONTACTS
-def test_hinges_that_bend_alike_dissipate_nothing_inside(contact):
+def test_equal_hinge_angles_have_no_internal_loss(contact):
     plant = TwinSnake(robot(), contact=contact, supply_pa=SUPPLY, numerics=Numerics(constant_curvature=True))
     h = driven(plant, 0.5, 1000)
     assert abs(h.internal_loss[-1]) < 1e-3 * h.work[-1]
 
 
-def test_a_batch_gives_the_work_of_its_twins():
+def test_batch_work_equals_that_of_single_twins():
     spec, gait, samples = robot(), Gait(2.0, 0.2), 20
     twin = TwinSnake(spec, supply_pa=SUPPLY)
     gait.reset(spec, twin.tick)
@@ -235,11 +236,12 @@ def test_a_batch_gives_the_work_of_its_twins():
 
 
 def bare(plant: TwinSnake, duration: float) -> tuple[np.ndarray, np.ndarray]:
-    """Step a twin's model by `mj_step` alone; return energy kept and energy dissipated, J, at each step.
+    """Step a twin's model with `mj_step`; return stored and dissipated energy at each step, J.
 
-    Kept are the kinetic energy and what hinges store against each other. The friction of floor and axles and
-    hinges that move against each other dissipate. Normal forces are left out: wheels that spring on the floor
-    gain energy by the step alone (6 % of the friction's at 1 ms, 1.4 % at 0.25 ms); no torque delivers that.
+    Stored are the kinetic energy and the energy of the relative motion of hinges; dissipated is the
+    friction of floor, axles and relative motion. Normal forces are not counted: wheels bouncing on the
+    floor gain energy from the finite time step (6 % of the friction at 1 ms, 1.4 % at 0.25 ms), which no
+    torque delivers.
     """
     gait, chambers = Gait(2.0, 0.2), copy.deepcopy(plant.pneumatics)
     gait.reset(plant.spec, plant.tick)
@@ -256,7 +258,7 @@ def bare(plant: TwinSnake, duration: float) -> tuple[np.ndarray, np.ndarray]:
     for k, row in enumerate(controls):
         data.ctrl[: len(row)] = row
         mujoco.mj_step(model, data)
-        inside = plant.physics.internal
+        inside = plant.physics.internal_joints
         speed = np.empty(data.nefc)
         mujoco.mj_mulJacVec(model, data, speed, data.qvel)
         normal = data.contact.efc_address
@@ -271,31 +273,31 @@ def bare(plant: TwinSnake, duration: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize(("stiffness", "timestep"), [(None, 0.001), (None, 0.0005), (20.0, 0.001)])
-def test_twins_work_is_what_the_constraints_take(stiffness, timestep):
-    """Feet's velocities times floor forces against qfrc_constraint · qvel, which share only the engine."""
+def test_twin_work_equals_the_power_of_constraint_forces(stiffness, timestep):
+    """Compare foot velocities times floor forces with qfrc_constraint · qvel; they share the engine only."""
     spec = robot(stiffness=stiffness)
     plant = TwinSnake(spec, contact="preloaded", timestep=timestep, supply_pa=SUPPLY)
     energy, taken = bare(plant, 1.5)
     work = driven(plant, 1.5, 1 / timestep).work
-    # After the preload has pressed the wheels into the floor, which is no work of the segments. The energy
-    # that the recorded work goes by is that of its last step's beginning.
+    # After the preload has pressed the wheels into the floor, which is no work of the segments. Recorded work
+    # contains the kinetic energy at the beginning of the last step.
     begin = round(0.25 / timestep)
-    given, expected = work[1 + begin :], (energy + taken)[begin:-1]
-    given, expected = given - given[0], expected - expected[0]
-    assert given[-1] == pytest.approx(expected[-1], rel=0.01)
-    assert np.abs(given - expected).max() < 0.02 * expected[-1]
-    # What the constraints take has no way back, but for what wheels and contacts store.
+    change, expected = work[1 + begin :], (energy + taken)[begin:-1]
+    change, expected = change - change[0], expected - expected[0]
+    assert change[-1] == pytest.approx(expected[-1], rel=0.01)
+    assert np.abs(change - expected).max() < 0.02 * expected[-1]
+    # Constraints only dissipate, except for the energy that wheels and contacts store.
     lost = np.maximum.accumulate(taken[begin:]) - taken[begin:]
     assert lost.max() < 0.002 * expected[-1]
 
 
-def test_twins_power_is_the_compliant_models():
-    """Stiff bends cost what `complete` says; shipped ones ring and cost a third more, as `compliant` says."""
+def test_twin_power_equals_that_of_the_compliant_model():
+    """Stiff bends have the power of `complete`; shipped ones oscillate and need a third more."""
 
     def cost(plant: AnalyticalSnake | TwinSnake) -> tuple[float, float]:
         metrics = plant_metrics(rollout(plant, Gait(2.0), 5.0))
-        given, inside = metrics["mechanical_power_w"], metrics["internal_power_w"] or 0.0
-        return given - inside, metrics["cost_of_transport"] * (given - inside) / given
+        mean_power, inside = metrics["mechanical_power_w"], metrics["internal_power_w"] or 0.0
+        return mean_power - inside, metrics["cost_of_transport"] * (mean_power - inside) / mean_power
 
     options = {"supply_pa": SUPPLY, "friction": "wheel"}
     stiff = cost(TwinSnake(robot(stiffness=20.0), supply_pa=SUPPLY))
@@ -309,8 +311,8 @@ def test_twins_power_is_the_compliant_models():
 
 
 @pytest.mark.parametrize("drag", [0.0, 0.08])
-def test_twins_torques_give_its_work(drag):
-    """Where bends are smooth: with kinks or stiff bends recorded torques are of first order in the step."""
+def test_twin_torques_are_consistent_with_its_work(drag):
+    """With smooth bends; with kinks or stiff bends the recorded torques are of first order in the step."""
     spec = robot()
     spec = replace(spec, friction=replace(spec.friction, drag=drag))
 

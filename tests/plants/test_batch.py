@@ -1,4 +1,4 @@
-"""Many runs at once: bit for bit what each alone gives, in order, over any number of threads."""
+"""Batches of runs: the same bits as single runs, in order, for any number of threads."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ POSES = ((0.0, 0.0, 0.0), (0.3, -0.2, 1.1), (-1.0, 2.0, -2.5), (0.1, 0.1, 3.0))
 
 
 def variants() -> list[RobotSpec]:
-    """Return a robot with other friction, other compliance and other masses, and as it is."""
+    """Return a robot, and copies with other friction, compliance and masses."""
     heavier = tuple(
         mass * factor for mass, factor in zip(SPEC.mass.connectors, (1, 1.3, 1, 1.1, 2), strict=True)
     )
@@ -60,18 +60,18 @@ def variants() -> list[RobotSpec]:
 
 
 def written(run: Trajectory | DivergedError) -> bytes:
-    """Return a trajectory, or that of an error with its words, as the bytes of a file."""
-    said = b""
+    """Return a trajectory, or the history and message of an error, as the bytes of a file."""
+    output = b""
     if isinstance(run, DivergedError):
-        run, said = run.trajectory, str(run).encode()
+        run, output = run.trajectory, str(run).encode()
     assert run is not None
     file = io.BytesIO()
     run.to_parquet(file)
-    return said + file.getvalue()
+    return output + file.getvalue()
 
 
 def alone(job: Job) -> bytes:
-    """Return what `rollout` gives for a job."""
+    """Return the result of `rollout` for a job."""
     assert isinstance(job.controller, Controller)
     plant = job.plant if isinstance(job.plant, Plant) else job.plant()
     try:
@@ -85,7 +85,7 @@ def alone(job: Job) -> bytes:
 
 
 class Reflex(Controller):
-    """Switches a segment's chambers when its sensor says that it has bent far enough."""
+    """Controller that switches the chambers of a segment when the sensed bend exceeds a threshold."""
 
     kind = "reflex"
 
@@ -102,7 +102,7 @@ class Reflex(Controller):
 
 
 class Fuse(Plant):
-    """A plant that stands still, and diverges, refuses or waits as it is told."""
+    """Plant that does not move, and diverges, raises or waits on request."""
 
     name = "fuse"
     tick = 0.02
@@ -122,7 +122,7 @@ class Fuse(Plant):
 
 
 def fused(plant: Fuse, duration: float) -> Job:
-    """Return a job for a plant that knows only whole ticks."""
+    """Return a job for a plant that advances tick by tick only."""
     return Job(plant, Gait(2.0), duration, record_hz=50)
 
 
@@ -153,7 +153,7 @@ def mixed_jobs() -> list[Job]:
 
 
 @pytest.mark.parametrize("threads", [1, 2, None])
-def test_each_run_is_bit_for_bit_the_serial_one_and_stands_in_its_place(threads):
+def test_parallel_runs_equal_serial_runs_in_order_bit_for_bit(threads):
     expected = [alone(job) for job in mixed_jobs()]
     assert len(set(expected)) == len(expected)
     assert [written(run) for run in run_many(mixed_jobs(), threads=threads)] == expected
@@ -161,7 +161,7 @@ def test_each_run_is_bit_for_bit_the_serial_one_and_stands_in_its_place(threads)
 
 @settings(max_examples=15)
 @given(st.permutations(range(6)), st.integers(1, 7), st.integers(1, 6))
-def test_no_split_over_threads_changes_a_byte(order, threads, count):
+def test_number_of_threads_does_not_change_a_byte(order, threads, count):
     expected = _six()
     jobs = [_job(k) for k in order[:count]]
     assert [written(run) for run in run_many(jobs, threads=threads)] == [expected[k] for k in order[:count]]
@@ -184,7 +184,7 @@ def _six() -> list[bytes]:
     return _SIX
 
 
-def test_jobs_of_one_maker_share_a_plant_and_do_not_notice():
+def test_jobs_of_one_factory_share_a_plant_without_interference():
     made: list[int] = []
 
     def make() -> TwinSnake:
@@ -199,13 +199,13 @@ def test_jobs_of_one_maker_share_a_plant_and_do_not_notice():
     ]
 
 
-def test_controllers_may_be_made_on_the_spot():
+def test_controllers_may_be_factories():
     (run,) = run_many([Job(_snake, partial(Gait, 2.0, 0.3), 0.2)])
     assert written(run) == alone(Job(_snake, Gait(2.0, 0.3), 0.2))
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_a_run_that_diverges_leaves_its_error_in_its_place_and_the_others_alone(threads):
+def test_diverged_run_returns_its_error_and_others_continue(threads):
     plants = [Fuse(), Fuse(diverges), Fuse()]
     runs = run_many([fused(plant, 0.4) for plant in plants], threads=threads)
     first, error, last = runs
@@ -217,7 +217,7 @@ def test_a_run_that_diverges_leaves_its_error_in_its_place_and_the_others_alone(
 
 
 def wild() -> TwinSnake:
-    """Return a twin that no engine can follow: it is thrown into the floor as soon as it is laid down."""
+    """Return a twin that diverges: it gets a large velocity into the floor on reset."""
 
     class Thrown(TwinSnake):
         def reset(self, **about: Any) -> SnakeState:
@@ -229,8 +229,8 @@ def wild() -> TwinSnake:
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_a_twin_that_diverges_says_what_it_says_alone(threads):
-    """Its words hold the engine's warnings, which come from all threads."""
+def test_diverged_twin_has_the_same_error_as_alone(threads):
+    """The message contains the engine's warnings, which come from all threads."""
     expected = alone(Job(wild, Gait(2.0), 0.1))
     assert b"twin diverged at t = 0.001 s" in expected
     jobs = [Job(partial(TwinSnake, SPEC) if k % 2 else wild, Gait(2.0), 0.1) for k in range(6)]
@@ -239,7 +239,7 @@ def test_a_twin_that_diverges_says_what_it_says_alone(threads):
     assert all(isinstance(run, Trajectory) for run in runs[1::2])
 
 
-def test_warnings_are_heard_by_the_thread_that_caused_them_only():
+def test_engine_warnings_stay_on_their_thread():
     ENGINE_WARNINGS.last.clear()
     thread = threading.Thread(target=lambda: ENGINE_WARNINGS.last.append("elsewhere"))
     thread.start()
@@ -247,12 +247,12 @@ def test_warnings_are_heard_by_the_thread_that_caused_them_only():
     assert list(ENGINE_WARNINGS.last) == []
 
 
-def test_nothing_to_do():
+def test_no_jobs_return_no_runs():
     assert run_many([]) == [] == run_many(iter([]), threads=2)
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-def test_the_first_job_that_cannot_run_is_named_whichever_fails_first(threads):
+def test_first_invalid_job_is_reported(threads):
     def slowly_refuses(time_: float) -> None:
         time.sleep(0.01)
         refuses(time_)
@@ -263,7 +263,7 @@ def test_the_first_job_that_cannot_run_is_named_whichever_fails_first(threads):
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_faults_of_the_program_are_not_dressed_up(threads):
+def test_programming_errors_propagate_unchanged(threads):
     with pytest.raises(ZeroDivisionError, match="a fault of the program"):
         run_many([fused(Fuse(breaks), 0.4), fused(Fuse(), 0.4)], threads=threads)
 
@@ -305,22 +305,22 @@ def test_fewer_than_one_thread_is_refused(threads):
         (Job(_snake, Gait(2.0), 1.0, record_hz=70), "job 2 of 2: record_hz 70 does not fit the tick 0.02 s"),
     ],
 )
-def test_what_rollout_refuses_is_refused_with_the_number_of_the_job(job, words):
+def test_rollout_errors_name_the_job(job, words):
     with pytest.raises(InputError, match=f"^{words}"):
         run_many([Job(_snake, Gait(2.0), 0.1), job], threads=2)
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_progress_counts_the_jobs_done_on_the_calling_thread(threads):
-    told: list[tuple[int, int]] = []
+def test_progress_is_reported_on_the_calling_thread(threads):
+    reported: list[tuple[int, int]] = []
     jobs = [Job(_snake, Gait(2.0), 0.1) for _ in range(5)]
-    run_many(jobs, threads=threads, progress=lambda done: told.append((done, threading.get_ident())))
-    assert told == [(k, threading.get_ident()) for k in range(1, 6)]
+    run_many(jobs, threads=threads, progress=lambda done: reported.append((done, threading.get_ident())))
+    assert reported == [(k, threading.get_ident()) for k in range(1, 6)]
 
 
 @pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("threads", [1, 2])
-def test_an_interrupt_ends_all_runs_soon(threads):
+def test_interrupt_ends_all_runs(threads):
     lived: list[float] = []
 
     def naps(time_: float) -> None:
@@ -343,7 +343,7 @@ def test_an_interrupt_ends_all_runs_soon(threads):
     assert len(lived) == ticks
 
 
-def test_no_thread_outlives_its_runs():
+def test_no_thread_outlives_the_batch():
     before = threading.active_count()
     for _ in range(3):
         run_many([Job(_snake, Gait(2.0), 0.1) for _ in range(4)], threads=3)
@@ -353,7 +353,7 @@ def test_no_thread_outlives_its_runs():
     assert threading.active_count() <= before
 
 
-def test_the_lowest_of_several_errors_is_raised_and_what_comes_after_is_not_begun():
+def test_lowest_error_is_raised_and_later_jobs_do_not_start():
     begun: list[int] = []
 
     def task(k: int, stopped: Callable[[], bool]) -> int:
@@ -373,7 +373,7 @@ def test_the_lowest_of_several_errors_is_raised_and_what_comes_after_is_not_begu
 
 
 def scripts(batch: TwinBatch, duration: float) -> list[Any]:
-    """Return the script of another gait for each run."""
+    """Return the script of a different gait for each run."""
     gaits = [Gait(1.0 + 0.5 * k, 0.1 * k) for k in range(len(batch))]
     for gait, twin in zip(gaits, batch.twins, strict=True):
         gait.reset(twin.spec, twin.tick)
@@ -410,7 +410,7 @@ def test_trajectories_of_a_batch_are_those_of_single_twins(threads):
     ]
 
 
-def test_a_batch_stays_the_same_after_a_reset():
+def test_reset_batch_repeats_the_run():
     batch = TwinBatch(variants()[:2], threads=1)
     first = batch.play(scripts(batch, 0.1), 5)
     batch.reset()
@@ -419,7 +419,7 @@ def test_a_batch_stays_the_same_after_a_reset():
     assert all(same(a, b) for a, b in zip(first, again, strict=True))
 
 
-def test_changing_one_twins_model_leaves_its_equals_alone():
+def test_changing_the_model_of_one_twin_does_not_affect_others():
     one, other = TwinBatch([SPEC, SPEC], threads=1).twins
     one.physics.model.ptr.opt.gravity[2] = 0.0
     assert other.physics.model.ptr.opt.gravity[2] == TwinSnake(SPEC).physics.model.ptr.opt.gravity[2] < -9
@@ -427,7 +427,7 @@ def test_changing_one_twins_model_leaves_its_equals_alone():
 
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("record_hz", [25, 100])
-def test_a_policy_gives_what_a_controller_on_every_twin_would(threads, record_hz):
+def test_batch_policy_equals_one_controller_per_twin(threads, record_hz):
     batch = TwinBatch(variants()[:3], threads=threads)
     reflexes = [Reflex() for _ in batch.twins]
     for reflex, twin in zip(reflexes, batch.twins, strict=True):
@@ -448,7 +448,7 @@ def test_a_policy_gives_what_a_controller_on_every_twin_would(threads, record_hz
         assert run.metadata == {**expected.metadata, "controller": "policy"}
 
 
-def test_a_twin_that_diverges_stops_and_the_others_of_its_batch_go_on():
+def test_diverged_twin_stops_and_its_batch_continues():
     batch = TwinBatch([SPEC, SPEC, SPEC], threads=2)
 
     def policy(state: SnakeState) -> np.ndarray:
@@ -468,45 +468,47 @@ def test_a_twin_that_diverges_stops_and_the_others_of_its_batch_go_on():
     assert batch.errors == [None] * 3
 
 
-def test_a_batch_of_which_all_have_diverged_ends():
+def test_batch_ends_when_all_runs_have_diverged():
     batch = TwinBatch([SPEC], threads=1)
-    asked: list[float] = []
+    requested: list[float] = []
 
     def policy(state: SnakeState) -> np.ndarray:
-        asked.extend(state.time)
+        requested.extend(state.time)
         batch.twins[0].physics.data.qvel[2] = -1e9
         return vented(SPEC)[None]
 
     (error,) = run_batch(batch, policy, 10.0)
     assert isinstance(error, DivergedError)
-    assert asked == [0.0]
+    assert requested == [0.0]
 
 
-def test_what_a_batch_refuses():
+def test_batch_rejects_invalid_robots_and_settings():
     longer = replace(
         SPEC,
         geometry=replace(SPEC.geometry, connectors=3),
         mass=replace(SPEC.mass, connectors=SPEC.mass.connectors[:3]),
     )
-    for specs, words in (([], "no robot at all"), ([SPEC, longer], "3, 5")):
-        with pytest.raises(InputError, match=f"robots with one number of connectors; found {words}$"):
+    for specs, words in (([], "no robot"), ([SPEC, longer], "3, 5")):
+        with pytest.raises(InputError, match=f"the same number of connectors, not {words}$"):
             TwinBatch(specs)
-    with pytest.raises(InputError, match=r"supply_pa: 3 were given for 2 runs; give one, or one a run"):
+    with pytest.raises(
+        InputError, match=r"supply_pa: 3 were given for 2 runs; give one value, or one per run"
+    ):
         TwinBatch([SPEC, SPEC], supply_pa=[1e4, 2e4, 3e4])
     own = make_pneumatics("lag", SPEC, supply_pa=48e3, layout="3/2")
-    with pytest.raises(InputError, match="one object cannot be the chambers of every twin; give its kind"):
+    with pytest.raises(InputError, match="the twins of a batch cannot share one object; give its kind"):
         TwinBatch([SPEC, SPEC], pneumatics=own)
     with pytest.raises(InputError, match="contact 'lose' is unknown; allowed: loaded, preloaded"):
         TwinBatch([SPEC, SPEC], contact="lose", threads=2)
 
 
-def test_what_a_batch_in_hand_refuses():
+def test_batch_rejects_wrong_numbers_of_arguments():
     batch = TwinBatch([SPEC, SPEC], threads=1)
-    with pytest.raises(InputError, match="poses: 1 were given for 2 runs; give one a run"):
+    with pytest.raises(InputError, match="poses: 1 were given for 2 runs; give one per run"):
         batch.reset(poses=POSES[:1])
-    with pytest.raises(InputError, match="valves: 3 were given for 2 runs; give one array a run"):
+    with pytest.raises(InputError, match="valves: 3 were given for 2 runs; give one array per run"):
         batch.step(np.stack([vented(SPEC)] * 3))
-    with pytest.raises(InputError, match="schedules: 0 were given for 2 runs; give one a run"):
+    with pytest.raises(InputError, match="schedules: 0 were given for 2 runs; give one per run"):
         batch.play([], 1)
     impossible = np.stack([vented(SPEC), 0 * vented(SPEC)])
     with pytest.raises(InputError, match="valve state 0 is not possible with layout 3/2"):
@@ -516,6 +518,6 @@ def test_what_a_batch_in_hand_refuses():
 
 
 @pytest.mark.parametrize("name", ["srs_twin.rollout", "srs_twin.plants.twin.batch"])
-def test_examples_in_the_docstrings_say_what_happens(name):
+def test_docstring_examples_are_correct(name):
     outcome = doctest.testmod(importlib.import_module(name))
     assert (outcome.failed, outcome.attempted > 4) == (0, True)

@@ -11,7 +11,7 @@ from srs_twin import AnalyticalSnake, Gait, TwinSnake, rollout
 SPEC = chain((0.0532,) * 17)
 
 
-def test_a_long_twin_goes_on_from_a_saved_state_with_the_same_bits():
+def test_long_twin_continues_from_a_saved_state_bit_for_bit():
     twin, gait = TwinSnake(SPEC), Gait(2.0)
     gait.reset(SPEC, twin.tick)
     states = [twin.reset()]
@@ -27,7 +27,7 @@ def test_a_long_twin_goes_on_from_a_saved_state_with_the_same_bits():
 
 
 @pytest.mark.parametrize("contact", ["preloaded", "loaded"])
-def test_long_twins_and_the_compliant_model_bend_alike(contact):
+def test_long_twin_bends_like_the_compliant_model(contact):
     twin = rollout(TwinSnake(SPEC, contact=contact), Gait(2.0), 1.0)
     model = rollout(
         AnalyticalSnake(SPEC, model="compliant", friction="wheel", inertia="connector"), Gait(2.0), 1.0

@@ -1,4 +1,4 @@
-"""Modules that are not alike: the chambers' law, both plants, drawing, files, drifted and dead sensors."""
+"""Unequal modules: law of the chambers, both plants, random modules, files, drifted and dead sensors."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from srs_twin.control.replay import HoldValves
 from srs_twin.plants.twin.mjcf.model import robot_mjcf
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings
 from srs_twin.pneumatics import LagPneumatics, OrificePneumatics, make_pneumatics
-from srs_twin.pneumatics.chambers import air_bend, as_felt, bent, largest_bend
+from srs_twin.pneumatics.chambers import air_bend, apply_bend_law, equivalent_linear_pressure, largest_bend
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.robot.file import ModulesFile, load_robot_file
 from srs_twin.robot.spec import Modules
@@ -42,7 +42,7 @@ both = pytest.mark.parametrize("kind", PLANTS)
 def unlike(
     seed: int = 1, *, limit: float = 1.4, bias: float = 0.1, sensors: float = 0.0, **onset: float
 ) -> RobotSpec:
-    """Return a generation 4 whose modules all differ, with a largest bend (rad)."""
+    """Return a generation 4 with unequal modules and a bend limit (rad)."""
     rng, spec = np.random.default_rng(seed), load_robot("gen4")
     modules = Modules.of(
         gain=rng.uniform(0.7, 1.3, (4, 2)), tau_fill=rng.uniform(0.7, 1.3, (4, 2)),
@@ -53,7 +53,7 @@ def unlike(
 
 
 def mirrored(spec: RobotSpec) -> RobotSpec:
-    """Return the robot seen in a mirror: its + chambers are the other's − chambers."""
+    """Return the mirror image of a robot, with exchanged + and − chambers."""
     modules = spec.modules
     turned = {name: modules.array(name)[:, ::-1] for name in ("gain", "tau_fill", "tau_vent")}
     other = {"bias": -modules.array("bias"), "sensor_bias": -modules.array("sensor_bias")}
@@ -66,16 +66,16 @@ def mirrored(spec: RobotSpec) -> RobotSpec:
 
 @settings(max_examples=100)
 @given(st.floats(-5, 5), st.floats(0.3, 3))
-def test_bends_flatten_towards_their_limit(x, limit):
+def test_bend_law_saturates_at_its_limit(x, limit):
     law = limit, 0.0, 1.0, 1.0
-    value, slope, curve = bent(x, law)
+    value, slope, curve = apply_bend_law(x, law)
     assert abs(value) < limit and np.sign(value) == np.sign(x) and 0 < slope <= 1
     assert value**4 * (limit**4 + x**4) == pytest.approx((x * limit) ** 4, rel=1e-9, abs=1e-12)
     step = 1e-4
-    ahead, behind = bent(x + step, law), bent(x - step, law)
+    ahead, behind = apply_bend_law(x + step, law), apply_bend_law(x - step, law)
     assert slope == pytest.approx((ahead[0] - behind[0]) / (2 * step), abs=1e-6)
     assert curve == pytest.approx((ahead[1] - behind[1]) / (2 * step), abs=1e-5 / limit**2)
-    assert bent(x, (np.inf, 0.0, 1.0, 1.0)) == (x, 1.0, 0.0)
+    assert apply_bend_law(x, (np.inf, 0.0, 1.0, 1.0)) == (x, 1.0, 0.0)
 
 
 @pytest.mark.slow
@@ -84,35 +84,37 @@ def test_bends_flatten_towards_their_limit(x, limit):
     st.floats(-3, 3), st.floats(0.5, 3) | st.just(np.inf), st.floats(0, 1),
     st.floats(0.05, 1.5), st.floats(0.05, 1.5),
 )  # fmt: skip
-def test_bends_that_begin_late_are_odd_smooth_and_rise(x, limit, share, onset, width):
+def test_bend_law_with_dead_zone_is_odd_smooth_and_monotone(x, limit, share, onset, width):
     law, step = (limit, share, onset, width), 1e-5
-    value, slope, curve = bent(x, law)
+    value, slope, curve = apply_bend_law(x, law)
     y = x - share * width / 2 * np.log(np.cosh((x + onset) / width) / np.cosh((x - onset) / width))
     assert value == pytest.approx(y if np.isinf(limit) else y / (1 + (y / limit) ** 4) ** 0.25, abs=1e-12)
-    assert (value, slope) == (-bent(-x, law)[0], bent(-x, law)[1]) and slope >= 0
-    assert bent(0.0, law)[1] == pytest.approx(1 - share * np.tanh(onset / width))
+    assert (value, slope) == (-apply_bend_law(-x, law)[0], apply_bend_law(-x, law)[1]) and slope >= 0
+    assert apply_bend_law(0.0, law)[1] == pytest.approx(1 - share * np.tanh(onset / width))
     spec = unlike(limit=limit, onset_share=share, onset=onset, onset_width=width)
     pressure = np.zeros((4, 2))
     pressure[:, 0] = x / (spec.actuator.gain * spec.modules.array("gain")[:, 0])
     assert air_bend(spec, pressure) == pytest.approx(np.full(4, value), abs=1e-12)
-    assert as_felt(spec, np.zeros((4, 2))) == pytest.approx(np.zeros((4, 2)))
-    ahead, behind = bent(x + step, law), bent(x - step, law)
+    assert equivalent_linear_pressure(spec, np.zeros((4, 2))) == pytest.approx(np.zeros((4, 2)))
+    ahead, behind = apply_bend_law(x + step, law), apply_bend_law(x - step, law)
     assert slope == pytest.approx((ahead[0] - behind[0]) / (2 * step), abs=1e-6)
     assert curve == pytest.approx((ahead[1] - behind[1]) / (2 * step), abs=1e-4)
 
 
-def test_what_mujoco_gets_bends_linear_muscles_as_far():
+def test_equivalent_linear_pressure_gives_the_same_bend():
     spec, pressure = unlike(), np.random.default_rng(5).uniform(0, SUPPLY, (7, 4, 2))
     linear = replace(spec, actuator=replace(spec.actuator, bend_limit=np.inf))
-    assert air_bend(linear, as_felt(spec, pressure)) == pytest.approx(air_bend(spec, pressure), rel=1e-12)
-    assert as_felt(linear, pressure) is pressure
+    assert air_bend(linear, equivalent_linear_pressure(spec, pressure)) == pytest.approx(
+        air_bend(spec, pressure), rel=1e-12
+    )
+    assert equivalent_linear_pressure(linear, pressure) is pressure
     full = np.array([SUPPLY, 0.0])
     nominal = replace(spec, variation=None)
     assert largest_bend(nominal, SUPPLY) == pytest.approx(air_bend(nominal, np.tile(full, (4, 1)))[0])
 
 
 def law(spec: RobotSpec, kind: str, leak: float):
-    """Return y' of (p⁺, p⁻, x) of segment 2 as the text has it, and its bend, for one valve state."""
+    """Return y' of (p⁺, p⁻, x) of segment 2 from the dissertation, and its bend, for one valve state."""
     modules, actuator = spec.modules, spec.actuator
     g = actuator.gain * modules.array("gain")[1]
     fill = actuator.tau_fill * modules.array("tau_fill")[1]
@@ -131,7 +133,7 @@ def law(spec: RobotSpec, kind: str, leak: float):
 
 
 @pytest.mark.parametrize("leak", [0.0, 0.7])
-def test_lag_solves_the_equations_of_modules_that_differ(leak):
+def test_lag_solves_the_equations_of_unequal_modules(leak):
     spec = unlike()
     chambers = LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=leak)
     assert chambers.bend == pytest.approx(spec.modules.bias, abs=0)
@@ -154,7 +156,7 @@ def test_lag_solves_the_equations_of_modules_that_differ(leak):
 
 
 @pytest.mark.parametrize("kind", ["lag", pytest.param("orifice", marks=pytest.mark.slow)])
-def test_accelerations_are_the_rates_slopes(kind):
+def test_bend_accelerations_are_derivatives_of_the_rates(kind):
     finer = {"substep": 5e-5} if kind == "orifice" else {}
     chambers = make_pneumatics(kind, unlike(), supply_pa=SUPPLY, layout="3/2", **finer)
     fill = np.tile([1, -1], (4, 1))
@@ -170,7 +172,7 @@ def test_accelerations_are_the_rates_slopes(kind):
         assert np.quantile(np.abs(slope - rate[1:-1])[50:], 0.995) < 0.01 * size
 
 
-def test_orifice_chambers_that_differ_keep_their_air_and_come_to_the_same_rest():
+def test_unequal_orifice_chambers_conserve_air_and_reach_the_static_bend():
     spec = unlike()
     chambers = OrificePneumatics(spec, supply_pa=SUPPLY)
     assert not np.abs(chambers.pressure).any()
@@ -189,7 +191,7 @@ def test_orifice_chambers_that_differ_keep_their_air_and_come_to_the_same_rest()
     assert chambers.bend == pytest.approx(slow.bend, abs=1e-5)
 
 
-def test_slower_valves_of_one_chamber_pass_less_air():
+def test_larger_time_constant_means_smaller_conductance():
     spec = load_robot("gen4")
     slow = np.ones((4, 2))
     slow[2, 1] = 2.0
@@ -200,22 +202,22 @@ def test_slower_valves_of_one_chamber_pass_less_air():
     assert even_fill / fill == pytest.approx(slow, rel=0.02)
 
 
-def test_a_line_that_begins_empty_fills_later():
+def test_initially_empty_line_delays_filling():
     spec = load_robot("gen4")
-    given = {"supply_pa": SUPPLY, "flow_limit": 1e-3, "line_volume": 5e-4}
-    full, empty = OrificePneumatics(spec, **given), OrificePneumatics(spec, **given, line_begins=0.0)
+    options = {"supply_pa": SUPPLY, "flow_limit": 1e-3, "line_volume": 5e-4}
+    full, empty = OrificePneumatics(spec, **options), OrificePneumatics(spec, **options, line_begins=0.0)
     for chambers in (full, empty):
         chambers.advance(chambers.schedule(np.tile([1, -1], (4, 1)), 0.1), np.zeros(0))
     assert empty.bend.max() < 0.5 * full.bend.min()
     with pytest.raises(InputError, match="line_begins 200000.0 Pa is not allowed"):
-        OrificePneumatics(spec, **given, line_begins=2e5)
+        OrificePneumatics(spec, **options, line_begins=2e5)
 
 
 # Both plants
 
 
 @both
-def test_at_rest_a_free_snake_bends_as_its_modules_are(kind):
+def test_snake_at_rest_has_the_rest_bends(kind):
     spec = unlike()
     plant = PLANTS[kind](spec)
     pose = (0.3, -0.2, 0.7)
@@ -229,15 +231,15 @@ def test_at_rest_a_free_snake_bends_as_its_modules_are(kind):
 
 @both
 @pytest.mark.parametrize(
-    ("way", "share", "supply", "chambers"),
+    ("side", "share", "supply", "chambers"),
     [
         ("plus", 0.0, 48e3, "lag"), ("minus", 0.0, 48e3, "lag"), ("minus", 1.0, 10e3, "lag"),
         ("plus", 1.0, 20e3, "lag"), ("minus", 0.8, 30e3, "lag"), ("plus", 0.8, 40e3, "orifice"),
         ("minus", 1.0, 48e3, "lag"),
     ],
 )  # fmt: skip
-def test_the_static_bend_is_the_modules_own(kind, way, share, supply, chambers):
-    """On a bench, where nothing but the air bends it; the formula is written out once more."""
+def test_static_bend_follows_the_module_gains(kind, side, share, supply, chambers):
+    """On a bench, where only the air bends the segment; the formula is repeated here."""
     spec = replace(load_robot("gen4_module"), variation=Modules.of(
         gain=np.array([[1.2, 0.8]]), tau_fill=np.ones((1, 2)), tau_vent=np.ones((1, 2)),
         bias=np.array([0.15]), sensor_gain=np.array([1.1]), sensor_bias=np.array([-0.05]),
@@ -245,9 +247,9 @@ def test_the_static_bend_is_the_modules_own(kind, way, share, supply, chambers):
     late = {"onset_share": share, "onset": 0.3, "onset_width": 0.2}
     spec = replace(spec, actuator=replace(spec.actuator, bend_limit=1.0, **late))
     plant = PLANTS[kind](spec, base="clamped", tick=0.001, supply_pa=supply, pneumatics=chambers)
-    states = ("fill", "vent") if way == "plus" else ("vent", "fill")
+    states = ("fill", "vent") if side == "plus" else ("vent", "fill")
     run = rollout(plant, HoldValves(*states), 2.0)
-    x = spec.actuator.gain * supply * (1.2 if way == "plus" else -0.8)
+    x = spec.actuator.gain * supply * (1.2 if side == "plus" else -0.8)
     x -= share * 0.1 * np.log(np.cosh((x + 0.3) / 0.2) / np.cosh((x - 0.3) / 0.2))
     expected = 0.15 + x / (1 + x**4) ** 0.25
     assert run["bend_1"][-1] == pytest.approx(expected, abs=1e-4)
@@ -255,11 +257,11 @@ def test_the_static_bend_is_the_modules_own(kind, way, share, supply, chambers):
 
 
 @both
-def test_the_mirrored_snake_in_the_mirrored_gait_goes_the_mirrored_way(kind):
+def test_mirrored_modules_and_gait_give_the_mirrored_path(kind):
     spec = unlike(bias=0.05)
     runs = [
-        rollout(PLANTS[kind](each, supply_pa=60e3), Gait(1.0, phase=phase), 2.0)
-        for each, phase in ((spec, 0.0), (mirrored(spec), np.pi))
+        rollout(PLANTS[kind](item, supply_pa=60e3), Gait(1.0, phase=phase), 2.0)
+        for item, phase in ((spec, 0.0), (mirrored(spec), np.pi))
     ]
     tolerance = 1e-6 if kind == "analytical" else 1e-4
     assert runs[0]["heading"] == pytest.approx(-runs[1]["heading"], abs=tolerance)
@@ -267,8 +269,8 @@ def test_the_mirrored_snake_in_the_mirrored_gait_goes_the_mirrored_way(kind):
     assert abs(runs[0]["heading"][-1]) > 0.1
 
 
-def test_a_stiff_light_twin_bends_as_the_free_modules_would():
-    """The twin gets moments, the analytical model bends: only the law of `bending` makes them agree."""
+def test_stiff_light_twin_has_the_free_bends():
+    """The twin gets moments, the analytical model bends: both must use the same bend law."""
     spec = unlike()
     stiff = replace(
         spec,
@@ -284,15 +286,15 @@ def test_a_stiff_light_twin_bends_as_the_free_modules_would():
         assert np.sqrt(np.mean((twin[f"bend_{j}"] - free[f"bend_{j}"]) ** 2)) < 0.01
 
 
-def test_the_exported_model_has_the_modules_gains_and_rest_bends():
+def test_exported_model_has_module_gains_and_rest_bends():
     spec = unlike()
     model = robot_mjcf(spec, ModelSettings(contact=PreloadedContact())).compile()
     for j in range(1, 5):
         hinges = [model.joint(f"hinge_{j}_{k}") for k in (1, 2)]
         assert sum(model.qpos_spring[h.qposadr[0]] for h in hinges) == pytest.approx(spec.modules.bias[j - 1])
         for side, name, sign in ((0, "plus", 1), (1, "minus", -1)):
-            wanted = sign * spec.bending.stiffness * spec.actuator.gain * spec.modules.gain[j - 1][side]
-            assert model.actuator(f"{name}_{j}").gainprm[0] == pytest.approx(wanted)
+            required = sign * spec.bending.stiffness * spec.actuator.gain * spec.modules.gain[j - 1][side]
+            assert model.actuator(f"{name}_{j}").gainprm[0] == pytest.approx(required)
 
 
 # Faults
@@ -300,7 +302,7 @@ def test_the_exported_model_has_the_modules_gains_and_rest_bends():
 
 @both
 @pytest.mark.parametrize(("state", "level"), [(1, 1.0), (-1, 0.0)])
-def test_a_stuck_valve_does_not_obey_from_then_on(kind, state, level):
+def test_stuck_valve_ignores_commands(kind, state, level):
     plant = PLANTS[kind](robot("gen4"), supply_pa=48e3)
     plant.pneumatics.stuck = (StuckValve(2, 0, state, since=0.513),)
     run = rollout(plant, Gait(1.0), 3.0)
@@ -311,7 +313,7 @@ def test_a_stuck_valve_does_not_obey_from_then_on(kind, state, level):
     assert plant.openings()[1, 0] <= 2 < plant.openings()[1, 1]
 
 
-def test_a_stuck_valve_within_a_stretch_is_stuck_to_the_moment():
+def test_valve_can_stick_within_a_schedule():
     chambers = LagPneumatics(robot("gen4"), supply_pa=48e3)
     chambers.stuck = (StuckValve(1, 1, 1, since=0.01),)
     at = np.array([0.01, 0.02])
@@ -324,23 +326,23 @@ def test_a_stuck_valve_within_a_stretch_is_stuck_to_the_moment():
 # Drawing
 
 
-def test_drawn_modules_have_the_asked_spread_and_each_quantity_its_own_stream():
+def test_random_modules_have_the_requested_spread_and_independent_streams():
     record = {"unit": "1", "status": "estimated", "source": "test"}
     file = ModulesFile(
         gain_spread={**record, "value": 0.15}, bias_spread_rad={**record, "value": 0.1, "unit": "rad"}
     )
     draws = [file.draw(4, seed) for seed in range(300)]
-    gains = np.array([each.gain for each in draws]).ravel()
+    gains = np.array([entry.gain for entry in draws]).ravel()
     assert kstest((gains - 1) / 0.15, norm.cdf).pvalue > 0.01
     assert np.abs(gains - 1).max() <= 3 * 0.15 + 1e-12
-    biases = np.array([each.bias for each in draws])
+    biases = np.array([entry.bias for entry in draws])
     assert np.abs(np.corrcoef(biases.T, gains.reshape(300, 8).T) - np.eye(12)).max() < 0.2
     alone = ModulesFile(gain_spread={**record, "value": 0.15})
     assert alone.draw(4, 7).gain == draws[7].gain and alone.draw(4, 7).bias == (0.0,) * 4
     assert draws[7] == file.draw(4, 7) != draws[8]
 
 
-def test_listed_numbers_and_drawn_ones_come_together():
+def test_listed_and_random_module_values_combine():
     unit = {"unit": "1", "status": "measured", "source": "test"}
     listed = [[1.0, 2.0], [0.5, 1.0]]
     file = ModulesFile(gain={**unit, "value": listed}, gain_spread={**unit, "value": 0.1}, seed=3)
@@ -359,12 +361,12 @@ def test_listed_numbers_and_drawn_ones_come_together():
         ({"tau_fill": ((1.0, 0.0),) * 4}, "modules.tau_fill 0 is not allowed; it must be 0.01 to 100"),
     ],
 )
-def test_modules_that_cannot_be_are_refused(changed, words):
+def test_invalid_modules_raise(changed, words):
     with pytest.raises(InputError, match=words):
         replace(Modules.alike(4), **changed)
 
 
-def test_a_robot_of_another_length_is_refused():
+def test_modules_of_another_length_raise():
     with pytest.raises(InputError, match="modules: 3 is not allowed; the robot has 4"):
         replace(load_robot("gen4"), variation=Modules.alike(3))
 
@@ -387,7 +389,7 @@ faults:
 """
 
 
-def test_a_scenario_names_modules_and_faults(tmp_path):
+def test_scenario_with_modules_and_faults(tmp_path):
     path = tmp_path / "one.yaml"
     path.write_text(SCENARIO)
     scenario = load_scenario(path)
@@ -417,7 +419,7 @@ def test_a_scenario_names_modules_and_faults(tmp_path):
         ("stuck: open", "stuck: ajar", "open"),
     ],
 )
-def test_what_is_wrong_is_said_where_it_stands(tmp_path, old, new, words):
+def test_module_errors_name_the_key(tmp_path, old, new, words):
     path = tmp_path / "bad.yaml"
     path.write_text(SCENARIO.replace(old, new))
     with pytest.raises(InputError) as caught:
@@ -425,7 +427,7 @@ def test_what_is_wrong_is_said_where_it_stands(tmp_path, old, new, words):
     assert words in str(caught.value) and "bad.yaml:" in str(caught.value)
 
 
-def test_a_robot_file_with_modules_loads_and_names_their_sources(tmp_path):
+def test_robot_file_with_modules_has_sources(tmp_path):
     text = load_robot_file("gen4").model_dump(mode="json", exclude_none=True)
     record = {"unit": "1", "status": "measured", "source": "bench, 2026"}
     text["modules"] = {"gain": {**record, "value": [[1.1, 0.9]] * 4}}
@@ -435,7 +437,7 @@ def test_a_robot_file_with_modules_loads_and_names_their_sources(tmp_path):
     assert load_robot_file(path).records()["modules.gain"].source == "bench, 2026"
 
 
-def test_drifted_sensors_keep_their_own_noise():
+def test_sensor_drift_keeps_the_noise():
     spec = unlike(sensors=0.1)
     drifted, plain = make_sensor("hall", spec), make_sensor("hall", replace(spec, variation=None))
     bend, time = np.full((5, 4), 0.3), np.arange(5) * 0.01

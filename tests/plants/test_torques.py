@@ -1,4 +1,4 @@
-"""What the segments exert: `complete`'s inverse dynamics against Newton's laws and against stiff springs."""
+"""Torques of the segments: inverse dynamics of `complete` compared with Newton's law and stiff springs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SMOOTH = {"mu_t": 1.0, "mu_n": 15.0}  # for the viscous law
 
 
 def bent(plant: AnalyticalSnake, duration: float, step: float) -> SnakeState:
-    """Return how a plant on smooth chambers moves, every `step` (s)."""
+    """Return the motion of a plant with smooth chambers, every `step` (s)."""
     plant.reset()
     return plant.play(plant.pneumatics.schedule(np.full((plant.spec.segments, 2), -1), duration),
                       round(duration / step))  # fmt: skip
@@ -68,7 +68,7 @@ def first(values: np.ndarray) -> np.ndarray:
 
 
 def yaw_of_two_wheels(h: SnakeState, spec: RobotSpec, slip: float) -> np.ndarray:
-    """Return what the drags of both wheels exert on each connector, shape (samples, N), N·m."""
+    """Return the moment of both wheels' drag on each connector, shape (samples, N), N·m."""
     along = (first(h.position) * np.stack([np.cos(h.theta), np.sin(h.theta)], axis=-1)).sum(axis=-1)
     across = cross(np.stack([np.cos(h.theta), np.sin(h.theta)], axis=-1), first(h.position))
     track, load = spec.geometry.half_track, spec.mass.array() * 9.81 / 2
@@ -86,7 +86,7 @@ def yaw_of_two_wheels(h: SnakeState, spec: RobotSpec, slip: float) -> np.ndarray
     ("law", "mu", "inertia"),
     [("viscous", SMOOTH, "point"), ("axis", {}, "point"), ("axis", {}, "lumped"), ("wheel", {}, "connector")],
 )
-def test_torques_are_what_newton_asks_for(model, law, mu, inertia):
+def test_torques_satisfy_newtons_law(model, law, mu, inertia):
     slip, spec = 0.02, chain(MASSES, **mu)
     plant = AnalyticalSnake(
         spec, model=model, friction=law, inertia=inertia, timestep=STEP, slip_speed=slip,
@@ -97,8 +97,8 @@ def test_torques_are_what_newton_asks_for(model, law, mu, inertia):
     lumped = spec.mass.array() * np.array([1, 2, 2, 2, 1]) * spec.geometry.pitch**2 / 3
     own = {"point": np.zeros(5), "connector": spec.yaw_inertia(), "lumped": lumped}[inertia]
     # From 0.2 s on, where bends are large enough to divide by them.
-    expected, found = from_the_tail(h, spec, own, yaw)[2000:], h.torque[1:-1][2000:]
-    error = np.abs(found - expected) / np.sqrt((expected**2).mean())
+    expected, result = from_the_tail(h, spec, own, yaw)[2000:], h.torque[1:-1][2000:]
+    error = np.abs(result - expected) / np.sqrt((expected**2).mean())
     assert np.sqrt((error**2).mean()) < 5e-5
     assert error.max() < 5e-3  # at kinks of the wheels' law
 
@@ -106,10 +106,10 @@ def test_torques_are_what_newton_asks_for(model, law, mu, inertia):
 def apart(
     law: str, mu: dict[str, float], inertia: str, stiffness: tuple[float, ...], cut_hz: float = 20.0
 ) -> list[float]:
-    """Return how far springs' torques are from `complete`'s, both low-passed, RMS over RMS.
+    """Return the relative RMS difference of spring torques and `complete` torques after a low-pass filter.
 
-    Valves switch with a jump of the bends' acceleration that fades with τ₂ = 2 ms. Torques at 10 kHz resolve
-    that; at 1 kHz they would sample it by chance, and the low-pass spread it over 50 ms.
+    Valve events cause jumps of the bend acceleration that decay with τ₂ = 2 ms. Torques at 10 kHz resolve
+    them; at 1 kHz they would be sampled at random, and the filter would spread them over 50 ms.
     """
     spec, options = robot(**mu), {"friction": law, "inertia": inertia, "supply_pa": 48.3e3, "timestep": STEP}
     gait, length = Gait(2.0, 0.2), 1.0
@@ -119,37 +119,39 @@ def apart(
     switch = np.flatnonzero((valve[1:] != valve[:-1]).any(axis=1))
     away = np.abs(complete.time[:, None] - complete.time[switch]).min(axis=1) > 0.005
     away &= (complete.time > 0.4) & (complete.time < length - 0.1)  # warm up, and the filter's end
-    given = complete.stack("torque")
-    given[switch] = (given[switch] + 3 * given[switch + 1] - 3 * given[switch + 2] + given[switch + 3]) / 2
+    expected = complete.stack("torque")
+    expected[switch] = (
+        expected[switch] + 3 * expected[switch + 1] - 3 * expected[switch + 2] + expected[switch + 3]
+    ) / 2
     low = butter(2, cut_hz, fs=1 / STEP, output="sos")
-    given = sosfiltfilt(low, given, axis=0)[away]
-    found = []
+    expected = sosfiltfilt(low, expected, axis=0)[away]
+    actual = []
     for k in stiffness:
         stiff = replace(spec, bending=replace(spec.bending, stiffness=k))
         springs = rollout(
             AnalyticalSnake(stiff, model="compliant", **options), gait, length, record_hz=1 / STEP
         )
-        difference = sosfiltfilt(low, springs.stack("torque"), axis=0)[away] - given
-        found.append(float(np.sqrt((difference**2).mean() / (given**2).mean())))
-    return found
+        difference = sosfiltfilt(low, springs.stack("torque"), axis=0)[away] - expected
+        actual.append(float(np.sqrt((difference**2).mean() / (expected**2).mean())))
+    return actual
 
 
 @pytest.mark.parametrize("inertia", ["point", "connector", "lumped"])
 @pytest.mark.parametrize(("law", "mu"), [("viscous", SMOOTH), ("axis", {}), ("wheel", {})])
-def test_stiff_springs_exert_what_inverse_dynamics_says(law, mu, inertia):
+def test_stiff_springs_exert_the_inverse_dynamics_torques(law, mu, inertia):
     assert apart(law, mu, inertia, (320.0,))[0] < 0.02
 
 
-def test_springs_torques_get_closer_as_their_stiffness_grows():
+def test_spring_torques_converge_with_stiffness():
     soft, middle, stiff = apart("viscous", SMOOTH, "point", (20.0, 80.0, 320.0))
     assert np.log([soft / middle, middle / stiff]) / np.log(4) == pytest.approx([1, 1], abs=0.2)
 
 
-def test_one_segment_turns_two_masses_against_each_other():
-    """By hand: without a floor two equal masses m, pitch L apart, in the frame of their mean heading.
+def test_torque_of_one_segment_between_two_masses():
+    """By hand: two equal masses m at the distance L without a floor, in the frame of their mean heading.
 
-    They lie on the line of that heading at ± L(q)/2, so their kinetic energy is m L'² q̇²/4, the mean heading
-    stays, and T = (d/dt)(m L'² q̇/2) − m L' L'' q̇²/2 with the inertia J/2 of both ends turning on top.
+    They are on the line of that heading at ± L(q)/2, so that the kinetic energy is m L'² q̇²/4 and the mean
+    heading is constant. T = (d/dt)(m L'² q̇/2) − m L' L'' q̇²/2, plus the inertia J/2 of both ends.
     """
     spec = chain((0.05, 0.05), mu_t=0.0, mu_n=0.0)
     wave = Wave(spec, amplitude=0.9, bias=0.3)

@@ -1,4 +1,4 @@
-"""The compliant model: Lagrange's equations against point masses, its limits, its order, and the twin."""
+"""Compliant model: Lagrange's equations of point masses, limits, order of convergence, and the twin."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from snakes import chain, robot, vented
 from srs_twin import AnalyticalSnake, Gait, RobotSpec, Trajectory, TwinSnake, rollout
 from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
-from srs_twin.plants.analytical.kinematics import Solid
+from srs_twin.plants.analytical.kinematics import BodyParameters
 from srs_twin.robot.friction import LAWS
 from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import Mass
@@ -26,7 +26,7 @@ compliant = partial(AnalyticalSnake, model="compliant")
 
 @dataclass(frozen=True)
 class Body:
-    """Masses on springs, on a floor; the state is (mean heading's frame) bends q and velocities u."""
+    """Masses on springs on a floor; the state has bends q and velocities u in the mean-heading frame."""
 
     mass: np.ndarray
     inertia: np.ndarray
@@ -38,28 +38,28 @@ class Body:
     mu_n: float = 3.0
 
     @property
-    def solid(self) -> Solid:
-        return Solid(self.mass, self.inertia, LENGTH, GAP, 0.0)
+    def solid(self) -> BodyParameters:
+        return BodyParameters(self.mass, self.inertia, LENGTH, GAP, 0.0)
 
     @property
     def floor(self) -> FloorFriction:
         return floor_friction(self.law, self.track, self.mu_t, self.mu_n, SLIP)
 
     @property
-    def model(self) -> tuple[Solid, tuple[float, float], FloorFriction]:
+    def model(self) -> tuple[BodyParameters, tuple[float, float], FloorFriction]:
         return self.solid, (self.stiffness, self.damping), self.floor
 
     def balance(self, q, u, moment) -> tuple[np.ndarray, np.ndarray]:
         """Return the kernel's momenta and their rates."""
         momentum, force = np.empty((2, len(u)))
-        room = compliant_kernels.room(len(self.mass))
-        compliant_kernels.balance(q, u, moment, 0.0, self.model, momentum, force, room)
+        work = compliant_kernels.work_arrays(len(self.mass))
+        compliant_kernels.balance(q, u, moment, 0.0, self.model, momentum, force, work)
         return momentum, force
 
     def newton(self, q, u, a, residual) -> np.ndarray:
-        """Return the kernel's step of Newton's method."""
+        """Return the kernel's Newton step."""
         momentum, force, step = np.empty((3, len(u)))
-        room = compliant_kernels.room(len(self.mass))
+        room = compliant_kernels.work_arrays(len(self.mass))
         compliant_kernels.balance(q, u, np.zeros_like(q), a, self.model, momentum, force, room)
         compliant_kernels.solve(a, self.model, residual, step, room)
         return step
@@ -68,7 +68,7 @@ class Body:
         """Return the kernel's states after every step; `moments` maps times to moments."""
         count, segments = round(duration / step), len(self.mass) - 1
         begin = step * np.arange(count)
-        given = moments(np.stack([begin + kernels.GAMMA * step, begin + step], axis=1))
+        stage_moments = moments(np.stack([begin + kernels.GAMMA * step, begin + step], axis=1))
         first = compliant_kernels.BENDS
         state = np.zeros(first + 2 * segments)
         u = np.zeros(3 + segments)
@@ -79,20 +79,22 @@ class Body:
             state[3:5], state[5], state[first + segments :] = u[:2], momentum[2], momentum[3:]
         states, marks = np.empty((count, len(state))), np.arange(1, count + 1)
         seen = states, np.empty((count, len(u)))
-        done = compliant_kernels.advance((state, u), np.full(count, step), given, marks, self.model, seen)
+        done = compliant_kernels.advance(
+            (state, u), np.full(count, step), stage_moments, marks, self.model, seen
+        )
         assert done == count
         return states
 
 
 def draw(seed: int, connectors: int = 5, **options: float) -> tuple[Body, np.ndarray, np.ndarray, np.ndarray]:
-    """Return a random body, its bends, velocities and chambers' moments."""
+    """Return a random body, bends, velocities and moments of the air."""
     g = np.random.default_rng(seed)
     body = Body(g.uniform(0.02, 0.1, connectors), g.uniform(0, 1e-5, connectors), **options)
     return body, g.normal(size=connectors - 1), g.normal(size=connectors + 2), g.normal(size=connectors - 1)
 
 
 def jacobian(mass: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return how connectors move with u, shape (N, 3, 3 + segments): x, y and turn, by complex steps."""
+    """Return the derivatives of the connectors' motion by u, shape (N, 3, 3 + segments), by complex steps."""
     n, tiny = len(mass), 1e-30
     place = body_shape(q, mass, LENGTH, GAP)
     result = np.zeros((n, 3, n + 2))
@@ -106,7 +108,7 @@ def jacobian(mass: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def mass_matrix(body: Body, q: np.ndarray) -> np.ndarray:
-    """Return the kinetic energy's second derivatives by u."""
+    """Return the second derivatives of the kinetic energy by u."""
     j, weights = jacobian(body.mass, q), np.stack([body.mass, body.mass, body.inertia], axis=1)
     return np.einsum("ia,iaj,iak->jk", weights, j, j)
 
@@ -117,7 +119,7 @@ def slope_at_zero(f, h: float) -> float:
 
 
 @pytest.mark.parametrize("connectors", [2, 3, 5, 9])
-def test_momenta_are_those_of_the_masses(connectors):
+def test_momenta_equal_the_sum_over_the_masses(connectors):
     body, q, u, moment = draw(connectors, connectors)
     momentum, _ = body.balance(q, u, moment)
     expected = mass_matrix(body, q)
@@ -126,7 +128,7 @@ def test_momenta_are_those_of_the_masses(connectors):
 
 
 @pytest.mark.parametrize("connectors", [2, 3, 5, 9])
-def test_forces_of_inertia_are_the_slopes_of_the_kinetic_energy(connectors):
+def test_inertial_forces_are_derivatives_of_the_kinetic_energy(connectors):
     body, q, u, _ = draw(connectors, connectors, stiffness=0.0, damping=0.0, mu_t=0.0, mu_n=0.0)
     force = body.balance(q, u, np.zeros(connectors - 1))[1]
     assert np.abs(force[:3]).max() < 1e-14  # none on the body as a whole
@@ -139,13 +141,13 @@ def test_forces_of_inertia_are_the_slopes_of_the_kinetic_energy(connectors):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_power_balances(seed):
-    """Energy grows by what the chambers give and shrinks by what dampers and a viscous floor take."""
+def test_power_is_balanced(seed):
+    """The energy changes by the power of the air less that of dampers and a viscous floor."""
     body, q, u, moment = draw(seed)
     momentum, force = body.balance(q, u, moment)
 
     def energy(h: float) -> float:
-        # Momenta as they stand in the turning frame: turning it changes no energy.
+        # Momenta in the rotating frame: its rotation does not change the energy.
         p, bends = momentum + h * force, q + h * u[3:]
         return p @ np.linalg.solve(mass_matrix(body, bends), p) / 2 + body.stiffness * bends @ bends / 2
 
@@ -156,13 +158,13 @@ def test_power_balances(seed):
         for arm in (body.track, -body.track):
             along, across = vx * c + vy * s - arm * spin, vy * c - vx * s
             drag += body.mass[i] * 9.81 / 2 * (body.mu_t * along**2 + body.mu_n * across**2)
-    given = moment @ u[3:] - body.damping * u[3:] @ u[3:] - drag
+    power = moment @ u[3:] - body.damping * u[3:] @ u[3:] - drag
     scale = abs(moment @ u[3:]) + drag
-    assert slope_at_zero(energy, 1e-4) == pytest.approx(given, abs=1e-9 * scale)
+    assert slope_at_zero(energy, 1e-4) == pytest.approx(power, abs=1e-9 * scale)
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_newtons_matrix_is_the_slope_of_a_stage_but_for_terms_of_second_order(law):
+def test_newton_matrix_is_the_stage_jacobian_up_to_second_order(law):
     body, q, u, moment = draw(7, law=law, mu_t=0.05, mu_n=0.5)
 
     def missed(a: float) -> float:
@@ -179,7 +181,7 @@ def test_newtons_matrix_is_the_slope_of_a_stage_but_for_terms_of_second_order(la
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("connectors", [2, 3, 5, 9, 65])
-def test_newtons_steps_are_those_of_the_dense_matrix(connectors, law):
+def test_linear_cost_solve_equals_dense_solve(connectors, law):
     body, q, u, residual = draw(connectors, connectors, law=law)
     residual = np.append(residual, [0.3, -0.2, 0.1])
     for a in (1e-2, 3e-4):
@@ -188,8 +190,8 @@ def test_newtons_steps_are_those_of_the_dense_matrix(connectors, law):
         assert step == pytest.approx(expected, rel=1e-7, abs=1e-9 * np.abs(expected).max())
 
 
-def test_a_long_chain_keeps_its_momenta_and_turns_work_into_energy():
-    """Of 48 segments: nothing outside acts, so that only what damps takes energy from a swinging chain."""
+def test_long_chain_conserves_momentum_and_energy_balance():
+    """48 segments without external forces: only dampers take energy from a swinging chain."""
     g, n = np.random.default_rng(3), 49
     body = Body(g.uniform(0.02, 0.1, n), np.full(n, 1e-5), damping=0.0, mu_t=0.0, mu_n=0.0)
     start = 0.3 * g.normal(size=n - 1), np.concatenate([[0.3, -0.2, 0.5], g.normal(size=n - 1)])
@@ -211,7 +213,7 @@ def test_a_long_chain_keeps_its_momenta_and_turns_work_into_energy():
 
 
 def wave(amplitude: float, omega: float = 2 * np.pi * 2):
-    """Return smooth moments of a travelling wave that starts gently."""
+    """Return smooth moments of a travelling wave with a gradual start."""
 
     def moments(t: np.ndarray) -> np.ndarray:
         t = t[..., None]
@@ -226,7 +228,7 @@ MOMENTA = slice(compliant_kernels.BENDS + 4, None)
 
 
 @pytest.mark.slow
-def test_time_integration_is_of_second_order():
+def test_time_integration_has_second_order():
     body = Body(MASSES, np.zeros(5), damping=0.44 * 0.01, mu_t=0.2, mu_n=2.0)
     steps = np.array([2e-3, 1e-3, 5e-4])
     exact = body.advance(wave(0.3), 0.6, 5e-5)[-1]
@@ -237,8 +239,8 @@ def test_time_integration_is_of_second_order():
     assert np.diff(np.log(errors)) / np.diff(np.log(steps)) == pytest.approx([2, 2], abs=0.2)
 
 
-def test_without_a_floor_momentum_stays_and_energy_to_second_order():
-    """Momentum and its moment are kept to rounding, a swinging snake's energy as well as the scheme can."""
+def test_frictionless_momentum_is_exact_and_energy_of_second_order():
+    """Momentum and moment of momentum are exact to rounding; the energy error is of second order."""
     g = np.random.default_rng(5)
     body = Body(MASSES, np.full(5, 1e-5), stiffness=0.05, damping=0.0, mu_t=0.0, mu_n=0.0)
     start = 0.5 * g.normal(size=4), np.concatenate([[0.3, -0.2, 2.0], g.normal(size=4)])
@@ -265,12 +267,12 @@ def with_bending(spec: RobotSpec, **changes: float) -> RobotSpec:
 
 
 def mean_speed(run: Trajectory) -> float:
-    """Return the speed over whole gait periods of 2 Hz after the first second, at 100 Hz, m/s."""
+    """Return the mean speed over whole periods of a 2 Hz gait after the first second, m/s."""
     return float(np.hypot(*(run.com[-1] - run.com[100]))) / (run["time"][-1] - 1.0)
 
 
-def test_stiff_bends_are_the_complete_models():
-    """The difference falls as 1/k: what bends a spring beside its chambers are forces over k."""
+def test_stiff_compliant_bends_equal_prescribed_bends():
+    """The difference is of order 1/k: external forces deflect a spring by their moment over k."""
     spec = robot(mu_t=1.0, mu_n=15.0)
     viscous = {"friction": "viscous", "supply_pa": 48300.0, "timestep": 0.001}
     complete = rollout(AnalyticalSnake(spec, **viscous), Gait(2.0), 3.0)
@@ -287,7 +289,7 @@ def test_stiff_bends_are_the_complete_models():
 
 
 @pytest.mark.parametrize("law", ["axis", "wheel"])
-def test_stiff_bends_run_as_fast_as_the_complete_model(law):
+def test_stiff_compliant_model_has_the_speed_of_complete(law):
     spec, options = robot(), {"friction": law, "supply_pa": 48300.0, "timestep": 0.001}
     complete = rollout(AnalyticalSnake(spec, **options), Gait(2.0), 4.0)
     stiff = rollout(compliant(with_bending(spec, stiffness=320.0), **options), Gait(2.0), 4.0)
@@ -295,7 +297,7 @@ def test_stiff_bends_run_as_fast_as_the_complete_model(law):
     assert stiff.stack("bend") == pytest.approx(complete.stack("bend"), abs=2e-3)
 
 
-def test_only_ratios_of_mass_and_stiffness_count():
+def test_motion_depends_on_ratios_of_mass_and_stiffness_only():
     spec = chain((0.03, 0.05, 0.02, 0.04, 0.1))
     heavy = replace(spec, mass=replace(spec.mass, connectors=tuple(7 * m for m in spec.mass.connectors)))
     heavy = with_bending(heavy, stiffness=7 * spec.bending.stiffness)
@@ -305,8 +307,8 @@ def test_only_ratios_of_mass_and_stiffness_count():
 
 
 @pytest.mark.parametrize(("offset", "bridge"), [(0.0, 0.06), (0.2, 0.06)])
-def test_compliance_explains_the_twins_bends(offset, bridge):
-    """At the shipped stiffness the complete model misses the twin's bends by 7 to 10 %, this one by 2 %."""
+def test_compliant_model_has_the_bend_amplitudes_of_the_twin(offset, bridge):
+    """`complete` deviates from the twin's bends by 7 to 10 % at the shipped stiffness, `compliant` by 2 %."""
     spec, gait = robot(), Gait(2.0, offset)
     twin = rollout(TwinSnake(spec, supply_pa=48300.0), gait, 4.0)
     options = {"friction": "wheel", "supply_pa": 48300.0}
@@ -323,8 +325,8 @@ def test_compliance_explains_the_twins_bends(offset, bridge):
     assert mean_speed(soft) == pytest.approx(mean_speed(twin), rel=bridge)
 
 
-def test_free_module_follows_its_lag():
-    """Almost massless, a segment obeys τ₂ q̇ + q = G (p⁺ − p⁻) with its damping time for τ₂."""
+def test_free_module_follows_the_free_bend():
+    """A nearly massless segment obeys τ₂ q̇ + q = G (p⁺ − p⁻) with its damping time as τ₂."""
     spec = robot(mu_t=0.0, mu_n=0.0)
     geometry = replace(spec.geometry, connectors=2)
     spec = replace(spec, geometry=geometry, mass=Mass(connectors=(1e-4, 1e-4), wheel=1e-5))
@@ -332,13 +334,13 @@ def test_free_module_follows_its_lag():
     plants = compliant(spec), AnalyticalSnake(spec)
     for k in range(20):
         valves = np.array([[1, -1]] if k < 10 else [[-1, 1]])
-        for plant, found in zip(plants, (bends, free), strict=True):
-            found.extend(state.bend[0] for state in plant.advance(valves, 5))
+        for plant, actual in zip(plants, (bends, free), strict=True):
+            actual.extend(state.bend[0] for state in plant.advance(valves, 5))
     assert np.ptp(free) > 1.0
     assert bends == pytest.approx(free, abs=2e-3 * np.ptp(free))
 
 
-def test_states_fit_together_and_describe_themselves():
+def test_state_fields_and_description_are_consistent():
     spec = chain((0.03, 0.05, 0.02, 0.04, 0.1))
     plant, states = compliant(spec, friction="wheel", tick=0.001), []
     rollout(plant, Gait(2.0, 0.3), 0.8, record_hz=1000, observers=[states.append], pose=(0.3, -0.1, 1.0))

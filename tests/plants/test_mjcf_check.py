@@ -1,4 +1,4 @@
-"""Models from anybody: what is unfit is refused with its reason, and nothing runs away."""
+"""Check of untrusted models: faults are reported with reasons, and resources are limited."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def check(tmp_path):
     return write_and_check
 
 
-def test_a_sound_model_passes_and_is_measured(check):
+def test_valid_model_passes_with_its_sizes(check):
     report = check(BALL)
     assert report.faults == ()
     assert report.sizes["bodies"] == report.sizes["joints"] == 1
@@ -58,18 +58,18 @@ def test_a_sound_model_passes_and_is_measured(check):
         ),
     ],
 )
-def test_faults_are_named(check, inside, words):
+def test_each_fault_is_reported(check, inside, words):
     report = check(inside)
     assert any(words in fault for fault in report.faults), report.faults
 
 
-def test_what_an_included_file_names_counts_too(check, tmp_path):
+def test_references_of_included_files_are_checked(check, tmp_path):
     (tmp_path / "part.xml").write_text('<mujoco><include file="/tmp/elsewhere.xml"/></mujoco>')
     (fault,) = check('<include file="part.xml"/>').faults
     assert fault.startswith("part.xml:1: <include> names '/tmp/elsewhere.xml', outside the model's folder")
 
 
-def test_an_unstable_model_is_found_by_random_control(check):
+def test_random_control_detects_an_unstable_model(check):
     report = check(
         '<worldbody><body><joint name="j" armature="1e-6"/><geom size=".01" mass="1e-6"/></body></worldbody>'
         '<actuator><motor joint="j" gear="1e9"/></actuator>'
@@ -78,7 +78,7 @@ def test_an_unstable_model_is_found_by_random_control(check):
 
 
 @pytest.mark.slow
-def test_a_model_that_never_ends_is_stopped(check):
+def test_endless_model_is_stopped_by_the_time_limit(check):
     # Spheres in one another: nothing is wrong with the file, but every step has 300,000 contacts.
     endless = f'<worldbody><replicate count="800">{BALL_ALONE}</replicate></worldbody>'
     report = check(endless, time_limit_s=3)
@@ -86,7 +86,7 @@ def test_a_model_that_never_ends_is_stopped(check):
     assert "3 s" in report.faults[0]
 
 
-def test_a_missing_file_is_bad_input(tmp_path):
+def test_missing_file_is_an_input_error(tmp_path):
     with pytest.raises(InputError, match="no such file; give an MJCF or URDF file, or the name of a shipped"):
         check_mjcf(tmp_path / "none.xml")
 
@@ -109,7 +109,7 @@ def link(name, inside=""):
 
 
 def urdf(file=None, compiler="", *, base=True, use="collision"):
-    """Return a base and one link on a hinge, with a mesh where a file is named."""
+    """Return a base and one link on a hinge, with a mesh for each file name."""
     mesh = f'<{use}><geometry><mesh filename="{file}"/></geometry></{use}>' if file else ""
     hinge = '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
     joint = f'<joint name="j" type="revolute"><parent link="base"/><child link="next"/>{hinge}'
@@ -120,7 +120,7 @@ def urdf(file=None, compiler="", *, base=True, use="collision"):
 
 
 def laid_out(folder, files):
-    """Write files of a package; return the first, the model. A path as content makes a link to it."""
+    """Write the files of a package and return the first, the model; a path as content creates a link."""
     for name, content in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -167,14 +167,14 @@ INSIDE = {
 
 
 @pytest.mark.parametrize("name", INSIDE)
-def test_files_in_the_parent_folder_give_the_model_of_mujoco(name, tmp_path):
+def test_files_in_the_parent_folder_are_allowed(name, tmp_path):
     path = laid_out(tmp_path / "pkg", INSIDE[name])
     assert scan_mjcf(path) == []
-    model, found = mujoco.MjModel.from_xml_path(str(path)), examine_model(path, 30, 0.01)
-    assert found["faults"] == []
+    model, result = mujoco.MjModel.from_xml_path(str(path)), examine_model(path, 30, 0.01)
+    assert result["faults"] == []
     numbers = {"bodies": model.nbody - 1, "joints": model.njnt, "mass_kg": model.body_mass.sum()}
-    assert numbers.items() <= found["sizes"].items()
-    assert found["sizes"]["joints"] == 1
+    assert numbers.items() <= result["sizes"].items()
+    assert result["sizes"]["joints"] == 1
 
 
 O_OBJ = Path("../../other/o.obj")
@@ -212,7 +212,7 @@ OUTSIDE = {
 
 
 @pytest.mark.parametrize("name", OUTSIDE)
-def test_files_outside_the_parent_folder_are_refused_unread(name, tmp_path, srs_twin):
+def test_files_outside_the_parent_folder_are_rejected_unread(name, tmp_path, srs_twin):
     laid_out(
         tmp_path / "other",
         {"o.obj": f"{SECRET}\n{TETRAHEDRON}", "o.xml": f"<{SECRET}/>", "p.xml": f"<{SECRET}/>"},
@@ -255,12 +255,12 @@ def included(file):
     ],
     ids=["chain", "linked loop", "attached loop", "folders", "link to itself", "folder"],
 )  # fmt: skip
-def test_loops_and_chains_are_refused(files, words, tmp_path):
+def test_circular_and_deep_references_are_rejected(files, words, tmp_path):
     (fault,) = scan_mjcf(laid_out(tmp_path, files))
     assert words in fault
 
 
-def test_large_files_in_the_parent_folder_are_refused(tmp_path):
+def test_large_assets_are_rejected(tmp_path):
     path = laid_out(tmp_path, {"a/m.xml": mjcf("t.obj", UP), **MESH})
     os.truncate(tmp_path / "meshes/t.obj", 1 << 40)
     (fault,) = scan_mjcf(path)
@@ -271,7 +271,7 @@ def test_large_files_in_the_parent_folder_are_refused(tmp_path):
     "inside",
     ["", "<worldbody><geom size='.1'/></worldbody>", "<worldbody><body><geom size='.1'/></body></worldbody>"],
 )
-def test_a_model_without_joints_is_not_fit(check, inside):
+def test_model_without_joints_is_a_fault(check, inside):
     report = check(inside)
     bodies = inside.count("<body>")
     assert report.faults == (
@@ -280,7 +280,7 @@ def test_a_model_without_joints_is_not_fit(check, inside):
     assert report.sizes["bodies"] == bodies
 
 
-def test_a_fixed_base_of_a_urdf_is_said_with_what_a_free_one_needs(tmp_path, srs_twin):
+def test_welded_urdf_base_is_noted_with_a_remedy(tmp_path, srs_twin):
     laid_out(
         tmp_path, {"fixed.urdf": urdf(), "one.urdf": urdf(base=False), "dot.mjcf": f"<mujoco>{BALL}</mujoco>"}
     )
@@ -291,21 +291,21 @@ def test_a_fixed_base_of_a_urdf_is_said_with_what_a_free_one_needs(tmp_path, srs
     assert "for a free base, join it to a root link without mass by a joint of type floating" in base
     assert ball.startswith("dot.mjcf: fit for use (1 bodies, 1 joints") and done.returncode == 0
     done = srs_twin("models", "check", "one.urdf", "--json", cwd=tmp_path)
-    (found,) = json.loads(done.stdout)["models"]
-    assert done.returncode == 2 and len(found["faults"]) == len(found["notes"]) == 1
-    assert "nothing in it moves (0 bodies, no joints)" in found["faults"][0]
-    assert found["notes"][0] in found["faults"][0]
+    (actual,) = json.loads(done.stdout)["models"]
+    assert done.returncode == 2 and len(actual["faults"]) == len(actual["notes"]) == 1
+    assert "nothing in it moves (0 bodies, no joints)" in actual["faults"][0]
+    assert actual["notes"][0] in actual["faults"][0]
 
 
-def test_a_floating_base_of_a_urdf_needs_no_note(tmp_path):
+def test_floating_urdf_base_has_no_note(tmp_path):
     free = '<joint name="f" type="floating"><parent link="world"/><child link="base"/></joint></robot>'
     path = laid_out(tmp_path, {"m.urdf": urdf().replace("</robot>", f'<link name="world"/>{free}')})
-    found = examine_model(path, 30, 0.01)
-    assert found["notes"] == found["faults"] == []
-    assert (found["sizes"]["bodies"], found["sizes"]["mass_kg"]) == (2, pytest.approx(0.8))
+    values = examine_model(path, 30, 0.01)
+    assert values["notes"] == values["faults"] == []
+    assert (values["sizes"]["bodies"], values["sizes"]["mass_kg"]) == (2, pytest.approx(0.8))
 
 
-def test_a_mesh_of_a_package_is_refused_with_the_remedy(tmp_path):
+def test_package_uri_is_rejected_with_a_remedy(tmp_path):
     path = laid_out(tmp_path, {"urdf/m.urdf": urdf("package://pkg/meshes/t.obj"), **MESH})
     (fault,) = examine_model(path, 30)["faults"]
     assert "'package:/pkg/meshes/t.obj'; MuJoCo resolves no package:// or other URI; add <mujoco><" in fault
@@ -322,7 +322,7 @@ def test_a_mesh_of_a_package_is_refused_with_the_remedy(tmp_path):
         ("nothing_alike", "unknown robot or model file 'nothing_alike' (available: gen1, "),
     ],
 )
-def test_a_name_of_nothing_is_refused_with_what_was_meant(name, said, tmp_path, srs_twin):
+def test_unknown_model_name_raises_with_a_suggestion(name, said, tmp_path, srs_twin):
     laid_out(tmp_path, {"robot.urdf": urdf()})
     done = srs_twin("models", "check", name, cwd=tmp_path)
     assert done.returncode == 2 and done.stderr.startswith(said), done.stderr

@@ -1,4 +1,4 @@
-"""The analytical plant: consistent states, momentum and energy, any length, and what it refuses."""
+"""Analytical plant: consistent states, momentum and energy, number of connectors, invalid settings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MASSES = (0.03, 0.05, 0.02, 0.04, 0.1)
 LAWS = pytest.mark.parametrize("law", ["axis", "wheel"])
 
 
-def test_starts_straight_at_rest_where_it_is_put():
+def test_reset_gives_a_straight_snake_at_rest_at_the_pose():
     spec = chain(MASSES)
     plant = AnalyticalSnake(spec)
     plant.step(np.tile([1, -1], (4, 1)))
@@ -36,7 +36,7 @@ def test_starts_straight_at_rest_where_it_is_put():
 
 @pytest.fixture(scope="module")
 def turning():
-    """States of an uneven snake that turns left, every millisecond for a second, and its robot."""
+    """States of an uneven snake that turns left, every millisecond for one second, and its robot."""
     spec = chain(MASSES)
     plant, states = AnalyticalSnake(spec, friction="wheel", tick=0.001), []
     rollout(plant, Gait(2.0, 0.3), 1.0, record_hz=1000, observers=[states.append])
@@ -47,14 +47,14 @@ def column(states, name: str) -> np.ndarray:
     return np.array([getattr(state, name) for state in states])
 
 
-def test_states_fit_together(turning):
+def test_state_fields_are_consistent(turning):
     spec, states = turning
     position, theta, bend = (column(states, name) for name in ("position", "theta", "bend"))
     centre = np.einsum("i,tij->tj", spec.mass.array(), position) / spec.mass.total
     assert centre == pytest.approx(column(states, "com"), abs=1e-12)
     assert theta.mean(axis=1) == pytest.approx(column(states, "heading"), abs=1e-12)
     assert theta[:, :-1] - theta[:, 1:] == pytest.approx(bend, abs=1e-12)
-    # Neighbours lie a chord apart along their mean heading: arc of l and half a gap at each end.
+    # Neighbours are one chord apart along their mean heading: an arc of l and half a gap at each end.
     g, half = spec.geometry, bend / 2
     chords = g.segment_length * np.sinc(half / np.pi) + g.rigid_gap * np.cos(half)
     mean = (theta[:, :-1] + theta[:, 1:]) / 2
@@ -63,7 +63,7 @@ def test_states_fit_together(turning):
     assert column(states, "sensed") == pytest.approx(bend)
 
 
-def test_velocities_are_those_of_the_positions(turning):
+def test_velocities_are_time_derivatives_of_positions(turning):
     _, states = turning
     for name, rate, close in (("com", "com_velocity", 2e-3), ("bend", "bend_rate", 0.2)):
         difference = np.diff(column(states, name), axis=0) / 0.001
@@ -73,7 +73,7 @@ def test_velocities_are_those_of_the_positions(turning):
         assert np.abs(column(states, rate)).max() > 20 * close
 
 
-def test_momentum_changes_by_what_the_floor_gives(turning):
+def test_momentum_changes_by_the_impulse_of_the_floor(turning):
     spec, states = turning
     momentum = spec.mass.total * column(states, "com_velocity")
     force = column(states, "contact_force").sum(axis=1)
@@ -92,7 +92,7 @@ def test_momentum_changes_by_what_the_floor_gives(turning):
     st.floats(-15, 15),
     st.floats(-3, 3),
 )
-def test_whatever_is_thrown_only_loses_energy_and_comes_to_rest(law, vx, vy, spin, heading):
+def test_coasting_snake_loses_energy_and_comes_to_rest(law, vx, vy, spin, heading):
     plant = AnalyticalSnake(robot(mu_t=0.2), friction=law)
     throw(plant, (vx, vy), spin=spin, heading=heading)
     inertia = (plant.spec.mass.array() * (0.055 * np.arange(-2, 3)) ** 2).sum()
@@ -109,8 +109,8 @@ def test_whatever_is_thrown_only_loses_energy_and_comes_to_rest(law, vx, vy, spi
 
 @pytest.mark.parametrize("degrees", range(0, 91, 5))
 @LAWS
-def test_every_stage_has_a_solution_while_a_glide_ends(law, degrees):
-    """Where a wheel stops rolling, Newton's method once went to and fro across the kink for ever."""
+def test_newton_converges_when_a_coasting_snake_stops(law, degrees):
+    """Regression: Newton's method alternated between the sides of the kink where a wheel stops rolling."""
     plant, angle = AnalyticalSnake(SPEC, friction=law, slip_speed=0.001), np.radians(degrees)
     throw(plant, (0.5 * np.cos(angle), 0.5 * np.sin(angle)))
     for _ in range(65):
@@ -119,8 +119,8 @@ def test_every_stage_has_a_solution_while_a_glide_ends(law, degrees):
 
 
 @LAWS
-def test_spinning_on_the_spot_stops_as_its_friction_moment_says(law):
-    """A straight snake that only spins slides across: I ω̇ = −μ_n g Σ m |r|, so Δθ = I ω²/(2 μ_n g Σ m|r|)."""
+def test_spinning_snake_decelerates_by_the_friction_moment(law):
+    """A spinning straight snake slides sideways: I ω̇ = −μ_n g Σ m |r|, so Δθ = I ω²/(2 μ_n g Σ m|r|)."""
     plant = AnalyticalSnake(robot(mu_t=0.0), friction=law, slip_speed=1e-5)
     throw(plant, (0.0, 0.0), spin=10.0)
     for _ in range(100):
@@ -132,7 +132,7 @@ def test_spinning_on_the_spot_stops_as_its_friction_moment_says(law):
 
 @LAWS
 @pytest.mark.parametrize("connectors", [2, 4, 9])
-def test_snakes_of_any_length_run(law, connectors):
+def test_any_number_of_connectors_runs(law, connectors):
     plant = AnalyticalSnake(chain((0.03,) * connectors), friction=law)
     step = np.pi / 2 if connectors == 2 else 2 * np.pi / (connectors - 1)
     trajectory = rollout(plant, Gait(2.0, phase_step=step), 2.0)
@@ -144,20 +144,20 @@ def test_snakes_of_any_length_run(law, connectors):
 
 
 @LAWS
-def test_refinement_moves_the_speed_by_less_than_two_parts_in_a_thousand(law):
+def test_finer_steps_change_the_speed_by_less_than_two_permille(law):
     def speed(**options: float) -> float:
         plant = AnalyticalSnake(SPEC, friction=law, **options)
-        way = rollout(plant, Gait(2.0), 5.0, record_hz=50).com
-        return float(np.hypot(*(way[-1] - way[50])) / 4)
+        path = rollout(plant, Gait(2.0), 5.0, record_hz=50).com
+        return float(np.hypot(*(path[-1] - path[50])) / 4)
 
     default = speed()
     for finer in ({"timestep": 0.0005}, {"slip_speed": 0.00005}):
-        found = speed(**finer)
-        assert found != default and found == pytest.approx(default, rel=2e-3), finer
+        result = speed(**finer)
+        assert result != default and result == pytest.approx(default, rel=2e-3), finer
 
 
-def test_control_tick_does_not_matter_to_a_gait():
-    """Edges land inside long ticks where short ticks put them."""
+def test_gait_is_independent_of_the_control_tick():
+    """Valve edges have the same times in long and short ticks."""
     long, short = (
         rollout(AnalyticalSnake(SPEC, tick=t), Gait(1.7, 0.2), 1.0, record_hz=50) for t in (0.02, 0.005)
     )
@@ -165,8 +165,8 @@ def test_control_tick_does_not_matter_to_a_gait():
     assert long.stack("pressure_plus") == pytest.approx(short.stack("pressure_plus"), abs=1e-3)
 
 
-def test_mass_and_stiffness_cancel():
-    """Of the complete model: friction and inertia both scale with mass, bends follow the chambers alone."""
+def test_prescribed_bends_are_independent_of_mass_and_stiffness():
+    """In `complete`, friction and inertia scale with mass, and bends follow the chambers."""
     heavy = replace(
         SPEC,
         mass=replace(SPEC.mass, connectors=tuple(7 * m for m in SPEC.mass.connectors)),
@@ -176,7 +176,7 @@ def test_mass_and_stiffness_cancel():
     assert loaded.position == pytest.approx(light.position, abs=1e-9)
 
 
-def test_valves_with_inlet_and_outlet_can_hold():
+def test_in_out_valves_can_hold_pressure():
     plant = AnalyticalSnake(SPEC, layout="in_out")
     for _ in range(10):
         filled = plant.step(np.tile([1, -1], (4, 1)))
@@ -189,7 +189,7 @@ def test_valves_with_inlet_and_outlet_can_hold():
         AnalyticalSnake(SPEC).step(np.zeros((4, 2), dtype=np.int8))
 
 
-def test_unknown_models_and_laws_are_refused_with_what_there_is():
+def test_unknown_models_and_laws_raise_with_the_allowed_names():
     with pytest.raises(InputError, match="model 'simple' is unknown; allowed: complete"):
         AnalyticalSnake(SPEC, model="simple")
     with pytest.raises(InputError, match="friction law 'glue' is unknown; allowed: axis, wheel, viscous"):
@@ -204,14 +204,22 @@ def test_unknown_models_and_laws_are_refused_with_what_there_is():
     st.sampled_from([1, 2, 5, 10]),
     st.sampled_from([0.002, 0.001, 0.0007]),
 )
-def test_steps_end_on_events_and_samples_and_never_twice(places, samples, timestep):
-    """Events a rounding error before or after the even grid must neither add a step nor lose a sample."""
+def test_steps_end_once_on_each_event_and_sample(places, samples, timestep):
+    """Events within rounding of the even grid neither add a step nor drop a sample."""
     plant = AnalyticalSnake(SPEC, timestep=timestep)
-    starts = np.unique([0.0, *(0.001 * k * (1 + off) + (off if abs(off) > 1e-9 else 0) for k, off in places)])
+    starts = np.unique(
+        [
+            0.0,
+            *(
+                0.001 * k * (1 + deviation) + (deviation if abs(deviation) > 1e-9 else 0)
+                for k, deviation in places
+            ),
+        ]
+    )
     starts = starts[starts < 0.04 - 1e-6]
     states = np.resize([[[1, -1]] * 4, [[-1, 1]] * 4], (len(starts), 4, 2)).astype(np.int8)
     steps = plant._steps(Schedule(0.04, starts, states), samples)
-    ends, marks = steps.ends, steps.marks
+    ends, marks = steps.ends, steps.sample_steps
     assert (np.diff(np.append(0.0, ends)) > 1e-12).all() and ends[-1] == pytest.approx(0.04)
     assert np.diff(np.append(0.0, ends)).max() <= timestep * (1 + 1e-9)
     assert ends[marks - 1] == pytest.approx(0.04 * np.arange(1, samples + 1) / samples, abs=1e-12)

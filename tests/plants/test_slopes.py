@@ -1,4 +1,4 @@
-"""Floors that slope or have steps, and loads that follow the force across, on both plants."""
+"""Floors with slope or steps, and load transfer by lateral forces, on both plants."""
 
 from __future__ import annotations
 
@@ -30,39 +30,39 @@ PLANTS = {
 AIRLESS = HoldValves("vent", "vent")
 
 
-def on_slope(plant: str, way: str, share: float):
-    """Lie on a slope of a share of the friction angle's tangent; return way and speed downhill of 1 s."""
-    tilt = math.atan(share * MU[way])
-    world = World(floor=Floor(tilt, DOWNHILL[way] + math.pi))
+def on_slope(plant: str, direction: str, share: float):
+    """Return distance and downhill speed after 1 s on a slope relative to the friction angle."""
+    tilt = math.atan(share * MU[direction])
+    world = World(floor=Floor(tilt, DOWNHILL[direction] + math.pi))
     run = rollout(PLANTS[plant](world=world), AIRLESS, 1.0, record_hz=50)
-    ahead = np.array([math.cos(DOWNHILL[way]), math.sin(DOWNHILL[way])])
+    ahead = np.array([math.cos(DOWNHILL[direction]), math.sin(DOWNHILL[direction])])
     com = np.stack([run["com_x"], run["com_y"]], axis=1) @ ahead
     return com[-1] - com[0], (com[-1] - com[-2]) * 50, run
 
 
-@pytest.mark.parametrize("way", MU)
+@pytest.mark.parametrize("direction", MU)
 @pytest.mark.parametrize("plant", PLANTS)
-def test_at_rest_on_a_slope_nothing_creeps(plant, way):
-    assert abs(on_slope(plant, way, 0.5)[1]) < 1e-6
-    assert abs(on_slope(plant, way, 0.995)[1]) < 2e-4  # just slower than what follows
+def test_snake_at_rest_on_a_slope_does_not_creep(plant, direction):
+    assert abs(on_slope(plant, direction, 0.5)[1]) < 1e-6
+    assert abs(on_slope(plant, direction, 0.995)[1]) < 2e-4  # just below the friction angle
 
 
-@pytest.mark.parametrize("way", MU)
+@pytest.mark.parametrize("direction", MU)
 @pytest.mark.parametrize("plant", PLANTS)
-def test_beyond_its_friction_angle_it_slides_as_coulomb_says(plant, way):
-    assert on_slope(plant, way, 1.005)[1] > 1e-3
-    path, _, run = on_slope(plant, way, 1.2)
-    tilt = math.atan(1.2 * MU[way])
-    pulled = GRAVITY * (math.sin(tilt) - MU[way] * math.cos(tilt))
+def test_slide_beyond_the_friction_angle_follows_coulomb(plant, direction):
+    assert on_slope(plant, direction, 1.005)[1] > 1e-3
+    path, _, run = on_slope(plant, direction, 1.2)
+    tilt = math.atan(1.2 * MU[direction])
+    pulled = GRAVITY * (math.sin(tilt) - MU[direction] * math.cos(tilt))
     spun = 1 + SPEC.geometry.connectors * SPEC.mass.wheel / SPEC.mass.total
-    expected = pulled / 2 / (spun if plant == "twin" and way == "along" else 1)
+    expected = pulled / 2 / (spun if plant == "twin" and direction == "along" else 1)
     assert path == pytest.approx(expected, rel=0.01)
     # Nothing but the slope moves it.
     lost = SPEC.mass.total * GRAVITY * math.sin(tilt) * path
     assert abs(run["work"][-1]) < 0.01 * lost
 
 
-def test_both_climb_the_same_slope_about_as_fast():
+def test_both_plants_climb_a_slope_with_similar_speed():
     tilt = math.radians(4.0)
     speeds = []
     for uphill in (0.0, 2.0):
@@ -74,12 +74,12 @@ def test_both_climb_the_same_slope_about_as_fast():
             )
     level = rollout(PLANTS["twin"](supply_pa=48.3e3), Gait(2.0), 2.0)
     assert speeds[0] == pytest.approx(speeds[1], rel=0.1)
-    assert speeds[2:] == pytest.approx(speeds[:2], rel=1e-3)  # whichever way it lies
+    assert speeds[2:] == pytest.approx(speeds[:2], rel=1e-3)  # independent of the initial heading
     assert speeds[0] < 0.8 * (level["com_x"][-1] - level["com_x"][50])
 
 
-def test_a_load_shifts_with_the_force_across():
-    # Thrown sideways all wheels slide: h/(2a) of the friction of both goes from one to the other.
+def test_lateral_force_transfers_load():
+    # All wheels slide sideways: h/(2a) times the friction of both is transferred between them.
     plant = TwinSnake(SPEC, contact="loaded")
     plant.physics.data.qvel[1] = 0.5
     plant.step(np.full((SPEC.segments, 2), -1))
@@ -88,7 +88,7 @@ def test_a_load_shifts_with_the_force_across():
     assert (loads[:, 1] - loads[:, 0]) / 2 == pytest.approx(shift, rel=0.02)
 
 
-def test_momentary_loads_of_the_analytical_model_are_those_of_the_twin():
+def test_momentary_loads_agree_between_plants():
     # On both plants what loads change is the same where the twin's connectors keep their own weights.
     changes = {}
     for kind in ("twin", "compliant"):
@@ -114,7 +114,7 @@ def test_momentary_loads_of_the_analytical_model_are_those_of_the_twin():
 
 
 @pytest.mark.parametrize(("height", "reached"), [(0.002, True), (-0.005, True), (0.02, False)])
-def test_wheels_climb_what_is_low_enough(height, reached):
+def test_wheels_climb_steps_up_to_the_limit(height, reached):
     front = SPEC.geometry.body_length / 2
     world = World(steps=(Step(front + 0.03, height),))
     twin = TwinSnake(SPEC, contact="loaded", supply_pa=48.3e3, world=world)
@@ -126,7 +126,7 @@ def test_wheels_climb_what_is_low_enough(height, reached):
         assert heights[0] == pytest.approx(height, abs=5e-4)
 
 
-def test_what_leans_on_a_wall_stands_as_statics_says():
+def test_snake_leaning_on_a_wall_is_in_static_equilibrium():
     tilt, side = math.radians(40), -SPEC.geometry.width
     wall = Polygon(((-1.0, side - 0.2), (1.0, side - 0.2), (1.0, side), (-1.0, side)))
     world = World(floor=Floor(tilt, math.pi / 2), polygons=(wall,))
@@ -139,13 +139,13 @@ def test_what_leans_on_a_wall_stands_as_statics_says():
     assert pushed + across == pytest.approx(weight * math.sin(tilt), rel=1e-3)
     assert loads.sum() + held == pytest.approx(weight * math.cos(tilt), rel=1e-3)
     assert abs(held) < FRICTION * pushed
-    # Tipped by the floor's force below the centres of mass, and by what the wall holds beside them.
+    # Tipping moments of the floor force, below the centres of mass, and of the wall force, beside them.
     tipped = (g.com_height * across - g.width / 2 * held) / g.half_track
     assert loads[1] - loads[0] == pytest.approx(tipped, rel=0.01)
 
 
 def along_a_wall(uphill):
-    """A snake on wheels without friction, lying on a wall below it on a slope of 10 degrees."""
+    """Snake on frictionless wheels, resting on a wall below it on a slope of 10 degrees."""
     side = -SPEC.geometry.width / 2 - WALL_M - 1e-4
     wall = Polygon(((-3.0, side - 0.2), (3.0, side - 0.2), (3.0, side), (-3.0, side)))
     world = World(floor=Floor(math.radians(10), uphill), polygons=(wall,))
@@ -155,7 +155,7 @@ def along_a_wall(uphill):
     return twin
 
 
-def test_what_slides_along_a_wall_is_slowed_by_coulombs_law():
+def test_wall_friction_follows_coulomb():
     twin, still = along_a_wall(math.pi / 2), np.full((SPEC.segments, 2), -1)
     twin.physics.data.qvel[0] = 0.3
     states = [twin.step(still) for _ in range(6)]
@@ -168,8 +168,8 @@ def test_what_slides_along_a_wall_is_slowed_by_coulombs_law():
 
 
 @pytest.mark.parametrize(("share", "moves"), [(0.98, False), (1.02, True)])
-def test_what_rests_against_a_wall_stays_up_to_the_angle_of_friction(share, moves):
-    lean = math.atan(share * FRICTION)  # by which the wall slopes in the plane of the floor
+def test_snake_against_a_wall_sticks_up_to_the_friction_angle(share, moves):
+    lean = math.atan(share * FRICTION)  # slope of the wall in the plane of the floor
     drift = along_a_wall(math.pi / 2 - lean).advance(np.full((SPEC.segments, 2), -1), 1)[-1].com_velocity[0]
     assert (abs(drift) > 1e-3) == moves
     assert moves or abs(drift) < 1e-6
@@ -182,19 +182,19 @@ def test_what_rests_against_a_wall_stays_up_to_the_angle_of_friction(share, move
         (lambda world: AnalyticalSnake(SPEC, world=world), "plane"),
     ],
 )
-def test_a_floor_that_a_plant_cannot_stand_on_is_refused(build, words):
+def test_unsupported_floor_raises(build, words):
     with pytest.raises(InputError, match=words):
         build(World(steps=(Step(0.5, 0.002),)))
 
 
 @pytest.mark.parametrize("steps", [(Step(500.0, 0.002),), (Step(0.5, 0.002), Step(0.5, 0.001))])
-def test_steps_may_be_far_away_or_in_one_place(steps):
+def test_steps_may_be_far_away_or_coincide(steps):
     plant = TwinSnake(SPEC, contact="loaded", world=World(steps=steps))
     assert rollout(plant, AIRLESS, 0.1)["com_x"][-1] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_snake_begins_before_the_first_step():
-    with pytest.raises(InputError, match="before the first step, which is at x = -0.05 m"):
+def test_snake_must_start_before_the_first_step():
+    with pytest.raises(InputError, match="before the first step, at x = -0.05 m"):
         TwinSnake(SPEC, contact="loaded", world=World(steps=(Step(-0.05, 0.002),)))
 
 

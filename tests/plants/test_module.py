@@ -1,4 +1,4 @@
-"""The module of Chapter 4: both benches under the same controllers, and what these may know."""
+"""Return the scenario of a step with some keys changed."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from srs_twin.sensing import make_sensor
 
 MODULE = load_robot("gen4_module")
 STEP, SINE = Step(math.radians(25), time=0.1), Sine(math.radians(34.3), 6.0)
-WAYS = {"direct": (DirectSMC, "in_out"), "iterative": (IterativeSMC, "3/2")}
+CONTROLS = {"direct": (DirectSMC, "in_out"), "iterative": (IterativeSMC, "3/2")}
 PLANTS = {"analytical": AnalyticalSnake, "twin": TwinSnake}
 
-ways = pytest.mark.parametrize("way", WAYS)
+controls = pytest.mark.parametrize("control", CONTROLS)
 plants = pytest.mark.parametrize("kind", PLANTS)
 
 
-def bench(kind: str, way: str, **options) -> Plant:
-    """Return a bench with a noisy sensor and the valves that a controller needs."""
+def bench(kind: str, control: str, **options) -> Plant:
+    """Return a bench with a noisy sensor and the valve layout that a controller needs."""
     sensor = make_sensor("hall", MODULE, span=0.8)
-    layout = WAYS[way][1]
+    layout = CONTROLS[control][1]
     timestep = {"twin": {"timestep": 0.00025}}.get(kind, {})
     return PLANTS[kind](
         MODULE, base="clamped", tick=0.001, **{"layout": layout, "sensor": sensor} | timestep | options
     )
 
 
-# What the scenarios say
+# Scenario settings
 
 
 def module(**changes):
@@ -60,7 +60,7 @@ def module(**changes):
         ({"kind": "hold_valves", "minus": "hold"}, "in_out"),
     ],
 )
-def test_the_controller_decides_the_valves_and_a_bench_its_tick(controller, layout):
+def test_controller_selects_the_layout_and_bench_the_tick(controller, layout):
     scenario = module(controller=controller)
     assert scenario.layout == scenario.document["valves"]["layout"] == layout
     for kind in PLANTS:
@@ -69,26 +69,26 @@ def test_the_controller_decides_the_valves_and_a_bench_its_tick(controller, layo
     assert parse_scenario(scenario.document, name="module") == scenario
 
 
-def test_a_given_layout_stays_and_gaits_drive_it():
+def test_explicit_layout_is_kept():
     scenario = module(controller={"kind": "gait", "frequency_hz": 1.0}, valves={"layout": "in_out"})
     assert scenario.build_plant("twin").layout == "in_out"
 
 
-def test_gains_given_and_gains_found():
+def test_explicit_gains_override_shipped_gains():
     default = module().build_controller()
-    given = module(
+    settings = module(
         controller={
             "kind": "direct_smc", "d_per_s": 3.0, "epsilon_rad_per_s": 0.5, "cutoff_hz": 7.0,
             "reference": {"kind": "sine", "amplitude_rad": 0.3, "frequency_hz": 2.0},
         }
     ).build_controller()  # fmt: skip
-    assert (given.D, given.epsilon, given.cutoff_hz) == (3.0, 0.5, 7.0)
-    assert given.reference == Sine(0.3, 2.0)
+    assert (settings.D, settings.epsilon, settings.cutoff_hz) == (3.0, 0.5, 7.0)
+    assert settings.reference == Sine(0.3, 2.0)
     plain = DirectSMC(STEP)
     assert (default.D, default.epsilon, default.cutoff_hz) == (plain.D, plain.epsilon, plain.cutoff_hz)
 
 
-def test_a_reference_beyond_the_range_is_refused_or_cut_and_said():
+def test_reference_beyond_the_range_is_rejected_or_clipped_with_a_warning():
     controller = {"kind": "direct_smc", "reference": {"kind": "step", "bend_rad": 1.2}}
     with pytest.raises(InputFileError, match=r"asks for 68.75°.*41.97°.*beyond_range: saturate"):
         module(controller=controller)
@@ -102,7 +102,7 @@ def test_a_reference_beyond_the_range_is_refused_or_cut_and_said():
     assert module(controller=controller, supply={"pressure_kpa": 80.0}).warnings == ()
 
 
-def test_what_a_sensor_cannot_be_is_refused():
+def test_invalid_sensor_settings_raise():
     for words, sensor in (
         ("heights|within", {"kind": "hall", "distance_mm": 1.0}),
         ("segment is 0.075 m long", {"kind": "hall", "distance_mm": 50.0}),
@@ -110,12 +110,12 @@ def test_what_a_sensor_cannot_be_is_refused():
         changed = {"robot": {"base": "gen4_module"}, "sensor": sensor}
         if words.startswith("segment"):
             changed["robot"] = {"base": "gen4_module", "geometry": {"segment_length_m": 0.04}}
-            words = "segment is 0.04 m long"
+            words = "it must be at most the segment's length, 0.04 m"
         with pytest.raises(InputFileError, match=words):
             module(**changed)
 
 
-def test_pulses_too_fast_for_a_tick_are_refused_before_anything_runs():
+def test_pulses_shorter_than_a_tick_raise_before_the_run():
     with pytest.raises(
         InputFileError, match="controller: on the twin plant: .*carrier of 600 Hz does not fit"
     ):
@@ -129,7 +129,7 @@ def test_pulses_too_fast_for_a_tick_are_refused_before_anything_runs():
 
 
 @plants
-def test_valves_that_a_controller_cannot_drive_are_refused(kind):
+def test_layout_unsupported_by_the_controller_raises(kind):
     with pytest.raises(InputError, match="drives valves of layout in_out; the .* plant has 3/2"):
         rollout(bench(kind, "direct", layout="3/2"), DirectSMC(STEP), 0.01)
     with pytest.raises(InputError, match="drives valves of layout 3/2; the .* plant has in_out"):
@@ -140,7 +140,7 @@ def test_valves_that_a_controller_cannot_drive_are_refused(kind):
 
 
 @plants
-def test_the_head_stays_and_nothing_touches_the_tail(kind):
+def test_clamped_head_stays_and_tail_has_no_contact(kind):
     run = rollout(bench(kind, "direct"), DirectSMC(STEP), 0.4, record_hz=1000)
     head = run.position[:, 0]
     assert np.abs(head - head[0]).max() < 1e-12
@@ -150,8 +150,8 @@ def test_the_head_stays_and_nothing_touches_the_tail(kind):
 
 
 @pytest.mark.parametrize(("kind", "allowed"), [("analytical", 1e-9), ("twin", 0.02)])
-def test_work_is_the_kinetic_energy(kind, allowed):
-    """Without a floor all that the segment does is in the motion: ∫T q̇ dt = E, from columns alone."""
+def test_work_equals_the_kinetic_energy(kind, allowed):
+    """Without a floor, ∫ T q̇ dt = E, from recorded columns."""
     heavy = replace(MODULE, mass=replace(MODULE.mass, connectors=(0.02, 0.02)))
     plant = PLANTS[kind](
         heavy,
@@ -175,23 +175,23 @@ def test_work_is_the_kinetic_energy(kind, allowed):
 
 
 def _turning(kind, spec, run):
-    """Return the largest energy of the end's own turning, which the twin has and point masses have not, J."""
+    """Return the largest rotational energy of the end connector, which point masses lack, J."""
     spin = np.gradient(run["theta_2"], run.time)
     return 0.0 if kind == "analytical" else float(1.1 * (spec.yaw_inertia()[1] * spin**2 / 2).max())
 
 
-def test_the_analytical_moment_is_that_of_lagrange():
-    """T = d/dt(∂E/∂q̇) − ∂E/∂q of a chain of three, by finite differences of its kinetic energy alone."""
-    from srs_twin.plants.analytical import hang, kernels
-    from srs_twin.plants.analytical.kinematics import Solid
+def test_analytical_torque_satisfies_lagranges_equation():
+    """T = d/dt(∂E/∂q̇) − ∂E/∂q of a chain of three, by finite differences of its kinetic energy."""
+    from srs_twin.plants.analytical import kernels, simulate_clamped
+    from srs_twin.plants.analytical.kinematics import BodyParameters
     from srs_twin.pneumatics import Trace
 
     mass, inertia = np.array([0.01, 0.02, 0.03]), np.array([1e-6, 2e-6, 3e-6])
-    solid = Solid(mass, inertia, 0.07, 0.004, 0.0)
+    solid = BodyParameters(mass, inertia, 0.07, 0.004, 0.0)
 
     def places(q):
-        """Return the connectors' places and headings by integrating the arcs piece by piece."""
-        x, angle, found = np.zeros(2), 0.0, [(np.zeros(2), 0.0)]
+        """Return positions and headings of the connectors by integration along the arcs."""
+        x, angle, actual = np.zeros(2), 0.0, [(np.zeros(2), 0.0)]
         for bend in q:
             ahead = np.array([np.cos(angle), np.sin(angle)])
             x = x - 0.002 * ahead
@@ -200,8 +200,8 @@ def test_the_analytical_moment_is_that_of_lagrange():
             x = x - 0.07 * np.array([np.cos(middles).mean(), np.sin(middles).mean()])
             angle -= bend
             x = x - 0.002 * np.array([np.cos(angle), np.sin(angle)])
-            found.append((x, angle))
-        return np.array([p for p, _ in found]), np.array([a for _, a in found])
+            actual.append((x, angle))
+        return np.array([p for p, _ in actual]), np.array([a for _, a in actual])
 
     def energy(q, dq, h=1e-5):
         before, after = places(q - h * dq), places(q + h * dq)
@@ -220,7 +220,7 @@ def test_the_analytical_moment_is_that_of_lagrange():
     head = np.array([0.3, -0.2, 1.1])
     states, velocities, torque = np.zeros((1, kernels.STATES)), np.zeros((1, 3)), np.zeros((1, 2))
     trace = Trace.empty(1, len(q))._replace(bend=q[None], bend_rate=dq[None], bend_acceleration=ddq[None])
-    hang(trace, solid, head, states, velocities, torque)
+    simulate_clamped(trace, solid, head, states, velocities, torque)
     assert torque[0] == pytest.approx(expected, rel=1e-4)
 
     def turned(vector):
@@ -243,15 +243,18 @@ def test_the_analytical_moment_is_that_of_lagrange():
 
 
 @pytest.mark.slow
-@ways
+@controls
 @pytest.mark.parametrize(
     ("reference", "duration"),
     [pytest.param(STEP, 0.8, id="step"), pytest.param(SINE, 1.0, id="sine", marks=pytest.mark.slow)],
 )
-def test_both_benches_agree_within_a_tenth(way, reference, duration):
-    runs = [rollout(bench(kind, way), WAYS[way][0](reference), duration, record_hz=1000) for kind in PLANTS]
+def test_both_benches_agree_within_ten_percent(control, reference, duration):
+    runs = [
+        rollout(bench(kind, control), CONTROLS[control][0](reference), duration, record_hz=1000)
+        for kind in PLANTS
+    ]
     ours, theirs = (plant_metrics(run) for run in runs)
-    told = 0
+    reported = 0
     for name in (
         "rise_time_s", "settling_5_s", "ripple_pp_rad", "error_rms_rad", "amplitude_rel", "phase_lag_rad",
         "inlet_openings", "outlet_openings",
@@ -259,27 +262,27 @@ def test_both_benches_agree_within_a_tenth(way, reference, duration):
         if ours[name] is None:
             assert theirs[name] is None
             continue
-        told += 1
+        reported += 1
         assert theirs[name] == pytest.approx(ours[name], rel=0.1, abs=1e-9), name
-    assert told >= 4
-    assert all(each["com_speed_m_s"] is None and each["final_bend_rad"] is None for each in (ours, theirs))
+    assert reported >= 4
+    assert all(item["com_speed_m_s"] is None and item["final_bend_rad"] is None for item in (ours, theirs))
     metrics = compare(*runs).metrics
     assert metrics["bend_rms_rel"] < 0.02 and metrics["com_speed_rel"] is None
 
 
-def test_the_static_bend_is_the_gain_times_the_pressure():
+def test_static_bend_is_gain_times_pressure():
     for kind in PLANTS:
         run = rollout(bench(kind, "direct", supply_pa=30e3), HoldValves("vent", "fill"), 1.5)
-        found = plant_metrics(run)
-        assert found["final_bend_rad"] == pytest.approx(-MODULE.actuator.gain * 30e3, rel=1e-4)
-        assert found["error_rms_rad"] is None
+        values = plant_metrics(run)
+        assert values["final_bend_rad"] == pytest.approx(-MODULE.actuator.gain * 30e3, rel=1e-4)
+        assert values["error_rms_rad"] is None
 
 
-@ways
-def test_direct_settles_soon_and_opens_few_valves(way):
-    """Of a step of 25°: direct within 0.25 s and without overshoot; iterative overshoots."""
-    found = plant_metrics(rollout(bench("twin", way), WAYS[way][0](STEP), 0.9, record_hz=1000))
-    if way == "direct":
+@controls
+def test_direct_control_settles_fast_with_few_valve_openings(control):
+    """A step of 25°: direct control settles within 0.25 s without overshoot; iterative control overshoots."""
+    found = plant_metrics(rollout(bench("twin", control), CONTROLS[control][0](STEP), 0.9, record_hz=1000))
+    if control == "direct":
         assert found["settling_5_s"] <= 0.25
         assert found["overshoot_rad"] <= found["sensed_ripple_pp_rad"]
         assert found["inlet_openings"] <= 5
@@ -288,11 +291,11 @@ def test_direct_settles_soon_and_opens_few_valves(way):
         assert found["inlet_openings"] > 40
 
 
-# What a controller may know
+# Information of the controllers
 
 
 class Blindfolded(Plant):
-    """A bench whose states are not numbers, but for the time and what the sensor says."""
+    """Bench whose states are NaN except for time and sensor readings."""
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
@@ -315,22 +318,22 @@ class Blindfolded(Plant):
 
 
 @plants
-@ways
-def test_controllers_read_the_sensor_and_nothing_else(kind, way):
-    blind, controller = Blindfolded(bench(kind, way)), WAYS[way][0](STEP)
+@controls
+def test_controllers_read_only_the_sensor(kind, control):
+    blind, controller = Blindfolded(bench(kind, control)), CONTROLS[control][0](STEP)
     state = blind.reset(seed=3)
     controller.reset(blind.spec, blind.tick, seed=3)
     for _ in range(300):
         state = blind.step(controller.step(state))
-    seeing = bench(kind, way)
-    run = rollout(seeing, WAYS[way][0](STEP), 0.3, seed=3, record_hz=1000)
-    last = np.array([each if each.ndim == 2 else each[-1] for each in blind.commands])
+    seeing = bench(kind, control)
+    run = rollout(seeing, CONTROLS[control][0](STEP), 0.3, seed=3, record_hz=1000)
+    last = np.array([entry if entry.ndim == 2 else entry[-1] for entry in blind.commands])
     assert (last[:, 0, 0] == run["valve_plus_1"][1:]).all()
     assert (last[:, 0, 1] == run["valve_minus_1"][1:]).all()
 
 
-def test_a_sensor_that_has_drifted_leads_a_module_astray():
-    """What the controller cannot see it cannot correct: a bias of the sensor is an error of the bend."""
+def test_sensor_drift_biases_the_bend():
+    """The controller cannot correct a sensor bias, which becomes an error of the bend."""
     errors = []
     for bias in (0.0, 0.2):
         sensor = make_sensor("hall", MODULE, span=0.8, bias=bias)
@@ -340,10 +343,10 @@ def test_a_sensor_that_has_drifted_leads_a_module_astray():
     assert abs(errors[1] - errors[0]) == pytest.approx(shift, rel=0.3)
 
 
-# What comes out
+# Reports and metrics
 
 
-def test_a_run_shows_how_the_reference_is_followed(tmp_path):
+def test_report_shows_reference_tracking(tmp_path):
     from srs_twin.cli.table import rows
     from srs_twin.experiment import run_scenario
 
@@ -366,7 +369,7 @@ def test_a_run_shows_how_the_reference_is_followed(tmp_path):
         ({"kind": "step", "bend_rad": 0.3, "time_s": 0.1}, None),
     ],
 )
-def test_the_plot_shows_periods_of_what_is_periodic(reference, period):
+def test_plot_shows_periods_of_a_periodic_reference(reference, period):
     from srs_twin.viewing.plots.signals import reference_period
 
     scenario = module(controller={"kind": "direct_smc", "reference": reference})
@@ -375,7 +378,7 @@ def test_the_plot_shows_periods_of_what_is_periodic(reference, period):
     assert found == (None if period is None else pytest.approx(period, rel=1e-3))
 
 
-def test_a_sweep_counts_periods_of_the_reference():
+def test_sweep_measures_whole_reference_periods():
     from srs_twin.studies.sweep.loading import load_sweep
 
     experiment = load_sweep("fig44_direct").experiment
@@ -387,7 +390,7 @@ def test_a_sweep_counts_periods_of_the_reference():
 # As shipped
 
 
-def test_the_scenarios_of_the_chapter_have_one_set_of_gains():
+def test_chapter_4_scenarios_share_one_set_of_gains():
     from srs_twin.io.files import shipped_names
 
     found = {}

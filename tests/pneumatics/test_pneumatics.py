@@ -1,4 +1,4 @@
-"""Valves and chambers against their differential equations, and the rules of their layouts."""
+"""Valves and chambers compared with their differential equations, and the rules of their layouts."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ TIMES = st.floats(0.005, 0.5)
 
 @settings(max_examples=25)
 @given(commands(4, 3, 1, (-1, 0, 1)), TIMES, TIMES, st.floats(0.001, 0.05), st.sampled_from([0.0, 0.7]))
-def test_closed_form_solves_the_equations_of_chambers_and_bend(valves, fill, vent, mode, leak):
+def test_closed_form_solves_the_differential_equations(valves, fill, vent, mode, leak):
     pneumatics = LagPneumatics(
         actuated(1, fill=fill, vent=vent, mode=mode), supply_pa=SUPPLY, layout="in_out", leak_per_s=leak
     )
@@ -60,9 +60,10 @@ def test_closed_form_solves_the_equations_of_chambers_and_bend(valves, fill, ven
                 )
                 return [*(filling - leak * y[:2]), (GAIN * (y[0] - y[1]) - y[2]) / mode]
 
+            # The tolerances do not control the error of the interpolant: the steps must resolve the mode.
             solution = solve_ivp(
                 rates, (0, tick / 3), values, method="DOP853", rtol=1e-10, atol=[1e-5, 1e-5, 1e-11],
-                dense_output=True,
+                dense_output=True, max_step=mode / 2,
             )  # fmt: skip
             expected = solution.sol(inside).T
             assert trace.pressure[rows, 0] == pytest.approx(expected[:, :2], abs=1e-6 * SUPPLY)
@@ -74,13 +75,13 @@ def test_closed_form_solves_the_equations_of_chambers_and_bend(valves, fill, ven
 
 @settings(max_examples=40)
 @given(commands(3, 4, 2, (-1, 0, 1)))
-def test_result_does_not_depend_on_how_a_tick_is_cut(valves):
+def test_result_is_independent_of_the_division_of_a_tick(valves):
     spec = actuated(2, fill=0.08, vent=0.15)
     one, many = (LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=0.1) for _ in range(2))
     at = np.linspace(0.02, 0.06, 3)
     whole = one.advance(one.schedule(valves.reshape(-1, 2, 2), 0.06), at)
     for k, slots in enumerate(valves):
-        # Each of the three ticks as slots, and each slot again as 5 ticks of its own.
+        # The three ticks divided into slots, and each slot again into 5 ticks.
         for slot in slots:
             for _ in range(5):
                 part = many.advance(many.schedule(slot, 0.001), np.array([0.001]))
@@ -103,7 +104,7 @@ def test_pressures_stay_between_zero_and_the_supply(valves, fill, vent, leak):
 
 @settings(max_examples=30)
 @given(commands(8, 2, 2, (-1, 1)))
-def test_exchanged_chambers_bend_the_other_way(valves):
+def test_exchanged_chambers_mirror_the_bend(valves):
     left, right = (LagPneumatics(actuated(), supply_pa=SUPPLY) for _ in range(2))
     for slots in valves:
         a = left.advance(left.schedule(slots, 0.02), np.array([0.013, 0.02]))
@@ -114,7 +115,7 @@ def test_exchanged_chambers_bend_the_other_way(valves):
 
 @settings(max_examples=30)
 @given(commands(6, 3, 2, (-1, 0, 1)))
-def test_openings_count_every_change_to_fill(valves):
+def test_openings_count_changes_to_filling(valves):
     pneumatics = LagPneumatics(actuated(), supply_pa=SUPPLY, layout="in_out")
     expected, last = np.zeros((2, 2), dtype=int), np.full((2, 2), -1)
     for state in valves.reshape(-1, 2, 2):
@@ -125,7 +126,7 @@ def test_openings_count_every_change_to_fill(valves):
     assert (pneumatics.openings == expected).all()
 
 
-def test_hold_keeps_the_pressure_and_a_leak_lets_it_go():
+def test_holding_keeps_the_pressure_and_a_leak_lowers_it():
     for leak in (0.0, 0.4):
         pneumatics = LagPneumatics(actuated(1), supply_pa=SUPPLY, layout="in_out", leak_per_s=leak)
         fill, hold = np.array([[1, -1]]), np.array([[0, 0]])
@@ -135,7 +136,7 @@ def test_hold_keeps_the_pressure_and_a_leak_lets_it_go():
         assert full > 0.8 * SUPPLY
 
 
-def test_fill_and_vent_have_their_own_time_constants():
+def test_fill_and_vent_have_separate_time_constants():
     pneumatics = LagPneumatics(actuated(1, fill=0.2, vent=0.05), supply_pa=SUPPLY)
     filled = pneumatics.advance(pneumatics.schedule([[1, -1]], 0.2), np.array([0.2])).pressure[0, 0, 0]
     assert filled == pytest.approx(SUPPLY * (1 - np.exp(-1)))
@@ -144,8 +145,8 @@ def test_fill_and_vent_have_their_own_time_constants():
 
 
 @pytest.mark.parametrize("excess", [0.0, 1e-8, 1e-7, 3e-6, 1e-4])
-def test_equal_time_constants_are_no_exception(excess):
-    """τ₁ → τ₂: the step response becomes 1 − (1 + t/τ) e^{−t/τ} without a jump."""
+def test_equal_time_constants_have_a_finite_limit(excess):
+    """For τ₁ → τ₂ the step response tends to 1 − (1 + t/τ) e^{−t/τ}."""
     tau, time = 0.05, np.linspace(0, 0.4, 9)
     pneumatics = LagPneumatics(actuated(1, fill=tau, vent=tau, mode=tau * (1 + excess)), supply_pa=SUPPLY)
     bend = pneumatics.advance(pneumatics.schedule([[1, -1]], 0.4), time).bend[:, 0]
@@ -155,8 +156,8 @@ def test_equal_time_constants_are_no_exception(excess):
 
 @settings(max_examples=15, deadline=None)
 @given(commands(4, 2, 1, (-1, 0, 1)), st.sampled_from([0.0, 0.6]))
-def test_air_is_what_flows_in(valves, leak):
-    """Against ∫ V (p_s − p)/τ + (p + p_a) V' dt over the fills, integrated with the equations themselves."""
+def test_air_is_the_integrated_inflow(valves, leak):
+    """∫ V (p_s − p)/τ + (p + p_a) V' dt over the fills, integrated with the equations."""
     spec, tau = actuated(1), 0.11
     pneumatics = LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=leak)
     values, space, worth = np.zeros(4), spec.chamber, SUPPLY / (SUPPLY + AMBIENT_PA)
@@ -167,9 +168,9 @@ def test_air_is_what_flows_in(valves, leak):
             def rates(_, y, state=state):
                 filling = np.where(state == 1, (SUPPLY - y[:2]) / tau, 0)
                 turning = (GAIN * (y[0] - y[1]) - y[2]) / 0.00214
-                way = np.array([1.0, -1.0])
-                volume = space.dead_volume + space.displacement * np.maximum(0, way * y[2])
-                growing = space.displacement * np.where(way * y[2] > 0, way, 0) * turning
+                sign = np.array([1.0, -1.0])
+                volume = space.dead_volume + space.displacement * np.maximum(0, sign * y[2])
+                growing = space.displacement * np.where(sign * y[2] > 0, sign, 0) * turning
                 drawn = ((volume * filling + (y[:2] + AMBIENT_PA) * growing) * (state == 1)).sum()
                 rate = filling - np.where(state == -1, y[:2] / tau, 0) - leak * y[:2]
                 return [*rate, turning, worth * drawn]
@@ -202,7 +203,7 @@ def test_air_of_one_fill_is_pressure_times_volume():
 
 @pytest.mark.parametrize("kind", ["lag", "orifice"])
 @pytest.mark.parametrize("delay", [0.003, 0.02, 0.0535])
-def test_a_valve_delay_shifts_everything_across_ticks(kind, delay):
+def test_valve_delay_shifts_the_response_across_ticks(kind, delay):
     prompt, late = (
         make_pneumatics(kind, actuated(), supply_pa=SUPPLY, layout="in_out", leak_per_s=0.2, valve_delay_s=d)
         for d in (0.0, delay)
@@ -224,20 +225,20 @@ def test_a_valve_delay_shifts_everything_across_ticks(kind, delay):
     assert (late.openings <= prompt.openings).all() and late.openings.sum() > 0
 
 
-def test_what_valves_do_is_known_beforehand():
+def test_effective_schedule_includes_delay():
     pneumatics = LagPneumatics(actuated(), supply_pa=SUPPLY, valve_delay_s=0.03)
     fill = np.ones((2, 2), dtype=np.int8)
     first = pneumatics.schedule(fill, 0.02)
-    assert pneumatics.effective(first).states.tolist() == [(-fill).tolist()]
+    assert pneumatics.effective_schedule(first).states.tolist() == [(-fill).tolist()]
     pneumatics.advance(first, np.zeros(0))
     second = pneumatics.schedule(fill, 0.02)
-    assert pneumatics.effective(second).events == pytest.approx([0.01])
+    assert pneumatics.effective_schedule(second).events == pytest.approx([0.01])
     assert pneumatics.openings.sum() == 0 and pneumatics.valves.max() == -1
     pneumatics.advance(second, np.zeros(0))
     assert (pneumatics.openings == 1).all() and pneumatics.valves.min() == 1
 
 
-def test_reset_empties_everything():
+def test_reset_empties_all_chambers():
     pneumatics = LagPneumatics(actuated(), supply_pa=SUPPLY)
     pneumatics.advance(pneumatics.schedule(np.ones((2, 2), dtype=np.int8), 0.1), np.array([0.1]))
     assert pneumatics.pressure.min() > 0 and (pneumatics.openings == 1).all()
@@ -246,18 +247,18 @@ def test_reset_empties_everything():
     assert (pneumatics.valves == -1).all()
 
 
-def test_a_schedule_joins_equal_slots_and_is_cut_and_joined_again():
+def test_schedule_merges_equal_slots_and_can_be_sliced_and_joined():
     slots = np.array([1, 1, -1, -1, -1, 1], dtype=np.int8)[:, None, None] * np.ones((1, 2, 2), dtype=np.int8)
-    whole = Schedule.of_slots(slots, 0.6)
+    whole = Schedule.from_slots(slots, 0.6)
     assert whole.starts == pytest.approx([0.0, 0.2, 0.5]) and whole.events == pytest.approx([0.2, 0.5])
     assert whole.states[:, 0, 0].tolist() == [1, -1, 1]
-    middle = whole.part(0.2, 0.55)
+    middle = whole.slice(0.2, 0.55)
     assert middle.starts == pytest.approx([0.0, 0.3]) and middle.span == pytest.approx(0.35)
-    again = whole.part(0.0, 0.3).then(whole.part(0.3, 0.6))
+    again = whole.slice(0.0, 0.3).followed_by(whole.slice(0.3, 0.6))
     assert again.starts == pytest.approx(whole.starts) and (again.states == whole.states).all()
 
 
-def test_layouts_refuse_what_their_valves_cannot_do():
+def test_layouts_reject_impossible_states():
     holding = LagPneumatics(actuated(), supply_pa=1.0, layout="in_out").schedule(np.zeros((2, 2)), 0.1)
     assert holding.states.shape == (1, 2, 2)
     with pytest.raises(InputError, match=r"valve layout '5/2' is unknown; allowed: 3/2, in_out"):

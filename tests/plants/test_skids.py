@@ -1,4 +1,4 @@
-"""The twin on skids: where and how they touch the floor, that they turn with it, and that they stay on it."""
+"""Twin on skids: contact points, contact frames, and permanent contact with the floor."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def twin() -> TwinSnake:
 
 @pytest.fixture(scope="module", params=["gen1", "gen2", "gen3", "gen4"])
 def scene(request) -> tuple[mujoco.MjModel, mujoco.MjData, str]:
-    """Each robot on skids, straight, pressed a little into the floor so that all contacts are found."""
+    """Each robot on skids, straight, slightly below the floor so that all contacts are detected."""
     model = scene_mjcf(load_robot(request.param), SKIDS).compile()
     data = mujoco.MjData(model)
     data.qpos[2] -= 1e-5
@@ -45,7 +45,7 @@ def test_each_skid_touches_once_at_the_track(scene):
     assert places[..., 1] == pytest.approx(np.tile([g.half_track, -g.half_track], (g.connectors, 1)))
 
 
-def test_masses_and_inertias_are_those_of_the_snake_on_wheels(scene):
+def test_skids_have_the_mass_and_inertia_of_wheels(scene):
     model, data, name = scene
     spec = load_robot(name)
     wheeled = scene_mjcf(spec, ModelSettings(contact=PreloadedContact())).compile()
@@ -62,7 +62,7 @@ def test_masses_and_inertias_are_those_of_the_snake_on_wheels(scene):
     assert model.nv == wheeled.nv - 2 * g.connectors == 6 + 4 * spec.segments, "no axles"
 
 
-def test_a_pressed_skid_holds_what_it_would_by_its_own_load(scene):
+def test_preloaded_skid_has_the_friction_of_its_static_load(scene):
     model, _, name = scene
     spec = load_robot(name)
     along, across = pair_attributes(spec, SKIDS)["friction"][:2]
@@ -89,14 +89,14 @@ def test_contact_frames_turn_with_the_skids(heading):
     assert (contacts.friction[:, 0] < contacts.friction[:, 1]).all()
 
 
-def test_no_skid_touches_with_its_tip_or_leaves_the_floor_in_a_crawl():
+def test_skids_stay_on_the_floor_and_off_their_tips():
     plant, contacts = TwinSnake(robot(), contact=PreloadedContact("skid")), []
     rollout(plant, Gait(2.0, 0.2), 2.0, observers=[lambda _: contacts.append(plant.physics.data.ncon)])
     assert set(contacts[1:]) == {10}
 
 
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
-def test_thrown_sideways_it_does_not_roll_over(name):
+def test_sideways_slide_does_not_roll_the_snake_over(name):
     plant = TwinSnake(robot(name, stiffness=20.0), contact=PreloadedContact("skid"))
     throw(plant, (-np.sin(0.7), np.cos(0.7)), heading=0.7)
     upright = []
@@ -108,8 +108,8 @@ def test_thrown_sideways_it_does_not_roll_over(name):
     assert plant.physics.wheel_loads().min() > 0
 
 
-def test_rests_where_it_lies():
-    """No stiction in MuJoCo's contact, and least along the heading: what creeps, creeps by micrometres."""
+def test_snake_at_rest_does_not_move():
+    """MuJoCo's contact has no stiction, least along the heading: it creeps by micrometres."""
     plant = twin()
     start = plant.reset(pose=(0.0, 0.0, 1.0))
     for _ in range(100):
@@ -118,7 +118,7 @@ def test_rests_where_it_lies():
     assert state.theta == pytest.approx(start.theta, abs=1e-5)
 
 
-def test_says_what_it_stands_on():
+def test_description_contains_the_wheels():
     described = twin().describe()
     assert (described["wheels"], described["preload"]) == ("skid", PRELOAD["skid"])
     assert TwinSnake(SPEC, contact="preloaded").describe()["preload"] == PRELOAD["rolling"]
@@ -126,7 +126,7 @@ def test_says_what_it_stands_on():
 
 
 @pytest.mark.parametrize("connectors", [2, 9])
-def test_snakes_of_any_length_run(connectors):
+def test_any_number_of_connectors_runs(connectors):
     plant = TwinSnake(chain((0.03,) * connectors), contact=PreloadedContact("skid"))
     trajectory = rollout(plant, Gait(2.0, phase_step=np.pi / 2), 0.5)
     assert np.isfinite(trajectory.com).all()

@@ -1,4 +1,4 @@
-"""NaN, infinity and 1e15 put into running snakes: found within a tick, and what came before is kept."""
+"""NaN, infinity and 1e15 in running snakes are detected within a tick, and earlier samples are kept."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ Spoil = Callable[[Any, float], None]
 
 
 def put(path: str, index: Any = None) -> Spoil:
-    """Return what writes a value into an attribute of a plant, or into an element of it."""
+    """Return a function that writes a value into an attribute of a plant, or into an element of it."""
 
     def spoil(plant: Any, value: float) -> None:
-        *way, name = path.split(".")
-        for part in way:
+        *owners, name = path.split(".")
+        for part in owners:
             plant = getattr(plant, part)
         if index is None:
             setattr(plant, name, value)
@@ -61,7 +61,7 @@ def put(path: str, index: Any = None) -> Spoil:
 
 BODY = {
     name: put("_body.state", getattr(kernels, name))
-    for name in ("X", "Y", "HEADING", "VX", "VY", "MOMENT", "SPENT")
+    for name in ("X", "Y", "HEADING", "VX", "VY", "MOMENT", "ENERGY_LOSS")
 }
 YIELDING = {
     "bend": put("_body.state", BENDS),
@@ -78,8 +78,8 @@ TWIN = {
     "spin": put("physics.data.qvel", 5),
     "hinge's rate": put("physics.data.qvel", 8),
     "heading": put("_theta", 2),
-    "work": put("_spent"),
-    "internal loss": put("_internal"),
+    "work": put("_energy_loss"),
+    "internal loss": put("_internal_loss"),
 }
 LAG = {
     "pressure": put("pneumatics.pressure", (1, 0)),
@@ -89,7 +89,7 @@ LAG = {
 ORIFICE = {
     "amount of air": put("pneumatics._state", (1, 0)),
     "free bend": put("pneumatics._state", (1, 2)),
-    "air drawn": put("pneumatics._books", 1),
+    "air drawn": put("pneumatics._amounts", 1),
     "pressure": put("pneumatics.pressure", (1, 0)),
 }
 CASES: dict[str, tuple[Callable[[], Plant], dict[str, Spoil]]] = {
@@ -109,14 +109,14 @@ CASES: dict[str, tuple[Callable[[], Plant], dict[str, Spoil]]] = {
 
 @pytest.fixture(autouse=True)
 def _no_numpy_warning() -> Iterator[None]:
-    """A person gets one message, none of numpy's."""
+    """Turn NumPy warnings into errors: the user gets one message only."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         yield
 
 
 def at(time: float, act: Callable[[], None]) -> Callable[[SnakeState], None]:
-    """Return an observer that acts once, when that time has come."""
+    """Return an observer that acts once, at a given time."""
     done: list[float] = []
 
     def observe(state: SnakeState) -> None:
@@ -128,7 +128,7 @@ def at(time: float, act: Callable[[], None]) -> Callable[[SnakeState], None]:
 
 
 def assert_kept(error: DivergedError, until: float) -> None:
-    """What was good, and nothing else, is in the error's trajectory."""
+    """Check that the error's trajectory has exactly the samples before the divergence."""
     kept = error.trajectory
     assert isinstance(kept, Trajectory)
     assert kept.time[-1] >= until - 1e-9
@@ -143,7 +143,7 @@ def assert_kept(error: DivergedError, until: float) -> None:
         for name in CASES
     ],
 )
-def test_whatever_is_spoilt_is_found_within_a_tick_and_what_was_good_is_kept(case):
+def test_implausible_state_is_detected_within_a_tick(case):
     build, spoils = CASES[case]
     plant = build()
     for name, spoil in spoils.items():
@@ -160,10 +160,10 @@ def test_whatever_is_spoilt_is_found_within_a_tick_and_what_was_good_is_kept(cas
 
 
 @pytest.mark.parametrize("case", ["complete", "compliant", "twin", "twin, orifice"])
-def test_a_plant_that_follows_a_script_is_looked_at_between_stretches(case):
+def test_script_is_checked_between_chunks(case):
     build, spoils = CASES[case]
     plant = build()
-    plant.stretch = AT
+    plant.max_chunk_s = AT
     for spoil in spoils.values():
         spoiling = at(AT, partial(spoil, plant, 1e15))
 
@@ -177,14 +177,14 @@ def test_a_plant_that_follows_a_script_is_looked_at_between_stretches(case):
 
 
 class SimpleMoment:
-    """What `at` asks of a state."""
+    """Fields of a state that `at` needs."""
 
     def __init__(self, time: float) -> None:
         self.time = time
 
 
 @pytest.mark.parametrize("record_hz", [10, 50, 500])
-def test_the_last_good_samples_are_kept_however_often_is_recorded(record_hz):
+def test_samples_before_divergence_are_kept_at_any_rate(record_hz):
     plant = AnalyticalSnake(SPEC)
     spoiling = at(0.2, partial(BODY["X"], plant, 1e15))
     with pytest.raises(DivergedError) as caught:
@@ -193,7 +193,7 @@ def test_the_last_good_samples_are_kept_however_often_is_recorded(record_hz):
 
 
 class Runaway(Controller):
-    """A controller whose commands run away after some ticks."""
+    """Controller whose commands diverge after several ticks."""
 
     kind = "runaway"
 
@@ -222,7 +222,7 @@ def with_one(value: float) -> np.ndarray:
 
 @pytest.mark.parametrize("build", [AnalyticalSnake, TwinSnake])
 @pytest.mark.parametrize("value", WILD)
-def test_a_controller_that_runs_away_is_named_with_its_time(build, value):
+def test_diverged_controller_is_named_with_the_time(build, value):
     wild = with_one(value)
     for valves in (wild, np.stack([vented(SPEC), wild]), wild.tolist()):
         with pytest.raises(DivergedError) as caught:
@@ -233,22 +233,22 @@ def test_a_controller_that_runs_away_is_named_with_its_time(build, value):
         assert_kept(caught.value, AT)
 
 
-def test_whole_numbers_run_away_too():
+def test_integer_commands_can_diverge():
     with pytest.raises(DivergedError, match=r"it commands the valve state 1e\+15"):
         rollout(AnalyticalSnake(SPEC), Runaway(np.full((4, 2), 10**15)), 0.3)
 
 
 @pytest.mark.parametrize("build", [AnalyticalSnake, TwinSnake])
-def test_a_script_that_runs_away_is_refused_in_its_stretch(build):
+def test_diverged_script_is_reported_in_its_chunk(build):
     plant = build(SPEC)
-    plant.stretch = TICK
+    plant.max_chunk_s = TICK
     with pytest.raises(DivergedError, match=rf"controller 'runaway' diverged at t = {AT} s") as caught:
         rollout(plant, Runaway(with_one(np.nan), scripted=True), 0.3)
     assert_kept(caught.value, AT)
 
 
 @pytest.mark.parametrize("build", [AnalyticalSnake, TwinSnake])
-def test_a_script_may_hold_floats_as_commands_may(build):
+def test_script_may_have_float_states(build):
     assert len(rollout(build(SPEC), Runaway(with_one(1.0), scripted=True), 0.1)) == 11
 
 
@@ -261,21 +261,21 @@ def test_a_script_may_hold_floats_as_commands_may(build):
         (np.full((4, 2), "open"), "valve state open is not possible"),
     ],
 )
-def test_commands_that_are_only_wrong_stay_bad_input(valves, words):
+def test_invalid_finite_commands_are_input_errors(valves, words):
     for plant in (AnalyticalSnake(SPEC), TwinSnake(SPEC)):
         with pytest.raises(InputError, match=words):
             rollout(plant, Runaway(valves), 0.3)
 
 
 @pytest.mark.parametrize("value", WILD)
-def test_a_person_who_commands_one_tick_is_told_what_is_possible(value):
+def test_invalid_command_error_lists_the_allowed_states(value):
     for plant in (AnalyticalSnake(SPEC), TwinSnake(SPEC)):
         with pytest.raises(InputError, match="is not possible with layout 3/2"):
             plant.step(with_one(value))
 
 
 @pytest.mark.parametrize("spoil", first_by_default(4, [*TWIN, *LAG]))
-def test_a_spoilt_twin_ends_alone_in_its_batch(spoil):
+def test_diverged_twin_ends_alone_in_its_batch(spoil):
     batch = TwinBatch([SPEC, SPEC, SPEC], threads=2)
     sound = run_batch(batch, lambda state: np.stack([vented(SPEC)] * 3), 0.2)
     for value in (np.nan, np.inf, 1e15):
@@ -293,7 +293,7 @@ def test_a_spoilt_twin_ends_alone_in_its_batch(spoil):
 
 
 @pytest.mark.parametrize("value", WILD)
-def test_a_policy_that_runs_away_for_one_run_ends_that_one(value):
+def test_policy_diverging_for_one_run_ends_that_run_only(value):
     batch = TwinBatch([SPEC, SPEC], threads=1)
 
     def policy(state: SnakeState) -> np.ndarray:
@@ -307,7 +307,7 @@ def test_a_policy_that_runs_away_for_one_run_ends_that_one(value):
     assert error.trajectory.time == pytest.approx(np.arange(5) / 100)
 
 
-def test_bad_input_to_a_batch_leaves_its_runs_untouched():
+def test_invalid_batch_input_changes_no_run():
     batch = TwinBatch([SPEC, SPEC], threads=1)
     with pytest.raises(InputError, match="valve state 0.0 is not possible"):
         batch.step(np.stack([with_one(np.nan), with_one(0.0)]))
@@ -315,7 +315,7 @@ def test_bad_input_to_a_batch_leaves_its_runs_untouched():
     assert batch.twins[0].physics.data.time == 0.0
 
 
-def test_a_job_whose_controller_runs_away_leaves_the_others():
+def test_diverged_controller_does_not_affect_other_jobs():
     jobs = [
         Job(AnalyticalSnake(SPEC), Gait(2.0), 0.2),
         Job(AnalyticalSnake(SPEC), Runaway(with_one(1e15)), 0.2),
@@ -325,7 +325,7 @@ def test_a_job_whose_controller_runs_away_leaves_the_others():
     assert isinstance(error, DivergedError) and error.time == pytest.approx(AT)
 
 
-def test_the_first_implausible_sample_of_a_history_ends_it():
+def test_history_ends_before_its_first_implausible_sample():
     plant = AnalyticalSnake(SPEC)
     history = SnakeState.history([plant.step(vented(SPEC)) for _ in range(4)])
     assert check_plausible("analytical", history) is history
@@ -336,7 +336,7 @@ def test_the_first_implausible_sample_of_a_history_ends_it():
 
 
 @pytest.mark.parametrize("count", [1, 10**6])
-def test_what_is_plausible_does_not_depend_on_how_many_numbers_there_are(count):
+def test_plausibility_is_independent_of_array_size(count):
     large = np.full(count, 0.99 * LARGEST)
     assert plausible(large) and implausible(large) is None
     large[-1] = LARGEST
@@ -355,7 +355,7 @@ plants:
 """
 
 
-def test_a_scenario_that_diverges_exits_with_3_and_keeps_its_last_good_state(tmp_path, srs_twin):
+def test_diverged_scenario_exits_with_3_and_keeps_its_last_state(tmp_path, srs_twin):
     (tmp_path / "burst.yaml").write_text(SCENARIO)
     done = srs_twin("run", "--quiet", "burst.yaml", cwd=tmp_path)
     assert done.returncode == 3, done.stderr

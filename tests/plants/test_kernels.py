@@ -1,4 +1,4 @@
-"""The kernel of the complete model against Newton's law written down anew, and its order of convergence."""
+"""Kernel of the complete model, compared with an independent form of Newton's law; order of convergence."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from srs_twin.plants.analytical import kernels, kinematics
 from srs_twin.plants.analytical.floor import connector_friction, fill_forces, floor_forces, floor_friction
-from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, Solid, X, Y, pose_body
+from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, BodyParameters, X, Y, pose_body
 from srs_twin.plants.analytical.steps import advance, bend_within
 from srs_twin.pneumatics import Trace
 from srs_twin.robot import friction
@@ -55,7 +55,7 @@ def by_kernel(swim: Swim, duration: float, step: float, tolerance: float = math.
 def run(
     swim: Swim, duration: float, step: float, tolerance: float, across: float = 0.0
 ) -> tuple[np.ndarray, int]:
-    """Return the final state of a body that starts with a velocity across, and in how many parts."""
+    """Return the final state of a body with an initial lateral velocity, and the number of substeps."""
     count = round(duration / step)
     starts = step * np.arange(count)
     stages = np.stack([starts + kernels.GAMMA * step, starts + step], axis=1).ravel()
@@ -63,7 +63,7 @@ def run(
     state, slope = np.zeros((2, kernels.STATES))
     state[kernels.STATE_VY] = across
     mass = np.array(swim.mass)
-    solid = Solid(mass, np.zeros_like(mass), swim.length, swim.gap, 0.0)
+    solid = BodyParameters(mass, np.zeros_like(mass), swim.length, swim.gap, 0.0)
     floor = floor_friction(swim.law, swim.track, swim.mu_t, swim.mu_n, swim.slip)
     trace = Trace.empty(len(bends), len(mass) - 1)._replace(bend=bends, bend_rate=rates)
     now, seen = (
@@ -71,9 +71,9 @@ def run(
         (np.empty((0, kernels.STATES)), np.empty((0, 3))),
     )
     steps, marks = np.full(count, step), np.empty(0, dtype=int)
-    done, parts = advance(now, steps, trace, marks, (solid, floor, True), tolerance, seen)
+    done, substeps = advance(now, steps, trace, marks, (solid, floor, True), tolerance, seen)
     assert done == count
-    return state, parts
+    return state, substeps
 
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -84,8 +84,8 @@ def geometry(swim: Swim, t: float) -> tuple[np.ndarray, np.ndarray]:
     places, headings = [0j], [0.0]
     for q in swim.bends(t)[0]:
         arc = swim.length / 2 * (WEIGHTS * np.exp(-0.5j * q * (NODES + 1))).sum()
-        way = swim.gap / 2 + arc + swim.gap / 2 * np.exp(-1j * q)
-        places.append(places[-1] - way * np.exp(1j * headings[-1]))
+        chord = swim.gap / 2 + arc + swim.gap / 2 * np.exp(-1j * q)
+        places.append(places[-1] - chord * np.exp(1j * headings[-1]))
         headings.append(headings[-1] - q)
     return np.array(places), np.array(headings)
 
@@ -110,10 +110,10 @@ def drag(swim: Swim, load: float, velocity: complex, heading: float) -> complex:
 
 
 def by_newton(swim: Swim, duration: float) -> np.ndarray:
-    """Integrate Newton's law for the head's place and heading; return centre of mass and mean heading.
+    """Integrate Newton's law for position and heading of the head; return centre of mass and mean heading.
 
-    m_i r̈_i summed, and their moments about the head, equal the floor's. The shape's velocities and
-    accelerations are differences in time.
+    The sums of m_i r̈_i and of their moments about the head equal those of the floor. Velocities and
+    accelerations of the shape are time differences.
     """
     mass, h = np.array(swim.mass), 1e-4
     contacts = (0.0,) if swim.track == 0 else (swim.track, -swim.track)
@@ -168,7 +168,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_kernel_agrees_with_newtons_law(name):
+def test_kernel_satisfies_newtons_law(name):
     swim, duration = CASES[name], 1.0
     expected = by_newton(swim, duration)
     coarse, fine = by_kernel(swim, duration, 1e-3)[:3], by_kernel(swim, duration, 2.5e-4)[:3]
@@ -179,7 +179,7 @@ def test_kernel_agrees_with_newtons_law(name):
 
 
 @pytest.mark.parametrize(("law", "mu_t", "mu_n"), [("axis", 0.1, 1.0), ("viscous", 1.0, 10.0)])
-def test_time_integration_is_of_second_order(law, mu_t, mu_n):
+def test_time_integration_has_second_order(law, mu_t, mu_n):
     swim = Swim((0.03, 0.05, 0.02, 0.04), law, slip=0.1, mu_t=mu_t, mu_n=mu_n)
     steps = np.array([2e-3, 1e-3, 5e-4])
     exact = by_kernel(swim, 0.8, 2e-5)
@@ -188,24 +188,24 @@ def test_time_integration_is_of_second_order(law, mu_t, mu_n):
     assert order == pytest.approx([2, 2], abs=0.2)
 
 
-def test_regularisation_does_not_decide_the_result():
-    """Smaller slip speeds converge: halving 1 mm/s moves the way of a second by under half a per cent."""
+def test_result_is_insensitive_to_the_slip_speed():
+    """Convergence: half of a slip speed of 1 mm/s changes the distance in one second by less than 0.5 %."""
     far = [
         np.hypot(*by_kernel(Swim((0.03,) * 5, "axis", slip=slip), 1.0, 2.5e-4)[:2]) for slip in (1e-3, 5e-4)
     ]
     assert far[1] == pytest.approx(far[0], rel=5e-3)
 
 
-def draw(seed: int, connectors: int) -> tuple[Solid, np.ndarray, np.ndarray]:
+def draw(seed: int, connectors: int) -> tuple[BodyParameters, np.ndarray, np.ndarray]:
     """Return a random body, bends and rates."""
     g = np.random.default_rng(seed)
     mass, own = g.uniform(0.02, 0.1, connectors), g.uniform(0, 1e-5, connectors)
     bend, rate = g.normal(size=(2, connectors - 1))
-    return Solid(mass, own, 0.04, 0.02, 0.0), bend, rate
+    return BodyParameters(mass, own, 0.04, 0.02, 0.0), bend, rate
 
 
-def posed(solid: Solid, bend: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Return the body as the kernels pose it."""
+def posed(solid: BodyParameters, bend: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Return the posed body."""
     body = np.empty((kinematics.ROWS, len(solid.mass)))
     pose_body(bend, rate, solid, body)
     return body
@@ -213,7 +213,7 @@ def posed(solid: Solid, bend: np.ndarray, rate: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("track", [0.0, 0.02])
-def test_slopes_of_the_floor_forces_are_their_derivatives(law, track):
+def test_floor_force_slopes_match_finite_differences(law, track):
     solid, bend, rate = draw(2, 4)
     body, u = posed(solid, bend, rate), np.array([0.2, -0.1, 1.5])
     floor = floor_friction(law, track, 0.1, 0.6, 0.05)
@@ -224,8 +224,8 @@ def test_slopes_of_the_floor_forces_are_their_derivatives(law, track):
 
     net, slope, power = total(u)
     h = 1e-6 * np.eye(3)
-    found = [(total(u + d)[0] - total(u - d)[0]) / 2e-6 for d in h]
-    assert slope == pytest.approx(np.transpose(found), abs=1e-6)
+    result = [(total(u + d)[0] - total(u - d)[0]) / 2e-6 for d in h]
+    assert slope == pytest.approx(np.transpose(result), abs=1e-6)
     # The same forces one connector at a time: their sum, their moment and the power they take.
     force = np.empty((4, 3))
     fill_forces(body, solid.mass, u, floor, force)
@@ -235,14 +235,14 @@ def test_slopes_of_the_floor_forces_are_their_derivatives(law, track):
     velocity, spin = u[0] + 1j * u[1] + 1j * u[2] * place + own, u[2] + body[SPIN]
     assert net[:2] == pytest.approx([pushed.sum().real, pushed.sum().imag], abs=1e-14)
     assert net[2] == pytest.approx((place.conjugate() * pushed).imag.sum() + force[:, 2].sum(), abs=1e-14)
-    given = (velocity.conjugate() * pushed).real.sum() + (force[:, 2] * spin).sum()
-    assert power == pytest.approx(-given, rel=1e-12) and power > 0
+    contact_power = (velocity.conjugate() * pushed).real.sum() + (force[:, 2] * spin).sum()
+    assert power == pytest.approx(-contact_power, rel=1e-12) and power > 0
 
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("track", [0.0, 0.02])
-def test_each_floor_takes_the_law_of_its_name(law, track):
-    """A law that the kernels do not know must not fall through to another."""
+def test_floor_evaluates_the_named_law(law, track):
+    """A law without a kernel must not select another law."""
 
     @njit
     def compiled(along, across, spin, floor):
@@ -254,11 +254,11 @@ def test_each_floor_takes_the_law_of_its_name(law, track):
     for arm in contacts:
         pushed = getattr(friction, law)(along + spin * arm, across, 2.0 / len(contacts), 0.1, 0.6, 0.05)[:2]
         force, moment = force + pushed, moment + arm * pushed[0]
-    found = compiled(along, across, spin, floor_friction(law, track, 0.1, 0.6, 0.05))
-    assert found[:3] == pytest.approx([*force, moment], rel=1e-12)
+    actual = compiled(along, across, spin, floor_friction(law, track, 0.1, 0.6, 0.05))
+    assert actual[:3] == pytest.approx([*force, moment], rel=1e-12)
 
 
-def test_posed_body_moves_at_the_rates_it_says():
+def test_posed_rates_match_finite_differences():
     solid, bend, rate = draw(3, 5)
     now, before, after = (posed(solid, bend + h * rate, rate) for h in (0.0, -1e-6, 1e-6))
     difference = (after - before) / 2e-6
@@ -272,10 +272,10 @@ def test_posed_body_moves_at_the_rates_it_says():
     assert moment == pytest.approx((solid.mass * cross + own * now[SPIN]).sum())
 
 
-def test_headings_of_a_coil_of_several_turns_have_their_mean_at_zero():
-    """One rad in each of 40 segments: the head stands 20 rad, three turns, ahead of the mean."""
+def test_mean_heading_is_zero_for_a_coil_of_several_turns():
+    """With 1 rad in each of 40 segments, the head is 20 rad, three turns, ahead of the mean heading."""
     bend = np.ones(40)
-    solid = Solid(np.full(41, 0.03), np.zeros(41), 0.04, 0.02, 0.0)
+    solid = BodyParameters(np.full(41, 0.03), np.zeros(41), 0.04, 0.02, 0.0)
     body, phi = posed(solid, bend, 0 * bend), relative_headings(bend)
     assert body[COS] == pytest.approx(np.cos(phi), abs=1e-12)
     assert body[SIN] == pytest.approx(np.sin(phi), abs=1e-12)
@@ -283,7 +283,7 @@ def test_headings_of_a_coil_of_several_turns_have_their_mean_at_zero():
     assert body[X : Y + 1].T == pytest.approx(place, abs=1e-12)
 
 
-def test_frozen_chords_keep_the_straight_length():
+def test_frozen_chords_have_the_straight_length():
     solid, bend, rate = draw(4, 5)
     now = posed(solid._replace(frozen=1.0), bend, rate)
     ahead, after = (posed(solid._replace(frozen=1.0), bend + h * rate, rate) for h in (-1e-6, 1e-6))
@@ -299,44 +299,44 @@ def test_frozen_chords_keep_the_straight_length():
 TOLERANCE = 0.0002  # m/s, the default
 
 
-def test_smooth_friction_needs_no_cuts_and_keeps_the_order():
+def test_smooth_friction_needs_no_substeps_and_keeps_the_order():
     swim = Swim((0.03, 0.05, 0.02, 0.04), "viscous", mu_t=1.0, mu_n=10.0)
     exact = by_kernel(swim, 0.8, 2e-5)
     errors = []
     for step in (2e-3, 1e-3, 5e-4):
-        state, parts = run(swim, 0.8, step, TOLERANCE)
-        assert parts == round(0.8 / step)
+        state, substeps = run(swim, 0.8, step, TOLERANCE)
+        assert substeps == round(0.8 / step)
         errors.append(np.linalg.norm((state - exact)[:3]))
     assert np.diff(np.log(errors)) / np.log(0.5) == pytest.approx([2, 2], abs=0.2)
 
 
 @pytest.mark.parametrize("speed", [0.05, 0.0633, 0.11, 0.173])
-def test_a_glide_that_ends_inside_a_step_ends_where_it_should(speed):
+def test_stop_within_a_step_has_the_exact_position(speed):
     """v̇ = −μ g v/√(v² + ε²) from v₀ to rest: μ g s = ½ [v₀ √(v₀² + ε²) + ε² asinh(v₀/ε)]."""
     swim = Swim((0.03,) * 4, "axis", amplitude=0.0, slip=0.00025)
     root = math.hypot(speed, swim.slip)
-    way = (speed * root + swim.slip**2 * math.asinh(speed / swim.slip)) / (2 * swim.mu_n * GRAVITY)
-    state, parts = run(swim, 0.2, 5e-3, TOLERANCE, speed)
-    assert state[kernels.STATE_Y] == pytest.approx(way, abs=2e-6)
-    assert parts < 2 * 40
+    distance = (speed * root + swim.slip**2 * math.asinh(speed / swim.slip)) / (2 * swim.mu_n * GRAVITY)
+    state, substeps = run(swim, 0.2, 5e-3, TOLERANCE, speed)
+    assert state[kernels.STATE_Y] == pytest.approx(distance, abs=2e-6)
+    assert substeps < 2 * 40
     # The energy that the floor took is that of the throw.
-    assert state[kernels.SPENT] == pytest.approx(0.06 * speed**2, rel=2e-3)
+    assert state[kernels.ENERGY_LOSS] == pytest.approx(0.06 * speed**2, rel=2e-3)
 
 
-def test_cut_steps_err_several_times_less_where_friction_turns():
-    """Over many kinks, against steps of 10 µs: the same longest step with and without cuts."""
+def test_substeps_reduce_the_error_where_friction_reverses():
+    """The same longest step with and without substeps, compared with steps of 10 µs over many kinks."""
     whole, cut = [], []
     for amplitude in (0.7, 0.8, 0.9, 1.0, 1.1):
         swim = Swim((0.03,) * 5, "axis", slip=0.00025, amplitude=amplitude)
         exact = by_kernel(swim, 1.0, 1e-5)[:2]
         whole.append(by_kernel(swim, 1.0, 2e-3)[:2] - exact)
-        state, parts = run(swim, 1.0, 2e-3, TOLERANCE)
+        state, substeps = run(swim, 1.0, 2e-3, TOLERANCE)
         cut.append(state[:2] - exact)
-        assert 500 < parts < 1500
+        assert 500 < substeps < 1500
     assert np.linalg.norm(cut) < np.linalg.norm(whole) / 3
 
 
-def test_bends_between_the_stages_are_cubics():
+def test_bends_between_stages_are_cubic_polynomials():
     def cubic(t: float) -> np.ndarray:
         return np.array([1 + t - 3 * t**2 + 2 * t**3, t**3])
 

@@ -1,4 +1,4 @@
-"""Presets of the twin: what they set, what wins over them, who says that one ran, and what they err by."""
+"""Presets of the twin: settings, precedence, provenance and errors."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ FAST, DEFAULT = ("loaded", 0.002, 2, "fast"), ("loaded", 0.001, 2, None)
 REFERENCE = ("loaded", 0.00025, 2, "reference")
 
 
-def test_presets_have_the_names_of_the_key_and_a_file_has_none():
+def test_preset_names_match_the_scenario_key():
     assert tuple(PRESETS) == get_args(Preset)
     assert PRESETS["fast"].keys() == PRESETS["reference"].keys(), "or one could not take the other's place"
     assert TwinFile().preset is None and TwinFile() == TwinFile.model_validate({})
@@ -56,10 +56,10 @@ def test_presets_have_the_names_of_the_key_and_a_file_has_none():
         ({"preset": "fast", "friction": "ellipse", "hinges_per_segment": 3}, ("loaded", 0.002, 3, "fast")),
     ],
 )
-def test_a_setting_beside_the_preset_wins(twin, used):
-    found = scenario(twin)
-    assert settings(found) == used
-    assert settings(parse_scenario(found.document)) == used, "defaults written out, the same"
+def test_explicit_setting_overrides_the_preset(twin, used):
+    result = scenario(twin)
+    assert settings(result) == used
+    assert settings(parse_scenario(result.document)) == used, "defaults written out, the same"
 
 
 def test_a_law_needs_the_loaded_contact():
@@ -67,8 +67,8 @@ def test_a_law_needs_the_loaded_contact():
         scenario({"contact": "preloaded", "friction": "wheel"})
 
 
-def test_another_preset_replaces_what_the_former_gave_and_nothing_else():
-    """Sweeps, studies and `--set` change documents in which all settings are written out."""
+def test_another_preset_replaces_only_settings_of_the_first():
+    """Sweeps, studies and `--set` modify documents that contain all settings."""
     resolved = scenario({"hinges_per_segment": 3}).document
     assert settings(parse_scenario(resolved, set={KEY: "fast"})) == ("loaded", 0.002, 3, "fast")
     fast = scenario({"preset": "fast"}).document
@@ -80,10 +80,10 @@ def test_another_preset_replaces_what_the_former_gave_and_nothing_else():
     assert settings(parse_scenario(experiment.document({KEY: "fast"}))) == FAST
 
 
-def test_an_unknown_preset_is_refused_with_those_that_there_are(srs_twin, tmp_path):
+def test_unknown_preset_raises_with_the_allowed_names(srs_twin, tmp_path):
     done = srs_twin("run", "gen2_turn", "--set", f"{KEY}=fst", cwd=tmp_path)
-    said = f"{KEY}: must be one of reference, fast, not text 'fst'; did you mean fast?\n"
-    assert (done.returncode, done.stderr) == (2, f"--set {KEY}=fst: {said}")
+    output = f"{KEY}: must be one of reference, fast, not text 'fst'; did you mean fast?\n"
+    assert (done.returncode, done.stderr) == (2, f"--set {KEY}=fst: {output}")
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_an_unknown_preset_is_refused_with_those_that_there_are(srs_twin, tmp_pa
         ({"preset": "fast", "timestep_s": 0.001}, "fast with timestep_s 0.001"),
     ],
 )
-def test_a_run_says_with_which_preset(srs_twin, tmp_path, twin, named):
+def test_run_records_its_preset(srs_twin, tmp_path, twin, named):
     changes = [word for key, value in twin.items() for word in ("--set", f"plants.twin.{key}={value}")]
     short = ("--set", "duration_s=2", "--out", "run")
     done = srs_twin("run", "gen2_turn", "--plants", "twin", *changes, *short, cwd=tmp_path)
@@ -106,23 +106,23 @@ def test_a_run_says_with_which_preset(srs_twin, tmp_path, twin, named):
         assert (f"The twin ran with preset {named}, for searching:" in text) == (named is not None)
 
 
-def test_the_model_alone_has_no_preset(srs_twin, tmp_path):
+def test_other_settings_have_no_preset(srs_twin, tmp_path):
     words = ("--set", f"{KEY}=fast", "--set", "duration_s=1", "--plants", "analytical", "--out", "run")
     assert "preset" not in srs_twin("run", "gen2_turn", *words, cwd=tmp_path).stdout
 
 
-def test_presets_build_twins_of_themselves():
+def test_twin_built_from_a_preset_reports_it():
     assert TwinSnake(load_robot("gen4"), **PRESETS["fast"]).describe()["preset"] == "fast"
 
 
-def test_no_shipped_scenario_runs_with_it(root):
+def test_no_shipped_scenario_uses_the_fast_preset(root):
     for path in (root / "scenarios").glob("*.yaml"):
         assert "preset" not in path.read_text("utf-8"), path.name
     assert settings(load_scenario("gen2_turn")) == DEFAULT
 
 
 @pytest.mark.parametrize("name", ["gen2_turn", "gen3_turn"])
-def test_fast_errs_by_no_more_than_is_stated(name):
+def test_fast_preset_has_the_stated_error(name):
     fast = PRESETS["fast"]
-    found = np.abs(errors([measured(name, fast)], [measured(name, fast | {"timestep": FINE_S})]))[:, 0]
-    assert (found <= STATED).all(), dict(zip(METRICS, found, strict=True))
+    actual = np.abs(errors([measured(name, fast)], [measured(name, fast | {"timestep": FINE_S})]))[:, 0]
+    assert (actual <= STATED).all(), dict(zip(METRICS, actual, strict=True))

@@ -1,4 +1,4 @@
-"""The analytical models against each other and against their own limits; the dissertation's gap factor."""
+"""Analytical models compared with each other and with their limits; gap factor of the dissertation."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SUPPLY = 48.3e3
 
 
 def bent(plant: AnalyticalSnake, duration: float = 1.0, hz: float = 500) -> SnakeState:
-    """Return how a plant on smooth chambers moves."""
+    """Return the motion of a plant with smooth chambers."""
     plant.reset()
     schedule = plant.pneumatics.schedule(np.full((plant.spec.segments, 2), -1), duration)
     return plant.play(schedule, round(duration * hz))
@@ -36,7 +36,7 @@ def rms(values: np.ndarray) -> float:
 
 
 def ladder(amplitude: float, law: str, mu: dict[str, float]) -> tuple[float, float]:
-    """Return by how much `simplified` misses `complete`: path and torques, each over its size."""
+    """Return the relative differences of path and torques between `simplified` and `complete`."""
     spec = robot(**mu)
     complete, simplified = (
         bent(
@@ -51,26 +51,27 @@ def ladder(amplitude: float, law: str, mu: dict[str, float]) -> tuple[float, flo
     return path, rms(simplified.torque - complete.torque) / rms(complete.torque)
 
 
-def test_simplified_is_complete_to_second_order_in_the_bends():
-    """Chords shorten by q²: halve the bends, and relative differences fall to a quarter."""
-    found = np.array([ladder(a, "viscous", SMOOTH) for a in (0.2, 0.1, 0.05)])
-    order = np.log2(found[:-1] / found[1:])
+def test_simplified_equals_complete_to_second_order_in_the_bends():
+    """Chords shorten by q²: half the bends have a quarter of the relative difference."""
+    actual = np.array([ladder(a, "viscous", SMOOTH) for a in (0.2, 0.1, 0.05)])
+    order = np.log2(actual[:-1] / actual[1:])
     assert order == pytest.approx(np.full((2, 2), 2.0), abs=0.1)
-    assert found[-1, 0] < 1e-4
+    assert actual[-1, 0] < 1e-4
     # Bends of a radian are another matter: that is why the dissertation has a complete model.
     assert ladder(0.8, "viscous", SMOOTH)[0] > 0.02
 
 
 @pytest.mark.parametrize("law", ["axis", "wheel", "ellipse"])
-def test_simplified_torques_are_completes_for_small_bends_under_every_law(law):
+def test_simplified_torques_equal_complete_for_small_bends(law):
     found = np.array([ladder(a, law, {}) for a in (0.2, 0.05)])
     assert np.log(found[0, 1] / found[1, 1]) / np.log(4) == pytest.approx(2, abs=0.2)
 
 
 def phase(spec: RobotSpec, wave: Wave, times: np.ndarray, *, frozen: bool, inertia: np.ndarray) -> np.ndarray:
-    """Return the mean heading of a body that bends without any moment on it: θ̇ = −h/I, by scipy.
+    """Return the mean heading of a body that bends without external moment, θ̇ = −h/I, by SciPy.
 
-    Places come of adding chords from the tail, their rates of complex steps in time; nothing of the package.
+    Positions are sums of chords from the tail, their rates come from complex steps in time; nothing is from
+    the package.
     """
     mass = spec.mass.array()
 
@@ -98,7 +99,7 @@ def phase(spec: RobotSpec, wave: Wave, times: np.ndarray, *, frozen: bool, inert
 
 @pytest.mark.parametrize("law", LAWS)
 def test_without_friction_torque_the_heading_drifts_by_the_geometric_phase(law):
-    """Whatever the floor does: it moves the centre of mass, and nothing turns the body but its bends."""
+    """The floor moves the centre of mass only; the bends alone rotate the body."""
     spec = chain(MASSES)
     wave = Wave(spec, bias=0.3)
     plant = AnalyticalSnake(
@@ -118,8 +119,8 @@ def test_without_friction_torque_the_heading_drifts_by_the_geometric_phase(law):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("inertia", ["point", "connector", "lumped"])
-def test_lumped_inertia_is_the_texts(inertia):
-    """J_i = Σ m_i L²/3 over the segments at connector i (E19), felt by how far a frictionless snake turns."""
+def test_lumped_inertia_is_that_of_the_dissertation(inertia):
+    """J_i = Σ m_i L²/3 over the segments at connector i (E19), observed in the rotation without friction."""
     spec = chain(MASSES, mu_t=0.0, mu_n=0.0)
     own = {
         "point": np.zeros(5),
@@ -142,8 +143,8 @@ def test_lumped_inertia_is_the_texts(inertia):
                 {"model": "simplified", "friction_torque": False}],
     ids=["complete", "lumped", "simplified", "no torque"],
 )  # fmt: skip
-def test_mass_cancels_where_bends_are_given(options, law):
-    """Seven times the mass: the same way, seven times the moments and the work. No gait tells them apart."""
+def test_mass_cancels_with_prescribed_bends(options, law):
+    """Seven times the mass: the same path, seven times the torques and the work."""
     spec = chain(MASSES)
     heavy = replace(spec, mass=replace(spec.mass, connectors=tuple(7 * m for m in MASSES)))
     light, loaded = (
@@ -156,8 +157,8 @@ def test_mass_cancels_where_bends_are_given(options, law):
     assert loaded["work"] == pytest.approx(7 * light["work"], rel=1e-6, abs=1e-9)
 
 
-def test_simplified_is_a_model_of_its_own_in_a_gait():
-    """At the bends of a gait the three models differ, and only that without friction torque cannot steer."""
+def test_simplified_differs_from_complete_in_a_gait():
+    """At the bends of a gait the three models differ; only the one without friction torque cannot steer."""
     spec, gait = robot(), Gait(2.0, 0.2)
 
     def turned(**options) -> float:
@@ -173,14 +174,14 @@ def test_simplified_is_a_model_of_its_own_in_a_gait():
     assert abs(unturned) < 0.2 * complete
 
 
-# What is refused
+# Invalid settings
 
 
 @pytest.mark.parametrize("model", ["complete", "compliant"])
-def test_only_simplified_goes_without_friction_torque(model):
+def test_only_simplified_allows_no_friction_torque(model):
     with pytest.raises(InputError) as error:
         AnalyticalSnake(robot(), model=model, friction_torque=False)
-    assert str(error.value) == f"model '{model}' has a friction torque; only 'simplified' goes without"
+    assert str(error.value) == f"model '{model}' has a friction torque; use 'simplified' to leave it out"
 
 
 @pytest.mark.parametrize(
@@ -197,13 +198,13 @@ def test_only_simplified_goes_without_friction_torque(model):
         ),
     ],
 )
-def test_unknown_names_are_refused_with_those_that_are_known(options, words):
+def test_unknown_names_raise_with_the_known_names(options, words):
     with pytest.raises(InputError) as error:
         AnalyticalSnake(robot(), **options)
     assert str(error.value) == words
 
 
-def test_settings_of_the_ladder_are_described():
+def test_model_settings_are_described():
     about = AnalyticalSnake(
         robot(), model="simplified", friction_torque=False, inertia="lumped", friction="ellipse"
     ).describe()
@@ -226,7 +227,7 @@ def gapped(speed: float = 0.2):
     return with_metadata(run, segment_length_m=0.037, rigid_gap_m=0.018)
 
 
-def test_gap_factor_multiplies_the_references_speed():
+def test_gap_factor_multiplies_the_reference_speed():
     plain, factor = compare(gapless(), gapped()), compare(gapless(), gapped(), gap_factor=True)
     assert plain.metrics["gap_factor"] == 1.0
     assert factor.metrics["gap_factor"] == pytest.approx((0.037 + 0.018) / 0.037)
@@ -236,7 +237,7 @@ def test_gap_factor_multiplies_the_references_speed():
     assert {name: factor.metrics[name] for name in same} == {name: plain.metrics[name] for name in same}
 
 
-def test_gap_factor_is_refused_where_gaps_would_count_twice():
+def test_gap_factor_raises_if_gaps_would_count_twice():
     with pytest.raises(InputError) as error:
         compare(gapped(), gapped(), gap_factor=True)
     assert "has rigid gaps in its geometry, so the factor (l + L_o)/l would count them twice; " in str(
@@ -246,7 +247,7 @@ def test_gap_factor_is_refused_where_gaps_would_count_twice():
 
 
 @pytest.mark.parametrize("lost", ["segment_length_m", "rigid_gap_m"])
-def test_gap_factor_needs_the_candidates_lengths(lost):
+def test_gap_factor_needs_the_lengths_of_the_candidate(lost):
     with pytest.raises(InputError, match="metadata segment_length_m or rigid_gap_m is missing"):
         compare(gapless(), with_metadata(gapped(), **{lost: None}), gap_factor=True)
 
@@ -263,7 +264,7 @@ def refusal(**changes) -> list[str]:
     return [line.removeprefix("scenario: ") for line in error.value.lines]
 
 
-def test_scenario_asks_for_the_gap_factor(tmp_path):
+def test_scenario_can_request_the_gap_factor(tmp_path):
     scenario = parse_scenario(SCENARIO | {"plants": {"analytical": {"gaps": False}, "twin": {}}})
     assert scenario.file.comparison.gap_factor
     result = run_scenario(scenario, tmp_path / "run")
@@ -274,11 +275,11 @@ def test_scenario_asks_for_the_gap_factor(tmp_path):
     assert found["com_speed_rel"] == pytest.approx(twin / (model * 55 / 37) - 1)
 
 
-def test_scenario_without_it_compares_as_it_is():
+def test_scenario_without_gap_factor_compares_raw_speeds():
     assert not load_scenario("gen2_straight").file.comparison.gap_factor
 
 
-def test_scenario_refuses_the_gap_factor_where_it_has_no_meaning():
+def test_scenario_rejects_a_meaningless_gap_factor():
     (line,) = refusal()
     assert line == (
         "comparison.gap_factor: the analytical plant has the gaps in its geometry already; "

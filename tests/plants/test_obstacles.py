@@ -1,4 +1,4 @@
-"""Obstacles in the twin: contacts that hold, forces that obey Newton, and nothing changed in the open."""
+"""Obstacles of the twin: no penetration, forces consistent with Newton's law, no effect at a distance."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ def driven(
 
 
 def forces(run: Trajectory) -> np.ndarray:
-    """Return the obstacles' force on each connector, shape (samples, N, 2), N."""
+    """Return the force of the obstacles on each connector, shape (samples, N, 2), N."""
     return np.stack([[run[f"obstacle_force_{axis}_{i}"] for axis in "xy"] for i in range(1, 6)]).transpose(
         2, 0, 1
     )
 
 
 def deepest(twin: TwinSnake, run: Trajectory) -> float:
-    """Return how deep the body ever was in an obstacle, from the recorded places alone, m."""
+    """Return the largest depth of the body in an obstacle, from the recorded positions, m."""
     model = twin.physics.model.ptr
-    data, found = mujoco.MjData(model), 0.0
+    data, result = mujoco.MjData(model), 0.0
     for k in range(0, len(run["time"]), 5):
         data.qpos[:] = [run[f"qpos_{c}"][k] for c in range(1, model.nq + 1)]
         mujoco.mj_forward(model, data)
         for contact in data.contact:
             if any(model.geom(geom).name.startswith("hull") for geom in contact.geom):
-                found = max(found, -contact.dist)
-    return found
+                result = max(result, -contact.dist)
+    return result
 
 
 @met
@@ -57,8 +57,8 @@ def test_a_snake_driven_into_an_obstacle_stays_out_of_it(name):
 @pytest.mark.slow
 @met
 @pytest.mark.parametrize("wheels", ["rolling", "skid"])
-def test_floor_and_obstacles_together_move_the_centre_of_mass(name, wheels):
-    """Newton for the whole snake: forces as recorded against the centre of mass as recorded."""
+def test_floor_and_obstacle_forces_accelerate_the_centre_of_mass(name, wheels):
+    """Newton's law of the whole snake with recorded forces and positions."""
     twin = TwinSnake(robot(), supply_pa=48e3, world=WORLDS[name], wheels=wheels)
     gait, mass = Gait(2.0), twin.spec.mass.total
     gait.reset(twin.spec, twin.tick)
@@ -73,7 +73,7 @@ def test_floor_and_obstacles_together_move_the_centre_of_mass(name, wheels):
     assert np.abs(without - momentum).max() > np.abs(momentum).max()
 
 
-def test_the_force_on_a_round_obstacle_points_away_from_it_but_for_friction():
+def test_normal_force_of_a_circle_is_radial():
     circle = Circle(0.25, 0.02, 0.06)
     _, run = driven(World((circle,)), duration=2.0)
     force = forces(run)
@@ -87,7 +87,7 @@ def test_the_force_on_a_round_obstacle_points_away_from_it_but_for_friction():
     assert ((force * away).sum(axis=2)[hit] > 0.4 * size[hit]).all()
 
 
-def test_in_the_open_nothing_changes():
+def test_remote_obstacles_do_not_change_the_motion():
     _, alone = driven(None, duration=1.0)
     _, bounded = driven(World(bounds=Bounds((-1, 1), (-1, 1)), goal=Goal(0.5, 0, None, 0.05)), duration=1.0)
     assert all((bounded[name] == alone[name]).all() for name in alone.columns)
@@ -97,7 +97,7 @@ def test_in_the_open_nothing_changes():
     assert far.touches and not forces(run).any()
 
 
-def test_a_shorter_step_gives_the_same_encounter():
+def test_obstacle_contact_converges_with_the_time_step():
     ends = []
     for timestep in (0.001, 0.0005):
         _, run = driven(OBLIQUE, timestep=timestep, duration=2.0)
@@ -107,7 +107,7 @@ def test_a_shorter_step_gives_the_same_encounter():
     )
 
 
-def test_a_scenarios_obstacles_are_there_for_the_twin(tmp_path):
+def test_twin_of_a_scenario_has_its_obstacles(tmp_path):
     path = tmp_path / "blocked.yaml"
     path.write_text(
         "robot: gen2\nduration_s: 2\ncontroller: {kind: gait, frequency_hz: 2.0}\n"

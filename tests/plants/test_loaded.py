@@ -1,4 +1,4 @@
-"""The twin on momentary loads: against an explicit simulation with its own MJCF and law, and by laws."""
+"""Loaded contact: compared with an explicit simulation that has its own MJCF and law, and with laws."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from srs_twin import (
     rollout,
     run_many,
 )
-from srs_twin.plants.twin.friction_held import held, rolling
+from srs_twin.plants.twin.stick_slip import rolling_friction, stick_slip_friction
 from srs_twin.robot.friction import ellipse, wheel
 from srs_twin.robot.spec import Friction, Tail
 
@@ -46,48 +46,53 @@ MU = st.floats(0.01, 1.0)
 
 
 @given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, at=st.floats(0, 6.3))
-def test_what_slides_fast_is_the_ellipse_and_what_rests_keeps_its_force(v_t, v_n, mu_t, mu_n, at):
+def test_fast_contact_follows_the_ellipse_and_resting_contact_keeps_its_force(v_t, v_n, mu_t, mu_n, at):
     assume(abs(v_t) > 1e-3 and abs(v_n) > 1e-3)
     p_t, p_n = 0.99 * LOAD * mu_t * math.cos(at), 0.99 * LOAD * mu_n * math.sin(at)
-    assert held(0.0, 0.0, LOAD, mu_t, mu_n, 1e-3, p_t, p_n)[:2] == pytest.approx((p_t, p_n), rel=1e-12)
-    assert held(v_t, v_n, LOAD, mu_t, mu_n, 1e-9, p_t, p_n)[:2] == pytest.approx(
+    assert stick_slip_friction(0.0, 0.0, LOAD, mu_t, mu_n, 1e-3, p_t, p_n)[:2] == pytest.approx(
+        (p_t, p_n), rel=1e-12
+    )
+    assert stick_slip_friction(v_t, v_n, LOAD, mu_t, mu_n, 1e-9, p_t, p_n)[:2] == pytest.approx(
         ellipse(v_t, v_n, LOAD, mu_t, mu_n, 0.0)[:2], rel=1e-3, abs=1e-3 * LOAD * max(mu_t, mu_n)
     )
 
 
 @given(v_t=SPEED, v_n=SPEED, rim=SPEED, mu_t=MU, mu_n=MU, lag=st.floats(1e-3, 10), p=MU)
-def test_what_contact_and_axle_give_is_what_the_rim_gains(v_t, v_n, rim, mu_t, mu_n, lag, p):
+def test_rim_speed_balances_contact_and_axle(v_t, v_n, rim, mu_t, mu_n, lag, p):
     push = (p * LOAD, -p * LOAD)
-    f_t, f_n, _, _, _, w = rolling(v_t, v_n, LOAD, mu_t, mu_n, 1e-3, *push, rim, lag)
+    f_t, f_n, _, _, _, w = rolling_friction(v_t, v_n, LOAD, mu_t, mu_n, 1e-3, *push, rim, lag)
     assert math.hypot(f_t, f_n) <= mu_n * LOAD * (1 + 1e-12)
     drag = -f_t - lag * (w - rim)  # what the axle takes
     assert abs(drag) <= mu_t * LOAD * (1 + 1e-6)
     if w != 0:
         assert drag == pytest.approx(math.copysign(mu_t * LOAD, w), rel=1e-6)
     # With a rim at rest and no force from before friction only takes power.
-    f_t, f_n, *_ = rolling(v_t, v_n, LOAD, mu_t, mu_n, 1e-3, 0.0, 0.0, 0.0, lag)
+    f_t, f_n, *_ = rolling_friction(v_t, v_n, LOAD, mu_t, mu_n, 1e-3, 0.0, 0.0, 0.0, lag)
     assert f_t * v_t + f_n * v_n <= 1e-15
 
 
 @given(v_t=SPEED, v_n=SPEED, mu_n=MU, share=st.floats(0.01, 0.9))
-def test_a_wheel_without_inertia_is_the_wheel_law(v_t, v_n, mu_n, share):
+def test_wheel_without_inertia_follows_the_wheel_law(v_t, v_n, mu_n, share):
     assume(abs(v_n) > 1e-3 and abs(v_t) > 1e-3)
     slip = 1e-6
     expected = wheel(v_t, v_n, LOAD, share * mu_n, mu_n, slip)[:2]
-    found = rolling(v_t, v_n, LOAD, share * mu_n, mu_n, slip, 0.0, 0.0, 0.0, 1e-12)[:2]
-    assert found == pytest.approx(expected, abs=1e-4 * LOAD)
+    actual = rolling_friction(v_t, v_n, LOAD, share * mu_n, mu_n, slip, 0.0, 0.0, 0.0, 1e-12)[:2]
+    assert actual == pytest.approx(expected, abs=1e-4 * LOAD)
 
 
 @pytest.mark.parametrize("slip", [1e-2, 10.0])  # slides; sticks
 @pytest.mark.parametrize("seed", range(20))
-def test_slopes_of_a_wheel_that_spins_are_those_of_its_forces(seed, slip):
+def test_rolling_friction_slopes_match_finite_differences(seed, slip):
     v_t, v_n, rim, mu_t, mu_n, p_t, p_n = np.random.default_rng(seed).uniform(
         [-1, -1, -1, 0.01, 0.1, -0.1, -0.1], [1, 1, 1, 0.1, 1, 0.1, 0.1]
     )
     step, arguments = 1e-7, (LOAD, mu_t, mu_n, slip, p_t, p_n, rim, 0.5)
-    _, _, tt, tn, nn, _ = rolling(v_t, v_n, *arguments)
-    ahead, behind = rolling(v_t + step, v_n, *arguments), rolling(v_t - step, v_n, *arguments)
-    left, right = rolling(v_t, v_n + step, *arguments), rolling(v_t, v_n - step, *arguments)
+    _, _, tt, tn, nn, _ = rolling_friction(v_t, v_n, *arguments)
+    ahead, behind = (
+        rolling_friction(v_t + step, v_n, *arguments),
+        rolling_friction(v_t - step, v_n, *arguments),
+    )
+    left, right = rolling_friction(v_t, v_n + step, *arguments), rolling_friction(v_t, v_n - step, *arguments)
     found = [(ahead[k] - behind[k]) / (2 * step) for k in (0, 1)] + [(left[1] - right[1]) / (2 * step)]
     assert found == pytest.approx([tt, tn, nn], rel=1e-4, abs=1e-6)
 
@@ -106,14 +111,14 @@ def test_extrapolation_is_exact_for_a_power_of_the_slip_speed(limit, slope, orde
 
 
 @pytest.mark.slow
-def test_a_transient_is_that_of_the_explicit_simulation():
+def test_transient_agrees_with_the_explicit_simulation():
     twin, explicit = crawled("gen2_straight", 2, contact="loaded"), simulate(POINTS["gen2_straight"], 2)
     assert_close(twin, explicit.speed_mm_s, explicit.yaw_rate, drift=0.01)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gen2_turn", "gen1_straight", "gen3_straight"])
-def test_stored_values_are_those_of_the_explicit_simulation(name):
+def test_stored_values_are_current(name):
     slip = SLIPS_M_S[0]
     result, runs = simulate(POINTS[name], None, STEP_SHARES_S2_M[0] * slip, slip), stored()[name]
     assert result.speed_mm_s == pytest.approx(runs.speed_mm_s[0][0], rel=1e-3)
@@ -122,7 +127,7 @@ def test_stored_values_are_those_of_the_explicit_simulation(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name, point in POINTS.items() if point.tail is None])
-def test_every_point_is_that_of_the_explicit_simulation(name):
+def test_every_point_agrees_with_the_explicit_simulation(name):
     # This one turns 2.8 % too fast at 1 ms and 0.5 % at half of it.
     step = 0.0005 if name == "stiff_slow_turn" else 0.001
     twin, runs = crawled(name, None, step, contact="loaded"), stored()[name]
@@ -134,7 +139,7 @@ def test_every_point_is_that_of_the_explicit_simulation(name):
 
 @pytest.mark.slow
 def test_a_tail_on_two_axles_lifts_as_in_the_explicit_simulation():
-    """Speeds converge to it to first order in the step: 1 ms is 1.2 % too fast, half a millisecond 0.6 %."""
+    """Speeds converge to first order in the step: 1 ms is 1.2 % too fast, 0.5 ms is 0.6 %."""
     runs = stored()["gen3_tail"]
     speed = runs.speed[0]
     twin, fine = (crawled("gen3_tail", None, step, contact="loaded") for step in (0.001, 0.0005))
@@ -147,7 +152,7 @@ def test_a_tail_on_two_axles_lifts_as_in_the_explicit_simulation():
 TAIL = Tail(axle=0.06, com=0.045, com_height=0.025, gyration=0.025)
 
 
-def test_at_rest_two_axles_share_a_tail_by_their_levers():
+def test_static_loads_of_a_two_axle_tail_follow_the_levers():
     spec = replace(robot("gen3"), tail=TAIL)
     plant = TwinSnake(spec, contact="loaded")
     state = plant.step(np.full((3, spec.segments, 2), -1))
@@ -156,7 +161,7 @@ def test_at_rest_two_axles_share_a_tail_by_their_levers():
     assert state.contact_force.shape == (spec.geometry.connectors, 2)
 
 
-def test_spun_on_the_spot_a_snake_loses_what_its_axles_lever_says():
+def test_spinning_snake_decelerates_by_the_lever_of_its_axles():
     spec = replace(robot("gen3"), tail=TAIL, friction=Friction(mu_t=0.5, mu_n=0.5))
     plant = TwinSnake(spec, contact=LoadedContact("ellipse"), tick=0.001)
     physics, data = plant.physics, plant.physics.data
@@ -175,20 +180,20 @@ def test_spun_on_the_spot_a_snake_loses_what_its_axles_lever_says():
 
 
 @pytest.mark.parametrize("plant", [partial(TwinSnake, contact="preloaded"), AnalyticalSnake])
-def test_a_plant_without_a_second_axle_refuses_a_tail_that_has_one(plant):
+def test_tail_on_two_axles_needs_loaded_contact(plant):
     with pytest.raises(InputError, match="tail"):
         plant(replace(robot("gen3"), tail=TAIL))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gen2_turn", "stiff_turn"])
-def test_half_the_step_gives_the_same(name):
+def test_half_the_time_step_gives_the_same_result(name):
     coarse, fine = (crawled(name, 4, step, contact="loaded") for step in (0.001, 0.0005))
     assert coarse.speed_mm_s == pytest.approx(fine.speed_mm_s, rel=0.01)
     assert coarse.yaw_rate == pytest.approx(fine.yaw_rate, rel=0.02)
 
 
-def test_what_spins_a_wheel_up_does_not_pitch_the_snake():
+def test_spinning_up_wheels_does_not_pitch_the_snake():
     # Thrown along with wheels at rest, the floor's force F at the hubs and the bearings' drag tip it forward.
     plant, g = TwinSnake(SPEC, contact="loaded", tick=0.004), SPEC.geometry
     plant.physics.data.qvel[0] = 0.5
@@ -202,17 +207,17 @@ def test_what_spins_a_wheel_up_does_not_pitch_the_snake():
     assert moment == pytest.approx(force * (g.com_height - g.wheel_radius) + drag, rel=0.01)
 
 
-def test_what_air_does_goes_into_motion_floor_and_rubber():
+def test_energy_balance_of_air_motion_floor_and_segments():
     plant = TwinSnake(SPEC, contact="loaded", supply_pa=48.3e3)
     run = rollout(plant, Gait(2.0, 0.2), 2.0, record_hz=1000)
     bend, torque = run.stack("bend"), run.stack("torque")
-    # Springs and dampers of the bends are off `torque` already; those of pitch and roll take a little.
+    # `torque` excludes springs and dampers of the bends; those of pitch and roll take a little.
     done = ((torque[1:] + torque[:-1]) / 2 * np.diff(bend, axis=0)).sum()
     supplied = np.abs((torque[1:] + torque[:-1]) / 2 * np.diff(bend, axis=0)).sum()
     assert run["work"][-1] == pytest.approx(done, abs=0.01 * supplied)
 
 
-def test_equal_runs_are_equal_to_the_bit_wherever_they_run():
+def test_runs_are_reproducible_across_processes():
     batch = TwinBatch([SPEC] * 3, supply_pa=48e3, threads=2, contact="loaded")
     runs = [rollout(batch.twins[0], Gait(2.0, 0.3), 0.3)]
     alone = TwinSnake(SPEC, contact="loaded", supply_pa=48e3)
@@ -230,12 +235,12 @@ def test_equal_runs_are_equal_to_the_bit_wherever_they_run():
         ({"contact": "preload"}, "did you mean preloaded"),
     ],
 )
-def test_an_unknown_contact_is_refused(given, words):
+def test_unknown_contact_raises(given, words):
     with pytest.raises(InputError, match=words):
         TwinSnake(SPEC, **given)
 
 
-def test_a_contact_refuses_what_it_does_not_know():
+def test_contact_rejects_unknown_options():
     for make in (partial(LoadedContact, "viscous"), partial(LoadedContact, load="dynamic")):
         with pytest.raises(InputError, match="unknown; allowed"):
             make()
@@ -264,13 +269,24 @@ def test_a_contact_refuses_what_it_does_not_know():
         ({"axle_time": 0.001, "slip_time": 0.001}, LoadedContact(), Numerics()),
     ],
 )
-def test_former_keywords_of_a_twin_still_work_and_warn(former, contact, numerics):
-    with pytest.warns(DeprecationWarning, match="of TwinSnake: give contact="):
+def test_deprecated_keywords_work_and_warn(former, contact, numerics):
+    with pytest.warns(DeprecationWarning, match="of TwinSnake are deprecated; pass contact="):
         twin = TwinSnake(SPEC, **former)
     assert (twin.contact, twin._settings.numerics) == (contact, numerics)
 
 
-def test_former_keywords_are_refused_where_they_were():
+def test_deprecated_attributes_work_and_warn():
+    twin, contact = TwinSnake(SPEC), PreloadedContact(preload=3.0)
+    with pytest.warns(DeprecationWarning, match="use Plant.max_chunk_s"):
+        assert twin.stretch == twin.max_chunk_s
+    with pytest.warns(DeprecationWarning, match="use preload_ratio"):
+        assert contact.pressed == contact.preload_ratio == 3.0
+    with pytest.warns(DeprecationWarning, match="use Plant.max_chunk_s"):
+        cautious = type("Cautious", (TwinSnake,), {"stretch": 0.1})
+    assert cautious(SPEC).max_chunk_s == 0.1
+
+
+def test_deprecated_keywords_are_checked_as_before():
     with pytest.raises(TypeError, match="'wheel'"):
         TwinSnake(SPEC, wheel="skid")
     for former, words in (

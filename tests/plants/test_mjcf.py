@@ -1,4 +1,4 @@
-"""The structure of the MuJoCo model: where hinges stand, masses, springs, signs and names."""
+"""Structure of the MuJoCo model: positions of hinges, masses, springs, signs and names."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ HINGES = range(1, ModelSettings.hinges_per_segment + 1)
 
 
 def hinged_chord(bend: float, hinges: int) -> float:
-    """Return the end distance of a unit segment whose hinges share a bend equally."""
+    """Return the chord of a unit segment whose hinges share a bend equally."""
     edges = np.concatenate([[0.0], hinge_stations(hinges, 1.0, 0.0), [1.0]])
     angles = bend * np.arange(hinges + 1) / hinges
     return float(abs((np.diff(edges) * np.exp(1j * angles)).sum()))
 
 
 @pytest.mark.parametrize(("hinges", "error"), [(2, 0.0023), (4, 0.0006), (8, 0.0002)])
-def test_hinges_stand_where_they_keep_the_arcs_chord(hinges, error):
+def test_hinge_stations_preserve_the_chord_of_the_arc(hinges, error):
     arc = np.sin(RIGHT_ANGLE / 2) / (RIGHT_ANGLE / 2)
     assert hinged_chord(RIGHT_ANGLE, hinges) == pytest.approx(arc, rel=error)
 
 
 @pytest.mark.parametrize("hinges", [2, 3, 4, 7])
-def test_chord_agrees_through_second_order(hinges):
-    """Half the bend, a sixteenth of the error."""
+def test_chord_agrees_to_second_order(hinges):
+    """Half the bend has a sixteenth of the error."""
     errors = [hinged_chord(q, hinges) - np.sinc(q / (2 * np.pi)) for q in (0.8, 0.4)]
     assert errors[0] / errors[1] == pytest.approx(16, rel=0.05)
 
@@ -50,7 +50,7 @@ def test_known_hinge_stations():
 
 @pytest.fixture(scope="module", params=NAMES)
 def scene(request) -> tuple[mujoco.MjModel, mujoco.MjData, str]:
-    """Each robot's compiled scene, straight, forward kinematics done."""
+    """Compiled scene of each robot, straight, after forward kinematics."""
     spec = load_robot(request.param)
     model = scene_mjcf(spec, ModelSettings(contact=PreloadedContact())).compile()
     data = mujoco.MjData(model)
@@ -58,12 +58,12 @@ def scene(request) -> tuple[mujoco.MjModel, mujoco.MjData, str]:
     return model, data, request.param
 
 
-def test_mass_of_the_model_is_the_robots(scene):
+def test_model_mass_equals_robot_mass(scene):
     model, _, name = scene
     assert model.body_mass.sum() == pytest.approx(load_robot(name).mass.total, rel=1e-12)
 
 
-def test_centre_of_mass_lies_where_the_point_masses_put_it(scene):
+def test_centre_of_mass_equals_that_of_the_point_masses(scene):
     model, data, name = scene
     spec = load_robot(name)
     stations = data.xpos[[model.body(f"connector_{i}").id for i in range(1, 6)], 0]
@@ -72,7 +72,7 @@ def test_centre_of_mass_lies_where_the_point_masses_put_it(scene):
     assert data.subtree_com[0][1] == pytest.approx(0, abs=1e-15)
 
 
-def test_every_connectors_mass_stands_at_its_frame(scene):
+def test_connector_masses_are_centred_on_their_frames(scene):
     model, data, _ = scene
     for i in range(1, 6):
         body = model.body(f"connector_{i}").id
@@ -82,7 +82,7 @@ def test_every_connectors_mass_stands_at_its_frame(scene):
             assert data.xipos[wheel] == pytest.approx(data.xpos[wheel], abs=1e-12)
 
 
-def test_connectors_stand_a_pitch_apart_on_their_wheels(scene):
+def test_connectors_are_one_pitch_apart_on_their_wheels(scene):
     model, data, name = scene
     g = load_robot(name).geometry
     places = np.array([data.xpos[model.body(f"connector_{i}").id] for i in range(1, 6)])
@@ -93,8 +93,8 @@ def test_connectors_stand_a_pitch_apart_on_their_wheels(scene):
     assert left[2] == pytest.approx(g.wheel_radius)
 
 
-def test_load_of_each_connector_is_its_own_mass(scene):
-    """Bodies between two hinges take their mass off the connectors beside them."""
+def test_static_load_of_a_connector_is_its_weight(scene):
+    """The mass of links between hinges is subtracted from the adjacent connectors."""
     model, data, name = scene
     spec = load_robot(name)
     own = np.zeros(5)
@@ -107,22 +107,22 @@ def test_load_of_each_connector_is_its_own_mass(scene):
     assert own == pytest.approx(spec.mass.array(), rel=0.01)
 
 
-def test_hinges_in_series_have_the_segments_stiffness_and_damping(scene):
+def test_series_hinges_have_the_stiffness_and_damping_of_the_segment(scene):
     model, _, name = scene
     bending = load_robot(name).bending
     for j in range(1, 5):
         hinges = [model.joint(f"hinge_{j}_{k}").id for k in HINGES]
         assert 1 / (1 / model.jnt_stiffness[hinges]).sum() == pytest.approx(bending.stiffness)
         damping = model.dof_damping[model.jnt_dofadr[hinges]]
-        # The integrator's springs stand at the end of a step and damp by stiffness × step besides.
+        # The integrator evaluates springs at the end of a step, which adds the damping stiffness × step.
         whole = damping + ModelSettings.timestep * model.jnt_stiffness[hinges]
         assert 1 / (1 / whole).sum() == pytest.approx(bending.stiffness * bending.damping_time)
         assert model.joint(f"pitch_{j}").stiffness == pytest.approx(bending.pitch_stiffness)
         assert model.joint(f"roll_{j}").stiffness == pytest.approx(bending.roll_stiffness)
 
 
-def test_plus_pressure_presses_towards_a_left_bend(scene):
-    """Moment k G p on the tendon, which is the bend; a bend to the left puts the head left of the rest."""
+def test_plus_pressure_bends_to_the_left(scene):
+    """The moment k G p acts on the tendon, whose length is the bend; a left bend moves the head left."""
     model, data, name = scene
     spec = load_robot(name)
     for sign, chamber in ((1, "plus"), (-1, "minus")):
@@ -146,13 +146,13 @@ def test_tendon_length_is_the_difference_of_headings(scene):
     headings = np.unwrap(np.arctan2(frames[:, 3], frames[:, 0]))
     assert headings[:-1] - headings[1:] == pytest.approx([0.4, -0.8, 1.2, 0.1], abs=1e-12)
     assert data.ten_length == pytest.approx([0.4, -0.8, 1.2, 0.1], abs=1e-12)
-    # Segment 1 bends to the left: seen along segment 2, connector 1 lies left of its chord.
+    # Segment 1 bends to the left: seen along segment 2, connector 1 is to the left of its chord.
     ahead = np.array([np.cos(headings[1]), np.sin(headings[1])])
     to_head = (data.body("connector_1").xpos - data.body("connector_2").xpos)[:2]
     assert ahead[0] * to_head[1] - ahead[1] * to_head[0] > 0
 
 
-def test_axles_drag_by_the_load_and_treads_slide_by_it(scene):
+def test_axle_and_tread_friction_are_proportional_to_the_load(scene):
     model, _, name = scene
     spec, numerics = load_robot(name), ModelSettings(contact=PreloadedContact())
     pressed = preload_force(spec, PreloadedContact())
@@ -161,7 +161,7 @@ def test_axles_drag_by_the_load_and_treads_slide_by_it(scene):
         for side in ("left", "right"):
             drag = model.dof_frictionloss[model.joint(f"axle_{side}_{i}").dofadr]
             assert drag / spec.geometry.wheel_radius == pytest.approx([spec.friction.mu_t * load])
-        # What a pressed wheel can hold sideways is μ_n times the load it would have alone.
+        # The lateral friction limit of a preloaded wheel is μ_n times its static load.
         mu = pair_attributes(spec, numerics)["friction"][0]
         assert mu * (load + pressed[i - 1, 0]) == pytest.approx(spec.friction.mu_n * load)
     assert model.npair == len(treads(spec)) == 10
@@ -181,18 +181,18 @@ def test_every_element_has_a_name(scene):
 
 
 @pytest.mark.parametrize("connectors", range(2, 13))
-def test_snakes_of_any_length_build(connectors):
+def test_any_number_of_connectors_builds(connectors):
     spec = chain((0.03,) * connectors)
     model = scene_mjcf(spec, ModelSettings(hinges_per_segment=2, contact=PreloadedContact())).compile()
     assert model.ntendon == connectors - 1
     assert model.npair == 2 * connectors
-    # Root, 2 hinges + pitch + roll a segment, 2 wheels a connector.
+    # Free joint; two hinges, pitch and roll per segment; two wheels per connector.
     assert model.nv == 6 + 4 * (connectors - 1) + 2 * connectors
     assert model.body_mass.sum() == pytest.approx(spec.mass.total)
 
 
 @pytest.mark.parametrize("hinges", [1, 2, 3, 8])
-def test_number_of_hinges_changes_neither_mass_nor_stiffness(hinges):
+def test_mass_and_stiffness_are_independent_of_the_number_of_hinges(hinges):
     spec = robot()
     model = robot_mjcf(spec, ModelSettings(hinges_per_segment=hinges, contact=PreloadedContact())).compile()
     assert model.body_mass.sum() == pytest.approx(spec.mass.total)
@@ -200,7 +200,7 @@ def test_number_of_hinges_changes_neither_mass_nor_stiffness(hinges):
     assert 1 / np.sum(1 / np.array(series)) == pytest.approx(spec.bending.stiffness)
 
 
-def test_controls_reach_the_given_supply():
+def test_control_range_reaches_the_supply_pressure():
     spec = robot()
     shipped = robot_mjcf(spec, ModelSettings(contact=PreloadedContact())).compile()
     over = robot_mjcf(
@@ -210,7 +210,7 @@ def test_controls_reach_the_given_supply():
     assert over.actuator("minus_4").ctrlrange == pytest.approx([0, 2 * spec.supply.pulsed_limit])
 
 
-def test_numerics_reach_the_options():
+def test_numerics_set_the_engine_options():
     model = scene_mjcf(robot(), ModelSettings(0.0005, contact=PreloadedContact(slip_time=0.004))).compile()
     assert model.opt.timestep == 0.0005
     assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -220,6 +220,6 @@ def test_numerics_reach_the_options():
     assert model.pair_solreffriction[:, 0] == pytest.approx([0.004] * 10)
 
 
-def test_a_time_step_beyond_the_damping_time_is_refused():
+def test_time_step_above_the_damping_time_raises():
     with pytest.raises(InputError, match=r"time step 0.004 s is too long .* c/k of 0.00214 s; it must be sh"):
         robot_mjcf(robot(), ModelSettings(0.004))

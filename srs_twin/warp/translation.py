@@ -1,0 +1,105 @@
+"""Translation of numba kernels and their records for Warp.
+
+Warp needs argument types, the Warp versions of called functions under their names, and single precision. A
+function that uses only the common subset of both compilers is copied with these; its tolerances are replaced
+by those of single precision. A record, a named tuple of arrays and numbers, becomes a Warp struct of one
+world and one of all worlds.
+"""
+
+from __future__ import annotations
+
+import inspect
+import linecache
+from collections.abc import Callable, Mapping, Sequence
+from types import FunctionType
+from typing import Any, NamedTuple
+
+import numpy as np
+import warp as wp
+
+_TOLERANCES = {
+    "_RIM_TOLERANCE": 1e-6,  # relative, of the rim speed (`stick_slip`)
+    "_ABSOLUTE_TOLERANCE": 1e-15,  # (kg·m/s)², of the squared residual (`friction_solve`)
+}
+"""Module constants in the translated functions → their values in single precision."""
+
+
+def as_warp_functions(functions: Sequence[Callable[..., Any]], **translated: Any) -> dict[str, Any]:
+    """Return the Warp versions of functions by name, with those given as `translated`.
+
+    Args:
+        functions: compiled by numba; a function comes before those that call it.
+        **translated: Warp functions that the functions call, by name.
+    """
+    namespace: dict[str, Any] = _TOLERANCES | translated
+    for function in functions:
+        plain = getattr(function, "py_func", function)
+        copy = FunctionType(plain.__code__, {**plain.__globals__, **namespace}, plain.__name__)
+        copy.__module__, copy.__qualname__ = plain.__module__, f"warp_{plain.__name__}"
+        copy.__annotations__ = dict.fromkeys(inspect.signature(plain).parameters, Any)
+        namespace[plain.__name__] = wp.func(copy)
+    return namespace
+
+
+class WarpStruct(NamedTuple):
+    """Warp versions of a record.
+
+    Attributes:
+        single: struct of one world, as the translated functions take it.
+        batched: struct of all worlds; its fields have a leading axis of worlds.
+        select: Warp function that maps a batched struct and an index to the struct of that world.
+    """
+
+    single: Any
+    batched: Any
+    select: Any
+
+
+def warp_struct(example: Any, without: Sequence[str] = ()) -> WarpStruct:
+    """Return the Warp versions of a record.
+
+    Args:
+        example: record of one world, a named tuple.
+        without: fields that are left out.
+    """
+    kind = type(example)
+    names = [name for name in example._fields if name not in without]
+    shapes = {name: _type_and_ndim(getattr(example, name)) for name in names}
+    single, batched = (
+        wp.struct(type(f"{kind.__name__}{suffix}", (), {"__annotations__": fields, "__module__": __name__}))
+        for suffix, fields in (
+            ("Single", {name: wp.array(dtype=t, ndim=d) if d else t for name, (t, d) in shapes.items()}),
+            ("Batched", {name: wp.array(dtype=t, ndim=d + 1) for name, (t, d) in shapes.items()}),
+        )
+    )
+    lines = [f"def select_{kind.__name__}(batched: Batched, i: int):", "    single = Single()"]
+    lines += [f"    single.{name} = batched.{name}[i]" for name in names] + ["    return single"]
+    source = "\n".join(lines) + "\n"
+    return WarpStruct(single, batched, _function_from_source(source, {"Single": single, "Batched": batched}))
+
+
+def stack_records(struct: WarpStruct, records: Sequence[Any], device: Any) -> Any:
+    """Return the records of several worlds as one batched struct on a device."""
+    batched = struct.batched()
+    for name in records[0]._fields:
+        values = [getattr(record, name) for record in records]
+        rows = np.stack([np.asarray(value) for value in values])
+        setattr(batched, name, wp.array(rows, dtype=_type_and_ndim(values[0])[0], device=device))
+    return batched
+
+
+def _type_and_ndim(value: Any) -> tuple[type, int]:
+    """Return the scalar type of a field and its number of axes."""
+    array = np.asarray(value)
+    return (float if array.dtype.kind == "f" else int), array.ndim
+
+
+def _function_from_source(source: str, namespace: Mapping[str, Any]) -> Any:
+    """Return the Warp function with the given source, which Warp reads through `linecache`."""
+    name = source[4 : source.index("(")]
+    file = f"<{__name__}.{name}>"
+    linecache.cache[file] = len(source), None, source.splitlines(keepends=True), file
+    definitions: dict[str, Any] = dict(namespace)
+    exec(compile(source, file, "exec"), definitions)
+    definitions[name].__module__ = __name__
+    return wp.func(definitions[name])
