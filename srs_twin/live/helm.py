@@ -89,7 +89,7 @@ class Helm:
         if not self._steps:
             self._begin(found, shadow)
         likely = [HYPOTHESES[m] for m in shadow.bank.likely()]
-        faint = np.median([each.weak for each in likely]) < _FAINT
+        faint = shadow.bank.supply.share < _FAINT
         self._faint_for = self._faint_for + self._tick if faint else 0.0
         if self._faint_for > PATIENCE_S:
             self._give_up(EMPTY)

@@ -23,7 +23,7 @@ from srs_twin.errors import InputError
 from srs_twin.live.clocks import Inbox
 from srs_twin.live.ensemble import STEP_S, Air, Ensemble
 from srs_twin.live.faults import FILLS, HYPOTHESES, LEAKS, READS, STARVED, VENTS, FaultBank
-from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, VALVES, Message
+from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, SUPPLY, VALVES, Message
 from srs_twin.live.prediction import SLOT_S, Hindsight, Prediction, Rhythm
 from srs_twin.memory import Remembers, SavedState, fingerprint
 from srs_twin.plants.base import SnakeState
@@ -43,7 +43,7 @@ LARGEST_SD_M = 0.05
 """Where the robot is known less well than this, it is lost."""
 MISSING_FRAMES = 8
 """A body that so many frames in a row do not have is lost, while others are seen."""
-_TAKEN = (COMMAND, VALVES, BENDS, PRESSURES, POSES)
+_TAKEN = (COMMAND, VALVES, BENDS, PRESSURES, POSES, SUPPLY)
 HORIZON_S, _STEP_S, _AHEAD, _FINER = 1.0, 0.1, 16, 2
 """How far predictions reach, at which times (s), how many members make them, in how many parts of a slot."""
 _WAITS_S, _NOTHING_S = 0.1, 5e-4
@@ -228,6 +228,8 @@ class Shadow:
                 self._see(message)
             elif kind == BENDS:
                 self.bank.read(values)
+            elif kind == SUPPLY:
+                self.bank.read_supply(float(values))
             else:
                 self.bank.read(pressures=values, span=min(time - self._heard[PRESSURES], 1.0))
             self._heard[kind] = time
@@ -312,7 +314,7 @@ class Shadow:
         does = np.array([[each.plus, each.minus] for each in likely])
         opens = np.where(does == FILLS, 1.0, np.where(does == VENTS, 0.0, opens))
         leak = np.where(does == LEAKS, [[each.leak] for each in likely], 0.0)
-        return Air(opens, self._supply * np.array([each.weak for each in likely]), leak)
+        return Air(opens, np.full(len(likely), self.bank.supply.pressure), leak)
 
     def _reads(self) -> np.ndarray:
         """Say whose sensor is taken for whole."""
