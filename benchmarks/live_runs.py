@@ -6,12 +6,13 @@ rest late by up to 20 ms; motion capture has 30 frames a second.
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import heapq
 import os
 import pickle
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -167,7 +168,6 @@ class Recording:
         truth: time (s), bends (rad), centre of mass (m), heading (rad), shape (ticks, segments + 4).
         spec: the robot as it was.
         supply_pa: nominal pressure of its supply, gauge, Pa.
-        observable: time from which the fault shows, s.
     """
 
     run: Run
@@ -175,7 +175,6 @@ class Recording:
     truth: np.ndarray
     spec: RobotSpec
     supply_pa: float
-    observable: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -241,29 +240,41 @@ class Wire:
 
 
 def recorded(run: Run) -> Recording:
-    """Return a run's messages and truth; from the folder `CACHE` where it was simulated before."""
-    file = Path(CACHE) / f"{hashlib.sha256(repr(run).encode()).hexdigest()[:20]}.pickle" if CACHE else None
-    if file is not None and file.exists():
-        return pickle.loads(file.read_bytes())
-    robot, wire = run.emulated(), Wire(run)
-    updates, truth, every = [], [], round(TAKES_S / robot.tick)
-    for k, command in enumerate(run.commands(robot)):
+    """Return a run's messages and truth."""
+    return cached(run, lambda: _record(run))
+
+
+def _record(run: Run) -> Recording:
+    robot = run.emulated()
+    truth: list[np.ndarray] = []
+    commands = list(run.commands(robot))
+    updates = _updates(run, robot, Wire(run), commands, 0, len(commands), truth=truth)
+    return Recording(run, updates, np.array(truth), robot.twin.spec, robot.supply_pa)
+
+
+def _updates(
+    run: Run, robot: EmulatedRobot, wire: Wire, commands: Sequence[np.ndarray], first: int, last: int,
+    readings: list[np.ndarray] | None = None, truth: list[np.ndarray] | None = None,
+) -> list[tuple[float, list[Message]]]:  # fmt: skip
+    """Run a robot for some ticks; return the messages that arrive, and fill noiseless readings and truth."""
+    updates, every = [], round(TAKES_S / robot.tick)
+    frozen = np.full(robot.segments, np.nan)
+    for k in range(first, last):
         begun, time = k * robot.tick, (k + 1) * robot.tick
-        wire.send(COMMAND, run.robot, begun - 0.01, command)
-        run.step(robot, command)
+        wire.send(COMMAND, run.robot, begun - 0.01, commands[k])
+        run.step(robot, commands[k])
         wire.tell(robot, time)
         state = robot.state
-        truth.append(np.array([time, *state.bend, *state.com, float(state.heading)]))
+        if readings is not None:
+            kept = robot._rng, robot._noise, robot._frozen
+            robot._rng, robot._noise, robot._frozen = np.random.default_rng(0), 0.0, frozen
+            readings.append(robot.bends())
+            robot._rng, robot._noise, robot._frozen = kept
+        if truth is not None:
+            truth.append(np.array([time, *state.bend, *state.com, float(state.heading)]))
         if (k + 1) % every == 0:
             updates.append((time, wire.arrived(time)))
-    since = observable(run) if run.fault else np.inf
-    found = Recording(run, updates, np.array(truth), robot.twin.spec, robot.supply_pa, since)
-    if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(f".{os.getpid()}")
-        part.write_bytes(pickle.dumps(found))
-        part.replace(file)
-    return found
+    return updates
 
 
 def shadowed(run: Run, **shadow: Any) -> Iterator[Moment]:
@@ -353,27 +364,6 @@ def parts(kind: str, seed: int, segments: int = 4) -> tuple[str, str, str]:
     return kind.format(j=j, side=side), part, NAMES[kind].format(side=side)
 
 
-def observable(run: Run) -> float:
-    """Return from when on noiseless readings (or frames) differ from a healthy robot's by 3 σ, s."""
-    if "lost_marker" in run.fault:
-        return BREAKS_S
-    sound = run.emulated(noise_rad=0.0, fault=False)
-    sick: EmulatedRobot | None = None
-    for k, command in enumerate(run.commands(sound)):
-        now = k * sound.tick
-        if sick is None and now > BREAKS_S - 2 * sound.tick:  # until then both are the same
-            sick = run.emulated(noise_rad=0.0)
-            stuck = sick.twin.pneumatics.stuck
-            sick.twin.restore(sound.twin.save())
-            sick.twin.pneumatics.stuck = stuck
-        run.step(sound, command)
-        if sick is not None:
-            run.step(sick, command)
-            if np.abs(np.nan_to_num(sick.bends() - sound.bends(), nan=9.0)).max() >= 3 * NOISE_RAD:
-                return now + sound.tick
-    return np.inf
-
-
 CONDITIONS: Mapping[str, Mapping[str, Any]] = {
     "nominal": {},
     "no pressures": {"pressures": False},
@@ -398,23 +388,89 @@ def conditioned(condition: str, seed: int, seconds: float, **more: Any) -> Run:
     return Run(seed, seconds, **({"frequency": FREQUENCIES_HZ[seed % 3]} | CONDITIONS[condition] | more))
 
 
-def isolated(order: tuple[str, int, str]) -> dict[str, Any]:
-    """Let a robot break, and say whether its shadow named the fault rightly and in time."""
-    kind, seed, condition = order
-    fault, part, name = parts(kind, seed)
-    run = conditioned(condition, seed, BREAKS_S + AFTER_S, fault=f"{fault}@{BREAKS_S}")
-    named: dict[str, tuple[str, float]] = {}
-    for moment in shadowed(run, members=8):
-        for where, what, _ in moment.estimate.faults if moment.estimate else ():
-            named.setdefault(where, (what, moment.time))
-    found, at = named.pop(part, ("", np.inf))
-    since = recorded(run).observable if CACHE else observable(run)
-    return {
-        "fault": kind, "seed": seed, "condition": condition, "named": found, "at": at, "observable": since,
-        "right": found == name, "among": name in found.split(" or "),
-        "in_time": name in found.split(" or ") and at <= since + 1 / run.frequency,
-        "others": list(named.items()),
-    }  # fmt: skip
+def cached(key: Any, make: Callable[[], Any]) -> Any:
+    """Return what `make` returns; from the folder `CACHE` where it was made before."""
+    if not CACHE:
+        return make()
+    file = Path(CACHE) / f"{hashlib.sha256(repr(key).encode()).hexdigest()[:20]}.pickle"
+    if not file.exists():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part = file.with_suffix(f".{os.getpid()}")
+        part.write_bytes(pickle.dumps(make()))
+        part.replace(file)
+    return pickle.loads(file.read_bytes())
+
+
+@dataclass(frozen=True)
+class Breakage:
+    """Messages after a fault.
+
+    Attributes:
+        run: conditions.
+        updates: as of a `Recording`, from the fault on.
+        observable: time from which noiseless readings (or frames) differ from a sound robot's by 3 σ, s.
+    """
+
+    run: Run
+    updates: list[tuple[float, list[Message]]]
+    observable: float
+
+
+def breakages(
+    condition: str, seed: int, kinds: Sequence[str]
+) -> tuple[Recording, list[tuple[str, Breakage]]]:
+    """Return a sound robot's recording up to the fault, and what follows each kind of fault."""
+    run = conditioned(condition, seed, BREAKS_S + AFTER_S)
+    robot, wire = run.emulated(), Wire(run)
+    commands, first = list(run.commands(robot)), round(BREAKS_S / robot.tick)
+    updates = _updates(run, robot, wire, commands, 0, first)
+    saved, state = robot.twin.save(), robot.state
+    hidden = copy.deepcopy((wire, robot._rng))
+    sound: list[np.ndarray] = []
+    _updates(run, robot, wire, commands, first, len(commands), sound)
+    found = []
+    for kind in kinds:
+        broken = replace(run, fault=f"{parts(kind, seed)[0]}@{BREAKS_S}")
+        sick = broken.emulated()
+        stuck = sick.twin.pneumatics.stuck
+        sick.twin.restore(saved)
+        sick.twin.pneumatics.stuck, sick.state = stuck, state
+        channel, sick._rng = copy.deepcopy(hidden)
+        readings: list[np.ndarray] = []
+        after = _updates(broken, sick, channel, commands, first, len(commands), readings)
+        off = np.abs(np.nan_to_num(np.subtract(readings, sound), nan=9.0)).max(axis=1) >= 3 * NOISE_RAD
+        since = BREAKS_S + (int(off.argmax()) + 1) * robot.tick if off.any() else np.inf
+        found.append((kind, Breakage(broken, after, BREAKS_S if "lost_marker" in kind else since)))
+    return Recording(run, updates, np.empty(0), robot.twin.spec, robot.supply_pa), found
+
+
+def isolated(order: tuple[int, str, Sequence[str]]) -> list[dict[str, Any]]:
+    """Let a robot break in several ways, and say whether its shadow named each fault rightly and in time."""
+    seed, condition, kinds = order
+    sound, found = cached(("faults", *order), lambda: breakages(condition, seed, kinds))
+    twin = Shadow(load_robot(sound.run.robot), seed=seed, members=8)
+    early: dict[str, tuple[str, float]] = {}
+    for time, messages in sound.updates:
+        _note_faults(early, twin.take(time, messages), time)
+    rows = []
+    for kind, breakage in found:
+        _, part, name = parts(kind, seed)
+        named, shadow = dict(early), copy.deepcopy(twin)
+        for time, messages in breakage.updates:
+            _note_faults(named, shadow.take(time, messages), time)
+        what, at = named.pop(part, ("", np.inf))
+        among, since = name in what.split(" or "), breakage.observable
+        rows.append({
+            "fault": kind, "seed": seed, "condition": condition, "named": what, "at": at, "observable": since,
+            "right": what == name, "among": among,
+            "in_time": among and at <= since + 1 / breakage.run.frequency, "others": list(named.items()),
+        })  # fmt: skip
+    return rows
+
+
+def _note_faults(named: dict[str, tuple[str, float]], found: Estimate | None, time: float) -> None:
+    for where, what, _ in found.faults if found else ():
+        named.setdefault(where, (what, time))
 
 
 def alarms(order: tuple[int, float, str]) -> list[str]:

@@ -62,8 +62,8 @@ class Books(NamedTuple):
         rates: pressure over the supply's, inflow by each variant (1/s), and its slope by the supply pressure
             (1/(s Pa)).
         sums: their integrals since the beginning.
-        supply: supply pressure at the beginning, gauge, Pa; what it may have changed by, and its standard
-            deviation.
+        supply: supply pressure at the beginning of the stroke and at its last pressure, gauge, Pa, and the
+            standard deviation of the latter.
         told: logarithm of each variant's likelihood.
     """
 
@@ -149,6 +149,22 @@ class AirBalance(Remembers):
         for each in (self.books.noted, self.books.sums, self.books.told):
             each[chambers] = 0.0
 
+    def residuals(self, time: float, pressure: np.ndarray, filled: np.ndarray) -> np.ndarray:
+        """Return what strokes that go on tell of the supply pressure.
+
+        Args:
+            time: s.
+            pressure: as `read`.
+            filled: as `read`.
+
+        Returns:
+            Of each chamber the air that it has taken in beyond what the supply explains, the slope of that by
+            the supply pressure (1/Pa), and its variance; NaN where nothing is known. Shape (segments, 2, 3).
+        """
+        found = np.full((*pressure.shape, 3), np.nan)
+        _residuals(time, pressure, filled, self.books, found)
+        return found
+
     def read(
         self,
         time: float,
@@ -189,7 +205,12 @@ def _read(time, pressure, bend, bend_sd, filled, sound, supply, books, chambers,
             goes_on = since < LONGEST_GAP_S and filled[j, side] > since - 1e-6
             noted, sums = books.noted[j, side], books.sums[j, side]
             line_now = books.supply[j, side]
-            line_now[1], line_now[2] = supply[0] - line_now[0], supply[1]
+            if goes_on:
+                # What has come in so far is judged by what is known of the supply now.
+                for k in range(len(chambers.shares)):
+                    if chambers.shares[k] == 1.0:
+                        sums[1 + k] += sums[-1] * (supply[0] - line_now[1])
+            line_now[1], line_now[2] = supply
             if goes_on:
                 # Where commands are lost a valve may have closed before what was last told: that counts once
                 # the next message finds it open.
@@ -214,7 +235,7 @@ def _read(time, pressure, bend, bend_sd, filled, sound, supply, books, chambers,
             reached[0], reached[1] = held * size, held * abs(growth) * bend_sd[j]
             if not goes_on:
                 books.begun[j, side, 0], books.begun[j, side, 1] = reached[0], reached[1]
-                line_now[0], line_now[1] = supply[0], 0.0
+                line_now[0] = supply[0]
             last, slope = len(rates) - 1, 0.0
             for k in range(len(rates)):
                 if k == 0:
@@ -235,6 +256,19 @@ def _read(time, pressure, bend, bend_sd, filled, sound, supply, books, chambers,
 
 
 @compiled
+def _residuals(time, pressure, filled, books, found):  # type: ignore[no-untyped-def]
+    """See `AirBalance.residuals`."""
+    for j in range(pressure.shape[0]):
+        for side in range(2):
+            since, sums = time - books.time[j, side], books.sums[j, side]
+            goes_on = since < LONGEST_GAP_S and filled[j, side] > since - 1e-6
+            if goes_on and sums[1] > SHORTEST and not math.isnan(pressure[j, side]):
+                off, variance, _ = _off(j, side, sums[1], 0.0, books)
+                found[j, side, 0], found[j, side, 2] = off, variance
+                found[j, side, 1] = books.fit[j, side, 0] * sums[-1]
+
+
+@compiled
 def _doubt(sure):  # type: ignore[no-untyped-def]
     """Return the covariance of c and λ₀: of c, of both, of λ₀."""
     size = sure[0] * sure[2] - sure[1] ** 2
@@ -250,7 +284,8 @@ def _off(j, side, came, leak, books):  # type: ignore[no-untyped-def]
     learnt = flow_sd2 * came**2 - 2 * both * came * held + missing_sd2 * held**2
     read = books.reached[j, side, 1] ** 2 + books.begun[j, side, 1] ** 2 + AMOUNT_SD**2
     # When the supply pressure changed within the stroke is not known.
-    changed = books.supply[j, side, 1] ** 2 + books.supply[j, side, 2] ** 2
+    begun, now, sd = books.supply[j, side]
+    changed = (now - begun) ** 2 + sd**2
     read += changed * (fit[0] * books.sums[j, side, -1]) ** 2
     return off, learnt + read + books.scatter[j, side] * came**2, learnt
 

@@ -107,6 +107,10 @@ class Inbox:
         self.counts[message.source, message.kind, "taken"] += 1
         heapq.heappush(self._waiting, (time, _RANKS.get(message.kind, 2), next(self._number), message))
 
+    def waiting(self, kind: str) -> list[tuple[float, Message]]:
+        """Return the messages of a kind that wait, with their times on our clock, in any order."""
+        return [(time, message) for time, _, _, message in self._waiting if message.kind == kind]
+
     def take(self, now: float) -> list[tuple[float, Message]]:
         """Return what was sent until a little before now (our clock, s), with its time on our clock."""
         self._takes += 1

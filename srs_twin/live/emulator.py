@@ -22,7 +22,7 @@ import numpy as np
 from srs_twin.control.pwm import PulseWidth
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.live.links import clock
-from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, VALVES
+from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, SUPPLY, VALVES
 from srs_twin.live.mqtt import MqttLink
 from srs_twin.live.natnet import RigidBody
 from srs_twin.live.optitrack import NatNetServer
@@ -158,6 +158,7 @@ class EmulatedRobot:
         self.faults = tuple(Fault.of(each, spec.segments) for each in faults)
         self._rng, self._noise = np.random.default_rng((seed, 0xE0)), noise_rad
         self.supply_pa = self.supply_now_pa = asked.supply_pa
+        self._share = self._left = 1.0
         self._air.stuck = tuple(
             StuckValve(each.number, each.side, int(each.how), each.since)
             for each in self.faults if each.kind == "stuck_valve"
@@ -178,7 +179,8 @@ class EmulatedRobot:
             if isinstance(self._air, OrificePneumatics) and each.kind == "leak":
                 self._air.leak(each.number, each.side, each.how)
             else:
-                self.regulate(each.how)
+                self._left = each.how
+                self.regulate(self._share)
         shape = (self.segments, 2)
         wanted = np.full(shape, -1.0) if command is None else np.asarray(command, dtype=float)
         states = np.isin(wanted, (-1.0, 1.0)).all()
@@ -189,8 +191,9 @@ class EmulatedRobot:
         return self.state
 
     def regulate(self, share: float) -> None:
-        """Set the pressure of the supply to a share of the nominal one, 0 to 1."""
-        self.supply_now_pa = share * self.supply_pa
+        """Set the pressure of a supply that is not starved to a share of the nominal one, 0 to 1."""
+        self._share = share
+        self.supply_now_pa = share * self._left * self.supply_pa
         self._air.regulate(self.supply_now_pa)
 
     def bends(self) -> np.ndarray:
@@ -250,6 +253,7 @@ def emulate(
     duration: float = math.inf,
     stop: Callable[[], bool] = lambda: False,
     seed: int = 0,
+    tells_supply: bool = False,
 ) -> dict[str, float]:
     """Let a robot live in real time.
 
@@ -261,6 +265,7 @@ def emulate(
         duration: s.
         stop: asked every tick.
         seed: of the air.
+        tells_supply: whether the pressure of the supply is published.
 
     Returns:
         ``ticks``, and ``late``: how many began more than a tick late.
@@ -289,7 +294,9 @@ def emulate(
         done += 1
         # It has computed at once what a robot would be like at the end of the tick, and tells it then.
         due = begun + done * tick
-        told = ((BENDS, robot.bends()), (PRESSURES, state.pressure), (VALVES, robot.valves))
+        told = [(BENDS, robot.bends()), (PRESSURES, state.pressure), (VALVES, robot.valves)]
+        if tells_supply:
+            told.append((SUPPLY, np.array(robot.supply_now_pa)))
         for kind, values in told:
             later(due, lambda kind=kind, values=values, due=due: link.send(kind, values, at=due))  # type: ignore[misc]
         if capture is not None:

@@ -29,7 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.live.balance import AirBalance
+from srs_twin.live.balance import ALIKE, AirBalance
 from srs_twin.live.supply import RECOVERED_ABOVE, STARVED_BELOW, SupplyFilter
 from srs_twin.memory import Remembers, names
 from srs_twin.pneumatics.chambers import free_bends, gains, largest_bend
@@ -198,7 +198,6 @@ class FaultBank(Remembers):
         self._largest = largest_bend(spec, supply_pa)
         self._load = s.load * self._largest
         self._obeys = np.isin(self._does, (OBEYS, LEAKS))
-        self._healthy = ((self._does == OBEYS).all(axis=1) & (self._severe[:, 1] == 1.0)).astype(float)
         own = [(each.inflow(each.plus), each.inflow(each.minus)) for each in HYPOTHESES]
         variants = list(dict.fromkeys(each for pair in own for each in pair))
         self._variant = np.array([[variants.index(each) for each in pair] for pair in own])
@@ -418,9 +417,16 @@ class FaultBank(Remembers):
         response = self._pressure[:, 0] / before + usual
         # What a stroke differs by lasts: so much less does one message tell.
         lasts = math.sqrt(max(self.settings.pressure_time / max(span, 1e-3), 1.0))
-        obeys = (self.probability * self._healthy).sum(axis=1)
-        weight = np.where((self._filling == 1) & (self._age > _AGE_S), obeys[:, None], 0.0)
+        obeys = np.einsum("sm,mc->sc", self.probability, self._obeys)
+        obeys[self._named[1:, 0] >= 0] = 0.0
+        filled = np.where(self._filling == 1, self._age, 0.0)
+        balanced = self.balance.books.seen >= _BALANCED
+        off, slope, variance = np.moveaxis(self.balance.residuals(self.time, told, filled), -1, 0)
+        weight = np.where(balanced | (filled <= _AGE_S), 0.0, obeys)
         self.supply.update(told - before * response, response, before * lasts * sd, weight)
+        weight = np.where(balanced, obeys, 0.0)
+        off = off - slope * (self.supply.pressure - before)
+        self.supply.update(off, slope, np.sqrt(ALIKE * variance), weight)
         self._rescale(before)
 
     def _rescale(self, before: float) -> None:

@@ -123,8 +123,8 @@ class Helm:
 
     def _begin(self, found: Estimate, shadow: Shadow) -> None:
         """Prepare the follower; plan anew where the robot does not lie where the scenario begins."""
-        # Noise and delays are the robot's own here: estimates wait for messages, a robot for its next tick.
-        follower, lag = self.follower, shadow.inbox.hold + DELAY_S + self._tick
+        # Noise and delays are the robot's own here: estimates are of now, a robot waits for its next tick.
+        follower, lag = self.follower, DELAY_S + self._tick
         seen = Camera(follower.conditions.camera.rate_hz)
         follower.conditions = replace(follower.conditions, camera=seen, delay=0.0, lag=lag)
         follower.reset(shadow.spec, self._tick, seed=self._seed)

@@ -7,7 +7,8 @@ that by). A Kalman filter combines the chambers:
 $$ \hat S' = \hat S + \frac{\sum_i w_i h_i (p_i - h_i \hat S) / \sigma_i^2}
                            {1/P + \sum_i w_i h_i^2 / \sigma_i^2}. $$
 
-The weights w of Student's t distribution keep one chamber that leaks or is stuck from moving the estimate.
+Once the air balance of a chamber is known (`balance`), its missing air takes the place of p. The weights w of
+Student's t distribution keep one chamber that leaks or is stuck from moving the estimate.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ STARVED_BELOW = 0.6
 """Share of the nominal pressure below which the supply is named as starved."""
 RECOVERED_ABOVE = 0.7
 """Share of the nominal pressure above which a starved supply counts as sound again."""
+_AGREE = 3
+"""Least number of chambers whose median change is believed."""
 _TAILS = 4.0  # degrees of freedom of Student's t
 _LOWEST = 0.02  # share of the nominal pressure
 
@@ -67,20 +70,22 @@ class SupplyFilter(Remembers):
         )
 
     def update(self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray, weight: np.ndarray) -> None:
-        """Correct by chamber pressures.
+        """Correct by chambers that fill.
 
         Args:
-            residual: p − h S, Pa; NaN where no pressure was measured.
-            response: h.
-            sd: of v, Pa.
-            weight: of each chamber, 0 to 1; 0 unless it fills.
+            residual: z − h S; NaN where nothing was measured.
+            response: h, the slope of z by the supply pressure.
+            sd: of v.
+            weight: of each chamber, 0 to 1.
         """
-        there = ~np.isnan(residual) & (weight > 0)
+        there = ~np.isnan(residual) & (weight > 0) & (response > 0)
         if not there.any():
             return
         residual, response, variance = residual[there], response[there], sd[there] ** 2
+        # Where most chambers agree that the pressure has changed, an outlier is what differs from them.
+        change = float(np.median(residual / response)) if len(residual) >= _AGREE else 0.0
         expected = variance + response**2 * self.variance
-        robust = (_TAILS + 1) / (_TAILS + residual**2 / expected)
+        robust = (_TAILS + 1) / (_TAILS + (residual - response * change) ** 2 / expected)
         information = weight[there] * np.minimum(robust, 1.0) * response / variance
         self.variance = 1 / (1 / self.variance + float(information @ response))
         self._set(self.pressure + self.variance * float(information @ residual))

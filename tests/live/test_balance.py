@@ -89,5 +89,5 @@ def test_a_weak_supply_is_no_leak():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["leak:{j}{side}=slow", "leak:{j}{side}=fast"])
 def test_a_leaking_robot_is_named_in_time(kind):
-    done = isolated((kind, 6, True))
+    (done,) = isolated((6, "nominal", (kind,)))
     assert done["in_time"] and done["right"] and not done["others"], done

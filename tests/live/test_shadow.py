@@ -46,7 +46,7 @@ def test_cameras_may_be_worse_than_expected(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["stuck_valve:{j}{side}=open", "dead_sensor:{j}=silent", "lost_marker:{j}"])
 def test_a_fault_is_named(kind):
-    done = isolated((kind, 3, True))
+    (done,) = isolated((3, "nominal", (kind,)))
     assert done["among"], done
     assert done["at"] > BREAKS_S
     assert not done["others"], done
