@@ -43,6 +43,8 @@ SOUND = 0.9
 """Probability that nothing is wrong from which a chamber is learnt from."""
 STEEPEST = 3.0
 """Largest slope of a flow by the supply pressure that is used: between equal pressures it has no finite one."""
+LIMIT = 3.0
+"""Largest deviation of a stroke, in standard deviations, that tells how much strokes scatter."""
 TAILS = 12.0
 """Degrees of freedom of Student's t: strokes are now and then far off, seldom by seven deviations."""
 
@@ -312,7 +314,8 @@ def _note(j, side, books):  # type: ignore[no-untyped-def]
     noted[2] += weight * held * held
     noted[3] += weight * came * off
     noted[4] += weight * held * off
-    noted[5] = (off**2 - variance) / came**2
+    # One stroke that is far off makes the usual scatter no larger than one at the limit of chance.
+    noted[5] = (min(off**2, LIMIT**2 * variance) - variance) / came**2
 
 
 @compiled

@@ -416,17 +416,17 @@ class FaultBank(Remembers):
         before = self.supply.pressure
         response = self._pressure[:, 0] / before + usual
         # What a stroke differs by lasts: so much less does one message tell.
-        lasts = math.sqrt(max(self.settings.pressure_time / max(span, 1e-3), 1.0))
+        lasts = max(self.settings.pressure_time / max(span, 1e-3), 1.0)
         obeys = np.einsum("sm,mc->sc", self.probability, self._obeys)
         obeys[self._named[1:, 0] >= 0] = 0.0
         filled = np.where(self._filling == 1, self._age, 0.0)
         balanced = self.balance.books.seen >= _BALANCED
         off, slope, variance = np.moveaxis(self.balance.residuals(self.time, told, filled), -1, 0)
         weight = np.where(balanced | (filled <= _AGE_S), 0.0, obeys)
-        self.supply.update(told - before * response, response, before * lasts * sd, weight)
+        self.supply.update(told - before * response, response, before * sd, weight, lasts)
         weight = np.where(balanced, obeys, 0.0)
         off = off - slope * (self.supply.pressure - before)
-        self.supply.update(off, slope, np.sqrt(ALIKE * variance), weight)
+        self.supply.update(off, slope, np.sqrt(variance), weight, ALIKE)
         self._rescale(before)
 
     def _rescale(self, before: float) -> None:

@@ -24,7 +24,7 @@ from srs_twin.live.clocks import Inbox
 from srs_twin.live.ensemble import STEP_S, Air, Ensemble
 from srs_twin.live.faults import FILLS, HYPOTHESES, LEAKS, READS, STARVED, VENTS, FaultBank
 from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, SUPPLY, VALVES, Message
-from srs_twin.live.prediction import SLOT_S, Hindsight, Prediction, Rhythm
+from srs_twin.live.prediction import SLOT_S, ForecastCalibration, Hindsight, Prediction, Rhythm
 from srs_twin.memory import Remembers, SavedState, fingerprint
 from srs_twin.plants.base import SnakeState
 from srs_twin.robot.spec import RobotSpec
@@ -148,6 +148,7 @@ class Shadow:
         self._off: dict[str, float] = {}
         self.rhythm = Rhythm()
         self.hindsight = Hindsight(self.rhythm)
+        self._calibration = ForecastCalibration((n, 2, 1))
 
     def take(self, now: float, messages: Iterable[Message]) -> Estimate | None:
         """Take what has arrived until now (our clock, s).
@@ -259,6 +260,7 @@ class Shadow:
                 reads = np.where(self._reads(), message.values, np.nan)
                 self._note(BENDS, self.ensemble.read_bends(reads))
         self.ensemble.roll()
+        self._calibration.compare(time, *_state(self.ensemble))
 
     def _command(self, time: float, message: Message) -> None:
         """Take what valves were told, or what a robot says that they were: either message may be lost."""
@@ -379,16 +381,27 @@ class Shadow:
 
     def _estimate(self, now: float) -> Estimate:
         e = self._forecast(now)
-        pose, pose_sd = (np.concatenate([f(name) for name in ("x", "y", "heading")]) for f in (e.mean, e.sd))
+        value, sd = _state(e)
+        self._calibration.expect(now, value, sd)
+        sd = sd * self._calibration.scale
+        n = len(value) - 3
+        pose, pose_sd = value[n:], sd[n:]
         (x, y, turn), (c, s) = e.twist, (math.cos(pose[2]), math.sin(pose[2]))
         velocity = np.array([c * x - s * y, s * x + c * y, turn])
-        bend_sd = np.hypot(e.sd("bend"), UNTOLD_S * e.mean("motion")[3:])
+        bend_sd = np.hypot(sd[:n], UNTOLD_S * e.mean("motion")[3:])
         off = dict(self._off)
         return Estimate(
-            now, e.mean("bend"), bend_sd, pose, pose_sd, velocity, e.poses().mean(axis=0),
+            now, value[:n], bend_sd, pose, pose_sd, velocity, e.poses().mean(axis=0),
             e.parameters(),
             tuple(self._faults()), off, self._lost(now, pose_sd),
         )  # fmt: skip
+
+
+def _state(ensemble: Ensemble) -> tuple[np.ndarray, np.ndarray]:
+    """Return bends, place and heading, and their standard deviations."""
+    names = "bend", "x", "y", "heading"
+    mean, sd = (np.concatenate([of(name) for name in names]) for of in (ensemble.mean, ensemble.sd))
+    return mean, sd
 
 
 def _commanded(times: np.ndarray, known: Sequence[float], opens: Sequence[np.ndarray]) -> np.ndarray:

@@ -31,6 +31,8 @@ STARVED_BELOW = 0.6
 """Share of the nominal pressure below which the supply is named as starved."""
 RECOVERED_ABOVE = 0.7
 """Share of the nominal pressure above which a starved supply counts as sound again."""
+_SUDDEN = 3.0
+"""Standard deviations from which on a change of the median counts as sudden."""
 _AGREE = 3
 """Least number of chambers whose median change is believed."""
 _TAILS = 4.0  # degrees of freedom of Student's t
@@ -69,7 +71,10 @@ class SupplyFilter(Remembers):
             self.variance + (WALK * self.nominal) ** 2 * dt, (LARGEST_SD * self.nominal) ** 2
         )
 
-    def update(self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray, weight: np.ndarray) -> None:
+    def update(
+        self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray, weight: np.ndarray,
+        repeats: float = 1.0,
+    ) -> None:  # fmt: skip
         """Correct by chambers that fill.
 
         Args:
@@ -77,6 +82,7 @@ class SupplyFilter(Remembers):
             response: h, the slope of z by the supply pressure.
             sd: of v.
             weight: of each chamber, 0 to 1.
+            repeats: number of measurements that say as much as one that is independent.
         """
         there = ~np.isnan(residual) & (weight > 0) & (response > 0)
         if not there.any():
@@ -84,9 +90,12 @@ class SupplyFilter(Remembers):
         residual, response, variance = residual[there], response[there], sd[there] ** 2
         # Where most chambers agree that the pressure has changed, an outlier is what differs from them.
         change = float(np.median(residual / response)) if len(residual) >= _AGREE else 0.0
+        median_variance = repeats * np.pi / 2 / len(residual) * float(np.median(variance / response**2))
+        if change**2 > _SUDDEN**2 * (self.variance + median_variance):
+            self.variance += change**2
         expected = variance + response**2 * self.variance
         robust = (_TAILS + 1) / (_TAILS + (residual - response * change) ** 2 / expected)
-        information = weight[there] * np.minimum(robust, 1.0) * response / variance
+        information = weight[there] * np.minimum(robust, 1.0) * response / variance / repeats
         self.variance = 1 / (1 / self.variance + float(information @ response))
         self._set(self.pressure + self.variance * float(information @ residual))
 
