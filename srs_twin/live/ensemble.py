@@ -40,6 +40,7 @@ from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.floor import floor_friction
 from srs_twin.plants.analytical.kinematics import Solid
 from srs_twin.pneumatics.chambers import AMBIENT_PA, free_bends
+from srs_twin.pneumatics.lag import relaxation_of, relaxed
 from srs_twin.robot.spec import RobotSpec
 
 STEP_S = 0.0025
@@ -569,9 +570,9 @@ class Ensemble:
         for k, opens in enumerate(air.opens):
             place = self.habits.let(opens, span / slots)
             besides = self.habits.rate[place] + wander * np.sqrt(self.habits.wander[place])
-            rate = opens / fill + (1 - opens) / vent + air.leak
-            end = (opens * air.supply[:, None] / fill + besides) / rate
-            passed = end + (pressure - end) * np.exp(-rate * after[:, None, None, None])
+            supply, venting = air.supply[:, None], (1 - opens) / vent
+            rate, end = relaxation_of(opens / fill, venting, supply, air.leak, besides)
+            passed = relaxed(pressure, rate, end, after[:, None, None, None])
             drive[k] = gain[..., 0] * passed[..., 0] - gain[..., 1] * passed[..., 1]
             pressure = passed[-1]
         self._of("pressure")[:] = pressure.reshape(count, 2 * n)

@@ -33,6 +33,7 @@ from srs_twin.live.balance import ALIKE, AirBalance
 from srs_twin.live.supply import RECOVERED_ABOVE, STARVED_BELOW, SupplyFilter
 from srs_twin.memory import Remembers, names
 from srs_twin.pneumatics.chambers import free_bends, gains, largest_bend
+from srs_twin.pneumatics.lag import followed, relaxation_of, relaxed
 from srs_twin.robot.spec import RobotSpec
 
 OBEYS, FILLS, VENTS, LEAKS = range(4)
@@ -321,14 +322,9 @@ class FaultBank(Remembers):
         opens = np.where(does == FILLS, 1.0, np.where(does == VENTS, 0.0, told[:, None]))
         leak = np.where(does == LEAKS, self._severe[:, :1], 0.0)
         supply = self.supply.pressure * self._severe[:, 1:]
-        rate = opens / self._fill + (1 - opens) / self._vent + leak
-        ends = opens * supply / self._fill / rate
-        fast, slow = np.exp(-rate * span), math.exp(-span / self._tau)
-        apart = 1 - rate * self._tau
-        apart = np.where(np.abs(apart) < 1e-6, 1e-6, apart)
-        begun = self._pressure - ends
-        self._delayed = ends + begun * (fast - slow) / apart + (self._delayed - ends) * slow
-        self._pressure = ends + begun * fast
+        relaxation = relaxation_of(opens / self._fill, (1 - opens) / self._vent, supply, leak)
+        self._delayed = followed(self._delayed, self._pressure, relaxation, self._tau, span)
+        self._pressure = relaxed(self._pressure, *relaxation, span)
 
     def _bent(self, drive: np.ndarray) -> np.ndarray:
         """Return what share of a linear drive bends a segment, shape (segments, hypotheses, 1)."""
