@@ -41,8 +41,6 @@ SHORTEST, LONGEST_GAP_S = 0.1, 0.1
 """From which inflow on a stroke tells something; a longer silence (s) ends it."""
 SOUND = 0.9
 """Probability that nothing is wrong from which a chamber is learnt from."""
-STEEPEST = 3.0
-"""Largest slope of a flow by the supply pressure that is used: between equal pressures it has no finite one."""
 LIMIT = 3.0
 """Largest deviation of a stroke, in standard deviations, that tells how much strokes scatter."""
 TAILS = 12.0
@@ -247,10 +245,13 @@ def _read(time, pressure, bend, bend_sd, filled, sound, supply, books, chambers,
                 else:
                     now, line = 0.0, chambers.shares[k - 1] * supply[0]
                     if line > 0.0:
-                        passed, by_line, _ = flow(line + AMBIENT_PA, gauge + AMBIENT_PA, CRITICAL_RATIO)
+                        passed, _, _ = flow(line + AMBIENT_PA, gauge + AMBIENT_PA, CRITICAL_RATIO)
                         now = chambers.wide * passed / chambers.unit
-                        if k == 1:
-                            slope = chambers.wide * min(by_line, STEEPEST) / chambers.unit
+                        if k == 1:  # near equal pressures the slope is steep, but not far
+                            inside, sd = gauge + AMBIENT_PA, supply[1]
+                            more, _, _ = flow(line + sd + AMBIENT_PA, inside, CRITICAL_RATIO)
+                            less, _, _ = flow(line - sd + AMBIENT_PA, inside, CRITICAL_RATIO)
+                            slope = chambers.wide * (more - less) / (2 * sd) / chambers.unit
                 if goes_on:
                     sums[k] += since * (rates[k] + now) / 2
                 rates[k] = now

@@ -87,6 +87,10 @@ _ALIKE = ((1, 4), (2, 3))
 """Where the two chambers take turns, one that never vents bends as if the other one never filled."""
 _AGES, _AGE_S, _MOST_SEEN = 25, 0.02, 40
 """For how many ages of a valve's state, of which length, pressures are learnt, from how many at most."""
+_FAILED = 0.85
+"""Share of the expected pressures below which several suspected leaks are a supply that has failed."""
+_SETTLED_S = 0.1
+"""Time after which a chamber that fills shows what its supply is."""
 _BALANCED = 3
 """Strokes after which a chamber's balance of air says whether it leaks."""
 _FEW, _ALONE = 0.1, 0.8
@@ -207,6 +211,8 @@ class FaultBank(Remembers):
         self._spread = np.tile(np.diag(spread**2), (count, kinds, 1, 1))
         self.probability = np.zeros((count, kinds))
         self.probability[:, 0] = 1.0
+        # Pressures of chambers that fill over those expected, median; NaN: none is told.
+        self._level = math.nan
         self._last = np.full(count, np.nan)
         self.time = 0.0
         self._since = np.full((count, len(_NAMES)), np.inf)
@@ -391,7 +397,7 @@ class FaultBank(Remembers):
         age = np.minimum(self._age / _AGE_S, _AGES - 1).astype(int)
         place = *np.indices(told.shape), self._filling, age
         seen, usual, variance = np.moveaxis(self._habit[place], -1, 0)
-        self._estimate_supply(told, usual, np.sqrt(variance) + least, span)
+        self._estimate_supply(told, usual, np.sqrt(variance) + least)
         off = np.nan_to_num((told[:, None] - self._pressure) / self.supply.pressure)
         # What valves do that do not obey was never seen.
         off = off - np.where(self._obeys, usual[:, None], 0.0)
@@ -407,22 +413,23 @@ class FaultBank(Remembers):
         self._habit[place] = np.stack([more, usual + news / more, variance], axis=-1)
         return np.asarray(log.sum(axis=-1) * min(span / self.settings.pressure_time, 1.0))
 
-    def _estimate_supply(self, told: np.ndarray, usual: np.ndarray, sd: np.ndarray, span: float) -> None:
+    def _estimate_supply(self, told: np.ndarray, usual: np.ndarray, sd: np.ndarray) -> None:
         """Correct the supply pressure by chambers that fill as their valves are told to."""
         before = self.supply.pressure
         response = self._pressure[:, 0] / before + usual
-        # What a stroke differs by lasts: so much less does one message tell.
-        lasts = max(self.settings.pressure_time / max(span, 1e-3), 1.0)
         obeys = np.einsum("sm,mc->sc", self.probability, self._obeys)
         obeys[self._named[1:, 0] >= 0] = 0.0
         filled = np.where(self._filling == 1, self._age, 0.0)
+        level, late = told - before * response, (filled > _SETTLED_S) & ~np.isnan(told) & (obeys > 0.5)
+        if late.sum() * 2 >= len(told):
+            self._level = float(np.median(told[late] / (before * response[late])))
+        if self.supply.follow_sudden_change(level[late], response[late], before * sd[late]):
+            self.balance.drop(np.ones(told.shape, dtype=bool))
+            self._rescale(before)
+            return
         balanced = self.balance.books.seen >= _BALANCED
         off, slope, variance = np.moveaxis(self.balance.residuals(self.time, told, filled), -1, 0)
-        weight = np.where(balanced | (filled <= _AGE_S), 0.0, obeys)
-        self.supply.update(told - before * response, response, before * sd, weight, lasts)
-        weight = np.where(balanced, obeys, 0.0)
-        off = off - slope * (self.supply.pressure - before)
-        self.supply.update(off, slope, np.sqrt(variance), weight, ALIKE)
+        self.supply.update(off, slope, np.sqrt(variance), np.where(balanced, obeys, 0.0), ALIKE)
         self._rescale(before)
 
     def _rescale(self, before: float) -> None:
@@ -434,16 +441,18 @@ class FaultBank(Remembers):
     def _judge_supply(self) -> None:
         """Name a starved supply; let the estimate jump where all segments are weak at once."""
         weak = self._severe[:, 1] < 1.0
-        count = (self.probability[:, weak].sum(axis=1) > 0.5).sum()
-        if count * 2 > len(self.probability):
-            kind = np.flatnonzero(weak)[self.probability[:, weak].sum(axis=0).argmax()]
-            self.supply.jump(self._severe[kind, 1])
-            for each in (self.mean, self._spread, self._pressure, self._delayed):
+        kind = np.flatnonzero(weak)[self.probability[:, weak].sum(axis=0).argmax()]
+        share = self._severe[kind, 1] if math.isnan(self._level) else self._level
+        # Several leaks at once are a supply that has failed, where pressures say so.
+        alike = weak if math.isnan(self._level) else weak | (self._severe[:, 0] > 0.0)
+        if share < _FAILED and (self.probability[:, alike].sum(axis=1) > 0.5).mean() > 0.5:
+            before = self.supply.pressure
+            self.supply.jump(share)
+            for each in (self.mean, self._spread):
                 each[:, 0] = each[:, kind]
-            self._pressure[:, 1:] *= self._severe[kind, 1]
-            self._delayed[:, 1:] *= self._severe[kind, 1]
-            self.probability[:, 0] += self.probability[:, weak].sum(axis=1)
-            self.probability[:, weak] = 1e-12
+            self._rescale(before)
+            self.probability[:, 0] += self.probability[:, alike].sum(axis=1)
+            self.probability[:, alike] = 1e-12
             self.balance.drop(np.ones((len(self.probability), 2), dtype=bool))
         if self.time < self.settings.learns:
             return

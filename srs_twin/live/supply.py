@@ -1,14 +1,13 @@
-r"""SupplyFilter: supply pressure of the robot, estimated from the pressures of chambers that fill.
+r"""SupplyFilter: supply pressure of the robot, estimated from the air that chambers take in.
 
-All chambers share one supply. Its gauge pressure S is a random walk. A chamber that fills has the pressure
-h S + v, where h is its response to a supply of 1 (`pneumatics.lag`, and what its strokes usually differ from
-that by). A Kalman filter combines the chambers:
+All chambers share one supply. Its gauge pressure S is a random walk. The air that chamber i has taken in since
+its valve opened exceeds what the estimate explains by r_i = h_i (S − Ŝ) + v_i (`balance`). A Kalman filter
+combines the chambers:
 
-$$ \hat S' = \hat S + \frac{\sum_i w_i h_i (p_i - h_i \hat S) / \sigma_i^2}
-                           {1/P + \sum_i w_i h_i^2 / \sigma_i^2}. $$
+$$ \hat S' = \hat S + \frac{\sum_i w_i h_i r_i / \sigma_i^2}{1/P + \sum_i w_i h_i^2 / \sigma_i^2}. $$
 
-Once the air balance of a chamber is known (`balance`), its missing air takes the place of p. The weights w of
-Student's t distribution keep one chamber that leaks or is stuck from moving the estimate.
+The weights w of Student's t distribution keep one chamber that leaks or is stuck from moving the estimate. A
+large change is followed at once where most chambers that fill have other pressures than expected.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import numpy as np
 
 from srs_twin.memory import Remembers, names
 
-PRIOR_SD = 0.05
+PRIOR_SD = 0.02
 """Standard deviation of the supply pressure at the start, share of the nominal one."""
 LARGEST_SD = 0.2
 """Largest standard deviation, while no chamber fills, share of the nominal pressure."""
@@ -31,8 +30,9 @@ STARVED_BELOW = 0.6
 """Share of the nominal pressure below which the supply is named as starved."""
 RECOVERED_ABOVE = 0.7
 """Share of the nominal pressure above which a starved supply counts as sound again."""
-_SUDDEN = 3.0
-"""Standard deviations from which on a change of the median counts as sudden."""
+_SUDDEN, _SUDDEN_SD = 0.12, 3.0
+"""Change of the pressures of most chambers that counts as sudden: share of the nominal supply pressure, and
+standard deviations of what strokes differ by."""
 _AGREE = 3
 """Least number of chambers whose median change is believed."""
 _TAILS = 4.0  # degrees of freedom of Student's t
@@ -78,8 +78,8 @@ class SupplyFilter(Remembers):
         """Correct by chambers that fill.
 
         Args:
-            residual: z − h S; NaN where nothing was measured.
-            response: h, the slope of z by the supply pressure.
+            residual: r; NaN where nothing was measured.
+            response: h.
             sd: of v.
             weight: of each chamber, 0 to 1.
             repeats: number of measurements that say as much as one that is independent.
@@ -90,14 +90,28 @@ class SupplyFilter(Remembers):
         residual, response, variance = residual[there], response[there], sd[there] ** 2
         # Where most chambers agree that the pressure has changed, an outlier is what differs from them.
         change = float(np.median(residual / response)) if len(residual) >= _AGREE else 0.0
-        median_variance = repeats * np.pi / 2 / len(residual) * float(np.median(variance / response**2))
-        if change**2 > _SUDDEN**2 * (self.variance + median_variance):
-            self.variance += change**2
         expected = variance + response**2 * self.variance
         robust = (_TAILS + 1) / (_TAILS + (residual - response * change) ** 2 / expected)
         information = weight[there] * np.minimum(robust, 1.0) * response / variance / repeats
         self.variance = 1 / (1 / self.variance + float(information @ response))
         self._set(self.pressure + self.variance * float(information @ residual))
+
+    def follow_sudden_change(self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray) -> bool:
+        """Follow a change that most chambers show at once; say whether there was one.
+
+        Args:
+            residual: p − h S of chambers that fill, Pa.
+            response: h.
+            sd: of p, Pa.
+        """
+        if len(residual) < _AGREE:
+            return False
+        change, deviation = float(np.median(residual / response)), float(np.median(residual / sd))
+        if abs(change) < _SUDDEN * self.nominal or abs(deviation) < _SUDDEN_SD:
+            return False
+        self.variance = max(self.variance, (change / 2) ** 2)
+        self._set(self.pressure + change)
+        return True
 
     def measure(self, pressure: float) -> None:
         """Correct by a measured supply pressure (gauge, Pa)."""

@@ -31,8 +31,8 @@ def followed(supplies, seed=1, outlier=0.0):
 
 
 def test_droop_is_followed_within_half_a_second():
-    found = followed(np.full(50, 0.85 * NOMINAL))
-    assert found[25:, 0] == pytest.approx(0.85 * NOMINAL, rel=0.05)
+    found = followed(np.full(50, 0.9 * NOMINAL))
+    assert found[25:, 0] == pytest.approx(0.9 * NOMINAL, rel=0.05)
 
 
 def test_standard_deviation_is_that_of_the_errors():
