@@ -109,7 +109,9 @@ def main() -> None:
     lines = []
     for part in PARTS:
         mine = [row for row in rows if row["part"] == part]
-        mean = {name: np.mean([row[name] for row in mine]) for name in mine[0] if name not in ("part", "seed")}
+        mean = {
+            name: np.mean([row[name] for row in mine]) for name in mine[0] if name not in ("part", "seed")
+        }
         lines.append([
             part, f"{mean['bend']:.4f}", f"{100 * mean['inside']:.0f}", f"{1e3 * mean['place']:.2f}",
             f"{1e3 * mean['ahead']:.1f}", f"{100 * mean['blind']:.1f}",

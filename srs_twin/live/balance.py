@@ -248,7 +248,7 @@ def _read(time, pressure, bend, bend_sd, filled, sound, supply, books, chambers,
                         passed, _, _ = flow(line + AMBIENT_PA, gauge + AMBIENT_PA, CRITICAL_RATIO)
                         now = chambers.wide * passed / chambers.unit
                         if k == 1:  # near equal pressures the slope is steep, but not far
-                            inside, sd = gauge + AMBIENT_PA, supply[1]
+                            inside, sd = gauge + AMBIENT_PA, max(supply[1], 1.0)
                             more, _, _ = flow(line + sd + AMBIENT_PA, inside, CRITICAL_RATIO)
                             less, _, _ = flow(line - sd + AMBIENT_PA, inside, CRITICAL_RATIO)
                             slope = chambers.wide * (more - less) / (2 * sd) / chambers.unit

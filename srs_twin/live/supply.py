@@ -22,7 +22,7 @@ PRIOR_SD = 0.02
 """Standard deviation of the supply pressure at the start, share of the nominal one."""
 LARGEST_SD = 0.2
 """Largest standard deviation, while no chamber fills, share of the nominal pressure."""
-WALK = 0.03
+WALK = 0.01
 """Random walk of the supply pressure, share of the nominal one per square root of a second."""
 SENSOR_SD = 0.01
 """Standard deviation of a measured supply pressure, share of the nominal one."""
@@ -33,6 +33,8 @@ RECOVERED_ABOVE = 0.7
 _SUDDEN, _SUDDEN_SD = 0.12, 3.0
 """Change of the pressures of most chambers that counts as sudden: share of the nominal supply pressure, and
 standard deviations of what strokes differ by."""
+_SURPRISE = 3.0
+"""Standard deviations from which on a change of the median makes the estimate unsure."""
 _AGREE = 3
 """Least number of chambers whose median change is believed."""
 _TAILS = 4.0  # degrees of freedom of Student's t
@@ -67,9 +69,7 @@ class SupplyFilter(Remembers):
 
     def predict(self, dt: float) -> None:
         """Advance by a time step (s)."""
-        self.variance = min(
-            self.variance + (WALK * self.nominal) ** 2 * dt, (LARGEST_SD * self.nominal) ** 2
-        )
+        self.variance = min(self.variance + (WALK * self.nominal) ** 2 * dt, (LARGEST_SD * self.nominal) ** 2)
 
     def update(
         self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray, weight: np.ndarray,
@@ -89,7 +89,12 @@ class SupplyFilter(Remembers):
             return
         residual, response, variance = residual[there], response[there], sd[there] ** 2
         # Where most chambers agree that the pressure has changed, an outlier is what differs from them.
-        change = float(np.median(residual / response)) if len(residual) >= _AGREE else 0.0
+        change = 0.0
+        if len(residual) >= _AGREE:
+            change = float(np.median(residual / response))
+            chance = np.pi / 2 / len(residual) * float(np.median(variance / response**2))
+            if change**2 > _SURPRISE**2 * (self.variance + chance):
+                self.variance += change**2
         expected = variance + response**2 * self.variance
         robust = (_TAILS + 1) / (_TAILS + (residual - response * change) ** 2 / expected)
         information = weight[there] * np.minimum(robust, 1.0) * response / variance / repeats

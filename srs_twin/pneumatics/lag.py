@@ -52,9 +52,7 @@ def relaxation_of(
     return rate, (fill * supply + besides) / np.where(rate == 0.0, 1.0, rate)
 
 
-def relaxed(
-    pressure: np.ndarray, rate: np.ndarray, end: np.ndarray, time: np.ndarray | float
-) -> np.ndarray:
+def relaxed(pressure: np.ndarray, rate: np.ndarray, end: np.ndarray, time: np.ndarray | float) -> np.ndarray:
     """Return the pressures after a time (s), Pa."""
     return np.asarray(end + (pressure - end) * np.exp(-rate * time))
 

@@ -95,7 +95,9 @@ def test_commands_that_wait_already_bend_the_estimate():
             valves = np.full((n, 2), -1.0)
             valves[:, 0] = 1.0 if fills and k >= 55 else -1.0
             values = {BENDS: np.zeros(n), COMMAND: valves}
-            found = shadow.take(time, [Message(kind, kind, time, time, each) for kind, each in values.items()])
+            found = shadow.take(
+                time, [Message(kind, kind, time, time, each) for kind, each in values.items()]
+            )
         bends.append(found.bend)
     assert (bends[1] > bends[0] + 0.02).all()
 

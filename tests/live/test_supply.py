@@ -7,7 +7,7 @@ import pytest
 from live_runs import DROOPS_S, alarms, conditioned, shadowed
 
 from srs_twin.live.messages import SUPPLY, BadMessageError, decode, encode
-from srs_twin.live.supply import LARGEST_SD, PRIOR_SD, SupplyFilter
+from srs_twin.live.supply import LARGEST_SD, PRIOR_SD, WALK, SupplyFilter
 
 NOMINAL, TICK = 60e3, 0.02
 
@@ -40,7 +40,9 @@ def test_standard_deviation_is_that_of_the_errors():
     errors = []
     for seed in range(40):
         rng = np.random.default_rng((seed, 1))
-        walk = NOMINAL * (1 + PRIOR_SD * rng.normal() + np.cumsum(0.03 * np.sqrt(TICK) * rng.normal(size=100)))
+        walk = NOMINAL * (
+            1 + PRIOR_SD * rng.normal() + np.cumsum(WALK * np.sqrt(TICK) * rng.normal(size=100))
+        )
         found = followed(walk, seed)
         errors.append((found[50:, 0] - walk[50:]) / found[50:, 1])
     assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.2
