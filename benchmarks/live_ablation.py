@@ -85,6 +85,7 @@ def figures(order: tuple[str, int]) -> dict[str, Any]:
     off, sd = table_[:, 1 : n + 4] - true(table_[:, 0]), table_[:, n + 4 :]
     ahead = [np.hypot(*(p.pose[-1, :2] - true(p.time[-1:])[0, n : n + 2])) for p in predictions]
     way = np.hypot(*np.diff(truth[truth[:, 0] >= BLIND_S][:, n + 1 : n + 3], axis=0).T).sum()
+    assert found is not None
     blind = np.hypot(*(found.pose[:2] - true(np.array([time]))[0, n : n + 2]))
     return {
         "part": part, "seed": seed, "bend": float(np.sqrt(np.mean(off[:, :n] ** 2))),

@@ -2,12 +2,12 @@
 
     uv run python benchmarks/live_faults.py [--seeds 12] [--first 5000] [--hours 1] [--json FILE]
 
-Conditions are those of `live_runs.CONDITIONS`: supplies that droop and wander, robots that differ from their
-file, other gaits, poor sensors; `--condition NAME` (repeatable) picks some. A fault is observable from the time
-at which a sound robot, without noise, would have answered otherwise by three times the noise; it is in time
-within a gait period of that. Two faults look alike as long as the chambers take turns (one that never vents
-bends as if the other one never filled) and may be named together. Sound hours are shared equally among the
-conditions. SRS_LIVE_RECORDINGS=FOLDER keeps the messages, so that they are simulated once.
+Conditions are those of `live_runs.CONDITIONS`: supplies that droop and wander, robots that differ from
+their file, other gaits, poor sensors; `--condition NAME` (repeatable) picks some. A fault is observable from
+the time at which a sound robot, without noise, would have answered otherwise by three times the noise; it is
+in time within a gait period of that. Two faults look alike as long as the chambers take turns (one that never
+vents bends as if the other one never filled) and may be named together. Sound hours are shared equally among
+the conditions. SRS_LIVE_RECORDINGS=FOLDER keeps the messages, so that they are simulated once.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from grid import table
 from live_runs import CONDITIONS, NAMES, alarms, isolated
 
 from srs_twin.parallel import each
-
 
 STILL = ("standing", "held bends", "stop and go")
 """Conditions in which faults need not show within a period: false alarms only."""

@@ -23,6 +23,7 @@ from srs_twin.live.emulator import SILENT_S, EmulatedRobot
 from srs_twin.live.helm import Helm
 from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, SUPPLY, VALVES, Message
 from srs_twin.live.shadow import Estimate, Prediction, Shadow
+from srs_twin.plants.twin import TwinSnake
 
 NOISE_RAD = 0.02
 OFFSETS = (0.0, 0.15, -0.15)
@@ -328,13 +329,13 @@ def followed_estimate(run: Run, **shadow: Any) -> dict[str, Any]:
             rows.append(np.array([found.time, *found.bend, *found.pose, *found.bend_sd, *found.pose_sd]))
             if round(moment.time * 50) % 25 == 0:
                 predictions.append(moment.shadow.predict())
-    spec = recording.spec
+    spec, known = recording.spec, found.parameters if found else {}
     return {
         "estimate": np.array(rows), "truth": recording.truth,
         "predictions": predictions,
         "gain": spec.modules.array("gain"), "tau_fill": spec.modules.array("tau_fill").mean(axis=1),
         "tau_vent": spec.modules.array("tau_vent").mean(axis=1),
-        **{f"known_{name}": np.stack(pair) for name, pair in found.parameters.items()},
+        **{f"known_{name}": np.stack(pair) for name, pair in known.items()},
     }  # fmt: skip
 
 
@@ -385,7 +386,9 @@ CONDITIONS: Mapping[str, Mapping[str, Any]] = {
 
 def conditioned(condition: str, seed: int, seconds: float, **more: Any) -> Run:
     """Return a run under some conditions."""
-    return Run(seed, seconds, **({"frequency": FREQUENCIES_HZ[seed % 3]} | CONDITIONS[condition] | more))
+    return Run(
+        seed, seconds, **({"frequency": FREQUENCIES_HZ[seed % 3]} | dict(CONDITIONS[condition]) | more)
+    )
 
 
 def cached(key: Any, make: Callable[[], Any]) -> Any:
@@ -432,6 +435,7 @@ def breakages(
     for kind in kinds:
         broken = replace(run, fault=f"{parts(kind, seed)[0]}@{BREAKS_S}")
         sick = broken.emulated()
+        assert isinstance(sick.twin, TwinSnake)
         stuck = sick.twin.pneumatics.stuck
         sick.twin.restore(saved)
         sick.twin.pneumatics.stuck, sick.state = stuck, state

@@ -15,10 +15,10 @@ Blom and Bar-Shalom (1988), the interacting multiple model estimator. Faults beg
 How pressures differ from the lags is learnt while a segment is sound, by how long ago its valves switched:
 chambers of one robot repeat themselves. What a chamber loses is told by its balance of air (`balance`).
 
-All pressures are relative to the estimated supply pressure (`supply`), so a supply that droops is no fault. It
-is named as starved below `supply.STARVED_BELOW` of the nominal pressure. A sudden loss makes every segment weak
-at once; then the estimate jumps. What is weak in one segment alone is no supply, and where several segments are
-in doubt at once, a part of one of them is named later.
+All pressures are relative to the estimated supply pressure (`supply`), so a supply that droops is no fault.
+It is named as starved below `supply.STARVED_BELOW` of the nominal pressure. A sudden loss makes segments
+weak, or seem to leak, all at once; then the estimate jumps. What is weak in one segment alone is no supply, and
+where several segments are in doubt at once, a part of one of them is named later.
 """
 
 from __future__ import annotations

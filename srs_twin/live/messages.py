@@ -41,7 +41,8 @@ class Message:
         source: whose clock `sent` shows: a topic's robot, or a motion capture system.
         sent: the sender's clock, s.
         arrived: our monotonic clock, s.
-        values: commands and valves (segments, 2); pressures the same, Pa; the supply's pressure (), Pa; bends (segments,), rad, NaN where
+        values: commands and valves (segments, 2); pressures the same, Pa; of the supply (), Pa; bends
+            (segments,), rad, NaN where
             none; poses (bodies, 4): x, y, z (m, z up) and heading (rad, NaN where unknown); else empty.
         names: of the bodies; of a status its text.
     """

@@ -15,8 +15,10 @@ _LAGS = range(10, 126)
 _SAME = 0.1
 """Commands that differ by less than this from those a period before, on average, are periodic."""
 _MEMORY = 8
-_BEGINS, _COMPARED, _MOST_OFF, _RATIOS = 10, 100, 25.0, (0.1, 10.0)
-"""Comparisons that the first scale counts as, those that tell the scale of forecasts, largest squared error in variances, range of the ratio."""
+_BEGINS, _COMPARED = 10, 100
+"""Numbers of comparisons that the first scale of forecasts counts as, and that a later one is the mean of."""
+_MOST_OFF, _RATIOS = 25.0, (0.1, 10.0)
+"""Largest squared error of a forecast that counts, in variances, and range of the mean."""
 _T95 = 2.1
 """Half of a 95 % interval over its standard deviation, as few of them have told it."""
 
@@ -150,14 +152,11 @@ class Hindsight:
 
 
 class ForecastCalibration:
-    """Scale of the standard deviations of what is predicted from the last message to now.
+    r"""Scale of the standard deviations of what is predicted from the last message to now.
 
     What was predicted for a time is compared with what measurements of that time then say:
 
-    $$ s^2 = \\overline{(\\hat x - x)^2 + \\sigma_x^2} \\;/\\; \\overline{\\hat\\sigma^2} . $$
-
-    Attributes:
-        scale: s of each value.
+    $$ s^2 = \overline{(\hat x - x)^2 + \sigma_x^2} \;/\; \overline{\hat\sigma^2} . $$
     """
 
     def __init__(self, groups: Sequence[int]) -> None:
@@ -168,6 +167,7 @@ class ForecastCalibration:
 
     @property
     def scale(self) -> np.ndarray:
+        """Factor of each value's standard deviation."""
         return np.repeat(np.sqrt(self._ratio), self._counts)
 
     def expect(self, time: float, value: np.ndarray, sd: np.ndarray) -> None:

@@ -49,7 +49,7 @@ HORIZON_S, _STEP_S, _AHEAD, _FINER = 1.0, 0.1, 16, 2
 _WAITS_S, _NOTHING_S = 0.05, 5e-4
 """After how long without a message the robot is guessed, and what is too short a time to go on for."""
 _THINNED_S = 0.018
-"""Shortest interval between measurements of one sender that are used, s: at 50 Hz the filter has all it needs."""
+"""Shortest interval between measurements of one sender that are used, s: more than 50 Hz adds little."""
 _FORECAST_SLOT_S, _FORECAST_STEP_S = 0.005, 0.005
 """Resolution of the commands and longest step of the members from the last message to now, s."""
 _HISTORY_S = 1.0
@@ -61,8 +61,8 @@ class Estimate:
     """What is known of a robot at a moment.
 
     Attributes:
-        time: our clock, s: the moment that was asked for. Messages wait to be put in order, so the state at the
-            last one is predicted from there.
+        time: our clock, s: the moment that was asked for. Messages wait to be put in order, so the state is
+            predicted from the last one.
         bend: of each segment, rad.
         bend_sd: of that.
         pose: x, y (m) of the centre of mass, mean heading (rad).

@@ -1,8 +1,8 @@
 r"""SupplyFilter: supply pressure of the robot, estimated from the air that chambers take in.
 
-All chambers share one supply. Its gauge pressure S is a random walk. The air that chamber i has taken in since
-its valve opened exceeds what the estimate explains by r_i = h_i (S − Ŝ) + v_i (`balance`). A Kalman filter
-combines the chambers:
+All chambers share one supply. Its gauge pressure S is a random walk. The air that chamber i has taken in
+since its valve opened exceeds what the estimate explains by r_i = h_i (S − Ŝ) + v_i (`balance`). A Kalman
+filter combines the chambers:
 
 $$ \hat S' = \hat S + \frac{\sum_i w_i h_i r_i / \sigma_i^2}{1/P + \sum_i w_i h_i^2 / \sigma_i^2}. $$
 

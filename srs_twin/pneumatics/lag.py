@@ -10,8 +10,8 @@ so that nominal modules with τ_fill = τ_vent = τ₁ obey Eq. 14–15 as corre
 q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀ u/(τ₁τ₂). φ, b and the gains g are those of `bending`. Everything is
 evaluated in closed form, at any time.
 A valve that fills for the share o of the time and vents for the rest relaxes the chamber at the rate
-a = o/τ_fill + (1 − o)/τ_vent + λ towards P = (o S/τ_fill + r)/a, with the supply's pressure S and what changes the
-pressure besides, r (`relaxation_of`, which takes arrays of any shape).
+a = o/τ_fill + (1 − o)/τ_vent + λ towards P = (o S/τ_fill + r)/a, with the supply's pressure S and other
+causes of change r (`relaxation_of`, which takes arrays of any shape).
 A valve's 3 ms of switching are part of τ₂; a delay besides is 0 unless asked for.
 
 Air drawn: while a chamber fills, its content n = P V(q) grows by what comes in less what leaks, so a fill
@@ -37,7 +37,7 @@ from srs_twin.robot.spec import RobotSpec
 
 def relaxation_of(
     fill: np.ndarray, vent: np.ndarray, supply: np.ndarray | float, leak: np.ndarray | float = 0.0,
-    besides: np.ndarray | float = 0.0,
+    other: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return the rate a (1/s) at which pressures relax, and the pressure P (Pa) that they relax to.
 
@@ -46,10 +46,10 @@ def relaxation_of(
         vent: (1 − o)/τ_vent, 1/s.
         supply: S, gauge, Pa.
         leak: λ, 1/s.
-        besides: r, Pa/s.
+        other: r, Pa/s.
     """
     rate = fill + vent + leak
-    return rate, (fill * supply + besides) / np.where(rate == 0.0, 1.0, rate)
+    return rate, (fill * supply + other) / np.where(rate == 0.0, 1.0, rate)
 
 
 def relaxed(pressure: np.ndarray, rate: np.ndarray, end: np.ndarray, time: np.ndarray | float) -> np.ndarray:
@@ -58,7 +58,8 @@ def relaxed(pressure: np.ndarray, rate: np.ndarray, end: np.ndarray, time: np.nd
 
 
 def followed(
-    lagged: np.ndarray, pressure: np.ndarray, relaxation: tuple[np.ndarray, np.ndarray], tau: float, time: float
+    lagged: np.ndarray, pressure: np.ndarray, relaxation: tuple[np.ndarray, np.ndarray], tau: float,
+    time: float,
 ) -> np.ndarray:  # fmt: skip
     """Return after a time (s) what lags behind pressures by τ₂.
 
