@@ -17,8 +17,8 @@ chambers of one robot repeat themselves. What a chamber loses is told by its bal
 
 All pressures are relative to the estimated supply pressure (`supply`), so a supply that droops is no fault.
 It is named as starved below `supply.STARVED_BELOW` of the nominal pressure. A sudden loss makes segments
-weak, or seem to leak, all at once; then the estimate jumps. What is weak in one segment alone is no supply, and
-where several segments are in doubt at once, a part of one of them is named later.
+weak, or seem to leak, all at once; then the estimate jumps. What is weak in one segment alone is no supply,
+and where several segments are in doubt at once, a part of one of them is named later.
 """
 
 from __future__ import annotations
