@@ -117,6 +117,7 @@ class BankSettings:
         loss: share of readings that are lost.
         gain: spread of the modules' gains.
         bias: of their bends without pressure, rad.
+        offset: of the bend sensors' readings, rad.
         pressure: what a pressure may differ from its lag's by, as a share of the supply's, before it has been
             seen, and at the least.
         load: RMS of d, as a share of the largest bend.
@@ -136,6 +137,7 @@ class BankSettings:
     loss: float = 0.05
     gain: float = 0.15
     bias: float = 0.05
+    offset: float = 0.06
     pressure: tuple[float, float] = (0.12, 0.02)
     load: float = 0.11
     load_time: float = 0.15
@@ -207,7 +209,7 @@ class FaultBank(Remembers):
         variants = list(dict.fromkeys(each for pair in own for each in pair))
         self._variant = np.array([[variants.index(each) for each in pair] for pair in own])
         self.balance = AirBalance(spec, supply_pa=supply_pa, variants=variants)
-        spread = np.array([s.bias, s.gain, s.gain, self._load, s.noise])
+        spread = np.array([s.bias, s.gain, s.gain, self._load, s.offset])
         self._spread = np.tile(np.diag(spread**2), (count, kinds, 1, 1))
         self.probability = np.zeros((count, kinds))
         self.probability[:, 0] = 1.0
