@@ -17,7 +17,7 @@ import numpy as np
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario import load_scenario
 from srs_twin.sweep.execution import local
-from srs_twin.uncertainty import Priors, Study
+from srs_twin.uncertainty import Priors, Study, propagate
 from srs_twin.uncertainty.propagation import OWN_ROWS
 from srs_twin.uncertainty.spreads import predicted, sampling_errors
 
@@ -36,7 +36,7 @@ def main() -> None:
     scenario = load_scenario(given.scenario, set={"duration_s": given.duration})
     priors = Priors.of(RobotFile.model_validate(scenario.document["robot"]))
     study = Study(scenario, priors, ("twin",), given.samples, given.samples)
-    rows = study.run(given.out, local()).rows
+    rows = propagate(study, given.out, local()).rows
     print("| metric | correlation | worse end of each set, % of the width | within 5 % | within 2 s.e. |")
     print("|---|---|---|---|---|")
     for metric, plain in rows["twin"].items():

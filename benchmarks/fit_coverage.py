@@ -1,6 +1,6 @@
 """Whether verdicts and intervals of gait fits hold where the model is wrong: analytical models, twin data.
 
-    uv run python benchmarks/fit_coverage.py [--robots 300] [--first 0] [--out coverage.jsonl] [--table]
+    uv run python benchmarks/fit_coverage.py [--robots 300] [--first 0] [--only MODEL] [--out FILE] [--table]
 
 Each robot is gen2 or gen4 with another μ_t, μ_n and stiffness (each up to e^±0.3) and gap (up to 5 mm more or
 less), crawls twice for 2 s, and is captured with markers in pairs (noise 0.2 mm). `complete`, `simplified`
@@ -55,11 +55,12 @@ def robot(seed: int) -> tuple[RobotSpec, dict[str, float]]:
     return spec, dict(zip(NAMES, [*map(float, truth), float(gap)], strict=True))
 
 
-def fits(seed: int, truth_model: str) -> dict[str, Any]:
-    """Return what all fits to the takes of a robot found."""
+def fits(seed: int, truth_model: str, only: str | None = None) -> dict[str, Any]:
+    """Return what fits to the takes of a robot found, those of all models or of one."""
     spec, truth = robot(seed)
     of_twin, of_takes = {"twin": (TWIN, MODELS), "finer": (FINER, {"twin": TWIN})}[truth_model]
-    exact = truth_model == "twin" and seed // 2 % EXACT == 0
+    of_takes = {name: model for name, model in of_takes.items() if only in (None, name)}
+    exact = truth_model == "twin" and seed // 2 % EXACT == 0 and only in (None, "exact")
     found: dict[str, Any] = {"seed": seed, "truth": truth, "plant": truth_model, "fits": {}}
     for label, plant, models in (
         ("", of_twin, of_takes),
@@ -137,6 +138,7 @@ def main() -> None:
     words.add_argument("--robots", type=int, default=300)
     words.add_argument("--first", type=int, default=0, help="seed of the first robot")
     words.add_argument("--truth", choices=["twin", "finer"], default="twin")
+    words.add_argument("--only", choices=[*MODELS, "exact", "twin"], help="fit this model alone")
     words.add_argument("--out", type=Path, default=Path("coverage.jsonl"))
     words.add_argument("--table", action="store_true", help="only print what is there")
     given = words.parse_args()
@@ -146,7 +148,7 @@ def main() -> None:
         if seed in done:
             continue
         try:
-            done[seed] = fits(seed, given.truth)
+            done[seed] = fits(seed, given.truth, given.only)
         except InputError as error:
             print(f"{seed}: {error}", flush=True)
             continue

@@ -22,7 +22,7 @@ from scipy.stats import binomtest
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario import load_scenario, parse_scenario
 from srs_twin.sweep.execution import local
-from srs_twin.uncertainty import Priors, Propagation, Study
+from srs_twin.uncertainty import Priors, Propagation, Study, propagate
 from srs_twin.uncertainty.propagation import OWN_ROWS
 from srs_twin.uncertainty.surrogates import Chaos
 
@@ -110,21 +110,21 @@ def main() -> None:
     def ran(name: str, changes: Mapping[str, Any], samples: int) -> dict[str, np.ndarray]:
         found = made(changes, samples, 1)
         alone = Alone(found.scenario, found.priors, ("twin",), samples, samples, 1)
-        rows = alone.run(given.out / name.replace(" ", "_"), local()).rows["twin"]
+        rows = propagate(alone, given.out / name.replace(" ", "_"), local()).rows["twin"]
         return {metric: np.asarray(of(rows))[:-OWN_ROWS] for metric, of in METRICS.items()}
 
     same = ran("same_chambers", {"plants.twin": FINER}, given.robots)
     truth = ran("truth", {"plants.twin": FINER, "pneumatics": {"kind": "orifice"}}, given.robots)
     shipped, drawn = made({}, 2048, 0), made({}, given.robots, 1)
     robots = drawn.priors.at(drawn.shares)
-    found = shipped.run(given.out / "shipped", local())
+    found = propagate(shipped, given.out / "shipped", local())
     print("Robots with the predictor's model of the chambers")
     held(found, same, robots)
     print("\nRobots with orifices, predictor as shipped")
     held(found, truth, robots)
     if given.forms:
         print("\nRobots with orifices, predictor with --form pneumatics.kind=lag,orifice")
-        held(replace(shipped, forms=FORMS).run(given.out / "forms", local()), truth, robots)
+        held(propagate(replace(shipped, forms=FORMS), given.out / "forms", local()), truth, robots)
     spreads = {name: spread.samples for name, spread in found.plants["twin"].items()}
     print("\n| assumption alone, median change over spread | " + " | ".join(METRICS) + " |\n|" + "---|" * 5)
     reference: dict[str, np.ndarray] | None = None

@@ -1,28 +1,33 @@
-"""Published values beside kept intervals, in the terms of ASME V&V 20; a row each.
+"""Published values and intervals in the terms of ASME V&V 20; one row per plant.
 
-    uv run python benchmarks/published_intervals.py
+    uv run python benchmarks/published_intervals.py [FILE ...]
 
-Reads `calibration/intervals/`, which `srs-twin uncertainty SCENARIO --write` fills.
+Reads the given `intervals.json`, or those that `srs-twin uncertainty SCENARIO --write` keeps.
 """
 
 from __future__ import annotations
 
 import json
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+
+from srs_twin.scenario.interval_verdict import interval_verdict
 
 FOLDER = Path(__file__).parents[1] / "calibration/intervals"
 SCATTER = 0.01
 
 
-def main() -> None:
-    """Print the table."""
+def main(files: Sequence[str]) -> None:
+    """Print the table of the given files, or of the kept intervals."""
     print(
-        "| scenario | plant | published | value | E | u_num | u_input | u_D | 95 % | holds | width | score |"
+        "| scenario | plant | published | value | E | u_num | u_input | u_D | 95 % | errors of the ends "
+        "| verdict | width | score |"
     )
-    print("|---|---|---|---|---|---|---|---|---|---|---|---|")
-    for path in sorted(FOLDER.glob("*.json")):
+    print("|---|---|---|---|---|---|---|---|---|---|---|---|---|")
+    for path in map(Path, files) if files else sorted(FOLDER.glob("*.json")):
         document = json.loads(path.read_text("utf-8"))
         for plant, metrics in document["plants"].items():
             for name, row in metrics.items():
@@ -40,11 +45,16 @@ def main() -> None:
                     SCATTER * stated,
                 )
                 cells = [f"{1000 * number:.3g}" for number in numbers]
-                holds = "yes" if low <= stated <= high else "no"
-                shown = f"{1000 * low:.0f} to {1000 * high:.0f}"
-                rest = shown, holds, f"{1000 * np.subtract(high, low):.0f}", f"{1000 * score:.0f}"
+                errors = row["interval_95_error"]
+                rest = (
+                    f"{1000 * low:.1f} to {1000 * high:.1f}",
+                    ", ".join(f"{1000 * error:.2g}" for error in errors),
+                    interval_verdict(stated, (low, high), errors).value,
+                    f"{1000 * np.subtract(high, low):.0f}",
+                    f"{1000 * score:.0f}",
+                )
                 print("| " + " | ".join([document["scenario"], plant, *cells, *rest]) + " |")
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -1,4 +1,4 @@
-"""Makes the picture of docs/live.md: a robot, what its shadow knows of it, and a valve that sticks.
+"""Makes the picture of docs/live-method.md: a robot, what its shadow knows of it, and a valve that sticks.
 
 uv run python docs/live_picture.py
 """

@@ -35,7 +35,7 @@ _HOME = {
     "Plan": "srs_twin.planning",
     "Problem": "srs_twin.planning",
     "RobotSpec": "srs_twin.robot.spec",
-    "load_robot": "srs_twin.robot.spec",
+    "load_robot": "srs_twin.robot.file",
     "Scenario": "srs_twin.scenario",
     "load_scenario": "srs_twin.scenario",
     "SrsError": "srs_twin.errors",

@@ -98,6 +98,10 @@ class EngineWarning(UserWarning):
     """Something ran elsewhere than asked for."""
 
 
+class SessionWarning(UserWarning):
+    """A session beside a robot goes on without something: a file that cannot be written, a forecast."""
+
+
 class CacheWarning(UserWarning):
     """Machine code cannot be kept: every start compiles it again."""
 

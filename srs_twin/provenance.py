@@ -28,9 +28,6 @@ from srs_twin.io.files import find
 NOT_PHYSICS = ("name", "title", "expect", "changes")
 """Keys of a scenario that name or judge results."""
 
-POINTS = "srs_twin.sweep.task"
-"""The module that runs a point."""
-
 _SHOWS = "srs_twin.viewing"
 """What only shows results: no row depends on it."""
 
@@ -73,18 +70,19 @@ def arithmetic() -> str:
     return "-".join((processor, *blas_kernels(), digest))
 
 
-def run_key(document: Mapping[str, Any], plants: Iterable[str]) -> str:
+def run_key(document: Mapping[str, Any], plants: Iterable[str], runner: str) -> str:
     """Return the key of a run.
 
     Args:
         document: plain data of the scenario, as `Scenario.document` holds them.
         plants: which run; none: the scenario is only planned.
+        runner: module that runs it, dotted.
     """
     return digest_of(
         scenario={key: value for key, value in document.items() if key not in NOT_PHYSICS},
         plants=list(plants),
         files=list(file_digests(document).values()),
-        sources=source_digests(POINTS),
+        sources=source_digests(runner),
         versions=versions(),
     )
 

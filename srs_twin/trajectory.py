@@ -7,12 +7,12 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.extensions import PAGES, load
 from srs_twin.io.parquet import read_table
 
 _NAMES = {
@@ -49,11 +49,10 @@ class Event:
 
 
 class Shown:
-    """What a notebook shows as a page."""
+    """Result that a notebook shows as a page."""
 
     def _repr_html_(self) -> str:
-        # Pictures stand below all that they show; they are asked for by name when somebody looks.
-        page: str = import_module("srs_twin.viewing.html.report").shown(self)
+        page: str = load(PAGES["html"])(self)
         return page
 
 

@@ -29,7 +29,7 @@ from srs_twin.identification.fitted_robot import fitted_robot
 from srs_twin.identification.unknowns import names_of_fields, unknowns, with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
-from srs_twin.recordings.signals.logs import ValveLog
+from srs_twin.recordings.signals.valve_log import ValveLog
 from srs_twin.robot.spec import RobotSpec
 
 MODULE = load_robot("gen4_module")

@@ -191,6 +191,33 @@ def test_a_reset_empties_the_chambers_of_the_chosen_worlds():
     assert not batch.arrays()["pressure"].numpy().any() and not batch.openings().any()
 
 
+def displaced(place, steps=60):
+    """Return the motion of a turning snake relative to where it starts, and its states' mean position."""
+    batch = TwinBatch([GEN2] * 2, deterministic=True, **ON)
+    batch.set_gaits([Gait(2.0, 0.4)] * 2)
+    batch.reset(poses=[(*place, 0.3), (0.0, 0.0, 0.3)])
+    return [state.com - state.com[0] for state in batch.follow(steps * 1e-3 * 4, 4)], batch
+
+
+def test_a_start_far_from_the_origin_moves_as_one_at_the_origin():
+    place = (2000.0, -700.0)
+    (far, near), batch = displaced(place)
+    # The device computes both near zero; adding the start rounds in double precision.
+    assert np.abs(far - near).max() < 1e-9
+    assert batch.state.com[0] == pytest.approx(place, abs=0.5)
+    assert batch.state.position[0].mean(axis=0) == pytest.approx(place, abs=0.5)
+    assert batch.state.qpos[0, :2] == pytest.approx(place, abs=0.5)
+    batch.reset(worlds=[0])
+    assert np.abs(batch.state.com).max() < 0.5
+
+
+def test_a_start_that_is_too_far_for_single_precision_is_refused_beside_obstacles():
+    batch = TwinBatch([GEN2], world=World((Circle(1.0, 0.0, 0.1),)), contact="loaded", **ON)
+    batch.reset(poses=[(15.9, 0.0, 0.0)])
+    with pytest.raises(InputError, match=r"run 0 starts at \(2000, 0\) m.* within 16 m of the origin"):
+        batch.reset(poses=[(2000.0, 0.0, 0.0)])
+
+
 @pytest.mark.slow
 def test_a_batch_is_repeated_world_by_world_and_its_arrays_are_handed_out(contact):
     batch = TwinBatch([GEN2] * 3, contact=contact, deterministic=True, **ON)

@@ -6,6 +6,7 @@ import ast
 import importlib
 import json
 import re
+from pathlib import Path
 
 import pytest
 from conftest import ROOT
@@ -16,6 +17,7 @@ from typer.exceptions import TyperException
 from srs_twin import load_robot, load_scenario
 from srs_twin.cli.app import command
 from srs_twin.io.files import shipped_names
+from srs_twin.live.setup_file import load_setup
 from srs_twin.optimization import load_study
 from srs_twin.recordings.recording_map import read_map
 from srs_twin.scenario.file import ScenarioFile
@@ -150,7 +152,12 @@ def test_yaml_loads(page, block, tmp_path, monkeypatch):
     printed = {**base, **document}
     with path.open("w", encoding="utf-8") as file:
         yaml.dump(printed, file)
-    loaders = {"vary": load_sweep, "geometry": load_robot, "objectives": load_study}
+    loaders = {
+        "vary": load_sweep,
+        "geometry": load_robot,
+        "objectives": load_study,
+        "broker": lambda given: load_setup(Path(given)),
+    }
     load = next((load for key, load in loaders.items() if key in printed), load_scenario)
     assert load(str(path))
 

@@ -188,6 +188,19 @@ def test_a_reference_widens_intervals_by_the_error_of_the_model(bias):
     assert ("the model's error" in found.why) == (bias > 0)
 
 
+@pytest.mark.parametrize("slope", [-0.7, 0.0, 0.5])
+def test_the_bias_is_that_at_the_true_value(slope):
+    """Five searches approach the bias at the truth, 0.05; after two with slope −0.7 it would be 0.026."""
+    true, bias = 2.0, 0.05
+    at = lambda b: bias + slope * (b - true)  # noqa: E731
+    measured = (true + at(true)) * TIME + 1e-3 * np.random.default_rng(0).normal(size=len(TIME))
+    residuals = lambda v: [Residual("line", "1", measured - v["b"] * TIME, 1e-3)]  # noqa: E731
+    found = least_squares(residuals, [unknown("b", 0.0)], refit=lambda v: {"b": v["b"] + at(v["b"])})["b"]
+    # Each search leaves the share |slope| of the error of the bias.
+    assert found.standard_error == pytest.approx(bias, abs=bias * abs(slope) ** 5 + 2e-3)
+    assert found.low < true < found.high
+
+
 def test_two_minima_that_fit_alike_are_told():
     measured = 4.0 + 0.01 * np.random.default_rng(0).normal(size=len(TIME))
     found = least_squares(

@@ -21,7 +21,7 @@ from srs_twin.control.steering import BearingLaw, PathLaw, Predictor, Steering
 from srs_twin.planning import Footprint, Outcome, Plan
 from srs_twin.planning.problem import path_of
 from srs_twin.planning.route import Route
-from srs_twin.robot.spec import load_robot
+from srs_twin.robot.file import load_robot
 from srs_twin.world import Circle, Goal, Pose, World
 
 ORIGIN, CLEAR, EMPTY = Pose(0.0, 0.0, 0.0), Camera(), World()
@@ -46,7 +46,7 @@ def ours():
 def follow(
     plan, *, start=(0.0, 0.0, 0.0), law=None, camera=CLEAR, delay=0.0, duration=30.0, seed=0, radius=0.05,
     stray=None, replans=3, replan=None, submit=None, curvature_at=as_told, goal=None, world=EMPTY, margin=0.0,
-    late=0.0, lag=0.0, **snake,
+    late=0.0, lag=0.0, least_margin=0.0, **snake,
 ):  # fmt: skip
     """Return the follower, the snake and its way, shape (samples, 4): time, x, y, heading without the wag.
 
@@ -66,6 +66,7 @@ def follow(
         submit=submit,
         world=world,
         body=BODY.reduced(margin=margin),
+        least_margin=least_margin,
     )
     plant = Unicycle(wheel, curvature_at, **snake)
     state = plant.reset(pose=start)
@@ -291,6 +292,46 @@ def blind(offset):
     return 2.0
 
 
+BESIDE = World((Circle(2.0, 0.25, 0.15),))
+"""Leaves 50 mm beside the body on a straight path; planned with all of that as its margin."""
+
+
+@pytest.mark.parametrize("least", [0.0, 0.5])
+def test_a_snake_beside_a_running_robot_stops_without_the_margin_it_needs(least):
+    """The same obstacle and weak law as below; plans exist with a quarter of the margin only."""
+    shares = []
+
+    def replan(pose, share):
+        shares.append(share)
+        if share > 0.25:
+            raise InputError("start: the straight body's footprint touches obstacle 1")
+        return a_plan(((-3.0, 0.2), (3.0, 0.2), (0.0, 1.0)), start=pose)
+
+    follower, _, _ = follow(
+        a_plan(), law=BearingLaw(0.3, 0.2, 0.1), curvature_at=lambda offset: as_told(offset) + 0.7,
+        stray=1.0, replan=replan, world=BESIDE, margin=0.05, least_margin=least,
+    )  # fmt: skip
+    assert min(shares) == (0.5 if least else 0.25)
+    events = follower.events()
+    if least:
+        assert follower.ending == "no_room"
+        assert events[-1].text.startswith("no way with the margin that is needed: close; start: ")
+    else:
+        assert events[0].kind == "replanned" and "25% of the margin" in events[0].text
+
+
+@pytest.mark.parametrize("least", [0.0, 0.5])
+def test_a_snake_that_comes_near_with_no_plan_left_stops_where_a_margin_is_needed(least):
+    follower, _, _ = follow(
+        a_plan(), law=BearingLaw(0.3, 0.2, 0.1), curvature_at=lambda offset: as_told(offset) + 0.7,
+        stray=1.0, replans=0, replan=lambda pose, _: a_plan(start=pose), world=BESIDE, margin=0.05,
+        least_margin=least,
+    )  # fmt: skip
+    events = follower.events()
+    assert ("no_room" in [each.kind for each in events]) == bool(least)
+    assert ("no_new_plan" in [each.kind for each in events]) != bool(least)
+
+
 def test_straying_gets_new_plans_as_often_as_allowed():
     asked = []
 
@@ -304,10 +345,6 @@ def test_straying_gets_new_plans_as_often_as_allowed():
     assert kinds == ["replanned", "replanned", "strayed"]
     times = [time for time, _ in follower.plans]
     assert times == sorted(times) and len(times) == 3
-
-
-BESIDE = World((Circle(2.0, 0.25, 0.15),))
-"""Leaves 50 mm beside the body on a straight path; planned with all of that as its margin."""
 
 
 def test_a_new_plan_is_asked_for_before_the_body_comes_near_to_something():

@@ -61,7 +61,7 @@ def values() -> dict[tuple[str, str], str]:
     from srs_twin.comparison.diff import Tolerances
     from srs_twin.identification.footprint import Drive
     from srs_twin.identification.takes import RecordingReader
-    from srs_twin.robot.spec import load_robot
+    from srs_twin.robot.file import load_robot
 
     spec = load_robot("gen2")
     most = {name: max(Drive(spec, 2.0, 48e3, name).offsets) for name in ("gait", "ilc")}
@@ -84,6 +84,7 @@ def values() -> dict[tuple[str, str], str]:
 LIVE = {
     ("shadow", "mqtt"): "127.0.0.1:1883, or none with --mcap",
     ("shadow", "name"): "ROBOT",
+    ("shadow", "robot"): "that of --setup",
     ("shadow", "body"): "connector_1=1 …",
     ("emulate", "name"): "ROBOT",
 }
@@ -142,7 +143,7 @@ def test_a_live_command_takes_name_and_broker_that_its_help_says(
 
 def test_bodies_are_connectors_unless_others_are_named():
     from srs_twin.live.shadow import Shadow
-    from srs_twin.robot.spec import load_robot
+    from srs_twin.robot.file import load_robot
 
     first, number = {each[:2]: each[2] for each in stated()}["shadow", "body"].split()[0].split("=")
     assert Shadow(load_robot("gen2"), members=2)._frames[first] == int(number)

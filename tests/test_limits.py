@@ -1,7 +1,7 @@
 """Limits and defaults of the keys of files: files that were accepted stay accepted, and mean the same.
 
 `limits.csv` holds those of every numeric key, the bounds within which fits search, and the spreads with which
-a live ensemble begins, on which the figures of docs/live.md rest. After an intended change:
+a live ensemble begins, on which the figures of docs/live-method.md rest. After an intended change:
 `python tests/test_limits.py`.
 """
 

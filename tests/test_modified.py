@@ -19,6 +19,7 @@ from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario import parse_scenario
 from srs_twin.scenario.modified import decides, marked
 from srs_twin.sweep import load_sweep
+from srs_twin.sweep.points import RUNNER
 from srs_twin.viewing.html.report import robot_table
 from srs_twin.viewing.mujoco.live import LiveSnake
 
@@ -104,7 +105,7 @@ def test_keys_of_runs_do_not_depend_on_how_a_value_was_set():
     data["controller"]["frequency_hz"] = 1.0
     written, was_set = parse_scenario(data, name="other").document, gen2(**SLOW).document
     assert "changes" in was_set and "changes" not in written
-    assert run_key(was_set, ["twin"]) == run_key(written, ["twin"])
+    assert run_key(was_set, ["twin"], RUNNER) == run_key(written, ["twin"], RUNNER)
     assert judged_digest(was_set) == judged_digest(written)
 
 

@@ -16,8 +16,7 @@ from srs_twin.io.documents import load_yaml
 from srs_twin.io.files import data_root
 from srs_twin.planning.footprint import load_footprint_file
 from srs_twin.reproduction.claims import CLAIMS_BYTES, claims_file
-from srs_twin.robot.file import load_robot_file, robot_sources
-from srs_twin.robot.spec import load_robot
+from srs_twin.robot.file import load_robot, load_robot_file, robot_sources
 
 pytestmark = pytest.mark.fast
 

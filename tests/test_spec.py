@@ -9,8 +9,8 @@ import pytest
 
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.documents import dump_yaml
-from srs_twin.robot.file import load_robot_file, robot_sources
-from srs_twin.robot.spec import Friction, Geometry, RobotSpec, load_robot
+from srs_twin.robot.file import load_robot, load_robot_file, robot_sources
+from srs_twin.robot.spec import Friction, Geometry, RobotSpec
 
 pytestmark = pytest.mark.fast
 

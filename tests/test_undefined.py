@@ -228,6 +228,32 @@ def test_the_printed_interval_shows_on_which_side_a_published_value_lies(publish
     assert (float(low) <= published <= float(high)) == row["met"] == (0.100031 <= published <= 0.250033)
 
 
+@pytest.mark.parametrize(
+    ("published", "error", "state", "verdict_by_interval"),
+    [
+        (0.09998, 0.0045, "not_judged", "undecided"),  # as generation 4: 0.02 mm/s below an end known to 4.5
+        (0.1089, 0.0045, "not_judged", "undecided"),
+        (0.1091, 0.0045, "met", "within"),
+        (0.0909, 0.0045, "missed", "outside"),
+        (0.2589, 0.0045, "not_judged", "undecided"),
+        (0.25, 0.0, "met", "within"),
+    ],
+)
+def test_a_published_value_within_two_standard_errors_of_an_end_is_undecided(
+    published, error, state, verdict_by_interval
+):
+    row = within(0.2, published=published, interval_95_error=[error, error])
+    assert (row["state"], row["verdict"], row["met"]) == (state, verdict_by_interval, state == "met")
+    assert (row["reason"] or "").startswith("undecided: published") == (state == "not_judged")
+    assert row["interval_error"] == [error, error]
+
+
+def test_an_undecided_value_says_how_far_it_is_from_which_end():
+    row = within(0.2, published=0.09998, interval_95_error=[0.0045, 0.001])
+    assert "is 0.0044 standard errors from the end 0.1 (± 0.0045)" in row["reason"]
+    assert "lies near an end of the 95 % interval" in row["allowed"]
+
+
 @pytest.mark.parametrize("high", [0.25, 0.2])
 @pytest.mark.parametrize("digits", [1e-9, -1e-9, 4e-6])
 def test_last_digits_of_a_value_leave_the_interval_in_force(high, digits):

@@ -16,7 +16,8 @@ from srs_twin.identification import join, read_valves
 from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.recording_map import RecordingMap
 from srs_twin.recordings.signals.clock import driven_bends, estimate_offset
-from srs_twin.recordings.signals.logs import ValveLog, log_of_topics
+from srs_twin.recordings.signals.logs import log_of_topics
+from srs_twin.recordings.signals.valve_log import ValveLog
 
 pytestmark = pytest.mark.fast
 

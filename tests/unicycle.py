@@ -9,7 +9,7 @@ import numpy as np
 
 from srs_twin.control.base import Controller
 from srs_twin.plants.base import Plant, SnakeState
-from srs_twin.robot.spec import load_robot
+from srs_twin.robot.file import load_robot
 
 VENT = np.full((4, 2), -1, dtype=np.int8)
 NOTHING = np.full((4,), np.nan)

@@ -6,23 +6,23 @@ import errno
 import io
 import os
 import sys
-import traceback
 import warnings
-from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
 
-from srs_twin.errors import CacheWarning, EngineWarning, InputError, SrsError, TaskFailedError
-from srs_twin.io.files import printable, refuse_unprintable
+from srs_twin.cli.console import INTERRUPTED, say, show_traceback
+from srs_twin.errors import (
+    CacheWarning,
+    EngineWarning,
+    InputError,
+    SessionWarning,
+    SrsError,
+    TaskFailedError,
+)
+from srs_twin.io.files import refuse_unprintable
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
 
-DEBUG = "SRS_TWIN_DEBUG"
-INTERRUPTED = 130
 _PYTHONS_WORDS = warnings.formatwarning
 
 # Refusals of a path that no check of ours can foresee everywhere: a name too long, a full or read-only disk,
@@ -134,55 +134,11 @@ def _guarded(stream: TextIO) -> TextIO:
     return io.TextIOWrapper(file if stream.write_through else io.BufferedWriter(file), **options)
 
 
-def say(*lines: str, quiet: bool = False) -> None:
-    """Say something on stderr at once, control characters escaped, unless the command is to be quiet."""
-    for line in () if quiet else lines:
-        print(printable(line, keep="\n\t"), file=sys.stderr, flush=True)
-
-
-@contextmanager
-def interruptible(words: Callable[[], str] | str) -> Iterator[None]:
-    """Where a command is interrupted, say what is left of its work, and end it."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        say(f"interrupted; {words if isinstance(words, str) else words()}")
-        raise SystemExit(INTERRUPTED) from None
-
-
-def console() -> Console:
-    """Return rich's console on stdout for text as it stands: no markup, control characters escaped."""
-    import rich.console
-
-    class Plain(rich.console.Console):
-        def render_str(self, text: str, **options: Any) -> Text:
-            return super().render_str(printable(text, keep="\n\t"), **options | {"markup": False})
-
-    return Plain(file=sys.stdout, highlight=False, emoji=False)
-
-
-def new_table(*headings: str, left: Collection[int] = (0,), title: str | None = None) -> Table:
-    """Return an empty table of unbroken columns; those of these places stand on the left, others right."""
-    from rich import box
-    from rich.table import Table
-
-    made = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    for i, heading in enumerate(headings):
-        made.add_column(heading, justify="left" if i in left else "right", no_wrap=True)
-    return made
-
-
-def show_traceback(error: Exception) -> None:
-    """Print an error's traceback to stderr where somebody asked for it."""
-    if os.environ.get(DEBUG, "0") not in ("", "0"):
-        say("".join(traceback.format_exception(error)).rstrip())
-
-
 def _worded(message: Any, kind: type[Warning], *place: Any) -> str:
     """Return a warning as it is printed: where in the code is of no use where the machine is meant."""
     return (
         f"warning: {message}\n"
-        if kind in (CacheWarning, EngineWarning)
+        if kind in (CacheWarning, EngineWarning, SessionWarning)
         else _PYTHONS_WORDS(message, kind, *place)
     )
 

@@ -9,8 +9,9 @@ from typing import Annotated, Any
 import typer
 
 from srs_twin import __version__
-from srs_twin.cli import DEBUG, calibrate, models
+from srs_twin.cli import calibrate, models
 from srs_twin.cli.catalogue import list_, schema, show
+from srs_twin.cli.console import DEBUG
 from srs_twin.cli.diff import diff
 from srs_twin.cli.doctor import doctor
 from srs_twin.cli.emulate import emulate

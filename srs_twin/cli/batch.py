@@ -6,92 +6,26 @@ import os
 import shlex
 import time
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from srs_twin.cli import interruptible, say, show_traceback
+from srs_twin.cli.cases import Case, CaseResult
+from srs_twin.cli.console import interruptible, say, show_traceback
 from srs_twin.cli.options import print_json
 from srs_twin.cli.progress import Counting, ScenarioProgress
 from srs_twin.errors import InputError, SrsError
 
 if TYPE_CHECKING:
-    from srs_twin.experiment import RunResult
     from srs_twin.io.documents import Change
     from srs_twin.scenario import Scenario
 
-EXPECTATION_FAILED = 1
 RUNS = Path("runs")
-
-
-@dataclass(frozen=True)
-class CaseResult:
-    """What came of a scenario, small enough to travel between processes.
-
-    Attributes:
-        result: without trajectories; None where bad input or a dead worker left none.
-        errors: what stopped it or a part of it.
-        wall_s: what it took, s.
-    """
-
-    result: RunResult | None
-    errors: tuple[SrsError, ...] = ()
-    wall_s: float = 0.0
-
-    @property
-    def metrics(self) -> Mapping[str, Any]:
-        """What stands in metrics.json; empty where the folder does not hold a whole run."""
-        return {} if self.result is None else self.result.metrics
-
-    @property
-    def verdicts(self) -> Counter[str]:
-        """How many expectations came out how; see `scenario.expectation.verdict`."""
-        from srs_twin.scenario.expectation import verdict
-
-        return Counter(map(verdict, self.metrics.get("expectations", ())))
-
-    def exit_code(self, fails: Set[str]) -> int:
-        """Return the highest of its errors' codes; verdicts that fail have one too."""
-        failed = EXPECTATION_FAILED if fails & self.verdicts.keys() else 0
-        return max([failed, *(error.exit_code for error in self.errors)])
-
-
-@dataclass
-class Case:
-    """A scenario that somebody asked for.
-
-    Attributes:
-        source: as it was given.
-        scenario: what it holds; None where it cannot be used.
-        folder: where its files go.
-        ended: what came of it; None while nothing has.
-    """
-
-    source: str
-    scenario: Scenario | None = None
-    folder: Path = Path()
-    ended: CaseResult | None = None
-
-    @property
-    def name(self) -> str:
-        """What it is called: the scenario's name, or its file's where there is none."""
-        return Path(self.source).stem if self.scenario is None else self.scenario.name
-
-    @property
-    def label(self) -> str:
-        """The name, with the changed fields."""
-        return self.name if self.scenario is None else self.scenario.label
-
-    def document(self) -> Mapping[str, Any]:
-        """Return what came of it as plain data: metrics.json, or what stopped it."""
-        ended = self.ended or CaseResult(None)
-        errors = {"scenario": self.name, "errors": [str(error) for error in ended.errors]}
-        return errors if ended.errors else ended.metrics
 
 
 def simulate(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli import console, interruptible, new_table, say
+from srs_twin.cli.console import console, interruptible, new_table, say
 from srs_twin.cli.fitting import NOTHING_WRITTEN, FitDestination, checked_name, names_in, print_table
 from srs_twin.cli.options import (
     NO_CHANGES,
@@ -89,7 +89,7 @@ def friction(
     """
     place = FitDestination.of(context, "friction", robot, fit)
     from srs_twin.identification.friction import Coasting, fit_coasting, fit_pulls, is_pulls, read_pulls
-    from srs_twin.robot.spec import load_robot
+    from srs_twin.robot.file import load_robot
 
     spec, kept = load_robot(robot), validate or []
     if _alike([*files, *kept], is_pulls, "tables of pulls", "recordings of throws"):
@@ -128,10 +128,9 @@ def design(
     """
     import numpy as np
 
-    from srs_twin.cli import console, new_table
+    from srs_twin.cli.console import console, new_table
     from srs_twin.identification.design import design as designed
-    from srs_twin.robot.file import load_robot_file
-    from srs_twin.robot.spec import load_robot
+    from srs_twin.robot.file import load_robot, load_robot_file
     from srs_twin.uncertainty import Priors
 
     wanted = {}
@@ -189,7 +188,7 @@ def actuator(
     """
     place = FitDestination.of(context, "actuator", robot, fit)
     from srs_twin.identification import actuator as fits
-    from srs_twin.robot.spec import load_robot
+    from srs_twin.robot.file import load_robot
 
     spec, kept, names = load_robot(robot), validate or [], names_in(find)
 
@@ -255,7 +254,7 @@ def locomotion(
     from srs_twin.identification.locomotion import PlantModel, fit_locomotion
     from srs_twin.identification.takes import gait_run, measured_length, starts_at_rest
     from srs_twin.identification.unknowns import with_values
-    from srs_twin.robot.spec import load_robot
+    from srs_twin.robot.file import load_robot
 
     spec, kept, names = load_robot(robot), validate or [], names_in(find) or []
     stands = PlantModel(plant, _plant_settings(plant, model, law))
@@ -411,7 +410,7 @@ def footprint(
     from srs_twin.io.files import open_folder
     from srs_twin.planning.footprint import save_footprint
     from srs_twin.provenance import versions
-    from srs_twin.robot.spec import load_robot
+    from srs_twin.robot.file import load_robot
 
     spec = load_robot(robot)
     supply = spec.supply.nominal if pressure is None else 1000 * pressure

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, get_args
 
-from srs_twin.cli import console, new_table
+from srs_twin.cli.console import console, new_table
 from srs_twin.cli.options import JsonOption, argument, print_json
 from srs_twin.errors import UnknownNameError
 
@@ -14,7 +14,7 @@ _KINDS = ("scenarios", "robots", "sweeps", "controllers", "metrics", "studies")
 _ALL = _KINDS[:-1]
 """What is listed together: `--json` has these keys, which files of others rely on."""
 _SHIPPED = {"scenarios": "scenario", "robots": "robot", "sweeps": "sweep", "studies": "study"}
-_SCHEMAS = ("scenario", "sweep", "study", "inspect")
+_SCHEMAS = ("scenario", "sweep", "study", "setup", "inspect")
 
 
 def list_(
@@ -137,7 +137,7 @@ def schema(
     """Print the JSON Schema of input files or results.
 
     Options:
-        kind: Kind of document: scenario, sweep, study or inspect.
+        kind: Kind of document: scenario, sweep, study, setup or inspect.
     """
     if kind not in _SCHEMAS:
         raise UnknownNameError("kind of file", kind, _SCHEMAS)
@@ -149,6 +149,10 @@ def schema(
         from srs_twin.optimization.file import study_json_schema
 
         found = study_json_schema()
+    elif kind == "setup":
+        from srs_twin.live.setup_file import setup_json_schema
+
+        found = setup_json_schema()
     elif kind == "inspect":
         from srs_twin.recordings.facts import facts_json_schema
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli import console, new_table, say
+from srs_twin.cli.console import console, new_table, say
 from srs_twin.cli.junit import TestCase, report_path, write_report
 from srs_twin.cli.options import JsonOption, argument, option, print_json
 

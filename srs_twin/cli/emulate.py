@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from srs_twin.cli import say
+from srs_twin.cli.console import say
 from srs_twin.cli.options import JsonOption, PressureOption, QuietOption, RobotArgument, option, print_json
 from srs_twin.errors import InputError
 
@@ -103,7 +103,7 @@ def emulate(
     )  # fmt: skip
     known = name or Path(robot).stem
     over = threading.Event()
-    for ends in (signal.SIGINT, signal.SIGTERM):
+    for ends in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(ends, lambda *_: over.set())
     with broker_link(known, made.segments, mqtt, user, ca, speaks=known, kinds=(COMMAND,)) as link:
         bodies = {i: f"connector_{i}" for i in range(1, made.segments + 2)}

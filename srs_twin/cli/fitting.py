@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from srs_twin.cli import console, interruptible, new_table, say
+from srs_twin.cli.console import console, interruptible, new_table, say
 from srs_twin.cli.options import FITS, FitOptions, print_json
 from srs_twin.cli.progress import Display
 from srs_twin.errors import InputError

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Annotated
 
-from srs_twin.cli import say
+from srs_twin.cli.console import say
 from srs_twin.cli.options import JsonOption, OverwriteOption, argument, option, print_json
 from srs_twin.errors import InputError
 
@@ -43,7 +43,7 @@ def inspect(
     from srs_twin.io.files import open_folder, printable, write_text
     from srs_twin.recordings.inspection import in_words, inspect_file, proposed_map
     from srs_twin.recordings.recording_map import given_map, read_map
-    from srs_twin.robot.spec import load_robot
+    from srs_twin.robot.file import load_robot
 
     options = {"units": units, "rate_hz": rate}
     options |= {"columns": columns, "separator": separator, "decimal": decimal}

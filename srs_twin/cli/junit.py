@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from srs_twin.cli.batch import Case
+from srs_twin.cli.cases import Case
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write
 

@@ -34,7 +34,7 @@ def export(
     from srs_twin.io.files import open_folder, printable, shipped_names
     from srs_twin.mjcf.export import SCENE, export_robot
     from srs_twin.mjcf.numerics import as_contact
-    from srs_twin.robot.spec import load_robot
+    from srs_twin.robot.file import load_robot
 
     if as_contact(contact).name != "preloaded":
         raise InputError(
@@ -66,7 +66,7 @@ def check(
     from srs_twin.io.files import printable, shipped_names, shown
     from srs_twin.mjcf.check import check_mjcf
     from srs_twin.mjcf.export import stale_files
-    from srs_twin.robot.spec import load_robot
+    from srs_twin.robot.file import load_robot
 
     bad, reports = 0, []
     for model in models or shipped_names("robot"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from srs_twin.cli import interruptible, say
+from srs_twin.cli.console import interruptible, say
 from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,
@@ -73,7 +73,10 @@ def optimize(
         with interruptible(f"what was run is kept in {folder}, start again to go on"):
             with Runs(study, folder, runner, told, changed=changed) as runs:
                 answer = Answer.of(study, search(study, runs), runs)
-            files = answer.write(folder)
+            # Here: matplotlib's import would delay the search.
+            from srs_twin.optimization.report import write_answer
+
+            files = write_answer(answer, folder)
     if as_json:
         print_json(answer.document())
     elif not quiet:
@@ -107,20 +110,23 @@ class _Best:
 def _show(answer: Answer) -> None:
     """Print the best designs, and what the page says of them."""
     from srs_twin.cli.fitting import print_table
-    from srs_twin.optimization.report import share_text
+    from srs_twin.optimization.report import bound_lines, marked, share_text
     from srs_twin.viewing.plots.labels import field_label, metric_label
 
     study, told = answer.study, answer.document()
     shown = told["best"][:_COLUMNS]
     lines = []
     for name in study.space.variables:
-        lines.append((field_label(name), "", *(f"{each['variables'][name]:.4g}" for each in shown)))
+        values = [marked(each["variables"][name], name in each["on_bound"]) for each in shown]
+        lines.append((field_label(name), "", *values))
     for name in answer.metrics:
-        values = [told["begun"][name], *(each["metrics"][name] for each in shown)]
-        lines.append((metric_label(name), *("–" if value is None else f"{value:.4g}" for value in values)))
+        results = [told["begun"][name], *(each["metrics"][name] for each in shown)]
+        lines.append((metric_label(name), *("–" if value is None else f"{value:.4g}" for value in results)))
     print_table(("", "as it stands", *(f"best/{k + 1}" for k in range(len(shown)))), lines, left=(0,))
     if len(told["best"]) > _COLUMNS:
         print(f"{len(told['best'])} designs on the front; study.json has all")
+    for line in bound_lines(answer):
+        print(line)
     for k, each in enumerate(told["best"][:3]):
         if (share := each["beats_next"]) is not None:
             print(f"best/{k + 1} is better than best/{k + 2} for {100 * share:.0f} % of the drawn robots")

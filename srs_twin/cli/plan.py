@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from srs_twin.cli import say
-from srs_twin.cli.batch import EXPECTATION_FAILED, RUNS
+from srs_twin.cli.batch import RUNS
+from srs_twin.cli.cases import EXPECTATION_FAILED
+from srs_twin.cli.console import say
 from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,

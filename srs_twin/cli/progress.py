@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Self
 
-from srs_twin.cli import say
+from srs_twin.cli.console import say
 
 PATIENCE_S = 2.0
 LINE_EVERY_S = 10.0

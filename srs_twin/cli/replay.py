@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from srs_twin.cli import say
-from srs_twin.cli.batch import RUNS, Case, failing, run_all
+from srs_twin.cli.batch import RUNS, failing, run_all
+from srs_twin.cli.cases import Case
+from srs_twin.cli.console import say
 from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,

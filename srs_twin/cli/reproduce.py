@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from srs_twin.cli import interruptible, say
+from srs_twin.cli.console import interruptible, say
 from srs_twin.cli.junit import TestCase, write_report
 from srs_twin.cli.options import JobsOption, JsonOption, QuietOption, option
 from srs_twin.cli.progress import Counting

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli import console, interruptible, new_table, say
+from srs_twin.cli.console import console, interruptible, new_table, say
 from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,

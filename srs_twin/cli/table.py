@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Container, Mapping
 from typing import TYPE_CHECKING, Any
 
-from srs_twin.cli import console, new_table
+from srs_twin.cli.console import console, new_table
 from srs_twin.comparison.compare import MEASURES
 from srs_twin.comparison.metrics import chosen, headline, published, result_rows
 from srs_twin.scenario.expectation import in_words, verdict

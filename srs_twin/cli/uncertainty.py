@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from srs_twin.cli import interruptible, say
+from srs_twin.cli.console import interruptible, say
 from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,
@@ -70,7 +70,7 @@ def uncertainty(
     from srs_twin.io.files import open_folder
     from srs_twin.robot.file import RobotFile
     from srs_twin.scenario import load_scenario
-    from srs_twin.uncertainty import Priors, Study
+    from srs_twin.uncertainty import Priors, Study, propagate
 
     found = load_scenario(scenario, set=changes.changes())
     if write and found.left_out:
@@ -97,7 +97,7 @@ def uncertainty(
             yield lambda row: shown(failed=row.exit_code != 0)
 
     with interruptible(f"what was run is kept in {folder}, start again to go on"):
-        result = study.run(folder, runner, counting, changed=changed)
+        result = propagate(study, folder, runner, counting, changed=changed)
         files = result.write(folder)
     if as_json:
         print_json(result.document())
@@ -153,12 +153,18 @@ def _show(result: Propagation) -> None:
                 count = _counted(spread)
                 label = metric_label(metric) + ("" if count == usual else f", {count}")
                 errors = ", ".join(map(_rough, spread.errors[2:]))
+                verdict = spread.verdict
                 stated = "" if spread.published is None else _short(spread.published)
+                stated += "" if verdict is None else f" {verdict.value}"
                 lines.append((label, value + mark, *cells, errors, stated))
         print_table(
             (f"{plant}, {usual}", "value", "50 %", "95 %", "± at 95 %", "published"), lines, left=(0,)
         )
     print("± at 95 %: standard errors of the two ends of the 95 % interval")
+    if any(spread.verdict for spreads in result.plants.values() for spread in spreads.values()):
+        print(
+            "published: within or outside the 95 % interval; undecided within two standard errors of an end"
+        )
     if marks:
         print("* outside its 50 % interval, ** outside its 95 % interval")
     runs = ", ".join(f"{count} runs of {part}" for part, count in study.parts.items())

@@ -26,7 +26,7 @@ from srs_twin.errors import InputError
 from srs_twin.memory import names
 from srs_twin.planning.collision import Checker
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.problem import Plan
+from srs_twin.planning.plan import Plan
 from srs_twin.planning.route import PathPoint, Route
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event
@@ -42,6 +42,7 @@ ENDINGS = {
     "no_plan": "there is no plan",
     "strayed": "too far from the path, as often as new plans are allowed",
     "stuck": "no way made for several periods",
+    "no_room": "no way with the margin that is needed",
     "gait_ended": "the gait underneath has ended",
 }
 """Why a follower ends; the first is the one that is wanted."""
@@ -117,6 +118,8 @@ class Follower(Controller):
         world: recorded with the run.
         replan: makes a new plan from a pose; None: nobody does.
         submit: has another thread make them, while the snake goes on; None: it waits for them.
+        least_margin: share of the margin that a new plan needs. Above 0, a snake that finds no such plan, or
+            comes too near to something when no new plan is left, stops (`no_room`) instead of going on.
         finished: at its end.
         ending: why, of `ENDINGS`; None while it goes on.
         plans: (time, plan) of each, the first at 0.
@@ -142,6 +145,7 @@ class Follower(Controller):
     world: World = World()
     replan: Replan | None = None
     submit: Callable[[Callable[[], Renewal]], Future[Renewal]] | None = None
+    least_margin: float = 0.0
 
     def __post_init__(self) -> None:
         if not hasattr(self.gait, "offset") or not self.gait.frequency:
@@ -317,6 +321,8 @@ class Follower(Controller):
         if self.replan is None or self._tries >= self.conditions.replans:
             if why not in _GOING_ON:
                 self._end(time, why)
+            elif why == "close" and self.least_margin:
+                self._end(time, "no_room", f"{ENDINGS['no_room']}: {why}, and no new plan is left")
             elif self._tries == self.conditions.replans:
                 self._tries += 1  # said once
                 text = f"{why}: going on along the old one, all {self.conditions.replans} new plans are used"
@@ -324,7 +330,7 @@ class Follower(Controller):
             return
         self._tries += why not in ("run_up", "fault", "start")
         self._not_before = time + PATIENCE_PERIODS * self._period
-        job = partial(_new_plan, self.replan, pose)
+        job = partial(_new_plan, self.replan, pose, self.least_margin)
         if self.submit is None:
             self._renewed(time, why, job())
         else:
@@ -338,6 +344,8 @@ class Follower(Controller):
             text = f"new plan {len(self.plans)}, {plan.length:.3g} m ({why}{margin})"
             self._events.append(Event(time, "replanned", text))
             self._take(time, plan)
+        elif self.least_margin:
+            self._end(time, "no_room", f"{ENDINGS['no_room']}: {why}; {reason}")
         elif why in ("strayed", *_GOING_ON):
             self._events.append(Event(time, "no_new_plan", f"{why}: going on along the old one, {reason}"))
         else:
@@ -364,10 +372,10 @@ class Follower(Controller):
         self.gait.offset = offset  # type: ignore[attr-defined]  # checked when made
 
 
-def _new_plan(replan: Replan, pose: Pose) -> Renewal:
-    """Return a plan from a pose, with as much of the margin as there is room for."""
+def _new_plan(replan: Replan, pose: Pose, least: float) -> Renewal:
+    """Return a plan from a pose, with as much of the margin as there is room for, at least a share of it."""
     reasons = []
-    for share in _SHARES:
+    for share in [each for each in _SHARES if each >= least]:
         try:
             plan = replan(pose, share)
         except InputError as error:

@@ -56,7 +56,7 @@ def data() -> str | Answer:
     """Load every robot that comes with the package; look for its model, and for scenarios."""
     from srs_twin.errors import SrsError
     from srs_twin.io.files import data_root, shipped_names
-    from srs_twin.robot.spec import load_robot
+    from srs_twin.robot.file import load_robot
 
     robots, scenarios = shipped_names("robot"), shipped_names("scenario")
     scenes = [name for name in robots if _scene(name).is_file()]

@@ -9,8 +9,8 @@ import numpy as np
 from dm_control.rl import control
 from dm_env import specs
 
-from srs_twin.envs import make_task
 from srs_twin.envs.task import Episode, Signal, StepResult, Task, check_seed, high, low
+from srs_twin.envs.tasks import make_task
 from srs_twin.memory import CopiedWhole
 from srs_twin.plants.physics import dm as dm_mujoco
 

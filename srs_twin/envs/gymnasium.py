@@ -21,8 +21,8 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from gymnasium.vector import SyncVectorEnv
 
-from srs_twin.envs import make_task
 from srs_twin.envs.task import Episode, Signals, check_seed, checked_options, finite, high, low, shortened
+from srs_twin.envs.tasks import make_task
 from srs_twin.errors import EngineWarning, InputError, UnknownNameError, one_of
 from srs_twin.memory import CopiedWhole
 from srs_twin.parallel import Workers

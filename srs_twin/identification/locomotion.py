@@ -47,7 +47,15 @@ _STEPS = (3e-2, 0.1)
 MOST_TWIN_RUNS = 150
 """How often a search runs the twin through all recordings at most."""
 
-_TOLERANCE = 2e-5  # m/s: with the plant's own, ten times as large, differences are those of its steps
+_CLOSE_STEPS = {"tolerance": 2e-5}  # m/s
+"""Settings with which an analytical plant is fitted: friction is resolved ten times as closely as by default.
+With the default, differences between runs are those of the step control."""
+
+_COMPLIANT_STEPS = _CLOSE_STEPS | {"timestep": 0.0005, "slip_speed": 0.001}  # s, m/s
+"""The same for `compliant`, whose steps have a fixed length. With the default (2 ms, 0.25 mm/s) the sum of
+squares has many minima a few standard errors apart, and derivatives contain this ripple. The slip speed is
+that of the twin."""
+
 _DIVERGED = 1e3
 _RATE = 50.0  # Hz: at which shapes are compared at most
 
@@ -81,8 +89,8 @@ class PlantModel:
 
     Attributes:
         plant: "analytical" or "twin".
-        settings: as the plant takes them, such as model="compliant", friction="wheel"; the analytical one
-            follows its friction ten times as closely as by itself.
+        settings: as the plant takes them, such as model="compliant", friction="wheel"; they replace the
+            finer steps of fits against the analytical plant.
     """
 
     plant: str = "analytical"
@@ -116,7 +124,8 @@ class PlantModel:
             return TwinSnake(spec, supply_pa=supply_pa, **settings)
         from srs_twin.plants.analytical import AnalyticalSnake
 
-        return AnalyticalSnake(spec, supply_pa=supply_pa, **{"tolerance": _TOLERANCE, **settings})
+        steps = _COMPLIANT_STEPS if settings.get("model") == "compliant" else _CLOSE_STEPS
+        return AnalyticalSnake(spec, supply_pa=supply_pa, **{**steps, **settings})
 
     def follow(self, run: GaitRun, spec: RobotSpec) -> Trajectory:
         """Return what the plant does when it is driven as the robot was.
@@ -200,13 +209,12 @@ def fit_locomotion(
 
     def refit(values: Mapping[str, float]) -> dict[str, float]:
         assert reference is not None
-        robot, made = with_values(spec, values), []
+        robot, made = with_values(spec, values), []  # the search starts where that of the data did
         for run, _, role in fitted:
             moved = replace(run, trajectory=reference.follow(run, robot))
             made.append((moved, signals(moved.trajectory, None, against, run.name), role))
-        starting = unknowns(robot, [each.name for each in looked_for])
-        search = Search(partial(residuals, made), starting, options, None)
-        return search.values(search.run(np.array([each.coordinate(each.start) for each in starting])).z)
+        search = Search(partial(residuals, made), looked_for, options, None)
+        return search.values(search.run(np.array([each.coordinate(each.start) for each in looked_for])).z)
 
     if not looked_for and known:
         return Estimate((), np.zeros((0, 0)), (*residuals(fitted, {}), *kept({}))).with_known(known)

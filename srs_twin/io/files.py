@@ -224,6 +224,32 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise InputError(f"{shown(target)}: cannot be written ({error.strerror or error})") from error
 
 
+def new_numbered(folder: Path, name: str) -> Path:
+    """Make an empty file with the lowest free number in its name; no other process gets the same one.
+
+    Args:
+        folder: of the file; made where it is missing.
+        name: of the file with "{}" for the number, such as "journal-{}.mcap".
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    number = 0
+    while True:
+        number += 1
+        path = folder / name.format(number)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            path.open("xb").close()
+        except FileExistsError:
+            if not folder.is_dir():
+                raise InputError(f"{shown(folder)}: cannot be written (not a folder)") from None
+        except OSError as error:
+            raise InputError(f"{shown(path)}: cannot be written ({error.strerror})") from error
+        else:
+            return path
+
+
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a text file, whole or not at all.
 

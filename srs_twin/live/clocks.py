@@ -78,7 +78,7 @@ class Inbox:
         clocks: of each sender: whoever commands a robot has another one than the robot.
         hold: how long messages wait, s: longer where they come later than that, up to `MOST_HOLD_S`.
         counts: (source, kind, what) → how many: "taken", "duplicate", "late" ones that came when later ones
-            had been handed out, "bad" ones.
+            had been handed out, "off its clock" whose time lies more than `STEP_S` beside the sender's clock.
     """
 
     def __init__(self, hold_s: float = 0.03) -> None:
@@ -90,6 +90,7 @@ class Inbox:
         self._waiting: list[tuple[float, int, int, Message]] = []
         self._number = itertools.count()
         self._known: dict[tuple[str, str], deque[float]] = {}
+        self._odd: dict[str, float] = {}
 
     def put(self, message: Message) -> None:
         """Take a message, in whatever order."""
@@ -100,6 +101,9 @@ class Inbox:
         known.append(message.sent)
         sender = f"{message.source}, {message.kind}" if message.kind == COMMAND else message.source
         clock = self.clocks.setdefault(sender, SenderClock())
+        if not self._plausible(sender, clock, message):
+            self.counts[message.source, message.kind, "off its clock"] += 1
+            return
         time = clock.take(message.sent, message.arrived)
         if time < self._handed:
             self.counts[message.source, message.kind, "late"] += 1
@@ -110,6 +114,17 @@ class Inbox:
     def waiting(self, kind: str) -> list[tuple[float, Message]]:
         """Return the messages of a kind that wait, with their times on our clock, in any order."""
         return [(time, message) for time, _, _, message in self._waiting if message.kind == kind]
+
+    def _plausible(self, sender: str, clock: SenderClock, message: Message) -> bool:
+        """Return whether a message's time fits the clock that was measured, or confirms that it was set.
+
+        One message with a wrong time must not move the clock of all others; two in a row that agree do.
+        """
+        apart, odd = message.arrived - message.sent, self._odd.pop(sender, math.nan)
+        if math.isnan(clock.offset) or abs(apart - clock.offset) <= STEP_S or abs(apart - odd) <= STEP_S:
+            return True
+        self._odd[sender] = apart
+        return False
 
     def take(self, now: float) -> list[tuple[float, Message]]:
         """Return what was sent until a little before now (our clock, s), with its time on our clock."""

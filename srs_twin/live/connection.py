@@ -64,6 +64,14 @@ class LocalConnection(Remembers):
         self._frames, self._block = 0, np.zeros(3)
         self._root: np.ndarray = np.eye(count) * PRIOR / _NOISE
 
+    def snapshot(self) -> LocalConnection:
+        """Return the connection as it is now, for another thread; it cannot learn."""
+        made = object.__new__(LocalConnection)
+        # `learn` and `recall` put new arrays in the place of these and never change them.
+        for name in ("_spec", "_mass", "_powers", "weights", "_root", "_drift"):
+            setattr(made, name, getattr(self, name))
+        return made
+
     def parts(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Return φ ⊗ dq of bends (rad) that went from here to there, shape (rows of W,)."""
         return np.outer(self._products((before + after) / 2), after - before).ravel()

@@ -148,7 +148,7 @@ class EmulatedRobot:
                 **({} if supply_kpa is None else {"supply": {"pressure_kpa": supply_kpa}}),
                 "pneumatics": {"kind": pneumatics}, "plants": {"twin": {"tick_s": tick}},
             },
-            name=f"emulate {robot}",
+            name="emulate",
         )  # fmt: skip
         self.twin = asked.build_plant("twin")
         assert isinstance(self.twin, TwinSnake)
@@ -227,6 +227,8 @@ class EmulatedRobot:
         return found
 
 
+_GOODBYE_S = 1.0
+"""Longest wait for the broker to take the last status."""
 _LETS_GO_S = 0.001
 """So long the next tick waits for the broker's thread: kernels hold the interpreter."""
 
@@ -285,30 +287,32 @@ def emulate(
             heapq.heappop(waiting)[2]()
 
     link.send(STATUS, "running")
-    while done * tick < duration and not stop():
-        for message in link.received():
-            if message.kind == COMMAND:
-                command, heard = message.values, message.arrived
-        now = clock()
-        state = robot.step(command if now - heard <= SILENT_S else None)
-        done += 1
-        # It has computed at once what a robot would be like at the end of the tick, and tells it then.
-        due = begun + done * tick
-        told = [(BENDS, robot.bends()), (PRESSURES, state.pressure), (VALVES, robot.valves)]
-        if tells_supply:
-            told.append((SUPPLY, np.array(robot.supply_now_pa)))
-        for kind, values in told:
-            later(due, lambda kind=kind, values=values, due=due: link.send(kind, values, at=due))  # type: ignore[misc]
-        if capture is not None:
-            bodies = robot.bodies()
-            later(due, lambda bodies=bodies, due=due: capture.send(due, bodies))  # type: ignore[misc]
-        late += clock() > due + tick
-        if clock() - due > _LATE_S:
-            begun = clock() - done * tick  # what was missed is not made up for
-        while (left := due - clock()) > 0:
+    try:
+        while done * tick < duration and not stop():
+            for message in link.received():
+                if message.kind == COMMAND:
+                    command, heard = message.values, message.arrived
+            now = clock()
+            state = robot.step(command if now - heard <= SILENT_S else None)
+            done += 1
+            # It has computed at once what a robot would be like at the end of the tick, and tells it then.
+            due = begun + done * tick
+            told = [(BENDS, robot.bends()), (PRESSURES, state.pressure), (VALVES, robot.valves)]
+            if tells_supply:
+                told.append((SUPPLY, np.array(robot.supply_now_pa)))
+            for kind, values in told:
+                later(due, lambda kind=kind, values=values, due=due: link.send(kind, values, at=due))  # type: ignore[misc]
+            if capture is not None:
+                bodies = robot.bodies()
+                later(due, lambda bodies=bodies, due=due: capture.send(due, bodies))  # type: ignore[misc]
+            late += clock() > due + tick
+            if clock() - due > _LATE_S:
+                begun = clock() - done * tick  # what was missed is not made up for
+            while (left := due - clock()) > 0:
+                sent()
+                time.sleep(min(left, 0.002) if waiting else left)
             sent()
-            time.sleep(min(left, 0.002) if waiting else left)
-        sent()
-        time.sleep(_LETS_GO_S)
-    link.send(STATUS, "stopped")
+            time.sleep(_LETS_GO_S)
+    finally:
+        link.send(STATUS, "stopped", wait_s=_GOODBYE_S)
     return {"ticks": done, "late": late}

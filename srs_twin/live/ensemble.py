@@ -407,6 +407,7 @@ class Ensemble:
         other._own = {name: own[:members] for name, own in self._own.items()}
         other._scales = {name: each.copy() for name, each in self._scales.items()}
         other.habits = copy.deepcopy(self.habits)
+        other.connection = self.connection.snapshot()
         other._rng = np.random.default_rng(0)
         other._momenta()
         return other

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,21 +11,62 @@ from srs_twin.control.camera import Camera
 from srs_twin.control.following import Follower
 from srs_twin.errors import InputError
 from srs_twin.live.faults import FILLS, HYPOTHESES, VENTS
+from srs_twin.live.messages import GO, VENT
 from srs_twin.live.shadow import DELAY_S, Estimate, Shadow
+from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario import Scenario
 from srs_twin.world import Pose
 
 PATIENCE_S = 3.0
 """For so long a lost robot lies vented before it is given up, and one without air is steered."""
-LOST, EMPTY = "estimate_lost", "supply_empty"
+LOST, EMPTY, STOPPED = "estimate_lost", "supply_empty", "stopped"
+TOO_SLOW = "estimate_too_old"
+"""Ending where the machine computes too slowly."""
+"""Endings besides those of the follower; `STOPPED`: the session ended before."""
 _LARGEST_SD_M = 0.0125
 """Whoever steers must know this well where the robot is: half of the usual margin to obstacles."""
 _SETTLES_S = 1.0
 """A robot stands so long, so that its shadow knows where."""
 _NEAR_M, _NEAR_RAD = 0.03, 0.05
 _STUCK = {FILLS, VENTS}
+LEAST_MARGIN = 0.25
+"""Share of the plan's margin that a new plan needs at least; without such a plan the robot is stopped.
+
+Of the runs that the shipped footprints' margins were measured with (`planning/margins.py`; 100 of each kind,
+3.5 m each), 98 to 100 % left a plan without any margin: where something is that near, touching is all but
+certain. 1 to 19 % left half of a margin of 80 mm, 52 to 93 % a quarter of it at some time.
+"""
 _FAINT = 0.3
 """Share of the supply's pressure below which nobody can steer; half of it is enough."""
+
+
+_OF_MODELS = {("actuator", "bend_limit"), ("supply", "limit_source")}
+"""Fields that scenarios set for their models, and texts: robots may differ in them."""
+
+
+def differences(one: RobotSpec, other: RobotSpec) -> list[str]:
+    """Return the fields in which two robots differ, with both values.
+
+    Names, titles and the modules' own values, which a shadow learns, do not count, nor does the limit of
+    bends: scenarios set it for the models.
+    """
+    found = []
+    for each in fields(RobotSpec):
+        first, second = getattr(one, each.name), getattr(other, each.name)
+        if each.name in ("name", "title", "variation") or first == second:
+            continue
+        if not (is_dataclass(first) and type(first) is type(second)):
+            found.append(f"{each.name} ({_short(first)} and {_short(second)})")
+            continue
+        for part in (inner.name for inner in fields(first)):
+            a, b = getattr(first, part), getattr(second, part)
+            if a != b and (each.name, part) not in _OF_MODELS:
+                found.append(f"{each.name}.{part} ({_short(a)} and {_short(b)})")
+    return found
+
+
+def _short(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 class Helm:
@@ -38,26 +79,30 @@ class Helm:
         follower: the scenario's.
     """
 
-    def __init__(self, scenario: Scenario, shadow: Shadow, tick: float) -> None:
+    def __init__(self, scenario: Scenario, shadow: Shadow, tick: float, *, press_on: bool = False) -> None:
         """Prepare to follow.
 
         Args:
             scenario: with a controller that follows a plan.
             shadow: of the robot to steer.
             tick: s.
+            press_on: go on without any margin as well, instead of stopping (`LEAST_MARGIN`).
 
         Raises:
-            InputError: a scenario that does not follow, or one of another robot.
+            InputError: the scenario follows no plan, or is for another robot.
         """
         controller = scenario.build_controller()
         if not isinstance(controller, Follower):
             raise InputError(
                 f"{scenario.name}: it follows no plan; --follow takes a scenario with controller.kind: follow"
             )
-        if scenario.robot.segments != shadow.spec.segments:
+        if differ := differences(scenario.robot, shadow.spec):
+            more = f" and {len(differ) - 3} more" if len(differ) > 3 else ""
             raise InputError(
-                f"{scenario.name} has {scenario.robot.segments} segments, the robot {shadow.spec.segments}"
+                f"{scenario.name} is for robot '{scenario.robot.name}', not for '{shadow.spec.name}'; "
+                f"they differ in {', '.join(differ[:3])}{more}"
             )
+        controller.least_margin = 0.0 if press_on else LEAST_MARGIN
         self.follower, self._start, self._tick = controller, Pose(*scenario.pose), tick
         self._seed = scenario.seed
         self._stuck: tuple[set[int], ...] = (set(),) * shadow.spec.segments
@@ -65,6 +110,7 @@ class Helm:
         self._lost_for, self._faint_for, self._given_up = 0.0, 0.0, ""
         self._events: list[tuple[float, str]] = []
         self._pressure = np.zeros((shadow.spec.segments, 2))
+        self._held, self._last = "", self.vented()
 
     @property
     def finished(self) -> bool:
@@ -75,14 +121,31 @@ class Helm:
         """Return the command that vents everything."""
         return np.full(self._pressure.shape, -1.0)
 
+    def hold(self, word: str) -> None:
+        """Obey a control word: `PAUSE` keeps the valves as they are, `VENT` vents all, `GO` goes on."""
+        held = "" if word == GO else word
+        if held == self._held:
+            return
+        self._held = held
+        self._events.append((self._steps * self._tick, f"control: {word}"))
+
     def step(self, found: Estimate | None, shadow: Shadow) -> np.ndarray:
         """Return the command of a tick: states of valves, or duties, shape (segments, 2)."""
+        self._last = self._step(found, shadow)
+        return self._last
+
+    def _step(self, found: Estimate | None, shadow: Shadow) -> np.ndarray:
         if found is None or found.lost or np.hypot(*found.pose_sd[:2]) > _LARGEST_SD_M:
             self._lost_for += self._tick
             if self._steps and self._lost_for > PATIENCE_S:
-                self._give_up(LOST)
+                self.give_up(LOST)
             return self.vented()
         self._lost_for = 0.0
+        if self._held:
+            return self.vented() if self._held == VENT else self._last
+        return self._steer(found, shadow)
+
+    def _steer(self, found: Estimate, shadow: Shadow) -> np.ndarray:
         self._waited += 1
         if self._waited * self._tick < _SETTLES_S:
             return self.vented()
@@ -92,7 +155,7 @@ class Helm:
         faint = shadow.bank.supply.share < _FAINT
         self._faint_for = self._faint_for + self._tick if faint else 0.0
         if self._faint_for > PATIENCE_S:
-            self._give_up(EMPTY)
+            self.give_up(EMPTY)
             return self.vented()
         state = found.state(self._steps * self._tick, self._pressure)
         # A chamber that leaks still bends its segment.
@@ -112,11 +175,12 @@ class Helm:
     def told(self) -> dict[str, Any]:
         """Return how it went, JSON values."""
         return {
-            "ending": self._given_up or self.follower.ending, "seconds": self._steps * self._tick,
+            "ending": self._given_up or self.follower.ending or STOPPED, "seconds": self._steps * self._tick,
             "events": [{"time_s": time, "event": text} for time, text in self._events],
         }  # fmt: skip
 
-    def _give_up(self, why: str) -> None:
+    def give_up(self, why: str) -> None:
+        """End the steering for a reason, which becomes its ending."""
         if not self._given_up:
             self._given_up = why
             self._events.append((self._steps * self._tick, why))

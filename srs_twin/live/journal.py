@@ -2,26 +2,51 @@
 
 from __future__ import annotations
 
-import contextlib
+import itertools
 import json
 import math
 import mmap
+import struct
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, some
 from srs_twin.io.files import existing, shown
 from srs_twin.live.links import Link, clock
-from srs_twin.live.messages import POSES, STATUS, BadMessageError, Message, decode, encode, topic
+from srs_twin.live.messages import (
+    CONTROL,
+    LATEST_S,
+    POSES,
+    PREFIX,
+    STATUS,
+    BadMessageError,
+    Message,
+    decode,
+    encode,
+    topic,
+)
+from srs_twin.live.natnet import is_place
 from srs_twin.recordings.formats.mcap import MAGIC, stream_messages
+
+LONGEST_GAP_S = 60.0
+"""A longer gap in a journal is passed over when it is played."""
+_NOT_IN_ORDER = "a record whose time does not follow that of the one before"
+_MOST_HEAD = 100_000
+"""Frames of motion capture before a robot's first message that are kept while it is looked for."""
 
 
 class Journal:
-    """Everything that came in and went out, as MCAP with JSON; readable up to where a process was killed."""
+    """Everything that came in and went out, as MCAP with JSON; readable up to where a process was killed.
+
+    A session does not end because its journal cannot be written: the journal ends, and says why.
+
+    Attributes:
+        trouble: path and reason of the error that ended the journal; empty: there was none.
+    """
 
     def __init__(self, path: Path) -> None:
         """Begin a file.
@@ -41,6 +66,7 @@ class Journal:
         # Small chunks: what a kill takes with it is a second or so.
         self._writer = Writer(self._file, chunk_size=16_384, compression=CompressionType.NONE)
         self._writer.start(profile="", library="srs_twin")
+        self._path, self.trouble = path, ""
         self._channels: dict[tuple[str, str], int] = {}
         self._schema = self._writer.register_schema(
             name="srs_twin.Message", encoding="jsonschema", data=b'{"type": "object"}'
@@ -48,26 +74,39 @@ class Journal:
 
     def write(self, message: Message) -> None:
         """Add a message."""
+        self._attempt(lambda: self._write(message))
+
+    def flush(self) -> None:
+        """Bring what is written so far to the disk."""
+        self._attempt(self._file.flush)
+
+    def close(self) -> None:
+        """End the file."""
+        self._attempt(self._writer.finish)
+        self._attempt(self._file.close)
+
+    def _attempt(self, step: Callable[[], object]) -> None:
+        """Do a step and let no error out: the first one ends the journal."""
+        if self.trouble:
+            return
+        try:
+            step()
+        except (OSError, OverflowError, ValueError, struct.error) as error:
+            reason = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+            self.trouble = f"{shown(self._path)}: ends early, it cannot be written ({reason})"
+
+    def _write(self, message: Message) -> None:
         key = message.source, message.kind
         if key not in self._channels:
             self._channels[key] = self._writer.register_channel(
                 topic=topic(message.source, message.kind), message_encoding="json", schema_id=self._schema
             )
-        text = message.names[0] if message.kind == STATUS and message.names else message.values
+        text = message.names[0] if message.kind in (STATUS, CONTROL) else message.values
         data = _poses(message) if message.kind == POSES else encode(message.kind, message.sent, text)
         self._writer.add_message(
-            channel_id=self._channels[key], data=data, log_time=round(message.arrived * 1e9),
-            publish_time=max(round(message.sent * 1e9), 0),
+            channel_id=self._channels[key], data=data, log_time=_nanoseconds(message.arrived),
+            publish_time=_nanoseconds(message.sent),
         )  # fmt: skip
-
-    def flush(self) -> None:
-        """Bring what is written so far to the disk."""
-        self._file.flush()
-
-    def close(self) -> None:
-        """End the file."""
-        self._writer.finish()
-        self._file.close()
 
     def __enter__(self) -> Journal:
         return self
@@ -76,14 +115,20 @@ class Journal:
         self.close()
 
 
+def _nanoseconds(time: float) -> int:
+    """Return a time (s) as MCAP keeps it, ns; the JSON of a message has it unrounded."""
+    return round(min(max(time, 0.0), LATEST_S) * 1e9)
+
+
 def _poses(message: Message) -> bytes:
-    rows = [[None if np.isnan(each) else each for each in row] for row in message.values.tolist()]
+    rows = [[each if math.isfinite(each) else None for each in row] for row in message.values.tolist()]
     return json.dumps({"t": message.sent, "names": message.names, "poses": rows}).encode()
 
 
 def journal_messages(
-    path: Path, robot: str, segments: int, refuse: Callable[[BadMessageError], None] | None = None
-) -> Iterator[Message]:
+    path: Path, robot: str, segments: int, refuse: Callable[[BadMessageError], None] | None = None,
+    others: set[str] | None = None,
+) -> Iterator[Message]:  # fmt: skip
     """Yield what a journal holds of a robot and of motion capture, as it arrived; what is cut off ends it.
 
     Args:
@@ -91,22 +136,32 @@ def journal_messages(
         robot: whose messages.
         segments: of the robot.
         refuse: called with the error of each record that is no message of ours; None: they are skipped.
+        others: gets the names of other robots in the journal.
 
     Raises:
         InputError: no such file, or no MCAP.
     """
-    # Exception: a damaged file raises errors of many kinds.
-    with opened_journal(path) as file, contextlib.suppress(Exception):
+    skip = refuse or (lambda _: None)
+    with opened_journal(path) as file:
         whole = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-        for topic, log_time, data in stream_messages(whole):
+        for topic, log_time, data in _records(whole, skip):
             try:
                 message = _message(topic.name, log_time, bytes(data), robot, segments)
             except BadMessageError as error:
-                if refuse is not None:
-                    refuse(error)
+                skip(error)
                 continue
             if message is not None:
                 yield message
+            elif others is not None:
+                others.add(topic.name.split("/")[1])
+
+
+def _records(whole: memoryview, skip: Callable[[BadMessageError], None]) -> Iterator[Any]:
+    """Yield the records of a file up to its end, or to where it is damaged."""
+    try:
+        yield from stream_messages(whole)
+    except Exception as error:  # a damaged file raises errors of many kinds
+        skip(BadMessageError(f"the file is cut off or damaged there: {type(error).__name__}"))
 
 
 def opened_journal(path: Path) -> IO[bytes]:
@@ -134,19 +189,47 @@ def _message(topic: str, log_time: int, data: bytes, robot: str, segments: int) 
     """
     arrived = log_time / 1e9
     try:
-        _, source, kind = topic.split("/", 2)
+        prefix, source, kind = topic.split("/", 2)
+        if prefix != PREFIX:
+            raise ValueError("a topic of another program")
         if kind == POSES:
             said = json.loads(data)
             poses, sent = np.array(said["poses"], dtype=float).reshape(-1, 4), float(said["t"])
             names = tuple(map(str, said["names"]))
-            if len(names) != len(poses) or not math.isfinite(sent):
+            places = all(map(is_place, np.nan_to_num(poses, nan=0.0)))
+            if len(names) != len(poses) or not abs(sent) <= LATEST_S or not places:
                 raise ValueError("its numbers do not fit together")
             return Message(kind, source, sent, arrived, poses, names)
-    except (ValueError, TypeError, KeyError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, RecursionError, OverflowError) as error:
         raise BadMessageError(f"no message of ours: {type(error).__name__}") from None
     if source != robot:
         return None
     return decode(kind, data, source=source, arrived=arrived, segments=segments)
+
+
+def in_order(messages: Iterable[Message], refuse: Callable[[BadMessageError], None]) -> Iterator[Message]:
+    """Yield messages whose times of arrival follow each other; refuse the others.
+
+    A message that is further from the one before than `LONGEST_GAP_S` counts as a gap only where the next
+    one confirms it.
+    """
+    last, odd = math.nan, None
+    for message in messages:
+        if odd is not None and abs(message.arrived - odd.arrived) <= LONGEST_GAP_S:
+            if math.isnan(last) or odd.arrived > last:
+                yield odd
+                last, odd = odd.arrived, None
+        follows = abs(message.arrived - last) <= LONGEST_GAP_S
+        if odd is not None:
+            refuse(BadMessageError(_NOT_IN_ORDER))
+        odd = None if follows else message
+        if follows:
+            last = message.arrived
+            yield message
+    if odd is not None and math.isnan(last):
+        yield odd
+    elif odd is not None:
+        refuse(BadMessageError(_NOT_IN_ORDER))
 
 
 class McapLink(Link):
@@ -162,12 +245,11 @@ class McapLink(Link):
             speed: how many times as fast as recorded; infinite: all at once.
 
         Raises:
-            InputError: no such file, or mcap is not installed.
+            InputError: no such file, no MCAP, or one without a message of the robot.
         """
         super().__init__()
         self._speed, self._over = speed, threading.Event()
-        opened_journal(path).close()  # now, while an error can still be raised: the thread reads it
-        self._messages = journal_messages(path, robot, segments, self._refuse)
+        self._messages = self._of_the_robot(path, robot, segments)
         self._first = self._begun = math.nan
         self._thread = threading.Thread(target=self._play, daemon=True)
         self._thread.start()
@@ -176,15 +258,40 @@ class McapLink(Link):
         """Return when in the recording it is now, s; NaN before the first message."""
         return self._first + (clock() - self._begun) * self._speed
 
+    def _of_the_robot(self, path: Path, robot: str, segments: int) -> Iterator[Message]:
+        """Return a journal's messages; look for the robot's first now, while an error can still be raised.
+
+        Raises:
+            InputError: there is none.
+        """
+        others: set[str] = set()
+        messages = in_order(journal_messages(path, robot, segments, self._refuse, others), self._refuse)
+        head: list[Message] = []
+        for message in messages:
+            head.append(message)
+            if message.source == robot or len(head) >= _MOST_HEAD:
+                break
+        if head and (head[-1].source == robot or not others):
+            return itertools.chain(head, messages)
+        bad = [f"{count} × {what.removeprefix('bad: ')}" for what, count in self.counts.items()]
+        instead = f"; it has messages of {some(sorted(others))} (--name)" if others else ""
+        refused = f"; not readable: {', '.join(bad[:3])}" if bad else ""
+        what = f"no message of '{robot}'" if others or bad else "no message at all"
+        raise InputError(f"{shown(path)}: holds {what}{instead}{refused}")
+
     def _play(self) -> None:
-        for message in self._messages:
-            if math.isnan(self._first):
-                self._first, self._begun = message.arrived, clock()
-            wait = (message.arrived - self.clock()) / self._speed
-            if wait > 0 and self._over.wait(wait):
-                return
-            self._take(message)
-        self.counts["over"] += 1
+        try:
+            for message in self._messages:
+                ahead = message.arrived - self.clock()
+                if not ahead <= LONGEST_GAP_S:  # also NaN, at first
+                    self._first, self._begun = message.arrived, clock()
+                elif ahead > 0 and self._over.wait(ahead / self._speed):
+                    return
+                self._take(message)
+        except Exception as error:  # the edge of the thread: whoever waits for the end must see it
+            self._refuse(error)
+        finally:
+            self.counts["over"] += 1
 
     def close(self) -> None:
         """See `Link.close`."""

@@ -21,6 +21,8 @@ from srs_twin.live.messages import BadMessageError, Message
 
 LOOPBACK = "127.0.0.1"
 _MOST_WAITING = 100_000
+_MOST_REASONS = 200
+"""Counted by name; a stranger who can think of more reasons must not fill the memory."""
 
 
 def clock() -> float:
@@ -59,8 +61,13 @@ class Link(ABC):
         except queue.Full:
             self.counts["nobody asked"] += 1
 
-    def _refuse(self, error: BadMessageError) -> None:
-        self.counts[f"bad: {str(error)[:80]}"] += 1
+    def _refuse(self, error: Exception) -> None:
+        """Count what cannot be used, by its reason; of errors that nothing foresaw the name is the reason."""
+        reason = str(error)[:80] if isinstance(error, BadMessageError) else type(error).__name__
+        name = f"bad: {reason}"
+        if name not in self.counts and len(self.counts) >= _MOST_REASONS:
+            name = "bad: for other reasons"
+        self.counts[name] += 1
 
     @abstractmethod
     def close(self) -> None:

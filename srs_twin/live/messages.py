@@ -1,8 +1,8 @@
 """Messages: what a robot says and is told, as JSON over MQTT, and where motion capture sees its bodies.
 
 Topics and keys are fixed (docs/live.md): ``srs/NAME/command``, ``valves``, ``pressures``, ``bends``,
-``status``. Lists are head first, ``t`` is the sender's clock. Whatever else arrives is refused with a reason
-and counted; nothing that arrives raises further than to who decodes it.
+``status``, ``control``. Lists are head first, ``t`` is the sender's clock. Whatever else arrives is refused
+with a reason and counted; nothing that arrives raises further than to who decodes it.
 """
 
 from __future__ import annotations
@@ -16,15 +16,21 @@ from typing import Any
 import numpy as np
 
 LARGEST_BYTES = 65_536
-COMMAND, VALVES, PRESSURES, BENDS, STATUS, POSES, SUPPLY = (
-    "command", "valves", "pressures", "bends", "status", "poses", "supply",
+COMMAND, VALVES, PRESSURES, BENDS, STATUS, CONTROL, POSES, SUPPLY = (
+    "command", "valves", "pressures", "bends", "status", "control", "poses", "supply",
 )  # fmt: skip
-KINDS = (COMMAND, VALVES, PRESSURES, BENDS, STATUS, SUPPLY)
-_LATEST = 1e12  # s: no clock shows more
+KINDS = (COMMAND, VALVES, PRESSURES, BENDS, STATUS, CONTROL, SUPPLY)
+PAUSE, GO, STOP, VENT = WORDS = ("pause", "go", "stop", "vent")
+"""Texts of a `control` message."""
+PREFIX = "srs"
+"""Of all topics."""
+LATEST_S = 9e9
+"""Largest time that a sender's clock may show, s: 2255 in Unix time. Journals have 64 bits for ns."""
 _PA_PER_KPA = 1000.0
 _BOUNDS = {COMMAND: (-1.0, 1.0), VALVES: (-1.0, 1.0), PRESSURES: (-100.0, 1000.0),
            SUPPLY: (0.0, 1000.0)}  # fmt: skip
 _BEND = 2 * math.pi
+_PLAIN_WORDS = tuple(word.encode() for word in WORDS)
 _LONGEST_TEXT = 1000
 
 
@@ -44,7 +50,7 @@ class Message:
         values: commands and valves (segments, 2); pressures the same, Pa; of the supply (), Pa; bends
             (segments,), rad, NaN where
             none; poses (bodies, 4): x, y, z (m, z up) and heading (rad, NaN where unknown); else empty.
-        names: of the bodies; of a status its text.
+        names: of the bodies; of a status or a control its text.
     """
 
     kind: str
@@ -57,7 +63,7 @@ class Message:
 
 def topic(robot: str, kind: str) -> str:
     """Return the topic of a kind of message."""
-    return f"srs/{robot}/{kind}"
+    return f"{PREFIX}/{robot}/{kind}"
 
 
 def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
@@ -66,7 +72,7 @@ def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
     Args:
         kind: one of `KINDS`.
         time: of our clock, s.
-        values: as in `Message`; of a status its text.
+        values: as in `Message`; of a status or a control its text.
     """
     if isinstance(values, str):
         return json.dumps({"t": time, "text": values}).encode()
@@ -99,19 +105,25 @@ def decode(kind: str, payload: bytes, *, source: str, arrived: float, segments: 
     """
     if kind not in KINDS:
         raise BadMessageError(f"no kind of message is called {kind!r}")
+    if kind == CONTROL and payload in _PLAIN_WORDS:  # by hand, in a hurry
+        return Message(kind, source, arrived, arrived, names=(payload.decode(),))
     if len(payload) > LARGEST_BYTES:
-        raise BadMessageError(f"{len(payload)} bytes; {LARGEST_BYTES} are allowed")
+        raise BadMessageError(f"more bytes than the {LARGEST_BYTES} that are allowed")
     try:
         document = json.loads(payload)
     except (ValueError, RecursionError) as error:
-        raise BadMessageError(f"no JSON: {error}") from None
+        # Without the position in the text: reasons are counted, and have to be few.
+        reason = error.msg if isinstance(error, json.JSONDecodeError) else type(error).__name__
+        raise BadMessageError(f"no JSON: {reason}") from None
     if not isinstance(document, Mapping):
         raise BadMessageError(f"a JSON object is needed, not {type(document).__name__}")
-    sent = _number(document, "t", -_LATEST, _LATEST)
-    if kind == STATUS:
+    sent = _number(document, "t", -LATEST_S, LATEST_S)
+    if kind in (STATUS, CONTROL):
         text = document.get("text", "")
         if not isinstance(text, str) or len(text) > _LONGEST_TEXT:
             raise BadMessageError(f"text is needed, {_LONGEST_TEXT} characters at most")
+        if kind == CONTROL and text not in WORDS:
+            raise BadMessageError(f"a control is one of {', '.join(WORDS)}")
         return Message(kind, source, sent, arrived, names=(text,))
     if kind == BENDS:
         rad = _numbers(document, "rad", segments, -_BEND, _BEND, gaps=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 from collections.abc import Iterable
@@ -75,15 +76,22 @@ class MqttLink(Link):
             self.close()
             raise InputError(f"the broker at {host}:{port} does not admit us: {self._why or 'no answer'}")
 
-    def send(self, kind: str, values: np.ndarray | str, *, at: float | None = None) -> None:
+    def send(
+        self, kind: str, values: np.ndarray | str, *, at: float | None = None, wait_s: float = 0.0
+    ) -> None:
         """Send a message; nothing is kept for a broker that is away.
 
         Args:
             kind: one of `KINDS`.
             values: as `encode` takes them.
             at: of our clock, s; default now.
+            wait_s: longest time to wait until it has left, s.
         """
-        self._client.publish(topic(self._robot, kind), encode(kind, clock() if at is None else at, values))
+        time = clock() if at is None else at
+        sent = self._client.publish(topic(self._robot, kind), encode(kind, time, values))
+        if wait_s:
+            with contextlib.suppress(RuntimeError, ValueError):  # not connected, or the queue is full
+                sent.wait_for_publish(wait_s)
 
     def close(self) -> None:
         """See `Link.close`."""
@@ -95,7 +103,8 @@ class MqttLink(Link):
         if self.connected:
             self.counts["connected"] += 1
             # Else small messages wait for the acknowledgement of the one before, up to 40 ms.
-            client.socket().setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            with contextlib.suppress(OSError, AttributeError):  # a connection that is gone again
+                client.socket().setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if self._topics:
                 client.subscribe([(each, 0) for each in self._topics])
         self._answered.set()
@@ -104,12 +113,15 @@ class MqttLink(Link):
         self.connected = False
 
     def _on_message(self, _client: Any, _data: Any, message: Any) -> None:
-        arrived, kind = clock(), self._topics.get(message.topic, "")
+        arrived = clock()
         try:
+            kind = self._topics.get(message.topic, "")
+            if message.retain and kind != STATUS:
+                raise BadMessageError("retained by the broker from earlier")
             self._take(
                 decode(kind, message.payload, source=self._robot, arrived=arrived, segments=self._segments)
             )
-        except BadMessageError as error:
+        except Exception as error:  # the edge of the client's thread: no message may end it
             self._refuse(error)
 
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from srs_twin.live.messages import BadMessageError
+from srs_twin.live.messages import LATEST_S, BadMessageError
 
 CONNECT, SERVER_INFO, REQUEST, RESPONSE, REQUEST_MODELDEF, MODELDEF = 0, 1, 2, 3, 4, 5
 FRAME, KEEPALIVE, UNRECOGNIZED = 7, 10, 100
@@ -24,6 +24,10 @@ VERSIONS = ((2, 6), (2, 7), (2, 9), (2, 10), (2, 11), (3, 0), (3, 1), (4, 0), (4
 _MOST = 10_000  # of anything in a frame
 _TRACKED, _OCCLUDED = 0x01, 0x01
 _NAME = 256
+_FURTHEST_M = 1000.0
+"""No motion capture volume is larger; coordinates beyond it are no place."""
+_LENGTH_TOLERANCE = 0.1
+"""Deviation from 1 up to which the length of a quaternion is taken for rounding and averaging."""
 
 Version = tuple[int, int]
 
@@ -36,7 +40,7 @@ class RigidBody:
         place: m, Motive's axes.
         turn: quaternion x, y, z, w.
         error: mean of its markers', m.
-        tracked: whether it was seen.
+        tracked: whether it was seen, with a usable place and rotation.
     """
 
     place: tuple[float, ...]
@@ -81,7 +85,7 @@ class _Reader:
         """Read how many things follow."""
         (found,) = self.read("i")
         if not 0 <= found <= _MOST:
-            raise BadMessageError(f"{found} things in a list of at most {_MOST}")
+            raise BadMessageError(f"a list with a negative number of entries, or more than {_MOST}")
         return int(found)
 
     def listed(self, version: Version) -> tuple[int, int | None]:
@@ -89,10 +93,14 @@ class _Reader:
         count = self.count()
         if version < (4, 1):
             return count, None
+        return count, self.end()
+
+    def end(self) -> int:
+        """Read how many bytes something takes, and return where it ends."""
         (size,) = self.read("i")
         if not 0 <= size <= len(self._data) - self.at:
-            raise BadMessageError(f"a list of {size} bytes does not fit the packet")
-        return count, self.at + size
+            raise BadMessageError("a list is longer than its packet")
+        return self.at + int(size)
 
     def text(self) -> str:
         """Read a text that ends with a zero."""
@@ -114,7 +122,7 @@ def opened(packet: bytes) -> tuple[int, bytes]:
         raise BadMessageError("no packet: fewer than 4 bytes")
     kind, size = struct.unpack_from("<HH", packet)
     if len(packet) - 4 < size:
-        raise BadMessageError(f"{len(packet) - 4} bytes of {size}")
+        raise BadMessageError("the packet is shorter than its head says")
     return kind, packet[4 : 4 + size]
 
 
@@ -132,8 +140,9 @@ def read_server(content: bytes) -> tuple[Version, tuple[str, int] | None]:
     packet = _Reader(content)
     packet.at = _NAME + 4
     major, minor, _, _ = packet.read("4B")
-    if (major, minor) < VERSIONS[0]:
-        raise BadMessageError(f"NatNet {major}.{minor}; {VERSIONS[0][0]}.{VERSIONS[0][1]} or later is read")
+    if not VERSIONS[0] <= (major, minor) < (VERSIONS[-1][0] + 1, 0):
+        first, last = (".".join(map(str, each)) for each in (VERSIONS[0], VERSIONS[-1]))
+        raise BadMessageError(f"NatNet of another version than {first} to {last}")
     if (major, minor) < (3, 0) or len(content) - packet.at < 15:
         return (major, minor), None
     _, port, multicast, *group = packet.read("QH?4B")
@@ -160,8 +169,7 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
         (kind,) = packet.read("i")
         end = None
         if version >= (4, 1):
-            (size,) = packet.read("i")
-            end = packet.at + size
+            end = packet.end()
         if kind == 0:
             packet.text()
             for _ in range(packet.count()):
@@ -213,8 +221,8 @@ def read_frame(content: bytes, version: Version) -> Frame:
             _skip(packet, version, _channels)
     packet.read("II")
     (time,) = packet.read("d" if version >= (2, 7) else "f")
-    if not math.isfinite(time):
-        raise BadMessageError("the frame's time is no number")
+    if not abs(time) <= LATEST_S:
+        raise BadMessageError(f"the frame's time is no number up to {LATEST_S:g} s")
     return Frame(number, time, bodies, markers)
 
 
@@ -250,8 +258,9 @@ def _body(packet: _Reader, version: Version) -> tuple[int, RigidBody]:
         count = packet.count()
         packet.read("3f" * count + "i" * count + "f" * count)
     error, params = packet.read("fH")
-    tracked = bool(params & _TRACKED) and all(map(math.isfinite, rest))
-    return number, RigidBody(tuple(rest[:3]), tuple(rest[3:]), error, tracked)
+    place, turn = tuple(rest[:3]), tuple(rest[3:])
+    tracked = bool(params & _TRACKED) and is_place(place) and unit_quaternion(turn) is not None
+    return number, RigidBody(place, turn, error, tracked)
 
 
 def _skeleton(packet: _Reader, version: Version) -> None:
@@ -268,7 +277,7 @@ def _labelled(packet: _Reader, version: Version) -> tuple[int, tuple[float, ...]
     number, x, y, z, _, params = packet.read("i4fH")
     if version >= (3, 0):
         packet.read("f")
-    seen = not params & _OCCLUDED and all(map(math.isfinite, (x, y, z)))
+    seen = not params & _OCCLUDED and is_place((x, y, z))
     return number, (x, y, z) if seen else None
 
 
@@ -309,15 +318,36 @@ def write_frame(frame: Frame, version: Version) -> bytes:
     return closed(FRAME, content + struct.pack("<Hi", 0, 0))
 
 
+def is_place(place: Sequence[float]) -> bool:
+    """Return whether coordinates (m) are finite and within the largest volume of motion capture."""
+    return all(abs(each) <= _FURTHEST_M for each in place)
+
+
+def unit_quaternion(turn: Sequence[float]) -> tuple[float, ...] | None:
+    """Return a quaternion of length 1; None where its length differs from 1 by more than a tenth.
+
+    Zeros, which some senders use for "no rotation known", and NaN are none.
+    """
+    length = math.hypot(*turn)
+    if not abs(length - 1) <= _LENGTH_TOLERANCE:
+        return None
+    return tuple(each / length for each in turn)
+
+
 def turned(body: RigidBody, up: str) -> np.ndarray:
     """Return x, y, z (m, z up) and heading (rad) of a body; its own x axis points ahead.
+
+    All are NaN where the rotation is none (`unit_quaternion`).
 
     Args:
         body: in Motive's axes.
         up: "y" or "z", as Motive streams.
     """
+    turn = unit_quaternion(body.turn)
+    if turn is None:
+        return np.full(4, math.nan)
     x, y, z = body.place
-    i, j, k, w = body.turn
+    i, j, k, w = turn
     ahead = np.array([1 - 2 * (j * j + k * k), 2 * (i * j + k * w), 2 * (i * k - j * w)])
     if up == "y":
         (x, y, z), ahead = (x, -z, y), ahead[[0, 2, 1]] * [1, -1, 1]

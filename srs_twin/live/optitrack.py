@@ -18,6 +18,10 @@ from srs_twin.live.links import LOOPBACK, Link, clock, resolved
 from srs_twin.live.messages import POSES, BadMessageError, Message
 
 _ASKS_EVERY_S = 1.0
+_ASKS_NAMES_EVERY_S = 10.0
+"""A body that is renamed keeps its number, and nothing announces its new name."""
+_WINDOW = 1000
+"""Frames by which numbers may run ahead or fall back; beyond that, the server began to count again."""
 _LISTENS_S = 0.1
 
 
@@ -44,15 +48,20 @@ class _UdpLink(Link):
             except TimeoutError:
                 continue
             except OSError:
+                if own not in self._sockets:
+                    return  # a group that was left
                 self.counts["unreachable"] += 1
                 time.sleep(_LISTENS_S)
                 continue
-            arrived = clock()
-            try:
-                kind, content = natnet.opened(packet)
-                self._packet(kind, content, sender, arrived)
-            except BadMessageError as error:
-                self._refuse(error)
+            self._arrived(packet, sender)
+
+    def _arrived(self, packet: bytes, sender: tuple[str, int]) -> None:
+        arrived = clock()
+        try:
+            kind, content = natnet.opened(packet)
+            self._packet(kind, content, sender, arrived)
+        except Exception as error:  # the edge of the thread: no packet may end it
+            self._refuse(error)
 
     def _idle(self) -> None:
         """Do what is due."""
@@ -68,6 +77,39 @@ class _UdpLink(Link):
             each.join(timeout=2 * _LISTENS_S + 1)
         for own in self._sockets:
             own.close()
+
+
+class FrameNumbers:
+    """Numbers of the frames that arrived, and the gaps among them; a late frame fills its gap.
+
+    Attributes:
+        lost: number of frames that have not arrived.
+        reordered: number of frames that arrived after later ones.
+        repeated: number of frames that arrived again.
+    """
+
+    def __init__(self) -> None:
+        """Wait for the first frame."""
+        self.lost = self.reordered = self.repeated = 0
+        self._newest: int | None = None
+        self._missing: set[int] = set()
+
+    def take(self, number: int) -> None:
+        """Take the number of a frame."""
+        newest = self._newest
+        if newest is None or not -_WINDOW < number - newest < _WINDOW:
+            self._newest, self._missing = number, set()
+        elif number > newest:
+            self._missing.update(range(newest + 1, number))
+            self.lost += number - newest - 1
+            self._newest = number
+            self._missing = {each for each in self._missing if each > number - _WINDOW}
+        elif number in self._missing:
+            self._missing.remove(number)
+            self.lost -= 1
+            self.reordered += 1
+        else:
+            self.repeated += 1
 
 
 class NatNetLink(_UdpLink):
@@ -104,7 +146,9 @@ class NatNetLink(_UdpLink):
         self.version: natnet.Version | None = None
         self.names: dict[int, str] = {}
         self._server, self._local, self._up = (host, port), local, up
-        self._asked, self._last, self._number = 0.0, -1.0, -1
+        self._asked, self._asked_names, self._last = 0.0, 0.0, -1.0
+        self._unknown, self._numbers = False, FrameNumbers()
+        self._group: tuple[str, int] | None = None
         self._start()
 
     def _idle(self) -> None:
@@ -115,46 +159,84 @@ class NatNetLink(_UdpLink):
         silent = self.version is None or now - self._last > 2 * _ASKS_EVERY_S
         content = natnet.CONNECT, b"Ping\0"
         asked = [content] if silent else [(natnet.KEEPALIVE, b"\0")]
-        if self.version is not None and not self.names:
+        if self.version is not None and (
+            not self.names or self._unknown or now - self._asked_names > _ASKS_NAMES_EVERY_S
+        ):
+            self._asked_names = now
             asked.append((natnet.REQUEST_MODELDEF, b""))
         for kind, text in asked:
             with contextlib.suppress(OSError):
                 self._sockets[0].sendto(natnet.closed(kind, text), self._server)
 
     def _packet(self, kind: int, content: bytes, sender: tuple[str, int], arrived: float) -> None:
-        if sender[0] != self._server[0]:
+        # Frames have a port of their own, answers come from where they were asked for.
+        if sender[0] != self._server[0] or (kind != natnet.FRAME and sender != self._server):
             raise BadMessageError("a packet from elsewhere")
         if kind == natnet.SERVER_INFO:
-            self.version, group = natnet.read_server(content)
-            if group is not None and len(self._sockets) == 1:
+            version, group = natnet.read_server(content)
+            first = self.version is None
+            self.version = version
+            if group is not None and group != self._group:
                 try:
                     self._join(*group)
-                except OSError as error:
-                    raise BadMessageError(f"group {group[0]} cannot be joined") from error
-            self._asked = 0.0
+                except (OSError, OverflowError) as error:
+                    raise BadMessageError("a multicast group that cannot be joined") from error
+            if first:
+                self._asked = 0.0
         elif self.version is None:
             raise BadMessageError("a packet before the server said its version")
         elif kind == natnet.MODELDEF:
-            self.names = natnet.read_models(content, self.version)
+            self.names, self._unknown = natnet.read_models(content, self.version), False
         elif kind == natnet.FRAME:
             frame = natnet.read_frame(content, self.version)
             self._last = arrived
-            if self._number >= 0 and frame.number > self._number + 1:
-                self.counts["frames lost"] += frame.number - self._number - 1
-            self._number = frame.number
+            self._count(frame)
             seen = {key: each for key, each in frame.bodies.items() if each.tracked}
             values = [natnet.turned(each, self._up) for each in seen.values()]
             names = tuple(self.names.get(key, str(key)) for key in seen)
             self._take(Message(POSES, "natnet", frame.time, arrived, np.array(values).reshape(-1, 4), names))
+        else:
+            raise BadMessageError("a packet of a kind that is not used here")
+
+    def _count(self, frame: natnet.Frame) -> None:
+        """Count a frame and what cannot be used of it; notice bodies without a name."""
+        self._unknown |= bool(self.names) and not frame.bodies.keys() <= self.names.keys()
+        numbers = self._numbers
+        numbers.take(frame.number)
+        for name, number in (
+            ("frames lost", numbers.lost), ("frames reordered", numbers.reordered),
+            ("frames repeated", numbers.repeated),
+        ):  # fmt: skip
+            if number or name in self.counts:
+                self.counts[name] = number
+        useless = sum(
+            natnet.unit_quaternion(each.turn) is None or not natnet.is_place(each.place)
+            for each in frame.bodies.values()
+        )
+        if useless:
+            self.counts["bodies without a usable pose"] += useless
 
     def _join(self, group: str, port: int) -> None:
-        """Listen to a multicast group as well."""
+        """Listen to a multicast group as well, and no longer to an earlier one.
+
+        Raises:
+            OSError: there is no such group.
+            OverflowError: there is no such port.
+        """
         own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        own.bind((group, port))
-        member = socket.inet_aton(group) + socket.inet_aton(self._local)
-        own.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
-        own.settimeout(_LISTENS_S)
+        try:
+            own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            own.bind((group, port))
+            member = socket.inet_aton(group) + socket.inet_aton(self._local)
+            own.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
+            own.settimeout(_LISTENS_S)
+        except (OSError, OverflowError):
+            own.close()
+            raise
+        for earlier in self._sockets[1:]:
+            self._sockets.remove(earlier)
+            earlier.close()
+        self._group = group, port
         self._sockets.append(own)
         self._threads.append(threading.Thread(target=self._listen, args=(own,), daemon=True))
         self._threads[-1].start()

@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
+import sys
 import time
+import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, SessionWarning
 from srs_twin.io.file_sets import replaced
-from srs_twin.io.files import shown
-from srs_twin.live.helm import Helm
+from srs_twin.io.files import new_numbered, shown
+from srs_twin.live.helm import TOO_SLOW, Helm
 from srs_twin.live.journal import Journal
 from srs_twin.live.links import Link
-from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, STATUS, VALVES, Message
+from srs_twin.live.messages import (
+    BENDS,
+    COMMAND,
+    CONTROL,
+    POSES,
+    PRESSURES,
+    STATUS,
+    STOP,
+    VALVES,
+    Message,
+)
 from srs_twin.live.mqtt import MqttLink
 from srs_twin.live.prediction import Prediction
 from srs_twin.live.shadow import Estimate, Shadow
@@ -30,14 +42,25 @@ from srs_twin.trajectory import Trajectory
 
 TICK_S = 0.02
 PREDICTS_S = 0.5
+STALE_S = 0.2
+"""Age of an estimate from which the robot is vented instead of steered: so long a command holds."""
+TOO_SLOW_S = 0.5
+"""Age of an estimate that ends the steering."""
+_WATCHED_S, _MOST_OVERRUNS = 1.0, 0.5
+"""The session warns when this share of the ticks of so many seconds took longer than `TICK_S`."""
 FLUSHES_S, SAVES_S = 1.0, 5.0
 STATE = "state.npz"
 SUMMARY, ESTIMATE = "shadow.json", "estimate.parquet"
 KEPT = (SUMMARY, ESTIMATE, STATE)
 """Files in the session's folder that the next session replaces; journals and recordings are numbered."""
+JOURNALS, RECORDINGS = "journal-{}.mcap", "recording-{}.rrd"
 _KEPT = 1_000_000
+_MOST_PROBLEMS = 100
+_GOODBYE_S = 1.0
+"""Longest wait for the broker to take the last message."""
 
 View = Callable[[Estimate, Prediction | None], None]
+Keys = Callable[[], Iterable[str]]
 _WARM_S, _STROKE_S = 0.6, 0.16
 
 
@@ -61,36 +84,35 @@ class Session:
         shadow: the twin of the robot.
         estimate: the last one; None before the robot's first message.
         faults: (part, fault) → when it was first named, s from the beginning.
+        problems: what the session went on without, such as a file that cannot be written.
         ticks: how long each took, s.
+        lag: largest age of an estimate when its tick ended, s.
         latency: from a reading's arrival to an estimate with it, s.
     """
 
     def __init__(
         self, shadow: Shadow, links: Sequence[Link], *, out: Path | None = None, helm: Helm | None = None,
-        commands: MqttLink | None = None, views: Iterable[View] = (),
+        commands: MqttLink | None = None, views: Iterable[View] = (), keys: Keys = tuple,
     ) -> None:  # fmt: skip
-        """Take up what an earlier session in the folder has learnt.
+        """Restore what an earlier session in the folder has learnt.
 
         Args:
-            shadow: that knows nothing yet.
-            links: where messages come from.
+            shadow: a new one.
+            links: sources of messages.
             out: folder of journal and results; None: none are kept.
-            helm: who steers the robot; None: nobody here.
-            commands: where its commands go.
-            views: who is shown estimates and predictions, ten times a second.
+            helm: steers the robot; None: the session only listens.
+            commands: link on which commands are sent, and control messages are obeyed.
+            views: are shown estimates and predictions, ten times a second.
+            keys: returns the control words that were typed since the last call, of `WORDS`.
 
         Raises:
             InputError: the folder cannot be written, or holds the state of another robot.
         """
         self.shadow, self._links, self._out, self._helm = shadow, list(links), out, helm
-        self._commands, self._views = commands, list(views)
+        self._commands, self._views, self._keys = commands, list(views), keys
         self._journal: Journal | None = None
         self.resumed = False
         if out is not None:
-            numbers = itertools.count(1)
-            self._journal = Journal(
-                next(path for k in numbers if not (path := out / f"journal-{k}.mcap").exists())
-            )
             if (out / STATE).exists():
                 try:
                     shadow.restore(SavedState.read(out / STATE))
@@ -99,55 +121,108 @@ class Session:
                         f"{error}; another --out keeps them apart, or remove {shown(out / STATE)}"
                     ) from error
                 self.resumed = True
+            self._journal = Journal(new_numbered(out, JOURNALS))
         self.estimate: Estimate | None = None
         self.faults: dict[tuple[str, str], float] = {}
+        self.problems: list[str] = []
         self.ticks, self.latency = deque[float](maxlen=_KEPT), deque[float](maxlen=_KEPT)
+        self.lag = 0.0
         self._rows: list[np.ndarray] = []
         self._prediction: Prediction | None = None
-        self._shown = 0.0
+        self._shown, self._first, self._stopped, self._slow = 0.0, 0.0, False, False
+        self._pool = ThreadPoolExecutor(2)
+        self._forecast: Future[Prediction] | None = None
+        self._saving: Future[None] | None = None
+        self._found: dict[str, Any] = {}
 
     def run(self, duration: float = math.inf, stop: Callable[[], bool] = lambda: False) -> dict[str, Any]:
-        """Live until told to stop, a recording is over, or the helm has arrived; return what came out."""
-        clock = self._links[0].clock
-        first = begun = time.monotonic()
-        done = 0
-        pending: Future[Prediction] | None = None
-        with ThreadPoolExecutor(2) as pool:
-            if self._helm is not None:
-                self._helm.follower.submit = pool.submit
-            while not stop() and (tick := time.monotonic()) - first < duration and not self._over():
-                self._tick(clock(), tick - first)
-                if pending is not None and pending.done():
-                    self._prediction, pending = self.shadow.hindsight.corrected(pending.result()), None
-                if pending is None and self.estimate is not None and done % round(PREDICTS_S / TICK_S) == 0:
-                    pending = pool.submit(self.shadow.outlook())
-                if self._journal is not None and done % round(FLUSHES_S / TICK_S) == 0:
-                    self._journal.flush()
-                if self._out is not None and done % round(SAVES_S / TICK_S) == 0:
-                    pool.submit(self.shadow.save().write, self._out / STATE)
-                if self._views and done % 6 == 0 and self.estimate is not None:
-                    before = time.monotonic()
-                    for view in self._views:
-                        view(self.estimate, self._prediction)
-                    self._shown += time.monotonic() - before
-                self.ticks.append(time.monotonic() - tick)
-                done += 1
-                left = begun + done * TICK_S - time.monotonic()
-                if left > 0:
-                    time.sleep(left)
-                elif left < -1.0:
-                    begun = time.monotonic() - done * TICK_S  # what was missed is not made up for
-        return self._end(time.monotonic() - first)
+        """Run until the session is stopped, a recording is over, or the helm has arrived; return the summary.
+
+        However the run ends, a robot that was steered is vented and the files are written.
+        """
+        self._first = time.monotonic()
+        try:
+            self._live(duration, stop)
+        finally:
+            self._end()
+        return self._found
+
+    def _live(self, duration: float, stop: Callable[[], bool]) -> None:
+        clock, begun, done = self._links[0].clock, self._first, 0
+        if self._helm is not None:
+            self._helm.follower.submit = self._pool.submit
+        while not stop() and (tick := time.monotonic()) - self._first < duration and not self._over():
+            self._tick(clock(), tick - self._first)
+            self._collect()
+            known = self.estimate is not None
+            if known and self._forecast is None and done % round(PREDICTS_S / TICK_S) == 0:
+                self._forecast = self._pool.submit(self.shadow.outlook())
+            if self._journal is not None and done % round(FLUSHES_S / TICK_S) == 0:
+                self._journal.flush()
+            if self._out is not None and self._saving is None and done % round(SAVES_S / TICK_S) == 0:
+                self._saving = self._pool.submit(self.shadow.save().write, self._out / STATE)
+            if known and done % 6 == 0:
+                self._show()
+            self.ticks.append(time.monotonic() - tick)
+            done += 1
+            if done % round(_WATCHED_S / TICK_S) == 0:
+                self._watch()
+            left = begun + done * TICK_S - time.monotonic()
+            if left > 0:
+                time.sleep(left)
+            elif left < -1.0:
+                begun = time.monotonic() - done * TICK_S  # missed ticks are not made up for
+
+    def _watch(self) -> None:
+        """Warn if the machine is too slow: ticks that take longer than `TICK_S` delay all that follow."""
+        took = np.array(list(self.ticks)[-round(_WATCHED_S / TICK_S) :])
+        if self._commands is not None and (took > TICK_S).mean() > _MOST_OVERRUNS and not self._slow:
+            self._slow = True
+            self._report(
+                f"falling behind: ticks take {1e3 * np.median(took):.0f} ms instead of {1e3 * TICK_S:.0f}; "
+                f"estimates are up to {self.lag:.2f} s old"
+            )
+
+    def _show(self) -> None:
+        assert self.estimate is not None
+        before = time.monotonic()
+        for view in self._views:
+            view(self.estimate, self._prediction)
+        self._shown += time.monotonic() - before
 
     def _over(self) -> bool:
         steered = self._helm is not None and self._helm.finished
-        return steered or all(link.counts["over"] for link in self._links)
+        return self._stopped or steered or all(link.counts["over"] for link in self._links)
+
+    def _collect(self) -> None:
+        """Take the results of other threads, and report their errors and the journal's."""
+        if self._forecast is not None and self._forecast.done():
+            if not self._forecast.cancelled() and (failed := self._forecast.exception()) is not None:
+                self._report(f"a forecast failed: {failed!r}")
+            elif not self._forecast.cancelled():
+                self._prediction = self.shadow.hindsight.corrected(self._forecast.result())
+            self._forecast = None
+        if self._saving is not None and self._saving.done():
+            if not self._saving.cancelled() and (error := self._saving.exception()) is not None:
+                self._report(str(error) if isinstance(error, InputError) else f"{STATE}: {error!r}")
+            self._saving = None
+        if self._journal is not None and self._journal.trouble:
+            self._report(self._journal.trouble)
+
+    def _report(self, problem: str) -> None:
+        """Warn of a problem, once, and keep it for the summary."""
+        if problem not in self.problems and len(self.problems) < _MOST_PROBLEMS:
+            self.problems.append(problem)
+            warnings.warn(problem, SessionWarning, stacklevel=2)
 
     def _tick(self, now: float, since: float) -> None:
-        """Take what has come, and command."""
+        """Take the messages that have come, and send a command."""
+        messages = [message for link in self._links for message in link.received()]
+        if self._commands is not None:  # a journal's control messages are history
+            for word in [*self._keys(), *(each.names[0] for each in messages if each.kind == CONTROL)]:
+                self._obey(word)
         if math.isnan(now):
             return
-        messages = [message for link in self._links for message in link.received()]
         if self._journal is not None:
             for message in messages:
                 self._journal.write(message)
@@ -164,27 +239,64 @@ class Session:
                 )
             )
             del self._rows[:-_KEPT]
-        if self._helm is not None and self._commands is not None:
-            command = self._helm.step(found, self.shadow)
-            if command is not None:
-                self._commands.send(COMMAND, command)
+        if self._commands is None:
+            return  # a journal waits
+        command = None if self._helm is None or self._stopped else self._helm.step(found, self.shadow)
+        lag = self._links[0].clock() - now
+        self.lag = max(self.lag, lag)
+        if self._helm is not None and command is not None:
+            if lag > TOO_SLOW_S:
+                self._helm.give_up(TOO_SLOW)
+            self._commands.send(COMMAND, self._helm.vented() if lag > STALE_S else command)
 
-    def _end(self, seconds: float) -> dict[str, Any]:
-        """Vent the robot if it was steered, write what came out, and return it."""
+    def _obey(self, word: str) -> None:
+        """Obey a control word, of `WORDS`."""
+        if word == STOP:
+            self._stopped = True
+            self._vent()
+        elif self._helm is not None:
+            self._helm.hold(word)
+
+    def _vent(self) -> None:
+        """Vent the robot if it is steered."""
         if self._commands is not None and self._helm is not None:
             self._commands.send(COMMAND, self._helm.vented())
-            self._commands.send(STATUS, "stopped")
-        found = self._told(seconds)
+
+    def _end(self) -> None:
+        """Vent the robot, say so, and write the files; every step has its turn, also after one that fails."""
+        seconds, error = time.monotonic() - self._first, sys.exception()
+        with ExitStack() as steps:  # the last one comes first
+            steps.callback(self._write)
+            steps.callback(self._close_journal)
+            # Before the journal is closed, which then has every message that the summary counts.
+            steps.callback(self._summarise, seconds, error)
+            steps.callback(self._pool.shutdown, cancel_futures=True)
+            steps.callback(self._say_goodbye, error)
+            steps.callback(self._vent)
+
+    def _say_goodbye(self, error: BaseException | None) -> None:
+        if self._commands is not None and self._helm is not None:
+            text = "stopped" if error is None else f"stopped: {type(error).__name__}"
+            self._commands.send(STATUS, text, wait_s=_GOODBYE_S)
+
+    def _close_journal(self) -> None:
         if self._journal is not None:
             for message in (each for link in self._links for each in link.received()):
                 self._journal.write(message)
             self._journal.close()
+
+    def _summarise(self, seconds: float, error: BaseException | None) -> None:
+        self._found = _finite(self._told(seconds, error))
+
+    def _write(self) -> None:
+        """Write the summary and the estimates."""
+        self._collect()
+        self._found["problems"] = self.problems
         if self._out is not None:
             with replaced(self._out, (SUMMARY, ESTIMATE)) as fresh:
                 if self._rows:
                     self._trajectory().to_parquet(fresh / ESTIMATE)
-                (fresh / SUMMARY).write_text(json.dumps(found, indent=1, allow_nan=False) + "\n", "utf-8")
-        return found
+                (fresh / SUMMARY).write_text(json.dumps(self._found, indent=1) + "\n", "utf-8")
 
     def _trajectory(self) -> Trajectory:
         """Return estimates and their standard deviations over time."""
@@ -200,10 +312,10 @@ class Session:
             dict(zip(names, table.T, strict=True)), units, metadata={"robot": self.shadow.spec.name}
         )
 
-    def _told(self, seconds: float) -> dict[str, Any]:
+    def _told(self, seconds: float, error: BaseException | None) -> dict[str, Any]:
         counts: Counter[str] = Counter()
         for link in self._links:
-            counts.update(link.counts)
+            counts.update(dict(link.counts))  # a copy: its thread goes on counting
         dropped: Counter[str] = Counter()
         for (_, kind, what), count in self.shadow.inbox.counts.items():
             if what != "taken":
@@ -214,8 +326,10 @@ class Session:
         }
         found: dict[str, Any] = {
             "robot": self.shadow.spec.name, "seconds": seconds, "resumed": self.resumed,
+            "error": None if error is None else f"{type(error).__name__}: {error}", "problems": [],
             "faults": [{"part": p, "fault": f, "time_s": at} for (p, f), at in self.faults.items()],
             "tick_ms": _quantiles(self.ticks), "latency_ms": _quantiles(self.latency),
+            "overruns": int(sum(tick > TICK_S for tick in self.ticks)), "lag_s": self.lag,
             "view_share": self._shown / max(seconds, 1e-9),
             "messages": dict(counts), "dropped": dict(dropped), "clocks": clocks,
         }  # fmt: skip
@@ -231,6 +345,15 @@ class Session:
         if self._helm is not None:
             found["following"] = self._helm.told()
         return found
+
+
+def _finite(value: Any) -> Any:
+    """Return JSON values with null for every number that is not finite."""
+    if isinstance(value, Mapping):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _quantiles(values: Iterable[float]) -> Mapping[str, float | None]:

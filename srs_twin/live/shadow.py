@@ -425,7 +425,7 @@ def frames_of(given: Sequence[str], connectors: int) -> dict[str, int]:
     """
     found = {}
     for each in given:
-        name, _, number = each.partition("=")
+        name, _, number = each.rpartition("=")
         if not name or not number.isdigit() or not 1 <= int(number) <= connectors:
             raise InputError(
                 f"{each!r} names no body; BODY=CONNECTOR does, with a connector from 1 to {connectors}"

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from srs_twin.io.documents import dump_yaml
-from srs_twin.io.file_sets import replaced
 from srs_twin.optimization.loading import Study
 from srs_twin.optimization.runs import Runs, metric_of
 from srs_twin.optimization.search import Optimum, excesses
 from srs_twin.provenance import versions
 from srs_twin.robot.file import RobotFile
 from srs_twin.sweep.points import Changes
-from srs_twin.sweep.store import write
 from srs_twin.sweep.task import Row
 from srs_twin.uncertainty.priors import Priors
 
@@ -103,6 +98,7 @@ class Answer:
                     "variables": dict(zip(study.space.variables, values, strict=True)),
                     "metrics": metrics, "plant": "twin", "scenario": f"best/{k + 1}.yaml",
                     "keeps_constraints": bool((excesses(study, [run]) <= 0).all()),
+                    "on_bound": self.on_bound(k),
                     "refined": {name: self.change(k, name) for name in names},
                     "survives": self.survives(k),
                     "intervals": {name: self.interval(k, name) for name in names} if self.samples else None,
@@ -116,6 +112,22 @@ class Answer:
             "fidelities": {o.metric: self.likeness(o.metric) for o in study.file.objectives},
             "seed": study.file.seed, "versions": versions(),
         }  # fmt: skip
+
+    def on_bound(self, k: int) -> dict[str, dict[str, Any]]:
+        """Return the variables of a best design that lie on a bound.
+
+        Returns:
+            Variable → `bound` ("low" or "high"), its `value`, and the `source` of the bounds or None.
+        """
+        variables = self.study.file.variables
+        return {
+            name: {
+                "bound": bound,
+                "value": getattr(variables[name], bound),
+                "source": variables[name].bounds_source,
+            }
+            for name, bound in self.study.space.bounds(self.optimum.best[k].shares).items()
+        }
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -186,37 +198,6 @@ class Answer:
         names = dict.fromkeys(key.partition(".")[2] for run in runs for key in run.row.values)
         columns |= {name: [_number(run.metric(name)) for run in runs] for name in names}
         return columns
-
-    def write(self, folder: Path) -> tuple[str, ...]:
-        """Write document, evaluations, best designs, pictures and report into a folder; return their names.
-
-        Raises:
-            InputError: a file cannot be written; those of an earlier search are as they were.
-        """
-        with replaced(folder, PRODUCTS) as fresh:
-            return self._write(fresh)
-
-    def _write(self, folder: Path) -> tuple[str, ...]:
-        import pyarrow as pa
-
-        # matplotlib takes longer to import than a result without pictures has to wait.
-        from srs_twin.optimization.report import write_report
-
-        write(
-            folder / EVALUATIONS, pa.table({k: pa.array(v, from_pandas=True) for k, v in self.table.items()})
-        )
-        written = [EVALUATIONS]
-        scenario = self.study.scenario.document
-        for k, run in enumerate(self.optimum.best, start=1):
-            whole = self.study.experiments["twin"].document(self.study.space.changes(run.shares))
-            whole |= {"plants": scenario["plants"], "title": f"{self.study.title}: best {k}"[:200]}
-            (folder / "best").mkdir(parents=True, exist_ok=True)
-            (folder / f"best/{k}.yaml").write_text(dump_yaml(whole), "utf-8")
-            (folder / f"best/{k}.robot.yaml").write_text(dump_yaml(whole["robot"]), "utf-8")
-            written += [f"best/{k}.yaml", f"best/{k}.robot.yaml"]
-        written += write_report(folder, self)
-        (folder / RESULT).write_text(json.dumps(self.document(), indent=2) + "\n", "utf-8")
-        return (*written, RESULT)
 
     def _drawn(self, which: int, name: str) -> np.ndarray:
         return np.array([metric_of(row, "twin", name) for row in self.samples[which]])

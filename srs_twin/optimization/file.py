@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
+from srs_twin.scenario.expectation import Words
 from srs_twin.scenario.fields import Line, PathOrName, Section, quantity
 from srs_twin.viewing.plots.sweep_table import FieldName, Plain
 
@@ -24,6 +25,8 @@ class VariableFile(Section):
     """Whole numbers only."""
     hold: list[Literal["total_length", "total_mass"]] | None = None
     """What stays as it is while the number of segments changes (robot.segments)."""
+    bounds_source: Words | None = None
+    """Physical reason for low and high, which the result repeats for designs on a bound."""
 
     @model_validator(mode="after")
     def _in_order(self) -> VariableFile:

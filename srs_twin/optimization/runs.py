@@ -18,9 +18,9 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.io.files import open_folder, shown
 from srs_twin.optimization.loading import Study
-from srs_twin.provenance import POINTS, run_key, source_digests, versions
+from srs_twin.provenance import run_key, source_digests, versions
 from srs_twin.sweep.execution import Engine
-from srs_twin.sweep.points import Changes, Point
+from srs_twin.sweep.points import RUNNER, Changes, Point
 from srs_twin.sweep.store import RowStore, SweepIdentity
 from srs_twin.sweep.task import DONE, Row, failed_row
 
@@ -111,7 +111,7 @@ class Runs(AbstractContextManager["Runs"]):
             InputError: a row cannot be kept.
         """
         experiment, plant = self._study.experiments[part], PLANTS[part]
-        points = [Point(run_key(experiment.document(each), (plant,)), each) for each in changes]
+        points = [Point(run_key(experiment.document(each), (plant,), RUNNER), each) for each in changes]
         missing = list({p.key: p for p in points if p.key not in self._known}.values())
         if missing:  # an engine may take seconds to begin
             with closing(self._engine(experiment, missing)) as rows:  # type: ignore[type-var]
@@ -130,7 +130,7 @@ class Runs(AbstractContextManager["Runs"]):
     def _settle(self, folder: Path, part: str, store: RowStore, *, changed: bool) -> None:
         """Refuse a folder that belongs to another study, unless told; note whose it is."""
         experiment, names = self._study.experiments[part], list(self._study.space.variables)
-        rest: tuple[Mapping[str, object], ...] = (versions(), source_digests(POINTS))
+        rest: tuple[Mapping[str, object], ...] = (versions(), source_digests(RUNNER))
         now = SweepIdentity("", *json.loads(json.dumps((experiment.base, names, *rest))))
         before = store.identity()
         if before is not None and before != now and not changed:

@@ -11,6 +11,9 @@ import numpy as np
 from srs_twin.optimization.file import SEGMENTS, VariableFile
 from srs_twin.sweep.points import Changes, Value
 
+ON_BOUND = 0.01
+"""Distance from an end of a range, as a share of the range, below which a design lies on that bound."""
+
 
 @dataclass(frozen=True)
 class Space:
@@ -49,6 +52,15 @@ class Space:
                 np.log(value / low) / np.log(high / low) if logarithmic else (value - low) / (high - low)
             )
         return np.array(found)
+
+    def bounds(self, shares: np.ndarray) -> dict[str, str]:
+        """Return the variables of a design, shape (d,), that lie on a bound → "low" or "high"."""
+        places = zip(self.variables, self.settled(shares[None])[0], strict=True)
+        return {
+            name: "low" if place < ON_BOUND else "high"
+            for name, place in places
+            if not ON_BOUND <= place <= 1 - ON_BOUND
+        }
 
     def settled(self, shares: np.ndarray) -> np.ndarray:
         """Return shares of the values that designs are rounded to, shape (designs, d)."""

@@ -28,7 +28,8 @@ from srs_twin.errors import InputError
 from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.collision import Checker
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.problem import Outcome, Plan, Problem, Segment, segment
+from srs_twin.planning.plan import Plan
+from srs_twin.planning.problem import Outcome, Problem, Segment, segment
 from srs_twin.world import Pose
 
 G_STEP = 0.001

@@ -15,7 +15,8 @@ from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.best_first import Moves, at_rest, passes
 from srs_twin.planning.collision import Checker, Surroundings
 from srs_twin.planning.dubins import Pieces, shortest, word
-from srs_twin.planning.problem import Outcome, Plan, Problem, Settings, path_of
+from srs_twin.planning.plan import Plan
+from srs_twin.planning.problem import Outcome, Problem, Settings, path_of
 from srs_twin.planning.shortening import shortened
 from srs_twin.planning.tree import moves_of
 from srs_twin.world import Pose

@@ -28,7 +28,8 @@ from srs_twin.planning.collision import Checker, inside
 from srs_twin.planning.footprint import Footprint, Transient, checked
 from srs_twin.planning.greedy import greedy
 from srs_twin.planning.ompl_baseline import rrt_connect
-from srs_twin.planning.problem import Plan, Problem, Segment, Settings, path_of
+from srs_twin.planning.plan import Plan
+from srs_twin.planning.problem import Problem, Segment, Settings, path_of
 from srs_twin.planning.search import best_first
 from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
 

@@ -20,8 +20,9 @@ from srs_twin.planning.dubins import Pieces
 from srs_twin.planning.free_space import disconnected
 from srs_twin.planning.gates import NO_GATES, gates_of
 from srs_twin.planning.guide import NO_GUIDE, guide_to
+from srs_twin.planning.plan import Plan
 from srs_twin.planning.pockets import COARSE, FINE, Finely, shut_in
-from srs_twin.planning.problem import Outcome, Plan, Problem, Segment, Settings, path_of
+from srs_twin.planning.problem import Outcome, Problem, Segment, Settings, path_of
 from srs_twin.planning.shortening import shortened
 from srs_twin.planning.tree import Tree, arrivals, moves_of, reversed_moves, target_of, turned
 from srs_twin.world import Goal

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srs_twin.robot.spec import GRAVITY, load_robot
+from srs_twin.robot.file import load_robot
+from srs_twin.robot.spec import GRAVITY
 from srs_twin.scenario import load_scenario, parse_scenario
 
 if TYPE_CHECKING:

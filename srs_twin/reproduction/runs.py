@@ -23,7 +23,7 @@ from srs_twin.provenance import digest_of, run_key, source_digests, versions
 from srs_twin.reproduction.claims import COMPUTATIONS, Plain, RunRequest, Set
 from srs_twin.scenario import load_scenario
 from srs_twin.sweep import load_sweep
-from srs_twin.sweep.points import Experiment, Point, Sweep
+from srs_twin.sweep.points import RUNNER, Experiment, Point, Sweep
 from srs_twin.sweep.store import RowStore
 from srs_twin.sweep.task import DONE, Row, failed_row, run_point
 from srs_twin.trajectory import Trajectory
@@ -161,7 +161,7 @@ class Store:
                 document = self._alter(document)
             plants = experiment.plants
             whole = Experiment(document, plants, trajectories=sweep is None)
-            yield Job(run_key(document, plants), whole)
+            yield Job(run_key(document, plants, RUNNER), whole)
 
     def run(self, jobs: Iterable[Job], *, workers: int | None = None, started: Started | None = None) -> None:
         """Run what is missing and keep what comes of each as it finishes; what fails becomes a failed row.

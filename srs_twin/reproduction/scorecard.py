@@ -128,8 +128,8 @@ def _uncertainty(intervals: Sequence[Mapping[str, Any]]) -> Grade:
         spread, target = _target(document), document["target"]
         low, high = spread["interval_95"]
         stated = spread["published"]
-        holds = "" if stated is None else f", {'holds' if low <= stated <= high else 'misses'} {stated:.3g}"
-        return Grade(2, f"{document['scenario']}, {target['metric']}: {low:.3g} to {high:.3g}{holds}")
+        verdict = "" if stated is None else f", published {stated:.3g} {spread['verdict']}"
+        return Grade(2, f"{document['scenario']}, {target['metric']}: {low:.3g} to {high:.3g}{verdict}")
     return Grade(0, "no intervals")
 
 

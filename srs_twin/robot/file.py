@@ -402,6 +402,15 @@ def load_robot_file(name_or_path: str | os.PathLike[str]) -> RobotFile:
     return load_model(RobotFile, find("robot", name_or_path))
 
 
+def load_robot(name_or_path: str | os.PathLike[str]) -> RobotSpec:
+    """Load a robot: a shipped name (gen1 to gen4, gen4_module) or the path of a robot file.
+
+    Raises:
+        InputError: not found, not readable, or everything that is wrong with it (`InputFileError`).
+    """
+    return load_robot_file(name_or_path).spec()
+
+
 def resolve_robot(document: Document, given: Any, *, prefix: Loc) -> RobotFile | None:
     """Return the robot that a scenario names, overrides or writes out; None after reporting problems.
 

@@ -13,7 +13,6 @@ j+1, bend q_j = θ_j − θ_{j+1} > 0 turns the head end to the left.
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -407,15 +406,3 @@ class RobotSpec:
         wheels = 2 * wheel * (g.half_track**2 + g.wheel_radius**2 / 4)
         inertia: np.ndarray = (self.mass.array() - 2 * wheel) * self.connector_gyration**2 + wheels
         return inertia
-
-
-def load_robot(name_or_path: str | os.PathLike[str]) -> RobotSpec:
-    """Load a robot: a shipped name (gen1 to gen4, gen4_module) or the path of a robot file.
-
-    Raises:
-        InputError: not found, not readable, or everything that is wrong with it (`InputFileError`).
-    """
-    # Here, not above: files need pydantic and YAML, a spec made in code needs neither.
-    from srs_twin.robot.file import load_robot_file
-
-    return load_robot_file(name_or_path).spec()

@@ -1,13 +1,14 @@
 """Expected values of metrics, and the verdicts on them.
 
 An expectation is met, missed, missed for a known reason, or not judged. It is not judged where the run leaves
-its metric undefined, or where its stored interval is for another run.
+its metric undefined, where its stored interval is for another run, or where the end of the interval is not
+known well enough to decide.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -17,6 +18,7 @@ from srs_twin.comparison.undefined import Undefined
 from srs_twin.errors import UnknownNameError
 from srs_twin.robot.sourced import split_unit
 from srs_twin.scenario.fields import Section, quantity
+from srs_twin.scenario.interval_verdict import UNDECIDED_ERRORS, IntervalVerdict, interval_verdict
 
 COMPARISON = "comparison"
 _BOUND = 1e9
@@ -170,8 +172,10 @@ class Expectation(Section):
         return row | {"state": state, "near": stated, "source": self.source, "known": self.known}
 
     def _judged(self, value: float, kept: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the part of a row that a stored interval decides; a `reason` where it does not apply.
+        """Return the part of a row that a stored interval decides; a `reason` where it does not decide.
 
+        The `verdict` is "within", "undecided" or "outside". It is undecided, and the expectation not judged,
+        where the published value is within two standard errors of an end of the interval.
         The terms are those of ASME V&V 20: the `error` E = value − published, the standard uncertainties
         `u_num` of the time step, `u_input` of the robot's parameters and `u_d` of the published value, the
         name of the `largest`, and the `largest_parameter` of the robot; the `interval` and its `width` and,
@@ -193,13 +197,17 @@ class Expectation(Section):
         largest = max(terms, key=lambda name: terms[name])
         parameter = largest_parameter(spread.get("sensitivity") or {}) if largest == "u_input" else None
         off = max(low - self.published, self.published - high, 0.0)
-        met = off == 0.0
+        errors = spread.get(f"{self.within}_error")
+        found = interval_verdict(self.published, (low, high), errors)
+        undecided = found is IntervalVerdict.UNDECIDED
         cause = {"u_num": "the time step", "u_d": "the published value"}.get(largest, _parameter(parameter))
-        lies = f"lies {'within' if met else 'outside'} the {_INTERVALS[self.within]}"
+        lies = f"lies {'near an end of' if undecided else found.value} the {_INTERVALS[self.within]}"
         ends = _ends(low, high, self.published)
         return {
             "allowed": f"published {self.published:.4g} {lies} {ends} (largest uncertainty: {cause})",
-            "met": met,
+            "met": found is IntervalVerdict.WITHIN,
+            "reason": self._undecided((low, high), errors) if undecided else None,
+            "verdict": found.value,
             "error": value - self.published,
             **terms,
             "largest": largest,
@@ -207,7 +215,21 @@ class Expectation(Section):
             "width": high - low,
             "score": high - low + 2 / _OUTSIDE[self.within] * off,
             "interval": [low, high],
+            "interval_error": errors,
         }
+
+    def _undecided(self, interval: Sequence[float], errors: Sequence[float]) -> str:
+        """Return the reason why the ends of an interval do not decide."""
+        assert self.published is not None, "only published values are compared with intervals"
+        distance, error, end = min(
+            (abs(self.published - end) / error if error else math.inf, error, end)
+            for end, error in zip(interval, errors, strict=True)
+        )
+        return (
+            f"undecided: published {self.published:.4g} is {distance:.2g} standard errors from the end "
+            f"{end:.4g} (± {error:.2g}) of the interval; from {UNDECIDED_ERRORS:g} on it is decided "
+            "(more --samples and --twin make the error smaller)"
+        )
 
 
 def largest_parameter(sensitivity: Mapping[str, Mapping[str, float]]) -> str | None:

@@ -9,9 +9,8 @@ import json
 import logging
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,9 +20,9 @@ from srs_twin.io.documents import dump_yaml
 from srs_twin.io.file_sets import replaced
 from srs_twin.io.files import open_folder, shown
 from srs_twin.parallel import Done, each, start_server
-from srs_twin.provenance import POINTS, file_digests, source_digests
-from srs_twin.sweep.points import Experiment, Point, Sweep
-from srs_twin.sweep.report import REPORT, write_report
+from srs_twin.provenance import file_digests, source_digests
+from srs_twin.sweep.points import RUNNER, Experiment, Point, Sweep
+from srs_twin.sweep.report import REPORT, Summary, write_report
 from srs_twin.sweep.store import (
     RESULTS,
     RowStore,
@@ -36,7 +35,6 @@ from srs_twin.sweep.store import (
     write,
 )
 from srs_twin.sweep.task import DONE, FAILED, Row, failed_row, run_point
-from srs_twin.viewing.html.page import Table
 from srs_twin.viewing.plots.sweep_table import SweepTable, published_table
 
 if TYPE_CHECKING:
@@ -130,38 +128,6 @@ SUMMARY, SWEEP, SCENARIO = "sweep.json", "sweep.yaml", "scenario.resolved.yaml"
 PLOTS = "plots"
 # The summary marks a complete set.
 _PRODUCTS = (SUMMARY, RESULTS, SWEEP, SCENARIO, REPORT, f"{PLOTS}/[0-9]*_*.png")
-
-
-@dataclass(frozen=True)
-class Summary:
-    """What stands in a sweep's folder.
-
-    Attributes:
-        folder: where.
-        points: how many runs the sweep has.
-        done: how many succeeded.
-        reasons: why the others failed → how many of them.
-        exit_code: the highest of the failed runs; 0 where none failed.
-        sha256: of the results, see `results.digest`.
-        spans: speed, yaw rate and amplitude of each plant → least, median and most.
-        files: what was written, by name.
-        published: published values beside those of the plants, where the sweep has any.
-    """
-
-    folder: Path
-    points: int
-    done: int
-    reasons: Mapping[str, int]
-    exit_code: int
-    sha256: str
-    spans: Mapping[str, tuple[float, float, float]]
-    files: tuple[str, ...]
-    published: Table | None = None
-
-    @property
-    def failed(self) -> int:
-        """How many runs failed."""
-        return sum(self.reasons.values())
 
 
 @contextmanager
@@ -284,7 +250,7 @@ class OpenSweep:
         """Refuse a folder that belongs to another version of the sweep, unless told; note whose it is."""
         keys = digest([Row(point.key, DONE) for point in self.sweep.points])
         rest = (self.sweep.experiment.base, self.sweep.fields, self.sweep.versions)
-        rest = json.loads(json.dumps((*rest, source_digests(POINTS), self._files())))
+        rest = json.loads(json.dumps((*rest, source_digests(RUNNER), self._files())))
         now, before = SweepIdentity(keys, *rest), self._store.identity()
         if before is not None and before.keys != now.keys:
             if not changed:

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from srs_twin.viewing.plots.sweep_table import Plot, Published
 
 
+RUNNER = "srs_twin.sweep.task"
+"""Module that runs a point: its sources, with those it imports, decide a row."""
+
 Value = bool | int | float | str
 Changes = Mapping[str, Value]
 
@@ -134,7 +137,7 @@ class Sweep:
         found: dict[str, Point] = {}
         for row in self.values:
             changes = dict(zip(self.fields, row, strict=True))
-            key = run_key(self.experiment.document(changes), self.experiment.plants)
+            key = run_key(self.experiment.document(changes), self.experiment.plants, RUNNER)
             found.setdefault(key, Point(key, changes))
         return tuple(found.values())
 

@@ -15,7 +15,6 @@ from srs_twin.viewing.plots.labels import field_label
 from srs_twin.viewing.plots.sweep_table import COMPARISON, PLAN, SweepTable
 
 if TYPE_CHECKING:
-    from srs_twin.sweep.execution import Summary
     from srs_twin.sweep.points import Sweep
 
 
@@ -25,6 +24,38 @@ MOST_RUNS = 200
 _MOST_COLUMNS = 24
 _COLUMNS = 6  # of metrics side by side: what a printed page holds
 _NONE = "–"
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Outcome of a sweep.
+
+    Attributes:
+        folder: of its files.
+        points: number of runs of the sweep.
+        done: number of those that succeeded.
+        reasons: why runs failed → their number.
+        exit_code: the highest of the failed runs; 0 where none failed.
+        sha256: of the results, see `results.digest`.
+        spans: speed, yaw rate and amplitude of each plant → least, median and most.
+        files: names of the files written.
+        published: published values beside those of the plants, where the sweep has any.
+    """
+
+    folder: Path
+    points: int
+    done: int
+    reasons: Mapping[str, int]
+    exit_code: int
+    sha256: str
+    spans: Mapping[str, tuple[float, float, float]]
+    files: tuple[str, ...]
+    published: Table | None = None
+
+    @property
+    def failed(self) -> int:
+        """Number of failed runs."""
+        return sum(self.reasons.values())
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ half a second that no worker has to spend again. MuJoCo is left to those that ne
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.gait import Gait
 from srs_twin.plants.analytical import AnalyticalSnake
-from srs_twin.robot.spec import load_robot
+from srs_twin.robot.file import load_robot
 from srs_twin.rollout import rollout
 from srs_twin.sweep import task as task
 

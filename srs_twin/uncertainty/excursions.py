@@ -18,7 +18,8 @@ from srs_twin.control.following import ENDINGS, Follower
 from srs_twin.errors import InputError
 from srs_twin.parallel import each
 from srs_twin.planning.margins import LOST_M, ExcursionsFile
-from srs_twin.planning.problem import Outcome, Plan, path_of
+from srs_twin.planning.plan import Plan
+from srs_twin.planning.problem import Outcome, path_of
 from srs_twin.robot.file import RobotFile
 from srs_twin.rollout import rollout
 from srs_twin.scenario import Scenario, parse_scenario

@@ -9,7 +9,8 @@ it at the others. `spreads` has intervals and their errors, `remarks` the limits
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -19,20 +20,24 @@ import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.experiment import INTERVALS, twin_contact
-from srs_twin.io.file_sets import replaced
+from srs_twin.io.file_sets import replaced, unmark
 from srs_twin.io.files import write_text
 from srs_twin.provenance import judged_digest
 from srs_twin.scenario.plants import PLANTS
+from srs_twin.sweep import open_sweep
 from srs_twin.sweep.store import write
 from srs_twin.uncertainty.remarks import Remarks, remedy
 from srs_twin.uncertainty.spreads import RANGES, Spread, predicted, sampling_errors
+from srs_twin.uncertainty.study import COMPLIANT, Study
 from srs_twin.uncertainty.surrogates import Chaos
 from srs_twin.viewing.plots.labels import metric_label
 
 if TYPE_CHECKING:
-    from srs_twin.uncertainty.study import Study
+    from srs_twin.sweep import Sweep
+    from srs_twin.sweep.execution import Engine
+    from srs_twin.sweep.task import Row
 
-COMPLIANT = "compliant"
+Progress = Callable[[str, int], AbstractContextManager["Callable[[Row], Any]"]]
 RESULT, SAMPLES, PICTURE = "intervals.json", "samples.parquet", "intervals.png"
 OWN_ROWS = 3
 """Runs after the samples: medians of the numbers, the numbers of the robot file, half of the step."""
@@ -296,3 +301,48 @@ def _varies(samples: np.ndarray) -> bool:
 def _filled(samples: np.ndarray) -> np.ndarray:
     """Return samples with the median where there is none: few enough not to matter."""
     return np.where(np.isfinite(samples), samples, np.nanmedian(samples))
+
+
+def propagate(
+    study: Study, folder: Path, engine: Engine, progress: Progress | None = None, *, changed: bool = False
+) -> Propagation:
+    """Run the missing rows of a folder and return the result.
+
+    Args:
+        study: the runs.
+        folder: of the rows; one subfolder per part.
+        engine: executor of the runs.
+        progress: given a part and the number of runs to come, a context that takes each row.
+        changed: resume in a folder of another version, as `open_sweep` takes it.
+
+    Raises:
+        InputError: nothing could be run, or a folder cannot be written.
+    """
+    rows = {}
+    for part in study.parts:
+        sweep = study.sweep(part)
+        with open_sweep(sweep, folder / part, changed=changed) as opened:
+            missing = opened.missing()
+            with progress(part, len(missing)) if progress and missing else nullcontext() as finished:
+                opened.run(engine, missing, finished)
+            if missing or changed:  # an earlier result does not belong to these rows
+                unmark(folder / RESULT)
+            opened.finish()
+        rows[part] = _columns(folder / part / "results.parquet", sweep)
+    return Propagation(study, rows)
+
+
+def _columns(path: Path, sweep: Sweep) -> dict[str, np.ndarray]:
+    """Return metric → number of each point of a sweep, NaN where there is none."""
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(path)
+    place = {key: i for i, key in enumerate(table.column("key").to_pylist())}
+    rows = [place.get(point.key) for point in sweep.points]
+    prefix = f"{sweep.experiment.plants[0]}."
+    found = {}
+    for name in table.column_names:
+        if name.startswith(prefix):
+            values = table.column(name).to_numpy(zero_copy_only=False).astype(float)
+            found[name.removeprefix(prefix)] = np.array([np.nan if i is None else values[i] for i in rows])
+    return found

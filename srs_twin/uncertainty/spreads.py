@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import bootstrap
 
+from srs_twin.scenario.interval_verdict import IntervalVerdict, interval_verdict
 from srs_twin.uncertainty.surrogates import corrected
 
 RANGES = {"interval_50": (0.25, 0.75), "interval_95": (0.025, 0.975)}
@@ -91,6 +92,13 @@ class Spread:
         """u_num: change by a step refined without end, by Richardson extrapolation of the first order."""
         return 2 * abs(self.value - self.halved)
 
+    @property
+    def verdict(self) -> IntervalVerdict | None:
+        """Verdict on the published value by the 95 % interval; None where nothing is published."""
+        if self.published is None:
+            return None
+        return interval_verdict(self.published, self.interval("interval_95"), self.errors[2:].tolist())
+
     def ranks(self) -> list[tuple[int, int]]:
         """Return the best and the worst place that each number can take among the causes.
 
@@ -126,7 +134,8 @@ class Spread:
                 name: {**dict(zip(keys, column, strict=True)), "rank": list(rank)}
                 for name, column, rank in zip(names, columns, self.ranks(), strict=True)
             }
-        return row | {"published": self.published}
+        verdict = self.verdict
+        return row | {"published": self.published, "verdict": None if verdict is None else verdict.value}
 
 
 def sampling_errors(samples: np.ndarray) -> np.ndarray:

@@ -2,30 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.io.file_sets import unmark
 from srs_twin.provenance import versions
 from srs_twin.scenario import Scenario, parse_scenario
 from srs_twin.scenario.plants import TwinFile
-from srs_twin.sweep import Experiment, Sweep, open_sweep
+from srs_twin.sweep import Experiment, Sweep
 from srs_twin.sweep.points import Value
 from srs_twin.uncertainty.priors import Priors
-from srs_twin.uncertainty.propagation import COMPLIANT, RESULT, Propagation
 
-if TYPE_CHECKING:
-    from srs_twin.sweep.execution import Engine
-    from srs_twin.sweep.task import Row
-
-Progress = Callable[[str, int], AbstractContextManager["Callable[[Row], Any]"]]
+COMPLIANT = "compliant"
 
 
 @dataclass(frozen=True)
@@ -134,33 +126,6 @@ class Study:
         document = {**self.scenario.document, "plants": {plant: settings}, "expect": []}
         return dict(parse_scenario(document, name=self.scenario.name).document)
 
-    def run(
-        self, folder: Path, engine: Engine, progress: Progress | None = None, *, changed: bool = False
-    ) -> Propagation:
-        """Run the missing rows of a folder and return the result.
-
-        Args:
-            folder: of the rows; a folder a part.
-            engine: who runs them.
-            progress: given a part and how many runs are to come, a context that takes each row.
-            changed: go on in a folder of another version, as `open_sweep` takes it.
-
-        Raises:
-            InputError: nothing could be run, or a folder cannot be written.
-        """
-        found = {}
-        for part in self.parts:
-            sweep = self.sweep(part)
-            with open_sweep(sweep, folder / part, changed=changed) as opened:
-                missing = opened.missing()
-                with progress(part, len(missing)) if progress and missing else nullcontext() as finished:
-                    opened.run(engine, missing, finished)
-                if missing or changed:  # an earlier result does not belong to these rows
-                    unmark(folder / RESULT)
-                opened.finish()
-            found[part] = _columns(folder / part / "results.parquet", sweep)
-        return Propagation(self, found)
-
 
 def compliant_partner(scenario: Scenario) -> Mapping[str, Any] | None:
     """Return plain data of a scenario with `compliant` as its only plant; None where that cannot run it."""
@@ -187,19 +152,3 @@ def _at(document: Any, name: str) -> Any:
             raise UnknownNameError("field", name, document if isinstance(document, Mapping) else ())
         document = document[key]
     return document
-
-
-def _columns(path: Path, sweep: Sweep) -> dict[str, np.ndarray]:
-    """Return metric → number of each point of a sweep, NaN where there is none."""
-    import pyarrow.parquet as pq
-
-    table = pq.read_table(path)
-    place = {key: i for i, key in enumerate(table.column("key").to_pylist())}
-    rows = [place.get(point.key) for point in sweep.points]
-    prefix = f"{sweep.experiment.plants[0]}."
-    found = {}
-    for name in table.column_names:
-        if name.startswith(prefix):
-            values = table.column(name).to_numpy(zero_copy_only=False).astype(float)
-            found[name.removeprefix(prefix)] = np.array([np.nan if i is None else values[i] for i in rows])
-    return found

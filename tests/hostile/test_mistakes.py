@@ -43,7 +43,7 @@ TYPED = [
     ("play gen22", "unknown robot 'gen22'; did you mean gen2?"),
     ("play gen2 --set controller.offset=0.1", "play has no scenario; set a field of robot"),
     ("reproduce --only XY", "docs/reproduction.md lists them"),
-    ("schema robots", "(available: inspect, scenario, study, sweep)"),
+    ("schema robots", "(available: inspect, scenario, setup, study, sweep)"),
     ("replay walk.csv --robot gen2", "walk.csv: no such file"),
 ]
 

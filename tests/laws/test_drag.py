@@ -56,6 +56,17 @@ def test_of_equal_connectors_under_the_axis_law_it_is_a_greater_mu_t():
         assert found[0][name] == pytest.approx(found[1][name], abs=1e-9)
 
 
+def test_with_two_contacts_per_connector_it_is_not_a_greater_mu_t():
+    spec = robot()
+    share = DRAG / (spec.mass.total * GRAVITY)
+    rougher = replace(spec, friction=replace(spec.friction, mu_t=spec.friction.mu_t + share))
+    ends = [
+        rollout(TwinSnake(each, contact=LoadedContact("axis")), Gait(2.0), 2.0)["com_x"][-1]
+        for each in (dragged(spec), rougher)
+    ]
+    assert abs(ends[0] - ends[1]) > 0.02 * abs(ends[1])
+
+
 @pytest.mark.parametrize("contact", ["loaded", "preloaded"])
 def test_it_slows_the_twin_as_it_slows_the_compliant_model_at_any_step(contact):
     def way(plant: AnalyticalSnake | TwinSnake) -> float:

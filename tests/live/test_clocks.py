@@ -88,9 +88,9 @@ def test_hold_follows_the_jitter_up_to_a_tenth_of_a_second(jitter, longest, late
     waiting: dict[float, float] = {}
     for now, of in events:
         if of >= 0:
-            missed = inbox.counts["robot", BENDS, "late"]
+            taken = inbox.counts["robot", BENDS, "taken"]
             inbox.put(message(of, now))
-            if inbox.counts["robot", BENDS, "late"] == missed:
+            if inbox.counts["robot", BENDS, "taken"] > taken:
                 waiting[of] = now
         for _, each in inbox.take(now):
             del waiting[each.sent]
@@ -104,3 +104,18 @@ def test_what_was_sent_at_once_comes_as_it_is_needed(kinds):
     for kind in kinds:
         inbox.put(message(1.0, 2.0, kind))
     assert [each.kind for _, each in inbox.take(10.0)] == [VALVES, BENDS, PRESSURES]
+
+
+def test_one_message_with_a_wrong_time_is_refused_and_two_that_agree_set_the_clock():
+    inbox = Inbox()
+    for k in range(50):
+        inbox.put(message(0.02 * k, 5.0 + 0.02 * k))
+    for k, wrong in enumerate((8e9, -8e9, 7e9)):
+        inbox.put(message(wrong, 6.0 + 0.02 * k))
+    assert inbox.counts["robot", BENDS, "off its clock"] == 3
+    assert inbox.clocks["robot"].jumps == 0
+    for k in range(3):
+        inbox.put(message(100.0 + 0.02 * k, 8.0 + 0.02 * k))
+    assert inbox.counts["robot", BENDS, "off its clock"] == 4
+    assert inbox.clocks["robot"].jumps == 1
+    assert inbox.clocks["robot"].offset == pytest.approx(-92.0)

@@ -77,3 +77,21 @@ def test_bends_tell_for_ten_seconds_where_a_robot_goes(robot, frequency):
     off = np.hypot(*(end[n + 1 : n + 3] - true))
     assert off < 0.07 * way
     assert off < 2.45 * np.hypot(*end[2 * n + 4 : 2 * n + 6])
+
+
+def test_a_snapshot_keeps_what_the_connection_learns_later_out():
+    known, bends, rng = connection(), gait(400), np.random.default_rng(1)
+    draws = rng.normal(size=(5, *known.weights.shape))
+
+    def teach(change: slice) -> None:
+        for a, b in zip(bends[change][:-1], bends[change][1:], strict=True):
+            known.learn(known.parts(a, b), rng.normal(size=3) * 1e-3)
+
+    teach(slice(0, 200))
+    snapshot, parts = known.snapshot(), known.parts(bends[30], bends[31])
+    before = snapshot.at(bends[30]), snapshot.unsure(parts, draws)
+    teach(slice(200, 400))
+    assert np.array_equal(snapshot.at(bends[30]), before[0])
+    assert np.array_equal(snapshot.unsure(parts, draws), before[1])
+    assert not np.array_equal(known.at(bends[30]), before[0])
+    assert not np.array_equal(known.unsure(parts, draws), before[1])

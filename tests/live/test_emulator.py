@@ -90,6 +90,17 @@ def test_every_kind_can_be_told():
             assert Fault.of(f"{kind}{where}={how}@2.5", 4).how == value
 
 
+def test_a_robot_is_given_by_name_or_path(tmp_path, root):
+    file = root / "calibration" / "robots" / "gen4.yaml"
+    (tmp_path / "mine.yaml").write_text(file.read_text("utf-8"), "utf-8")
+    assert (
+        EmulatedRobot(str(tmp_path / "mine.yaml"), seed=1).twin.spec
+        == EmulatedRobot("gen4", seed=1).twin.spec
+    )
+    with pytest.raises(InputError, match="nowhere.yaml: no such file"):
+        EmulatedRobot(str(tmp_path / "nowhere.yaml"))
+
+
 def test_robots_differ_by_seed_and_only_by_it():
     one, other, again = (EmulatedRobot("gen4", seed=seed) for seed in (1, 2, 1))
     assert one.twin.spec != other.twin.spec
@@ -142,7 +153,7 @@ class Bench:
         self._commands = self._commands[len(due) :]
         return [Message(COMMAND, "bench", each, each, np.ones((4, 2))) for each in due]
 
-    def send(self, kind, values, at=None):
+    def send(self, kind, values, at=None, wait_s=0.0):
         if at is not None:
             self.sent.append((kind, at, self.now))
 

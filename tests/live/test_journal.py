@@ -91,8 +91,86 @@ def test_a_file_that_is_no_journal_is_refused_at_once(tmp_path, content):
         McapLink(tmp_path / "a.mcap", "r", 2)
 
 
-def test_records_that_are_no_messages_are_counted_and_skipped(tmp_path):
+def foreign(path, records) -> None:
+    """Write topics, data and times of logging (ns) with the library `mcap`."""
     writer_of = pytest.importorskip("mcap.writer").Writer
+    with path.open("wb") as file:
+        writer = writer_of(file)
+        writer.start(profile="", library="")
+        schema = writer.register_schema(name="x", encoding="jsonschema", data=b"{}")
+        for topic, data, log_time in records:
+            channel = writer.register_channel(topic=topic, message_encoding="json", schema_id=schema)
+            writer.add_message(channel_id=channel, data=data, log_time=log_time, publish_time=0)
+        writer.finish()
+
+
+BEND = b'{"t": 1, "rad": [0.1, 0.2]}'
+POSE = b'{"t": 1, "poses": [[0, 0, 0, 0]], "names": ["a"]}'
+SECOND = 10**9
+
+
+@pytest.mark.parametrize(
+    ("records", "words"),
+    [
+        ([], "holds no message at all"),
+        ([("srs/other/bends", BEND, 1), ("srs/natnet/poses", POSE, 2)],
+         "holds no message of 'r'; it has messages of other \\(--name\\)"),
+        ([("/imu/data", b"{}", 1)], "not readable: 1 × no message of ours: ValueError"),
+        ([("srs/r/bends", b'{"t": 1, "rad": [0.1]}', 1)], "not readable: 1 × rad: a list of 2 numbers"),
+    ],
+)  # fmt: skip
+def test_a_journal_without_a_message_of_the_robot_is_refused(tmp_path, srs_twin, records, words):
+    foreign(tmp_path / "a.mcap", records)
+    with pytest.raises(InputError, match=f"a.mcap: .*{words}"):
+        McapLink(tmp_path / "a.mcap", "r", 2)
+
+
+def test_the_command_refuses_a_journal_of_another_robot(tmp_path, srs_twin):
+    foreign(tmp_path / "a.mcap", [("srs/other/bends", BEND, 1)])
+    done = srs_twin("shadow", "gen2", "--mcap", "a.mcap", "--name", "r", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "a.mcap: holds no message of 'r'; it has messages of other (--name)" in done.stderr
+
+
+def test_frames_alone_are_played(tmp_path):
+    foreign(tmp_path / "a.mcap", [("srs/natnet/poses", POSE, 1)])
+    with McapLink(tmp_path / "a.mcap", "r", 2) as link:
+        wait(lambda: link.counts["over"])
+        assert [each.kind for each in link.received()] == [POSES]
+
+
+@pytest.mark.parametrize(
+    ("times", "played"),
+    [
+        ([1, 2, 2**64 - 1, 3], [1, 2, 3]),
+        ([1, 2**64 - 1, 2, 3], [2, 3]),
+        ([2**64 - 1, 1, 2], [1, 2]),
+        ([100, 101, 0, 102], [100, 101, 102]),
+        ([1, 2, 10_000, 10_001], [1, 2, 10_000, 10_001]),
+        ([1, 2, 10_000], [1, 2]),
+    ],
+)
+def test_times_out_of_order_are_refused_and_gaps_passed_over(tmp_path, times, played):
+    records = [("srs/r/bends", BEND, min(each * SECOND, 2**64 - 1)) for each in times]
+    foreign(tmp_path / "a.mcap", records)
+    begun = time.monotonic()
+    with McapLink(tmp_path / "a.mcap", "r", 2, speed=1000.0) as link:
+        wait(lambda: link.counts["over"])
+        assert [round(each.arrived) for each in link.received()] == played
+    assert time.monotonic() - begun < 5
+    bad = "bad: a record whose time does not follow that of the one before"
+    assert link.counts[bad] == len(times) - len(played)
+
+
+def test_an_error_while_a_journal_is_played_ends_it_by_name(tmp_path, monkeypatch):
+    written(tmp_path / "a.mcap", 3)
+    monkeypatch.setattr(McapLink, "_take", lambda *_: 1 / 0)
+    with McapLink(tmp_path / "a.mcap", "r", 2) as link:
+        wait(lambda: link.counts["over"])
+    assert link.counts["bad: ZeroDivisionError"] == 1
+
+
+def test_records_that_are_no_messages_are_counted_and_skipped(tmp_path):
     records = [
         ("other", b"{}"), ("srs/r/bends", b"[" * 60_000), ("srs/r/bends", b"\xff"), ("srs/r/unknown", b"{}"),
         ("srs/cameras/poses", b"[" * 60_000), ("srs/cameras/poses", b"[]"),
@@ -100,14 +178,7 @@ def test_records_that_are_no_messages_are_counted_and_skipped(tmp_path):
         ("srs/cameras/poses", b'{"t": 1, "poses": [[1, 2, 3, 4]], "names": []}'),
         ("srs/r/bends", b'{"t": 1, "rad": [0.1, 0.2]}'),
     ]  # fmt: skip
-    with (tmp_path / "a.mcap").open("wb") as file:
-        writer = writer_of(file)
-        writer.start(profile="", library="")
-        schema = writer.register_schema(name="x", encoding="jsonschema", data=b"{}")
-        for topic, data in records:
-            channel = writer.register_channel(topic=topic, message_encoding="json", schema_id=schema)
-            writer.add_message(channel_id=channel, data=data, log_time=10**9, publish_time=0)
-        writer.finish()
+    foreign(tmp_path / "a.mcap", [(topic, data, SECOND) for topic, data in records])
     with McapLink(tmp_path / "a.mcap", "r", 2, speed=math.inf) as link:
         wait(lambda: link.counts["over"])
         (message,) = link.received()

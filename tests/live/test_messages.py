@@ -13,11 +13,13 @@ from hypothesis import strategies as st
 from srs_twin.live.messages import (
     BENDS,
     COMMAND,
+    CONTROL,
     KINDS,
     LARGEST_BYTES,
     PRESSURES,
     STATUS,
     VALVES,
+    WORDS,
     BadMessageError,
     decode,
     encode,
@@ -63,7 +65,7 @@ def test_a_bend_that_nobody_read_is_none():
         (b'{"t": 1, "plus": "1111", "minus": [1, 1, 1, 1]}', "plus: a list of 4"),
         (b'{"t": 1, "plus": [2, 0, 0, 0], "minus": [0, 0, 0, 0]}', "from -1 to 1"),
         (b'{"t": 1, "plus": [null, 0, 0, 0], "minus": [0, 0, 0, 0]}', "from -1 to 1"),
-        (b"[" * 100_000, "bytes; 65536 are allowed"), (b"[" * 60_000, "no JSON"),
+        (b"[" * 100_000, "more bytes than the 65536 that are allowed"), (b"[" * 60_000, "no JSON"),
     ],
 )  # fmt: skip
 def test_what_is_no_command_is_refused(payload, why):
@@ -87,14 +89,24 @@ def test_values_are_accepted_up_to_their_limits_in_every_place(kind, low, high):
 
     unit = 1000.0 if kind == PRESSURES else 1.0  # kPa
     for limit in (low, high):
-        assert (read(document([limit] * 2 * SEGMENTS, 1e12)) == unit * limit).all()
+        assert (read(document([limit] * 2 * SEGMENTS, 9e9)) == unit * limit).all()
         for place in range(SEGMENTS if kind == BENDS else 2 * SEGMENTS):
             beyond = [0.0] * 2 * SEGMENTS
             beyond[place] = 1.001 * limit
             with pytest.raises(BadMessageError, match=f"from {low:g} to {high:g}"):
                 read(document(beyond))
     with pytest.raises(BadMessageError, match="t: a number"):
-        read(document([0.0] * 2 * SEGMENTS, 1.001e12))
+        read(document([0.0] * 2 * SEGMENTS, 9.001e9))
+
+
+@pytest.mark.parametrize("word", WORDS)
+def test_a_control_is_json_or_the_plain_word(word):
+    for payload in (word.encode(), encode(CONTROL, 1.0, word)):
+        found = decode(CONTROL, payload, source="x", arrived=2.0, segments=SEGMENTS)
+        assert (found.kind, found.names) == (CONTROL, (word,))
+    for payload in (b"Stop", b'{"t": 1, "text": "halt"}', b'"stop"', b'{"text": "stop"}'):
+        with pytest.raises(BadMessageError):
+            decode(CONTROL, payload, source="x", arrived=2.0, segments=SEGMENTS)
 
 
 JSON = st.recursive(

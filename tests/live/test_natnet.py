@@ -228,3 +228,129 @@ def test_a_name_that_no_host_has_is_refused(monkeypatch, given):
     monkeypatch.setattr(socket, "gethostbyname", unknown)
     with pytest.raises(InputError, match="no host of this name is known"):
         NatNetLink(**given)
+
+
+@pytest.mark.parametrize(
+    ("turn", "heading"),
+    [
+        ((0.0, 0.0, 0.0, 0.0), None),
+        ((0.0, math.nan, 0.0, 1.0), None),
+        ((0.0, math.sqrt(2), 0.0, math.sqrt(2)), None),
+        ((0.0, 0.5 * math.sqrt(0.5), 0.0, 0.5 * math.sqrt(0.5)), None),
+        ((0.0, 1.05 * math.sqrt(0.5), 0.0, 1.05 * math.sqrt(0.5)), math.pi / 2),
+    ],
+)
+def test_quaternions_near_length_1_are_normalised_and_others_refused(turn, heading):
+    body = RigidBody((1.0, 2.0, 3.0), turn)
+    found = read(natnet.write_frame(Frame(1, 0.0, {1: body}), (4, 1)), (4, 1)).bodies[1]
+    assert found.tracked == (heading is not None)
+    if heading is None:
+        assert np.isnan(natnet.turned(body, "y")).all()
+    else:
+        assert natnet.turned(found, "y")[3] == pytest.approx(heading)
+
+
+def test_places_beyond_a_kilometre_are_not_seen():
+    frame = Frame(1, 0.0, {1: RigidBody((1e30, 0.0, 0.0)), 2: RigidBody((999.0, 0.0, 0.0))}, {3: (1e9, 0, 0)})
+    found = read(natnet.write_frame(frame, (4, 1)), (4, 1))
+    assert [each.tracked for each in found.bodies.values()] == [False, True]
+    assert found.markers == {}
+
+
+@pytest.mark.parametrize("time", [1e11, -1e11, 1e300, math.nan])
+def test_frames_with_an_impossible_time_are_refused(time):
+    with pytest.raises(BadMessageError, match="the frame's time"):
+        read(natnet.write_frame(Frame(1, time, {}), (4, 1)), (4, 1))
+
+
+@pytest.fixture
+def fed(monkeypatch):
+    """Return a link that hears no socket, and a function that hands it packets at given times."""
+    now = [100.0]
+    monkeypatch.setattr("srs_twin.live.optitrack.clock", lambda: now[0])
+    monkeypatch.setattr(NatNetLink, "_start", lambda _: None)
+    with NatNetServer({}) as server, NatNetLink(port=server.port) as link:
+        asked = []
+        monkeypatch.setattr(
+            link._sockets[0].__class__, "sendto", lambda _, packet, __: asked.append(natnet.opened(packet)[0])
+        )
+
+        def feed(packet: bytes, at: float, sender: tuple[str, int] | None = None) -> None:
+            now[0] = 100.0 + at
+            link._packet(*natnet.opened(packet), sender or ("127.0.0.1", server.port), now[0])
+            link._idle()
+
+        monkeypatch.setattr(link, "_threads", [])
+        yield link, feed, asked
+
+
+def packet_of(number: int, *bodies: int) -> bytes:
+    seen = {key: RigidBody((1.0, 2.0, 3.0)) for key in bodies}
+    return natnet.write_frame(Frame(number, 0.01 * number, seen), (4, 1))
+
+
+def test_reordered_frames_are_not_lost(fed):
+    link, feed, _ = fed
+    feed(natnet.write_server((4, 1)), 0.0)
+    for k, number in enumerate((10, 12, 11, 13, 15, 14, 16, 16, 19)):
+        feed(packet_of(number, 1), 0.01 * k)
+    counts = (link.counts[f"frames {what}"] for what in ("lost", "reordered", "repeated"))
+    assert tuple(counts) == (2, 2, 1)
+    feed(packet_of(2**31 - 1, 1), 0.2)
+    feed(packet_of(3, 1), 0.3)
+    assert link.counts["frames lost"] == 2, "a server that began to count again lost nothing"
+
+
+def test_models_are_asked_for_again_when_an_unknown_body_appears_and_now_and_then(fed):
+    link, feed, asked = fed
+    feed(natnet.write_server((4, 1)), 0.0)
+    feed(natnet.write_models({1: "head"}, (4, 1)), 0.1)
+    asked.clear()
+    feed(packet_of(1, 1), 1.5)
+    assert natnet.REQUEST_MODELDEF not in asked
+    feed(packet_of(2, 1, 2), 3.0)
+    assert natnet.REQUEST_MODELDEF in asked
+    feed(natnet.write_models({1: "head", 2: "tail"}, (4, 1)), 3.1)
+    asked.clear()
+    feed(packet_of(3, 1, 2), 4.5)
+    assert natnet.REQUEST_MODELDEF not in asked
+    feed(packet_of(4, 1, 2), 20.0)
+    assert natnet.REQUEST_MODELDEF in asked
+    feed(natnet.write_models({1: "nose", 2: "tail"}, (4, 1)), 20.1)
+    feed(packet_of(5, 1, 2), 20.2)
+    assert link.received()[-1].names == ("nose", "tail")
+
+
+@pytest.mark.parametrize("group", ["10.0.0.1", "0.0.0.0", "255.255.255.255"])
+def test_a_group_that_cannot_be_joined_is_named_and_motion_capture_goes_on(fed, group):
+    link, feed, _ = fed
+    with pytest.raises(BadMessageError, match="cannot be joined"):
+        feed(natnet.write_server((4, 1), group=group), 0.0)
+    assert len(link._sockets) == 1
+    feed(packet_of(1, 1), 0.1)
+    assert link.received()[0].names == ("1",)
+    for k, right in enumerate(("239.255.42.97", "239.255.42.96")):
+        try:
+            feed(natnet.write_server((4, 1), group=right, port=15_513), 0.2 + k)
+        except BadMessageError:
+            pytest.skip("no multicast on loopback here")
+        assert len(link._sockets) == 2 and link._group == (right, 15_513)
+
+
+def test_answers_of_another_program_on_the_servers_machine_are_refused(fed):
+    link, feed, _ = fed
+    with pytest.raises(BadMessageError, match="from elsewhere"):
+        feed(natnet.write_server((2, 7)), 0.0, ("127.0.0.1", 9))
+    assert link.version is None
+
+
+def test_no_error_ends_the_thread_that_listens(monkeypatch):
+    def fails(*_):
+        raise ZeroDivisionError
+
+    with NatNetServer({1: "one"}) as server, NatNetLink(port=server.port) as link:
+        wait(lambda: link.version is not None)
+        monkeypatch.setattr(natnet, "read_frame", fails)
+        server.send(1.0, BODIES)
+        wait(lambda: link.counts["bad: ZeroDivisionError"])
+        assert all(each.is_alive() for each in link._threads)

@@ -15,7 +15,7 @@ import pytest
 from brokers import broker, free_port, needs_broker, wait
 
 from srs_twin.live.journal import journal_messages
-from srs_twin.live.messages import BENDS, COMMAND, POSES
+from srs_twin.live.messages import BENDS, COMMAND, CONTROL, POSES, STATUS
 from srs_twin.live.mqtt import MqttLink
 from srs_twin.trajectory import Trajectory
 
@@ -103,9 +103,47 @@ def test_the_command_says_what_is_wrong(srs_twin, tmp_path):
 
 @needs_broker
 @pytest.mark.slow
+@pytest.mark.parametrize("how", ["SIGINT", "SIGTERM", "SIGHUP", "SIGKILL", "stop"])
+def test_the_end_of_a_process_that_steers_is_reported_and_the_robot_vented(tmp_path, how):
+    port = free_port()
+    words = ("--mqtt", f"127.0.0.1:{port}", "--follow", "follow_orifice", "--out", "lab")
+    with broker(tmp_path, port), MqttLink("gen2", 4, port=port, kinds=(COMMAND, STATUS)) as robot:
+        twin, heard = start("shadow", "gen2", *words, cwd=tmp_path), []
+
+        def said(kind: str) -> list:
+            robot.send(BENDS, np.zeros(4))
+            heard.extend(robot.received())
+            return [each for each in heard if each.kind == kind]
+
+        try:
+            wait(lambda: len(said(COMMAND)) > 5, 120)
+            if how == "stop":
+                robot.send(CONTROL, how)
+            else:
+                twin.send_signal(getattr(signal, how))
+            wait(lambda: said(STATUS), 30)
+            assert said(STATUS)[-1].names == ("lost" if how == "SIGKILL" else "stopped",)
+            assert (said(COMMAND)[-1].values == -1).all()
+            twin.wait(30)
+        finally:
+            ended(twin)
+    if how != "SIGKILL":
+        assert twin.returncode == 0
+        told = json.loads((tmp_path / "lab" / "shadow.json").read_text())
+        assert told["following"]["ending"] == "stopped" and told["error"] is None
+
+
+def hears(lab: Path, known: set[Path]) -> bool:
+    """Return whether the journal of a new session has a reading of the robot."""
+    new = [each for each in set(lab.glob("journal-*.mcap")) - known if each.stat().st_size > 100]
+    return any(each.kind == BENDS for path in new for each in journal_messages(path, "gen4", 4))
+
+
+@needs_broker
+@pytest.mark.slow
 def test_twenty_kills(tmp_path):
     port, capture = free_port(), free_port()
-    draw, told = random.Random(4), []
+    draw, told, known = random.Random(4), [], set()
     alive = broker(tmp_path, port)
     alive.__enter__()
     robot, twin = emulator(port, capture, tmp_path), shadow(port, capture, tmp_path)
@@ -127,12 +165,14 @@ def test_twenty_kills(tmp_path):
             elif victim == "twin":
                 twin.kill()
                 twin.wait()
+                known = set((tmp_path / "lab").glob("journal-*.mcap"))
                 twin = shadow(port, capture, tmp_path)
             else:
                 alive.__exit__(None, None, None)
                 alive = broker(tmp_path, port)
                 alive.__enter__()
         wait(lambda: gait.received(), 30)
+        wait(lambda: hears(tmp_path / "lab", known), 60)  # on a busy machine a start takes long
         time.sleep(5.0)
         ended(twin)
         found = json.loads((tmp_path / "lab" / "shadow.json").read_text())

@@ -12,7 +12,9 @@ import pytest
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.files import shipped_names
 from srs_twin.optimization import load_study, search
+from srs_twin.optimization.answer import Answer
 from srs_twin.optimization.file import VariableFile
+from srs_twin.optimization.report import bound_lines, write_answer
 from srs_twin.optimization.runs import Runs
 from srs_twin.optimization.search import front
 from srs_twin.optimization.space import Space
@@ -118,6 +120,36 @@ def test_optimum_at_two_bounds_is_found(tmp_path, most_f, most_p):
     best, *_ = answered(asked, tmp_path / "out", Engine(speed=slope)).best
     bound = np.array([most_f == 2.8, most_p == 2.6])
     assert np.abs(best.shares - bound).max() < 0.015
+
+
+def test_a_design_on_a_bound_is_marked_in_the_document_and_in_a_sentence(tmp_path):
+    def slope(f, p, part):
+        return f - (p - 1.5) ** 2
+
+    study(tmp_path, compliant=40, twin=8)
+    path = tmp_path / "question.yaml"
+    text = path.read_text("utf-8").replace(
+        "high: 3.0", "high: 2.8, bounds_source: highest frequency measured"
+    )
+    path.write_text(text, "utf-8")
+    asked = load_study(path)
+    with Runs(asked, tmp_path / "out", Engine(speed=slope)) as runs:
+        answer = Answer.of(asked, search(asked, runs), runs)
+    best, *_ = answer.document()["best"]
+    row = {"bound": "high", "value": 2.8, "source": "highest frequency measured"}
+    assert best["on_bound"] == {"controller.frequency_hz": row}
+    first, *_, last = bound_lines(answer)
+    assert "best/1" in first and "is on its high bound 2.8 (highest frequency measured)" in first
+    assert "beyond a bound" in last
+    write_answer(answer, tmp_path / "written")
+    assert "2.8†" in (tmp_path / "written/report.html").read_text("utf-8")
+
+
+@pytest.mark.parametrize(("share", "bound"), [(0.0, "low"), (0.009, "low"), (0.011, None), (0.995, "high")])
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_a_bound_is_a_hundredth_of_the_range(share, bound, scale):
+    space = Space({"a": VariableFile(low=1, high=100, scale=scale)}, {})
+    assert space.bounds(np.array([share])) == ({} if bound is None else {"a": bound})
 
 
 @pytest.mark.parametrize("scale", ["linear", "log"])
@@ -279,3 +311,4 @@ def test_shipped_studies_load_and_their_designs_are_scenarios(name):
     for share in (0.0, 0.5, 1.0):
         design = asked.space.changes(np.full(asked.space.size, share))
         assert parse_scenario(asked.experiments["twin"].document(design)).robot.segments >= 2
+    assert all(each.bounds_source for each in asked.file.variables.values())

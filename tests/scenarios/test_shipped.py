@@ -39,7 +39,11 @@ def test_runs_and_misses_what_is_known(name, shipped_run):
         "metrics.json",
     }  # fmt: skip
     metrics = json.loads((folder / "metrics.json").read_text("utf-8"))
-    surprising = [each for each in metrics["expectations"] if verdict(each) not in ("met", "known")]
+    surprising = [
+        each
+        for each in metrics["expectations"]
+        if verdict(each) not in ("met", "known") and each.get("verdict") != "undecided"
+    ]
     assert surprising == [], "missed, or marked `known` and met: change the mark on purpose"
     as_documented(name, metrics["plants"])
     both = load_run(folder).trajectories

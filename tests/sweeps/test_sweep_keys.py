@@ -16,10 +16,10 @@ from subsets import first_by_default
 
 import srs_twin
 from srs_twin.errors import InputError
-from srs_twin.provenance import POINTS, file_digests, run_key, source_digests
+from srs_twin.provenance import file_digests, run_key, source_digests
 from srs_twin.scenario import load_scenario
 from srs_twin.sweep import load_sweep, open_sweep
-from srs_twin.sweep.points import Experiment, Point
+from srs_twin.sweep.points import RUNNER, Experiment, Point
 from srs_twin.sweep.task import DONE, run_point
 
 PLANS = """\
@@ -163,15 +163,15 @@ def test_all_that_a_run_reads_and_calls_is_in_its_key(name):
     ours = {Path(path).relative_to(package) for path in called if path.startswith(f"{package}/")}
     modules = {".".join(("srs_twin", *path.with_suffix("").parts)) for path in ours}
     modules = {module.removesuffix(".__init__") for module in modules}
-    assert len(modules) > 10 and modules - {"srs_twin"} <= source_digests(POINTS).keys()
+    assert len(modules) > 10 and modules - {"srs_twin"} <= source_digests(RUNNER).keys()
 
 
 def test_a_plan_is_not_the_run_of_its_scenario():
     document = load_scenario("follow_fig57").document
-    keys = {run_key(document, plants) for plants in ((), ("twin",), ("analytical", "twin"))}
+    keys = {run_key(document, plants, RUNNER) for plants in ((), ("twin",), ("analytical", "twin"))}
     assert len(keys) == 3
 
 
 def test_what_only_shows_results_is_in_no_key():
-    rooms = {name.split(".")[1] for name in source_digests(POINTS) if name.count(".")}
+    rooms = {name.split(".")[1] for name in source_digests(RUNNER) if name.count(".")}
     assert not rooms & {"cli", "viewing", "reproduction", "doctor", "attribution", "envs"}

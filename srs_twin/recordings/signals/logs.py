@@ -17,13 +17,12 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.geometry import body_shape, relative_headings
-from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.body.trajectories import LogSummary, measured, moving_slope, numbered, pose_columns
 from srs_twin.recordings.csv_table import (
     CLOCK,
@@ -48,6 +47,7 @@ from srs_twin.recordings.signals.gaps import (
     time_order,
 )
 from srs_twin.recordings.signals.units import ABSOLUTE, clean, looks_absolute, symbol
+from srs_twin.recordings.signals.valve_log import ValveLog, held_values
 from srs_twin.robot.spec import RobotSpec
 
 SIDES = ("plus", "minus")
@@ -160,71 +160,6 @@ def _bent_body(time: np.ndarray, bend: np.ndarray, spec: RobotSpec) -> dict[str,
     }
 
 
-@dataclass(frozen=True)
-class ValveLog:
-    """A log of valves or pressures.
-
-    Attributes:
-        kind: "valve" or "pressure".
-        time: ascending, shape (rows,), s.
-        values: valve states, which hold until the next row, or gauge pressures (Pa), shape
-            (rows, segments, 2), columns + and − chamber.
-        source: name of the file.
-        sha256: of the file.
-        corrections: what was sorted, converted and assumed, in words.
-        epoch_ns: time since 1970 at 0 s, ns; None where its clock does not tell.
-        holds: whether pressures hold until the next row, as set-points do; else they are interpolated.
-    """
-
-    kind: str
-    time: np.ndarray
-    values: np.ndarray
-    source: str
-    sha256: str
-    corrections: tuple[str, ...]
-    epoch_ns: int | None = None
-    holds: bool = False
-
-    def shifted(self, offset: float) -> ValveLog:
-        """Return the same log on a clock that shows `offset` (s) more."""
-        return replace(self, time=self.time + offset)
-
-    def schedule(self) -> Schedule:
-        """Return the valve states as a schedule from the first row to the last.
-
-        Raises:
-            InputError: pressures are no valve states.
-        """
-        if self.kind != "valve":
-            raise InputError(f"{self.source}: a log of pressures has no schedule of valves")
-        states = self.values.astype(np.int8)
-        changes = np.append(0, np.flatnonzero((states[1:] != states[:-1]).any(axis=(1, 2))) + 1)
-        return Schedule(
-            float(self.time[-1] - self.time[0]), self.time[changes] - self.time[0], states[changes]
-        )
-
-    def at(self, time: np.ndarray) -> np.ndarray:
-        """Return the values at times within the log, shape (times, segments, 2)."""
-        if self.kind == "valve" or self.holds:
-            return _held(time + 1e-9, self.time, self.values)
-        flat = self.values.reshape(len(self.time), -1)
-        columns = [np.interp(time, self.time, column) for column in flat.T]
-        return np.stack(columns, axis=-1).reshape(len(time), *self.values.shape[1:])
-
-    def breakpoints(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return times and pressures that `at` interpolates linearly; two at each step of set-points."""
-        if not self.holds:
-            return self.time, self.values
-        time = np.repeat(self.time, 2)[1:]
-        time[1::2] = np.nextafter(time[1::2], -np.inf)
-        return time, np.repeat(self.values, 2, axis=0)[:-1]
-
-
-def _held(time: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the values of the last row at or before each time; before the first row its own."""
-    return np.asarray(values[np.maximum(np.searchsorted(rows, time, side="right") - 1, 0)])
-
-
 def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap = NO_MAP) -> ValveLog:
     """Read a log of valves, duties or pressures.
 
@@ -283,7 +218,7 @@ def log_of_topics(topics: RecordedTopics, spec: RobotSpec, map: RecordingMap) ->
     time = np.unique(np.concatenate([each for each, _ in series]))
     time = time[time >= max(each[0] for each, _ in series)]
     units = [symbol(meanings[each].unit or meanings[each].default, QUANTITIES[kind]) for each in chosen]
-    way = np.interp if kind == "pressure" else _held
+    way = np.interp if kind == "pressure" else held_values
     factors = [QUANTITIES[kind].get(unit, 1.0) for unit in units]
     values = np.stack([way(time, *own) for own in series], axis=1) * factors
 
@@ -368,11 +303,11 @@ def _switched(
         duty = duty / 100
         notes.append("duties taken as per cent")
     begins = np.arange(time[0], time[-1], 1 / carrier_hz)
-    share = _held(begins + 1e-9, time, duty)
+    share = held_values(begins + 1e-9, time, duty)
     ends = begins[:, None, None] + share / carrier_hz
     edges = np.unique(np.concatenate([begins, ends.ravel(), time[-1:]]))
     edges = edges[edges <= time[-1]]
-    filling = edges[:, None, None] < _held(edges + 1e-9, begins, ends) - 1e-9
+    filling = edges[:, None, None] < held_values(edges + 1e-9, begins, ends) - 1e-9
     notes.append(f"duties switched at {carrier_hz:g} Hz, filling first")
     return edges, np.where(filling, 1.0, -1.0)
 

@@ -15,6 +15,8 @@ import sys
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
+
 from srs_twin.errors import InputError
 
 PACKAGES = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
@@ -63,7 +65,7 @@ def _complaint(name: str) -> str:
     """Return why an OpenGL does not draw here, empty where it does."""
     if name not in _MODULES:
         return f"it is unknown; known are {', '.join(_MODULES)}"
-    command = [sys.executable, "-m", "srs_twin.viewing.mujoco.opengl", name]
+    command = [sys.executable, "-m", __spec__.name, name]
     environment = {**os.environ, "MUJOCO_GL": name}
     try:
         tried = subprocess.run(
@@ -79,7 +81,7 @@ def _complaint(name: str) -> str:
 
 
 def draw_box(name: str) -> None:
-    """Draw a white box before black, in a process that ends soon: what cannot draw may end it.
+    """Draw a white box on black, in a process that ends soon: a library that cannot draw may end it.
 
     Args:
         name: which OpenGL, as MUJOCO_GL names it.
@@ -89,18 +91,25 @@ def draw_box(name: str) -> None:
     """
     import mujoco
 
-    from srs_twin.viewing.mujoco.canvas import Canvas
-
     model = mujoco.MjModel.from_xml_string(
         # Shadows and several samples a pixel cost a driver without a card most of the time.
         "<mujoco><visual><quality shadowsize='0' offsamples='0'/></visual>"
         "<worldbody><geom type='box' size='.1 .1 .1' rgba='1 1 1 1'/></worldbody></mujoco>"
     )
-    data, camera = mujoco.MjData(model), mujoco.MjvCamera()
+    data, camera, scene = mujoco.MjData(model), mujoco.MjvCamera(), mujoco.MjvScene(model, maxgeom=10)
     mujoco.mj_forward(model, data)
     mujoco.mjv_defaultFreeCamera(model, camera)
-    with Canvas(model, 16, 16, opengl=name) as canvas:
-        picture = canvas.draw(data, camera)
+    all_kinds = mujoco.mjtCatBit.mjCAT_ALL.value
+    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, all_kinds, scene)
+    size, picture = mujoco.MjrRect(0, 0, 16, 16), np.empty((16, 16, 3), dtype=np.uint8)
+    context = new_context(name, 16, 16)
+    context.make_current()
+    drawing = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50.value)
+    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, drawing)
+    mujoco.mjr_render(size, scene, drawing)
+    mujoco.mjr_readPixels(picture, None, size, drawing)
+    drawing.free()
+    context.free()
     if picture.max() == picture.min():
         raise InputError("every pixel has the same colour")
 

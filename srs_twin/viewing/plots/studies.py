@@ -53,9 +53,21 @@ def draw_front(
 
 
 def draw_parallel(
-    shares: np.ndarray, ranks: np.ndarray, labels: Sequence[str], ends: Sequence[tuple[float, float]]
+    shares: np.ndarray,
+    ranks: np.ndarray,
+    labels: Sequence[str],
+    ends: Sequence[tuple[float, float]],
+    bounds: Sequence[Sequence[str | None]],
 ) -> Drawn:
-    """Draw designs as lines over their variables, shape (runs, d), those of a low rank strongest."""
+    """Draw designs as lines over their variables, shape (runs, d), those of a low rank strongest.
+
+    Args:
+        shares: of the variables' ranges.
+        ranks: of the runs, shape (runs,).
+        labels: of the variables.
+        ends: low and high of each variable.
+        bounds: per variable, the bound ("low", "high" or None) on which each best design lies.
+    """
     count, places = len(shares), np.arange(shares.shape[1])
     figure = Figure(figsize=(max(6.5, 1.1 * len(places)), 3.6), layout="constrained")
     axes = figure.subplots()
@@ -63,7 +75,11 @@ def draw_parallel(
         good = 1 - ranks[k] / max(count - 1, 1)
         color = "#1f6f8b" if ranks[k] < max(count // 10, 1) else "#9aa5b1"
         axes.plot(places, shares[k], "o-", color=color, alpha=0.15 + 0.85 * good, linewidth=1, markersize=3)
+    marked = [(i, bound == "high") for i, own in enumerate(bounds) for bound in {*own} - {None}]
+    if marked:
+        axes.plot(*zip(*marked, strict=True), "D", color="#b03030", markersize=7, zorder=3, clip_on=False)
     named = zip(labels, ends, strict=True)
     axes.set_xticks(places, [f"{fill(label, 13)}\n{low:g} to {high:g}" for label, (low, high) in named])
     axes.set(yticks=[0, 1], yticklabels=["low", "high"], xlim=(-0.2, max(len(places) - 1, 0) + 0.2))
-    return figure, "Designs that the twin ran: the better, the stronger; the best tenth in blue."
+    caption = "Designs that the twin ran: the better, the stronger; the best tenth in blue."
+    return figure, caption + (" Red: bounds on which a best design lies." if marked else "")

@@ -1,0 +1,145 @@
+"""Set-up files of a lab, control by keys, and what the command says when nothing is heard."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import jsonschema
+import pytest
+import yaml
+from brokers import broker, free_port, needs_broker
+
+from srs_twin import InputError
+from srs_twin.live.keys import typed_words
+from srs_twin.live.setup_file import load_setup, setup_json_schema
+
+LAB = """\
+robot: gen4
+name: snake
+supply_kpa: 50
+broker: {address: "10.0.0.2:1884", user: lab, ca: ca.pem}
+motion_capture:
+  address: 10.0.0.3
+  local: 10.0.0.4
+  up: z
+  bodies: {head: 1, "a=b": 2}
+limits: {duration_s: 60, press_on: true}
+"""
+OPTIONS = {
+    "robot": "gen4", "name": "snake", "pressure": 50.0, "mqtt": "10.0.0.2:1884", "user": "lab",
+    "ca": Path("ca.pem"), "natnet": "10.0.0.3", "local": "10.0.0.4", "up": "z",
+    "body": ["head=1", "a=b=2"], "duration": 60.0, "press_on": True,
+}  # fmt: skip
+
+
+def test_a_setup_file_has_the_values_of_the_options(tmp_path):
+    (tmp_path / "lab.yaml").write_text(LAB)
+    assert load_setup(tmp_path / "lab.yaml").options() == OPTIONS
+    (tmp_path / "lab.yaml").write_text("robot: gen4\n")
+    assert load_setup(tmp_path / "lab.yaml").options() == {"robot": "gen4", "press_on": False}
+
+
+def test_the_schema_admits_the_file_and_describes_every_key():
+    schema = setup_json_schema()
+    jsonschema.validate(yaml.safe_load(LAB), schema)
+    for block in (schema, *schema["$defs"].values()):
+        assert all(each.get("description") for each in block["properties"].values())
+    assert (
+        "in s, 0.02 to 10000000" in schema["$defs"]["LimitsFile"]["properties"]["duration_s"]["description"]
+    )
+
+
+def test_the_command_prints_the_schema(srs_twin, tmp_path):
+    assert json.loads(srs_twin("schema", "setup", cwd=tmp_path).stdout) == setup_json_schema()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("robot: gen4\nnam: x\n", "lab.yaml:2:1: nam: unknown key; did you mean name?"),
+        ("robot: gen4\nname: a/b\n", "lab.yaml:2:7: name: the name cannot be part of a topic"),
+        ("robot: gen4\nbroker: {address: 'lab:0'}\n", "lab.yaml:2:19: broker.address: 'lab:0' is no address"),
+        ("robot: gen4\nlimits: {duration_s: -1}\n", "limits.duration_s: must be a number from 0.02"),
+        ("robot: gen4\nmotion_capture: {address: lab, bodies: {head: 0}}\n", "must be a whole number from 1"),
+        ("name: x\n", "robot: missing"),
+    ],
+)
+def test_mistakes_are_shown_where_they_are(tmp_path, srs_twin, text, words):
+    (tmp_path / "lab.yaml").write_text(text)
+    done = srs_twin("shadow", "--setup", "lab.yaml", cwd=tmp_path)
+    assert done.returncode == 2
+    assert words in " ".join(done.stderr.split())
+
+
+def asked_for(srs_twin, tmp_path, monkeypatch, *words: str) -> SimpleNamespace:
+    """Return what the command asks of the broker."""
+    found = SimpleNamespace()
+
+    def broker_link(name, segments, address, user, ca, *, speaks):
+        found.name, found.broker, found.user, found.ca = name, address, user, ca
+        raise InputError("far enough")
+
+    monkeypatch.setattr("srs_twin.live.session.warm_up", lambda _: None)
+    monkeypatch.setattr("srs_twin.cli.shadow.broker_link", broker_link)
+    done = srs_twin("shadow", *words, cwd=tmp_path)
+    assert done.returncode == 2 and "far enough" in done.stderr, done.stderr
+    return found
+
+
+def test_options_override_the_setup_file(srs_twin, tmp_path, monkeypatch):
+    (tmp_path / "lab.yaml").write_text(LAB)
+    found = asked_for(srs_twin, tmp_path, monkeypatch, "--setup", "lab.yaml")
+    assert (found.name, found.broker, found.user, found.ca) == (
+        "snake",
+        "10.0.0.2:1884",
+        "lab",
+        Path("ca.pem"),
+    )
+    found = asked_for(
+        srs_twin, tmp_path, monkeypatch, "gen2", "--setup", "lab.yaml", "--name", "other", "--mqtt", "1.2.3.4"
+    )
+    assert (found.name, found.broker, found.user) == ("other", "1.2.3.4", "lab")
+
+
+def test_without_a_robot_the_command_asks_for_one(srs_twin, tmp_path):
+    done = srs_twin("shadow", cwd=tmp_path)
+    assert done.returncode == 2 and "which robot? Give ROBOT, or a file with --setup" in done.stderr
+
+
+@needs_broker
+def test_a_session_that_hears_nothing_says_so_with_exit_code_2(srs_twin, tmp_path):
+    port = free_port()
+    (tmp_path / "lab.yaml").write_text(f"robot: gen4\nbroker: {{address: '127.0.0.1:{port}'}}\n")
+    with broker(tmp_path, port):
+        done = srs_twin("shadow", "--setup", "lab.yaml", "--duration-s", "0.3", "--out", "lab", cwd=tmp_path)
+    assert done.returncode == 2
+    assert f"nothing was heard of 'gen4' in 0 s from 127.0.0.1:{port}" in done.stderr
+    assert "None" not in done.stderr and "Traceback" not in done.stderr
+    assert "estimate" not in json.loads((tmp_path / "lab/shadow.json").read_text())
+
+
+def test_keys_are_read_one_by_one_and_the_terminal_is_restored():
+    import termios
+
+    keyboard, terminal = os.openpty()
+    with os.fdopen(terminal) as stream:
+        before = termios.tcgetattr(stream)
+        with typed_words(stream) as words:
+            assert words() == []
+            os.write(keyboard, b"pxG\xff v")
+            end, found = time.monotonic() + 5, []
+            while len(found) < 3 and time.monotonic() < end:
+                found += words()
+            assert found == ["pause", "go", "vent"]
+        assert termios.tcgetattr(stream) == before
+    os.close(keyboard)
+
+
+def test_without_a_terminal_no_key_is_read(tmp_path):
+    (tmp_path / "file").write_text("ssss")
+    with (tmp_path / "file").open() as stream, typed_words(stream) as words:
+        assert words() == []
