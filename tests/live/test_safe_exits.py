@@ -16,6 +16,7 @@ import pytest
 from srs_twin import InputError, load_robot, load_scenario
 from srs_twin.errors import SessionWarning
 from srs_twin.io.files import new_numbered
+from srs_twin.live import helm as helms
 from srs_twin.live import session as sessions
 from srs_twin.live.helm import Helm
 from srs_twin.live.journal import Journal, journal_messages
@@ -30,7 +31,8 @@ STALE_S, TOO_SLOW_S = sessions.STALE_S, sessions.TOO_SLOW_S
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):
-    """Let sessions steer on a busy machine, whose estimates may be old."""
+    """Let sessions steer on a busy machine, and a robot that lies still whatever its valves do."""
+    monkeypatch.setattr(helms, "_LARGEST_SD_M", 1.0)
     monkeypatch.setattr(sessions, "STALE_S", 60.0)
     monkeypatch.setattr(sessions, "TOO_SLOW_S", 60.0)
 
