@@ -60,6 +60,7 @@ def emulate(
     start: Annotated[str, option("--start X,Y,HEADING")] = "0,0,0",
     loss: Annotated[float, option("--loss SHARE", min=0.0, max=0.99)] = 0.0,
     jitter: Annotated[float, option("--jitter-s S", min=0.0, max=5.0)] = 0.0,
+    tell_supply: Annotated[bool, option("--tell-supply")] = False,
     duration: Annotated[float | None, option("--duration-s S", min=0.02)] = None,
     user: Annotated[str | None, option("--user NAME")] = None,
     ca: Annotated[Path | None, option("--ca FILE")] = None,
@@ -84,6 +85,7 @@ def emulate(
         start: Where it lies at first, m and rad, as --start=0.2,-0.1,0.5.
         loss: Share of its messages that is lost.
         jitter: By how much each of them is late at most.
+        tell_supply: Publish the pressure of the supply.
         duration: Ends it. [default: Ctrl-C does]
         user: At the broker.
         ca: CA certificate file (PEM); enables TLS.
@@ -113,7 +115,10 @@ def emulate(
             seen = f", seen at {natnet}" if natnet else ""
             say(f"{known} is on the air at {mqtt}{seen}; Ctrl-C ends it")
         length = math.inf if duration is None else duration
-        told = live(made, link, capture, air=Air(loss, jitter), duration=length, stop=over.is_set, seed=seed)
+        told = live(
+            made, link, capture, air=Air(loss, jitter), duration=length, stop=over.is_set, seed=seed,
+            tells_supply=tell_supply,
+        )  # fmt: skip
         if capture is not None:
             capture.close()
     if as_json:

@@ -41,6 +41,8 @@ SHORTEST, LONGEST_GAP_S = 0.1, 0.1
 """From which inflow on a stroke tells something; a longer silence (s) ends it."""
 SOUND = 0.9
 """Probability that nothing is wrong from which a chamber is learnt from."""
+LIMIT = 3.0
+"""Largest deviation of a stroke, in standard deviations, that tells how much strokes scatter."""
 TAILS = 12.0
 """Degrees of freedom of Student's t: strokes are now and then far off, seldom by seven deviations."""
 
@@ -57,8 +59,11 @@ class Books(NamedTuple):
         time: of the last pressure of a stroke, s; NaN: there is none.
         begun: amount at its beginning, and by what that may be off.
         reached: the same by now.
-        rates: pressure over the supply's, and inflow by each variant (1/s).
+        rates: pressure over the supply's, inflow by each variant (1/s), and its slope by the supply pressure
+            (1/(s Pa)).
         sums: their integrals since the beginning.
+        supply: supply pressure at the beginning of the stroke and at its last pressure, gauge, Pa, and the
+            standard deviation of the latter.
         told: logarithm of each variant's likelihood.
     """
 
@@ -72,6 +77,7 @@ class Books(NamedTuple):
     reached: np.ndarray
     rates: np.ndarray
     sums: np.ndarray
+    supply: np.ndarray
     told: np.ndarray
 
 
@@ -83,7 +89,7 @@ class Chambers(NamedTuple):
         displacement: by what that grows with the bend, m³/rad.
         wide: of the inlets, J/(s Pa).
         unit: K times the supply's pressure, J.
-        supply: its pressure, gauge, Pa.
+        supply: its nominal pressure, gauge, Pa.
         leaks: of each variant, 1/s.
         shares: of the supply's pressure.
     """
@@ -131,8 +137,9 @@ class AirBalance(Remembers):
             time=np.full(each, np.nan),
             begun=np.zeros((*each, 2)),
             reached=np.zeros((*each, 2)),
-            rates=np.zeros((*each, 1 + len(variants))),
-            sums=np.zeros((*each, 1 + len(variants))),
+            rates=np.zeros((*each, 2 + len(variants))),
+            sums=np.zeros((*each, 2 + len(variants))),
+            supply=np.zeros((*each, 3)),
             told=np.zeros((*each, len(variants))),
         )
 
@@ -142,6 +149,22 @@ class AirBalance(Remembers):
         for each in (self.books.noted, self.books.sums, self.books.told):
             each[chambers] = 0.0
 
+    def residuals(self, time: float, pressure: np.ndarray, filled: np.ndarray) -> np.ndarray:
+        """Return what strokes that go on tell of the supply pressure.
+
+        Args:
+            time: s.
+            pressure: as `read`.
+            filled: as `read`.
+
+        Returns:
+            Of each chamber the air that it has taken in beyond what the supply explains, the slope of that by
+            the supply pressure (1/Pa), and its variance; NaN where nothing is known. Shape (segments, 2, 3).
+        """
+        found = np.full((*pressure.shape, 3), np.nan)
+        _residuals(time, pressure, filled, self.books, found)
+        return found
+
     def read(
         self,
         time: float,
@@ -150,6 +173,7 @@ class AirBalance(Remembers):
         bend_sd: np.ndarray,
         filled: np.ndarray,
         sound: np.ndarray,
+        supply: tuple[float, float],
     ) -> np.ndarray:
         """Take pressures.
 
@@ -160,17 +184,18 @@ class AirBalance(Remembers):
             bend_sd: by what that may be off, rad.
             filled: for how long each chamber's valve has let air in, shape (segments, 2), s; 0: it does not.
             sound: how probable it is that nothing is wrong with a segment.
+            supply: supply pressure (gauge, Pa) and its standard deviation.
 
         Returns:
             What this adds to the logarithms of the variants' likelihoods, shape (segments, 2, variants).
         """
         added = np.zeros_like(self.books.told)
-        _read(time, pressure, bend, bend_sd, filled, sound, self.books, self._chambers, added)
+        _read(time, pressure, bend, bend_sd, filled, sound, supply, self.books, self._chambers, added)
         return added
 
 
 @compiled
-def _read(time, pressure, bend, bend_sd, filled, sound, books, chambers, added):  # type: ignore[no-untyped-def]
+def _read(time, pressure, bend, bend_sd, filled, sound, supply, books, chambers, added):  # type: ignore[no-untyped-def]
     """See `AirBalance.read`."""
     for j in range(pressure.shape[0]):
         for side in range(2):
@@ -179,6 +204,13 @@ def _read(time, pressure, bend, bend_sd, filled, sound, books, chambers, added):
                 continue
             goes_on = since < LONGEST_GAP_S and filled[j, side] > since - 1e-6
             noted, sums = books.noted[j, side], books.sums[j, side]
+            line_now = books.supply[j, side]
+            if goes_on:
+                # What has come in so far is judged by what is known of the supply now.
+                for k in range(len(chambers.shares)):
+                    if chambers.shares[k] == 1.0:
+                        sums[1 + k] += sums[-1] * (supply[0] - line_now[1])
+            line_now[1], line_now[2] = supply
             if goes_on:
                 # Where commands are lost a valve may have closed before what was last told: that counts once
                 # the next message finds it open.
@@ -203,18 +235,40 @@ def _read(time, pressure, bend, bend_sd, filled, sound, books, chambers, added):
             reached[0], reached[1] = held * size, held * abs(growth) * bend_sd[j]
             if not goes_on:
                 books.begun[j, side, 0], books.begun[j, side, 1] = reached[0], reached[1]
+                line_now[0] = supply[0]
+            last, slope = len(rates) - 1, 0.0
             for k in range(len(rates)):
                 if k == 0:
                     now = gauge / chambers.supply
+                elif k == last:
+                    now = slope
                 else:
-                    now, line = 0.0, chambers.shares[k - 1] * chambers.supply
+                    now, line = 0.0, chambers.shares[k - 1] * supply[0]
                     if line > 0.0:
                         passed, _, _ = flow(line + AMBIENT_PA, gauge + AMBIENT_PA, CRITICAL_RATIO)
                         now = chambers.wide * passed / chambers.unit
+                        if k == 1:  # near equal pressures the slope is steep, but not far
+                            inside, sd = gauge + AMBIENT_PA, max(supply[1], 1.0)
+                            more, _, _ = flow(line + sd + AMBIENT_PA, inside, CRITICAL_RATIO)
+                            less, _, _ = flow(line - sd + AMBIENT_PA, inside, CRITICAL_RATIO)
+                            slope = chambers.wide * (more - less) / (2 * sd) / chambers.unit
                 if goes_on:
                     sums[k] += since * (rates[k] + now) / 2
                 rates[k] = now
             books.time[j, side] = time
+
+
+@compiled
+def _residuals(time, pressure, filled, books, found):  # type: ignore[no-untyped-def]
+    """See `AirBalance.residuals`."""
+    for j in range(pressure.shape[0]):
+        for side in range(2):
+            since, sums = time - books.time[j, side], books.sums[j, side]
+            goes_on = since < LONGEST_GAP_S and filled[j, side] > since - 1e-6
+            if goes_on and sums[1] > SHORTEST and not math.isnan(pressure[j, side]):
+                off, variance, _ = _off(j, side, sums[1], 0.0, books)
+                found[j, side, 0], found[j, side, 2] = off, variance
+                found[j, side, 1] = books.fit[j, side, 0] * sums[-1]
 
 
 @compiled
@@ -232,6 +286,10 @@ def _off(j, side, came, leak, books):  # type: ignore[no-untyped-def]
     off = books.reached[j, side, 0] - books.begun[j, side, 0] - fit[0] * came + (fit[1] + leak) * held
     learnt = flow_sd2 * came**2 - 2 * both * came * held + missing_sd2 * held**2
     read = books.reached[j, side, 1] ** 2 + books.begun[j, side, 1] ** 2 + AMOUNT_SD**2
+    # When the supply pressure changed within the stroke is not known.
+    begun, now, sd = books.supply[j, side]
+    changed = (now - begun) ** 2 + sd**2
+    read += changed * (fit[0] * books.sums[j, side, -1]) ** 2
     return off, learnt + read + books.scatter[j, side] * came**2, learnt
 
 
@@ -257,7 +315,8 @@ def _note(j, side, books):  # type: ignore[no-untyped-def]
     noted[2] += weight * held * held
     noted[3] += weight * came * off
     noted[4] += weight * held * off
-    noted[5] = (off**2 - variance) / came**2
+    # One stroke that is far off makes the usual scatter no larger than one at the limit of chance.
+    noted[5] = (min(off**2, LIMIT**2 * variance) - variance) / came**2
 
 
 @compiled

@@ -111,6 +111,10 @@ class Inbox:
         self.counts[message.source, message.kind, "taken"] += 1
         heapq.heappush(self._waiting, (time, _RANKS.get(message.kind, 2), next(self._number), message))
 
+    def waiting(self, kind: str) -> list[tuple[float, Message]]:
+        """Return the messages of a kind that wait, with their times on our clock, in any order."""
+        return [(time, message) for time, _, _, message in self._waiting if message.kind == kind]
+
     def _plausible(self, sender: str, clock: SenderClock, message: Message) -> bool:
         """Return whether a message's time fits the clock that was measured, or confirms that it was set.
 

@@ -13,15 +13,16 @@ import itertools
 import math
 import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from srs_twin.control.pwm import PulseWidth
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.live.links import clock
-from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, VALVES
+from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, SUPPLY, VALVES
 from srs_twin.live.mqtt import MqttLink
 from srs_twin.live.natnet import RigidBody
 from srs_twin.live.optitrack import NatNetServer
@@ -108,7 +109,8 @@ class EmulatedRobot:
         twin: what moves.
         state: of it; what only it knows.
         faults: what breaks, and when.
-        supply_pa: pressure of its supply, gauge, Pa.
+        supply_pa: nominal pressure of its supply, gauge, Pa.
+        supply_now_pa: pressure of its supply now, gauge, Pa.
         valves: as it set them last; a stuck one is where it is.
     """
 
@@ -116,6 +118,7 @@ class EmulatedRobot:
         self, robot: str, *, seed: int = 0, faults: Sequence[str] = (), gain_spread: float = 0.1,
         noise_rad: float = 0.02, tick: float = 0.02, tau_spread: float = 0.0, pneumatics: str = "orifice",
         supply_kpa: float | None = None, start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        changes: Mapping[str, Any] | None = None,
     ) -> None:  # fmt: skip
         """Build it.
 
@@ -130,13 +133,17 @@ class EmulatedRobot:
             pneumatics: its chambers, "orifice" or "lag".
             supply_kpa: of its supply, gauge; None: the robot's nominal one.
             start: where it lies at first: x, y (m), heading (rad).
+            changes: entries of the robot's file that differ, as a scenario's `robot` takes them.
 
         Raises:
             InputError: no such robot, or no such fault.
         """
+        modules = {"gain_spread": gain_spread, "tau_spread": tau_spread}
+        changes = dict(changes or {})
+        modules |= changes.pop("modules", {})
         asked = parse_scenario(
             {
-                "robot": {"base": robot, "modules": {"gain_spread": gain_spread, "tau_spread": tau_spread}},
+                "robot": {"base": robot, "modules": modules, **changes},
                 "duration_s": 1.0, "seed": seed, "controller": {"kind": "gait", "frequency_hz": 1.0},
                 **({} if supply_kpa is None else {"supply": {"pressure_kpa": supply_kpa}}),
                 "pneumatics": {"kind": pneumatics}, "plants": {"twin": {"tick_s": tick}},
@@ -150,7 +157,8 @@ class EmulatedRobot:
         self.segments, self.tick = spec.segments, tick
         self.faults = tuple(Fault.of(each, spec.segments) for each in faults)
         self._rng, self._noise = np.random.default_rng((seed, 0xE0)), noise_rad
-        self.supply_pa = asked.supply_pa
+        self.supply_pa = self.supply_now_pa = asked.supply_pa
+        self._share = self._left = 1.0
         self._air.stuck = tuple(
             StuckValve(each.number, each.side, int(each.how), each.since)
             for each in self.faults if each.kind == "stuck_valve"
@@ -171,7 +179,8 @@ class EmulatedRobot:
             if isinstance(self._air, OrificePneumatics) and each.kind == "leak":
                 self._air.leak(each.number, each.side, each.how)
             else:
-                self._air.regulate(each.how * self.supply_pa)
+                self._left = each.how
+                self.regulate(self._share)
         shape = (self.segments, 2)
         wanted = np.full(shape, -1.0) if command is None else np.asarray(command, dtype=float)
         states = np.isin(wanted, (-1.0, 1.0)).all()
@@ -180,6 +189,12 @@ class EmulatedRobot:
         self.valves = obeyed[-1] if obeyed.ndim == 3 else obeyed
         self.state = self.twin.step(obeyed)
         return self.state
+
+    def regulate(self, share: float) -> None:
+        """Set the pressure of a supply that is not starved to a share of the nominal one, 0 to 1."""
+        self._share = share
+        self.supply_now_pa = share * self._left * self.supply_pa
+        self._air.regulate(self.supply_now_pa)
 
     def bends(self) -> np.ndarray:
         """Return what its sensors say now, rad; NaN where they say nothing."""
@@ -240,6 +255,7 @@ def emulate(
     duration: float = math.inf,
     stop: Callable[[], bool] = lambda: False,
     seed: int = 0,
+    tells_supply: bool = False,
 ) -> dict[str, float]:
     """Let a robot live in real time.
 
@@ -251,6 +267,7 @@ def emulate(
         duration: s.
         stop: asked every tick.
         seed: of the air.
+        tells_supply: whether the pressure of the supply is published.
 
     Returns:
         ``ticks``, and ``late``: how many began more than a tick late.
@@ -280,7 +297,9 @@ def emulate(
             done += 1
             # It has computed at once what a robot would be like at the end of the tick, and tells it then.
             due = begun + done * tick
-            told = ((BENDS, robot.bends()), (PRESSURES, state.pressure), (VALVES, robot.valves))
+            told = [(BENDS, robot.bends()), (PRESSURES, state.pressure), (VALVES, robot.valves)]
+            if tells_supply:
+                told.append((SUPPLY, np.array(robot.supply_now_pa)))
             for kind, values in told:
                 later(due, lambda kind=kind, values=values, due=due: link.send(kind, values, at=due))  # type: ignore[misc]
             if capture is not None:

@@ -40,6 +40,7 @@ from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.floor import floor_friction
 from srs_twin.plants.analytical.kinematics import Solid
 from srs_twin.pneumatics.chambers import AMBIENT_PA, free_bends
+from srs_twin.pneumatics.lag import relaxation_of, relaxed
 from srs_twin.robot.spec import RobotSpec
 
 STEP_S = 0.0025
@@ -209,15 +210,21 @@ class Ensemble:
 
     def advance(self, air: Air, span: float) -> None:
         """Go on for a stretch (s)."""
-        self._move(air, span)
+        self.move(air, span)
         actuator, opens = self.spec.actuator, air.opens.mean(axis=0)
         times = actuator.tau_fill * np.exp(self.mean("fill")), actuator.tau_vent * np.exp(self.mean("vent"))
         rates = np.stack([*(np.repeat(1 / each[:, None], 2, axis=1) for each in times), air.leak])
         self.modules.advance(span)
         self.modules.fill(opens, self.mean("pressure").reshape(-1, 2), air.supply, rates, span)
 
-    def _move(self, air: Air, span: float) -> None:
-        """Have the members go on, and wander."""
+    def move(self, air: Air, span: float, step: float = STEP_S) -> None:
+        """Have the members go on, and wander.
+
+        Args:
+            air: what the chambers get.
+            span: for how long, s.
+            step: longest step, s.
+        """
         self._relax()
         s, root, scale = self.spreads, math.sqrt(span), self._scales
         fades = math.exp(-span / s.unexplained_s)
@@ -226,7 +233,7 @@ class Ensemble:
         unexplained += (
             scale["unexplained"] * s.unexplained * math.sqrt(1 - fades**2) * self._drawn("unexplained")
         )
-        self._run(air, span)
+        self._run(air, span, step)
         turning, fades = self._of("turning"), math.exp(-span / s.turning_s)
         self._of("heading")[:] += span * turning
         self._turned += span * float(turning.mean())
@@ -386,6 +393,25 @@ class Ensemble:
             found[name] = np.exp(middle), np.exp(middle) * wide
         return found
 
+    def copy(self, members: int | None = None) -> Ensemble:
+        """Return an ensemble of some or all members that goes on without measurements."""
+        other = copy.copy(self)
+        some, bend = self.members[:members], self.rows["bend"]
+        other.members, other._states = some.copy(), self._states[:members].copy()
+        if len(some) < len(self.members):  # with the mean and the spread of all
+            share = self.members.std(axis=0) / np.maximum(some.std(axis=0), 1e-300)
+            other.members[:] = self.members.mean(axis=0) + share * (some - some.mean(axis=0))
+        other._foresees, other._unlike, other._parts = True, self._unlike[:members], self._parts.copy()
+        other._shape = self._shape[:members] + other.members[:, bend] - some[:, bend]
+        other._before = None
+        other._own = {name: own[:members] for name, own in self._own.items()}
+        other._scales = {name: each.copy() for name, each in self._scales.items()}
+        other.habits = copy.deepcopy(self.habits)
+        other.connection = self.connection.snapshot()
+        other._rng = np.random.default_rng(0)
+        other._momenta()
+        return other
+
     def ahead(self, members: int) -> Callable[[Iterable[Air], float], np.ndarray]:
         """Return what tells where some members, as they are now, will be without measurements.
 
@@ -396,20 +422,12 @@ class Ensemble:
             A function of the air of one stretch after another, and the length of each (s): x, y (m) and mean
             heading (rad) at the end of each, shape (stretches, members, 3).
         """
-        other = copy.copy(self)
-        other.members, other._states = self.members[:members].copy(), self._states[:members].copy()
-        other._foresees, other._unlike, other._parts = True, self._unlike[:members], self._parts.copy()
-        other._shape = self._shape[:members].copy()
-        other._own = {name: own[:members] for name, own in self._own.items()}
-        other._scales = {name: each.copy() for name, each in self._scales.items()}
-        other.habits = copy.deepcopy(self.habits)
-        other.connection = self.connection.snapshot()
-        other._rng = np.random.default_rng(0)
+        other = self.copy(members)
 
         def go(airs: Iterable[Air], span: float) -> np.ndarray:
             found = []
             for air in airs:
-                other._move(air, span)
+                other.move(air, span)
                 other.roll()
                 found.append(other.members[:, :3].copy())
             return np.array(found)
@@ -536,11 +554,11 @@ class Ensemble:
         self._of("heading")[:, 0] += 2 * self.noise.heading * self._rng.normal(size=len(self.members))
         self.placed = True
 
-    def _run(self, air: Air, span: float) -> None:
+    def _run(self, air: Air, span: float, step: float) -> None:
         """Have the bodies move as the chambers bend them."""
         n, count, slots = self._segments, len(self.members), len(air.opens)
         a, spec = self.spec.actuator, self.spec
-        steps = math.ceil(span / slots / STEP_S - 1e-6)
+        steps = math.ceil(span / slots / step - 1e-6)
         h = span / slots / steps
         fill = (a.tau_fill * np.exp(self._of("fill")))[:, :, None]
         vent = (a.tau_vent * np.exp(self._of("vent")))[:, :, None]
@@ -553,9 +571,9 @@ class Ensemble:
         for k, opens in enumerate(air.opens):
             place = self.habits.let(opens, span / slots)
             besides = self.habits.rate[place] + wander * np.sqrt(self.habits.wander[place])
-            rate = opens / fill + (1 - opens) / vent + air.leak
-            end = (opens * air.supply[:, None] / fill + besides) / rate
-            passed = end + (pressure - end) * np.exp(-rate * after[:, None, None, None])
+            supply, venting = air.supply[:, None], (1 - opens) / vent
+            rate, end = relaxation_of(opens / fill, venting, supply, air.leak, besides)
+            passed = relaxed(pressure, rate, end, after[:, None, None, None])
             drive[k] = gain[..., 0] * passed[..., 0] - gain[..., 1] * passed[..., 1]
             pressure = passed[-1]
         self._of("pressure")[:] = pressure.reshape(count, 2 * n)

@@ -15,8 +15,10 @@ Blom and Bar-Shalom (1988), the interacting multiple model estimator. Faults beg
 How pressures differ from the lags is learnt while a segment is sound, by how long ago its valves switched:
 chambers of one robot repeat themselves. What a chamber loses is told by its balance of air (`balance`).
 
-A supply that starves makes every segment weak at once: what is weak in one segment alone is no supply, and
-where several segments are in doubt at once, a part of one of them is named later.
+All pressures are relative to the estimated supply pressure (`supply`), so a supply that droops is no fault.
+It is named as starved below `supply.STARVED_BELOW` of the nominal pressure. A sudden loss makes segments
+weak, or seem to leak, all at once; then the estimate jumps. What is weak in one segment alone is no supply,
+and where several segments are in doubt at once, a part of one of them is named later.
 """
 
 from __future__ import annotations
@@ -27,9 +29,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.live.balance import AirBalance
+from srs_twin.live.balance import ALIKE, AirBalance
+from srs_twin.live.supply import RECOVERED_ABOVE, STARVED_BELOW, SupplyFilter
 from srs_twin.memory import Remembers, names
 from srs_twin.pneumatics.chambers import free_bends, gains, largest_bend
+from srs_twin.pneumatics.lag import followed, relaxation_of, relaxed
 from srs_twin.robot.spec import RobotSpec
 
 OBEYS, FILLS, VENTS, LEAKS = range(4)
@@ -83,6 +87,10 @@ _ALIKE = ((1, 4), (2, 3))
 """Where the two chambers take turns, one that never vents bends as if the other one never filled."""
 _AGES, _AGE_S, _MOST_SEEN = 25, 0.02, 40
 """For how many ages of a valve's state, of which length, pressures are learnt, from how many at most."""
+_FAILED = 0.85
+"""Share of the expected pressures below which several suspected leaks are a supply that has failed."""
+_SETTLED_S = 0.1
+"""Time after which a chamber that fills shows what its supply is."""
 _BALANCED = 3
 """Strokes after which a chamber's balance of air says whether it leaks."""
 _FEW, _ALONE = 0.1, 0.8
@@ -109,6 +117,7 @@ class BankSettings:
         loss: share of readings that are lost.
         gain: spread of the modules' gains.
         bias: of their bends without pressure, rad.
+        offset: of the bend sensors' readings, rad.
         pressure: what a pressure may differ from its lag's by, as a share of the supply's, before it has been
             seen, and at the least.
         load: RMS of d, as a share of the largest bend.
@@ -128,6 +137,7 @@ class BankSettings:
     loss: float = 0.05
     gain: float = 0.15
     bias: float = 0.05
+    offset: float = 0.06
     pressure: tuple[float, float] = (0.12, 0.02)
     load: float = 0.11
     load_time: float = 0.15
@@ -143,6 +153,7 @@ class FaultBank(Remembers):
         settings: of the filters.
         probability: of each hypothesis, shape (segments, hypotheses).
         mean: of b, g⁺, g⁻, d, s under each, shape (segments, hypotheses, 5).
+        supply: filter for the supply pressure.
         time: since the beginning, s.
     """
 
@@ -160,6 +171,7 @@ class FaultBank(Remembers):
         "_either",
         "_named",
         "balance",
+        "supply",
         "time",
     )
 
@@ -168,13 +180,13 @@ class FaultBank(Remembers):
 
         Args:
             spec: the robot, as far as it is known.
-            supply_pa: gauge, Pa.
+            supply_pa: nominal, gauge, Pa.
             settings: of the filters.
         """
         self.settings, self._spec, actuator = settings, spec, spec.actuator
         self._fill, self._vent, self._tau = actuator.tau_fill, actuator.tau_vent, actuator.tau_mode
         count, kinds = spec.segments, len(HYPOTHESES)
-        self._supply, self._gain = supply_pa, gains(spec)
+        self.supply, self._gain = SupplyFilter(supply_pa), gains(spec)
         # Whoever starts beside a robot that moves does not know what its chambers hold.
         self._settles = 4 * (max(self._fill, self._vent) + self._tau)
         self._pressure = np.zeros((count, kinds, 2))
@@ -197,10 +209,12 @@ class FaultBank(Remembers):
         variants = list(dict.fromkeys(each for pair in own for each in pair))
         self._variant = np.array([[variants.index(each) for each in pair] for pair in own])
         self.balance = AirBalance(spec, supply_pa=supply_pa, variants=variants)
-        spread = np.array([s.bias, s.gain, s.gain, self._load, s.noise])
+        spread = np.array([s.bias, s.gain, s.gain, self._load, s.offset])
         self._spread = np.tile(np.diag(spread**2), (count, kinds, 1, 1))
         self.probability = np.zeros((count, kinds))
         self.probability[:, 0] = 1.0
+        # Pressures of chambers that fill over those expected, median; NaN: none is told.
+        self._level = math.nan
         self._last = np.full(count, np.nan)
         self.time = 0.0
         self._since = np.full((count, len(_NAMES)), np.inf)
@@ -216,7 +230,9 @@ class FaultBank(Remembers):
     def forget(self, number: int) -> None:
         """Take a segment (from 1; 0: the supply) for whole again, as after a repair."""
         self._named[number] = -1
-        if number:
+        if number == 0:
+            self.supply = SupplyFilter(self.supply.nominal)
+        else:
             self.probability[number - 1] = 0.0
             self.probability[number - 1, 0] = 1.0
 
@@ -237,8 +253,6 @@ class FaultBank(Remembers):
         for j, pair in enumerate(self._named[1:].tolist()):
             if pair[0] >= 0:
                 found[j] = np.argmax(self.probability[j] * _SAME[:, [m for m in pair if m >= 0]].sum(axis=1))
-            elif self._named[0, 0] >= 0:
-                found[j] = np.argmax(self.probability[j] * _SAME[:, _WEAK])
         return found
 
     def advance(self, opens: np.ndarray, span: float) -> None:
@@ -249,6 +263,7 @@ class FaultBank(Remembers):
             span: s.
         """
         self.time += span
+        self.supply.predict(span)
         self._mix(span)
         filling = (np.asarray(opens) > 0.5).astype(int)
         self._age = np.where(filling == self._filling, self._age + span, 0.0)
@@ -295,7 +310,15 @@ class FaultBank(Remembers):
         alone = (weak > 0.5) & ((weak > _FEW).sum() < min(2, len(weak)))
         weight[:, _SAME[:, _WEAK] > 0] *= np.where(alone, _ALONE, 1.0)[:, None]
         self.probability = np.maximum(weight / weight.sum(axis=1, keepdims=True), 1e-12)
+        self._judge_supply()
         self._name()
+
+    def read_supply(self, pressure: float) -> None:
+        """Take a measured supply pressure (gauge, Pa)."""
+        before = self.supply.pressure
+        self.supply.measure(pressure)
+        self._rescale(before)
+        self._judge_supply()
 
     def gains(self) -> np.ndarray:
         """Return g⁺ and g⁻ of each segment, shape (segments, 2), by what is most likely."""
@@ -306,15 +329,10 @@ class FaultBank(Remembers):
         does = self._does
         opens = np.where(does == FILLS, 1.0, np.where(does == VENTS, 0.0, told[:, None]))
         leak = np.where(does == LEAKS, self._severe[:, :1], 0.0)
-        supply = self._supply * self._severe[:, 1:]
-        rate = opens / self._fill + (1 - opens) / self._vent + leak
-        ends = opens * supply / self._fill / rate
-        fast, slow = np.exp(-rate * span), math.exp(-span / self._tau)
-        apart = 1 - rate * self._tau
-        apart = np.where(np.abs(apart) < 1e-6, 1e-6, apart)
-        begun = self._pressure - ends
-        self._delayed = ends + begun * (fast - slow) / apart + (self._delayed - ends) * slow
-        self._pressure = ends + begun * fast
+        supply = self.supply.pressure * self._severe[:, 1:]
+        relaxation = relaxation_of(opens / self._fill, (1 - opens) / self._vent, supply, leak)
+        self._delayed = followed(self._delayed, self._pressure, relaxation, self._tau, span)
+        self._pressure = relaxed(self._pressure, *relaxation, span)
 
     def _bent(self, drive: np.ndarray) -> np.ndarray:
         """Return what share of a linear drive bends a segment, shape (segments, hypotheses, 1)."""
@@ -378,10 +396,11 @@ class FaultBank(Remembers):
     def _unlike_pressures(self, told: np.ndarray, span: float) -> np.ndarray:
         """Return the logarithms of how likely pressures are; what lags miss of them lasts, so few count."""
         first, least = self.settings.pressure
-        off = np.nan_to_num((told[:, None] - self._pressure) / self._supply)
         age = np.minimum(self._age / _AGE_S, _AGES - 1).astype(int)
         place = *np.indices(told.shape), self._filling, age
         seen, usual, variance = np.moveaxis(self._habit[place], -1, 0)
+        self._estimate_supply(told, usual, np.sqrt(variance) + least)
+        off = np.nan_to_num((told[:, None] - self._pressure) / self.supply.pressure)
         # What valves do that do not obey was never seen.
         off = off - np.where(self._obeys, usual[:, None], 0.0)
         spread = np.where(self._obeys, np.sqrt(variance)[:, None] + least, first)
@@ -396,6 +415,54 @@ class FaultBank(Remembers):
         self._habit[place] = np.stack([more, usual + news / more, variance], axis=-1)
         return np.asarray(log.sum(axis=-1) * min(span / self.settings.pressure_time, 1.0))
 
+    def _estimate_supply(self, told: np.ndarray, usual: np.ndarray, sd: np.ndarray) -> None:
+        """Correct the supply pressure by chambers that fill as their valves are told to."""
+        before = self.supply.pressure
+        response = self._pressure[:, 0] / before + usual
+        obeys = np.einsum("sm,mc->sc", self.probability, self._obeys)
+        obeys[self._named[1:, 0] >= 0] = 0.0
+        filled = np.where(self._filling == 1, self._age, 0.0)
+        level, late = told - before * response, (filled > _SETTLED_S) & ~np.isnan(told) & (obeys > 0.5)
+        if late.sum() * 2 >= len(told):
+            self._level = float(np.median(told[late] / (before * response[late])))
+        if self.supply.follow_sudden_change(level[late], response[late], before * sd[late]):
+            self.balance.drop(np.ones(told.shape, dtype=bool))
+            self._rescale(before)
+            return
+        balanced = self.balance.books.seen >= _BALANCED
+        off, slope, variance = np.moveaxis(self.balance.residuals(self.time, told, filled), -1, 0)
+        self.supply.update(off, slope, np.sqrt(variance), np.where(balanced, obeys, 0.0), ALIKE)
+        self._rescale(before)
+
+    def _rescale(self, before: float) -> None:
+        """Adapt the chamber pressures of all hypotheses to another supply pressure."""
+        share = self.supply.pressure / before
+        self._pressure *= share
+        self._delayed *= share
+
+    def _judge_supply(self) -> None:
+        """Name a starved supply; let the estimate jump where all segments are weak at once."""
+        weak = self._severe[:, 1] < 1.0
+        kind = np.flatnonzero(weak)[self.probability[:, weak].sum(axis=0).argmax()]
+        share = self._severe[kind, 1] if math.isnan(self._level) else self._level
+        # Several leaks at once are a supply that has failed, where pressures say so.
+        alike = weak if math.isnan(self._level) else weak | (self._severe[:, 0] > 0.0)
+        if share < _FAILED and (self.probability[:, alike].sum(axis=1) > 0.5).mean() > 0.5:
+            before = self.supply.pressure
+            self.supply.jump(share)
+            for each in (self.mean, self._spread):
+                each[:, 0] = each[:, kind]
+            self._rescale(before)
+            self.probability[:, 0] += self.probability[:, alike].sum(axis=1)
+            self.probability[:, alike] = 1e-12
+            self.balance.drop(np.ones((len(self.probability), 2), dtype=bool))
+        if self.time < self.settings.learns:
+            return
+        if self.supply.pressure + self.supply.sd < STARVED_BELOW * self.supply.nominal:
+            self._named[0, 0] = _WEAK
+        elif self.supply.pressure - self.supply.sd > RECOVERED_ABOVE * self.supply.nominal:
+            self._named[0, 0] = -1
+
     def _unbalanced(self, told: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Return the logarithms of how likely it is what chambers that fill have taken in."""
         each = np.einsum("smk,smk->sm", rows, self.mean)
@@ -403,7 +470,8 @@ class FaultBank(Remembers):
         variance = np.einsum("smk,smkl,sml->sm", rows, self._spread, rows) + (each - bend[:, None]) ** 2
         sd = np.sqrt((self.probability * variance).sum(axis=1))
         filled = np.where(self._filling == 1, self._age, 0.0)
-        found = self.balance.read(self.time, told, bend, sd, filled, self.probability[:, 0])
+        supply = self.supply.pressure, self.supply.sd
+        found = self.balance.read(self.time, told, bend, sd, filled, self.probability[:, 0], supply)
         return np.asarray(found[:, np.arange(2), self._variant].sum(axis=-1))
 
     def _name(self) -> None:
@@ -418,8 +486,6 @@ class FaultBank(Remembers):
         sure, patience = np.where(_LEAK[:, None], s.leak, (s.sure, s.patience)).T
         patience = longer[:, None] * patience - 1e-9
         weak, count = likely[:, _WEAK], len(likely)
-        if (weak > 0.5).sum() * 2 > count:
-            named[0, 0] = _WEAK
         if count > 1:
             others = (weak.sum() - weak) / (count - 1)
             likely[:, _WEAK] = weak * np.minimum(2 * others, 1.0)

@@ -155,7 +155,7 @@ class Helm:
         if not self._steps:
             self._begin(found, shadow)
         likely = [HYPOTHESES[m] for m in shadow.bank.likely()]
-        faint = np.median([each.weak for each in likely]) < _FAINT
+        faint = shadow.bank.supply.share < _FAINT
         self._faint_for = self._faint_for + self._tick if faint else 0.0
         if self._faint_for > PATIENCE_S:
             self.give_up(EMPTY)
@@ -190,8 +190,8 @@ class Helm:
 
     def _begin(self, found: Estimate, shadow: Shadow) -> None:
         """Prepare the follower; plan anew where the robot does not lie where the scenario begins."""
-        # Noise and delays are the robot's own here: estimates wait for messages, a robot for its next tick.
-        follower, lag = self.follower, shadow.inbox.hold + DELAY_S + self._tick
+        # Noise and delays are the robot's own here: estimates are of now, a robot waits for its next tick.
+        follower, lag = self.follower, DELAY_S + self._tick
         seen = Camera(follower.conditions.camera.rate_hz)
         follower.conditions = replace(follower.conditions, camera=seen, delay=0.0, lag=lag)
         follower.reset(shadow.spec, self._tick, seed=self._seed)

@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from srs_twin.memory import Remembers, names
+from srs_twin.pneumatics.lag import relaxation_of, relaxed
 
 GAIN, BIAS, FILL, VENT, _REST = slice(0, 2), 2, 3, 4, 5
 _WIDTH = 6
@@ -70,12 +71,12 @@ class ModuleFilter(Remembers):
             h: s.
         """
         fill, vent, leak = rates
-        rate = opens * fill + (1 - opens) * vent + leak
-        gone = np.exp(-rate * h)
+        # A slope obeys the law of the pressure, driven by what the time constant's change adds to it.
         push = np.stack(
             [-opens * fill * (supply[:, None] - pressure), (1 - opens) * vent * pressure], axis=-1
         )
-        self._slopes = self._slopes * gone[..., None] + push * ((1 - gone) / rate)[..., None]
+        fills, vents, leaks = (each[..., None] for each in (opens * fill, (1 - opens) * vent, leak))
+        self._slopes = relaxed(self._slopes, *relaxation_of(fills, vents, 0.0, leaks, push), h)
 
     def read_pressures(self, off: np.ndarray, noise: np.ndarray, corrected: np.ndarray) -> None:
         """Take by what pressures were off, shape (segments, 2), Pa, NaN where none was measured.

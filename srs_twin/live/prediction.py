@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,10 @@ _LAGS = range(10, 126)
 _SAME = 0.1
 """Commands that differ by less than this from those a period before, on average, are periodic."""
 _MEMORY = 8
+_BEGINS, _COMPARED = 10, 100
+"""Numbers of comparisons that the first scale of forecasts counts as, and that a later one is the mean of."""
+_MOST_OFF, _RATIOS = 25.0, (0.1, 10.0)
+"""Largest squared error of a forecast that counts, in variances, and range of the mean."""
 _T95 = 2.1
 """Half of a 95 % interval over its standard deviation, as few of them have told it."""
 
@@ -144,3 +149,42 @@ class Hindsight:
         few = (count + 1) / max(count - 1, 1)
         besides = np.maximum(few * self._variance - self._told, 0.0)
         return replace(raw, pose=pose, pose_sd=np.sqrt(raw.pose_sd**2 + besides))
+
+
+class ForecastCalibration:
+    r"""Scale of the standard deviations of what is predicted from the last message to now.
+
+    What was predicted for a time is compared with what measurements of that time then say:
+
+    $$ s^2 = \overline{(\hat x - x)^2 + \sigma_x^2} \;/\; \overline{\hat\sigma^2} . $$
+    """
+
+    def __init__(self, groups: Sequence[int]) -> None:
+        """Begin with 1; values of a group, given by their counts, have one scale in common."""
+        self._starts, self._counts = np.cumsum([0, *groups[:-1]]), np.array(groups)
+        self._ratio, self._count = np.ones(len(groups)), _BEGINS
+        self._open: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=200)
+
+    @property
+    def scale(self) -> np.ndarray:
+        """Factor of each value's standard deviation."""
+        return np.repeat(np.sqrt(self._ratio), self._counts)
+
+    def expect(self, time: float, value: np.ndarray, sd: np.ndarray) -> None:
+        """Take a prediction for a time (s), with its standard deviations before they are scaled."""
+        self._open.append((time, value, sd))
+
+    def compare(self, time: float, value: np.ndarray, sd: np.ndarray) -> None:
+        """Take what is known of a time (s) once it was measured."""
+        while len(self._open) > 1 and self._open[1][0] < time:
+            self._open.popleft()
+        if len(self._open) < 2 or not self._open[0][0] <= time:
+            return
+        (begun, first, first_sd), (ended, second, second_sd) = self._open[0], self._open[1]
+        share = (time - begun) / (ended - begun)
+        expected = first + share * (second - first)
+        variance = (first_sd + share * (second_sd - first_sd)) ** 2
+        found = np.minimum(((expected - value) ** 2 + sd**2) / np.maximum(variance, 1e-18), _MOST_OFF)
+        mean = np.add.reduceat(found, self._starts) / self._counts
+        self._count = min(self._count + 1, _COMPARED)
+        self._ratio = np.clip(self._ratio + (mean - self._ratio) / self._count, *_RATIOS)

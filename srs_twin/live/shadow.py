@@ -23,8 +23,8 @@ from srs_twin.errors import InputError
 from srs_twin.live.clocks import Inbox
 from srs_twin.live.ensemble import STEP_S, Air, Ensemble
 from srs_twin.live.faults import FILLS, HYPOTHESES, LEAKS, READS, STARVED, VENTS, FaultBank
-from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, VALVES, Message
-from srs_twin.live.prediction import SLOT_S, Hindsight, Prediction, Rhythm
+from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, SUPPLY, VALVES, Message
+from srs_twin.live.prediction import SLOT_S, ForecastCalibration, Hindsight, Prediction, Rhythm
 from srs_twin.memory import Remembers, SavedState, fingerprint
 from srs_twin.plants.base import SnakeState
 from srs_twin.robot.spec import RobotSpec
@@ -43,12 +43,16 @@ LARGEST_SD_M = 0.05
 """Where the robot is known less well than this, it is lost."""
 MISSING_FRAMES = 8
 """A body that so many frames in a row do not have is lost, while others are seen."""
-_TAKEN = (COMMAND, VALVES, BENDS, PRESSURES, POSES)
+_TAKEN = (COMMAND, VALVES, BENDS, PRESSURES, POSES, SUPPLY)
 HORIZON_S, _STEP_S, _AHEAD, _FINER = 1.0, 0.1, 16, 2
 """How far predictions reach, at which times (s), how many members make them, in how many parts of a slot."""
-_WAITS_S, _NOTHING_S = 0.1, 5e-4
+_WAITS_S, _NOTHING_S = 0.05, 5e-4
 """After how long without a message the robot is guessed, and what is too short a time to go on for."""
-_HISTORY_S = 5.0
+_THINNED_S = 0.018
+"""Shortest interval between measurements of one sender that are used, s: more than 50 Hz adds little."""
+_FORECAST_SLOT_S, _FORECAST_STEP_S = 0.005, 0.005
+"""Resolution of the commands and longest step of the members from the last message to now, s."""
+_HISTORY_S = 1.0
 _LEARNS = ["modules", "connection", "bank"]
 
 
@@ -57,7 +61,8 @@ class Estimate:
     """What is known of a robot at a moment.
 
     Attributes:
-        time: our clock, s.
+        time: our clock, s: the moment that was asked for. Messages wait to be put in order, so the state is
+            predicted from the last one.
         bend: of each segment, rad.
         bend_sd: of that.
         pose: x, y (m) of the centre of mass, mean heading (rad).
@@ -135,11 +140,15 @@ class Shadow:
         self._times, self._opens = deque([-math.inf]), deque([closed])
         self._duties = False
         self._heard = {kind: -math.inf for kind in _TAKEN}
+        # When the last used measurement of each sender was sent; the shortest interval between reports.
+        self._used: dict[str, float] = {}
+        self._reported, self._report_s = -math.inf, REPORTED_S
         self._missing = np.zeros(n + 1, dtype=int)
         self._gone = np.zeros(n + 1, dtype=bool)
         self._off: dict[str, float] = {}
         self.rhythm = Rhythm()
         self.hindsight = Hindsight(self.rhythm)
+        self._calibration = ForecastCalibration((n, 2, 1))
 
     def take(self, now: float, messages: Iterable[Message]) -> Estimate | None:
         """Take what has arrived until now (our clock, s).
@@ -150,17 +159,27 @@ class Shadow:
         for message in messages:
             if message.kind in _TAKEN:
                 self.inbox.put(message)
-        for time, together in itertools.groupby(self.inbox.take(now), key=operator.itemgetter(0)):
+        taken = [each for each in self.inbox.take(now) if self._needed(each[1])]
+        for time, together in itertools.groupby(taken, key=operator.itemgetter(0)):
             self._take(time, [message for _, message in together])
         if math.isnan(self.time):
             return None
         # What the next message will correct is not guessed before.
         if now - self.inbox.hold - self.time > _WAITS_S:
             self._advance(now - self.inbox.hold)
-            self.ensemble.roll()
         found = self._estimate(now)
-        self.hindsight.see(self.time, found.pose)
+        self.hindsight.see(now, found.pose)
         return found
+
+    def _needed(self, message: Message) -> bool:
+        """Say whether a message is used: measurements that follow others of the sender at once are not."""
+        if message.kind not in (BENDS, PRESSURES, POSES, SUPPLY):
+            return True
+        last = self._used.get(message.source, -math.inf)
+        if 0 < message.sent - last < _THINNED_S:
+            return False
+        self._used[message.source] = message.sent
+        return True
 
     def predict(self) -> Prediction:
         """Return where the robot goes in the next second if commands go on as they do."""
@@ -228,6 +247,8 @@ class Shadow:
                 self._see(message)
             elif kind == BENDS:
                 self.bank.read(values)
+            elif kind == SUPPLY:
+                self.bank.read_supply(float(values))
             else:
                 self.bank.read(pressures=values, span=min(time - self._heard[PRESSURES], 1.0))
             self._heard[kind] = time
@@ -239,6 +260,7 @@ class Shadow:
                 reads = np.where(self._reads(), message.values, np.nan)
                 self._note(BENDS, self.ensemble.read_bends(reads))
         self.ensemble.roll()
+        self._calibration.compare(time, *_state(self.ensemble))
 
     def _command(self, time: float, message: Message) -> None:
         """Take what valves were told, or what a robot says that they were: either message may be lost."""
@@ -247,8 +269,12 @@ class Shadow:
             self._duties = not states
         elif self._duties:  # of a carrier's duty a moment tells nothing
             return
-        at = time + DELAY_S if message.kind == COMMAND else time - REPORTED_S
-        opens = (message.values + 1) / 2 if states else np.clip(message.values, 0.0, 1.0)
+        if message.kind == VALVES:
+            if 2 * _NOTHING_S < message.sent - self._reported < self._report_s:
+                self._report_s = message.sent - self._reported
+            self._reported = message.sent
+        at = time + DELAY_S if message.kind == COMMAND else time - self._report_s
+        opens = self._duty(message)
         k = bisect.bisect(self._times, at)
         gap = at - self._times[k - 1]
         # What was lost may have switched valves before this does.
@@ -288,7 +314,8 @@ class Shadow:
         begun, span = self.time, (time - self.time) / parts
         steps = math.ceil(span / STEP_S - 1e-6)
         for k in range(1, parts + 1):
-            opens = self._commanded(self.time + (np.arange(steps) + 0.5) * span / steps)
+            times = self.time + (np.arange(steps) + 0.5) * span / steps
+            opens = _commanded(times, self._times, self._opens)
             self.rhythm.take(self.time + span / 2, opens[0])
             self.bank.advance(opens.mean(axis=0), span)
             self.ensemble.advance(self._air(opens), span)
@@ -297,14 +324,28 @@ class Shadow:
             self._times.popleft()
             self._opens.popleft()
 
-    def _commanded(self, times: np.ndarray) -> np.ndarray:
-        """Return for what share of the time valves were told to fill, shape (times, segments, 2)."""
-        known, found = list(self._times), []
-        for time in times.tolist():
-            k = bisect.bisect(known, time) - 1
-            silent = time - known[k] > SILENT_S
-            found.append(np.zeros_like(self._opens[k]) if silent else self._opens[k])
-        return np.array(found)
+    def _forecast(self, now: float) -> Ensemble:
+        """Return the ensemble as it is now, by what valves have been told until now."""
+        span = min(now - self.time, LOST_AFTER_S)
+        if span < _NOTHING_S:
+            return self.ensemble
+        known, opens = list(self._times), list(self._opens)
+        for time, message in self.inbox.waiting(COMMAND):
+            k = bisect.bisect(known, time + DELAY_S)
+            known.insert(k, time + DELAY_S)
+            opens.insert(k, self._duty(message))
+        steps = math.ceil(span / _FORECAST_SLOT_S - 1e-6)
+        times = now - span + (np.arange(steps) + 0.5) * span / steps
+        front = self.ensemble.copy(_AHEAD)
+        front.move(self._air(_commanded(times, known, opens)), span, _FORECAST_STEP_S)
+        front.roll()
+        return front
+
+    def _duty(self, message: Message) -> np.ndarray:
+        """Return the share of the time for which each valve fills."""
+        if np.isin(message.values, (-1.0, 1.0)).all():
+            return np.asarray((message.values + 1) / 2)
+        return np.clip(message.values, 0.0, 1.0)
 
     def _air(self, opens: np.ndarray) -> Air:
         """Return what the chambers get, as far as it is known what has failed."""
@@ -312,7 +353,7 @@ class Shadow:
         does = np.array([[each.plus, each.minus] for each in likely])
         opens = np.where(does == FILLS, 1.0, np.where(does == VENTS, 0.0, opens))
         leak = np.where(does == LEAKS, [[each.leak] for each in likely], 0.0)
-        return Air(opens, self._supply * np.array([each.weak for each in likely]), leak)
+        return Air(opens, np.full(len(likely), self.bank.supply.pressure), leak)
 
     def _reads(self) -> np.ndarray:
         """Say whose sensor is taken for whole."""
@@ -339,17 +380,41 @@ class Shadow:
         return ""
 
     def _estimate(self, now: float) -> Estimate:
-        e = self.ensemble
-        pose, pose_sd = (np.concatenate([f(name) for name in ("x", "y", "heading")]) for f in (e.mean, e.sd))
+        e = self._forecast(now)
+        value, sd = _state(e)
+        self._calibration.expect(now, value, sd)
+        sd = sd * self._calibration.scale
+        n = len(value) - 3
+        pose, pose_sd = value[n:], sd[n:]
         (x, y, turn), (c, s) = e.twist, (math.cos(pose[2]), math.sin(pose[2]))
         velocity = np.array([c * x - s * y, s * x + c * y, turn])
-        bend_sd = np.hypot(e.sd("bend"), UNTOLD_S * e.mean("motion")[3:])
+        bend_sd = np.hypot(sd[:n], UNTOLD_S * e.mean("motion")[3:])
         off = dict(self._off)
         return Estimate(
-            now, e.mean("bend"), bend_sd, pose, pose_sd, velocity, e.poses().mean(axis=0),
+            now, value[:n], bend_sd, pose, pose_sd, velocity, e.poses().mean(axis=0),
             e.parameters(),
             tuple(self._faults()), off, self._lost(now, pose_sd),
         )  # fmt: skip
+
+
+def _state(ensemble: Ensemble) -> tuple[np.ndarray, np.ndarray]:
+    """Return bends, place and heading, and their standard deviations."""
+    names = "bend", "x", "y", "heading"
+    mean, sd = (np.concatenate([of(name) for name in names]) for of in (ensemble.mean, ensemble.sd))
+    return mean, sd
+
+
+def _commanded(times: np.ndarray, known: Sequence[float], opens: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the share for which valves were told to fill at some times, shape (times, segments, 2).
+
+    Args:
+        times: ascending, s.
+        known: when commands took effect, ascending, s.
+        opens: what they were.
+    """
+    rows = np.searchsorted(known, times, side="right") - 1
+    silent = times - np.asarray(known)[rows] > SILENT_S
+    return np.where(silent[:, None, None], 0.0, np.array([opens[k] for k in rows]))
 
 
 def frames_of(given: Sequence[str], connectors: int) -> dict[str, int]:

@@ -9,6 +9,9 @@ $$ \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q = b + \varphi(x), $$
 so that nominal modules with τ_fill = τ_vent = τ₁ obey Eq. 14–15 as corrected by E1 and E2:
 q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀ u/(τ₁τ₂). φ, b and the gains g are those of `bending`. Everything is
 evaluated in closed form, at any time.
+A valve that fills for the share o of the time and vents for the rest relaxes the chamber at the rate
+a = o/τ_fill + (1 − o)/τ_vent + λ towards P = (o S/τ_fill + r)/a, with the supply's pressure S and other
+causes of change r (`relaxation_of`, which takes arrays of any shape).
 A valve's 3 ms of switching are part of τ₂; a delay besides is 0 unless asked for.
 
 Air drawn: while a chamber fills, its content n = P V(q) grows by what comes in less what leaks, so a fill
@@ -30,6 +33,47 @@ from srs_twin.pneumatics.base import Known, Pneumatics, Trace, not_negative
 from srs_twin.pneumatics.chambers import AMBIENT_PA, BendLaw, bend_law, bent, gains, reached, unbent, volume
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
+
+
+def relaxation_of(
+    fill: np.ndarray, vent: np.ndarray, supply: np.ndarray | float, leak: np.ndarray | float = 0.0,
+    other: np.ndarray | float = 0.0,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Return the rate a (1/s) at which pressures relax, and the pressure P (Pa) that they relax to.
+
+    Args:
+        fill: o/τ_fill, any shape, 1/s.
+        vent: (1 − o)/τ_vent, 1/s.
+        supply: S, gauge, Pa.
+        leak: λ, 1/s.
+        other: r, Pa/s.
+    """
+    rate = fill + vent + leak
+    return rate, (fill * supply + other) / np.where(rate == 0.0, 1.0, rate)
+
+
+def relaxed(pressure: np.ndarray, rate: np.ndarray, end: np.ndarray, time: np.ndarray | float) -> np.ndarray:
+    """Return the pressures after a time (s), Pa."""
+    return np.asarray(end + (pressure - end) * np.exp(-rate * time))
+
+
+def followed(
+    lagged: np.ndarray, pressure: np.ndarray, relaxation: tuple[np.ndarray, np.ndarray], tau: float,
+    time: float,
+) -> np.ndarray:  # fmt: skip
+    """Return after a time (s) what lags behind pressures by τ₂.
+
+    Args:
+        lagged: at first, Pa.
+        pressure: at first, Pa.
+        relaxation: rates and pressures as `relaxation_of` returns them.
+        tau: τ₂, s.
+        time: s.
+    """
+    rate, end = relaxation
+    mode, gap = math.exp(-time / tau), 1 - rate * tau
+    gap = np.where(np.abs(gap) < _SAME, _SAME, gap)
+    return np.asarray(end + (pressure - end) * (np.exp(-rate * time) - mode) / gap + (lagged - end) * mode)
 
 
 class Relaxation(NamedTuple):
@@ -58,6 +102,10 @@ class Relaxation(NamedTuple):
     law: BendLaw
     space: tuple[float, float]
     worth: float
+
+
+_SAME = 1e-6
+"""1 − a τ₂ below which the two lags count as one."""
 
 
 class LagPneumatics(Pneumatics):
@@ -96,9 +144,10 @@ class LagPneumatics(Pneumatics):
         kinds, kind = np.unique(np.stack([fill.ravel(), vent.ravel()]), axis=1, return_inverse=True)
         self._kind = kind.reshape(fill.shape)
         # Relaxation rate a and asymptote P, by kind and valve state + 1.
-        self._rate = np.stack([1 / kinds[1], np.zeros_like(kinds[0]), 1 / kinds[0]], axis=1) + leak_per_s
-        self._asymptote = np.zeros_like(self._rate)
-        self._tau_fill, self._largest = kinds[0], supply_pa
+        none = np.zeros_like(kinds[0])
+        self._fills = np.stack([none, none, 1 / kinds[0]], axis=1)
+        self._vents = np.stack([1 / kinds[1], none, none], axis=1)
+        self._largest = supply_pa
         self.regulate(supply_pa)
         self._tau, self._gain = actuator.tau_mode, gains(spec)
         self._law = bend_law(spec)
@@ -122,7 +171,7 @@ class LagPneumatics(Pneumatics):
                 f"supply pressure {supply_pa!r} Pa is not allowed; it must be 0 to {self._largest:g} Pa, "
                 "which these chambers were made for"
             )
-        self._asymptote[:, 2] = supply_pa / self._tau_fill / self._rate[:, 2]
+        self._rate, self._asymptote = relaxation_of(self._fills, self._vents, supply_pa, self._leak)
         self._worth = supply_pa / (supply_pa + AMBIENT_PA)
 
     def describe(self) -> dict[str, Any]:
@@ -279,6 +328,6 @@ def _filling(state, plus, minus, bend, space, ambient):  # type: ignore[no-untyp
 def _lag_of_exponential(rate, tau, t, decay, mode):  # type: ignore[no-untyped-def]
     """Return the response of τ ẏ + y = e^{−at} from y = 0: (e^{−at} − e^{−t/τ})/(1 − aτ)."""
     gap = 1 - rate * tau
-    if abs(gap) < 1e-6:
+    if abs(gap) < _SAME:
         return t / tau * mode
     return (decay - mode) / gap

@@ -11,7 +11,7 @@ from live_runs import BREAKS_S, Run, followed_estimate, isolated, parts, shadowe
 
 from srs_twin import InputError, load_robot, load_scenario
 from srs_twin.live.helm import LEAST_MARGIN, Helm, differences
-from srs_twin.live.messages import BENDS, Message
+from srs_twin.live.messages import BENDS, COMMAND, Message
 from srs_twin.live.shadow import Shadow, frames_of
 from srs_twin.memory import SavedState
 
@@ -48,7 +48,7 @@ def test_cameras_may_be_worse_than_expected(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["stuck_valve:{j}{side}=open", "dead_sensor:{j}=silent", "lost_marker:{j}"])
 def test_a_fault_is_named(kind):
-    done = isolated((kind, 3, True))
+    (done,) = isolated((3, "nominal", (kind,)))
     assert done["among"], done
     assert done["at"] > BREAKS_S
     assert not done["others"], done
@@ -66,13 +66,51 @@ def test_a_healthy_robot_is_accused_of_nothing(run):
         assert moment.estimate is None or moment.estimate.faults == ()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [5.0, 10.0, 200.0])
+def test_estimates_are_for_now_and_their_intervals_hold(rate):
+    run = Run(6, 12.0, rate_hz=rate, camera_hz=rate)
+    found = followed_estimate(run)
+    assert found["estimate"][-1, 0] == found["truth"][-1, 0]
+    off, sd, _ = off_by(found)
+    assert 0.9 < np.mean(np.abs(off) < 1.96 * sd) < 0.99
+
+
+def test_measurements_beyond_50_hz_are_left_out(monkeypatch):
+    spec = load_robot("gen4")
+    shadow, used = Shadow(spec, members=8), []
+    monkeypatch.setattr(shadow.bank, "read", lambda *given, **named: used.append(given))
+    for k in range(200):
+        time = 0.005 * k
+        shadow.take(time, [Message(BENDS, "robot", time, time, np.zeros(spec.segments))])
+    assert 40 <= len(used) <= 60
+
+
+def test_commands_that_wait_already_bend_the_estimate():
+    """Messages wait for others that were sent earlier; the estimate of now does not."""
+    spec, bends = load_robot("gen4"), []
+    n = spec.segments
+    for fills in (False, True):
+        shadow = Shadow(spec, members=8, hold_s=0.1)
+        for k in range(60):
+            time = 0.02 * k
+            valves = np.full((n, 2), -1.0)
+            valves[:, 0] = 1.0 if fills and k >= 55 else -1.0
+            values = {BENDS: np.zeros(n), COMMAND: valves}
+            found = shadow.take(
+                time, [Message(kind, kind, time, time, each) for kind, each in values.items()]
+            )
+        bends.append(found.bend)
+    assert (bends[1] > bends[0] + 0.02).all()
+
+
 def test_silence_is_said_and_survived():
     run = Run(2, 4.0)
+    n = load_robot(run.robot).segments
     for moment in shadowed(run, members=8):
         shadow = moment.shadow
     found = shadow.take(moment.time + 3.0, [])
     assert found.lost == "the robot says nothing"
-    n = run.emulated().segments
     back = [Message(BENDS, run.robot, 40 + moment.time + 5.0, moment.time + 5.001, np.zeros(n))]
     assert np.isfinite(shadow.take(moment.time + 5.1, back).bend).all()
 
