@@ -69,7 +69,7 @@ def figures(order: tuple[str, int]) -> dict[str, Any]:
     PARTS[part](shadow)
     truth, rows, predictions = recording.truth, [], []
     for time, messages in recording.updates:
-        found = shadow.take(time, [m for m in messages if m.kind != POSES or time < BLIND_S])
+        found = shadow.update(time, [m for m in messages if m.kind != POSES or time < BLIND_S])
         if found is None:
             continue
         if SETTLED_S < time < BLIND_S:

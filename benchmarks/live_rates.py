@@ -33,7 +33,7 @@ def judged(rate: float, seed: int) -> dict[str, Any]:
     shadow, rows = Shadow(load_robot("gen4"), seed=seed), []
     begun = time.process_time()
     for now, messages in recording.updates:
-        found = shadow.take(now, messages)
+        found = shadow.update(now, messages)
         if found is not None:
             rows.append(np.array([found.time, *found.bend, *found.pose, *found.bend_sd, *found.pose_sd]))
     used = (time.process_time() - begun) / SECONDS

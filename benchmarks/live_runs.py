@@ -20,9 +20,11 @@ import numpy as np
 
 from srs_twin import Gait, RobotSpec, load_robot, load_scenario
 from srs_twin.live.emulator import SILENT_S, EmulatedRobot
-from srs_twin.live.helm import Helm
+from srs_twin.live.estimate import Estimate
 from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, SUPPLY, VALVES, Message
-from srs_twin.live.shadow import Estimate, Prediction, Shadow
+from srs_twin.live.prediction import Prediction
+from srs_twin.live.shadow import Shadow
+from srs_twin.live.steering import EstimateSteering
 from srs_twin.plants.twin import TwinSnake
 
 NOISE_RAD = 0.02
@@ -34,6 +36,8 @@ DROOPS_S = 6.0
 """Time at which a drooping supply changes, s."""
 WANDER = 0.84, (8.0, 25.0)
 """Lowest pressure of a wandering supply as a share of the nominal one, and range of its periods, s."""
+OUTAGE = 0.4, 4.0
+"""Pressure during an outage as a share of the nominal one, and its duration, s."""
 HOLDS_S, GOES_S, STANDS_S = 1.5, 4.0, 3.0
 """Duration of a held bend, of walking and of standing in stop and go, s."""
 SENSOR_GAIN, SENSOR_OFFSET_RAD, SENSOR_DRIFT = 0.05, 0.04, 3e-4
@@ -72,7 +76,7 @@ class Run:
         tau_spread: of their time constants.
         gain_spread: of the modules' gains.
         supply_kpa: of its supply; None: the robot's nominal one.
-        supply: "droop:SHARE" from `DROOPS_S` on, "wander", or empty: constant.
+        supply: "droop:SHARE" or "outage" from `DROOPS_S` on, "wander", or empty: constant.
         variant: one of `ROBOTS`.
         motion: "walk", "stand", "stop and go" or "hold".
         poor_sensors: whether bend sensors have a gain, an offset and a drift.
@@ -111,6 +115,8 @@ class Run:
         """Return the pressure of the supply as a share of the nominal one."""
         if self.supply.startswith("droop"):
             return float(self.supply.partition(":")[2]) if time >= DROOPS_S else 1.0
+        if self.supply == "outage":
+            return OUTAGE[0] if DROOPS_S <= time < DROOPS_S + OUTAGE[1] else 1.0
         if self.supply == "wander":
             low, (shortest, longest) = WANDER
             phase, where = np.random.default_rng((self.seed, 7)).random(2)
@@ -283,7 +289,7 @@ def shadowed(run: Run, **shadow: Any) -> Iterator[Moment]:
     recording = recorded(run)
     twin = Shadow(load_robot(run.robot), seed=run.seed, **shadow)
     for time, messages in recording.updates:
-        yield Moment(time, twin.take(time, messages), twin)
+        yield Moment(time, twin.update(time, messages), twin)
 
 
 def steered(order: tuple[Run, str]) -> dict[str, Any]:
@@ -292,10 +298,10 @@ def steered(order: tuple[Run, str]) -> dict[str, Any]:
     scenario = load_scenario(name)
     robot, wire = run.emulated(start=scenario.pose), Wire(run)
     twin = Shadow(load_robot(run.robot), seed=run.seed, supply_pa=robot.supply_pa)
-    helm = Helm(scenario, twin, robot.tick)
+    steering = EstimateSteering(scenario, twin, robot.tick)
     command, heard, time, clearance = None, -1.0, 0.0, np.inf
     faults: dict[str, float] = {}
-    while time < run.seconds and not helm.finished:
+    while time < run.seconds and not steering.finished:
         state = robot.step(command if time - heard <= SILENT_S else None)
         time += robot.tick
         wire.tell(robot, time)
@@ -303,38 +309,43 @@ def steered(order: tuple[Run, str]) -> dict[str, Any]:
         for message in messages:
             if message.kind == COMMAND:
                 command, heard = message.values, time
-        found = twin.take(time, messages)
+        found = twin.update(time, messages)
         for part, what, _ in found.faults if found else ():
             faults.setdefault(f"{part}: {what}", round(time, 2))
-        told = helm.step(found, twin)
+        told = steering.step(found, twin)
         if told is not None:
             wire.send(COMMAND, run.robot, time, told)
         for obstacle in scenario.world.obstacles:
             off = np.hypot(*(state.position - [obstacle.x, obstacle.y]).T).min() - obstacle.radius
             clearance = min(clearance, float(off) - robot.twin.spec.geometry.width / 2)
     return {
-        "seed": run.seed, "fault": run.fault, **helm.told(), "clearance_m": clearance, "faults": faults,
-        "pose": [*robot.state.com.tolist(), float(robot.state.heading)], "time_s": time,
+        "seed": run.seed, "fault": run.fault, **steering.summary(),
+        "clearance_m": clearance, "faults": faults, "time_s": time,
+        "pose": [*robot.state.com.tolist(), float(robot.state.heading)],
     }  # fmt: skip
 
 
 def followed_estimate(run: Run, **shadow: Any) -> dict[str, Any]:
-    """Return what was estimated, predicted and true, one row per update."""
+    """Return estimates, predictions and true values of a run, one row per update.
+
+    `estimate` is for the time of the update, `filtered` for that of the newest message that was used.
+    """
     rows: list[np.ndarray] = []
+    filtered: list[np.ndarray] = []
     predictions: list[Prediction] = []
     recording = recorded(run)
     for moment in shadowed(run, **shadow):
         found = moment.estimate
         if found is not None:
+            filtered.append(np.array([moment.shadow.time, *moment.shadow.ensemble.mean("bend")]))
             rows.append(np.array([found.time, *found.bend, *found.pose, *found.bend_sd, *found.pose_sd]))
             if round(moment.time * 50) % 25 == 0:
                 predictions.append(moment.shadow.predict())
     spec, known = recording.spec, found.parameters if found else {}
     return {
-        "estimate": np.array(rows), "truth": recording.truth,
+        "estimate": np.array(rows), "filtered": np.array(filtered), "truth": recording.truth,
         "predictions": predictions,
-        "gain": spec.modules.array("gain"), "tau_fill": spec.modules.array("tau_fill").mean(axis=1),
-        "tau_vent": spec.modules.array("tau_vent").mean(axis=1),
+        "gain": spec.modules.array("gain"),
         **{f"known_{name}": np.stack(pair) for name, pair in known.items()},
     }  # fmt: skip
 
@@ -455,13 +466,13 @@ def isolated(order: tuple[int, str, Sequence[str]]) -> list[dict[str, Any]]:
     twin = Shadow(load_robot(sound.run.robot), seed=seed, members=8)
     early: dict[str, tuple[str, float]] = {}
     for time, messages in sound.updates:
-        _note_faults(early, twin.take(time, messages), time)
+        _note_faults(early, twin.update(time, messages), time)
     rows = []
     for kind, breakage in found:
         _, part, name = parts(kind, seed)
         named, shadow = dict(early), copy.deepcopy(twin)
         for time, messages in breakage.updates:
-            _note_faults(named, shadow.take(time, messages), time)
+            _note_faults(named, shadow.update(time, messages), time)
         what, at = named.pop(part, ("", np.inf))
         among, since = name in what.split(" or "), breakage.observable
         rows.append({
@@ -482,7 +493,7 @@ def alarms(order: tuple[int, float, str]) -> list[str]:
     seed, seconds, condition = order
     found = []
     for moment in shadowed(conditioned(condition, seed, seconds), members=8):
-        for number, name in list(moment.shadow.bank.named.items()):
+        for number, name in list(moment.shadow.faults.named.items()):
             found.append(f"{number}: {name} at {moment.time:.1f} s")
-            moment.shadow.bank.forget(number)
+            moment.shadow.faults.clear_fault(number)
     return found

@@ -17,11 +17,11 @@ from srs_twin.cli.options import JsonOption, PressureOption, QuietOption, argume
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
-    from srs_twin.live.helm import Helm
     from srs_twin.live.links import Link
     from srs_twin.live.mqtt import MqttLink
     from srs_twin.live.session import Session
     from srs_twin.live.shadow import Shadow
+    from srs_twin.live.steering import EstimateSteering
 
 BROKER = "127.0.0.1:1883"
 
@@ -84,7 +84,7 @@ def shadow(
     from threadpoolctl import threadpool_limits
 
     from srs_twin.io.files import made_folder, open_folder
-    from srs_twin.live.session import KEPT
+    from srs_twin.live.results import KEPT
 
     if mcap is not None and (mqtt is not None or natnet is not None or follow is not None):
         raise InputError("--mcap plays what has been; --mqtt, --natnet and --follow are for a running robot")
@@ -104,7 +104,7 @@ def shadow(
         open_folder(out, KEPT)
     threadpool_limits(limits=1, user_api="blas")  # several threads wait for each other on a busy machine
     known = lab["name"] or Path(lab["robot"]).stem
-    twin, helm = _twin(lab, follow, members, seed)
+    twin, steering = _twin(lab, follow, members, seed)
     over = threading.Event()
     for ends in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(ends, lambda *_: over.set())
@@ -112,7 +112,7 @@ def shadow(
     with ExitStack() as stack:
         if out is not None:
             stack.enter_context(made_folder(out))
-        session, shown = _session(stack, lab, known, play, twin, helm, out, (window, web))
+        session, shown = _session(stack, lab, known, play, twin, steering, out, (window, web))
         if not quiet:
             keys = (
                 ""
@@ -144,18 +144,21 @@ def _is_given(context: typer.Context, name: str) -> bool:
     return source is not None and source.name == "COMMANDLINE"
 
 
-def _twin(lab: dict[str, Any], follow: str | None, members: int, seed: int) -> tuple[Shadow, Helm | None]:
-    """Return the shadow of the robot, and the helm that steers it; all of both is compiled.
+def _twin(
+    lab: dict[str, Any], follow: str | None, members: int, seed: int
+) -> tuple[Shadow, EstimateSteering | None]:
+    """Return the shadow of the robot, and the steering that steers it; all of both is compiled.
 
     Args:
         lab: values of the options that a set-up file may have.
-        follow: scenario to follow; None: no helm.
+        follow: scenario to follow; None: no steering.
         members: ensemble size.
         seed: random seed.
     """
-    from srs_twin.live.helm import Helm
-    from srs_twin.live.session import TICK_S, warm_up
+    from srs_twin.live.results import TICK_S
+    from srs_twin.live.session import warm_up
     from srs_twin.live.shadow import Shadow, frames_of
+    from srs_twin.live.steering import EstimateSteering
     from srs_twin.robot.file import load_robot
     from srs_twin.scenario import load_scenario
 
@@ -163,14 +166,16 @@ def _twin(lab: dict[str, Any], follow: str | None, members: int, seed: int) -> t
     frames = frames_of(lab["body"], spec.geometry.connectors) if lab["body"] else None
     supply = None if lab["pressure"] is None else lab["pressure"] * 1000
     twin = Shadow(spec, supply_pa=supply, members=members, seed=seed, frames=frames)
-    helm = Helm(load_scenario(follow), twin, TICK_S, press_on=lab["press_on"]) if follow else None
+    steering = (
+        EstimateSteering(load_scenario(follow), twin, TICK_S, press_on=lab["press_on"]) if follow else None
+    )
     warm_up(spec)
-    return twin, helm
+    return twin, steering
 
 
 def _session(
     stack: ExitStack, lab: dict[str, Any], known: str, play: tuple[Path, float] | None, twin: Shadow,
-    helm: Helm | None, out: Path | None, shows: tuple[bool, bool],
+    steering: EstimateSteering | None, out: Path | None, shows: tuple[bool, bool],
 ) -> tuple[Session, str]:  # fmt: skip
     """Return a session and the address of the live view's page; the stack closes all that it opens.
 
@@ -180,7 +185,7 @@ def _session(
         known: name of the robot in topics.
         play: journal and speed; None: a running robot.
         twin: shadow of the robot.
-        helm: steers the robot; None: nothing does.
+        steering: steers the robot; None: nothing does.
         out: folder of the files.
         shows: whether the live view is shown in a window, and on a page.
     """
@@ -199,7 +204,7 @@ def _session(
     if play is not None:
         links.append(stack.enter_context(McapLink(play[0], known, spec.segments, speed=play[1])))
     else:
-        speaks = known if helm else None
+        speaks = known if steering else None
         broker = broker_link(
             known, spec.segments, lab["mqtt"] or BROKER, lab["user"], lab["ca"], speaks=speaks
         )
@@ -216,7 +221,7 @@ def _session(
         keep = None if out is None else new_numbered(out, RECORDINGS)
         view, shown = stack.enter_context(live_view(spec, keep=keep, window=window, web=web))
         views.append(view)
-    session = Session(twin, links, out=out, helm=helm, commands=commands, views=views, keys=keys)
+    session = Session(twin, links, out=out, steering=steering, commands=commands, views=views, keys=keys)
     return session, shown
 
 

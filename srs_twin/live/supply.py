@@ -1,13 +1,13 @@
 r"""SupplyFilter: supply pressure of the robot, estimated from the air that chambers take in.
 
 All chambers share one supply. Its gauge pressure S is a random walk. The air that chamber i has taken in
-since its valve opened exceeds what the estimate explains by r_i = h_i (S − Ŝ) + v_i (`balance`). A Kalman
+since its valve opened exceeds the expected amount by r_i = h_i (S − Ŝ) + v_i (`leak_detector`). A Kalman
 filter combines the chambers:
 
 $$ \hat S' = \hat S + \frac{\sum_i w_i h_i r_i / \sigma_i^2}{1/P + \sum_i w_i h_i^2 / \sigma_i^2}. $$
 
-The weights w of Student's t distribution keep one chamber that leaks or is stuck from moving the estimate. A
-large change is followed at once where most chambers that fill have other pressures than expected.
+The weights w of Student's t distribution limit the effect of a chamber that leaks or is stuck. A large change
+is followed at once if most filling chambers agree.
 """
 
 from __future__ import annotations
@@ -22,21 +22,22 @@ PRIOR_SD = 0.02
 """Standard deviation of the supply pressure at the start, share of the nominal one."""
 LARGEST_SD = 0.2
 """Largest standard deviation, while no chamber fills, share of the nominal pressure."""
-WALK = 0.01
+WALK = 0.02
 """Random walk of the supply pressure, share of the nominal one per square root of a second."""
 SENSOR_SD = 0.01
 """Standard deviation of a measured supply pressure, share of the nominal one."""
 STARVED_BELOW = 0.6
-"""Share of the nominal pressure below which the supply is named as starved."""
+"""Share of the nominal pressure below which `starved` is reported."""
 RECOVERED_ABOVE = 0.7
-"""Share of the nominal pressure above which a starved supply counts as sound again."""
-_SUDDEN, _SUDDEN_SD = 0.12, 3.0
-"""Change of the pressures of most chambers that counts as sudden: share of the nominal supply pressure, and
-standard deviations of what strokes differ by."""
+"""Share of the nominal pressure above which `starved` is cleared."""
+_SUDDEN = 0.12
+"""Change of the chambers' pressures that is followed at once, share of the nominal supply pressure."""
+_SUDDEN_SD = 3.0
+"""The same in standard deviations of the scatter between strokes."""
 _SURPRISE = 3.0
-"""Standard deviations from which on a change of the median makes the estimate unsure."""
+"""Change of the median, in standard deviations, above which the variance of the estimate is increased."""
 _AGREE = 3
-"""Least number of chambers whose median change is believed."""
+"""Smallest number of chambers whose median is used."""
 _TAILS = 4.0  # degrees of freedom of Student's t
 _LOWEST = 0.02  # share of the nominal pressure
 
@@ -75,20 +76,20 @@ class SupplyFilter(Remembers):
         self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray, weight: np.ndarray,
         repeats: float = 1.0,
     ) -> None:  # fmt: skip
-        """Correct by chambers that fill.
+        """Correct by filling chambers.
 
         Args:
-            residual: r; NaN where nothing was measured.
+            residual: r; NaN without a measurement.
             response: h.
             sd: of v.
             weight: of each chamber, 0 to 1.
-            repeats: number of measurements that say as much as one that is independent.
+            repeats: number of measurements with the information of one independent measurement.
         """
         there = ~np.isnan(residual) & (weight > 0) & (response > 0)
         if not there.any():
             return
         residual, response, variance = residual[there], response[there], sd[there] ** 2
-        # Where most chambers agree that the pressure has changed, an outlier is what differs from them.
+        # If most chambers agree on a change, outliers are those that differ from it.
         change = 0.0
         if len(residual) >= _AGREE:
             change = float(np.median(residual / response))
@@ -102,10 +103,10 @@ class SupplyFilter(Remembers):
         self._set(self.pressure + self.variance * float(information @ residual))
 
     def follow_sudden_change(self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray) -> bool:
-        """Follow a change that most chambers show at once; say whether there was one.
+        """Follow a sudden change that most chambers show; return whether there was one.
 
         Args:
-            residual: p − h S of chambers that fill, Pa.
+            residual: p − h S of filling chambers, Pa.
             response: h.
             sd: of p, Pa.
         """

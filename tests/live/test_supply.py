@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from live_runs import DROOPS_S, alarms, conditioned, shadowed
+from live_runs import DROOPS_S, OUTAGE, Run, alarms, conditioned, shadowed
 
 from srs_twin.live.messages import SUPPLY, BadMessageError, decode, encode
 from srs_twin.live.supply import LARGEST_SD, PRIOR_SD, WALK, SupplyFilter
@@ -52,7 +52,7 @@ def test_one_leaking_chamber_hardly_moves_the_estimate():
     assert followed(np.full(100, NOMINAL), outlier=0.5)[-1, 0] == pytest.approx(NOMINAL, rel=0.05)
 
 
-def test_measured_pressure_corrects_and_silence_makes_unsure():
+def test_measurement_corrects_and_variance_grows_up_to_its_limit():
     supply = SupplyFilter(NOMINAL)
     for _ in range(1000):
         supply.predict(1.0)
@@ -71,12 +71,23 @@ def test_supply_message_keeps_its_pressure():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("supply", ["droop:0.97", "droop:0.85", "wander"])
-def test_drooping_supply_is_no_fault_and_is_followed(supply):
+def test_drooping_supply_is_followed_and_is_not_a_fault(supply):
     assert alarms((104, 20.0, supply)) == []
     run = conditioned(supply, 104, 20.0)
     off = [
-        moment.shadow.bank.supply.share - run.supply_share(moment.time)
+        moment.shadow.faults.supply.share - run.supply_share(moment.time)
         for moment in shadowed(run, members=8)
         if moment.time > DROOPS_S + 1
     ]
     assert np.abs(np.subtract(off, np.median(off))).max() < 0.06
+
+
+@pytest.mark.slow
+def test_starved_is_reported_and_cleared_when_the_supply_recovers():
+    back, named = DROOPS_S + OUTAGE[1], {}
+    for moment in shadowed(Run(104, back + 3.0, supply="outage"), members=8):
+        named[moment.time] = dict(moment.shadow.faults.named)
+    period = 1 / 1.5
+    assert all(not faults for time, faults in named.items() if time < DROOPS_S)
+    assert all(faults == {0: "starved"} for time, faults in named.items() if DROOPS_S + 1.5 < time < back)
+    assert all(not faults for time, faults in named.items() if time > back + 2 * period)

@@ -17,8 +17,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from srs_twin.errors import InputError
+from srs_twin.live.estimate import Estimate
 from srs_twin.live.prediction import Prediction
-from srs_twin.live.shadow import Estimate
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.plots.signals import body_line
