@@ -19,7 +19,7 @@ from grid import Run, run_all, table
 
 from srs_twin import LoadedContact, Numerics, PreloadedContact, compare
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.mjcf.numerics import LOADS
+from srs_twin.plants.twin.mjcf.numerics import LOADS
 
 FREQUENCIES_HZ = (1.0, 1.5, 2.0)
 PRESSURES_KPA = (41.0, 48.0, 55.0)

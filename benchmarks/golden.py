@@ -30,7 +30,7 @@ from plan_worlds import drawn_problem
 from ruamel.yaml import YAML
 
 from srs_twin import plan
-from srs_twin.provenance import arithmetic
+from srs_twin.scenario.provenance import arithmetic
 
 HERE = Path(__file__).parent
 GOLDEN = HERE / "golden.json"

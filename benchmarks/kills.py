@@ -133,7 +133,7 @@ def _command_line(pid: int) -> bytes:
 
 def rows(out: Path) -> int:
     """Return how many rows a folder has, seen from outside."""
-    from srs_twin.sweep.store import FILE, RowStore
+    from srs_twin.studies.sweep.store import FILE, RowStore
 
     if not (out / FILE).exists():
         return 0

@@ -20,8 +20,8 @@ from grid import table
 from live_runs import POSES, conditioned, recorded
 
 from srs_twin import load_robot
+from srs_twin.compute.workers import each
 from srs_twin.live.shadow import Shadow
-from srs_twin.parallel import each
 
 SETTLED_S, BLIND_S, END_S = 5.0, 20.0, 30.0
 

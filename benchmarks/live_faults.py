@@ -21,7 +21,7 @@ import numpy as np
 from grid import table
 from live_runs import CONDITIONS, NAMES, alarms, isolated
 
-from srs_twin.parallel import each
+from srs_twin.compute.workers import each
 
 STILL = ("standing", "held bends", "stop and go")
 """Conditions in which faults need not show within a period: false alarms only."""

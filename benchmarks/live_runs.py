@@ -25,7 +25,7 @@ from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, SUPPLY, VAL
 from srs_twin.live.prediction import Prediction
 from srs_twin.live.shadow import Shadow
 from srs_twin.live.steering import EstimateSteering
-from srs_twin.plants.twin import TwinSnake
+from srs_twin.plants.twin.snake import TwinSnake
 
 NOISE_RAD = 0.02
 OFFSETS = (0.0, 0.15, -0.15)

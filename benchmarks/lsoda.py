@@ -19,7 +19,7 @@ import numpy as np
 from scipy.integrate import odeint
 
 from srs_twin import Gait, RobotSpec, Trajectory
-from srs_twin.geometry import relative_headings
+from srs_twin.robot.geometry import relative_headings
 from srs_twin.robot.spec import GRAVITY
 
 TICK = 0.02  # s, as the plants' default: it sets the raster of the valve events

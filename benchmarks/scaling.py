@@ -27,7 +27,7 @@ from srs_twin import (
     run_batch,
     run_many,
 )
-from srs_twin.parallel import Workers
+from srs_twin.compute.workers import Workers
 
 SEGMENTS = (2, 4, 8, 16, 32, 64)
 PLANTS: dict[str, Callable[[RobotSpec], Plant]] = {

@@ -33,7 +33,7 @@ from srs_twin.identification.fitted_robot import fitted
 from srs_twin.identification.footprint import PLANTS, Drive
 from srs_twin.identification.unknowns import with_values
 from srs_twin.io.files import atomic_write, data_root
-from srs_twin.provenance import versions
+from srs_twin.scenario.provenance import versions
 
 FREQUENCY_HZ, SUPPLY_PA, TARGET_RAD = 1.5, 131e3, 0.7
 FITTED = (0.0, 0.3, -0.3)
@@ -216,7 +216,7 @@ def value_text(fit: FitFile, name: str) -> str:
     each = next((each for each in fit.parameters if each.name == name), None)
     if each and each.value is not None:
         return f"{each.value:.3g} ({each.low:.2g} to {each.high:.2g}), {each.verdict}"
-    return f"{fit.held[name]:.3g}, held" + (f": {each.verdict}" if each else "")
+    return f"{fit.held[name]:.3g}, fixed" + (f": {each.verdict}" if each else "")
 
 
 def rows_table(fits: dict[str, FitFile]) -> str:

@@ -14,7 +14,7 @@ from table8_fit import place
 
 from srs_twin import load_robot
 from srs_twin.identification.fit_file import FitFile, fit_file, load_fit, write_fit
-from srs_twin.provenance import versions
+from srs_twin.scenario.provenance import versions
 
 PLANT = "analytical"
 

@@ -24,17 +24,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from srs_twin.compute.workers import Stopped, Workers
 from srs_twin.control.base import Controller
 from srs_twin.errors import Clock, DivergedError, InputError, decimal, exact, nearest_rate, whole_steps
-from srs_twin.memory import SavedState
-from srs_twin.parallel import Stopped, Workers
+from srs_twin.io.saved_state import SavedState
 from srs_twin.plants.base import Plant, PlantState, Pose, SnakeState, check_commands, check_plausible
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event, Trajectory
 
 if TYPE_CHECKING:
-    from srs_twin.plants.batch import TwinBatch
+    from srs_twin.plants.twin.batch import TwinBatch
 
 
 Observer = Callable[[SnakeState], None]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from srs_twin.compiled import compiled
+from srs_twin.compute.compiled import compiled
 from srs_twin.plants.analytical.floor import FloorFriction, connector_friction
 from srs_twin.plants.analytical.kinematics import (
     COS,

@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 
 from srs_twin import AnalyticalSnake, LoadedContact, Plant, RobotSpec, TwinSnake, load_robot
-from srs_twin.mjcf.model import root_connector
 from srs_twin.plants.analytical import kernels
+from srs_twin.plants.twin.mjcf.model import root_connector
 
 GRAVITY = 9.81
 shipped = cache(load_robot)

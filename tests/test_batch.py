@@ -38,8 +38,8 @@ from srs_twin import (
     run_batch,
     run_many,
 )
-from srs_twin.parallel import Workers
-from srs_twin.plants.physics import ENGINE_WARNINGS
+from srs_twin.compute.workers import Workers
+from srs_twin.plants.twin.physics import ENGINE_WARNINGS
 from srs_twin.pneumatics import make_pneumatics
 
 SPEC = robot()
@@ -515,7 +515,7 @@ def test_what_a_batch_in_hand_refuses():
     assert np.array_equal(batch.step(np.stack([vented(SPEC)] * 2)).time, [0.02, 0.02])
 
 
-@pytest.mark.parametrize("name", ["srs_twin.rollout", "srs_twin.plants.batch"])
+@pytest.mark.parametrize("name", ["srs_twin.rollout", "srs_twin.plants.twin.batch"])
 def test_examples_in_the_docstrings_say_what_happens(name):
     outcome = doctest.testmod(importlib.import_module(name))
     assert (outcome.failed, outcome.attempted > 4) == (0, True)

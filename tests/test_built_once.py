@@ -17,7 +17,7 @@ from srs_twin.control.gait import Gait
 from srs_twin.io.files import shipped_names
 from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.plants.base import Plant
-from srs_twin.plants.twin import TwinSnake
+from srs_twin.plants.twin.snake import TwinSnake
 
 PACKAGE = Path(srs_twin.__file__).parent
 BRIEF = """\

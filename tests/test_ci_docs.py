@@ -18,7 +18,7 @@ from ruamel.yaml import YAML
 from typer.exceptions import TyperException
 
 from srs_twin.cli.app import command
-from srs_twin.doctor.examination import REMEDIES, VIEWERS
+from srs_twin.cli.doctor.examination import REMEDIES, VIEWERS
 from srs_twin.viewing.mujoco.opengl import PACKAGES
 
 pytestmark = pytest.mark.fast

@@ -9,9 +9,9 @@ from snakes import robot
 
 from srs_twin import Trajectory, TwinSnake, rollout
 from srs_twin.comparison.centre_line import centre_lines, hull_lines
-from srs_twin.comparison.following import clearances, following_metrics
+from srs_twin.planning.metrics import clearances, following_metrics
+from srs_twin.robot.world import Circle, Polygon, World
 from srs_twin.scenario import parse_scenario
-from srs_twin.world import Circle, Polygon, World
 
 WORLD = World(
     (Circle(0.3, 0.1, 0.06), Circle(-0.4, -0.35, 0.11)),

@@ -21,9 +21,9 @@ from srs_twin.cli.app import command
 from srs_twin.cli.progress import ScenarioProgress
 from srs_twin.cli.table import asks_why, rows
 from srs_twin.cli.view import find_recording
+from srs_twin.compute.workers import Done
 from srs_twin.errors import DivergedError, InputError, TaskFailedError, WorkerDiedError
 from srs_twin.experiment import RunResult
-from srs_twin.parallel import Done
 from srs_twin.scenario import Expectation
 
 COMMAND = Path(sys.executable).with_name("srs-twin")
@@ -126,7 +126,7 @@ def start(monkeypatch, capsys, tmp_path):
         monkeypatch.setattr("srs_twin.scenario.load_scenario", load)
         monkeypatch.setattr("srs_twin.experiment.check_run", lambda scenario, folder: None)
         monkeypatch.setattr("srs_twin.experiment.prepare", prepare)
-        monkeypatch.setattr("srs_twin.parallel.each", last_first)
+        monkeypatch.setattr("srs_twin.compute.workers.each", last_first)
         with pytest.raises(SystemExit) as left:
             main(list(words))
         said = capsys.readouterr()

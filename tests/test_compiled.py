@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from numba.core.caching import IndexDataCacheFile
 
-from srs_twin import compiled as module
-from srs_twin.compiled import compiled
+from srs_twin.compute import compiled as module
+from srs_twin.compute.compiled import compiled
 from srs_twin.errors import CacheWarning
 
 # numba's own way to be left without any folder: the one kind it may look for is not given.
@@ -103,7 +103,7 @@ def test_an_index_that_cannot_be_read_is_done_without(kernel, damage):
 
 
 LAW = """
-from srs_twin.compiled import compiled
+from srs_twin.compute.compiled import compiled
 SLOPE = 2.0
 @compiled
 def law(x):
@@ -112,7 +112,7 @@ def law(x):
 CALLER = """
 import law as laws
 from law import law
-from srs_twin.compiled import compiled
+from srs_twin.compute.compiled import compiled
 @compiled
 def twice(x):
     return law(x) + law(x)
@@ -142,7 +142,7 @@ def test_what_a_kernel_inlines_decides_and_a_comment_does_not(tmp_path):
 
 
 PROGRAM = """
-from srs_twin.parallel import each
+from srs_twin.compute.workers import each
 from test_compiled import in_a_worker
 import srs_twin.planning.best_first, srs_twin.pneumatics.orifice_kernels
 print(sorted(done.result for done in each(in_a_worker, [1, 2, 3], workers=2)))

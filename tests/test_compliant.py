@@ -11,11 +11,11 @@ from rows import newtons_matrix
 from snakes import chain, robot, vented
 
 from srs_twin import AnalyticalSnake, Gait, RobotSpec, Trajectory, TwinSnake, rollout
-from srs_twin.friction import LAWS
-from srs_twin.geometry import body_shape, relative_headings
 from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
 from srs_twin.plants.analytical.kinematics import Solid
+from srs_twin.robot.friction import LAWS
+from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import Mass
 
 LENGTH, GAP, SLIP = 0.037, 0.018, 0.02

@@ -8,8 +8,8 @@ import sys
 import pytest
 
 from srs_twin.cli import progress
-from srs_twin.cli.fitting import Searching
 from srs_twin.cli.progress import Counting
+from srs_twin.identification.fitting import Searching
 
 pytestmark = pytest.mark.fast
 

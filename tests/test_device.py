@@ -15,14 +15,14 @@ import pytest
 
 import srs_twin.envs  # noqa: F401
 from srs_twin import Gait, InputError, TwinBatch, TwinSnake, load_robot, run_scripts
+from srs_twin.compute.workers import Done
 from srs_twin.errors import EngineWarning
-from srs_twin.friction_held import held, rolling
-from srs_twin.parallel import Done
+from srs_twin.plants.twin.friction_held import held, rolling
 from srs_twin.pneumatics.chambers import as_felt
-from srs_twin.sweep import load_sweep
-from srs_twin.sweep.execution import local
-from srs_twin.sweep.on_device import on_device
-from srs_twin.world import Circle, World
+from srs_twin.robot.world import Circle, World
+from srs_twin.studies.sweep.execution import local
+from srs_twin.studies.sweep.loading import load_sweep
+from srs_twin.studies.sweep.on_device import on_device
 
 wp = pytest.importorskip("warp", reason="the extra gpu is not installed")
 GEN2 = load_robot("gen2")
@@ -48,7 +48,7 @@ def both(specs, gaits, seconds, **settings):
 
 
 def test_the_laws_of_friction_are_the_same_in_warp():
-    from srs_twin.plants.device.ported import ported
+    from srs_twin.warp.ported import ported
 
     laws = ported([held, rolling])
     wheel = laws["rolling"]
@@ -84,8 +84,8 @@ def test_the_laws_of_friction_are_the_same_in_warp():
 
 def waves(gaits, slot, slots, steps):
     """Return the valves that the device computes for gaits, shape (gaits, slots, segments, 2)."""
-    from srs_twin.plants.device.kernels import Air, Bodies, Kept, Wave, kernels
-    from srs_twin.plants.device.ported import record, stacked
+    from srs_twin.warp.kernels import Air, Bodies, Kept, Wave, kernels
+    from srs_twin.warp.ported import record, stacked
 
     twin, empty = TwinSnake(GEN2), np.zeros((GEN2.segments, 2))
     whole = empty.astype(int)
@@ -125,8 +125,8 @@ def test_device_gait_switches_valves_in_the_slots_of_its_schedule():
 
 def test_pressures_on_the_device_act_as_on_the_processor():
     """The bends of these segments saturate. Under equal pressures the law has its slope at rest."""
-    from srs_twin.plants.device.kernels import Air, Bodies, Kept, Wave, kernels
-    from srs_twin.plants.device.ported import record, stacked
+    from srs_twin.warp.kernels import Air, Bodies, Kept, Wave, kernels
+    from srs_twin.warp.ported import record, stacked
 
     bent = replace(GEN2, actuator=replace(GEN2.actuator, bend_limit=0.6))
     twin, empty = TwinSnake(bent), np.zeros((bent.segments, 2))
@@ -317,7 +317,7 @@ def test_what_a_device_cannot_do_is_refused_by_its_name(settings, named):
 
 @pytest.mark.parametrize("way", [pickle.dumps, copy.deepcopy, copy.copy])
 def test_copies_of_a_batch_on_a_device_are_refused(way):
-    from srs_twin.plants.device.batch import WarpBatch
+    from srs_twin.warp.batch import WarpBatch
 
     with pytest.raises(InputError, match=r"neither copied nor pickled; .* save\(\) and restore\(\)"):
         way(object.__new__(WarpBatch))
@@ -333,7 +333,7 @@ def test_every_point_that_no_device_runs_is_run_once_here(tmp_path, monkeypatch,
 
     kind = SimpleNamespace(accelerated=lambda: True, check=refuse)
     for name, value in {"warp_batch": lambda: kind, "local": here, "TOGETHER": together}.items():
-        monkeypatch.setattr(f"srs_twin.sweep.on_device.{name}", value)
+        monkeypatch.setattr(f"srs_twin.studies.sweep.on_device.{name}", value)
     (tmp_path / "s.yaml").write_text(SWEEP.replace("[2.0, 2.5]", "[2.0]").replace("[lag, orifice]", "[lag]"))
     found = load_sweep(tmp_path / "s.yaml")
     points = [replace(found.points[0], changes={"seed": seed}) for seed in range(5)]
@@ -343,7 +343,7 @@ def test_every_point_that_no_device_runs_is_run_once_here(tmp_path, monkeypatch,
 
 
 def test_without_an_accelerator_a_sweep_says_so_and_runs_on_the_processor(monkeypatch):
-    from srs_twin.plants.device.batch import WarpBatch
+    from srs_twin.warp.batch import WarpBatch
 
     monkeypatch.setattr(WarpBatch, "accelerated", staticmethod(lambda: False))
     with pytest.warns(EngineWarning, match="no accelerator"):
@@ -351,7 +351,7 @@ def test_without_an_accelerator_a_sweep_says_so_and_runs_on_the_processor(monkey
 
 
 def test_without_warp_the_extra_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "srs_twin.plants.device.batch", None)
+    monkeypatch.setitem(sys.modules, "srs_twin.warp.batch", None)
     with pytest.raises(InputError, match=r"srs-twin\[gpu\]"):
         TwinBatch([GEN2], engine="warp")
 

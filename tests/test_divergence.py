@@ -31,7 +31,7 @@ from srs_twin import (
     run_batch,
     run_many,
 )
-from srs_twin.arrays import LARGEST, implausible, plausible
+from srs_twin.compute.arrays import LARGEST, implausible, plausible
 from srs_twin.plants.analytical import kernels
 from srs_twin.plants.analytical.compliant_kernels import BENDS
 from srs_twin.plants.base import check_plausible

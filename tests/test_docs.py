@@ -18,10 +18,10 @@ from srs_twin import load_robot, load_scenario
 from srs_twin.cli.app import command
 from srs_twin.io.files import shipped_names
 from srs_twin.live.setup_file import load_setup
-from srs_twin.optimization import load_study
 from srs_twin.recordings.recording_map import read_map
 from srs_twin.scenario.file import ScenarioFile
-from srs_twin.sweep.loading import load_sweep
+from srs_twin.studies.optimization.loading import load_study
+from srs_twin.studies.sweep.loading import load_sweep
 
 BY_PATH = {page.path: page for page in PAGES}
 COMMANDS = [(page, line) for page in PAGES for line in (*page.commands, *page.mentions)]

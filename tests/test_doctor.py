@@ -16,9 +16,9 @@ import pytest
 from conftest import ROOT, on_interrupt
 
 from srs_twin.cli import main
-from srs_twin.doctor import checks, examination, probes
-from srs_twin.doctor.checks import Answer, Check, ended, failing, free_memory, processor_share
-from srs_twin.doctor.examination import REMEDIES, VIEWERS, ask, check_of
+from srs_twin.cli.doctor import checks, examination, probes
+from srs_twin.cli.doctor.checks import Answer, Check, ended, failing, free_memory, processor_share
+from srs_twin.cli.doctor.examination import REMEDIES, VIEWERS, ask, check_of
 from srs_twin.io.files import shipped_names
 
 CPU_S = 5.0
@@ -136,7 +136,7 @@ def test_a_folder_for_machine_code(srs_twin_process, tmp_path):
     broken = (
         "from numba.core import caching\n"
         "caching.CacheImpl._locator_classes = []\n"
-        "from srs_twin.doctor import probes\n"
+        "from srs_twin.cli.doctor import probes\n"
         "print(probes.kernels())\n"
     )
     done = subprocess.run(
@@ -386,7 +386,7 @@ def test_command_on_a_broken_machine(srs_twin_process, tmp_path):
 def test_the_web_viewer_that_was_tried_out_ends_where_interrupts_are_ignored(tmp_path):
     with on_interrupt(signal.SIG_IGN):
         done = subprocess.run(
-            [sys.executable, "-c", "from srs_twin.doctor import probes; print(probes.in_a_browser())"],
+            [sys.executable, "-c", "from srs_twin.cli.doctor import probes; print(probes.in_a_browser())"],
             cwd=tmp_path, capture_output=True, text=True,
         )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")

@@ -14,15 +14,16 @@ from unicycle import Unicycle, Wheel
 
 from srs_twin import InputError
 from srs_twin.control.camera import Camera, CameraFrames, PeriodMean
-from srs_twin.control.following import ENDINGS, Conditions, Follower
 from srs_twin.control.reference import Constant
 from srs_twin.control.smc import IterativeSMC
-from srs_twin.control.steering import BearingLaw, PathLaw, Predictor, Steering
-from srs_twin.planning import Footprint, Outcome, Plan
-from srs_twin.planning.problem import path_of
+from srs_twin.planning.follower import ENDINGS, Conditions, Follower
+from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.plan import Plan
+from srs_twin.planning.problem import Outcome, path_of
 from srs_twin.planning.route import Route
+from srs_twin.planning.steering import BearingLaw, PathLaw, Predictor, Steering
 from srs_twin.robot.file import load_robot
-from srs_twin.world import Circle, Goal, Pose, World
+from srs_twin.robot.world import Circle, Goal, Pose, World
 
 ORIGIN, CLEAR, EMPTY = Pose(0.0, 0.0, 0.0), Camera(), World()
 BODY = Footprint.box(0.1, 0.0, speed=0.2, curvature=5.0)

@@ -10,7 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from numba import njit
 
-from srs_twin import friction
+from srs_twin.robot import friction
 
 pytestmark = pytest.mark.fast
 

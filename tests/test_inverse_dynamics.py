@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rows import fill_rows
 
-from srs_twin.friction import LAWS
 from srs_twin.plants.analytical.floor import FloorFriction, fill_forces, floor_friction
 from srs_twin.plants.analytical.kernels import inverse_dynamics
 from srs_twin.plants.analytical.kinematics import ROWS, Solid, pose_body
 from srs_twin.pneumatics import Trace
+from srs_twin.robot.friction import LAWS
 
 
 def by_rows(

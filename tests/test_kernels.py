@@ -10,14 +10,14 @@ import pytest
 from numba import njit
 from scipy.integrate import solve_ivp
 
-from srs_twin import friction
-from srs_twin.friction import LAWS
-from srs_twin.geometry import body_shape, relative_headings
 from srs_twin.plants.analytical import kernels, kinematics
 from srs_twin.plants.analytical.floor import connector_friction, fill_forces, floor_forces, floor_friction
 from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, Solid, X, Y, pose_body
 from srs_twin.plants.analytical.steps import advance, bend_within
 from srs_twin.pneumatics import Trace
+from srs_twin.robot import friction
+from srs_twin.robot.friction import LAWS
+from srs_twin.robot.geometry import body_shape, relative_headings
 
 GRAVITY = 9.81
 

@@ -15,8 +15,8 @@ from srs_twin import AnalyticalSnake, Gait, InputError, RobotSpec, load_scenario
 from srs_twin.comparison.compare import compare
 from srs_twin.errors import InputFileError
 from srs_twin.experiment import run_scenario
-from srs_twin.friction import LAWS
 from srs_twin.plants.base import SnakeState
+from srs_twin.robot.friction import LAWS
 from srs_twin.scenario import parse_scenario
 
 MASSES = (0.03, 0.05, 0.02, 0.04, 0.1)

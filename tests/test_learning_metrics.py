@@ -13,7 +13,7 @@ from srs_twin import AnalyticalSnake, InputError, Trajectory, load_robot, rollou
 from srs_twin.comparison.learning import LEARNING_LIST_UNITS, LEARNING_UNITS, ChamberPeriods, learning_metrics
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.learning import ILC
-from srs_twin.sweep.task import flat_metrics
+from srs_twin.studies.sweep.task import flat_metrics
 
 pytestmark = pytest.mark.fast
 

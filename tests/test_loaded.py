@@ -35,8 +35,8 @@ from srs_twin import (
     rollout,
     run_many,
 )
-from srs_twin.friction import ellipse, wheel
-from srs_twin.friction_held import held, rolling
+from srs_twin.plants.twin.friction_held import held, rolling
+from srs_twin.robot.friction import ellipse, wheel
 from srs_twin.robot.spec import Friction, Tail
 
 SPEC = robot()

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import cumulative_simpson
 
-from srs_twin.geometry import arc_between, measured_bend, pair_heading
 from srs_twin.recordings.body.trajectories import moving_slope
+from srs_twin.robot.geometry import arc_between, measured_bend, pair_heading
 
 pytestmark = pytest.mark.fast
 

@@ -18,7 +18,7 @@ from subsets import first_by_default
 
 from srs_twin import AnalyticalSnake, Gait, InputError, TwinSnake, load_robot, rollout
 from srs_twin.control.base import Controller
-from srs_twin.memory import SavedState
+from srs_twin.io.saved_state import SavedState
 from srs_twin.plants.base import Plant, SnakeState
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.scenario import parse_scenario
@@ -147,7 +147,7 @@ import sys
 from pathlib import Path
 sys.path[:0] = [{tests!r}]
 from test_memory import go_on, scenario, started
-from srs_twin.memory import SavedState
+from srs_twin.io.saved_state import SavedState
 plant, controller = started(scenario(*{case!r}), seed=7)
 plant.restore(SavedState.read(Path("plant.npz")))
 controller.restore(SavedState.read(Path("controller.npz")))
@@ -244,7 +244,7 @@ def test_a_damaged_file_says_so(damage, tmp_path):
     if damage == "no state":
         np.savez(path, a=np.zeros(3))
     elif damage == "code":
-        tree = '{"version": 1, "of": {}, "content": {"@": "os:system", "items": ["true"]}}'
+        tree = '{"version": 2, "of": {}, "content": {"@": "os:system", "items": ["true"]}}'
         np.savez(path, state=np.array(tree))
     elif damage == "object":
         np.savez(path, state=np.array([{}], dtype=object), allow_pickle=True)

@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic import Snake, backwards, mirrored, moved, sampled, with_columns, with_metadata
 
-from srs_twin.comparison.following import FOLLOWING_UNITS
 from srs_twin.comparison.gait import GaitWindow
 from srs_twin.comparison.learning import LEARNING_LIST_UNITS, LEARNING_UNITS
 from srs_twin.comparison.metrics import LIST_METRIC_UNITS, MEASURED_UNITS, METRIC_UNITS, plant_metrics
 from srs_twin.comparison.reading import READING_UNITS
 from srs_twin.comparison.tracking import TRACKING_UNITS
 from srs_twin.errors import InputError
+from srs_twin.planning.metrics import FOLLOWING_UNITS
 from srs_twin.trajectory import Trajectory
 
 pytestmark = pytest.mark.fast

@@ -8,9 +8,9 @@ import pytest
 from snakes import GRAVITY, chain, robot
 
 from srs_twin import InputError, PreloadedContact, load_robot
-from srs_twin.mjcf.model import robot_mjcf, scene_mjcf
-from srs_twin.mjcf.numerics import ModelSettings, hinge_stations
-from srs_twin.mjcf.wheels import pair_attributes, preload_force, treads
+from srs_twin.plants.twin.mjcf.model import robot_mjcf, scene_mjcf
+from srs_twin.plants.twin.mjcf.numerics import ModelSettings, hinge_stations
+from srs_twin.plants.twin.mjcf.wheels import pair_attributes, preload_force, treads
 
 pytestmark = pytest.mark.fast
 

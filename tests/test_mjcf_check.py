@@ -10,8 +10,8 @@ import mujoco
 import pytest
 
 from srs_twin.errors import InputError
-from srs_twin.mjcf import check as checks
-from srs_twin.mjcf.check import check_mjcf, examine_model, scan_mjcf
+from srs_twin.plants.twin.mjcf import check as checks
+from srs_twin.plants.twin.mjcf.check import check_mjcf, examine_model, scan_mjcf
 
 BALL = (
     '<worldbody><geom type="plane" size="1 1 1"/>'

@@ -17,10 +17,10 @@ from srs_twin import PreloadedContact, load_robot
 from srs_twin.cli import models
 from srs_twin.errors import InputError
 from srs_twin.io import files
-from srs_twin.mjcf.export import SCENE, export_robot, robot_files, stale_files
-from srs_twin.mjcf.model import GRAVITY, scene_mjcf
-from srs_twin.mjcf.numerics import ModelSettings
-from srs_twin.mjcf.wheels import preload_force, treads
+from srs_twin.plants.twin.mjcf.export import SCENE, export_robot, robot_files, stale_files
+from srs_twin.plants.twin.mjcf.model import GRAVITY, scene_mjcf
+from srs_twin.plants.twin.mjcf.numerics import ModelSettings
+from srs_twin.plants.twin.mjcf.wheels import preload_force, treads
 
 ROBOTS = ("gen1", "gen2", "gen3", "gen4")
 SECOND = round(1 / ModelSettings.timestep)

@@ -376,7 +376,7 @@ def test_the_plot_shows_periods_of_what_is_periodic(reference, period):
 
 
 def test_a_sweep_counts_periods_of_the_reference():
-    from srs_twin.sweep import load_sweep
+    from srs_twin.studies.sweep.loading import load_sweep
 
     experiment = load_sweep("fig44_direct").experiment
     for frequency in (0.25, 6.0):

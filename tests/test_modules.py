@@ -25,8 +25,8 @@ from srs_twin import (
 )
 from srs_twin.control.gait import Gait
 from srs_twin.control.replay import HoldValves
-from srs_twin.mjcf.model import robot_mjcf
-from srs_twin.mjcf.numerics import ModelSettings
+from srs_twin.plants.twin.mjcf.model import robot_mjcf
+from srs_twin.plants.twin.mjcf.numerics import ModelSettings
 from srs_twin.pneumatics import LagPneumatics, OrificePneumatics, make_pneumatics
 from srs_twin.pneumatics.chambers import air_bend, as_felt, bent, largest_bend
 from srs_twin.pneumatics.valves import StuckValve

@@ -8,7 +8,7 @@ import pytest
 from snakes import robot
 
 from srs_twin import Gait, Trajectory, TwinSnake, load_scenario, rollout
-from srs_twin.world import Bounds, Circle, Goal, Polygon, World
+from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, World
 
 ROUND = World((Circle(0.25, 0.02, 0.06), Circle(0.2, -0.25, 0.05)))
 WALL = World(polygons=(Polygon(((0.2, -0.5), (0.3, -0.5), (0.3, 0.5), (0.2, 0.5))),))

@@ -26,12 +26,12 @@ from srs_twin.identification.actuator import (
 )
 from srs_twin.identification.estimate import Estimate
 from srs_twin.identification.fit_file import load_fit
-from srs_twin.identification.takes import RecordingReader
 from srs_twin.identification.unknowns import with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.pneumatics.recorded import RecordedPressures
 from srs_twin.recordings.recording import Recording
+from srs_twin.recordings.takes import RecordingReader
 from srs_twin.robot.spec import RobotSpec
 
 MODULE = load_robot("gen4_module")

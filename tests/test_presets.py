@@ -10,10 +10,10 @@ import pytest
 from presets import FINE_S, METRICS, errors, measured
 
 from srs_twin import InputError, TwinSnake, load_robot
-from srs_twin.mjcf.numerics import PRESETS, Preset
+from srs_twin.plants.twin.mjcf.numerics import PRESETS, Preset
 from srs_twin.scenario import load_scenario, parse_scenario
 from srs_twin.scenario.plants import TwinFile
-from srs_twin.sweep.points import Experiment
+from srs_twin.studies.sweep.points import Experiment
 
 KEY = "plants.twin.preset"
 STATED = (1.95, 21.5, 2.45, 0.155, 0.705, 1.75, 0.0, 1.55)

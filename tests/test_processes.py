@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 from conftest import exists, wait_until
 
+from srs_twin.compute.workers import METHOD, each
 from srs_twin.errors import DivergedError, InputError, SrsError, TaskFailedError, WorkerDiedError
 from srs_twin.io.files import atomic_write
-from srs_twin.parallel import METHOD, each
 
 # Tasks: a worker imports them from here.
 PREPARED: list[str] = []
@@ -204,7 +204,7 @@ OF_THE_SCRIPT = """
 from dataclasses import dataclass
 from functools import partial
 from srs_twin.errors import InputError
-from srs_twin.parallel import each
+from srs_twin.compute.workers import each
 from test_processes import square
 
 def mine(x):
@@ -244,7 +244,7 @@ import sys
 from functools import partial
 from pathlib import Path
 from test_processes import write_slowly
-from srs_twin.parallel import each
+from srs_twin.compute.workers import each
 
 list(each(partial(write_slowly, Path(sys.argv[1])), [0, 1], workers=1))
 """
@@ -286,11 +286,11 @@ PRELOADING = """
 import sys
 from functools import partial
 from test_processes import loaded
-from srs_twin.parallel import start_server
-from srs_twin.parallel import each
+from srs_twin.compute.workers import start_server
+from srs_twin.compute.workers import each
 
-start_server("srs_twin.sweep.warm")
-names = ("srs_twin.sweep.warm", "srs_twin.plants.analytical", "mujoco")
+start_server("srs_twin.studies.sweep.warm")
+names = ("srs_twin.studies.sweep.warm", "srs_twin.plants.analytical", "mujoco")
 print(*(done.result for name in names for done in each(partial(loaded, name), [0], workers=1)))
 """
 

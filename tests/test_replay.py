@@ -20,8 +20,8 @@ from srs_twin.identification.unknowns import with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.recorded import RecordedPressures
 from srs_twin.scenario import parse_scenario
-from srs_twin.sweep.points import Experiment, Point
-from srs_twin.sweep.task import run_point
+from srs_twin.studies.sweep.points import Experiment, Point
+from srs_twin.studies.sweep.task import run_point
 
 EXAMPLE = ROOT / "calibration/examples/my_snake"
 SUPPLY = 48e3

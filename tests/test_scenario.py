@@ -98,7 +98,7 @@ def test_building_is_fresh_each_time_and_knows_both_plants():
 @pytest.mark.parametrize("kind", ["analytical", "twin"])
 def test_defaults_are_those_of_the_plants(kind):
     from srs_twin.plants.analytical import AnalyticalSnake
-    from srs_twin.plants.twin import TwinSnake
+    from srs_twin.plants.twin.snake import TwinSnake
 
     parameters = inspect.signature({"analytical": AnalyticalSnake, "twin": TwinSnake}[kind]).parameters
     section = scenario().plants[kind]

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from srs_twin.geometry import body_shape, chord, chords, relative_headings
+from srs_twin.robot.geometry import body_shape, chord, chords, relative_headings
 
 pytestmark = pytest.mark.fast
 

@@ -10,9 +10,9 @@ import pytest
 from snakes import GRAVITY, chain, robot, throw, vented
 
 from srs_twin import Gait, PreloadedContact, TwinSnake, load_robot, rollout
-from srs_twin.mjcf.model import scene_mjcf
-from srs_twin.mjcf.numerics import PRELOAD, ModelSettings
-from srs_twin.mjcf.wheels import pair_attributes, preload_force, treads
+from srs_twin.plants.twin.mjcf.model import scene_mjcf
+from srs_twin.plants.twin.mjcf.numerics import PRELOAD, ModelSettings
+from srs_twin.plants.twin.mjcf.wheels import pair_attributes, preload_force, treads
 
 SPEC = robot(stiffness=20.0)
 SKIDS = ModelSettings(contact=PreloadedContact("skid"))

@@ -8,11 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from srs_twin.robot.priors import Prior, Priors
 from srs_twin.robot.sourced import Uncertain
 from srs_twin.scenario import load_scenario
-from srs_twin.uncertainty import Prior, Priors, Propagation, Spread, Study
-from srs_twin.uncertainty.spreads import BOUNDING, predicted, sampling_errors
-from srs_twin.viewing.plots.intervals import draw_intervals
+from srs_twin.studies.uncertainty.plots import draw_intervals
+from srs_twin.studies.uncertainty.propagation import Propagation
+from srs_twin.studies.uncertainty.spreads import BOUNDING, Spread, predicted, sampling_errors
+from srs_twin.studies.uncertainty.study import Study
 
 SPEED = "com_speed_m_s"
 Law = Callable[[np.ndarray], np.ndarray]
@@ -133,7 +135,7 @@ def test_a_shift_by_the_mean_of_eight_runs_has_the_error_of_a_mean(monkeypatch):
     ) -> tuple[np.ndarray, None]:
         return cheap + np.mean(costly - cheap[: len(costly)]), None
 
-    monkeypatch.setattr("srs_twin.uncertainty.spreads.corrected", shifted)
+    monkeypatch.setattr("srs_twin.studies.uncertainty.spreads.corrected", shifted)
     rng = np.random.default_rng(4)
     cheap, off = rng.normal(size=64), rng.normal(size=8)
     _, surrogate = predicted(rng.random((64, 2)), cheap, cheap[:8] + off)

@@ -11,8 +11,8 @@ from smooth import Wave
 from snakes import chain, robot
 
 from srs_twin import AnalyticalSnake, Gait, RobotSpec, rollout
-from srs_twin.friction import AT_TRACK, wheel
 from srs_twin.plants.base import SnakeState
+from srs_twin.robot.friction import AT_TRACK, wheel
 
 MASSES = (0.03, 0.05, 0.02, 0.04, 0.1)
 STEP = 1e-4

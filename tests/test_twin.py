@@ -8,7 +8,7 @@ from dm_control import mujoco as dm
 from snakes import GRAVITY, chain, robot, throw, vented
 
 from srs_twin import AnalyticalSnake, Gait, InputError, PreloadedContact, TwinSnake, rollout
-from srs_twin.mjcf.model import ModelSettings
+from srs_twin.plants.twin.mjcf.model import ModelSettings
 
 SPEC = robot()
 MASSES = (0.03, 0.05, 0.02, 0.04, 0.1)

@@ -18,10 +18,12 @@ from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.documents import Document, dump_yaml
 from srs_twin.io.validation import validate
 from srs_twin.robot.file import RobotFile, load_robot_file
+from srs_twin.robot.priors import Priors
 from srs_twin.scenario import load_scenario
-from srs_twin.sweep.execution import OpenSweep, local
-from srs_twin.uncertainty import Priors, Study, propagate
-from srs_twin.uncertainty.surrogates import Chaos, GaussianProcess, corrected
+from srs_twin.studies.sweep.execution import OpenSweep, local
+from srs_twin.studies.uncertainty.propagation import propagate
+from srs_twin.studies.uncertainty.study import Study
+from srs_twin.studies.uncertainty.surrogates import Chaos, GaussianProcess, corrected
 
 SHARES = (np.arange(4000) + 0.5) / 4000
 

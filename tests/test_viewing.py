@@ -25,9 +25,10 @@ from srs_twin.comparison.centre_line import centre_lines
 from srs_twin.comparison.compare import compare
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import InputError
+from srs_twin.robot.world import Circle, Polygon, World
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.html.report import write_report
-from srs_twin.viewing.plots.plan_view import plan_view, strobe_times
+from srs_twin.viewing.plots.from_above import plan_view, strobe_times
 from srs_twin.viewing.plots.runs import bend_plot, error_plot, pressure_plot, speed_plot
 from srs_twin.viewing.plots.signals import (
     body_line,
@@ -42,7 +43,6 @@ from srs_twin.viewing.rerun.blueprint import Layout, scene_view
 from srs_twin.viewing.rerun.recording import thinned, write_recording, write_side_by_side
 from srs_twin.viewing.rerun.scene import line_height
 from srs_twin.viewing.rerun.viewer import open_recording, verify_recording
-from srs_twin.world import Circle, Polygon, World
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -1,4 +1,4 @@
-"""Puts the verbs together. Importing this costs typer and nothing else."""
+"""The command line, put together from the commands of the core and of the extensions."""
 
 from __future__ import annotations
 
@@ -9,24 +9,16 @@ from typing import Annotated, Any
 import typer
 
 from srs_twin import __version__
-from srs_twin.cli import calibrate, models
+from srs_twin.cli import models
 from srs_twin.cli.catalogue import list_, schema, show
 from srs_twin.cli.console import DEBUG
 from srs_twin.cli.diff import diff
-from srs_twin.cli.doctor import doctor
-from srs_twin.cli.emulate import emulate
-from srs_twin.cli.inspect import inspect
-from srs_twin.cli.optimize import optimize
+from srs_twin.cli.doctor.command import doctor
 from srs_twin.cli.options import option, with_options
-from srs_twin.cli.plan import plan
 from srs_twin.cli.render import render
-from srs_twin.cli.replay import replay
-from srs_twin.cli.reproduce import reproduce
 from srs_twin.cli.run import compare, run
-from srs_twin.cli.shadow import shadow
-from srs_twin.cli.sweep import sweep
-from srs_twin.cli.uncertainty import uncertainty
 from srs_twin.cli.view import play, view
+from srs_twin.extensions import COMMANDS, objects
 
 # Without rich's markup, help and usage errors are plain text: its boxes break file names over lines, and
 # importing it would double the time that `--help` takes.
@@ -36,31 +28,37 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-verbs = (
-    list_,
-    show,
-    inspect,
-    run,
-    compare,
-    plan,
-    replay,
-    sweep,
-    optimize,
-    uncertainty,
-    reproduce,
-    view,
-    play,
-    emulate,
-    shadow,
-    render,
-    diff,
-    schema,
-    doctor,
+_CORE = {
+    "list": list_,
+    "show": show,
+    "run": run,
+    "compare": compare,
+    "view": view,
+    "play": play,
+    "render": render,
+    "diff": diff,
+    "schema": schema,
+    "doctor": doctor,
+    "models": models.app,
+}
+_ORDER = (
+    *("list", "show", "inspect", "run", "compare", "plan", "replay", "sweep", "optimize", "uncertainty"),
+    *("reproduce", "view", "play", "emulate", "shadow", "render", "diff", "schema", "doctor"),
+    *("calibrate", "models"),
 )
-for verb in verbs:
-    app.command(verb.__name__.rstrip("_"))(with_options(verb))
-app.add_typer(calibrate.app, name="calibrate")
-app.add_typer(models.app, name="models")
+"""Order in the help; other commands come last."""
+
+
+def _add_commands() -> None:
+    commands: dict[str, Any] = _CORE | dict(objects(COMMANDS))
+    for name in sorted(commands, key=lambda name: _ORDER.index(name) if name in _ORDER else len(_ORDER)):
+        if isinstance(commands[name], typer.Typer):
+            app.add_typer(commands[name], name=name)
+        else:
+            app.command(name)(with_options(commands[name]))
+
+
+_add_commands()
 
 
 @cache

@@ -204,7 +204,7 @@ Finished = Generator[Case, None, None]
 
 def _run(cases: Sequence[Case], task: Callable[..., CaseResult], jobs: int | None, quiet: bool) -> Finished:
     """Run scenarios here or in worker processes; yield each when it and all before it have ended."""
-    from srs_twin.parallel import each, processors
+    from srs_twin.compute.workers import each, processors
 
     workers, orders = min(jobs or processors(), len(cases)), [(case.scenario, case.folder) for case in cases]
     if workers <= 1:

@@ -12,7 +12,7 @@ from srs_twin.cli.options import JsonOption, argument, option, print_json, with_
 from srs_twin.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
-    from srs_twin.mjcf.check import ModelReport
+    from srs_twin.plants.twin.mjcf.check import ModelReport
 
 app = typer.Typer(rich_markup_mode=None, no_args_is_help=True, help="MJCF models: export and check.")
 
@@ -32,8 +32,8 @@ def export(
         contact: How the floor holds the snake; `preloaded`, the only one that an MJCF file can carry.
     """
     from srs_twin.io.files import open_folder, printable, shipped_names
-    from srs_twin.mjcf.export import SCENE, export_robot
-    from srs_twin.mjcf.numerics import as_contact
+    from srs_twin.plants.twin.mjcf.export import SCENE, export_robot
+    from srs_twin.plants.twin.mjcf.numerics import as_contact
     from srs_twin.robot.file import load_robot
 
     if as_contact(contact).name != "preloaded":
@@ -64,8 +64,8 @@ def check(
         models: MJCF or URDF files, or robots; default all.
     """
     from srs_twin.io.files import printable, shipped_names, shown
-    from srs_twin.mjcf.check import check_mjcf
-    from srs_twin.mjcf.export import stale_files
+    from srs_twin.plants.twin.mjcf.check import check_mjcf
+    from srs_twin.plants.twin.mjcf.export import stale_files
     from srs_twin.robot.file import load_robot
 
     bad, reports = 0, []
@@ -98,7 +98,7 @@ def _praise(report: ModelReport, *, current: bool) -> str:
 def _find(model: str) -> tuple[Path, str | None]:
     """Return the scene of a shipped robot and the robot's name, or the file that a path means."""
     from srs_twin.io.files import data_root, shipped_names
-    from srs_twin.mjcf.check import MODEL_SUFFIXES
+    from srs_twin.plants.twin.mjcf.check import MODEL_SUFFIXES
 
     names = shipped_names("robot")
     if model in names:

@@ -141,7 +141,7 @@ class ScenarioProgress(Display):
         self._stage, self._part = "", 0.0
 
     def __enter__(self) -> Self:
-        from srs_twin.compiled import tell_once
+        from srs_twin.compute.compiled import tell_once
 
         text = f"{self.title}: compiling the kernels for this machine, once; about half a minute"
         tell_once(lambda: say(text, quiet=self._quiet))

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from srs_twin.comparison.sampling import segment_lengths
-from srs_twin.geometry import chord
-from srs_twin.mjcf.numerics import ModelSettings, hinge_stations
+from srs_twin.plants.twin.mjcf.numerics import ModelSettings, hinge_stations
+from srs_twin.robot.geometry import chord
 from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from srs_twin.memory import Remembers, SavedState, names
+from srs_twin.io.saved_state import Remembers, SavedState, names
 from srs_twin.pneumatics.valves import LAYOUTS, Schedule
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from srs_twin.memory import Remembers, names
-from srs_twin.world import Pose
+from srs_twin.io.saved_state import Remembers, names
+from srs_twin.robot.world import Pose
 
 if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState

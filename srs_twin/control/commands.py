@@ -12,7 +12,7 @@ from srs_twin.control.base import Controller
 from srs_twin.control.gait import Gait
 from srs_twin.control.learning import ILC
 from srs_twin.errors import InputError
-from srs_twin.memory import Remembers, names
+from srs_twin.io.saved_state import Remembers, names
 from srs_twin.pneumatics import Pneumatics
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event

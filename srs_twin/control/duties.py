@@ -29,7 +29,7 @@ import math
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.memory import Remembers, names
+from srs_twin.io.saved_state import Remembers, names
 from srs_twin.trajectory import Event
 
 LARGEST_OFFSET = 0.3

@@ -20,10 +20,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from srs_twin.arrays import check_positive
+from srs_twin.compute.arrays import check_positive
 from srs_twin.control.base import Controller
 from srs_twin.errors import InputError, whole_steps
-from srs_twin.memory import names
+from srs_twin.io.saved_state import names
 from srs_twin.plants.base import SnakeState
 from srs_twin.pneumatics.valves import SLOT_S, Schedule
 from srs_twin.robot.spec import RobotSpec

@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from srs_twin.arrays import check_positive
+from srs_twin.compute.arrays import check_positive
 from srs_twin.control.base import Controller, Readings
 from srs_twin.control.duties import Cycles, Duties, checked_offset, targets
 from srs_twin.control.gait import Gait
 from srs_twin.control.module_faults import ModuleFaults
 from srs_twin.control.pwm import PulseWidth
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.memory import names
+from srs_twin.io.saved_state import names
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event
 

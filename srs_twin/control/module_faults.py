@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from srs_twin.control.duties import SIDES, Cycles
-from srs_twin.memory import Remembers, names
+from srs_twin.io.saved_state import Remembers, names
 from srs_twin.trajectory import Event
 
 STILL_RAD = 0.02

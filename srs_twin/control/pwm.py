@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from srs_twin.arrays import check_positive
+from srs_twin.compute.arrays import check_positive
 from srs_twin.errors import InputError, whole_steps
-from srs_twin.memory import Remembers, names
+from srs_twin.io.saved_state import Remembers, names
 from srs_twin.pneumatics.valves import SLOT_S
 
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from srs_twin.arrays import check_positive
+from srs_twin.compute.arrays import check_positive
 from srs_twin.errors import InputError, UnknownNameError
 
 Policy = Literal["refuse", "saturate"]

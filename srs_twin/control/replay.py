@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from srs_twin.control.base import Controller
 from srs_twin.errors import InputError, UnknownNameError, whole_steps
-from srs_twin.memory import names
+from srs_twin.io.saved_state import names
 from srs_twin.plants.base import SnakeState
 from srs_twin.pneumatics.valves import LAYOUTS, SLOT_S, Schedule
 from srs_twin.robot.spec import RobotSpec

@@ -50,12 +50,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from srs_twin.arrays import check_positive
+from srs_twin.compute.arrays import check_positive
 from srs_twin.control.base import Controller, Readings
 from srs_twin.control.pwm import PulseWidth
 from srs_twin.control.reference import Reference
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.memory import Remembers, names
+from srs_twin.io.saved_state import Remembers, names
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event
 

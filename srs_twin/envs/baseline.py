@@ -17,16 +17,17 @@ import numpy as np
 
 from srs_twin.control.base import Controller
 from srs_twin.control.camera import Camera
-from srs_twin.control.following import Conditions, Follower
-from srs_twin.control.steering import PathLaw
 from srs_twin.envs.crawling import STEP_S, CrawlTask
 from srs_twin.envs.module import ModuleTask
 from srs_twin.envs.task import Task
-from srs_twin.planning import Problem, Settings, plan
+from srs_twin.planning.follower import Conditions, Follower
 from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.planner import plan
+from srs_twin.planning.problem import Problem, Settings
+from srs_twin.planning.steering import PathLaw
 from srs_twin.plants.base import SnakeState
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.world import Circle, Goal, Pose, World
+from srs_twin.robot.world import Circle, Goal, Pose, World
 
 FOOTPRINT = "gen2_gait"
 FREQUENCY_HZ, PRESSURE_KPA = 2.0, 48.3

@@ -11,8 +11,8 @@ from dm_env import specs
 
 from srs_twin.envs.task import Episode, Signal, StepResult, Task, check_seed, high, low
 from srs_twin.envs.tasks import make_task
-from srs_twin.memory import CopiedWhole
-from srs_twin.plants.physics import dm as dm_mujoco
+from srs_twin.io.saved_state import CopiedWhole
+from srs_twin.plants.twin.physics import dm as dm_mujoco
 
 
 class EpisodePhysics(CopiedWhole, control.Physics):

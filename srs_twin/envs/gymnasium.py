@@ -21,12 +21,12 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from gymnasium.vector import SyncVectorEnv
 
+from srs_twin.compute.workers import Workers
 from srs_twin.envs.task import Episode, Signals, check_seed, checked_options, finite, high, low, shortened
 from srs_twin.envs.tasks import make_task
 from srs_twin.errors import EngineWarning, InputError, UnknownNameError, one_of
-from srs_twin.memory import CopiedWhole
-from srs_twin.parallel import Workers
-from srs_twin.plants.batch import ENGINES, warp_batch
+from srs_twin.io.saved_state import CopiedWhole
+from srs_twin.plants.twin.batch import ENGINES, warp_batch
 
 _GOAL_LINE = 0.003  # half of its width over the camera's distance
 _ELEVATION, _LENGTHS, _APART = -65.0, 4.0, 1.7
@@ -89,8 +89,8 @@ def _camera(episode: Episode) -> mujoco.MjvCamera:
 
 def _add_goal(scene: mujoco.MjvScene, episode: Episode, distance: float) -> None:
     """Lay the edge of the goal on the floor, seen from a distance in m."""
+    from srs_twin.planning.pictures import goal_ring
     from srs_twin.viewing.mujoco.stage import add_line
-    from srs_twin.viewing.plots.signals import goal_ring
     from srs_twin.viewing.plots.style import GOAL_COLOR
 
     if episode.goal is not None:

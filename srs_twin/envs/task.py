@@ -25,12 +25,12 @@ import numpy as np
 from srs_twin.errors import DivergedError, InputError, UnknownNameError, whole_steps
 from srs_twin.identification.fit_file import FitFile, load_fit
 from srs_twin.identification.unknowns import unknowns, with_values
-from srs_twin.memory import Remembers, SavedState, names
+from srs_twin.io.saved_state import Remembers, SavedState, names
 from srs_twin.plants.base import SnakeState
-from srs_twin.plants.twin import TwinSnake
+from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.file import RobotFile, load_robot_file
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.world import Goal, World
+from srs_twin.robot.world import Goal, World
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,9 @@ from srs_twin.control.learning import ILC, TARGETS
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
 from srs_twin.identification.paths import STEADY_PERIODS, Change, SteadyPath, mean_path, transient, widest
 from srs_twin.io.files import read_text, shown
-from srs_twin.mjcf.numerics import ModelSettings, as_contact
 from srs_twin.planning.footprint import FootprintFile, Transient
 from srs_twin.plants.base import Plant
+from srs_twin.plants.twin.mjcf.numerics import ModelSettings, as_contact
 from srs_twin.pneumatics import KINDS
 from srs_twin.recordings.recording import named_in_errors
 from srs_twin.robot.spec import RobotSpec
@@ -179,7 +179,7 @@ def _plant(drive: Drive) -> Plant:
         "supply_pa": drive.supply_pa, "tick": TICK, "pneumatics": drive.chambers,
     }  # fmt: skip
     if drive.plant == "twin":
-        from srs_twin.plants.twin import TwinSnake
+        from srs_twin.plants.twin.snake import TwinSnake
 
         settings["contact"] = drive.twin_contact
         return TwinSnake(drive.spec, **settings)

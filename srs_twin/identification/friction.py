@@ -27,7 +27,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.friction import LAWS
 from srs_twin.identification.estimate import IDENTIFIED, KNOWN, Estimate, Parameter, Residual, Role, Verdict
 from srs_twin.identification.fit_file import DataSet, fingerprint, trajectory_hash, with_roles
 from srs_twin.identification.least_squares import LEVEL, Watch, least_squares
@@ -36,6 +35,7 @@ from srs_twin.plants.analytical.floor import slide, spin_share
 from srs_twin.recordings.body.trajectories import moving_slope
 from srs_twin.recordings.csv_table import CsvColumn, CsvTable, first_line_names, read_file, read_table
 from srs_twin.recordings.signals.units import LENGTHS
+from srs_twin.robot.friction import LAWS
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.trajectory import Trajectory
 

@@ -119,7 +119,7 @@ class PlantModel:
         """Return the plant of a robot, with chambers of its own or given ones."""
         settings = self.settings if chambers is None else {**self.settings, "pneumatics": chambers}
         if self.plant == "twin":
-            from srs_twin.plants.twin import TwinSnake
+            from srs_twin.plants.twin.snake import TwinSnake
 
             return TwinSnake(spec, supply_pa=supply_pa, **settings)
         from srs_twin.plants.analytical import AnalyticalSnake

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.geometry import body_shape, relative_headings
-from srs_twin.memory import Remembers, names
+from srs_twin.io.saved_state import Remembers, names
+from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import RobotSpec
 
 PRIOR = 0.1

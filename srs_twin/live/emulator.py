@@ -27,7 +27,7 @@ from srs_twin.live.mqtt import MqttLink
 from srs_twin.live.natnet import RigidBody
 from srs_twin.live.optitrack import NatNetServer
 from srs_twin.plants.base import SnakeState
-from srs_twin.plants.twin import TwinSnake
+from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics.orifice import OrificePneumatics
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.scenario import parse_scenario

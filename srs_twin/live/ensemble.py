@@ -21,13 +21,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.geometry import body_shape, relative_headings
 from srs_twin.live.connection import LocalConnection
 from srs_twin.live.ensemble_kernels import correct
 from srs_twin.live.member_dynamics import STEP_S, MemberDynamics, ValveInput
 from srs_twin.live.odometry import Odometry
 from srs_twin.live.pressure_table import PressureRates
 from srs_twin.pneumatics.chambers import AMBIENT_PA
+from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import RobotSpec
 
 _NOISE_FRAMES = 10

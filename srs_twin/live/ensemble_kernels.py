@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from srs_twin.compiled import allocating
+from srs_twin.compute.compiled import allocating
 from srs_twin.plants.analytical import compliant_kernels, kernels
 
 OUTLIER = 4.0

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from srs_twin.io.saved_state import Remembers, names
 from srs_twin.live.fault_naming import FaultNaming, NamingSettings
 from srs_twin.live.hypotheses import (
     CHAMBERS,
@@ -46,7 +47,6 @@ from srs_twin.live.hypotheses import (
 from srs_twin.live.leak_detector import MESSAGES_PER_INDEPENDENT, LeakDetector
 from srs_twin.live.pressure_table import PressureLevels
 from srs_twin.live.supply import RECOVERED_ABOVE, STARVED_BELOW, SupplyFilter
-from srs_twin.memory import Remembers, names
 from srs_twin.pneumatics.chambers import free_bends, gains, largest_bend
 from srs_twin.pneumatics.lag import followed, relaxation_of, relaxed
 from srs_twin.robot.spec import RobotSpec

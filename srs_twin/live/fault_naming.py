@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from srs_twin.io.saved_state import Remembers, names
 from srs_twin.live.hypotheses import HAS_NAME, INDISTINGUISHABLE, LEAK, NAMES, STARVED, WEAK
-from srs_twin.memory import Remembers, names
 
 _DOUBT = 0.5
 """Probability of no fault below which a segment is in doubt."""

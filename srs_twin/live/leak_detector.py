@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compiled import compiled
-from srs_twin.memory import Remembers, names
+from srs_twin.compute.compiled import compiled
+from srs_twin.io.saved_state import Remembers, names
 from srs_twin.pneumatics.chambers import AMBIENT_PA, volume
 from srs_twin.pneumatics.flow import REFERENCE_PA, conductances, flow
 from srs_twin.pneumatics.orifice import CRITICAL_RATIO

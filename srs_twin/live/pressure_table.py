@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from srs_twin.memory import Remembers, names
+from srs_twin.io.saved_state import Remembers, names
 
 BinIndex = tuple[np.ndarray, ...]
 """Index of the current bin of each chamber."""

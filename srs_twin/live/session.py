@@ -17,6 +17,7 @@ import numpy as np
 
 from srs_twin.errors import InputError, SessionWarning
 from srs_twin.io.files import new_numbered, shown
+from srs_twin.io.saved_state import SavedState
 from srs_twin.live.estimate import Estimate
 from srs_twin.live.journal import Journal
 from srs_twin.live.links import Link
@@ -36,7 +37,6 @@ from srs_twin.live.prediction import Prediction
 from srs_twin.live.results import STATE, TICK_S, EstimateTable, finite, summary, timing, write_results
 from srs_twin.live.shadow import Shadow
 from srs_twin.live.steering import TOO_SLOW, EstimateSteering
-from srs_twin.memory import SavedState
 from srs_twin.robot.spec import RobotSpec
 
 PREDICTION_INTERVAL_S = 0.5

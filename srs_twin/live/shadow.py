@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.io.saved_state import Remembers, SavedState, fingerprint
 from srs_twin.live.clocks import ReorderBuffer
 from srs_twin.live.commands import KEPT_S, CommandHistory
 from srs_twin.live.ensemble import EnsembleFilter
@@ -40,7 +41,6 @@ from srs_twin.live.prediction import (
     Prediction,
     PredictionCalibration,
 )
-from srs_twin.memory import Remembers, SavedState, fingerprint
 from srs_twin.robot.spec import RobotSpec
 
 TRANSPORT_DELAY_S = 0.002

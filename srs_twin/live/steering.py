@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 
 from srs_twin.control.camera import Camera
-from srs_twin.control.following import Follower
 from srs_twin.errors import InputError
 from srs_twin.live.commands import DELAY_S
 from srs_twin.live.estimate import Estimate
 from srs_twin.live.hypotheses import CHAMBERS, FILLS, VENTS
 from srs_twin.live.messages import GO, PAUSE, VENT
 from srs_twin.live.shadow import Shadow
+from srs_twin.planning.follower import Follower
 from srs_twin.robot.spec import RobotSpec
+from srs_twin.robot.world import Pose
 from srs_twin.scenario import Scenario
-from srs_twin.world import Pose
 
 PATIENCE_S = 3.0
 """Time without an estimate or a supply after which the steering ends."""

@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from srs_twin.memory import Remembers, names
+from srs_twin.io.saved_state import Remembers, names
 
 PRIOR_SD = 0.02
 """Standard deviation of the supply pressure at the start, share of the nominal one."""

@@ -33,9 +33,9 @@ from functools import cached_property
 
 import numpy as np
 
-from srs_twin.compiled import compiled
+from srs_twin.compute.compiled import compiled
 from srs_twin.errors import InputError
-from srs_twin.world import Pose
+from srs_twin.robot.world import Pose
 
 MARGIN = 1e-7
 """Conservative by this much, m; rounding stays below 1e-11 m in worlds of a kilometre."""

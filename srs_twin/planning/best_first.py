@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compiled import compiled
+from srs_twin.compute.compiled import compiled
 from srs_twin.planning.arcs import along, blocked
 from srs_twin.planning.collision import Surroundings
 from srs_twin.planning.dubins import word

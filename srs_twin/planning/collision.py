@@ -14,7 +14,7 @@ import numpy as np
 from srs_twin.planning.arcs import blocked
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.problem import Segment
-from srs_twin.world import Bounds, Pose, World
+from srs_twin.robot.world import Bounds, Pose, World
 
 MOST_CLEARANCE = 1.0
 """What is farther away is not looked for, m."""

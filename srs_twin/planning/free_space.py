@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srs_twin.world import Goal, Pose, World
+from srs_twin.robot.world import Goal, Pose, World
 
 if TYPE_CHECKING:
     import shapely

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from srs_twin.planning.footprint import Footprint
-from srs_twin.world import World
+from srs_twin.robot.world import World
 
 NO_GATES = np.empty((0, 4))
 

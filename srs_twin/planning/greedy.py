@@ -30,7 +30,7 @@ from srs_twin.planning.collision import Checker
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.plan import Plan
 from srs_twin.planning.problem import Outcome, Problem, Segment, segment
-from srs_twin.world import Pose
+from srs_twin.robot.world import Pose
 
 G_STEP = 0.001
 """What one step of the g score counts, m."""

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compiled import compiled
-from srs_twin.world import Bounds, Goal, Pose, World
+from srs_twin.compute.compiled import compiled
+from srs_twin.robot.world import Bounds, Goal, Pose, World
 
 _CELLS = 160
 """Along the longer side."""

@@ -19,7 +19,7 @@ from srs_twin.planning.plan import Plan
 from srs_twin.planning.problem import Outcome, Problem, Settings, path_of
 from srs_twin.planning.shortening import shortened
 from srs_twin.planning.tree import moves_of
-from srs_twin.world import Pose
+from srs_twin.robot.world import Pose
 
 SECONDS = 1.0
 """Wall time where the settings give none."""

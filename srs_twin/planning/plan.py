@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
 from srs_twin.planning.free_space import least_length
 from srs_twin.planning.problem import Outcome, Problem, Segment
 from srs_twin.planning.tree import Tree
+from srs_twin.robot.world import Pose
 from srs_twin.trajectory import Shown
-from srs_twin.world import Pose
 
 _ROUNDING = 1e-6
 
@@ -32,6 +33,8 @@ class Plan(Shown):
         problem: what was asked.
         trees: of the last search, for `explored`; empty where none was kept (`Settings.keep`).
     """
+
+    page: ClassVar[str] = "plan"
 
     outcome: Outcome
     reason: str

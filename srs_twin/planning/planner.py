@@ -31,7 +31,7 @@ from srs_twin.planning.ompl_baseline import rrt_connect
 from srs_twin.planning.plan import Plan
 from srs_twin.planning.problem import Problem, Segment, Settings, path_of
 from srs_twin.planning.search import best_first
-from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
+from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 PLANNERS: dict[str, Callable[[Problem, Settings], Plan]] = {
     "best_first": best_first,

@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srs_twin.compiled import allocating, compiled
+from srs_twin.compute.compiled import allocating, compiled
 from srs_twin.planning.footprint import Footprint
-from srs_twin.world import Goal, Pose
+from srs_twin.robot.world import Goal, Pose
 
 if TYPE_CHECKING:
     from srs_twin.planning.collision import Surroundings

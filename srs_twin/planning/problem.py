@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from srs_twin.errors import InputError
 from srs_twin.planning.arcs import Primitives, along
 from srs_twin.planning.footprint import Footprint
-from srs_twin.world import Goal, Pose, World
+from srs_twin.robot.world import Goal, Pose, World
 
 if TYPE_CHECKING:
     pass

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compiled import allocating, compiled
+from srs_twin.compute.compiled import allocating, compiled
 from srs_twin.planning.arcs import along, place
 from srs_twin.planning.problem import Segment
-from srs_twin.world import Pose
+from srs_twin.robot.world import Pose
 
 BEYOND = 2.0
 """Length of the straight ends, m."""

@@ -25,7 +25,7 @@ from srs_twin.planning.pockets import COARSE, FINE, Finely, shut_in
 from srs_twin.planning.problem import Outcome, Problem, Segment, Settings, path_of
 from srs_twin.planning.shortening import shortened
 from srs_twin.planning.tree import Tree, arrivals, moves_of, reversed_moves, target_of, turned
-from srs_twin.world import Goal
+from srs_twin.robot.world import Goal
 
 Cells = tuple[float, float]
 """Side of a cell of poses, m, and its width in heading, rad."""

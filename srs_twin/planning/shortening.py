@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from srs_twin.compiled import allocating, compiled
+from srs_twin.compute.compiled import allocating, compiled
 from srs_twin.planning.best_first import Moves, at_rest, one_arc, passes
 from srs_twin.planning.collision import Surroundings
 from srs_twin.planning.dubins import Pieces, word
-from srs_twin.world import Pose
+from srs_twin.robot.world import Pose
 
 _ROUNDS = 4
 _WORTH = 1e-4

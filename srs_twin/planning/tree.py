@@ -25,7 +25,7 @@ from srs_twin.planning.best_first import (
 )  # fmt: skip
 from srs_twin.planning.dubins import Pieces, shortest
 from srs_twin.planning.footprint import Footprint
-from srs_twin.world import Goal, Pose
+from srs_twin.robot.world import Goal, Pose
 
 _ROOM = 4096
 # At the end of a tightest turn the Dubins length jumps by a full turn if rounding puts the goal inside of it;

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.arrays import LARGEST, implausible, joined, plausible
+from srs_twin.compute.arrays import LARGEST, implausible, joined, plausible
 from srs_twin.errors import DivergedError, InputError, exact, whole_steps
-from srs_twin.memory import Remembers, SavedState, fingerprint, names
+from srs_twin.io.saved_state import Remembers, SavedState, fingerprint, names
 from srs_twin.pneumatics import Pneumatics, Schedule, make_pneumatics
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.sensing import Sensor, make_sensor

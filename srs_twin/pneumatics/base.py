@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from srs_twin.arrays import implausible, plausible
+from srs_twin.compute.arrays import implausible, plausible
 from srs_twin.errors import DivergedError, InputError, one_of
-from srs_twin.memory import Remembers, names
+from srs_twin.io.saved_state import Remembers, names
 from srs_twin.pneumatics.valves import LAYOUTS, Schedule, StuckValve
 from srs_twin.robot.spec import RobotSpec
 

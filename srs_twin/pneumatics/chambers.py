@@ -31,7 +31,7 @@ import math
 import numpy as np
 from scipy.optimize import brentq
 
-from srs_twin.compiled import compiled
+from srs_twin.compute.compiled import compiled
 from srs_twin.errors import InputError
 from srs_twin.robot.spec import RobotSpec
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from srs_twin.compiled import compiled
+from srs_twin.compute.compiled import compiled
 from srs_twin.pneumatics.chambers import AMBIENT_PA
 from srs_twin.robot.spec import RobotSpec
 

@@ -26,9 +26,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from srs_twin.compiled import allocating, compiled
+from srs_twin.compute.compiled import allocating, compiled
 from srs_twin.errors import InputError
-from srs_twin.memory import names
+from srs_twin.io.saved_state import names
 from srs_twin.pneumatics.base import Known, Pneumatics, Trace, not_negative
 from srs_twin.pneumatics.chambers import AMBIENT_PA, BendLaw, bend_law, bent, gains, reached, unbent, volume
 from srs_twin.pneumatics.valves import Schedule

@@ -23,9 +23,9 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.arrays import check_positive
+from srs_twin.compute.arrays import check_positive
 from srs_twin.errors import InputError
-from srs_twin.memory import names
+from srs_twin.io.saved_state import names
 from srs_twin.pneumatics.base import Known, Pneumatics, Trace, not_negative
 from srs_twin.pneumatics.chambers import AMBIENT_PA, bend_law, gains, reached, unbent, volume
 from srs_twin.pneumatics.flow import REFERENCE_PA, conductances

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compiled import allocating, compiled
+from srs_twin.compute.compiled import allocating, compiled
 from srs_twin.pneumatics.chambers import AMBIENT_PA, BendLaw, bent, volume
 from srs_twin.pneumatics.flow import flow
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.compiled import compiled
+from srs_twin.compute.compiled import compiled
 from srs_twin.errors import InputError
 from srs_twin.pneumatics.base import Known, Pneumatics, Trace
 from srs_twin.pneumatics.chambers import bend_law, bent, gains

@@ -58,7 +58,7 @@ def _loose(robot: str, *, along: bool) -> float:
 
 
 def _comes_loose(robot: str, pull: float, *, along: bool) -> bool:
-    from srs_twin.plants.twin import TwinSnake
+    from srs_twin.plants.twin.snake import TwinSnake
 
     plant = TwinSnake(load_robot(robot))
     vented = np.full((plant.spec.segments, 2), -1, dtype=np.int8)
@@ -91,7 +91,7 @@ def _felt(robot: str) -> tuple[float, float]:
 
 def tail_load(scenario: str, frequency_hz: float) -> Numbers:
     """Return the least load on the twin's tail over that at rest: below 0 a wheel lifts (Section 3.4.3)."""
-    from srs_twin.plants.twin import TwinSnake
+    from srs_twin.plants.twin.snake import TwinSnake
     from srs_twin.rollout import rollout
 
     given = _with(load_scenario(scenario), frequency_hz=frequency_hz)
@@ -168,8 +168,11 @@ def planner_success(planner: str, draws: int) -> Numbers:
     """
     from scipy.stats import spearmanr
 
-    from srs_twin.planning import Primitives, Problem, load_footprint, plan
-    from srs_twin.planning.fields import FIG54_GOAL, FIG54_SITES, FIG54_START, fig54_world
+    from srs_twin.planning.arcs import Primitives
+    from srs_twin.planning.footprint import load_footprint
+    from srs_twin.planning.planner import plan
+    from srs_twin.planning.problem import Problem
+    from srs_twin.robot.drawn_worlds import FIG54_GOAL, FIG54_SITES, FIG54_START, fig54_world
 
     body = load_footprint("gen2_section52")
     arcs = Primitives(21, math.pi / 3, 0.2) if planner == "greedy" else None
@@ -197,7 +200,7 @@ def turn_limit(speed_m_s: float, radius_m: float) -> Numbers:
 
 def footprint_edges(footprint: str) -> Numbers:
     """Return a footprint's width going straight and its shift at the tightest turn, m (Table 9)."""
-    from srs_twin.planning import load_footprint
+    from srs_twin.planning.footprint import load_footprint
 
     body = load_footprint(footprint)
     straight, tight = body.at(0.0), body.at(max(body.curvatures))
@@ -210,8 +213,8 @@ def footprint_edges(footprint: str) -> Numbers:
 
 def primitive_error(count: int, turn_rad: float, length_m: float) -> Numbers:
     """Return how far the planner's arcs end from where Eq. 33 (signs put right, E7) has them at most, m."""
-    from srs_twin.planning import Primitives
-    from srs_twin.world import Pose
+    from srs_twin.planning.arcs import Primitives
+    from srs_twin.robot.world import Pose
 
     start = Pose(0.3, -0.2, 0.7)
     worst = 0.0

@@ -16,16 +16,16 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from srs_twin.compute.workers import each, start_server
 from srs_twin.errors import SrsError
 from srs_twin.io.files import open_folder, shipped_folder
-from srs_twin.parallel import each, start_server
-from srs_twin.provenance import digest_of, run_key, source_digests, versions
 from srs_twin.reproduction.claims import COMPUTATIONS, Plain, RunRequest, Set
 from srs_twin.scenario import load_scenario
-from srs_twin.sweep import load_sweep
-from srs_twin.sweep.points import RUNNER, Experiment, Point, Sweep
-from srs_twin.sweep.store import RowStore
-from srs_twin.sweep.task import DONE, Row, failed_row, run_point
+from srs_twin.scenario.provenance import digest_of, run_key, source_digests, versions
+from srs_twin.studies.sweep.loading import load_sweep
+from srs_twin.studies.sweep.points import RUNNER, Experiment, Point, Sweep
+from srs_twin.studies.sweep.store import RowStore
+from srs_twin.studies.sweep.task import DONE, Row, failed_row, run_point
 from srs_twin.trajectory import Trajectory
 
 Document = dict[str, Any]
@@ -181,7 +181,7 @@ class Store:
         if not due:
             return
         finished_row = started(len(due)) if started is not None else None
-        start_server("srs_twin.sweep.warm")
+        start_server("srs_twin.studies.sweep.warm")
         with closing(each(carry_out, due, workers=workers)) as finished:
             for done in finished:
                 row = done.result or failed_row(due[done.number].key, done.error)

@@ -10,7 +10,7 @@ from srs_twin.comparison.gait import GaitWindow
 from srs_twin.comparison.learning import ChamberPeriods
 from srs_twin.comparison.sampling import body_length
 from srs_twin.comparison.tracking import fit_sine
-from srs_twin.geometry import arc_between, measured_bend, pair_heading
+from srs_twin.robot.geometry import arc_between, measured_bend, pair_heading
 from srs_twin.trajectory import Trajectory
 
 _MARKER_M = 0.01

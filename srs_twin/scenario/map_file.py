@@ -30,7 +30,7 @@ from srs_twin.errors import InputError
 from srs_twin.io.documents import load_yaml
 from srs_twin.io.files import existing, read_text, shown
 from srs_twin.io.validation import Strict, validate
-from srs_twin.world import Circle, Polygon
+from srs_twin.robot.world import Circle, Polygon
 
 CIRCLE_COLUMNS = ("x_m", "y_m", "radius_m")
 MAX_PIXELS = 25_000_000

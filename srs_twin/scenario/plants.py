@@ -9,8 +9,8 @@ from typing import Any, ClassVar, Literal
 from pydantic import field_validator, model_validator
 
 from srs_twin.errors import TimeStepError, whole_steps
-from srs_twin.friction import AT_TRACK, Law
-from srs_twin.mjcf.numerics import (
+from srs_twin.plants.analytical import AnalyticalSnake
+from srs_twin.plants.twin.mjcf.numerics import (
     LAW_OF,
     PRESETS,
     Contact,
@@ -21,11 +21,11 @@ from srs_twin.mjcf.numerics import (
     Preset,
     Wheels,
 )
-from srs_twin.mjcf.numerics import (
+from srs_twin.plants.twin.mjcf.numerics import (
     Law as LawOnLoads,
 )
-from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.pneumatics.valves import SLOT_S
+from srs_twin.robot.friction import AT_TRACK, Law
 from srs_twin.scenario.fields import Section, constructor_default, quantity
 
 PLANTS = ("analytical", "twin")

@@ -15,9 +15,9 @@ from srs_twin.errors import InputError
 from srs_twin.io.files import shown
 from srs_twin.plants.base import Plant, SnakeState
 from srs_twin.robot.sourced import in_si
+from srs_twin.robot.world import Pose
 from srs_twin.scenario.fields import FilePath, Section, quantity
 from srs_twin.trajectory import Trajectory
-from srs_twin.world import Pose
 
 _MOST = 64
 Speed = Annotated[float, Field(ge=-10.0, le=10.0)]

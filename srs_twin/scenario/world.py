@@ -8,10 +8,10 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationInfo, field_validator
 
 from srs_twin.errors import InputError
-from srs_twin.planning.fields import fig54_world, strewn
+from srs_twin.robot.drawn_worlds import fig54_world, strewn
+from srs_twin.robot.world import Bounds, Circle, Floor, Goal, Polygon, Pose, Step, World
 from srs_twin.scenario.fields import FilePath, Section, constructor_default, quantity
 from srs_twin.scenario.map_file import read_circles, read_map
-from srs_twin.world import Bounds, Circle, Floor, Goal, Polygon, Pose, Step, World
 
 Metres = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 Pair = Annotated[tuple[Metres, ...], Field(min_length=2, max_length=2)]

@@ -16,7 +16,7 @@ from test_gymnasium import same
 from srs_twin import InputError
 from srs_twin.envs import TASKS, dm
 from srs_twin.envs.gymnasium import SnakeEnv, SnakeVectorEnv
-from srs_twin.memory import SavedState
+from srs_twin.io.saved_state import SavedState
 
 SHORT = {"limit_s": 0.5}
 """Five steps of a snake, ten of a module: copies see the end and a new beginning."""

@@ -26,7 +26,7 @@ from srs_twin.envs.crawling import OPEN, CrawlTask, Field
 from srs_twin.envs.gymnasium import SnakeEnv, SnakeVectorEnv
 from srs_twin.errors import DivergedError
 from srs_twin.plants.base import SnakeState
-from srs_twin.world import Bounds
+from srs_twin.robot.world import Bounds
 
 SHORT = {"limit_s": 0.3}
 """Three steps of a snake, six of a module."""

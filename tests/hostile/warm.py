@@ -11,7 +11,7 @@ from pathlib import Path
 
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.files import existing, shown
-from srs_twin.mjcf.check import ModelReport, scan_mjcf, verdict
+from srs_twin.plants.twin.mjcf.check import ModelReport, scan_mjcf, verdict
 
 LIMIT_S = 10
 
@@ -19,7 +19,7 @@ SERVER = """
 import json, os, select, signal, sys, tempfile, time
 from pathlib import Path
 import mujoco
-from srs_twin.mjcf.check import _child
+from srs_twin.plants.twin.mjcf.check import _child
 
 os.chdir(tempfile.mkdtemp())
 for line in sys.stdin:

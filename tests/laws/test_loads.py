@@ -7,7 +7,7 @@ import pytest
 from snakes import GRAVITY, robot, vented
 
 from srs_twin import Gait, PreloadedContact, TwinSnake, rollout
-from srs_twin.mjcf.numerics import WHEELS
+from srs_twin.plants.twin.mjcf.numerics import WHEELS
 
 SPEC = robot()
 WEIGHT = SPEC.mass.array() * GRAVITY

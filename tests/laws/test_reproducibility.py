@@ -13,7 +13,7 @@ from snakes import chain
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, rollout
-from srs_twin.arrays import one_blas_thread
+from srs_twin.compute.arrays import one_blas_thread
 
 RUN = """
 import hashlib, io
@@ -45,7 +45,7 @@ def test_same_seed_gives_the_same_bytes_in_three_processes():
 DIGEST = """
 import hashlib
 from srs_twin import Gait, TwinSnake, load_robot, rollout
-from srs_twin.provenance import arithmetic
+from srs_twin.scenario.provenance import arithmetic
 run = rollout(TwinSnake(load_robot("gen2"), contact="loaded"), Gait(2.0, 0.2), 0.2)
 print(arithmetic(), hashlib.sha256(run["com_x"].tobytes() + run["heading"].tobytes()).hexdigest())
 """
@@ -102,7 +102,7 @@ def test_threads_that_build_twins_at_once_leave_the_number_of_blas_threads_as_it
 
 def test_a_blas_library_of_another_package_does_not_change_the_arithmetic():
     pytest.importorskip("cv2")
-    code = "from srs_twin.arrays import blas_kernels as b; print(b()); import cv2; print(b())"
+    code = "from srs_twin.compute.arrays import blas_kernels as b; print(b()); import cv2; print(b())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     before, after = done.stdout.splitlines()
     assert before == after

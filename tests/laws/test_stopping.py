@@ -10,7 +10,7 @@ import pytest
 from snakes import GRAVITY, robot, throw, vented
 
 from srs_twin import AnalyticalSnake, LoadedContact, Plant, PreloadedContact, TwinSnake
-from srs_twin.mjcf.numerics import LAW_OF
+from srs_twin.plants.twin.mjcf.numerics import LAW_OF
 
 SPEC = robot(stiffness=20.0)
 MU_T, MU_N = SPEC.friction.mu_t, SPEC.friction.mu_n

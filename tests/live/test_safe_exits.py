@@ -16,6 +16,7 @@ import pytest
 from srs_twin import InputError, load_robot, load_scenario
 from srs_twin.errors import SessionWarning
 from srs_twin.io.files import new_numbered
+from srs_twin.io.saved_state import SavedState
 from srs_twin.live import session as sessions
 from srs_twin.live import steering as steering_module
 from srs_twin.live.journal import Journal, journal_messages
@@ -24,7 +25,6 @@ from srs_twin.live.messages import BENDS, COMMAND, CONTROL, GO, POSES, STATUS, M
 from srs_twin.live.session import Session
 from srs_twin.live.shadow import Shadow
 from srs_twin.live.steering import EstimateSteering
-from srs_twin.memory import SavedState
 
 STALE_S, TOO_SLOW_S = sessions.STALE_S, sessions.TOO_SLOW_S
 

@@ -84,7 +84,7 @@ def asked_for(srs_twin, tmp_path, monkeypatch, *words: str) -> SimpleNamespace:
         raise InputError("far enough")
 
     monkeypatch.setattr("srs_twin.live.session.warm_up", lambda _: None)
-    monkeypatch.setattr("srs_twin.cli.shadow.broker_link", broker_link)
+    monkeypatch.setattr("srs_twin.live.shadow_command.broker_link", broker_link)
     done = srs_twin("shadow", *words, cwd=tmp_path)
     assert done.returncode == 2 and "far enough" in done.stderr, done.stderr
     return found

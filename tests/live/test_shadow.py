@@ -10,10 +10,10 @@ import pytest
 from live_runs import BREAKS_S, Run, followed_estimate, isolated, parts, shadowed, steered
 
 from srs_twin import InputError, load_robot, load_scenario
+from srs_twin.io.saved_state import SavedState
 from srs_twin.live.messages import BENDS, COMMAND, Message
 from srs_twin.live.shadow import Shadow, frames_of
 from srs_twin.live.steering import LEAST_MARGIN, EstimateSteering, differences
-from srs_twin.memory import SavedState
 
 SETTLED_S = 5.0
 

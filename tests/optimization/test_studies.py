@@ -9,18 +9,18 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from srs_twin.compute.workers import Done
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.files import shipped_names
-from srs_twin.optimization import load_study, search
-from srs_twin.optimization.answer import Answer
-from srs_twin.optimization.file import VariableFile
-from srs_twin.optimization.report import bound_lines, write_answer
-from srs_twin.optimization.runs import Runs
-from srs_twin.optimization.search import front
-from srs_twin.optimization.space import Space
-from srs_twin.parallel import Done
 from srs_twin.scenario import load_scenario, parse_scenario
-from srs_twin.sweep.task import DONE, FAILED, Row
+from srs_twin.studies.optimization.answer import Answer
+from srs_twin.studies.optimization.file import VariableFile
+from srs_twin.studies.optimization.loading import load_study
+from srs_twin.studies.optimization.report import bound_lines, write_answer
+from srs_twin.studies.optimization.runs import Runs
+from srs_twin.studies.optimization.search import front, search
+from srs_twin.studies.optimization.space import Space
+from srs_twin.studies.sweep.task import DONE, FAILED, Row
 
 STUDY = """
 scenario: gen2_straight

@@ -15,7 +15,7 @@ from srs_twin.planning.free_space import least_length
 from srs_twin.planning.gates import gates_of
 from srs_twin.planning.problem import path_of
 from srs_twin.planning.tree import moves_of
-from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
+from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 BODY = Footprint(
     "unequal", "no two numbers are the same", (-0.3, 0.0, 0.3), (-2.0, 0.0, 2.0), (0.2, 0.2, 0.2),

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from srs_twin.planning.best_first import NODES, OPEN, empty_frontier, grown, pop, push, slot_of
 from srs_twin.planning.guide import NO_GUIDE, guide_to, way_from
-from srs_twin.world import Bounds, Circle, Goal, Polygon, Pose, World
+from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 pytestmark = pytest.mark.fast
 

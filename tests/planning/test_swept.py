@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from srs_twin.errors import InputError
 from srs_twin.planning.arcs import Primitives, along, blocked
 from srs_twin.planning.collision import Surroundings, in_cells
-from srs_twin.world import Pose
+from srs_twin.robot.world import Pose
 
 CURVATURE = st.floats(-4, 4) | st.sampled_from([0.0, 1e-12, -1e-10, 1e-8, 1e-6, -1e-4])
 PLACE = st.floats(-1.5, 1.5)

@@ -10,9 +10,9 @@ from ruamel.yaml import YAML
 from small import SMALL, execute, write
 
 from srs_twin.io.documents import parse_yaml
-from srs_twin.sweep import load_sweep
-from srs_twin.viewing.plots.sweep_table import Plot, Published, SweepTable, published_table
-from srs_twin.viewing.plots.sweeps import draw
+from srs_twin.studies.sweep.loading import load_sweep
+from srs_twin.studies.sweep.plots import draw
+from srs_twin.studies.sweep.table import Plot, Published, SweepTable, published_table
 
 P, F, SPEED = "supply.pressure_kpa", "controller.frequency_hz", "com_speed_m_s"
 GIVEN = (

@@ -16,11 +16,12 @@ from subsets import first_by_default
 
 import srs_twin
 from srs_twin.errors import InputError
-from srs_twin.provenance import file_digests, run_key, source_digests
 from srs_twin.scenario import load_scenario
-from srs_twin.sweep import load_sweep, open_sweep
-from srs_twin.sweep.points import RUNNER, Experiment, Point
-from srs_twin.sweep.task import DONE, run_point
+from srs_twin.scenario.provenance import file_digests, run_key, source_digests
+from srs_twin.studies.sweep.execution import open_sweep
+from srs_twin.studies.sweep.loading import load_sweep
+from srs_twin.studies.sweep.points import RUNNER, Experiment, Point
+from srs_twin.studies.sweep.task import DONE, run_point
 
 PLANS = """\
 scenario: plan_fig54_5

@@ -12,11 +12,11 @@ import pyarrow.parquet as pq
 import pytest
 from small import SMALL, diverges, execute, here, write
 
+from srs_twin.compute.workers import Done
 from srs_twin.errors import DivergedError
-from srs_twin.parallel import Done
-from srs_twin.sweep import load_sweep
-from srs_twin.sweep.report import MOST_RUNS, means, run_tables
-from srs_twin.viewing.plots.sweep_table import SweepTable
+from srs_twin.studies.sweep.loading import load_sweep
+from srs_twin.studies.sweep.report import MOST_RUNS, means, run_tables
+from srs_twin.studies.sweep.table import SweepTable
 
 PICTURE = (
     "plots: [{kind: line, x: supply.pressure_kpa, metric: com_speed_m_s, by: controller.frequency_hz}]\n"

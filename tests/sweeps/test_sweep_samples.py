@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from srs_twin.errors import InputError
-from srs_twin.sweep.file import RangeFile, SamplingFile
-from srs_twin.sweep.points import sample
+from srs_twin.studies.sweep.file import RangeFile, SamplingFile
+from srs_twin.studies.sweep.points import sample
 
 pytestmark = pytest.mark.fast
 

@@ -19,9 +19,9 @@ from small import SMALL, execute, write
 
 from srs_twin.errors import InputError
 from srs_twin.io.documents import load_yaml
-from srs_twin.sweep import load_sweep
-from srs_twin.sweep.store import FILE, RowStore, SweepIdentity
-from srs_twin.sweep.task import DONE, FAILED, Row
+from srs_twin.studies.sweep.loading import load_sweep
+from srs_twin.studies.sweep.store import FILE, RowStore, SweepIdentity
+from srs_twin.studies.sweep.task import DONE, FAILED, Row
 
 pytestmark = pytest.mark.fast
 
@@ -139,8 +139,8 @@ import resource, sys
 sys.dont_write_bytecode = True
 from pathlib import Path
 from srs_twin.errors import InputError
-from srs_twin.sweep.store import RowStore
-from srs_twin.sweep.task import DONE, Row
+from srs_twin.studies.sweep.store import RowStore
+from srs_twin.studies.sweep.task import DONE, Row
 resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
 try:
     with RowStore(Path(".")) as store:
@@ -163,8 +163,8 @@ except InputError as error:
 def test_kill_9_in_the_middle_of_writing(tmp_path, count):
     code = """
 from pathlib import Path
-from srs_twin.sweep.store import RowStore
-from srs_twin.sweep.task import DONE, Row
+from srs_twin.studies.sweep.store import RowStore
+from srs_twin.studies.sweep.task import DONE, Row
 with RowStore(Path(".")) as store:
     for k in range(10**9):
         store.add(Row(f"{k:064x}", DONE, {"x": float(k)}))

@@ -21,11 +21,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from srs_twin.arrays import check_positive, joined
-from srs_twin.compiled import allocating
+from srs_twin.compute.arrays import check_positive, joined
+from srs_twin.compute.compiled import allocating
 from srs_twin.errors import DivergedError, InputError, one_of
-from srs_twin.friction import AT_TRACK, LAWS
-from srs_twin.memory import Remembers, fingerprint, names
+from srs_twin.io.saved_state import Remembers, fingerprint, names
 from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
 from srs_twin.plants.analytical.kernels import inverse_dynamics
@@ -42,9 +41,10 @@ from srs_twin.plants.base import (
 )
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import air_bend
+from srs_twin.robot.friction import AT_TRACK, LAWS
 from srs_twin.robot.spec import GRAVITY, RobotSpec
+from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor
-from srs_twin.world import World
 
 
 class Motion(NamedTuple):

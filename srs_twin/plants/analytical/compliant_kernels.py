@@ -35,7 +35,7 @@ import math
 
 import numpy as np
 
-from srs_twin.compiled import allocating, compiled
+from srs_twin.compute.compiled import allocating, compiled
 from srs_twin.plants.analytical.floor import connector_friction, smoothed
 from srs_twin.plants.analytical.kernels import (
     GAMMA,

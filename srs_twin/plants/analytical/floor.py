@@ -29,10 +29,10 @@ from typing import NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from srs_twin import friction
-from srs_twin.compiled import compiled
-from srs_twin.friction import LAWS
+from srs_twin.compute.compiled import compiled
 from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, X, Y
+from srs_twin.robot import friction
+from srs_twin.robot.friction import LAWS
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin import geometry
-from srs_twin.compiled import compiled
+from srs_twin.compute.compiled import compiled
+from srs_twin.robot import geometry
 
 COS, SIN, SPIN, X, Y, VX, VY = range(7)
 """Rows of a posed body, which has one column a connector: heading (its cosine and sine) and its rate, place

@@ -24,7 +24,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from srs_twin.compiled import allocating, compiled
+from srs_twin.compute.compiled import allocating, compiled
 from srs_twin.plants.analytical.floor import smoothed
 from srs_twin.plants.analytical.kernels import (
     GAMMA,

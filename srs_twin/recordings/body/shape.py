@@ -38,10 +38,10 @@ from math import comb
 
 import numpy as np
 
+from srs_twin.compute.workers import processors
 from srs_twin.errors import InputError
-from srs_twin.geometry import half_turn
-from srs_twin.parallel import processors
 from srs_twin.recordings.body.tracking import some_frames
+from srs_twin.robot.geometry import half_turn
 from srs_twin.robot.spec import Geometry
 
 SIDES = {"": 0, "ahead": 1, "behind": -1, "left": 1j, "right": -1j}

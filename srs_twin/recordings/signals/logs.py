@@ -22,7 +22,6 @@ from dataclasses import replace
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.geometry import body_shape, relative_headings
 from srs_twin.recordings.body.trajectories import LogSummary, measured, moving_slope, numbered, pose_columns
 from srs_twin.recordings.csv_table import (
     CLOCK,
@@ -48,6 +47,7 @@ from srs_twin.recordings.signals.gaps import (
 )
 from srs_twin.recordings.signals.units import ABSOLUTE, clean, looks_absolute, symbol
 from srs_twin.recordings.signals.valve_log import ValveLog, held_values
+from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import RobotSpec
 
 SIDES = ("plus", "minus")

@@ -17,7 +17,7 @@ from typing import Protocol
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
 from srs_twin.errors import InputError
 from srs_twin.plants.base import SnakeState
-from srs_twin.plants.twin import TwinSnake
+from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.viewing.rerun.viewer import lacks_display
 

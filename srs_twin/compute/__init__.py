@@ -1,0 +1,1 @@
+"""Compiled kernels, checks of arrays, threads and worker processes."""

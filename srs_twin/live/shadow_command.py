@@ -1,0 +1,244 @@
+"""`srs-twin shadow`: the twin beside a running robot."""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from srs_twin.cli.console import say
+from srs_twin.cli.options import JsonOption, PressureOption, QuietOption, argument, option, print_json
+from srs_twin.errors import InputError
+from srs_twin.live.emulate_command import broker_link
+
+if TYPE_CHECKING:
+    from srs_twin.live.links import Link
+    from srs_twin.live.mqtt import MqttLink
+    from srs_twin.live.session import Session
+    from srs_twin.live.shadow import Shadow
+    from srs_twin.live.steering import EstimateSteering
+
+BROKER = "127.0.0.1:1883"
+
+
+def shadow(
+    context: typer.Context,
+    robot: Annotated[str | None, argument("ROBOT", of=["robot"])] = None,
+    setup: Annotated[Path | None, option("--setup FILE.yaml")] = None,
+    mqtt: Annotated[str | None, option("--mqtt HOST:PORT")] = None,
+    natnet: Annotated[str | None, option("--natnet HOST:PORT")] = None,
+    mcap: Annotated[Path | None, option("--mcap FILE")] = None,
+    out: Annotated[Path | None, option("--out DIR")] = None,
+    follow: Annotated[str | None, option("--follow SCENARIO")] = None,
+    press_on: Annotated[bool, option("--press-on")] = False,
+    name: Annotated[str | None, option("--name NAME")] = None,
+    body: Annotated[list[str] | None, option("--body BODY=CONNECTOR")] = None,
+    local: Annotated[str, option("--local ADDRESS")] = "127.0.0.1",
+    up: Annotated[str, option("--up AXIS")] = "y",
+    speed: Annotated[float, option("--speed X", min=0.01, max=1000.0)] = 1.0,
+    pressure: PressureOption = None,
+    members: Annotated[int, option("--members N", min=8, max=256)] = 32,
+    seed: Annotated[int, option("--seed N", min=0)] = 0,
+    window: Annotated[bool, option("--window")] = False,
+    web: Annotated[bool, option("--web")] = False,
+    duration: Annotated[float | None, option("--duration-s S", min=0.02)] = None,
+    user: Annotated[str | None, option("--user NAME")] = None,
+    ca: Annotated[Path | None, option("--ca FILE")] = None,
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Run a twin beside a robot: state, next second, faults.
+
+    Takes commands, bends and pressures over MQTT, frames of motion capture over NatNet, or all of them from a
+    journal. With --follow it steers the robot by its estimate; the keys p, g, v and s, or these words on the
+    topic srs/NAME/control, pause, go on, vent and stop. docs/live.md describes the messages. The password of
+    --user is taken from the environment variable SRS_TWIN_MQTT_PASSWORD.
+
+    Options:
+        robot: Shipped robot or robot file. [default: that of --setup]
+        setup: Set-up file of the lab (`srs-twin schema setup`); other options override it. [default: none]
+        mqtt: MQTT broker. [default: 127.0.0.1:1883, or none with --mcap]
+        natnet: NatNet server of the motion capture. [default: none]
+        mcap: Journal of an earlier session to play instead.
+        out: Folder of journal, recording and results; what was learnt in it before is restored.
+        follow: Scenario whose follower steers the robot.
+        press_on: Steer on without any margin to obstacles, instead of stopping (docs/live.md#steering).
+        name: Robot's name in topics. [default: ROBOT]
+        body: Body of the motion capture and its connector, repeatable. [default: connector_1=1 …]
+        local: Address of this machine on which frames arrive.
+        up: Axis that is up in the frames, y or z.
+        speed: Playing speed of a journal.
+        members: Ensemble size.
+        seed: Random seed.
+        window: Show the live view in Rerun's window.
+        web: Show the live view on a page of this machine.
+        duration: Longest session. [default: Ctrl-C does]
+        user: MQTT user name.
+        ca: CA certificate file (PEM); enables TLS.
+    """
+    from threadpoolctl import threadpool_limits
+
+    from srs_twin.io.files import made_folder, open_folder
+    from srs_twin.live.results import KEPT
+
+    if mcap is not None and (mqtt is not None or natnet is not None or follow is not None):
+        raise InputError("--mcap plays what has been; --mqtt, --natnet and --follow are for a running robot")
+    lab: dict[str, Any] = {
+        "robot": robot, "mqtt": mqtt, "natnet": natnet, "press_on": press_on, "name": name, "body": body,
+        "local": local, "up": up, "pressure": pressure, "duration": duration, "user": user, "ca": ca,
+    }  # fmt: skip
+    if setup is not None:
+        from srs_twin.live.setup_file import load_setup
+
+        lab |= {
+            key: value for key, value in load_setup(setup).options().items() if not _is_given(context, key)
+        }
+    if lab["robot"] is None:
+        raise InputError("which robot? Give ROBOT, or a file with --setup")
+    if out is not None:
+        open_folder(out, KEPT)
+    threadpool_limits(limits=1, user_api="blas")  # several threads wait for each other on a busy machine
+    known = lab["name"] or Path(lab["robot"]).stem
+    twin, steering = _twin(lab, follow, members, seed)
+    over = threading.Event()
+    for ends in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(ends, lambda *_: over.set())
+    play = None if mcap is None else (mcap, speed)
+    with ExitStack() as stack:
+        if out is not None:
+            stack.enter_context(made_folder(out))
+        session, shown = _session(stack, lab, known, play, twin, steering, out, (window, web))
+        if not quiet:
+            keys = (
+                ""
+                if mcap is not None
+                else "; s stops"
+                if not follow
+                else "; p pauses, v vents, g goes on, s stops"
+            )
+            restored = ", with what was learnt before" if session.resumed else ""
+            say(f"beside {known}{restored}; Ctrl-C ends it{keys}")
+            if shown:
+                say(f"open {shown} in a browser")
+        told = session.run(math.inf if lab["duration"] is None else lab["duration"], over.is_set)
+    if as_json:
+        print_json(told)
+    elif not quiet:
+        _tell(told)
+    if "estimate" not in told:
+        sources = " and ".join(filter(None, (lab["mqtt"] or BROKER, lab["natnet"])))
+        raise InputError(
+            f"nothing was heard of '{known}' in {told['seconds']:.0f} s from {mcap or sources}: "
+            "is it running, under that name, with that number of segments?"
+        )
+
+
+def _is_given(context: typer.Context, name: str) -> bool:
+    """Return whether an option of the running command was given, instead of its default."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
+def _twin(
+    lab: dict[str, Any], follow: str | None, members: int, seed: int
+) -> tuple[Shadow, EstimateSteering | None]:
+    """Return the shadow of the robot, and the steering that steers it; all of both is compiled.
+
+    Args:
+        lab: values of the options that a set-up file may have.
+        follow: scenario to follow; None: no steering.
+        members: ensemble size.
+        seed: random seed.
+    """
+    from srs_twin.live.results import TICK_S
+    from srs_twin.live.session import warm_up
+    from srs_twin.live.shadow import Shadow, frames_of
+    from srs_twin.live.steering import EstimateSteering
+    from srs_twin.robot.file import load_robot
+    from srs_twin.scenario import load_scenario
+
+    spec = load_robot(lab["robot"])
+    frames = frames_of(lab["body"], spec.geometry.connectors) if lab["body"] else None
+    supply = None if lab["pressure"] is None else lab["pressure"] * 1000
+    twin = Shadow(spec, supply_pa=supply, members=members, seed=seed, frames=frames)
+    steering = (
+        EstimateSteering(load_scenario(follow), twin, TICK_S, press_on=lab["press_on"]) if follow else None
+    )
+    warm_up(spec)
+    return twin, steering
+
+
+def _session(
+    stack: ExitStack, lab: dict[str, Any], known: str, play: tuple[Path, float] | None, twin: Shadow,
+    steering: EstimateSteering | None, out: Path | None, shows: tuple[bool, bool],
+) -> tuple[Session, str]:  # fmt: skip
+    """Return a session and the address of the live view's page; the stack closes all that it opens.
+
+    Args:
+        stack: gets what has to be closed.
+        lab: values of the options that a set-up file may have.
+        known: name of the robot in topics.
+        play: journal and speed; None: a running robot.
+        twin: shadow of the robot.
+        steering: steers the robot; None: nothing does.
+        out: folder of the files.
+        shows: whether the live view is shown in a window, and on a page.
+    """
+    from srs_twin.io.files import new_numbered
+    from srs_twin.live import natnet as protocol
+    from srs_twin.live.journal import McapLink
+    from srs_twin.live.keys import typed_words
+    from srs_twin.live.links import address
+    from srs_twin.live.optitrack import NatNetLink
+    from srs_twin.live.session import RECORDINGS, Session
+
+    spec, (window, web) = twin.spec, shows
+    links: list[Link] = []
+    commands: MqttLink | None = None
+    keys: Any = tuple
+    if play is not None:
+        links.append(stack.enter_context(McapLink(play[0], known, spec.segments, speed=play[1])))
+    else:
+        speaks = known if steering else None
+        broker = broker_link(
+            known, spec.segments, lab["mqtt"] or BROKER, lab["user"], lab["ca"], speaks=speaks
+        )
+        commands = stack.enter_context(broker)
+        links.append(commands)
+        if lab["natnet"] is not None:
+            host, port = address(lab["natnet"], protocol.COMMAND_PORT)
+            links.append(stack.enter_context(NatNetLink(host, port, local=lab["local"], up=lab["up"])))
+        keys = stack.enter_context(typed_words())
+    views, shown = [], ""
+    if window or web or out is not None:
+        from srs_twin.viewing.rerun.live import live_view
+
+        keep = None if out is None else new_numbered(out, RECORDINGS)
+        view, shown = stack.enter_context(live_view(spec, keep=keep, window=window, web=web))
+        views.append(view)
+    session = Session(twin, links, out=out, steering=steering, commands=commands, views=views, keys=keys)
+    return session, shown
+
+
+def _tell(told: dict[str, Any]) -> None:
+    ticks, latency = told["tick_ms"], told["latency_ms"]
+    if ticks["median"] is not None:
+        say(f"{told['seconds']:.1f} s, ticks of {ticks['median']:.1f} ms, 99 % below {ticks['p99']:.1f} ms")
+    if latency["median"] is not None:
+        say(f"readings are {latency['median']:.0f} ms old when they are used")
+    if "estimate" not in told:
+        return
+    found = told["estimate"]
+    x, y, heading = found["pose"]
+    a, b, c = (1.96 * each for each in found["pose_sd"])
+    say(f"at x {x:.3f} ± {a:.3f} m, y {y:.3f} ± {b:.3f} m, heading {heading:.2f} ± {c:.2f} rad"
+        f"{', but ' + found['lost'] if found['lost'] else ''}")  # fmt: skip
+    for each in told["faults"]:
+        say(f"{each['time_s']:.1f} s: {each['part']}: {each['fault']}")
+    if "following" in told:
+        say(f"following ended: {told['following']['ending']}")

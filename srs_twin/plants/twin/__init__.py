@@ -1,0 +1,1 @@
+"""The MuJoCo twin: model, physics, contacts and batches."""

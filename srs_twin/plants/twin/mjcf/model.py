@@ -1,0 +1,248 @@
+"""RobotSpec → MuJoCo model: the chain of connectors and segments, and the floor it crawls on.
+
+A free-floating chain in three dimensions, grown both ways from its middle connector. Connector i is a body
+with two feet on the floor (`wheels`). A segment is a chain of n equal bending hinges (stiffness n·k and
+damping n·c each, in series k and c) with one pitch and one roll hinge in its middle, so that the floor's
+load is shared. Chamber pressures are the controls, in Pa: actuators ``plus_j`` and
+``minus_j`` put the moment k·G·(p⁺ − p⁻) on tendon ``bend_j``, whose length is the segment's bend q_j.
+
+On a bench (`ModelSettings.base` "clamped") the head is fixed to the world and there is no floor: no wheels,
+no preload, no hinges out of the plane, in which gravity does no work.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco import MjsBody, MjsJoint, MjSpec
+
+from srs_twin.errors import InputError
+from srs_twin.plants.twin.mjcf.classes import add_classes, drawn_height
+from srs_twin.plants.twin.mjcf.numerics import LoadedContact, ModelSettings, PreloadedContact, hinge_stations
+from srs_twin.plants.twin.mjcf.surroundings import add_hull_class, add_obstacles, add_steps, add_surroundings
+from srs_twin.plants.twin.mjcf.wheels import (
+    add_contacts,
+    add_drag,
+    add_feet,
+    add_preload,
+    add_wheels,
+    fixed_inertia,
+)
+from srs_twin.robot.spec import GRAVITY, RobotSpec
+from srs_twin.robot.world import World
+
+
+def robot_mjcf(
+    spec: RobotSpec, settings: ModelSettings, *, supply_pa: float | None = None, hull: bool = False
+) -> MjSpec:
+    """Build the robot: bodies, joints, tendons and actuators, no floor.
+
+    Args:
+        spec: the robot.
+        settings: time step, discretisation, contact.
+        supply_pa: upper end of the controls' range, Pa; no less than what a chamber may hold.
+        hull: whether it has a body that touches obstacles (`surroundings`).
+
+    Raises:
+        InputError: the time step is too long for the robot's damping time, or the tail has two axles and the
+            contact is preloaded.
+    """
+    if spec.tail is not None and not isinstance(settings.contact, LoadedContact):
+        raise InputError("a tail on two axles needs contact 'loaded': pressed down it could not lift")
+    shortest = min(spec.bending.damping_time, spec.bending.out_of_plane_damping_time)
+    if not settings.timestep < shortest:
+        raise InputError(
+            f"time step {settings.timestep:g} s is too long for segments with a damping time c/k of "
+            f"{shortest:g} s; it must be shorter"
+        )
+    mj = MjSpec()
+    mj.modelname = spec.name
+    mj.compiler.degree = False
+    mj.compiler.autolimits = True
+    _set_options(mj, settings)
+    limit = max(spec.supply.continuous_limit, supply_pa or 0.0)
+    add_classes(mj, spec, settings, limit_pa=limit)
+    if hull:
+        add_hull_class(mj, spec, settings)
+    free = settings.base == "free"
+    middle = root_connector(spec) if free else 1
+    place = spec.geometry.body_length / 2 - (middle - 1) * spec.geometry.pitch
+    root = mj.worldbody.add_body(name=f"connector_{middle}", pos=[place, 0, spec.geometry.com_height])
+    if free:
+        root.add_freejoint(name="root")
+    _add_connector(mj, root, spec, middle, settings)
+    for step, end in ((1, spec.geometry.connectors), (-1, 1)):
+        body = root
+        for i in range(middle, end, step):
+            body = _add_segment(mj, body, spec, i, i + step, settings)
+            _add_connector(mj, body, spec, i + step, settings)
+    for j in range(1, spec.segments + 1):
+        _add_muscles(mj, spec, j, settings)
+        if settings.numerics.constant_curvature:
+            _bend_alike(mj, j, settings)
+    if free:
+        if isinstance(settings.contact, PreloadedContact):
+            add_preload(mj, spec, settings.contact)
+        if spec.friction.drag > 0.0:
+            add_drag(mj, spec)
+        add_feet(mj, spec)
+    _add_home(mj)
+    return mj
+
+
+def scene_mjcf(
+    spec: RobotSpec, settings: ModelSettings, *, supply_pa: float | None = None, world: World | None = None
+) -> MjSpec:
+    """Build the robot on a floor among obstacles, with its contact pairs and force sensors (world frame, N).
+
+    Arguments as in `robot_mjcf`, and the world, of which floor and obstacles matter.
+    """
+    world = world or World()
+    mj = robot_mjcf(spec, settings, supply_pa=supply_pa, hull=world.solid)
+    mj.option.gravity = [GRAVITY * share for share in world.floor.down]
+    add_surroundings(mj, spec.geometry.body_length)
+    if world.solid:
+        add_obstacles(mj, spec, world)
+    levels = add_steps(mj, world.steps, spec.geometry.body_length)
+    if settings.base == "free":
+        add_contacts(mj, spec, settings, levels)
+    mj.add_sensor(name="kinetic_energy", type=mujoco.mjtSensor.mjSENS_E_KINETIC)
+    return mj
+
+
+def root_connector(spec: RobotSpec) -> int:
+    """Return which connector carries the free joint: the middle one.
+
+    From there no contact is further away than half of the chain, which makes a step a third cheaper than
+    from the head, and the integrator, which evaluates inertia at the beginning of a step, errs a fifth as
+    much in the mean speed.
+    """
+    return (spec.geometry.connectors + 1) // 2
+
+
+def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
+    option = mj.option
+    option.timestep = settings.timestep
+    option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    # Rows of friction make a dense one slow; normals alone are few, and the engine chooses by size.
+    loaded = settings.loaded
+    option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO if loaded else mujoco.mjtJacobian.mjJAC_SPARSE
+    option.impratio = 1
+    option.iterations = 50
+    # Loads that are wrong by 1e-7 push stopping wheels sideways; which way depends on the processor. Where
+    # friction comes from the engine, 1e-7 changes gait speeds by 2e-7 and leaves less than 1e-5 m/s at rest.
+    option.tolerance = 1e-12 if loaded else 1e-7
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+
+
+def _set_inertia(
+    body: MjsBody, spec: RobotSpec, mass: float, extra: tuple[float, Any] = (0.0, 0.0), x: float = 0.0
+) -> None:
+    """Give a body a mass with a connector's gyration at x (m), and what is fixed to it there (kg, kg·m²)."""
+    body.mass = mass + extra[0]
+    body.ipos = [x, 0, 0]  # left out, MjSpec takes the body's own `pos` for it
+    body.inertia = np.full(3, mass * spec.connector_gyration**2) + extra[1]
+    body.explicitinertial = True
+
+
+def _link_mass(spec: RobotSpec, settings: ModelSettings) -> float:
+    """Return the mass of one link between two hinges, kg; taken off the connectors."""
+    links = settings.hinges_per_segment - 1
+    share = settings.numerics.link_share * min(spec.mass.connectors)
+    return share / links if links else 0.0
+
+
+def _add_connector(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, settings: ModelSettings) -> None:
+    g, mass = spec.geometry, spec.mass.connectors[i - 1]
+    neighbours = (i > 1) + (i < g.connectors)
+    links = neighbours / 2 * (settings.hinges_per_segment - 1) * _link_mass(spec, settings)
+    if spec.tail is not None and i == g.connectors:
+        body.mass, body.inertia = mass - links, np.full(3, mass * spec.tail.gyration**2)
+        body.ipos, body.explicitinertial = [-spec.tail.com, 0, spec.tail.com_height - g.com_height], True
+    else:
+        _set_inertia(body, spec, mass - 2 * spec.mass.wheel - links, fixed_inertia(spec, settings))
+    body.add_geom(mj.find_default("plate"), name=f"plate_{i}", pos=[0, 0, drawn_height(spec)])
+    if settings.base == "free":
+        add_wheels(mj, body, spec, i, settings)
+
+
+def _add_segment(
+    mj: MjSpec, body: MjsBody, spec: RobotSpec, near: int, far: int, settings: ModelSettings
+) -> MjsBody:
+    """Grow the segment between two neighbouring connectors from the near one; return the far one's body.
+
+    Each hinge carries the body beyond it; the last one carries the far connector. Stations are distances
+    from the near connector of a straight segment. Names count from the head whichever way it grows.
+    """
+    g, n, j = spec.geometry, settings.hinges_per_segment, min(near, far)
+    ahead = near - far  # which way it grows along x, ±1
+    names = [f"{j}_{k}" for k in range(n + 1)][::-ahead]  # of the pieces between the hinges
+    hinges = hinge_stations(n, g.segment_length, g.rigid_gap)
+    origins = np.append(hinges[:-1], g.pitch)
+    _add_skin(mj, body, spec, f"skin_{names[0]}", 0.0, ahead * hinges[0])
+    parent_origin = 0.0
+    for k in range(n):
+        last = k == n - 1
+        name = f"connector_{far}" if last else f"link_{names[k + 1]}"
+        body = body.add_body(name=name, pos=[ahead * (origins[k] - parent_origin), 0, 0])
+        parent_origin = origins[k]
+        anchor = ahead * (hinges[k] - origins[k])
+        hinge = _add_joint(mj, body, "hinge", f"hinge_{j}_{k + 1 if ahead < 0 else n - k}", anchor, ahead)
+        hinge.springref = spec.modules.bias[j - 1] / n
+        if k == n // 2 and settings.base == "free":
+            for kind in ("pitch", "roll"):
+                _add_joint(mj, body, kind, f"{kind}_{j}", ahead * (g.pitch / 2 - origins[k]), ahead)
+        if last:
+            _add_skin(mj, body, spec, f"skin_{names[k + 1]}", anchor, 0.0)
+        else:
+            end = ahead * (hinges[k + 1] - hinges[k])
+            _set_inertia(body, spec, _link_mass(spec, settings), x=end / 2)
+            _add_skin(mj, body, spec, f"skin_{names[k + 1]}", 0.0, end)
+    return body
+
+
+def _add_joint(mj: MjSpec, body: MjsBody, kind: str, name: str, x: float, ahead: int) -> MjsJoint:
+    """Add a joint at x (m); where the chain grows ahead its axis is turned round, so that signs stay."""
+    joint = body.add_joint(mj.find_default(kind), name=name, pos=[x, 0, 0])
+    if ahead > 0:
+        joint.axis = [-component for component in joint.axis]
+    return joint
+
+
+def _add_skin(mj: MjSpec, body: MjsBody, spec: RobotSpec, name: str, front: float, back: float) -> None:
+    """Draw the soft body between two stations of a body's x axis."""
+    z = drawn_height(spec)
+    body.add_geom(mj.find_default("skin"), name=name, fromto=[front, 0, z, back, 0, z])
+    if hull := mj.find_default("hull"):
+        body.add_geom(hull, name=name.replace("skin", "hull"), fromto=[front, 0, 0, back, 0, 0])
+
+
+def _add_muscles(mj: MjSpec, spec: RobotSpec, j: int, settings: ModelSettings) -> None:
+    """Add tendon ``bend_j`` and its two chambers."""
+    tendon = mj.add_tendon(name=f"bend_{j}")
+    for k in range(1, settings.hinges_per_segment + 1):
+        tendon.wrap_joint(f"hinge_{j}_{k}", 1.0)
+    for name, sign, own in zip(("plus", "minus"), (1, -1), spec.modules.gain[j - 1], strict=True):
+        actuator = mj.add_actuator(mj.find_default("muscle"), name=f"{name}_{j}", target=tendon.name)
+        actuator.trntype = mujoco.mjtTrn.mjTRN_TENDON
+        actuator.gainprm[0] *= sign * own
+
+
+def _bend_alike(mj: MjSpec, j: int, settings: ModelSettings) -> None:
+    """Constrain all hinges of segment j to the angle of the first."""
+    for k in range(2, settings.hinges_per_segment + 1):
+        arc = mj.add_equality(name=f"arc_{j}_{k}", type=mujoco.mjtEq.mjEQ_JOINT)
+        arc.name1, arc.name2 = f"hinge_{j}_{k}", f"hinge_{j}_1"
+        arc.solref, arc.solimp = [2 * settings.timestep, 1], [0.999, 0.999, 0.001, 0.5, 2]
+        arc.data[:5] = [0, 1, 0, 0, 0]
+
+
+def _add_home(mj: MjSpec) -> None:
+    """Add keyframe ``home``: straight, at rest, wheels on the floor, chambers empty."""
+    root = mj.worldbody.first_body()
+    free = any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in mj.joints)
+    pose, hinges = ([*root.pos, 1, 0, 0, 0], len(mj.joints) - 1) if free else ([], len(mj.joints))
+    mj.add_key(name="home", qpos=[*pose, *[0.0] * hinges], ctrl=[0.0] * len(mj.actuators))
