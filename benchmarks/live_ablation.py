@@ -1,4 +1,4 @@
-"""What each refinement of the shadow brings: figures with each part switched off.
+"""Errors of the live twin with each refinement switched off.
 
     uv run python benchmarks/live_ablation.py [--seeds 2] [--first 5300] [--json FILE]
 
@@ -31,11 +31,11 @@ def _none(*given: Any, **named: Any) -> None:
 
 
 def _no_table(shadow: Shadow) -> None:
-    shadow.ensemble.habits.learn = _none  # type: ignore[method-assign]
+    shadow.ensemble.rates.update = _none  # type: ignore[method-assign]
 
 
-def _no_adaptation(shadow: Shadow) -> None:
-    shadow.ensemble._adapt = shadow.ensemble._judge = _none  # type: ignore[method-assign]
+def _no_noise_estimate(shadow: Shadow) -> None:
+    shadow.ensemble._estimate_noise = _none  # type: ignore[method-assign]
 
 
 def _no_connection(shadow: Shadow) -> None:
@@ -43,26 +43,20 @@ def _no_connection(shadow: Shadow) -> None:
 
 
 def _no_modules(shadow: Shadow) -> None:
-    modules = shadow.ensemble.modules
-    modules.read_pressures = modules.read_unexplained = _none  # type: ignore[method-assign]
-
-
-def _no_inflation(shadow: Shadow) -> None:
-    shadow.ensemble._relax = _none  # type: ignore[method-assign]
+    shadow.ensemble.set_modules = _none  # type: ignore[method-assign]
 
 
 PARTS: dict[str, Callable[[Shadow], None]] = {
     "all": _none,
-    "no pressure table": _no_table,
-    "no adaptation": _no_adaptation,
-    "connection not learnt": _no_connection,
-    "modules not learnt": _no_modules,
-    "no inflation": _no_inflation,
+    "no table of pressure rates": _no_table,
+    "noise of frames not estimated": _no_noise_estimate,
+    "connection not fitted": _no_connection,
+    "modules not estimated": _no_modules,
 }
 
 
 def figures(order: tuple[str, int]) -> dict[str, Any]:
-    """Return one version's errors beside one robot."""
+    """Return the errors of one version for one robot."""
     part, seed = order
     recording = recorded(conditioned("nominal", seed, END_S))
     shadow = Shadow(load_robot("gen4"), seed=seed)

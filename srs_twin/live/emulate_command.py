@@ -67,31 +67,31 @@ def emulate(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Stand in for a robot, over MQTT and NatNet.
+    """Emulate a robot over MQTT and NatNet.
 
-    A twin with modules that differ, chambers of compressible flow, noise and faults obeys commands and tells
-    bends, pressures, valves and poses in real time, as docs/live.md describes the messages. The password of
-    --user is taken from the environment variable SRS_TWIN_MQTT_PASSWORD.
+    A twin with varying modules, compressible flow in the chambers, sensor noise and faults obeys commands and
+    publishes bends, pressures, valve states and poses in real time. docs/live.md describes the messages. The
+    environment variable SRS_TWIN_MQTT_PASSWORD has the password of --user.
 
     Options:
-        mqtt: The broker.
-        natnet: Address of ours where motion capture is asked for its frames. [default: no motion capture]
-        name: Of the robot in topics. [default: ROBOT]
-        seed: Draws modules, noise and what messages suffer.
-        fault: What breaks, as stuck_valve:2+@5, dead_sensor:1@8, leak:3-=fast@2, starved@4; repeatable.
-        spread: Of the gains of its modules.
-        noise: Of its bend sensors, RMS, rad.
-        chambers: orifice for compressible flow, or lag.
-        start: Where it lies at first, m and rad, as --start=0.2,-0.1,0.5.
-        loss: Share of its messages that is lost.
-        jitter: By how much each of them is late at most.
-        tell_supply: Publish the pressure of the supply.
-        duration: Ends it. [default: Ctrl-C does]
-        user: At the broker.
+        mqtt: MQTT broker.
+        natnet: Local address on which NatNet frames are served. [default: no motion capture]
+        name: Robot's name in topics. [default: ROBOT]
+        seed: Random seed of modules, noise, and loss and delay of messages.
+        fault: Fault and its time, e.g. stuck_valve:2+@5, dead_sensor:1@8, leak:3-=fast@2; repeatable.
+        spread: Standard deviation of the modules' gains.
+        noise: Standard deviation of bend readings, rad.
+        chambers: orifice (compressible flow) or lag (first order).
+        start: Initial pose, m and rad, e.g. --start=0.2,-0.1,0.5.
+        loss: Share of messages that are lost.
+        jitter: Largest delay of a message.
+        tell_supply: Publish the supply pressure.
+        duration: Stop after S seconds. [default: run until Ctrl-C]
+        user: MQTT user name.
         ca: CA certificate file (PEM); enables TLS.
     """
     from srs_twin.live import natnet as protocol
-    from srs_twin.live.emulator import Air, EmulatedRobot
+    from srs_twin.live.emulator import EmulatedRobot, Transport
     from srs_twin.live.emulator import emulate as live
     from srs_twin.live.links import address
     from srs_twin.live.messages import COMMAND
@@ -116,8 +116,8 @@ def emulate(
             say(f"{known} is on the air at {mqtt}{seen}; Ctrl-C ends it")
         length = math.inf if duration is None else duration
         told = live(
-            made, link, capture, air=Air(loss, jitter), duration=length, stop=over.is_set, seed=seed,
-            tells_supply=tell_supply,
+            made, link, capture, transport=Transport(loss, jitter), duration=length, stop=over.is_set,
+            seed=seed, tells_supply=tell_supply,
         )  # fmt: skip
         if capture is not None:
             capture.close()

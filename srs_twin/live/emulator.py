@@ -1,9 +1,8 @@
-"""Emulator: a stand-in for a robot, in a process of its own, that obeys and tells as a real one would.
+"""Emulator: a simulated robot with the interfaces of a real one.
 
-It is a twin on momentary loads with chambers of compressible flow, modules drawn by a seed that nobody else
-knows, and faults at given times. It takes commands from a broker, tells bends, pressures and valves there,
-and what motion capture sees by NatNet, in real time. Without a command for a fifth of a second it vents all
-chambers, as the electronics of a robot should.
+A twin with momentary loads, compressible flow in the chambers, random modules and faults at given times gets
+commands from a broker and publishes bends, pressures and valve states in real time. A NatNet server sends
+the poses of the connectors. Like the firmware of a robot, it vents all chambers 0.2 s after the last command.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.scenario import parse_scenario
 
 SILENT_S = 0.2
-"""Without a command for so long all chambers are vented."""
+"""Age of a command above which all chambers are vented."""
 
 CARRIER_HZ = 60.0
 _LATE_S = 1.0
@@ -49,7 +48,7 @@ KINDS: dict[str, tuple[str, dict[str, float]]] = {
     "starved": ("", {"half": 0.5, "empty": 0.1}),
     "lost_marker": ("connector", {"gone": 1}),
 }
-"""Kinds of faults: what each is of, and how it may be, the first by default; leaks in 1/s of the pressure."""
+"""Kinds of faults: affected part and variants, the first by default; leaks in 1/s."""
 
 _DRIFT_RAD_PER_S = 0.1
 _CAMERA_NOISE_M = 0.0003
@@ -58,13 +57,13 @@ _HEIGHT_M = 0.02
 
 @dataclass(frozen=True)
 class Fault:
-    """What breaks.
+    """A fault and its time.
 
     Attributes:
         kind: one of `KINDS`.
-        number: of segment or connector, from 1; 0 where it is of none.
+        number: segment or connector, from 1; 0 without one.
         side: of a chamber, 0 for + and 1 for −.
-        how: the number that belongs to what was said.
+        how: value of the variant, as in `KINDS`.
         since: s from the start.
     """
 
@@ -76,11 +75,11 @@ class Fault:
 
     @classmethod
     def of(cls, text: str, segments: int) -> Fault:
-        """Return the fault that a text tells, such as ``stuck_valve:2+@5``.
+        """Return the fault of a text such as ``stuck_valve:2+@5``.
 
         Raises:
-            InputError: it tells none, or one of another robot.
-            UnknownNameError: there is no such kind, or not so.
+            InputError: a malformed text, or a part that the robot does not have.
+            UnknownNameError: an unknown kind or variant.
         """
         found = _FAULT.fullmatch(text)
         if found is None:
@@ -103,12 +102,12 @@ class Fault:
 
 
 class EmulatedRobot:
-    """The robot, tick by tick; it knows nothing of clocks and wires.
+    """Simulated robot in ticks, independent of clocks and links.
 
     Attributes:
-        twin: what moves.
-        state: of it; what only it knows.
-        faults: what breaks, and when.
+        twin: simulation of the robot.
+        state: true state.
+        faults: faults and their times.
         supply_pa: nominal pressure of its supply, gauge, Pa.
         supply_now_pa: pressure of its supply now, gauge, Pa.
         valves: as it set them last; a stuck one is where it is.
@@ -197,7 +196,7 @@ class EmulatedRobot:
         self._air.regulate(self.supply_now_pa)
 
     def bends(self) -> np.ndarray:
-        """Return what its sensors say now, rad; NaN where they say nothing."""
+        """Return the bend readings, rad; NaN without a reading."""
         time, seen = (
             float(self.state.time),
             self.state.bend + self._noise * self._rng.normal(size=self.segments),
@@ -214,7 +213,7 @@ class EmulatedRobot:
         return np.asarray(seen)
 
     def bodies(self) -> dict[int, RigidBody]:
-        """Return where motion capture sees its connectors, from 1 at the head, y up."""
+        """Return the rigid bodies of motion capture by connector, from 1 at the head, y up."""
         time, found = float(self.state.time), {}
         lost = {e.number for e in self.faults if e.kind == "lost_marker" and e.since <= time}
         noise = _CAMERA_NOISE_M * self._rng.normal(size=(len(self.state.position), 3))
@@ -234,12 +233,12 @@ _LETS_GO_S = 0.001
 
 
 @dataclass(frozen=True)
-class Air:
-    """What messages suffer on their way out.
+class Transport:
+    """Loss and delay of published messages.
 
     Attributes:
-        loss: share that is lost.
-        jitter: by how much each is late at most, uniformly, s.
+        loss: share of messages that are lost.
+        jitter: largest delay, uniformly distributed, s.
     """
 
     loss: float = 0.0
@@ -251,26 +250,26 @@ def emulate(
     link: MqttLink,
     capture: NatNetServer | None,
     *,
-    air: Air = Air(),
+    transport: Transport = Transport(),
     duration: float = math.inf,
     stop: Callable[[], bool] = lambda: False,
     seed: int = 0,
     tells_supply: bool = False,
 ) -> dict[str, float]:
-    """Let a robot live in real time.
+    """Run a robot in real time.
 
     Args:
-        robot: which.
-        link: its topics, which it hears commands on.
-        capture: who sees it; None: nobody.
-        air: what its messages suffer.
+        robot: the simulated robot.
+        link: its topics, also for commands.
+        capture: server of motion capture; None: no motion capture.
+        transport: loss and delay of messages.
         duration: s.
-        stop: asked every tick.
-        seed: of the air.
+        stop: returns whether the run ends, called in every tick.
+        seed: random seed of the transport.
         tells_supply: whether the pressure of the supply is published.
 
     Returns:
-        ``ticks``, and ``late``: how many began more than a tick late.
+        ``ticks``, and ``late``: number of ticks that began more than a tick late.
     """
     rng = np.random.default_rng((seed, 0xA1))
     waiting: list[tuple[float, int, Callable[[], None]]] = []
@@ -279,8 +278,8 @@ def emulate(
     command, heard = None, -math.inf
 
     def later(due: float, send: Callable[[], None]) -> None:
-        if rng.random() >= air.loss:
-            heapq.heappush(waiting, (due + rng.random() * air.jitter, next(number), send))
+        if rng.random() >= transport.loss:
+            heapq.heappush(waiting, (due + rng.random() * transport.jitter, next(number), send))
 
     def sent() -> None:
         while waiting and waiting[0][0] <= clock():
@@ -295,19 +294,19 @@ def emulate(
             now = clock()
             state = robot.step(command if now - heard <= SILENT_S else None)
             done += 1
-            # It has computed at once what a robot would be like at the end of the tick, and tells it then.
+            # The state is that at the end of the tick, so it is published then.
             due = begun + done * tick
-            told = [(BENDS, robot.bends()), (PRESSURES, state.pressure), (VALVES, robot.valves)]
+            values_now = [(BENDS, robot.bends()), (PRESSURES, state.pressure), (VALVES, robot.valves)]
             if tells_supply:
-                told.append((SUPPLY, np.array(robot.supply_now_pa)))
-            for kind, values in told:
+                values_now.append((SUPPLY, np.array(robot.supply_now_pa)))
+            for kind, values in values_now:
                 later(due, lambda kind=kind, values=values, due=due: link.send(kind, values, at=due))  # type: ignore[misc]
             if capture is not None:
                 bodies = robot.bodies()
                 later(due, lambda bodies=bodies, due=due: capture.send(due, bodies))  # type: ignore[misc]
             late += clock() > due + tick
             if clock() - due > _LATE_S:
-                begun = clock() - done * tick  # what was missed is not made up for
+                begun = clock() - done * tick  # missed ticks are skipped
             while (left := due - clock()) > 0:
                 sent()
                 time.sleep(min(left, 0.002) if waiting else left)

@@ -1,8 +1,8 @@
-"""Messages: what a robot says and is told, as JSON over MQTT, and where motion capture sees its bodies.
+"""Messages of a robot and its controller as JSON over MQTT, and poses from motion capture.
 
 Topics and keys are fixed (docs/live.md): ``srs/NAME/command``, ``valves``, ``pressures``, ``bends``,
-``status``, ``control``. Lists are head first, ``t`` is the sender's clock. Whatever else arrives is refused
-with a reason and counted; nothing that arrives raises further than to who decodes it.
+``status``, ``control``, ``supply``. Lists start at the head, ``t`` is the sender's clock. Invalid messages are
+refused with a reason and counted; only decoding raises an error.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _LONGEST_TEXT = 1000
 
 
 class BadMessageError(ValueError):
-    """What arrived is none of our messages; says why."""
+    """An invalid message, with the reason."""
 
 
 @dataclass(frozen=True, eq=False)

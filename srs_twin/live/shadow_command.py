@@ -1,4 +1,4 @@
-"""`srs-twin shadow`: the twin beside a running robot."""
+"""`srs-twin shadow`: live twin of a running robot."""
 
 from __future__ import annotations
 
@@ -52,32 +52,32 @@ def shadow(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a twin beside a robot: state, next second, faults.
+    """Run a live twin of a robot: state, next second, faults.
 
-    Takes commands, bends and pressures over MQTT, frames of motion capture over NatNet, or all of them from a
-    journal. With --follow it steers the robot by its estimate; the keys p, g, v and s, or these words on the
-    topic srs/NAME/control, pause, go on, vent and stop. docs/live.md describes the messages. The password of
-    --user is taken from the environment variable SRS_TWIN_MQTT_PASSWORD.
+    Receives commands, bends and pressures over MQTT and frames of motion capture over NatNet, or reads all of
+    them from a journal. With --follow it steers the robot by its estimate; the keys p, g, v and s, or the
+    words pause, go, vent and stop on the topic srs/NAME/control, control it. docs/live.md describes the
+    messages. The environment variable SRS_TWIN_MQTT_PASSWORD has the password of --user.
 
     Options:
         robot: Shipped robot or robot file. [default: that of --setup]
         setup: Set-up file of the lab (`srs-twin schema setup`); other options override it. [default: none]
         mqtt: MQTT broker. [default: 127.0.0.1:1883, or none with --mcap]
         natnet: NatNet server of the motion capture. [default: none]
-        mcap: Journal of an earlier session to play instead.
-        out: Folder of journal, recording and results; what was learnt in it before is restored.
-        follow: Scenario whose follower steers the robot.
-        press_on: Steer on without any margin to obstacles, instead of stopping (docs/live.md#steering).
+        mcap: Journal of an earlier session, processed instead of live messages.
+        out: Output folder; the learnt state of an earlier session in it is restored.
+        follow: Scenario with the path to steer along.
+        press_on: Continue without any margin to obstacles instead of stopping (docs/live.md#steering).
         name: Robot's name in topics. [default: ROBOT]
         body: Body of the motion capture and its connector, repeatable. [default: connector_1=1 …]
         local: Address of this machine on which frames arrive.
-        up: Axis that is up in the frames, y or z.
+        up: Axis that points up in the frames, y or z.
         speed: Playing speed of a journal.
         members: Ensemble size.
         seed: Random seed.
         window: Show the live view in Rerun's window.
         web: Show the live view on a page of this machine.
-        duration: Longest session. [default: Ctrl-C does]
+        duration: Stop after S seconds. [default: run until Ctrl-C]
         user: MQTT user name.
         ca: CA certificate file (PEM); enables TLS.
     """

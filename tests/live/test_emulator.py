@@ -178,7 +178,9 @@ def test_robot_vents_a_fifth_of_a_second_after_the_last_command(monkeypatch):
 def test_messages_are_lost_and_late_as_the_air_says(monkeypatch):
     """Five standard errors of 3000 messages; messages leave when the emulator wakes, every 2 ms."""
     bench = Bench(monkeypatch)
-    emulator.emulate(bench, bench, None, air=emulator.Air(loss=0.3, jitter=0.05), duration=20.0, seed=3)
+    emulator.emulate(
+        bench, bench, None, transport=emulator.Transport(loss=0.3, jitter=0.05), duration=20.0, seed=3
+    )
     late = np.array([now - at for _, at, now in bench.sent])
     assert len(late) == pytest.approx(0.7 * 3000, abs=5 * 25)
     assert late.min() >= -1e-9 and late.max() <= 0.05 + 0.0031
