@@ -1,4 +1,4 @@
-"""`srs-twin emulate`: a stand-in for a robot on the air."""
+"""`srs-twin emulate`: emulated robot."""
 
 from __future__ import annotations
 
@@ -92,12 +92,12 @@ def emulate(
     """
     from srs_twin.live import natnet as protocol
     from srs_twin.live.emulator import EmulatedRobot, Transport
-    from srs_twin.live.emulator import emulate as live
+    from srs_twin.live.emulator import emulate as run
     from srs_twin.live.links import address
     from srs_twin.live.messages import COMMAND
     from srs_twin.live.optitrack import NatNetServer
 
-    made = EmulatedRobot(
+    emulated = EmulatedRobot(
         robot, seed=seed, faults=fault or (), gain_spread=spread, noise_rad=noise, pneumatics=chambers,
         supply_kpa=pressure, start=_pose(start),
     )  # fmt: skip
@@ -105,8 +105,8 @@ def emulate(
     over = threading.Event()
     for ends in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(ends, lambda *_: over.set())
-    with broker_link(known, made.segments, mqtt, user, ca, speaks=known, kinds=(COMMAND,)) as link:
-        bodies = {i: f"connector_{i}" for i in range(1, made.segments + 2)}
+    with broker_link(known, emulated.segments, mqtt, user, ca, speaks=known, kinds=(COMMAND,)) as link:
+        bodies = {i: f"connector_{i}" for i in range(1, emulated.segments + 2)}
         capture = None
         if natnet is not None:
             at, asked = address(natnet, protocol.COMMAND_PORT)
@@ -115,16 +115,16 @@ def emulate(
             seen = f", seen at {natnet}" if natnet else ""
             say(f"{known} is on the air at {mqtt}{seen}; Ctrl-C ends it")
         length = math.inf if duration is None else duration
-        told = live(
-            made, link, capture, transport=Transport(loss, jitter), duration=length, stop=over.is_set,
+        result = run(
+            emulated, link, capture, transport=Transport(loss, jitter), duration=length, stop=over.is_set,
             seed=seed, tells_supply=tell_supply,
         )  # fmt: skip
         if capture is not None:
             capture.close()
     if as_json:
-        print_json(told)
+        print_json(result)
     elif not quiet:
-        say(f"{told['ticks']:.0f} ticks of {made.tick:g} s, {told['late']:.0f} of them late")
+        say(f"{result['ticks']:.0f} ticks of {emulated.tick:g} s, {result['late']:.0f} of them late")
 
 
 def _pose(text: str) -> tuple[float, float, float]:

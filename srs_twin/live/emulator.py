@@ -39,7 +39,7 @@ _LATE_S = 1.0
 _SIDES = {"+": 0, "-": 1}
 _FAULT = re.compile(r"(\w+)(?::(\d+)([+-])?)?(?:=(\w+))?@([\d.]+)")
 _FORM = "KIND[:NUMBER[+|-]][=HOW]@SECONDS, such as stuck_valve:2+=closed@5"
-# What a kind is of, and what it may be.
+# Affected part and variants of each kind.
 KINDS: dict[str, tuple[str, dict[str, float]]] = {
     "stuck_valve": ("chamber", {"open": 1, "closed": -1}),
     "leak": ("chamber", {"slow": 2, "fast": 8}),
@@ -74,7 +74,7 @@ class Fault:
     since: float
 
     @classmethod
-    def of(cls, text: str, segments: int) -> Fault:
+    def parse(cls, text: str, segments: int) -> Fault:
         """Return the fault of a text such as ``stuck_valve:2+@5``.
 
         Raises:
@@ -124,15 +124,15 @@ class EmulatedRobot:
         Args:
             robot: name or path of its file.
             seed: draws modules and noise.
-            faults: as `Fault.of` takes them.
-            gain_spread: of its modules' gains.
-            noise_rad: of its bend sensors, RMS, rad.
+            faults: as `Fault.parse` takes them.
+            gain_spread: standard deviation of the modules' gains.
+            noise_rad: standard deviation of bend readings, rad.
             tick: s.
-            tau_spread: of its chambers' time constants.
-            pneumatics: its chambers, "orifice" or "lag".
-            supply_kpa: of its supply, gauge; None: the robot's nominal one.
-            start: where it lies at first: x, y (m), heading (rad).
-            changes: entries of the robot's file that differ, as a scenario's `robot` takes them.
+            tau_spread: standard deviation of the time constants.
+            pneumatics: model of the chambers, "orifice" or "lag".
+            supply_kpa: supply pressure, gauge; None: the nominal one.
+            start: initial pose: x, y (m), heading (rad).
+            changes: changed fields of the robot file, as in `robot` of a scenario.
 
         Raises:
             InputError: no such robot, or no such fault.
@@ -154,7 +154,7 @@ class EmulatedRobot:
         self._air = self.twin.pneumatics
         spec = self.twin.spec
         self.segments, self.tick = spec.segments, tick
-        self.faults = tuple(Fault.of(each, spec.segments) for each in faults)
+        self.faults = tuple(Fault.parse(each, spec.segments) for each in faults)
         self._rng, self._noise = np.random.default_rng((seed, 0xE0)), noise_rad
         self.supply_pa = self.supply_now_pa = asked.supply_pa
         self._share = self._left = 1.0

@@ -92,7 +92,7 @@ class FaultNaming(Remembers):
         if time < s.start_s:
             return
         likely = probability @ HAS_NAME
-        # Segments seldom fail together: if others are in doubt, the cause may be a common one.
+        # Segments seldom fail together: if several are in doubt, the cause may be a common one.
         doubted = likely[:, 0] < _DOUBT
         factor = np.where(doubted.sum() - doubted > 0, _PATIENCE_FACTOR, 1.0)[:, None]
         threshold = np.where(LEAK, s.leak_threshold, s.threshold)

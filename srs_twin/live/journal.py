@@ -63,7 +63,7 @@ class Journal:
             self._file = path.open("wb")
         except OSError as error:
             raise InputError(f"{shown(path)}: cannot be written: {error.strerror}") from error
-        # Small chunks: what a kill takes with it is a second or so.
+        # Small chunks, so that a kill loses about a second.
         self._writer = Writer(self._file, chunk_size=16_384, compression=CompressionType.NONE)
         self._writer.start(profile="", library="srs_twin")
         self._path, self.trouble = path, ""

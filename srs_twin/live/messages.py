@@ -1,8 +1,8 @@
 """Messages of a robot and its controller as JSON over MQTT, and poses from motion capture.
 
 Topics and keys are fixed (docs/live.md): ``srs/NAME/command``, ``valves``, ``pressures``, ``bends``,
-``status``, ``control``, ``supply``. Lists start at the head, ``t`` is the sender's clock. Invalid messages are
-refused with a reason and counted; only decoding raises an error.
+``status``, ``control``, ``supply``. Lists start at the head, ``t`` is the sender's clock. Invalid messages
+are refused with a reason and counted; only decoding raises an error.
 """
 
 from __future__ import annotations

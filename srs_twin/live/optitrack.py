@@ -36,7 +36,7 @@ class _UdpLink(Link):
         self._threads = [threading.Thread(target=self._listen, args=(s,), daemon=True) for s in self._sockets]
 
     def _start(self) -> None:
-        # A first answer may add a thread while the others are started.
+        # A first answer may add a thread during this loop.
         for each in tuple(self._threads):
             each.start()
 
@@ -169,7 +169,7 @@ class NatNetLink(_UdpLink):
                 self._sockets[0].sendto(natnet.closed(kind, text), self._server)
 
     def _packet(self, kind: int, content: bytes, sender: tuple[str, int], arrived: float) -> None:
-        # Frames have a port of their own, answers come from where they were asked for.
+        # Frames come from another port of the server than answers.
         if sender[0] != self._server[0] or (kind != natnet.FRAME and sender != self._server):
             raise BadMessageError("a packet from elsewhere")
         if kind == natnet.SERVER_INFO:

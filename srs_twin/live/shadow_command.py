@@ -125,15 +125,15 @@ def shadow(
             say(f"beside {known}{restored}; Ctrl-C ends it{keys}")
             if shown:
                 say(f"open {shown} in a browser")
-        told = session.run(math.inf if lab["duration"] is None else lab["duration"], over.is_set)
+        result = session.run(math.inf if lab["duration"] is None else lab["duration"], over.is_set)
     if as_json:
-        print_json(told)
+        print_json(result)
     elif not quiet:
-        _tell(told)
-    if "estimate" not in told:
+        _print_result(result)
+    if "estimate" not in result:
         sources = " and ".join(filter(None, (lab["mqtt"] or BROKER, lab["natnet"])))
         raise InputError(
-            f"nothing was heard of '{known}' in {told['seconds']:.0f} s from {mcap or sources}: "
+            f"nothing was heard of '{known}' in {result['seconds']:.0f} s from {mcap or sources}: "
             "is it running, under that name, with that number of segments?"
         )
 
@@ -225,20 +225,20 @@ def _session(
     return session, shown
 
 
-def _tell(told: dict[str, Any]) -> None:
-    ticks, latency = told["tick_ms"], told["latency_ms"]
+def _print_result(result: dict[str, Any]) -> None:
+    ticks, latency = result["tick_ms"], result["latency_ms"]
     if ticks["median"] is not None:
-        say(f"{told['seconds']:.1f} s, ticks of {ticks['median']:.1f} ms, 99 % below {ticks['p99']:.1f} ms")
+        say(f"{result['seconds']:.1f} s, ticks of {ticks['median']:.1f} ms, 99 % below {ticks['p99']:.1f} ms")
     if latency["median"] is not None:
         say(f"readings are {latency['median']:.0f} ms old when they are used")
-    if "estimate" not in told:
+    if "estimate" not in result:
         return
-    found = told["estimate"]
-    x, y, heading = found["pose"]
-    a, b, c = (1.96 * each for each in found["pose_sd"])
+    estimate = result["estimate"]
+    x, y, heading = estimate["pose"]
+    a, b, c = (1.96 * each for each in estimate["pose_sd"])
     say(f"at x {x:.3f} ± {a:.3f} m, y {y:.3f} ± {b:.3f} m, heading {heading:.2f} ± {c:.2f} rad"
-        f"{', but ' + found['lost'] if found['lost'] else ''}")  # fmt: skip
-    for each in told["faults"]:
+        f"{', but ' + estimate['lost'] if estimate['lost'] else ''}")  # fmt: skip
+    for each in result["faults"]:
         say(f"{each['time_s']:.1f} s: {each['part']}: {each['fault']}")
-    if "following" in told:
-        say(f"following ended: {told['following']['ending']}")
+    if "following" in result:
+        say(f"following ended: {result['following']['ending']}")

@@ -80,14 +80,14 @@ def test_faults_do_what_they_say():
 )  # fmt: skip
 def test_what_is_no_fault_is_refused(text, why):
     with pytest.raises(InputError, match=why):
-        Fault.of(text, 4)
+        Fault.parse(text, 4)
 
 
 def test_every_kind_can_be_told():
     for kind, (of, ways) in KINDS.items():
         where = {"chamber": ":1-", "segment": ":1", "connector": ":5", "": ""}[of]
         for how, value in ways.items():
-            assert Fault.of(f"{kind}{where}={how}@2.5", 4).how == value
+            assert Fault.parse(f"{kind}{where}={how}@2.5", 4).how == value
 
 
 def test_a_robot_is_given_by_name_or_path(tmp_path, root):
