@@ -311,11 +311,11 @@ class Shadow:
 
     def _lost(self, now: float, pose_sd: np.ndarray) -> str:
         if now - self._heard[BENDS] > LOST_AFTER_S:
-            return "the robot says nothing"
+            return "no message from the robot"
         if not self.ensemble.placed:
-            return "nobody has seen where it is"
+            return "motion capture has not seen the robot"
         if math.hypot(*pose_sd[:2]) > LARGEST_SD_M:
-            return "it is not known well enough where it is"
+            return "the position is too uncertain"
         return ""
 
     def _estimate(self, now: float) -> Estimate:
