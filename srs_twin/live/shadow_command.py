@@ -160,7 +160,7 @@ def _twin(
     from srs_twin.live.shadow import Shadow, frames_of
     from srs_twin.live.steering import EstimateSteering
     from srs_twin.robot.file import load_robot
-    from srs_twin.scenario import load_scenario
+    from srs_twin.scenario.loading import load_scenario
 
     spec = load_robot(lab["robot"])
     frames = frames_of(lab["body"], spec.geometry.connectors) if lab["body"] else None

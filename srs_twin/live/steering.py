@@ -17,7 +17,7 @@ from srs_twin.live.shadow import Shadow
 from srs_twin.planning.follower import Follower
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import Pose
-from srs_twin.scenario import Scenario
+from srs_twin.scenario.scenario import Scenario
 
 PATIENCE_S = 3.0
 """Time without an estimate or a supply after which the steering ends."""
