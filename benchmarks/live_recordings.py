@@ -17,7 +17,7 @@ import numpy as np
 from grid import table
 
 from srs_twin import RobotSpec, load_robot
-from srs_twin.live.faults import BankSettings, FaultBank
+from srs_twin.live.fault_detector import DetectorSettings, FaultDetector
 from srs_twin.recordings.recording import Recording, read_motion
 from srs_twin.recordings.signals.clock import join
 from srs_twin.recordings.signals.logs import read_valves
@@ -44,15 +44,15 @@ def named(
     time = way.time
     bends = np.stack([way[f"bend_{j}"] for j in range(1, spec.segments + 1)], axis=1)
     bends = bends + NOISE_RAD * np.random.default_rng(seed).normal(size=bends.shape)
-    begun = (time[-1] + time[0] + BankSettings().learns) / 2
+    begun = (time[-1] + time[0] + DetectorSettings().learns) / 2
     if fault:
         broken = time >= begun
         bends[broken, segment] = BREAKS[fault](bends[broken, segment], time[broken] - begun)
-    bank = FaultBank(spec, supply_pa=spec.supply.nominal)
+    bank = FaultDetector(spec, supply_pa=spec.supply.nominal)
     for k in range(1, len(time)):
         row = np.searchsorted(log.time, (time[k] + time[k - 1]) / 2, side="right") - 1
-        bank.advance((log.values[max(row, 0)] > 0).astype(float), time[k] - time[k - 1])
-        bank.read(bends[k])
+        bank.predict((log.values[max(row, 0)] > 0).astype(float), time[k] - time[k - 1])
+        bank.update(bends[k])
         if bank.named:
             return float(time[k] - begun), bank.named
     return np.nan, {}

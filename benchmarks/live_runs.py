@@ -6,22 +6,54 @@ rest late by up to 20 ms; motion capture has 30 frames a second.
 
 from __future__ import annotations
 
+import copy
+import hashlib
 import heapq
-from collections.abc import Iterator
-from dataclasses import dataclass
+import os
+import pickle
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from srs_twin import Gait, load_robot, load_scenario
+from srs_twin import Gait, RobotSpec, load_robot, load_scenario
 from srs_twin.live.emulator import SILENT_S, EmulatedRobot
-from srs_twin.live.helm import Helm
-from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, VALVES, Message
-from srs_twin.live.shadow import Estimate, Prediction, Shadow
+from srs_twin.live.estimate import Estimate
+from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, SUPPLY, VALVES, Message
+from srs_twin.live.prediction import Prediction
+from srs_twin.live.shadow import Shadow
+from srs_twin.live.steering import EstimateSteering
+from srs_twin.plants.twin.snake import TwinSnake
 
 NOISE_RAD = 0.02
 OFFSETS = (0.0, 0.15, -0.15)
 TURNS_S = 5.0
+TAKES_S = 0.02
+"""Interval between updates of the shadow, as in a session, s."""
+DROOPS_S = 6.0
+"""Time at which a drooping supply changes, s."""
+WANDER = 0.84, (8.0, 25.0)
+"""Lowest pressure of a wandering supply as a share of the nominal one, and range of its periods, s."""
+OUTAGE = 0.4, 4.0
+"""Pressure during an outage as a share of the nominal one, and its duration, s."""
+HOLDS_S, GOES_S, STANDS_S = 1.5, 4.0, 3.0
+"""Duration of a held bend, of walking and of standing in stop and go, s."""
+SENSOR_GAIN, SENSOR_OFFSET_RAD, SENSOR_DRIFT = 0.05, 0.04, 3e-4
+"""Standard deviations of a poor bend sensor: gain, offset (rad) and drift (rad/s)."""
+CACHE = os.environ.get("SRS_LIVE_RECORDINGS")
+"""Folder of recordings that are simulated once; none without."""
+
+ROBOTS: Mapping[str, Mapping[str, Any]] = {
+    "": {},
+    "softer": {"bending": {"stiffness_nm_per_rad": 0.7 * 0.88}},
+    "smoother": {"friction": {"mu_t": 0.7 * 0.043, "mu_n": 0.7 * 0.57}},
+    "slow chamber": {"modules": {"tau_fill": [[1, 1], [2, 1], [1, 1], [1, 1]]}},
+    "unequal": {"modules": {"gain_spread": 0.25, "tau_spread": 0.15}},
+}
+"""Generation 4 that differs from its file: name → changes."""
+SUPPLIES = ("droop:0.97", "droop:0.95", "droop:0.90", "droop:0.85", "wander")
 
 
 @dataclass(frozen=True)
@@ -44,6 +76,12 @@ class Run:
         tau_spread: of their time constants.
         gain_spread: of the modules' gains.
         supply_kpa: of its supply; None: the robot's nominal one.
+        supply: "droop:SHARE" or "outage" from `DROOPS_S` on, "wander", or empty: constant.
+        variant: one of `ROBOTS`.
+        motion: "walk", "stand", "stop and go" or "hold".
+        poor_sensors: whether bend sensors have a gain, an offset and a drift.
+        rate_hz: messages of the robot in a second.
+        tells_supply: whether the robot tells the pressure of its supply.
     """
 
     seed: int
@@ -61,6 +99,30 @@ class Run:
     tau_spread: float = 0.0
     gain_spread: float = 0.1
     supply_kpa: float | None = None
+    supply: str = ""
+    variant: str = ""
+    motion: str = "walk"
+    poor_sensors: bool = False
+    rate_hz: float = 50.0
+    tells_supply: bool = False
+
+    @property
+    def tick(self) -> float:
+        """Tick of the robot, s."""
+        return min(0.02, 1 / self.rate_hz)
+
+    def supply_share(self, time: float) -> float:
+        """Return the pressure of the supply as a share of the nominal one."""
+        if self.supply.startswith("droop"):
+            return float(self.supply.partition(":")[2]) if time >= DROOPS_S else 1.0
+        if self.supply == "outage":
+            return OUTAGE[0] if DROOPS_S <= time < DROOPS_S + OUTAGE[1] else 1.0
+        if self.supply == "wander":
+            low, (shortest, longest) = WANDER
+            phase, where = np.random.default_rng((self.seed, 7)).random(2)
+            period = shortest + where * (longest - shortest)
+            return float(low + (1 - low) * (0.5 + 0.5 * np.cos(2 * np.pi * (time / period + phase))))
+        return 1.0
 
     def emulated(
         self, noise_rad: float = NOISE_RAD, fault: bool = True, start: tuple[float, float, float] = (0, 0, 0)
@@ -70,37 +132,76 @@ class Run:
         return EmulatedRobot(
             self.robot, seed=self.seed, faults=faults, noise_rad=noise_rad, tau_spread=self.tau_spread,
             pneumatics=self.pneumatics, gain_spread=self.gain_spread, supply_kpa=self.supply_kpa, start=start,
+            tick=self.tick, changes=ROBOTS[self.variant],
         )  # fmt: skip
 
     def commands(self, robot: EmulatedRobot) -> Iterator[np.ndarray]:
         """Yield the states of its valves, tick by tick: a gait that goes straight, left, right."""
-        gait = Gait(self.frequency)
-        gait.reset(robot.twin.spec, robot.tick)
-        turn = round(TURNS_S / robot.tick)
-        for k in range(round(self.seconds / robot.tick)):
-            if k % turn == 0:
-                gait.offset = OFFSETS[k // turn % len(OFFSETS)]
-            valves = gait.valves_at(k * robot.tick)
-            yield valves if valves.ndim == 2 else valves[-1]
+        gait, tick, segments = Gait(self.frequency), robot.tick, robot.segments
+        gait.reset(robot.twin.spec, tick)
+        rng, held = np.random.default_rng((self.seed, 8)), np.full((segments, 2), -1.0)
+        vented = held.copy()
+        for k in range(round(self.seconds / tick)):
+            time = k * tick
+            if k % round(TURNS_S / tick) == 0:
+                gait.offset = OFFSETS[k // round(TURNS_S / tick) % len(OFFSETS)]
+            if self.motion == "stand" or (
+                self.motion == "stop and go" and time % (GOES_S + STANDS_S) >= GOES_S
+            ):
+                yield vented
+            elif self.motion == "hold":
+                if k % round(HOLDS_S / tick) == 0:
+                    side = rng.integers(0, 3, segments)
+                    held = np.stack([np.where(side == each, 1.0, -1.0) for each in (0, 1)], axis=1)
+                yield held
+            else:
+                valves = gait.valves_at(time)
+                yield valves if valves.ndim == 2 else valves[-1]
+
+    def step(self, robot: EmulatedRobot, command: np.ndarray | None) -> None:
+        """Have a robot obey a command for a tick."""
+        if self.supply:
+            robot.regulate(self.supply_share(float(robot.state.time)))
+        robot.step(command)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Messages of a run as they arrived, and the truth.
+
+    Attributes:
+        run: conditions.
+        updates: time of an update of the shadow (s), and the messages that arrived since the one before.
+        truth: time (s), bends (rad), centre of mass (m), heading (rad), shape (ticks, segments + 4).
+        spec: the robot as it was.
+        supply_pa: nominal pressure of its supply, gauge, Pa.
+    """
+
+    run: Run
+    updates: list[tuple[float, list[Message]]]
+    truth: np.ndarray
+    spec: RobotSpec
+    supply_pa: float
 
 
 @dataclass(frozen=True)
 class Moment:
-    """What is, and what is known of it, at one tick of a run."""
+    """Estimate at one update of a run."""
 
     time: float
-    robot: EmulatedRobot
     estimate: Estimate | None
     shadow: Shadow
 
 
 class Wire:
-    """What messages suffer between robot, camera, commander and shadow, whose clocks differ."""
+    """Channel between robot, camera, commander and shadow, whose clocks differ: loss and jitter."""
 
     def __init__(self, run: Run) -> None:
         self._run, self._rng, self._count = run, np.random.default_rng((run.seed, 5)), 0
         self._waiting: list[tuple[float, int, Message]] = []
-        self._frame_due = 0.0
+        self._frame_due = self._due = 0.0
+        draws = np.random.default_rng((run.seed, 6)).normal(size=(3, load_robot(run.robot).segments))
+        self._poor = draws * run.poor_sensors
 
     def send(
         self, kind: str, source: str, time: float, values: np.ndarray, names: tuple[str, ...] = ()
@@ -116,11 +217,18 @@ class Wire:
     def tell(self, robot: EmulatedRobot, time: float) -> None:
         """Send what a robot and the camera tell."""
         run = self._run
-        self.send(BENDS, run.robot, time, robot.bends())
-        if run.valves:
-            self.send(VALVES, run.robot, time, robot.valves)
-        if run.pressures:
-            self.send(PRESSURES, run.robot, time, robot.state.pressure)
+        bends = robot.bends()
+        if time > self._due - 1e-6:
+            self._due = max(self._due + 1 / run.rate_hz, time)
+            gain, offset, drift = self._poor
+            bends = bends * (1 + SENSOR_GAIN * gain) + SENSOR_OFFSET_RAD * offset
+            self.send(BENDS, run.robot, time, bends + SENSOR_DRIFT * drift * time)
+            if run.valves:
+                self.send(VALVES, run.robot, time, robot.valves)
+            if run.pressures:
+                self.send(PRESSURES, run.robot, time, robot.state.pressure)
+            if run.tells_supply:
+                self.send(SUPPLY, run.robot, time, np.array(robot.supply_now_pa))
         if time <= run.cameras_s and time >= self._frame_due:
             self._frame_due = max(self._frame_due + 1 / run.camera_hz, time - robot.tick)
             seen = {f"connector_{i}": b for i, b in robot.bodies().items() if b.tracked}
@@ -138,16 +246,50 @@ class Wire:
         return found
 
 
+def recorded(run: Run) -> Recording:
+    """Return a run's messages and truth."""
+    return cached(run, lambda: _record(run))
+
+
+def _record(run: Run) -> Recording:
+    robot = run.emulated()
+    truth: list[np.ndarray] = []
+    commands = list(run.commands(robot))
+    updates = _updates(run, robot, Wire(run), commands, 0, len(commands), truth=truth)
+    return Recording(run, updates, np.array(truth), robot.twin.spec, robot.supply_pa)
+
+
+def _updates(
+    run: Run, robot: EmulatedRobot, wire: Wire, commands: Sequence[np.ndarray], first: int, last: int,
+    readings: list[np.ndarray] | None = None, truth: list[np.ndarray] | None = None,
+) -> list[tuple[float, list[Message]]]:  # fmt: skip
+    """Run a robot for some ticks; return the messages that arrive, and fill noiseless readings and truth."""
+    updates, every = [], round(TAKES_S / robot.tick)
+    frozen = np.full(robot.segments, np.nan)
+    for k in range(first, last):
+        begun, time = k * robot.tick, (k + 1) * robot.tick
+        wire.send(COMMAND, run.robot, begun - 0.01, commands[k])
+        run.step(robot, commands[k])
+        wire.tell(robot, time)
+        state = robot.state
+        if readings is not None:
+            kept = robot._rng, robot._noise, robot._frozen
+            robot._rng, robot._noise, robot._frozen = np.random.default_rng(0), 0.0, frozen
+            readings.append(robot.bends())
+            robot._rng, robot._noise, robot._frozen = kept
+        if truth is not None:
+            truth.append(np.array([time, *state.bend, *state.com, float(state.heading)]))
+        if (k + 1) % every == 0:
+            updates.append((time, wire.arrived(time)))
+    return updates
+
+
 def shadowed(run: Run, **shadow: Any) -> Iterator[Moment]:
     """Yield the moments of a run."""
-    robot, wire = run.emulated(), Wire(run)
+    recording = recorded(run)
     twin = Shadow(load_robot(run.robot), seed=run.seed, **shadow)
-    for k, command in enumerate(run.commands(robot)):
-        begun, time = k * robot.tick, (k + 1) * robot.tick
-        wire.send(COMMAND, run.robot, begun - 0.01, command)
-        robot.step(command)
-        wire.tell(robot, time)
-        yield Moment(time, robot, twin.take(time, wire.arrived(time)), twin)
+    for time, messages in recording.updates:
+        yield Moment(time, twin.update(time, messages), twin)
 
 
 def steered(order: tuple[Run, str]) -> dict[str, Any]:
@@ -156,10 +298,10 @@ def steered(order: tuple[Run, str]) -> dict[str, Any]:
     scenario = load_scenario(name)
     robot, wire = run.emulated(start=scenario.pose), Wire(run)
     twin = Shadow(load_robot(run.robot), seed=run.seed, supply_pa=robot.supply_pa)
-    helm = Helm(scenario, twin, robot.tick)
+    steering = EstimateSteering(scenario, twin, robot.tick)
     command, heard, time, clearance = None, -1.0, 0.0, np.inf
     faults: dict[str, float] = {}
-    while time < run.seconds and not helm.finished:
+    while time < run.seconds and not steering.finished:
         state = robot.step(command if time - heard <= SILENT_S else None)
         time += robot.tick
         wire.tell(robot, time)
@@ -167,42 +309,44 @@ def steered(order: tuple[Run, str]) -> dict[str, Any]:
         for message in messages:
             if message.kind == COMMAND:
                 command, heard = message.values, time
-        found = twin.take(time, messages)
+        found = twin.update(time, messages)
         for part, what, _ in found.faults if found else ():
             faults.setdefault(f"{part}: {what}", round(time, 2))
-        told = helm.step(found, twin)
+        told = steering.step(found, twin)
         if told is not None:
             wire.send(COMMAND, run.robot, time, told)
         for obstacle in scenario.world.obstacles:
             off = np.hypot(*(state.position - [obstacle.x, obstacle.y]).T).min() - obstacle.radius
             clearance = min(clearance, float(off) - robot.twin.spec.geometry.width / 2)
     return {
-        "seed": run.seed, "fault": run.fault, **helm.told(), "clearance_m": clearance, "faults": faults,
-        "pose": [*robot.state.com.tolist(), float(robot.state.heading)], "time_s": time,
+        "seed": run.seed, "fault": run.fault, **steering.summary(),
+        "clearance_m": clearance, "faults": faults, "time_s": time,
+        "pose": [*robot.state.com.tolist(), float(robot.state.heading)],
     }  # fmt: skip
 
 
 def followed_estimate(run: Run, **shadow: Any) -> dict[str, Any]:
-    """Return what was estimated, predicted and true, a row a tick; estimates are of `hold` before."""
+    """Return estimates, predictions and true values of a run, one row per update.
+
+    `estimate` is for the time of the update, `filtered` for that of the newest message that was used.
+    """
     rows: list[np.ndarray] = []
-    truths: list[np.ndarray] = []
+    filtered: list[np.ndarray] = []
     predictions: list[Prediction] = []
+    recording = recorded(run)
     for moment in shadowed(run, **shadow):
-        state, found = moment.robot.state, moment.estimate
-        truths.append(np.array([moment.time, *state.bend, *state.com, float(state.heading)]))
+        found = moment.estimate
         if found is not None:
-            rows.append(
-                np.array([moment.shadow.time, *found.bend, *found.pose, *found.bend_sd, *found.pose_sd])
-            )
+            filtered.append(np.array([moment.shadow.time, *moment.shadow.ensemble.mean("bend")]))
+            rows.append(np.array([found.time, *found.bend, *found.pose, *found.bend_sd, *found.pose_sd]))
             if round(moment.time * 50) % 25 == 0:
                 predictions.append(moment.shadow.predict())
-    spec = moment.robot.twin.spec
+    spec, known = recording.spec, found.parameters if found else {}
     return {
-        "estimate": np.array(rows), "truth": np.array(truths),
+        "estimate": np.array(rows), "filtered": np.array(filtered), "truth": recording.truth,
         "predictions": predictions,
-        "gain": spec.modules.array("gain"), "tau_fill": spec.modules.array("tau_fill").mean(axis=1),
-        "tau_vent": spec.modules.array("tau_vent").mean(axis=1),
-        **{f"known_{name}": np.stack(pair) for name, pair in found.parameters.items()},
+        "gain": spec.modules.array("gain"),
+        **{f"known_{name}": np.stack(pair) for name, pair in known.items()},
     }  # fmt: skip
 
 
@@ -232,56 +376,124 @@ def parts(kind: str, seed: int, segments: int = 4) -> tuple[str, str, str]:
     return kind.format(j=j, side=side), part, NAMES[kind].format(side=side)
 
 
-def observable(run: Run) -> float:
-    """Return from when on noiseless readings (or frames) differ from a healthy robot's by 3 σ, s."""
-    if "lost_marker" in run.fault:
-        return BREAKS_S
-    sound = run.emulated(noise_rad=0.0, fault=False)
-    sick: EmulatedRobot | None = None
-    for k, command in enumerate(run.commands(sound)):
-        now = k * sound.tick
-        if sick is None and now > BREAKS_S - 2 * sound.tick:  # until then both are the same
-            sick = run.emulated(noise_rad=0.0)
-            stuck = sick.twin.pneumatics.stuck
-            sick.twin.restore(sound.twin.save())
-            sick.twin.pneumatics.stuck = stuck
-        sound.step(command)
-        if sick is not None:
-            sick.step(command)
-            if np.abs(np.nan_to_num(sick.bends() - sound.bends(), nan=9.0)).max() >= 3 * NOISE_RAD:
-                return now + sound.tick
-    return np.inf
+CONDITIONS: Mapping[str, Mapping[str, Any]] = {
+    "nominal": {},
+    "no pressures": {"pressures": False},
+    **{each: {"supply": each} for each in SUPPLIES},
+    "measured supply, wander": {"supply": "wander", "tells_supply": True},
+    "30 % softer": {"variant": "softer"},
+    "friction 30 % lower": {"variant": "smoother"},
+    "one slow chamber": {"variant": "slow chamber"},
+    "unequal segments": {"variant": "unequal"},
+    "0.3 Hz": {"frequency": 0.3},
+    "3 Hz": {"frequency": 3.0},
+    "stop and go": {"motion": "stop and go"},
+    "held bends": {"motion": "hold"},
+    "standing": {"motion": "stand"},
+    "poor sensors": {"poor_sensors": True},
+}
+"""Name → how the run differs from generation 4 walking at 1.5, 1 or 0.75 Hz by turns."""
 
 
-def isolated(order: tuple[str, int, bool]) -> dict[str, Any]:
-    """Let a robot break, and say whether its shadow named the fault rightly and in time."""
-    kind, seed, pressures = order
-    fault, part, name = parts(kind, seed)
-    run = Run(
-        seed, BREAKS_S + AFTER_S, fault=f"{fault}@{BREAKS_S}", pressures=pressures,
-        frequency=FREQUENCIES_HZ[seed % 3],
-    )  # fmt: skip
-    named: dict[str, tuple[str, float]] = {}
-    for moment in shadowed(run, members=8):
-        for where, what, _ in moment.estimate.faults if moment.estimate else ():
-            named.setdefault(where, (what, moment.time))
-    found, at = named.pop(part, ("", np.inf))
-    since = observable(run)
-    return {
-        "fault": kind, "seed": seed, "pressures": pressures, "named": found, "at": at, "observable": since,
-        "right": found == name, "among": name in found.split(" or "),
-        "in_time": name in found.split(" or ") and at <= since + 1 / run.frequency,
-        "others": list(named.values()),
-    }  # fmt: skip
+def conditioned(condition: str, seed: int, seconds: float, **more: Any) -> Run:
+    """Return a run under some conditions."""
+    return Run(
+        seed, seconds, **({"frequency": FREQUENCIES_HZ[seed % 3]} | dict(CONDITIONS[condition]) | more)
+    )
 
 
-def alarms(order: tuple[int, float, bool]) -> list[str]:
-    """Return what a healthy robot was accused of in so many seconds; it is then taken for whole."""
-    seed, seconds, pressures = order
+def cached(key: Any, make: Callable[[], Any]) -> Any:
+    """Return what `make` returns; from the folder `CACHE` where it was made before."""
+    if not CACHE:
+        return make()
+    file = Path(CACHE) / f"{hashlib.sha256(repr(key).encode()).hexdigest()[:20]}.pickle"
+    if not file.exists():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part = file.with_suffix(f".{os.getpid()}")
+        part.write_bytes(pickle.dumps(make()))
+        part.replace(file)
+    return pickle.loads(file.read_bytes())
+
+
+@dataclass(frozen=True)
+class Breakage:
+    """Messages after a fault.
+
+    Attributes:
+        run: conditions.
+        updates: as of a `Recording`, from the fault on.
+        observable: time from which noiseless readings (or frames) differ from a sound robot's by 3 σ, s.
+    """
+
+    run: Run
+    updates: list[tuple[float, list[Message]]]
+    observable: float
+
+
+def breakages(
+    condition: str, seed: int, kinds: Sequence[str]
+) -> tuple[Recording, list[tuple[str, Breakage]]]:
+    """Return a sound robot's recording up to the fault, and what follows each kind of fault."""
+    run = conditioned(condition, seed, BREAKS_S + AFTER_S)
+    robot, wire = run.emulated(), Wire(run)
+    commands, first = list(run.commands(robot)), round(BREAKS_S / robot.tick)
+    updates = _updates(run, robot, wire, commands, 0, first)
+    saved, state = robot.twin.save(), robot.state
+    hidden = copy.deepcopy((wire, robot._rng))
+    sound: list[np.ndarray] = []
+    _updates(run, robot, wire, commands, first, len(commands), sound)
     found = []
-    run = Run(seed, seconds, pressures=pressures, frequency=FREQUENCIES_HZ[seed % 3])
-    for moment in shadowed(run, members=8):
-        for number, name in list(moment.shadow.bank.named.items()):
-            found.append(f"{number}: {name}")
-            moment.shadow.bank.forget(number)
+    for kind in kinds:
+        broken = replace(run, fault=f"{parts(kind, seed)[0]}@{BREAKS_S}")
+        sick = broken.emulated()
+        assert isinstance(sick.twin, TwinSnake)
+        stuck = sick.twin.pneumatics.stuck
+        sick.twin.restore(saved)
+        sick.twin.pneumatics.stuck, sick.state = stuck, state
+        channel, sick._rng = copy.deepcopy(hidden)
+        readings: list[np.ndarray] = []
+        after = _updates(broken, sick, channel, commands, first, len(commands), readings)
+        off = np.abs(np.nan_to_num(np.subtract(readings, sound), nan=9.0)).max(axis=1) >= 3 * NOISE_RAD
+        since = BREAKS_S + (int(off.argmax()) + 1) * robot.tick if off.any() else np.inf
+        found.append((kind, Breakage(broken, after, BREAKS_S if "lost_marker" in kind else since)))
+    return Recording(run, updates, np.empty(0), robot.twin.spec, robot.supply_pa), found
+
+
+def isolated(order: tuple[int, str, Sequence[str]]) -> list[dict[str, Any]]:
+    """Let a robot break in several ways, and say whether its shadow named each fault rightly and in time."""
+    seed, condition, kinds = order
+    sound, found = cached(("faults", *order), lambda: breakages(condition, seed, kinds))
+    twin = Shadow(load_robot(sound.run.robot), seed=seed, members=8)
+    early: dict[str, tuple[str, float]] = {}
+    for time, messages in sound.updates:
+        _note_faults(early, twin.update(time, messages), time)
+    rows = []
+    for kind, breakage in found:
+        _, part, name = parts(kind, seed)
+        named, shadow = dict(early), copy.deepcopy(twin)
+        for time, messages in breakage.updates:
+            _note_faults(named, shadow.update(time, messages), time)
+        what, at = named.pop(part, ("", np.inf))
+        among, since = name in what.split(" or "), breakage.observable
+        rows.append({
+            "fault": kind, "seed": seed, "condition": condition, "named": what, "at": at, "observable": since,
+            "right": what == name, "among": among,
+            "in_time": among and at <= since + 1 / breakage.run.frequency, "others": list(named.items()),
+        })  # fmt: skip
+    return rows
+
+
+def _note_faults(named: dict[str, tuple[str, float]], found: Estimate | None, time: float) -> None:
+    for where, what, _ in found.faults if found else ():
+        named.setdefault(where, (what, time))
+
+
+def alarms(order: tuple[int, float, str]) -> list[str]:
+    """Return what a healthy robot was accused of in so many seconds; it is then taken for whole."""
+    seed, seconds, condition = order
+    found = []
+    for moment in shadowed(conditioned(condition, seed, seconds), members=8):
+        for number, name in list(moment.shadow.faults.named.items()):
+            found.append(f"{number}: {name} at {moment.time:.1f} s")
+            moment.shadow.faults.clear_fault(number)
     return found

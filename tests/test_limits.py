@@ -15,7 +15,7 @@ import pytest
 
 from srs_twin import load_robot
 from srs_twin.identification.unknowns import names_of_fields, unknowns
-from srs_twin.live.ensemble import Spreads
+from srs_twin.live.ensemble import ModelError
 from srs_twin.scenario.schema import scenario_json_schema
 from srs_twin.studies.optimization.file import study_json_schema
 from srs_twin.studies.sweep.file import sweep_json_schema
@@ -31,7 +31,7 @@ def limits():
     spec = load_robot("gen2")
     bounds = {name: unknowns(spec, [name.replace("_N", "_1")])[0] for name in names_of_fields()}
     found = {f"fit {name}": ["", f"{each.low:g}", "", f"{each.high:g}", ""] for name, each in bounds.items()}
-    found |= {f"ensemble {each.name}": ["", "", "", "", str(each.default)] for each in fields(Spreads)}
+    found |= {f"ensemble {each.name}": ["", "", "", "", str(each.default)] for each in fields(ModelError)}
     for kind in (scenario_json_schema, sweep_json_schema, study_json_schema):
         schema = kind()
         parts = {"": schema} | schema["$defs"]

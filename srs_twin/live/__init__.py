@@ -1,1 +1,1 @@
-"""Live: a robot on the air. What it says and is told, over MQTT and NatNet; a stand-in for it; recordings."""
+"""Live twin of a robot: messages over MQTT and NatNet, estimation, fault detection, steering, an emulator."""

@@ -1,14 +1,14 @@
-r"""Local connection: how a body on wheels goes by bending; what wheels alone do not tell is learnt.
+r"""LocalConnection: motion of a body on wheels for given bend rates, fitted to motion capture.
 
-Where momentum hardly counts, a body moves by its change of shape, whatever the pace (Kelly and Murray 1995):
+If inertia is negligible, a body moves by its change of shape only, at any pace (Kelly and Murray 1995):
 
 $$ ξ = A(q) \, \dot q , \qquad A = A_w(q) + \sum_k W_k \, φ_k(\tanh(q / q_0)) , \quad
 φ(x) = (1, x_i, x_i x_j, x_i x_j x_k) , $$
 
-ξ forth, aside and turning. A_w is the way of least friction for wheels whose friction is in proportion to
-speed. W is what a robot does otherwise: a gait that turns goes less far than a straight one to either side,
-which takes cubic terms. It is learnt from one frame of motion capture to the next by least squares
-with a prior: then bends alone tell for a while where the robot goes.
+where ξ is the forward and lateral velocity and the yaw rate. A_w minimises the friction of wheels whose
+friction is proportional to speed. W is the difference of the robot: for example, a gait that turns is slower
+than a straight one to either side, which needs cubic terms. Regularised least squares fits W to successive
+frames of motion capture.
 """
 
 from __future__ import annotations
@@ -24,31 +24,40 @@ from srs_twin.io.saved_state import Remembers, names
 from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import RobotSpec
 
-PRIOR, _UNLIKE = 0.1, (0.01, 0.05)
-"""How large entries of W may be, rad a rad; by what a robot goes besides what is known, rad a rad of bending,
-at the least (what cubics miss no frame tells) and at the most."""
-_LARGE = 0.7
-"""q₀, rad: powers of larger bends do not grow, so that what was learnt of small ones does no harm there."""
-_BLOCK, _KEPT_BLOCKS, _FORGETS = 30, 10, 3000
-"""Frames after which W is found anew, blocks of these and frames that count."""
-_NOISE, _DRIFT = 0.02, (0.001, 0.001, 0.02)
-"""What a frame's heading (rad) and what moves a frame (m, m, rad) are off by, before that is known."""
-_RECURS = 1.3
-"""What a cubic misses comes again with every stroke: by so much more than chance is W off."""
-_SMALL = 1e-4
+PRIOR = 0.1
+"""Prior standard deviation of the entries of W, rad/rad."""
+_MODEL_ERROR_RANGE = 0.01, 0.05
+"""Limits of the uncertainty of A, rad per rad of bending; cubic terms cannot represent every robot."""
+_SATURATION_RAD = 0.7
+"""q₀: the features do not grow beyond it, so small bends determine no extrapolation to large ones."""
+_BLOCK = 30
+"""Number of frames after which W is fitted again."""
+_KEPT_BLOCKS = 10
+"""Number of blocks that the scatter of the displacement is a mean of."""
+_FORGETTING_FRAMES = 3000
+"""Number of frames after which the weight of a frame has fallen to 1/e."""
+_NOISE_RAD = 0.02
+"""Prior standard deviation of the heading of a frame."""
+_SCATTER = 0.001, 0.001, 0.02
+"""Prior standard deviation of the displacement per frame: forward, lateral (m), turning (rad)."""
+_ERROR_INFLATION = 1.3
+"""Factor of the standard deviation of W, because the errors of the cubic terms recur in each stroke."""
+_DIFFERENCE_RAD = 1e-4
+"""Step of the difference quotient by the bends."""
 
 
 class LocalConnection(Remembers):
-    """How one robot goes by bending.
+    """Local connection of one robot.
 
     Attributes:
-        weights: W, a row for each product of φ and a bend's change, columns forth, aside (m), turning (rad).
+        weights: W, one row per product of a feature and the change of a bend; columns forward, lateral (m)
+            and turning (rad).
     """
 
-    memory = names("weights", "_gram", "_sums", "_noise", "_drift", "_frames", "_block")
+    memory = names("weights", "_gram", "_sums", "_noise", "_scatter", "_frames", "_block")
 
     def __init__(self, spec: RobotSpec, mass: np.ndarray) -> None:
-        """Know the wheels.
+        """Begin with W = 0.
 
         Args:
             spec: the robot.
@@ -60,84 +69,88 @@ class LocalConnection(Remembers):
         count = n * (1 + sum(map(len, self._powers)))
         self.weights: np.ndarray = np.zeros((count, 3))
         self._gram, self._sums = np.zeros((count, count)), np.zeros((count, 3))
-        self._noise, self._drift = _NOISE**2, np.square(_DRIFT)
+        self._noise, self._scatter = _NOISE_RAD**2, np.square(_SCATTER)
         self._frames, self._block = 0, np.zeros(3)
-        self._root: np.ndarray = np.eye(count) * PRIOR / _NOISE
+        self._root: np.ndarray = np.eye(count) * PRIOR / _NOISE_RAD
 
     def snapshot(self) -> LocalConnection:
-        """Return the connection as it is now, for another thread; it cannot learn."""
+        """Return a copy for another thread, which cannot learn."""
         made = object.__new__(LocalConnection)
-        # `learn` and `recall` put new arrays in the place of these and never change them.
-        for name in ("_spec", "_mass", "_powers", "weights", "_root", "_drift"):
+        # `learn` and `recall` replace these arrays and never change them.
+        for name in ("_spec", "_mass", "_powers", "weights", "_root", "_scatter"):
             setattr(made, name, getattr(self, name))
         return made
 
-    def parts(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """Return φ ⊗ dq of bends (rad) that went from here to there, shape (rows of W,)."""
-        return np.outer(self._products((before + after) / 2), after - before).ravel()
+    def features(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """Return φ ⊗ dq for a change of the bends (rad), shape (rows of W,)."""
+        return np.outer(self._features((before + after) / 2), after - before).ravel()
 
-    def at(self, bends: np.ndarray) -> np.ndarray:
-        """Return A: forth, aside (m/rad), turning (rad/rad), shape (3, segments)."""
-        products = self._products(bends)
-        learnt = self.weights.reshape(len(products), self._spec.segments, 3)
-        return self.of_wheels(bends) + np.einsum("k,kjc->cj", products, learnt)
+    def matrix(self, bends: np.ndarray) -> np.ndarray:
+        """Return A: forward, lateral (m/rad), turning (rad/rad), shape (3, segments)."""
+        features = self._features(bends)
+        learnt = self.weights.reshape(len(features), self._spec.segments, 3)
+        return self.kinematic_matrix(bends) + np.einsum("k,kjc->cj", features, learnt)
 
-    def of_wheels(self, bends: np.ndarray) -> np.ndarray:
-        """Return A_w, as `at`."""
+    def kinematic_matrix(self, bends: np.ndarray) -> np.ndarray:
+        """Return A_w, as `matrix`."""
         g, mu, n = self._spec.geometry, self._spec.friction, self._spec.segments
-        shapes = body_shape(bends + _SMALL * np.eye(n + 1, n, -1), self._mass, g.segment_length, g.rigid_gap)
-        place, moves = shapes[0], (shapes[1:] - shapes[0]) / _SMALL
+        shapes = body_shape(
+            bends + _DIFFERENCE_RAD * np.eye(n + 1, n, -1), self._mass, g.segment_length, g.rigid_gap
+        )
+        place, moves = shapes[0], (shapes[1:] - shapes[0]) / _DIFFERENCE_RAD
         heading = relative_headings(bends)
         ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-        ways = np.stack([math.sqrt(mu.mu_t) * ahead, math.sqrt(mu.mu_n) * ahead[:, ::-1] * [-1.0, 1.0]])
+        directions = np.stack([math.sqrt(mu.mu_t) * ahead, math.sqrt(mu.mu_n) * ahead[:, ::-1] * [-1.0, 1.0]])
         turns = np.stack([-place[:, 1], place[:, 0]], axis=-1)
-        body = np.concatenate([ways, np.sum(ways * turns, axis=-1, keepdims=True)], axis=-1).reshape(-1, 3)
-        own = np.einsum("kic,jic->kij", ways, moves).reshape(-1, n)
+        body = np.concatenate(
+            [directions, np.sum(directions * turns, axis=-1, keepdims=True)], axis=-1
+        ).reshape(-1, 3)
+        own = np.einsum("kic,jic->kij", directions, moves).reshape(-1, n)
         return np.asarray(-np.linalg.lstsq(body, own, rcond=None)[0])
 
-    def unsure(self, parts: np.ndarray, draws: np.ndarray) -> np.ndarray:
-        """Return what robots go by otherwise that W may belong to as well, shape (robots, 3).
+    def sample_model_error(self, features: np.ndarray, draws: np.ndarray) -> np.ndarray:
+        """Return displacements due to the uncertainty of W, shape (members, 3).
 
         Args:
-            parts: of their bends.
-            draws: standard normal, which robot it is, shape (robots, rows of W, 3).
+            features: as from `features`.
+            draws: standard normal numbers, shape (members, rows of W, 3).
         """
-        wide = _RECURS * parts @ self._root
-        told = math.sqrt(self._drift[2]) * float(np.linalg.norm(wide))
-        least, most = np.multiply(_UNLIKE, np.linalg.norm(parts[: self._spec.segments]))
-        share = min(max(told, least), most) / max(told, 1e-12)
-        return np.asarray(share * np.sqrt(self._drift) * np.einsum("f,rfc->rc", wide, draws))
+        spread = _ERROR_INFLATION * features @ self._root
+        sd = math.sqrt(self._scatter[2]) * float(np.linalg.norm(spread))
+        least, most = np.multiply(_MODEL_ERROR_RANGE, np.linalg.norm(features[: self._spec.segments]))
+        factor = min(max(sd, least), most) / max(sd, 1e-12)
+        return np.asarray(factor * np.sqrt(self._scatter) * np.einsum("f,rfc->rc", spread, draws))
 
-    def learn(self, parts: np.ndarray, missed: np.ndarray) -> None:
-        """Take what a robot went by (m, m, rad) besides A_w dq from one frame to the next."""
-        self._gram *= 1 - 1 / _FORGETS
-        self._sums *= 1 - 1 / _FORGETS
-        self._gram += np.outer(parts, parts)
-        self._sums += np.outer(parts, missed)
-        off = missed - parts @ self.weights
-        self._noise += (off[2] ** 2 - self._noise) / 100
-        self._block += off
+    def learn(self, features: np.ndarray, residual: np.ndarray) -> None:
+        """Learn from a displacement between frames (m, m, rad) less A_w dq."""
+        self._gram *= 1 - 1 / _FORGETTING_FRAMES
+        self._sums *= 1 - 1 / _FORGETTING_FRAMES
+        self._gram += np.outer(features, features)
+        self._sums += np.outer(features, residual)
+        error = residual - features @ self.weights
+        self._noise += (error[2] ** 2 - self._noise) / 100
+        self._block += error
         self._frames += 1
         if self._frames % _BLOCK:
             return
-        # What one frame is off by the next one takes back: only sums tell how far one drifts.
+        # The noise of one frame cancels with the next one, so the scatter is that of sums over a block.
         kept = max(min(self._frames // _BLOCK, _KEPT_BLOCKS), 2)
-        self._drift = self._drift + (self._block**2 / _BLOCK - self._drift) / kept
+        self._scatter = self._scatter + (self._block**2 / _BLOCK - self._scatter) / kept
         self._block = np.zeros(3)
         self.weights = np.asarray(np.linalg.solve(self._normal(), self._sums))
 
     def recall(self, memory: Mapping[str, Any]) -> None:
-        """Take a memory, as all that remember do."""
+        """Restore saved values."""
         super().recall(memory)
         if self._frames >= _BLOCK:
             self._normal()
 
     def _normal(self) -> np.ndarray:
-        """Return the normal equations' matrix with the prior; keep its inverse's root, W's spread."""
+        """Return the matrix of the normal equations with the prior; keep the root of its inverse."""
         gram: np.ndarray = self._gram + self._noise / PRIOR**2 * np.eye(len(self._gram))
         self._root = np.asarray(np.linalg.inv(np.linalg.cholesky(gram)).T)
         return gram
 
-    def _products(self, bends: np.ndarray) -> np.ndarray:
-        bends = np.tanh(bends / _LARGE)
-        return np.concatenate([[1.0], *(bends[each].prod(axis=1) for each in self._powers)])
+    def _features(self, bends: np.ndarray) -> np.ndarray:
+        bends = np.tanh(bends / _SATURATION_RAD)
+        return np.concatenate([[1.0], *(bends[index].prod(axis=1) for index in self._powers)])

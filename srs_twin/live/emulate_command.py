@@ -1,4 +1,4 @@
-"""`srs-twin emulate`: a stand-in for a robot on the air."""
+"""`srs-twin emulate`: emulated robot."""
 
 from __future__ import annotations
 
@@ -60,42 +60,44 @@ def emulate(
     start: Annotated[str, option("--start X,Y,HEADING")] = "0,0,0",
     loss: Annotated[float, option("--loss SHARE", min=0.0, max=0.99)] = 0.0,
     jitter: Annotated[float, option("--jitter-s S", min=0.0, max=5.0)] = 0.0,
+    tell_supply: Annotated[bool, option("--tell-supply")] = False,
     duration: Annotated[float | None, option("--duration-s S", min=0.02)] = None,
     user: Annotated[str | None, option("--user NAME")] = None,
     ca: Annotated[Path | None, option("--ca FILE")] = None,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Stand in for a robot, over MQTT and NatNet.
+    """Emulate a robot over MQTT and NatNet.
 
-    A twin with modules that differ, chambers of compressible flow, noise and faults obeys commands and tells
-    bends, pressures, valves and poses in real time, as docs/live.md describes the messages. The password of
-    --user is taken from the environment variable SRS_TWIN_MQTT_PASSWORD.
+    A twin with varying modules, compressible flow in the chambers, sensor noise and faults obeys commands and
+    publishes bends, pressures, valve states and poses in real time. docs/live.md describes the messages. The
+    environment variable SRS_TWIN_MQTT_PASSWORD has the password of --user.
 
     Options:
-        mqtt: The broker.
-        natnet: Address of ours where motion capture is asked for its frames. [default: no motion capture]
-        name: Of the robot in topics. [default: ROBOT]
-        seed: Draws modules, noise and what messages suffer.
-        fault: What breaks, as stuck_valve:2+@5, dead_sensor:1@8, leak:3-=fast@2, starved@4; repeatable.
-        spread: Of the gains of its modules.
-        noise: Of its bend sensors, RMS, rad.
-        chambers: orifice for compressible flow, or lag.
-        start: Where it lies at first, m and rad, as --start=0.2,-0.1,0.5.
-        loss: Share of its messages that is lost.
-        jitter: By how much each of them is late at most.
-        duration: Ends it. [default: Ctrl-C does]
-        user: At the broker.
+        mqtt: MQTT broker.
+        natnet: Local address on which NatNet frames are served. [default: no motion capture]
+        name: Robot's name in topics. [default: ROBOT]
+        seed: Random seed of modules, noise, and loss and delay of messages.
+        fault: Fault and its time, e.g. stuck_valve:2+@5, dead_sensor:1@8, leak:3-=fast@2; repeatable.
+        spread: Standard deviation of the modules' gains.
+        noise: Standard deviation of bend readings, rad.
+        chambers: orifice (compressible flow) or lag (first order).
+        start: Initial pose, m and rad, e.g. --start=0.2,-0.1,0.5.
+        loss: Share of messages that are lost.
+        jitter: Largest delay of a message.
+        tell_supply: Publish the supply pressure.
+        duration: Stop after S seconds. [default: run until Ctrl-C]
+        user: MQTT user name.
         ca: CA certificate file (PEM); enables TLS.
     """
     from srs_twin.live import natnet as protocol
-    from srs_twin.live.emulator import Air, EmulatedRobot
-    from srs_twin.live.emulator import emulate as live
+    from srs_twin.live.emulator import EmulatedRobot, Transport
+    from srs_twin.live.emulator import emulate as run
     from srs_twin.live.links import address
     from srs_twin.live.messages import COMMAND
     from srs_twin.live.optitrack import NatNetServer
 
-    made = EmulatedRobot(
+    emulated = EmulatedRobot(
         robot, seed=seed, faults=fault or (), gain_spread=spread, noise_rad=noise, pneumatics=chambers,
         supply_kpa=pressure, start=_pose(start),
     )  # fmt: skip
@@ -103,8 +105,8 @@ def emulate(
     over = threading.Event()
     for ends in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(ends, lambda *_: over.set())
-    with broker_link(known, made.segments, mqtt, user, ca, speaks=known, kinds=(COMMAND,)) as link:
-        bodies = {i: f"connector_{i}" for i in range(1, made.segments + 2)}
+    with broker_link(known, emulated.segments, mqtt, user, ca, speaks=known, kinds=(COMMAND,)) as link:
+        bodies = {i: f"connector_{i}" for i in range(1, emulated.segments + 2)}
         capture = None
         if natnet is not None:
             at, asked = address(natnet, protocol.COMMAND_PORT)
@@ -113,13 +115,16 @@ def emulate(
             seen = f", seen at {natnet}" if natnet else ""
             say(f"{known} is on the air at {mqtt}{seen}; Ctrl-C ends it")
         length = math.inf if duration is None else duration
-        told = live(made, link, capture, air=Air(loss, jitter), duration=length, stop=over.is_set, seed=seed)
+        result = run(
+            emulated, link, capture, transport=Transport(loss, jitter), duration=length, stop=over.is_set,
+            seed=seed, tells_supply=tell_supply,
+        )  # fmt: skip
         if capture is not None:
             capture.close()
     if as_json:
-        print_json(told)
+        print_json(result)
     elif not quiet:
-        say(f"{told['ticks']:.0f} ticks of {made.tick:g} s, {told['late']:.0f} of them late")
+        say(f"{result['ticks']:.0f} ticks of {emulated.tick:g} s, {result['late']:.0f} of them late")
 
 
 def _pose(text: str) -> tuple[float, float, float]:

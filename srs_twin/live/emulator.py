@@ -1,9 +1,8 @@
-"""Emulator: a stand-in for a robot, in a process of its own, that obeys and tells as a real one would.
+"""Emulator: a simulated robot with the interfaces of a real one.
 
-It is a twin on momentary loads with chambers of compressible flow, modules drawn by a seed that nobody else
-knows, and faults at given times. It takes commands from a broker, tells bends, pressures and valves there,
-and what motion capture sees by NatNet, in real time. Without a command for a fifth of a second it vents all
-chambers, as the electronics of a robot should.
+A twin with momentary loads, compressible flow in the chambers, random modules and faults at given times gets
+commands from a broker and publishes bends, pressures and valve states in real time. A NatNet server sends
+the poses of the connectors. Like the firmware of a robot, it vents all chambers 0.2 s after the last command.
 """
 
 from __future__ import annotations
@@ -13,15 +12,16 @@ import itertools
 import math
 import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from srs_twin.control.pwm import PulseWidth
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.live.links import clock
-from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, VALVES
+from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, SUPPLY, VALVES
 from srs_twin.live.mqtt import MqttLink
 from srs_twin.live.natnet import RigidBody
 from srs_twin.live.optitrack import NatNetServer
@@ -32,14 +32,14 @@ from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.scenario.loading import parse_scenario
 
 SILENT_S = 0.2
-"""Without a command for so long all chambers are vented."""
+"""Age of a command above which all chambers are vented."""
 
 CARRIER_HZ = 60.0
 _LATE_S = 1.0
 _SIDES = {"+": 0, "-": 1}
 _FAULT = re.compile(r"(\w+)(?::(\d+)([+-])?)?(?:=(\w+))?@([\d.]+)")
 _FORM = "KIND[:NUMBER[+|-]][=HOW]@SECONDS, such as stuck_valve:2+=closed@5"
-# What a kind is of, and what it may be.
+# Affected part and variants of each kind.
 KINDS: dict[str, tuple[str, dict[str, float]]] = {
     "stuck_valve": ("chamber", {"open": 1, "closed": -1}),
     "leak": ("chamber", {"slow": 2, "fast": 8}),
@@ -48,7 +48,7 @@ KINDS: dict[str, tuple[str, dict[str, float]]] = {
     "starved": ("", {"half": 0.5, "empty": 0.1}),
     "lost_marker": ("connector", {"gone": 1}),
 }
-"""Kinds of faults: what each is of, and how it may be, the first by default; leaks in 1/s of the pressure."""
+"""Kinds of faults: affected part and variants, the first by default; leaks in 1/s."""
 
 _DRIFT_RAD_PER_S = 0.1
 _CAMERA_NOISE_M = 0.0003
@@ -57,13 +57,13 @@ _HEIGHT_M = 0.02
 
 @dataclass(frozen=True)
 class Fault:
-    """What breaks.
+    """A fault and its time.
 
     Attributes:
         kind: one of `KINDS`.
-        number: of segment or connector, from 1; 0 where it is of none.
+        number: segment or connector, from 1; 0 without one.
         side: of a chamber, 0 for + and 1 for −.
-        how: the number that belongs to what was said.
+        how: value of the variant, as in `KINDS`.
         since: s from the start.
     """
 
@@ -74,12 +74,12 @@ class Fault:
     since: float
 
     @classmethod
-    def of(cls, text: str, segments: int) -> Fault:
-        """Return the fault that a text tells, such as ``stuck_valve:2+@5``.
+    def parse(cls, text: str, segments: int) -> Fault:
+        """Return the fault of a text such as ``stuck_valve:2+@5``.
 
         Raises:
-            InputError: it tells none, or one of another robot.
-            UnknownNameError: there is no such kind, or not so.
+            InputError: a malformed text, or a part that the robot does not have.
+            UnknownNameError: an unknown kind or variant.
         """
         found = _FAULT.fullmatch(text)
         if found is None:
@@ -102,13 +102,14 @@ class Fault:
 
 
 class EmulatedRobot:
-    """The robot, tick by tick; it knows nothing of clocks and wires.
+    """Simulated robot in ticks, independent of clocks and links.
 
     Attributes:
-        twin: what moves.
-        state: of it; what only it knows.
-        faults: what breaks, and when.
-        supply_pa: pressure of its supply, gauge, Pa.
+        twin: simulation of the robot.
+        state: true state.
+        faults: faults and their times.
+        supply_pa: nominal pressure of its supply, gauge, Pa.
+        supply_now_pa: pressure of its supply now, gauge, Pa.
         valves: as it set them last; a stuck one is where it is.
     """
 
@@ -116,27 +117,32 @@ class EmulatedRobot:
         self, robot: str, *, seed: int = 0, faults: Sequence[str] = (), gain_spread: float = 0.1,
         noise_rad: float = 0.02, tick: float = 0.02, tau_spread: float = 0.0, pneumatics: str = "orifice",
         supply_kpa: float | None = None, start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        changes: Mapping[str, Any] | None = None,
     ) -> None:  # fmt: skip
         """Build it.
 
         Args:
             robot: name or path of its file.
             seed: draws modules and noise.
-            faults: as `Fault.of` takes them.
-            gain_spread: of its modules' gains.
-            noise_rad: of its bend sensors, RMS, rad.
+            faults: as `Fault.parse` takes them.
+            gain_spread: standard deviation of the modules' gains.
+            noise_rad: standard deviation of bend readings, rad.
             tick: s.
-            tau_spread: of its chambers' time constants.
-            pneumatics: its chambers, "orifice" or "lag".
-            supply_kpa: of its supply, gauge; None: the robot's nominal one.
-            start: where it lies at first: x, y (m), heading (rad).
+            tau_spread: standard deviation of the time constants.
+            pneumatics: model of the chambers, "orifice" or "lag".
+            supply_kpa: supply pressure, gauge; None: the nominal one.
+            start: initial pose: x, y (m), heading (rad).
+            changes: changed fields of the robot file, as in `robot` of a scenario.
 
         Raises:
             InputError: no such robot, or no such fault.
         """
+        modules = {"gain_spread": gain_spread, "tau_spread": tau_spread}
+        changes = dict(changes or {})
+        modules |= changes.pop("modules", {})
         asked = parse_scenario(
             {
-                "robot": {"base": robot, "modules": {"gain_spread": gain_spread, "tau_spread": tau_spread}},
+                "robot": {"base": robot, "modules": modules, **changes},
                 "duration_s": 1.0, "seed": seed, "controller": {"kind": "gait", "frequency_hz": 1.0},
                 **({} if supply_kpa is None else {"supply": {"pressure_kpa": supply_kpa}}),
                 "pneumatics": {"kind": pneumatics}, "plants": {"twin": {"tick_s": tick}},
@@ -148,9 +154,10 @@ class EmulatedRobot:
         self._air = self.twin.pneumatics
         spec = self.twin.spec
         self.segments, self.tick = spec.segments, tick
-        self.faults = tuple(Fault.of(each, spec.segments) for each in faults)
+        self.faults = tuple(Fault.parse(each, spec.segments) for each in faults)
         self._rng, self._noise = np.random.default_rng((seed, 0xE0)), noise_rad
-        self.supply_pa = asked.supply_pa
+        self.supply_pa = self.supply_now_pa = asked.supply_pa
+        self._share = self._left = 1.0
         self._air.stuck = tuple(
             StuckValve(each.number, each.side, int(each.how), each.since)
             for each in self.faults if each.kind == "stuck_valve"
@@ -171,7 +178,8 @@ class EmulatedRobot:
             if isinstance(self._air, OrificePneumatics) and each.kind == "leak":
                 self._air.leak(each.number, each.side, each.how)
             else:
-                self._air.set_supply_pressure(each.how * self.supply_pa)
+                self._left = each.how
+                self.regulate(self._share)
         shape = (self.segments, 2)
         wanted = np.full(shape, -1.0) if command is None else np.asarray(command, dtype=float)
         states = np.isin(wanted, (-1.0, 1.0)).all()
@@ -181,8 +189,14 @@ class EmulatedRobot:
         self.state = self.twin.step(obeyed)
         return self.state
 
+    def regulate(self, share: float) -> None:
+        """Set the pressure of a supply that is not starved to a share of the nominal one, 0 to 1."""
+        self._share = share
+        self.supply_now_pa = share * self._left * self.supply_pa
+        self._air.set_supply_pressure(self.supply_now_pa)
+
     def bends(self) -> np.ndarray:
-        """Return what its sensors say now, rad; NaN where they say nothing."""
+        """Return the bend readings, rad; NaN without a reading."""
         time, seen = (
             float(self.state.time),
             self.state.bend + self._noise * self._rng.normal(size=self.segments),
@@ -199,7 +213,7 @@ class EmulatedRobot:
         return np.asarray(seen)
 
     def bodies(self) -> dict[int, RigidBody]:
-        """Return where motion capture sees its connectors, from 1 at the head, y up."""
+        """Return the rigid bodies of motion capture by connector, from 1 at the head, y up."""
         time, found = float(self.state.time), {}
         lost = {e.number for e in self.faults if e.kind == "lost_marker" and e.since <= time}
         noise = _CAMERA_NOISE_M * self._rng.normal(size=(len(self.state.position), 3))
@@ -219,12 +233,12 @@ _LETS_GO_S = 0.001
 
 
 @dataclass(frozen=True)
-class Air:
-    """What messages suffer on their way out.
+class Transport:
+    """Loss and delay of published messages.
 
     Attributes:
-        loss: share that is lost.
-        jitter: by how much each is late at most, uniformly, s.
+        loss: share of messages that are lost.
+        jitter: largest delay, uniformly distributed, s.
     """
 
     loss: float = 0.0
@@ -236,24 +250,26 @@ def emulate(
     link: MqttLink,
     capture: NatNetServer | None,
     *,
-    air: Air = Air(),
+    transport: Transport = Transport(),
     duration: float = math.inf,
     stop: Callable[[], bool] = lambda: False,
     seed: int = 0,
+    tells_supply: bool = False,
 ) -> dict[str, float]:
-    """Let a robot live in real time.
+    """Run a robot in real time.
 
     Args:
-        robot: which.
-        link: its topics, which it hears commands on.
-        capture: who sees it; None: nobody.
-        air: what its messages suffer.
+        robot: the simulated robot.
+        link: its topics, also for commands.
+        capture: server of motion capture; None: no motion capture.
+        transport: loss and delay of messages.
         duration: s.
-        stop: asked every tick.
-        seed: of the air.
+        stop: returns whether the run ends, called in every tick.
+        seed: random seed of the transport.
+        tells_supply: whether the pressure of the supply is published.
 
     Returns:
-        ``ticks``, and ``late``: how many began more than a tick late.
+        ``ticks``, and ``late``: number of ticks that began more than a tick late.
     """
     rng = np.random.default_rng((seed, 0xA1))
     waiting: list[tuple[float, int, Callable[[], None]]] = []
@@ -262,8 +278,8 @@ def emulate(
     command, heard = None, -math.inf
 
     def later(due: float, send: Callable[[], None]) -> None:
-        if rng.random() >= air.loss:
-            heapq.heappush(waiting, (due + rng.random() * air.jitter, next(number), send))
+        if rng.random() >= transport.loss:
+            heapq.heappush(waiting, (due + rng.random() * transport.jitter, next(number), send))
 
     def sent() -> None:
         while waiting and waiting[0][0] <= clock():
@@ -278,17 +294,19 @@ def emulate(
             now = clock()
             state = robot.step(command if now - heard <= SILENT_S else None)
             done += 1
-            # It has computed at once what a robot would be like at the end of the tick, and tells it then.
+            # The state is that at the end of the tick, so it is published then.
             due = begun + done * tick
-            told = ((BENDS, robot.bends()), (PRESSURES, state.pressure), (VALVES, robot.valves))
-            for kind, values in told:
+            values_now = [(BENDS, robot.bends()), (PRESSURES, state.pressure), (VALVES, robot.valves)]
+            if tells_supply:
+                values_now.append((SUPPLY, np.array(robot.supply_now_pa)))
+            for kind, values in values_now:
                 later(due, lambda kind=kind, values=values, due=due: link.send(kind, values, at=due))  # type: ignore[misc]
             if capture is not None:
                 bodies = robot.bodies()
                 later(due, lambda bodies=bodies, due=due: capture.send(due, bodies))  # type: ignore[misc]
             late += clock() > due + tick
             if clock() - due > _LATE_S:
-                begun = clock() - done * tick  # what was missed is not made up for
+                begun = clock() - done * tick  # missed ticks are skipped
             while (left := due - clock()) > 0:
                 sent()
                 time.sleep(min(left, 0.002) if waiting else left)

@@ -1,4 +1,4 @@
-"""Journal: everything that came in and went out, as MCAP; `McapLink` plays it at any speed."""
+"""Journal: all received and sent messages as MCAP; `McapLink` plays a journal at any speed."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ _MOST_HEAD = 100_000
 
 
 class Journal:
-    """Everything that came in and went out, as MCAP with JSON; readable up to where a process was killed.
+    """All received and sent messages as MCAP with JSON, readable up to the point of a kill.
 
-    A session does not end because its journal cannot be written: the journal ends, and says why.
+    If the journal cannot be written, it ends with a reason, and the session continues.
 
     Attributes:
         trouble: path and reason of the error that ended the journal; empty: there was none.
@@ -63,7 +63,7 @@ class Journal:
             self._file = path.open("wb")
         except OSError as error:
             raise InputError(f"{shown(path)}: cannot be written: {error.strerror}") from error
-        # Small chunks: what a kill takes with it is a second or so.
+        # Small chunks, so that a kill loses about a second.
         self._writer = Writer(self._file, chunk_size=16_384, compression=CompressionType.NONE)
         self._writer.start(profile="", library="srs_twin")
         self._path, self.trouble = path, ""
@@ -86,7 +86,7 @@ class Journal:
         self._attempt(self._file.close)
 
     def _attempt(self, step: Callable[[], object]) -> None:
-        """Do a step and let no error out: the first one ends the journal."""
+        """Do a step; the first error ends the journal and is not raised."""
         if self.trouble:
             return
         try:
@@ -129,7 +129,7 @@ def journal_messages(
     path: Path, robot: str, segments: int, refuse: Callable[[BadMessageError], None] | None = None,
     others: set[str] | None = None,
 ) -> Iterator[Message]:  # fmt: skip
-    """Yield what a journal holds of a robot and of motion capture, as it arrived; what is cut off ends it.
+    """Yield the messages of a robot and of motion capture in the order of arrival, up to a damaged record.
 
     Args:
         path: of the journal.
@@ -208,7 +208,7 @@ def _message(topic: str, log_time: int, data: bytes, robot: str, segments: int) 
 
 
 def in_order(messages: Iterable[Message], refuse: Callable[[BadMessageError], None]) -> Iterator[Message]:
-    """Yield messages whose times of arrival follow each other; refuse the others.
+    """Yield messages with increasing times of arrival; refuse all other messages.
 
     A message that is further from the one before than `LONGEST_GAP_S` counts as a gap only where the next
     one confirms it.
@@ -288,7 +288,7 @@ class McapLink(Link):
                 elif ahead > 0 and self._over.wait(ahead / self._speed):
                     return
                 self._take(message)
-        except Exception as error:  # the edge of the thread: whoever waits for the end must see it
+        except Exception as error:  # the thread ends here, so the error must be counted
             self._refuse(error)
         finally:
             self.counts["over"] += 1

@@ -1,4 +1,4 @@
-"""Keys of a terminal that control a session: p pauses, g goes on, v vents, s stops."""
+"""Keys of a terminal that control a session: p pauses, g continues, v vents, s stops."""
 
 from __future__ import annotations
 

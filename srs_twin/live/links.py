@@ -1,8 +1,8 @@
-"""Links: where messages come from and go to; what brokers, motion capture and journals have in common.
+"""Link: base of the connections to brokers, motion capture and journals.
 
-Every link receives on a thread of its own, which writes down when each message arrived, and hands over what
-has come when asked (`received`). It connects where it is told to and nowhere else, goes on trying when the
-other side is gone, and counts what it could not read.
+Each link receives in its own thread, which notes the time of arrival; `received` returns the messages since
+the last call. A link connects to the given address only, reconnects after a loss, and counts the messages
+that it could not read.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from srs_twin.live.messages import BadMessageError, Message
 LOOPBACK = "127.0.0.1"
 _MOST_WAITING = 100_000
 _MOST_REASONS = 200
-"""Counted by name; a stranger who can think of more reasons must not fill the memory."""
+"""Number of reasons that are counted by name, so that hostile messages cannot fill the memory."""
 
 
 def clock() -> float:
@@ -31,19 +31,19 @@ def clock() -> float:
 
 
 class Link(ABC):
-    """Where messages come from.
+    """Source of messages.
 
     Attributes:
-        counts: what → how many, "bad: why" among them.
+        counts: number of messages by kind; those that were refused by "bad: REASON".
     """
 
     def __init__(self) -> None:
-        """Receive nothing yet."""
+        """Begin without messages."""
         self.counts: Counter[str] = Counter()
         self._queue: queue.Queue[Message] = queue.Queue(_MOST_WAITING)
 
     def received(self) -> list[Message]:
-        """Return what has arrived since the last call."""
+        """Return the messages since the last call."""
         found = []
         with contextlib.suppress(queue.Empty):
             while True:
@@ -51,7 +51,7 @@ class Link(ABC):
         return found
 
     def clock(self) -> float:
-        """Return the clock by which messages arrive, s."""
+        """Return the time on the clock of the arrival times, s."""
         return clock()
 
     def _take(self, message: Message) -> None:

@@ -1,8 +1,8 @@
-"""Messages: what a robot says and is told, as JSON over MQTT, and where motion capture sees its bodies.
+"""Messages of a robot and its controller as JSON over MQTT, and poses from motion capture.
 
 Topics and keys are fixed (docs/live.md): ``srs/NAME/command``, ``valves``, ``pressures``, ``bends``,
-``status``, ``control``. Lists are head first, ``t`` is the sender's clock. Whatever else arrives is refused
-with a reason and counted; nothing that arrives raises further than to who decodes it.
+``status``, ``control``, ``supply``. Lists start at the head, ``t`` is the sender's clock. Invalid messages
+are refused with a reason and counted; only decoding raises an error.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 LARGEST_BYTES = 65_536
-COMMAND, VALVES, PRESSURES, BENDS, STATUS, CONTROL, POSES = (
-    "command", "valves", "pressures", "bends", "status", "control", "poses",
+COMMAND, VALVES, PRESSURES, BENDS, STATUS, CONTROL, POSES, SUPPLY = (
+    "command", "valves", "pressures", "bends", "status", "control", "poses", "supply",
 )  # fmt: skip
-KINDS = (COMMAND, VALVES, PRESSURES, BENDS, STATUS, CONTROL)
+KINDS = (COMMAND, VALVES, PRESSURES, BENDS, STATUS, CONTROL, SUPPLY)
 PAUSE, GO, STOP, VENT = WORDS = ("pause", "go", "stop", "vent")
 """Texts of a `control` message."""
 PREFIX = "srs"
@@ -27,14 +27,15 @@ PREFIX = "srs"
 LATEST_S = 9e9
 """Largest time that a sender's clock may show, s: 2255 in Unix time. Journals have 64 bits for ns."""
 _PA_PER_KPA = 1000.0
-_BOUNDS = {COMMAND: (-1.0, 1.0), VALVES: (-1.0, 1.0), PRESSURES: (-100.0, 1000.0)}
+_BOUNDS = {COMMAND: (-1.0, 1.0), VALVES: (-1.0, 1.0), PRESSURES: (-100.0, 1000.0),
+           SUPPLY: (0.0, 1000.0)}  # fmt: skip
 _BEND = 2 * math.pi
 _PLAIN_WORDS = tuple(word.encode() for word in WORDS)
 _LONGEST_TEXT = 1000
 
 
 class BadMessageError(ValueError):
-    """What arrived is none of our messages; says why."""
+    """An invalid message, with the reason."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,8 @@ class Message:
         source: whose clock `sent` shows: a topic's robot, or a motion capture system.
         sent: the sender's clock, s.
         arrived: our monotonic clock, s.
-        values: commands and valves (segments, 2); pressures the same, Pa; bends (segments,), rad, NaN where
+        values: commands and valves (segments, 2); pressures the same, Pa; of the supply (), Pa; bends
+            (segments,), rad, NaN where
             none; poses (bodies, 4): x, y, z (m, z up) and heading (rad, NaN where unknown); else empty.
         names: of the bodies; of a status or a control its text.
     """
@@ -77,6 +79,8 @@ def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
     if kind == BENDS:
         bends = [None if math.isnan(each) else each for each in np.ravel(values).tolist()]
         return json.dumps({"t": time, "rad": bends}).encode()
+    if kind == SUPPLY:
+        return json.dumps({"t": time, "kpa": round(float(values) / _PA_PER_KPA, 6)}).encode()
     sides = np.asarray(values, dtype=float) / (_PA_PER_KPA if kind == PRESSURES else 1.0)
     plus, minus = (_plain(sides[:, side]) for side in (0, 1))
     return json.dumps({"t": time, "plus": plus, "minus": minus}).encode()
@@ -125,6 +129,9 @@ def decode(kind: str, payload: bytes, *, source: str, arrived: float, segments: 
         rad = _numbers(document, "rad", segments, -_BEND, _BEND, gaps=True)
         return Message(kind, source, sent, arrived, np.array(rad))
     low, high = _BOUNDS[kind]
+    if kind == SUPPLY:
+        pressure = _PA_PER_KPA * _number(document, "kpa", low, high)
+        return Message(kind, source, sent, arrived, np.array(pressure))
     sides = [_numbers(document, side, segments, low, high) for side in ("plus", "minus")]
     values = np.array(sides).T * (_PA_PER_KPA if kind == PRESSURES else 1.0)
     return Message(kind, source, sent, arrived, values)

@@ -18,7 +18,7 @@ from srs_twin.live.messages import KINDS, STATUS, BadMessageError, decode, encod
 
 PORT = 1883
 LOST = "lost"
-"""What a broker says of a robot or a shadow whose connection broke off."""
+"""Status that the broker publishes when a connection breaks."""
 
 
 class MqttLink(Link):
@@ -43,9 +43,9 @@ class MqttLink(Link):
             kinds: of messages to receive.
             user: name at the broker; None: without.
             password: of that user.
-            ca: certificate of who signed the broker's; TLS is used where it is given.
-            wait_s: for how long the broker may be silent at first, s.
-            speaks: whose `status` turns to `LOST` if this connection breaks off; None: nobody's.
+            ca: CA certificate of the broker; it enables TLS.
+            wait_s: longest wait for the first answer of the broker, s.
+            speaks: robot whose `status` becomes `LOST` if this connection breaks; None: no status.
 
         Raises:
             InputError: paho-mqtt is not installed, or no broker answers or admits us.

@@ -1,8 +1,8 @@
-"""NatNet: frames of motion capture as Motive streams them by UDP, to read and, for stand-ins, to write.
+"""NatNet: packets of motion capture as Motive sends them by UDP; reading, and writing for emulators.
 
-Versions 2.6 to 4.2 are read and written; from 4.1 on every list of a frame says how long it is, and what is
-not ours is skipped by that. Rigid bodies and labelled markers are taken, the rest is passed over. Lengths are
-m; axes are Motive's, `turned` brings them to z up.
+Versions 2.6 to 4.2 are supported. Rigid bodies and labelled markers are read; other lists are skipped, from
+version 4.1 on by their stated length. Lengths are in m. The axes are those of Motive; `turned` rotates them
+to z up.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Frame:
 
 
 class _Reader:
-    """What is left of a packet."""
+    """Reader of the rest of a packet."""
 
     def __init__(self, data: bytes) -> None:
         self._data, self.at = memoryview(data), 0
@@ -82,7 +82,7 @@ class _Reader:
         return found
 
     def count(self) -> int:
-        """Read how many things follow."""
+        """Read the number of entries."""
         (found,) = self.read("i")
         if not 0 <= found <= _MOST:
             raise BadMessageError(f"a list with a negative number of entries, or more than {_MOST}")
@@ -190,7 +190,7 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
 
 
 def write_models(names: Mapping[int, str], version: Version) -> bytes:
-    """Return the descriptions of rigid bodies without markers of their own."""
+    """Return the descriptions of rigid bodies without markers."""
     content = struct.pack("<i", len(names))
     for number, name in names.items():
         turn = struct.pack("<4f", 0, 0, 0, 1) if version >= (4, 2) else b""

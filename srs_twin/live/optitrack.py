@@ -1,4 +1,4 @@
-"""Motion capture over UDP: `NatNetLink` receives what OptiTrack streams, `NatNetServer` stands in for it."""
+"""Motion capture over UDP: `NatNetLink` receives OptiTrack frames, `NatNetServer` emulates a server."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ASKS_EVERY_S = 1.0
 _ASKS_NAMES_EVERY_S = 10.0
 """A body that is renamed keeps its number, and nothing announces its new name."""
 _WINDOW = 1000
-"""Frames by which numbers may run ahead or fall back; beyond that, the server began to count again."""
+"""Largest difference of successive frame numbers; a larger one means that the server restarted."""
 _LISTENS_S = 0.1
 
 
@@ -36,7 +36,7 @@ class _UdpLink(Link):
         self._threads = [threading.Thread(target=self._listen, args=(s,), daemon=True) for s in self._sockets]
 
     def _start(self) -> None:
-        # A first answer may add a thread while the others are started.
+        # A first answer may add a thread during this loop.
         for each in tuple(self._threads):
             each.start()
 
@@ -169,7 +169,7 @@ class NatNetLink(_UdpLink):
                 self._sockets[0].sendto(natnet.closed(kind, text), self._server)
 
     def _packet(self, kind: int, content: bytes, sender: tuple[str, int], arrived: float) -> None:
-        # Frames have a port of their own, answers come from where they were asked for.
+        # Frames come from another port of the server than answers.
         if sender[0] != self._server[0] or (kind != natnet.FRAME and sender != self._server):
             raise BadMessageError("a packet from elsewhere")
         if kind == natnet.SERVER_INFO:
@@ -243,7 +243,7 @@ class NatNetLink(_UdpLink):
 
 
 class NatNetServer(_UdpLink):
-    """A stand-in for a motion capture system: sends frames to whoever asks.
+    """Emulated motion capture system, which sends frames to each client.
 
     Attributes:
         port: its command port.

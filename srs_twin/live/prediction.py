@@ -1,146 +1,182 @@
-"""What comes next: commands that go on in their rhythm, and what predictions were off by so far."""
+"""Predictions: periodic commands, and calibration by the errors of earlier predictions."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 SLOT_S = 0.02
 _KEPT = 250
+"""Number of slots with commands that are kept."""
 _LAGS = range(10, 126)
+"""Possible periods, slots."""
 _SAME = 0.1
-"""Commands that differ by less than this from those a period before, on average, are periodic."""
+"""Mean difference of the duties below which commands are the same."""
 _MEMORY = 8
+"""Number of predictions that the mean error is taken over."""
+_ADAPTATION_RATE = 5.0
+"""Rate r at which the scale of intervals adapts, 1/s."""
+_LONGEST_COMPARED_S = 0.2
+"""Longest interval that one comparison counts for, s."""
+_SQUARES = 0.1, 10.0
+"""Range of the squared scale of intervals."""
 _T95 = 2.1
-"""Half of a 95 % interval over its standard deviation, as few of them have told it."""
+"""Half of a 95 % interval over its standard deviation, which is estimated from few predictions."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Where a robot will be, if commands go on as they do.
+    """Predicted path of a robot, if its commands repeat.
 
     Attributes:
-        begun: our clock, s.
-        heading: mean heading then, rad.
-        commands: that it takes for granted, slot by slot, shape (slots, segments, 2).
+        begun: start, our clock, s.
+        heading: mean heading at the start, rad.
         time: our clock, s, shape (times,).
         pose: x, y (m), mean heading (rad), shape (times, 3).
-        pose_sd: standard deviations of that, along and across the heading then (m) and of the heading (rad).
+        pose_sd: standard deviations along and across the initial heading (m) and of the heading (rad).
     """
 
     begun: float
     heading: float
-    commands: np.ndarray
     time: np.ndarray
     pose: np.ndarray
     pose_sd: np.ndarray
 
-    def off(self, poses: np.ndarray) -> np.ndarray:
-        """Return poses less the predicted ones, along and across the first heading, shape (times, 3)."""
-        return _turned(poses - self.pose, -self.heading)
+    def error(self, poses: np.ndarray) -> np.ndarray:
+        """Return poses less the predicted ones, along and across the initial heading, shape (times, 3)."""
+        c, s, (x, y, turn) = math.cos(self.heading), math.sin(self.heading), (poses - self.pose).T
+        return np.column_stack([c * x + s * y, c * y - s * x, turn])
 
-    def covers(self, poses: np.ndarray) -> np.ndarray:
-        """Say whether poses lie in the 95 % intervals, shape (times, 3)."""
-        return np.asarray(np.abs(self.off(poses)) <= _T95 * self.pose_sd)
-
-
-def _turned(off: np.ndarray, by: float) -> np.ndarray:
-    c, s = math.cos(by), math.sin(by)
-    return np.column_stack([c * off[:, 0] - s * off[:, 1], s * off[:, 0] + c * off[:, 1], off[:, 2]])
+    def contains(self, poses: np.ndarray) -> np.ndarray:
+        """Return whether poses are in the 95 % intervals, shape (times, 3)."""
+        return np.asarray(np.abs(self.error(poses)) <= _T95 * self.pose_sd)
 
 
-class Rhythm:
-    """Commands of the last seconds, slot by slot, and after how many of them they come again."""
+class CommandPeriod:
+    """Commands of the last seconds in equal slots, and their period."""
 
     def __init__(self) -> None:
-        """Know none."""
+        """Begin without a command."""
         self._slot = -1
-        self._opens: deque[np.ndarray] = deque(maxlen=_KEPT)
+        self._duties: deque[np.ndarray] = deque(maxlen=_KEPT)
 
-    def take(self, time: float, opens: np.ndarray) -> None:
-        """Take what is commanded in the slot of a time (s): shares, shape (segments, 2)."""
+    def add(self, time: float, duty: np.ndarray) -> None:
+        """Add the duty of the valves in the slot of a time (s), shape (segments, 2)."""
         slot = math.floor(time / SLOT_S)
-        if slot > self._slot + 1:  # a gap: what was before is at another distance now
-            self._opens.clear()
+        if slot > self._slot + 1:  # after a gap, earlier commands have another lag
+            self._duties.clear()
         if slot > self._slot:
-            self._opens.append(opens)
+            self._duties.append(duty)
             self._slot = slot
 
     def commands(self, slots: int) -> np.ndarray:
-        """Return the commands of the next slots, shape (slots, segments, 2): as a period ago, or as now."""
-        past, lag = np.array(self._opens), self.period()
+        """Return the duties of the next slots, repeated or constant, shape (slots, segments, 2)."""
+        past, lag = np.array(self._duties), self.period()
         return past[-lag:][np.arange(slots) % lag] if lag else np.repeat(past[-1:], slots, axis=0)
 
-    def came(self, time: float, commands: np.ndarray) -> bool:
-        """Say whether those of the slots since a time (s) are these, as far as they have come."""
-        ago = self._slot - math.floor(time / SLOT_S)
-        if not 0 < ago <= len(self._opens):
-            return False
-        came = np.array(self._opens)[-ago:][: len(commands)]
-        return bool(np.abs(came - commands[: len(came)]).mean() < _SAME)
-
     def period(self) -> int:
-        """Return after how many slots the commands come again; 0: they do not."""
-        past = np.array(self._opens)
+        """Return the period of the commands in slots, 0 without one."""
+        past = np.array(self._duties)
         recent = past[-_LAGS[-1] // 2 :]
         best = _SAME, 0
         for lag in _LAGS:
             before = past[-len(recent) - lag : -lag]
             if len(before) == len(recent):
                 best = min(best, (float(np.abs(recent - before).mean()), lag))
-        # A robot that is told nothing has no gait.
+        # Constant commands have no period.
         return best[1] if np.ptp(recent, axis=0).any() else 0
 
 
-class Hindsight:
-    """What earlier predictions turned out to be off by, which later ones are corrected and widened by.
+class PredictionCalibration:
+    """Spread of the errors of earlier predictions, which widens the intervals of later ones."""
 
-    Those whose commands did not come true say nothing of the model, only of how far one may be off.
-    """
-
-    def __init__(self, rhythm: Rhythm) -> None:
-        """Have seen none.
-
-        Args:
-            rhythm: of the commands that came.
-        """
-        self._rhythm = rhythm
-        self._mean = self._variance = self._told = np.zeros((0, 3))
+    def __init__(self) -> None:
+        """Begin without predictions."""
+        # Mean squares of the errors, and of the stated standard deviations.
+        self._error = self._stated = np.zeros((0, 3))
         self._count = 0
         self._open: deque[Prediction] = deque(maxlen=20)
         self._path: deque[tuple[float, np.ndarray]] = deque(maxlen=200)
 
-    def see(self, time: float, pose: np.ndarray) -> None:
-        """Take where the robot is (x, y, heading) at a time (s); learn from predictions that are over."""
+    def observe(self, time: float, pose: np.ndarray) -> None:
+        """Add a pose (x, y, heading) at a time (s); learn from the predictions that ended."""
         self._path.append((time, pose))
         while self._open and self._open[0].time[-1] <= time:
             past = self._open.popleft()
-            times, poses = (np.array(each) for each in zip(*self._path, strict=True))
+            times, poses = (np.array(values) for values in zip(*self._path, strict=True))
             if times[0] > past.begun:
                 continue
-            found = past.off(np.column_stack([np.interp(past.time, times, poses[:, k]) for k in range(3)]))
-            if len(self._mean) != len(found):
-                self._mean = self._variance = self._told = np.zeros_like(found)
-                self._count = 0
+            error = past.error(np.column_stack([np.interp(past.time, times, column) for column in poses.T]))
+            if len(self._error) != len(error):
+                self._error, self._stated, self._count = np.zeros_like(error), np.zeros_like(error), 0
             self._count += 1
             weight = max(1 / _MEMORY, 1 / self._count)
-            off = found - self._mean
-            if self._rhythm.came(past.begun, past.commands):
-                self._mean = self._mean + weight * off
-            self._variance = (1 - weight) * (self._variance + weight * off**2)
-            self._told = self._told + weight * (past.pose_sd**2 - self._told)
+            self._error = self._error + weight * (error**2 - self._error)
+            self._stated = self._stated + weight * (past.pose_sd**2 - self._stated)
 
-    def corrected(self, raw: Prediction) -> Prediction:
-        """Return a prediction as it is to be told; what it will have been off by is learnt later."""
+    def widened(self, raw: Prediction) -> Prediction:
+        """Return a prediction with widened intervals; its own error is learnt when it has ended."""
         self._open.append(raw)
-        if len(self._mean) != len(raw.time):
+        if len(self._error) != len(raw.time):
             return raw
-        pose = raw.pose + _turned(self._mean, raw.heading)
-        # Of few errors the spread is told too small; of old ones little is left.
+        # The interval of a mean square of few errors is wider.
         count = min(self._count, _MEMORY)
-        few = (count + 1) / max(count - 1, 1)
-        besides = np.maximum(few * self._variance - self._told, 0.0)
-        return replace(raw, pose=pose, pose_sd=np.sqrt(raw.pose_sd**2 + besides))
+        factor = (count + 1) / max(count - 1, 1)
+        excess = np.maximum(factor * self._error - self._stated, 0.0)
+        return replace(raw, pose_sd=np.sqrt(raw.pose_sd**2 + excess))
+
+
+class IntervalCalibration:
+    r"""Scale of the standard deviations of states that are predicted from the last message to the present.
+
+    A prediction for a time is compared with the estimate after the measurements of that time. The factor
+    s of each group of values adapts until 95 % of the later estimates are inside the interval:
+
+    $$ \frac{d \ln s^2}{dt} = r \left(\mathrm{share}\left[
+    (\hat x - x)^2 + \sigma_x^2 > 1.96^2 s^2 \hat\sigma^2\right] - 0.05\right) . $$
+
+    The errors have heavy tails, because lost commands are not in the prediction. A scale that is fitted to
+    their mean square would be too large or too small, depending on the message rate.
+    """
+
+    def __init__(self, groups: Sequence[int]) -> None:
+        """Begin with a scale of 1; `groups` are the numbers of values with a common scale."""
+        self._starts, self._counts = np.cumsum([0, *groups[:-1]]), np.array(groups)
+        self._square, self._compared = np.ones(len(groups)), np.full(len(groups), -np.inf)
+        self._open: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=200)
+
+    @property
+    def scale(self) -> np.ndarray:
+        """Factor of each value's standard deviation."""
+        return np.repeat(np.sqrt(self._square), self._counts)
+
+    def predict(self, time: float, value: np.ndarray, sd: np.ndarray) -> None:
+        """Add a prediction for a time (s), with standard deviations before scaling."""
+        self._open.append((time, value, sd))
+
+    def update(self, time: float, value: np.ndarray, sd: np.ndarray, measured: Sequence[bool]) -> None:
+        """Compare the predictions for a time (s) with the estimate after its measurements.
+
+        Args:
+            time: of the measurements, s.
+            value: estimate.
+            sd: of the estimate.
+            measured: whether the measurements corrected a group.
+        """
+        while len(self._open) > 1 and self._open[1][0] < time:
+            self._open.popleft()
+        if len(self._open) < 2 or not self._open[0][0] <= time:
+            return
+        (begun, first, first_sd), (ended, second, second_sd) = self._open[0], self._open[1]
+        weight = (time - begun) / (ended - begun)
+        predicted = first + weight * (second - first)
+        limit = 1.96 * self.scale * (first_sd + weight * (second_sd - first_sd))
+        outside = (predicted - value) ** 2 + sd**2 > limit**2
+        share = np.add.reduceat(outside.astype(float), self._starts) / self._counts
+        dt = np.where(measured, np.minimum(time - self._compared, _LONGEST_COMPARED_S), 0.0)
+        self._compared = np.where(measured, time, self._compared)
+        self._square = np.clip(self._square * np.exp(_ADAPTATION_RATE * dt * (share - 0.05)), *_SQUARES)

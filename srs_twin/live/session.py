@@ -1,14 +1,13 @@
-"""Session: a shadow beside a robot in real time: messages in; estimates, commands and a journal out."""
+"""Session: a live twin of a robot in real time, from messages to estimates, commands and a journal."""
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import time
 import warnings
-from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -17,10 +16,9 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import InputError, SessionWarning
-from srs_twin.io.file_sets import replaced
 from srs_twin.io.files import new_numbered, shown
 from srs_twin.io.saved_state import SavedState
-from srs_twin.live.helm import TOO_SLOW, Helm
+from srs_twin.live.estimate import Estimate
 from srs_twin.live.journal import Journal
 from srs_twin.live.links import Link
 from srs_twin.live.messages import (
@@ -36,174 +34,191 @@ from srs_twin.live.messages import (
 )
 from srs_twin.live.mqtt import MqttLink
 from srs_twin.live.prediction import Prediction
-from srs_twin.live.shadow import Estimate, Shadow
+from srs_twin.live.results import STATE, TICK_S, EstimateTable, finite, summary, timing, write_results
+from srs_twin.live.shadow import Shadow
+from srs_twin.live.steering import TOO_SLOW, EstimateSteering
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.trajectory import Trajectory
 
-TICK_S = 0.02
-PREDICTS_S = 0.5
+PREDICTION_INTERVAL_S = 0.5
+VIEW_INTERVAL_S = 0.12
+FLUSH_INTERVAL_S, SAVE_INTERVAL_S = 1.0, 5.0
 STALE_S = 0.2
-"""Age of an estimate from which the robot is vented instead of steered: so long a command holds."""
+"""Age of an estimate above which the chambers are vented."""
 TOO_SLOW_S = 1.0
-"""Age of an estimate that ends the steering."""
-_WATCHED_S, _MOST_OVERRUNS = 1.0, 0.5
-"""The session warns when this share of the ticks of so many seconds took longer than `TICK_S`."""
-FLUSHES_S, SAVES_S = 1.0, 5.0
-STATE = "state.npz"
-SUMMARY, ESTIMATE = "shadow.json", "estimate.parquet"
-KEPT = (SUMMARY, ESTIMATE, STATE)
-"""Files in the session's folder that the next session replaces; journals and recordings are numbered."""
+"""Age of an estimate above which the steering ends."""
 JOURNALS, RECORDINGS = "journal-{}.mcap", "recording-{}.rrd"
+_WATCHED_S = 1.0
+"""Interval over which slow ticks are counted, s."""
+_MOST_OVERRUNS = 0.5
+"""Share of slow ticks above which the session warns."""
+_RESTART_S = 1.0
+"""Delay of the ticks above which missed ticks are skipped, s."""
 _KEPT = 1_000_000
+"""Number of ticks with durations that are kept."""
 _MOST_PROBLEMS = 100
 _GOODBYE_S = 1.0
-"""Longest wait for the broker to take the last message."""
+"""Longest wait for the broker to accept the last message."""
+_WARM_UP_S, _STROKE_S = 0.6, 0.16
+"""Duration and half period of the commands of `warm_up`."""
 
 View = Callable[[Estimate, Prediction | None], None]
 Keys = Callable[[], Iterable[str]]
-_WARM_S, _STROKE_S = 0.6, 0.16
 
 
 def warm_up(spec: RobotSpec) -> None:
-    """Have all compiled or loaded that a shadow of a robot computes with, before somebody waits for it."""
+    """Load and compile all code that a live twin needs, before the robot sends messages."""
     shadow, n = Shadow(spec, members=8), spec.segments
     rows = np.outer(-spec.geometry.pitch * np.arange(n + 1), [1.0, 0.0, 0.0, 0.0])
     names = tuple(f"connector_{i}" for i in range(1, n + 2))
-    for k in range(round(_WARM_S / TICK_S)):
-        valves = np.full((n, 2), 1.0 if k * TICK_S % (2 * _STROKE_S) < _STROKE_S else -1.0)
+    for k in range(round(_WARM_UP_S / TICK_S)):
+        now = k * TICK_S
+        valves = np.full((n, 2), 1.0 if now % (2 * _STROKE_S) < _STROKE_S else -1.0)
         values = {COMMAND: valves, VALVES: valves, BENDS: np.zeros(n), PRESSURES: np.zeros((n, 2))}
-        told = [Message(kind, "robot", k * TICK_S, k * TICK_S, each) for kind, each in values.items()]
-        shadow.take(k * TICK_S, [*told, Message(POSES, "cameras", k * TICK_S, k * TICK_S, rows, names)])
+        messages = [Message(kind, "robot", now, now, value) for kind, value in values.items()]
+        shadow.update(now, [*messages, Message(POSES, "cameras", now, now, rows, names)])
     shadow.predict()
 
 
+def _every(seconds: float) -> int:
+    """Return the number of ticks in an interval."""
+    return round(seconds / TICK_S)
+
+
 class Session:
-    """One shadow and whoever it listens and talks to.
+    """A live twin with its links, views and files.
 
     Attributes:
-        shadow: the twin of the robot.
-        estimate: the last one; None before the robot's first message.
-        faults: (part, fault) → when it was first named, s from the beginning.
-        problems: what the session went on without, such as a file that cannot be written.
-        ticks: how long each took, s.
-        lag: largest age of an estimate when its tick ended, s.
-        latency: from a reading's arrival to an estimate with it, s.
+        shadow: live twin of the robot.
+        estimate: the latest one; None before the robot's first message.
+        faults: time of the first detection, s from the start, by part and fault.
+        problems: errors that did not end the session, such as a file that cannot be written.
+        ticks: durations, s.
+        lag: largest age of an estimate at the end of its tick, s.
+        latency: times from the arrival of a reading to an estimate with it, s.
+        resumed: whether an earlier session in the folder was restored.
     """
 
     def __init__(
-        self, shadow: Shadow, links: Sequence[Link], *, out: Path | None = None, helm: Helm | None = None,
-        commands: MqttLink | None = None, views: Iterable[View] = (), keys: Keys = tuple,
+        self, shadow: Shadow, links: Sequence[Link], *, out: Path | None = None,
+        steering: EstimateSteering | None = None, commands: MqttLink | None = None,
+        views: Iterable[View] = (), keys: Keys = tuple,
     ) -> None:  # fmt: skip
-        """Restore what an earlier session in the folder has learnt.
+        """Restore the state of an earlier session in the folder.
 
         Args:
-            shadow: a new one.
+            shadow: a new live twin.
             links: sources of messages.
-            out: folder of journal and results; None: none are kept.
-            helm: steers the robot; None: the session only listens.
-            commands: link on which commands are sent, and control messages are obeyed.
-            views: are shown estimates and predictions, ten times a second.
-            keys: returns the control words that were typed since the last call, of `WORDS`.
+            out: folder of journal and results; None: no files.
+            steering: steers the robot; None: the session only listens.
+            commands: link for commands and control messages.
+            views: get estimates and predictions about eight times per second.
+            keys: returns the control words typed since the last call, of `WORDS`.
 
         Raises:
             InputError: the folder cannot be written, or holds the state of another robot.
         """
-        self.shadow, self._links, self._out, self._helm = shadow, list(links), out, helm
+        self.shadow, self._links, self._out, self._steering = shadow, list(links), out, steering
         self._commands, self._views, self._keys = commands, list(views), keys
         self._journal: Journal | None = None
-        self.resumed = False
+        self.resumed = out is not None and (out / STATE).exists()
         if out is not None:
-            if (out / STATE).exists():
+            if self.resumed:
                 try:
                     shadow.restore(SavedState.read(out / STATE))
                 except InputError as error:
                     raise InputError(
                         f"{error}; another --out keeps them apart, or remove {shown(out / STATE)}"
                     ) from error
-                self.resumed = True
             self._journal = Journal(new_numbered(out, JOURNALS))
         self.estimate: Estimate | None = None
         self.faults: dict[tuple[str, str], float] = {}
         self.problems: list[str] = []
         self.ticks, self.latency = deque[float](maxlen=_KEPT), deque[float](maxlen=_KEPT)
-        self.lag = 0.0
-        self._rows: list[np.ndarray] = []
+        self.lag, self.view_s = 0.0, 0.0
+        self._table = EstimateTable(shadow.spec)
         self._prediction: Prediction | None = None
-        self._shown, self._first, self._stopped, self._slow = 0.0, 0.0, False, False
+        self._start, self._stopped, self._slow = 0.0, False, False
         self._pool = ThreadPoolExecutor(2)
-        self._forecast: Future[Prediction] | None = None
+        self._predicting: Future[Prediction] | None = None
         self._saving: Future[None] | None = None
-        self._found: dict[str, Any] = {}
+        self._summary: dict[str, Any] = {}
 
     def run(self, duration: float = math.inf, stop: Callable[[], bool] = lambda: False) -> dict[str, Any]:
-        """Run until the session is stopped, a recording is over, or the helm has arrived; return the summary.
+        """Run until the session is stopped, a journal ends, or the steering ends; return the summary.
 
-        However the run ends, a robot that was steered is vented and the files are written.
+        However the run ends, a steered robot is vented and the files are written.
         """
-        self._first = time.monotonic()
+        self._start = time.monotonic()
         try:
-            self._live(duration, stop)
+            self._loop(duration, stop)
         finally:
             self._end()
-        return self._found
+        return self._summary
 
-    def _live(self, duration: float, stop: Callable[[], bool]) -> None:
-        clock, begun, done = self._links[0].clock, self._first, 0
-        if self._helm is not None:
-            self._helm.follower.submit = self._pool.submit
-        while not stop() and (tick := time.monotonic()) - self._first < duration and not self._over():
-            self._tick(clock(), tick - self._first)
+    def _loop(self, duration: float, stop: Callable[[], bool]) -> None:
+        clock, start, done = self._links[0].clock, self._start, 0
+        if self._steering is not None:
+            self._steering.follower.submit = self._pool.submit
+        while not stop() and (tick := time.monotonic()) - self._start < duration and not self._over():
+            self._tick(clock(), tick - self._start)
             self._collect()
-            known = self.estimate is not None
-            if known and self._forecast is None and done % round(PREDICTS_S / TICK_S) == 0:
-                self._forecast = self._pool.submit(self.shadow.outlook())
-            if self._journal is not None and done % round(FLUSHES_S / TICK_S) == 0:
-                self._journal.flush()
-            if self._out is not None and self._saving is None and done % round(SAVES_S / TICK_S) == 0:
-                self._saving = self._pool.submit(self.shadow.save().write, self._out / STATE)
-            if known and done % 6 == 0:
-                self._show()
+            self._submit(done)
+            if self.estimate is not None and done % _every(VIEW_INTERVAL_S) == 0:
+                self._show(self.estimate)
             self.ticks.append(time.monotonic() - tick)
             done += 1
-            if done % round(_WATCHED_S / TICK_S) == 0:
+            if done % _every(_WATCHED_S) == 0:
                 self._watch()
-            left = begun + done * TICK_S - time.monotonic()
+            left = start + done * TICK_S - time.monotonic()
             if left > 0:
                 time.sleep(left)
-            elif left < -1.0:
-                begun = time.monotonic() - done * TICK_S  # missed ticks are not made up for
+            elif left < -_RESTART_S:
+                start = time.monotonic() - done * TICK_S
+
+    def _submit(self, done: int) -> None:
+        """Start the work of other threads after a number of ticks."""
+        if (
+            self.estimate is not None
+            and self._predicting is None
+            and done % _every(PREDICTION_INTERVAL_S) == 0
+        ):
+            self._predicting = self._pool.submit(self.shadow.prediction_task())
+        if self._journal is not None and done % _every(FLUSH_INTERVAL_S) == 0:
+            self._journal.flush()
+        if self._out is not None and self._saving is None and done % _every(SAVE_INTERVAL_S) == 0:
+            self._saving = self._pool.submit(self.shadow.save().write, self._out / STATE)
 
     def _watch(self) -> None:
-        """Warn if the machine is too slow: ticks that take longer than `TICK_S` delay all that follow."""
+        """Warn if the machine is too slow: ticks longer than `TICK_S` delay all later ones."""
         if self._commands is None or self._slow:
             return
-        took = np.array([self.ticks[-k] for k in range(1, round(_WATCHED_S / TICK_S) + 1)])
-        if (took > TICK_S).mean() > _MOST_OVERRUNS:
+        durations = np.array([self.ticks[-k] for k in range(1, _every(_WATCHED_S) + 1)])
+        if (durations > TICK_S).mean() > _MOST_OVERRUNS:
             self._slow = True
             self._report(
-                f"falling behind: ticks take {1e3 * np.median(took):.0f} ms instead of {1e3 * TICK_S:.0f}; "
-                f"estimates are up to {self.lag:.2f} s old"
+                f"falling behind: ticks take {1e3 * np.median(durations):.0f} ms instead of "
+                f"{1e3 * TICK_S:.0f}; estimates are up to {self.lag:.2f} s old"
             )
 
-    def _show(self) -> None:
-        assert self.estimate is not None
+    def _show(self, estimate: Estimate) -> None:
         before = time.monotonic()
         for view in self._views:
-            view(self.estimate, self._prediction)
-        self._shown += time.monotonic() - before
+            view(estimate, self._prediction)
+        self.view_s += time.monotonic() - before
 
     def _over(self) -> bool:
-        steered = self._helm is not None and self._helm.finished
+        steered = self._steering is not None and self._steering.finished
         return self._stopped or steered or all(link.counts["over"] for link in self._links)
 
     def _collect(self) -> None:
-        """Take the results of other threads, and report their errors and the journal's."""
-        if self._forecast is not None and self._forecast.done():
-            if not self._forecast.cancelled() and (failed := self._forecast.exception()) is not None:
-                self._report(f"a forecast failed: {failed!r}")
-            elif not self._forecast.cancelled():
-                self._prediction = self.shadow.hindsight.corrected(self._forecast.result())
-            self._forecast = None
+        """Use the results of other threads, and report their errors and those of the journal."""
+        if self._predicting is not None and self._predicting.done():
+            if not self._predicting.cancelled():
+                if (failed := self._predicting.exception()) is not None:
+                    self._report(f"a forecast failed: {failed!r}")
+                else:
+                    self._prediction = self.shadow.prediction_calibration.widened(self._predicting.result())
+            self._predicting = None
         if self._saving is not None and self._saving.done():
             if not self._saving.cancelled() and (error := self._saving.exception()) is not None:
                 self._report(str(error) if isinstance(error, InputError) else f"{STATE}: {error!r}")
@@ -212,154 +227,98 @@ class Session:
             self._report(self._journal.trouble)
 
     def _report(self, problem: str) -> None:
-        """Warn of a problem, once, and keep it for the summary."""
+        """Warn of a problem once, and keep it for the summary."""
         if problem not in self.problems and len(self.problems) < _MOST_PROBLEMS:
             self.problems.append(problem)
             warnings.warn(problem, SessionWarning, stacklevel=2)
 
     def _tick(self, now: float, since: float) -> None:
-        """Take the messages that have come, and send a command."""
+        """Use the messages that arrived, and send a command.
+
+        Args:
+            now: on the clock of the links, s; NaN while a journal waits.
+            since: time from the start of the session, s.
+        """
         messages = [message for link in self._links for message in link.received()]
         if self._commands is not None:  # a journal's control messages are history
-            for word in [*self._keys(), *(each.names[0] for each in messages if each.kind == CONTROL)]:
+            typed = [message.names[0] for message in messages if message.kind == CONTROL]
+            for word in [*self._keys(), *typed]:
                 self._obey(word)
         if math.isnan(now):
             return
         if self._journal is not None:
             for message in messages:
                 self._journal.write(message)
-        self.estimate = found = self.shadow.take(now, messages)
-        self.latency.extend(
-            now - each.arrived + self.shadow.inbox.hold for each in messages if each.kind == BENDS
-        )
-        if found is not None:
-            for part, fault, _ in found.faults:
+        self.estimate = estimate = self.shadow.update(now, messages)
+        hold = self.shadow.buffer.hold
+        self.latency.extend(now - message.arrived + hold for message in messages if message.kind == BENDS)
+        if estimate is not None:
+            for part, fault, _ in estimate.faults:
                 self.faults.setdefault((part, fault), since)
-            self._rows.append(
-                np.concatenate(
-                    [[since], found.pose, found.pose_sd, found.bend, found.bend_sd, [bool(found.lost)]]
-                )
-            )
-            del self._rows[:-_KEPT]
+            self._table.add(since, estimate)
         if self._commands is None:
-            return  # a journal waits
-        command = None if self._helm is None or self._stopped else self._helm.step(found, self.shadow)
+            return
+        command = None
+        if self._steering is not None and not self._stopped:
+            command = self._steering.step(estimate, self.shadow)
         lag = self._links[0].clock() - now
         self.lag = max(self.lag, lag)
-        if self._helm is not None and command is not None:
-            if lag > TOO_SLOW_S and self._helm.begun:
-                self._helm.give_up(TOO_SLOW)
-            self._commands.send(COMMAND, self._helm.vented() if lag > STALE_S else command)
+        if self._steering is not None and command is not None:
+            if lag > TOO_SLOW_S and self._steering.begun:
+                self._steering.give_up(TOO_SLOW)
+            self._commands.send(COMMAND, self._steering.vented() if lag > STALE_S else command)
 
     def _obey(self, word: str) -> None:
         """Obey a control word, of `WORDS`."""
         if word == STOP:
             self._stopped = True
             self._vent()
-        elif self._helm is not None:
-            self._helm.hold(word)
+        elif self._steering is not None:
+            self._steering.control(word)
 
     def _vent(self) -> None:
         """Vent the robot if it is steered."""
-        if self._commands is not None and self._helm is not None:
-            self._commands.send(COMMAND, self._helm.vented())
+        if self._commands is not None and self._steering is not None:
+            self._commands.send(COMMAND, self._steering.vented())
 
     def _end(self) -> None:
-        """Vent the robot, say so, and write the files; every step has its turn, also after one that fails."""
-        seconds, error = time.monotonic() - self._first, sys.exception()
-        with ExitStack() as steps:  # the last one comes first
+        """Vent the robot, send the last status and write the files; each step runs even if another fails."""
+        seconds, error = time.monotonic() - self._start, sys.exception()
+        with ExitStack() as steps:  # callbacks run in reverse order
             steps.callback(self._write)
             steps.callback(self._close_journal)
-            # Before the journal is closed, which then has every message that the summary counts.
+            # Before the journal closes, so that it has every message that the summary counts.
             steps.callback(self._summarise, seconds, error)
             steps.callback(self._pool.shutdown, cancel_futures=True)
             steps.callback(self._say_goodbye, error)
             steps.callback(self._vent)
 
     def _say_goodbye(self, error: BaseException | None) -> None:
-        if self._commands is not None and self._helm is not None:
+        if self._commands is not None and self._steering is not None:
             text = "stopped" if error is None else f"stopped: {type(error).__name__}"
             self._commands.send(STATUS, text, wait_s=_GOODBYE_S)
 
     def _close_journal(self) -> None:
         if self._journal is not None:
-            for message in (each for link in self._links for each in link.received()):
+            for message in (message for link in self._links for message in link.received()):
                 self._journal.write(message)
             self._journal.close()
 
     def _summarise(self, seconds: float, error: BaseException | None) -> None:
-        self._found = _finite(self._told(seconds, error))
+        found = summary(self.shadow, self._links, self.estimate) | {
+            "seconds": seconds, "resumed": self.resumed,
+            "error": None if error is None else f"{type(error).__name__}: {error}", "problems": [],
+            "faults": [{"part": p, "fault": f, "time_s": at} for (p, f), at in self.faults.items()],
+            **timing(self.ticks, self.latency), "lag_s": self.lag,
+            "view_share": self.view_s / max(seconds, 1e-9),
+        }  # fmt: skip
+        if self._steering is not None:
+            found["following"] = self._steering.summary()
+        self._summary = finite(found)
 
     def _write(self) -> None:
         """Write the summary and the estimates."""
         self._collect()
-        self._found["problems"] = self.problems
+        self._summary["problems"] = self.problems
         if self._out is not None:
-            with replaced(self._out, (SUMMARY, ESTIMATE)) as fresh:
-                if self._rows:
-                    self._trajectory().to_parquet(fresh / ESTIMATE)
-                (fresh / SUMMARY).write_text(json.dumps(self._found, indent=1) + "\n", "utf-8")
-
-    def _trajectory(self) -> Trajectory:
-        """Return estimates and their standard deviations over time."""
-        table, n = np.array(self._rows), self.shadow.spec.segments
-        names = [
-            "time", "com_x", "com_y", "heading", "com_x_sd", "com_y_sd", "heading_sd",
-            *(f"bend_{j}" for j in range(1, n + 1)), *(f"bend_sd_{j}" for j in range(1, n + 1)), "lost",
-        ]  # fmt: skip
-        units = {"com_x_sd": "m", "com_y_sd": "m"} | {
-            name: "rad" for name in names if "heading_sd" in name or "bend_sd" in name
-        }
-        return Trajectory(
-            dict(zip(names, table.T, strict=True)), units, metadata={"robot": self.shadow.spec.name}
-        )
-
-    def _told(self, seconds: float, error: BaseException | None) -> dict[str, Any]:
-        counts: Counter[str] = Counter()
-        for link in self._links:
-            counts.update(dict(link.counts))  # a copy: its thread goes on counting
-        dropped: Counter[str] = Counter()
-        for (_, kind, what), count in self.shadow.inbox.counts.items():
-            if what != "taken":
-                dropped[f"{kind} {what}"] += count
-        clocks = {
-            who: {"offset_s": clock.offset, "jitter_s": clock.jitter}
-            for who, clock in self.shadow.inbox.clocks.items()
-        }
-        found: dict[str, Any] = {
-            "robot": self.shadow.spec.name, "seconds": seconds, "resumed": self.resumed,
-            "error": None if error is None else f"{type(error).__name__}: {error}", "problems": [],
-            "faults": [{"part": p, "fault": f, "time_s": at} for (p, f), at in self.faults.items()],
-            "tick_ms": _quantiles(self.ticks), "latency_ms": _quantiles(self.latency),
-            "overruns": int(sum(tick > TICK_S for tick in self.ticks)), "lag_s": self.lag,
-            "view_share": self._shown / max(seconds, 1e-9),
-            "messages": dict(counts), "dropped": dict(dropped), "clocks": clocks,
-        }  # fmt: skip
-        if self.estimate is not None:
-            e = self.estimate
-            found["estimate"] = {
-                "lost": e.lost, "pose": e.pose.tolist(), "pose_sd": e.pose_sd.tolist(),
-                "bend_rad": e.bend.tolist(), "bend_sd_rad": e.bend_sd.tolist(), "off": dict(e.off),
-                "parameters": {
-                    name: {"value": v.tolist(), "sd": s.tolist()} for name, (v, s) in e.parameters.items()
-                },
-            }  # fmt: skip
-        if self._helm is not None:
-            found["following"] = self._helm.told()
-        return found
-
-
-def _finite(value: Any) -> Any:
-    """Return JSON values with null for every number that is not finite."""
-    if isinstance(value, Mapping):
-        return {key: _finite(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _quantiles(values: Iterable[float]) -> Mapping[str, float | None]:
-    found = np.array(list(values)) * 1e3
-    if not len(found):
-        return {"median": None, "p99": None}
-    return {"median": float(np.median(found)), "p99": float(np.quantile(found, 0.99))}
+            write_results(self._out, self._summary, self._table)

@@ -1,6 +1,6 @@
 """Set-up file of a lab (`srs-twin shadow --setup lab.yaml`): robot, broker, motion capture and limits.
 
-Every key stands for an option of `srs-twin shadow`; an option that is given takes precedence over its key.
+Each key sets an option of `srs-twin shadow`; options on the command line override the file.
 Paths are taken from the current folder, as those of the options.
 """
 

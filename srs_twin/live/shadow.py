@@ -1,222 +1,210 @@
-"""Shadow: a robot's state beside the running robot, with its uncertainty, what comes next, what has failed.
+"""Shadow: live twin of one robot.
 
-Messages in order of time (`clocks.Inbox`) move an ensemble (`ensemble`) and a bank of fault hypotheses
-(`faults`) to the time of each and correct them. What the bank has named, the ensemble takes for granted: a
-chamber that always fills does so in it as well, and readings of a broken sensor are no longer taken. Nothing
-here knows of wires or of the time of day: `take` is told what time it is.
+Messages in the order of their times (`clocks.ReorderBuffer`) update an ensemble filter (`ensemble`) and a
+fault detector (`fault_detector`). The ensemble uses the detected faults: a stuck valve also fills or vents in
+the model, and readings of a faulty sensor are ignored. The class is independent of the links and of the time
+of day: `update` gets both messages and time.
 """
 
 from __future__ import annotations
 
-import bisect
 import itertools
 import math
 import operator
-from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import Remembers, SavedState, fingerprint
-from srs_twin.live.clocks import Inbox
-from srs_twin.live.ensemble import STEP_S, Air, Ensemble
-from srs_twin.live.faults import FILLS, HYPOTHESES, LEAKS, READS, STARVED, VENTS, FaultBank
-from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, VALVES, Message
-from srs_twin.live.prediction import SLOT_S, Hindsight, Prediction, Rhythm
-from srs_twin.plants.base import SnakeState
+from srs_twin.live.clocks import ReorderBuffer
+from srs_twin.live.commands import KEPT_S, CommandHistory
+from srs_twin.live.ensemble import EnsembleFilter
+from srs_twin.live.estimate import Estimate
+from srs_twin.live.fault_detector import FaultDetector
+from srs_twin.live.hypotheses import (
+    CHAMBERS,
+    LEAK_RATES,
+    LEAKS,
+    READS,
+    SENSORS,
+    STARVED,
+    valve_duty,
+)
+from srs_twin.live.member_dynamics import STEP_S, ValveInput
+from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, SUPPLY, VALVES, Message
+from srs_twin.live.prediction import (
+    SLOT_S,
+    CommandPeriod,
+    IntervalCalibration,
+    Prediction,
+    PredictionCalibration,
+)
 from srs_twin.robot.spec import RobotSpec
 
-DELAY_S = 0.01
-"""How much later than it was sent a command is taken to be obeyed: half a tick of the robot."""
-REPORTED_S = 0.02
-"""For how long valves have been as a robot says that they are: its tick."""
-UNTOLD_S = 0.002
-"""What a message takes at the least, which no clock tells; estimated, of stand-ins."""
-SILENT_S = 0.2
-"""A robot without commands vents after so long."""
+TRANSPORT_DELAY_S = 0.002
+"""Assumed error of the bends' times, because the minimum transport delay cannot be observed."""
 LOST_AFTER_S = 1.0
-"""Without a robot's message for so long nothing is known of it."""
+"""Time without a message after which the state is unknown."""
 LARGEST_SD_M = 0.05
-"""Where the robot is known less well than this, it is lost."""
+"""Standard deviation of the position above which it is lost."""
 MISSING_FRAMES = 8
-"""A body that so many frames in a row do not have is lost, while others are seen."""
-_TAKEN = (COMMAND, VALVES, BENDS, PRESSURES, POSES)
-HORIZON_S, _STEP_S, _AHEAD, _FINER = 1.0, 0.1, 16, 2
-"""How far predictions reach, at which times (s), how many members make them, in how many parts of a slot."""
-_WAITS_S, _NOTHING_S = 0.1, 5e-4
-"""After how long without a message the robot is guessed, and what is too short a time to go on for."""
-_HISTORY_S = 5.0
-_LEARNS = ["modules", "connection", "bank"]
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """What is known of a robot at a moment.
-
-    Attributes:
-        time: our clock, s.
-        bend: of each segment, rad.
-        bend_sd: of that.
-        pose: x, y (m) of the centre of mass, mean heading (rad).
-        pose_sd: of that.
-        velocity: of the centre of mass, world frame, m/s, and yaw rate, rad/s.
-        connectors: x, y (m), heading (rad) of each, shape (connectors, 3).
-        parameters: name → (values, standard deviations): gain of each chamber, bias (rad), time constants of
-            filling and venting of each module, stiffness and μ_t as multiples of the file's.
-        faults: what was named: (part, fault, probability); part is a segment, "supply" or a connector.
-        off: RMS of what the last measurements of each kind were off by, in standard deviations.
-        lost: why the robot is lost; empty: it is not.
-    """
-
-    time: float
-    bend: np.ndarray
-    bend_sd: np.ndarray
-    pose: np.ndarray
-    pose_sd: np.ndarray
-    velocity: np.ndarray
-    connectors: np.ndarray
-    parameters: Mapping[str, tuple[np.ndarray, np.ndarray]]
-    faults: tuple[tuple[str, str, float], ...]
-    off: Mapping[str, float]
-    lost: str
-
-    def state(self, time: float, pressure: np.ndarray) -> SnakeState:
-        """Return it as a controller takes states, at a time of its own (s)."""
-        n = len(self.connectors)
-        return SnakeState(
-            time=np.float64(time), com=self.pose[:2], com_velocity=self.velocity[:2], heading=self.pose[2],
-            position=self.connectors[:, :2], theta=self.connectors[:, 2], bend=self.bend,
-            bend_rate=np.zeros_like(self.bend), pressure=pressure,
-            valves=np.zeros_like(pressure, dtype=np.int8),
-            sensed=self.bend, contact_force=np.zeros((n, 2)), obstacle_force=np.zeros((n, 2)),
-            torque=np.zeros_like(self.bend), work=np.float64(0.0), internal_loss=np.float64(0.0),
-            air=np.float64(0.0), qpos=np.empty(0),
-        )  # fmt: skip
+"""Number of successive frames after which a missing body is lost."""
+HORIZON_S = 1.0
+"""Horizon of predictions."""
+_PREDICTION_STEP_S = 0.1
+"""Interval between the predicted poses."""
+_PREDICTION_MEMBERS = 16
+"""Number of members that predict."""
+_SUBSLOTS = 2
+"""Steps of a prediction per command slot."""
+_EXTRAPOLATE_AFTER_S = 0.05
+"""Time without a message after which the filter advances without one."""
+_LEAST_STEP_S = 5e-4
+"""Shorter steps are skipped."""
+_LEAST_INTERVAL_S = 0.018
+"""Shortest interval between used measurements of one sender; rates above 50 Hz add little."""
+_PRESENT_STEP_S = 0.005
+"""Step of the prediction from the last message to the present."""
+_KINDS = (COMMAND, VALVES, BENDS, PRESSURES, POSES, SUPPLY)
+_MEASURED = (BENDS, PRESSURES, POSES, SUPPLY)
+_SAVED = ["connection", "bank"]
+"""Names of the saved parts in a state file."""
 
 
 class Shadow:
-    """The twin of one running robot (module docstring).
+    """Live twin of one robot (module docstring).
 
     Attributes:
-        spec: the robot, as its file has it.
-        ensemble: what moves beside it.
-        bank: what may have failed.
-        rhythm: of the commands.
-        hindsight: what predictions were off by.
-        inbox: messages that wait for others that were sent before them.
-        time: until when it has come, our clock, s; NaN before the first message.
+        spec: the robot, from its file.
+        ensemble: filter for pose, bends and pressures.
+        faults: fault detector.
+        command_period: period of the commands.
+        prediction_calibration: errors of earlier predictions.
+        buffer: messages that wait for earlier ones.
+        time: of the filter, our clock, s; NaN before the first message.
     """
 
     def __init__(
         self, spec: RobotSpec, *, supply_pa: float | None = None, members: int = 32, seed: int = 0,
         hold_s: float = 0.03, frames: Mapping[str, int] | None = None,
     ) -> None:  # fmt: skip
-        """Know nothing of the robot but its file.
+        """Begin with the values of the robot file.
 
         Args:
             spec: the robot.
-            supply_pa: gauge; default the robot's nominal one.
-            members: of the ensemble.
-            seed: of its draws.
-            hold_s: how long a message waits for others that were sent earlier, s.
-            frames: body of the motion capture → connector, from 1; default "connector_1" and so on.
+            supply_pa: nominal supply pressure, gauge, Pa; default that of the robot.
+            members: ensemble size.
+            seed: random seed.
+            hold_s: time for which a message waits for earlier ones, s.
+            frames: connector (from 1) of each body of the motion capture; default "connector_1" and so on.
         """
         n = spec.segments
         self.spec, self._supply = spec, spec.supply.nominal if supply_pa is None else supply_pa
-        self.ensemble = Ensemble(spec, members=members, seed=seed)
-        self.bank = FaultBank(spec, supply_pa=self._supply)
-        self.inbox, self.time = Inbox(hold_s), math.nan
+        self.ensemble = EnsembleFilter(spec, members=members, seed=seed)
+        self.faults = FaultDetector(spec, supply_pa=self._supply)
+        self.ensemble.set_modules(*self.faults.modules())
+        self.buffer, self.time = ReorderBuffer(hold_s), math.nan
         self._frames = frames or {f"connector_{i}": i for i in range(1, n + 2)}
-        closed = np.zeros((n, 2))
-        # When commands took effect, and what share of the time valves fill from then on.
-        self._times, self._opens = deque([-math.inf]), deque([closed])
-        self._duties = False
-        self._heard = {kind: -math.inf for kind in _TAKEN}
+        self._commands = CommandHistory(n)
+        self._heard = dict.fromkeys(_KINDS, -math.inf)
+        # Sending time of the last used measurement of each sender.
+        self._used: dict[str, float] = {}
         self._missing = np.zeros(n + 1, dtype=int)
-        self._gone = np.zeros(n + 1, dtype=bool)
-        self._off: dict[str, float] = {}
-        self.rhythm = Rhythm()
-        self.hindsight = Hindsight(self.rhythm)
+        self._lost_markers = np.zeros(n + 1, dtype=bool)
+        self._innovation: dict[str, float] = {}
+        self.command_period = CommandPeriod()
+        self.prediction_calibration = PredictionCalibration()
+        self._intervals = IntervalCalibration((n, 2, 1))
 
-    def take(self, now: float, messages: Iterable[Message]) -> Estimate | None:
-        """Take what has arrived until now (our clock, s).
+    def update(self, now: float, messages: Iterable[Message]) -> Estimate | None:
+        """Update with the messages that arrived until now (our clock, s).
 
         Returns:
-            What is known now; None before the first message of the robot.
+            Estimate for now; None before the first message of the robot.
         """
         for message in messages:
-            if message.kind in _TAKEN:
-                self.inbox.put(message)
-        for time, together in itertools.groupby(self.inbox.take(now), key=operator.itemgetter(0)):
-            self._take(time, [message for _, message in together])
+            if message.kind in _KINDS:
+                self.buffer.push(message)
+        used = [timed for timed in self.buffer.pop_until(now) if self._needed(timed[1])]
+        for time, simultaneous in itertools.groupby(used, key=operator.itemgetter(0)):
+            self._use(time, [message for _, message in simultaneous])
         if math.isnan(self.time):
             return None
-        # What the next message will correct is not guessed before.
-        if now - self.inbox.hold - self.time > _WAITS_S:
-            self._advance(now - self.inbox.hold)
-            self.ensemble.roll()
-        found = self._estimate(now)
-        self.hindsight.see(self.time, found.pose)
-        return found
+        # A message that is expected soon will correct this time.
+        if now - self.buffer.hold - self.time > _EXTRAPOLATE_AFTER_S:
+            self._advance(now - self.buffer.hold)
+        estimate = self._estimate(now)
+        self.prediction_calibration.observe(now, estimate.pose)
+        return estimate
 
     def predict(self) -> Prediction:
-        """Return where the robot goes in the next second if commands go on as they do."""
-        return self.hindsight.corrected(self.outlook()())
+        """Return the predicted path of the next second, if the commands repeat."""
+        return self.prediction_calibration.widened(self.prediction_task()())
 
-    def outlook(self) -> Callable[[], Prediction]:
-        """Return what computes a prediction, on any thread; `hindsight` is to correct it."""
-        each, slots = round(_STEP_S / SLOT_S), round(HORIZON_S / SLOT_S)
-        commands = self.rhythm.commands(slots)
-        fine = np.repeat(commands, _FINER, axis=0)
-        airs = [self._air(part) for part in np.split(fine, slots // each)]
-        times = self.time + _STEP_S * np.arange(1, len(airs) + 1)
+    def prediction_task(self) -> Callable[[], Prediction]:
+        """Return a function that computes a prediction on any thread, for `prediction_calibration`."""
+        per_step, slots = round(_PREDICTION_STEP_S / SLOT_S), round(HORIZON_S / SLOT_S)
+        commands = self.command_period.commands(slots)
+        fine = np.repeat(commands, _SUBSLOTS, axis=0)
+        inputs = [self._valve_input(duties) for duties in np.split(fine, slots // per_step)]
+        times = self.time + _PREDICTION_STEP_S * np.arange(1, len(inputs) + 1)
         begun, heading = self.time, float(self.ensemble.mean("heading")[0])
-        goes = self.ensemble.ahead(_AHEAD)
+        forecast = self.ensemble.forecaster(_PREDICTION_MEMBERS)
 
         def run() -> Prediction:
-            found = goes(airs, _STEP_S)
-            return Prediction(begun, heading, commands, times, found.mean(axis=1), found.std(axis=1, ddof=1))
+            poses = forecast(inputs, _PREDICTION_STEP_S)
+            return Prediction(begun, heading, times, poses.mean(axis=1), poses.std(axis=1, ddof=1))
 
         return run
 
     def save(self) -> SavedState:
-        """Return what was learnt of the robot, for `restore` after an interruption; not where it is."""
-        content = {"gone": self._gone} | {
-            name: part.remembered() for name, part in zip(_LEARNS, self._parts(), strict=True)
+        """Return the learnt values and detected faults for `restore`; the pose is not saved."""
+        content = {"gone": self._lost_markers} | {
+            name: part.remembered() for name, part in zip(_SAVED, self._saved_parts(), strict=True)
         }
         return SavedState(self._identity(), content)
 
     def restore(self, state: SavedState) -> None:
-        """Go on with what was learnt.
+        """Restore learnt values and detected faults.
 
         Raises:
             InputError: a state of another robot.
         """
         state.check("shadow", self._identity())
-        for name, part in zip(_LEARNS, self._parts(), strict=True):
+        for name, part in zip(_SAVED, self._saved_parts(), strict=True):
             part.recall(state.content[name])
-        self._gone = np.array(state.content["gone"])
+        self._lost_markers = np.array(state.content["gone"])
 
-    def _parts(self) -> tuple[Remembers, ...]:
-        return self.ensemble.modules, self.ensemble.connection, self.bank
+    def _saved_parts(self) -> tuple[Remembers, ...]:
+        return self.ensemble.connection, self.faults
 
     def _identity(self) -> dict[str, Any]:
         rows = len(self.ensemble.connection.weights)
         return {
-            "shadow": fingerprint(self.spec), "supply_pa": self._supply, "learns": _LEARNS, "products": rows,
+            "shadow": fingerprint(self.spec), "supply_pa": self._supply, "learns": _SAVED, "products": rows,
         }  # fmt: skip
 
-    def _take(self, time: float, messages: Sequence[Message]) -> None:
-        """Take what was told of one time on our clock."""
+    def _needed(self, message: Message) -> bool:
+        """Return whether a message is used; measurements at a shorter interval are skipped."""
+        if message.kind not in _MEASURED:
+            return True
+        last = self._used.get(message.source, -math.inf)
+        if 0 < message.sent - last < _LEAST_INTERVAL_S:
+            return False
+        self._used[message.source] = message.sent
+        return True
+
+    def _use(self, time: float, messages: Sequence[Message]) -> None:
+        """Use the messages of one time on our clock."""
         measured = []
         for message in messages:
-            if message.kind in (COMMAND, VALVES):
-                self._command(time, message)
-            else:
+            if message.kind not in (COMMAND, VALVES):
                 measured.append(message)
+            elif (lost := self._commands.add(time, message)) is not None:
+                change, gap = lost
+                self.faults.inflate(change, min(gap, LOST_AFTER_S))
         if not measured:
             return
         if math.isnan(self.time):
@@ -225,40 +213,30 @@ class Shadow:
         for message in measured:
             kind, values = message.kind, message.values
             if kind == POSES:
-                self._see(message)
+                self._use_frame(message)
             elif kind == BENDS:
-                self.bank.read(values)
+                self.faults.update(values)
+            elif kind == SUPPLY:
+                self.faults.update_supply(float(values))
             else:
-                self.bank.read(pressures=values, span=min(time - self._heard[PRESSURES], 1.0))
+                self.faults.update(pressures=values, dt=min(time - self._heard[PRESSURES], 1.0))
             self._heard[kind] = time
-        # Balances take pressures where they know bends; members know these best where they come last.
+        self.ensemble.set_modules(*self.faults.modules())
+        # The fault detector needs bends before pressures; the ensemble is best corrected by bends last.
         for message in reversed(measured):
             if message.kind == PRESSURES:
-                self._note(PRESSURES, self.ensemble.read_pressures(message.values))
+                self._note_innovation(PRESSURES, self.ensemble.update_pressures(message.values))
             elif message.kind == BENDS:
-                reads = np.where(self._reads(), message.values, np.nan)
-                self._note(BENDS, self.ensemble.read_bends(reads))
-        self.ensemble.roll()
+                readings = np.where(self._working_sensors(), message.values, np.nan)
+                self._note_innovation(BENDS, self.ensemble.update_bends(readings))
+        self.ensemble.apply_odometry()
+        kinds = {message.kind for message in measured}
+        # A frame corrects position and heading; other messages carry no information about them.
+        corrected = [not kinds.isdisjoint((BENDS, PRESSURES)), POSES in kinds, POSES in kinds]
+        self._intervals.update(time, *_state(self.ensemble), corrected)
 
-    def _command(self, time: float, message: Message) -> None:
-        """Take what valves were told, or what a robot says that they were: either message may be lost."""
-        states = np.isin(message.values, (-1.0, 1.0)).all()
-        if message.kind == COMMAND:
-            self._duties = not states
-        elif self._duties:  # of a carrier's duty a moment tells nothing
-            return
-        at = time + DELAY_S if message.kind == COMMAND else time - REPORTED_S
-        opens = (message.values + 1) / 2 if states else np.clip(message.values, 0.0, 1.0)
-        k = bisect.bisect(self._times, at)
-        gap = at - self._times[k - 1]
-        # What was lost may have switched valves before this does.
-        if len(self._times) > 2 and gap > 1.5 * np.median(np.diff(self._times)):
-            self.bank.doubt(np.abs(opens - self._opens[k - 1]), min(gap, LOST_AFTER_S))
-        self._times.insert(k, at)
-        self._opens.insert(k, opens)
-
-    def _see(self, message: Message) -> None:
-        """Take a frame of motion capture."""
+    def _use_frame(self, message: Message) -> None:
+        """Use a frame of motion capture."""
         poses = np.full((self.spec.segments + 1, 3), np.nan)
         for name, row in zip(message.names, message.values, strict=True):
             if name in self._frames:
@@ -267,103 +245,121 @@ class Shadow:
         if not seen.any():
             return
         self._missing = np.where(seen, 0, self._missing + 1)
-        self._gone = ~seen & (self._gone | (self._missing >= MISSING_FRAMES))
+        self._lost_markers = ~seen & (self._lost_markers | (self._missing >= MISSING_FRAMES))
         bends = -np.diff(poses[:, 2])
         bends = np.remainder(bends + np.pi, 2 * np.pi) - np.pi
-        self.bank.read(markers=bends, rough=self.ensemble.rough)
-        self._note(POSES, self.ensemble.read_poses(poses))
+        self.faults.update(markers=bends, heading_noise_scale=self.ensemble.heading_noise_scale)
+        self._note_innovation(POSES, self.ensemble.update_poses(poses))
 
-    def _note(self, kind: str, off: np.ndarray) -> None:
-        if not np.isnan(off).all():
-            self._off[kind] = float(np.sqrt(np.nanmean(off**2)))
+    def _note_innovation(self, kind: str, innovation: np.ndarray) -> None:
+        if not np.isnan(innovation).all():
+            self._innovation[kind] = float(np.sqrt(np.nanmean(innovation**2)))
 
     def _advance(self, time: float) -> None:
-        """Go on to a time."""
-        if time - self.time < _NOTHING_S:
+        """Advance the filters to a time (s)."""
+        if time - self.time < _LEAST_STEP_S:
             return
-        if time - self.time > LOST_AFTER_S:  # what happened meanwhile nobody knows
+        if time - self.time > LOST_AFTER_S:
             self.ensemble.placed = False
             self.time = time - LOST_AFTER_S
-        parts = math.ceil((time - self.time) / SLOT_S - 1e-6)
-        begun, span = self.time, (time - self.time) / parts
-        steps = math.ceil(span / STEP_S - 1e-6)
-        for k in range(1, parts + 1):
-            opens = self._commanded(self.time + (np.arange(steps) + 0.5) * span / steps)
-            self.rhythm.take(self.time + span / 2, opens[0])
-            self.bank.advance(opens.mean(axis=0), span)
-            self.ensemble.advance(self._air(opens), span)
-            self.time = begun + k * span
-        while len(self._times) > 2 and self._times[1] < self.time - _HISTORY_S:
-            self._times.popleft()
-            self._opens.popleft()
+        slots = math.ceil((time - self.time) / SLOT_S - 1e-6)
+        begun, dt = self.time, (time - self.time) / slots
+        steps = math.ceil(dt / STEP_S - 1e-6)
+        for k in range(1, slots + 1):
+            duties = self._commands.at(self.time + (np.arange(steps) + 0.5) * dt / steps)
+            self.command_period.add(self.time + dt / 2, duties[0])
+            self.faults.predict(duties.mean(axis=0), dt)
+            self.ensemble.predict(self._valve_input(duties), dt)
+            self.time = begun + k * dt
+        self._commands.forget(self.time - KEPT_S)
 
-    def _commanded(self, times: np.ndarray) -> np.ndarray:
-        """Return for what share of the time valves were told to fill, shape (times, segments, 2)."""
-        known, found = list(self._times), []
-        for time in times.tolist():
-            k = bisect.bisect(known, time) - 1
-            silent = time - known[k] > SILENT_S
-            found.append(np.zeros_like(self._opens[k]) if silent else self._opens[k])
-        return np.array(found)
+    def _present(self, now: float) -> EnsembleFilter:
+        """Return the ensemble at the present, predicted with all commands that arrived."""
+        dt = min(now - self.time, LOST_AFTER_S)
+        if dt < _LEAST_STEP_S:
+            return self.ensemble
+        steps = math.ceil(dt / _PRESENT_STEP_S - 1e-6)
+        times = now - dt + (np.arange(steps) + 0.5) * dt / steps
+        duties = self._commands.at(times, self.buffer.waiting(COMMAND))
+        present = self.ensemble.copy(_PREDICTION_MEMBERS)
+        present.predict(self._valve_input(duties), dt, _PRESENT_STEP_S)
+        present.apply_odometry()
+        return present
 
-    def _air(self, opens: np.ndarray) -> Air:
-        """Return what the chambers get, as far as it is known what has failed."""
-        likely = [HYPOTHESES[m] for m in self.bank.likely()]
-        does = np.array([[each.plus, each.minus] for each in likely])
-        opens = np.where(does == FILLS, 1.0, np.where(does == VENTS, 0.0, opens))
-        leak = np.where(does == LEAKS, [[each.leak] for each in likely], 0.0)
-        return Air(opens, self._supply * np.array([each.weak for each in likely]), leak)
+    def _valve_input(self, duties: np.ndarray) -> ValveInput:
+        """Return the input of the chambers, given commanded duties and the detected faults."""
+        likely = self.faults.most_likely()
+        chambers = CHAMBERS[likely]
+        leak = np.where(chambers == LEAKS, LEAK_RATES[likely][:, None], 0.0)
+        return ValveInput(
+            valve_duty(duties, chambers), np.full(len(likely), self.faults.supply.pressure), leak
+        )
 
-    def _reads(self) -> np.ndarray:
-        """Say whose sensor is taken for whole."""
-        return np.array([HYPOTHESES[m].sensor == READS for m in self.bank.likely()])
+    def _working_sensors(self) -> np.ndarray:
+        """Return whether the bend sensor of each segment has no detected fault."""
+        return np.asarray(SENSORS[self.faults.most_likely()] == READS)
 
-    def _faults(self) -> Iterable[tuple[str, str, float]]:
-        sound = self.bank.probability[:, 0]
-        for number, name in self.bank.named.items():
-            yield (
-                (f"segment {number}", name, float(1 - sound[number - 1]))
-                if number
-                else ("supply", STARVED, 1.0)
-            )
-        for i in np.flatnonzero(self._gone):
+    def _detected(self) -> Iterator[tuple[str, str, float]]:
+        sound = self.faults.probability[:, 0]
+        for number, name in self.faults.named.items():
+            if number:
+                yield f"segment {number}", name, float(1 - sound[number - 1])
+            else:
+                yield "supply", STARVED, 1.0
+        for i in np.flatnonzero(self._lost_markers):
             yield f"connector {i + 1}", "lost_marker", 1.0
 
     def _lost(self, now: float, pose_sd: np.ndarray) -> str:
         if now - self._heard[BENDS] > LOST_AFTER_S:
-            return "the robot says nothing"
+            return "no message from the robot"
         if not self.ensemble.placed:
-            return "nobody has seen where it is"
+            return "motion capture has not seen the robot"
         if math.hypot(*pose_sd[:2]) > LARGEST_SD_M:
-            return "it is not known well enough where it is"
+            return "the position is too uncertain"
         return ""
 
     def _estimate(self, now: float) -> Estimate:
-        e = self.ensemble
-        pose, pose_sd = (np.concatenate([f(name) for name in ("x", "y", "heading")]) for f in (e.mean, e.sd))
-        (x, y, turn), (c, s) = e.twist, (math.cos(pose[2]), math.sin(pose[2]))
-        velocity = np.array([c * x - s * y, s * x + c * y, turn])
-        bend_sd = np.hypot(e.sd("bend"), UNTOLD_S * e.mean("motion")[3:])
-        off = dict(self._off)
+        ensemble = self._present(now)
+        value, sd = _state(ensemble)
+        self._intervals.predict(now, value, sd)
+        sd = sd * self._intervals.scale
+        n = len(value) - 3
+        pose, pose_sd = value[n:], sd[n:]
+        (x, y, turn), (c, s) = ensemble.twist, (math.cos(pose[2]), math.sin(pose[2]))
         return Estimate(
-            now, e.mean("bend"), bend_sd, pose, pose_sd, velocity, e.poses().mean(axis=0),
-            e.parameters(),
-            tuple(self._faults()), off, self._lost(now, pose_sd),
-        )  # fmt: skip
+            time=now,
+            bend=value[:n],
+            bend_sd=np.hypot(sd[:n], TRANSPORT_DELAY_S * ensemble.mean("motion")[3:]),
+            pose=pose,
+            pose_sd=pose_sd,
+            velocity=np.array([c * x - s * y, s * x + c * y, turn]),
+            connectors=ensemble.poses().mean(axis=0),
+            parameters=self.faults.parameters(),
+            faults=tuple(self._detected()),
+            off=dict(self._innovation),
+            lost=self._lost(now, pose_sd),
+        )
 
 
-def frames_of(given: Sequence[str], connectors: int) -> dict[str, int]:
-    """Return body → connector of ``BODY=CONNECTOR`` pairs.
+def _state(ensemble: EnsembleFilter) -> tuple[np.ndarray, np.ndarray]:
+    """Return bends, position and heading, and their standard deviations."""
+    names = "bend", "x", "y", "heading"
+    mean, sd = (np.concatenate([get(name) for name in names]) for get in (ensemble.mean, ensemble.sd))
+    return mean, sd
+
+
+def frames_of(pairs: Sequence[str], connectors: int) -> dict[str, int]:
+    """Return the connector of each body, from ``BODY=CONNECTOR`` pairs.
 
     Raises:
-        InputError: no such pair, or no such connector.
+        InputError: a malformed pair, or an unknown connector.
     """
     found = {}
-    for each in given:
-        name, _, number = each.rpartition("=")
+    for pair in pairs:
+        name, _, number = pair.rpartition("=")
         if not name or not number.isdigit() or not 1 <= int(number) <= connectors:
             raise InputError(
-                f"{each!r} names no body; BODY=CONNECTOR does, with a connector from 1 to {connectors}"
+                f"{pair!r} names no body; BODY=CONNECTOR does, with a connector from 1 to {connectors}"
             )
         found[name] = int(number)
     return found

@@ -1,4 +1,4 @@
-"""`srs-twin shadow`: the twin beside a running robot."""
+"""`srs-twin shadow`: live twin of a running robot."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from srs_twin.errors import InputError
 from srs_twin.live.emulate_command import broker_link
 
 if TYPE_CHECKING:
-    from srs_twin.live.helm import Helm
     from srs_twin.live.links import Link
     from srs_twin.live.mqtt import MqttLink
     from srs_twin.live.session import Session
     from srs_twin.live.shadow import Shadow
+    from srs_twin.live.steering import EstimateSteering
 
 BROKER = "127.0.0.1:1883"
 
@@ -52,39 +52,39 @@ def shadow(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a twin beside a robot: state, next second, faults.
+    """Run a live twin of a robot: state, next second, faults.
 
-    Takes commands, bends and pressures over MQTT, frames of motion capture over NatNet, or all of them from a
-    journal. With --follow it steers the robot by its estimate; the keys p, g, v and s, or these words on the
-    topic srs/NAME/control, pause, go on, vent and stop. docs/live.md describes the messages. The password of
-    --user is taken from the environment variable SRS_TWIN_MQTT_PASSWORD.
+    Receives commands, bends and pressures over MQTT and frames of motion capture over NatNet, or reads all of
+    them from a journal. With --follow it steers the robot by its estimate; the keys p, g, v and s, or the
+    words pause, go, vent and stop on the topic srs/NAME/control, control it. docs/live.md describes the
+    messages. The environment variable SRS_TWIN_MQTT_PASSWORD has the password of --user.
 
     Options:
         robot: Shipped robot or robot file. [default: that of --setup]
         setup: Set-up file of the lab (`srs-twin schema setup`); other options override it. [default: none]
         mqtt: MQTT broker. [default: 127.0.0.1:1883, or none with --mcap]
         natnet: NatNet server of the motion capture. [default: none]
-        mcap: Journal of an earlier session to play instead.
-        out: Folder of journal, recording and results; what was learnt in it before is restored.
-        follow: Scenario whose follower steers the robot.
-        press_on: Steer on without any margin to obstacles, instead of stopping (docs/live.md#steering).
+        mcap: Journal of an earlier session, processed instead of live messages.
+        out: Output folder; the learnt state of an earlier session in it is restored.
+        follow: Scenario with the path to steer along.
+        press_on: Continue without any margin to obstacles instead of stopping (docs/live.md#steering).
         name: Robot's name in topics. [default: ROBOT]
         body: Body of the motion capture and its connector, repeatable. [default: connector_1=1 …]
         local: Address of this machine on which frames arrive.
-        up: Axis that is up in the frames, y or z.
+        up: Axis that points up in the frames, y or z.
         speed: Playing speed of a journal.
         members: Ensemble size.
         seed: Random seed.
         window: Show the live view in Rerun's window.
         web: Show the live view on a page of this machine.
-        duration: Longest session. [default: Ctrl-C does]
+        duration: Stop after S seconds. [default: run until Ctrl-C]
         user: MQTT user name.
         ca: CA certificate file (PEM); enables TLS.
     """
     from threadpoolctl import threadpool_limits
 
     from srs_twin.io.files import made_folder, open_folder
-    from srs_twin.live.session import KEPT
+    from srs_twin.live.results import KEPT
 
     if mcap is not None and (mqtt is not None or natnet is not None or follow is not None):
         raise InputError("--mcap plays what has been; --mqtt, --natnet and --follow are for a running robot")
@@ -104,7 +104,7 @@ def shadow(
         open_folder(out, KEPT)
     threadpool_limits(limits=1, user_api="blas")  # several threads wait for each other on a busy machine
     known = lab["name"] or Path(lab["robot"]).stem
-    twin, helm = _twin(lab, follow, members, seed)
+    twin, steering = _twin(lab, follow, members, seed)
     over = threading.Event()
     for ends in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(ends, lambda *_: over.set())
@@ -112,7 +112,7 @@ def shadow(
     with ExitStack() as stack:
         if out is not None:
             stack.enter_context(made_folder(out))
-        session, shown = _session(stack, lab, known, play, twin, helm, out, (window, web))
+        session, shown = _session(stack, lab, known, play, twin, steering, out, (window, web))
         if not quiet:
             keys = (
                 ""
@@ -125,15 +125,15 @@ def shadow(
             say(f"beside {known}{restored}; Ctrl-C ends it{keys}")
             if shown:
                 say(f"open {shown} in a browser")
-        told = session.run(math.inf if lab["duration"] is None else lab["duration"], over.is_set)
+        result = session.run(math.inf if lab["duration"] is None else lab["duration"], over.is_set)
     if as_json:
-        print_json(told)
+        print_json(result)
     elif not quiet:
-        _tell(told)
-    if "estimate" not in told:
+        _print_result(result)
+    if "estimate" not in result:
         sources = " and ".join(filter(None, (lab["mqtt"] or BROKER, lab["natnet"])))
         raise InputError(
-            f"nothing was heard of '{known}' in {told['seconds']:.0f} s from {mcap or sources}: "
+            f"nothing was heard of '{known}' in {result['seconds']:.0f} s from {mcap or sources}: "
             "is it running, under that name, with that number of segments?"
         )
 
@@ -144,18 +144,21 @@ def _is_given(context: typer.Context, name: str) -> bool:
     return source is not None and source.name == "COMMANDLINE"
 
 
-def _twin(lab: dict[str, Any], follow: str | None, members: int, seed: int) -> tuple[Shadow, Helm | None]:
-    """Return the shadow of the robot, and the helm that steers it; all of both is compiled.
+def _twin(
+    lab: dict[str, Any], follow: str | None, members: int, seed: int
+) -> tuple[Shadow, EstimateSteering | None]:
+    """Return the shadow of the robot, and the steering that steers it; all of both is compiled.
 
     Args:
         lab: values of the options that a set-up file may have.
-        follow: scenario to follow; None: no helm.
+        follow: scenario to follow; None: no steering.
         members: ensemble size.
         seed: random seed.
     """
-    from srs_twin.live.helm import Helm
-    from srs_twin.live.session import TICK_S, warm_up
+    from srs_twin.live.results import TICK_S
+    from srs_twin.live.session import warm_up
     from srs_twin.live.shadow import Shadow, frames_of
+    from srs_twin.live.steering import EstimateSteering
     from srs_twin.robot.file import load_robot
     from srs_twin.scenario.loading import load_scenario
 
@@ -163,14 +166,16 @@ def _twin(lab: dict[str, Any], follow: str | None, members: int, seed: int) -> t
     frames = frames_of(lab["body"], spec.geometry.connectors) if lab["body"] else None
     supply = None if lab["pressure"] is None else lab["pressure"] * 1000
     twin = Shadow(spec, supply_pa=supply, members=members, seed=seed, frames=frames)
-    helm = Helm(load_scenario(follow), twin, TICK_S, press_on=lab["press_on"]) if follow else None
+    steering = (
+        EstimateSteering(load_scenario(follow), twin, TICK_S, press_on=lab["press_on"]) if follow else None
+    )
     warm_up(spec)
-    return twin, helm
+    return twin, steering
 
 
 def _session(
     stack: ExitStack, lab: dict[str, Any], known: str, play: tuple[Path, float] | None, twin: Shadow,
-    helm: Helm | None, out: Path | None, shows: tuple[bool, bool],
+    steering: EstimateSteering | None, out: Path | None, shows: tuple[bool, bool],
 ) -> tuple[Session, str]:  # fmt: skip
     """Return a session and the address of the live view's page; the stack closes all that it opens.
 
@@ -180,7 +185,7 @@ def _session(
         known: name of the robot in topics.
         play: journal and speed; None: a running robot.
         twin: shadow of the robot.
-        helm: steers the robot; None: nothing does.
+        steering: steers the robot; None: nothing does.
         out: folder of the files.
         shows: whether the live view is shown in a window, and on a page.
     """
@@ -199,7 +204,7 @@ def _session(
     if play is not None:
         links.append(stack.enter_context(McapLink(play[0], known, spec.segments, speed=play[1])))
     else:
-        speaks = known if helm else None
+        speaks = known if steering else None
         broker = broker_link(
             known, spec.segments, lab["mqtt"] or BROKER, lab["user"], lab["ca"], speaks=speaks
         )
@@ -216,24 +221,24 @@ def _session(
         keep = None if out is None else new_numbered(out, RECORDINGS)
         view, shown = stack.enter_context(live_view(spec, keep=keep, window=window, web=web))
         views.append(view)
-    session = Session(twin, links, out=out, helm=helm, commands=commands, views=views, keys=keys)
+    session = Session(twin, links, out=out, steering=steering, commands=commands, views=views, keys=keys)
     return session, shown
 
 
-def _tell(told: dict[str, Any]) -> None:
-    ticks, latency = told["tick_ms"], told["latency_ms"]
+def _print_result(result: dict[str, Any]) -> None:
+    ticks, latency = result["tick_ms"], result["latency_ms"]
     if ticks["median"] is not None:
-        say(f"{told['seconds']:.1f} s, ticks of {ticks['median']:.1f} ms, 99 % below {ticks['p99']:.1f} ms")
+        say(f"{result['seconds']:.1f} s, ticks of {ticks['median']:.1f} ms, 99 % below {ticks['p99']:.1f} ms")
     if latency["median"] is not None:
         say(f"readings are {latency['median']:.0f} ms old when they are used")
-    if "estimate" not in told:
+    if "estimate" not in result:
         return
-    found = told["estimate"]
-    x, y, heading = found["pose"]
-    a, b, c = (1.96 * each for each in found["pose_sd"])
+    estimate = result["estimate"]
+    x, y, heading = estimate["pose"]
+    a, b, c = (1.96 * each for each in estimate["pose_sd"])
     say(f"at x {x:.3f} ± {a:.3f} m, y {y:.3f} ± {b:.3f} m, heading {heading:.2f} ± {c:.2f} rad"
-        f"{', but ' + found['lost'] if found['lost'] else ''}")  # fmt: skip
-    for each in told["faults"]:
+        f"{', but ' + estimate['lost'] if estimate['lost'] else ''}")  # fmt: skip
+    for each in result["faults"]:
         say(f"{each['time_s']:.1f} s: {each['part']}: {each['fault']}")
-    if "following" in told:
-        say(f"following ended: {told['following']['ending']}")
+    if "following" in result:
+        say(f"following ended: {result['following']['ending']}")

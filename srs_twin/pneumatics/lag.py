@@ -14,6 +14,10 @@ with φ, b and the gains of `chambers`. Nominal modules with τ_fill = τ_vent =
 by E1 and E2: q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀ u/(τ₁τ₂). The switching time of a valve, 3 ms, is part of
 τ₂; a further valve delay is 0 by default.
 
+A valve that fills for the share o of the time and vents for the rest relaxes the chamber at the rate
+a = o/τ_fill + (1 − o)/τ_vent + λ towards P = (o S/τ_fill + r)/a, with the supply pressure S and other causes
+of change r (`relaxation_of`, which takes arrays of any shape).
+
 **Pneumatic energy.** The content n = P V(q) of a filling chamber increases by the inflow less the leak, so
 that a fill draws Δn + λ ∫ p V dt. Δn is exact, with V at the free bend; the integral of the leak is evaluated
 by Simpson's rule between the requested times.
@@ -42,6 +46,47 @@ from srs_twin.pneumatics.chambers import (
 )
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
+
+
+def relaxation_of(
+    fill: np.ndarray, vent: np.ndarray, supply: np.ndarray | float, leak: np.ndarray | float = 0.0,
+    other: np.ndarray | float = 0.0,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Return the rate a (1/s) at which pressures relax, and the pressure P (Pa) that they relax to.
+
+    Args:
+        fill: o/τ_fill, any shape, 1/s.
+        vent: (1 − o)/τ_vent, 1/s.
+        supply: S, gauge, Pa.
+        leak: λ, 1/s.
+        other: r, Pa/s.
+    """
+    rate = fill + vent + leak
+    return rate, (fill * supply + other) / np.where(rate == 0.0, 1.0, rate)
+
+
+def relaxed(pressure: np.ndarray, rate: np.ndarray, end: np.ndarray, time: np.ndarray | float) -> np.ndarray:
+    """Return the pressures after a time (s), Pa."""
+    return np.asarray(end + (pressure - end) * np.exp(-rate * time))
+
+
+def followed(
+    lagged: np.ndarray, pressure: np.ndarray, relaxation: tuple[np.ndarray, np.ndarray], tau: float,
+    time: float,
+) -> np.ndarray:  # fmt: skip
+    """Return after a time (s) what lags behind pressures by τ₂.
+
+    Args:
+        lagged: at first, Pa.
+        pressure: at first, Pa.
+        relaxation: rates and pressures as `relaxation_of` returns them.
+        tau: τ₂, s.
+        time: s.
+    """
+    rate, end = relaxation
+    mode, gap = math.exp(-time / tau), 1 - rate * tau
+    gap = np.where(np.abs(gap) < _SAME, _SAME, gap)
+    return np.asarray(end + (pressure - end) * (np.exp(-rate * time) - mode) / gap + (lagged - end) * mode)
 
 
 class Relaxation(NamedTuple):
@@ -73,6 +118,10 @@ class Relaxation(NamedTuple):
     law: BendLaw
     space: tuple[float, float]
     worth: float
+
+
+_SAME = 1e-6
+"""1 − a τ₂ below which the two lags count as one."""
 
 
 class LagPneumatics(Pneumatics):
@@ -342,6 +391,6 @@ def _exponential_response(rate, tau, t, decay, mode):  # type: ignore[no-untyped
         mode: e^{−t/τ}.
     """
     gap = 1 - rate * tau
-    if abs(gap) < 1e-6:  # the limit for equal rates
+    if abs(gap) < _SAME:
         return t / tau * mode
     return (decay - mode) / gap

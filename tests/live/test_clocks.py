@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from srs_twin.live.clocks import Inbox, SenderClock
+from srs_twin.live.clocks import ReorderBuffer, SenderClock
 from srs_twin.live.messages import BENDS, PRESSURES, VALVES, Message
 
 
@@ -24,7 +24,7 @@ def test_the_offset_is_found_but_for_the_least_delay(offset):
     delays = 0.004 + rng.gamma(1.0, 0.02, 1000)
     for k, delay in enumerate(delays):
         sent = 0.02 * k
-        found = clock.take(sent, sent + offset + delay)
+        found = clock.update(sent, sent + offset + delay)
     assert clock.offset == pytest.approx(offset + 0.004, abs=0.001)
     assert found == pytest.approx(sent + offset + 0.004, abs=0.001)
     assert clock.jitter == pytest.approx(np.sqrt(np.mean((delays[-500:] - delays.min()) ** 2)), rel=0.1)
@@ -34,10 +34,10 @@ def test_a_drift_is_followed_and_a_clock_that_is_set_begins_anew():
     clock = SenderClock()
     for k in range(3000):
         sent = 0.02 * k
-        clock.take(sent, 1.0 + sent * (1 + 5e-5) + 0.01)
+        clock.update(sent, 1.0 + sent * (1 + 5e-5) + 0.01)
     assert clock.offset == pytest.approx(1.01 + 5e-5 * sent, abs=6e-4)
     assert clock.jumps == 0
-    clock.take(0.0, sent + 2.0)
+    clock.update(0.0, sent + 2.0)
     assert clock.jumps == 1
     assert clock.offset == pytest.approx(sent + 2.0)
 
@@ -47,8 +47,8 @@ def test_clock_that_steps_by_more_than_a_second_was_set(step):
     """A smaller step forward of our difference is a late message; a smaller one back is a quicker message."""
     clock = SenderClock()
     for k in range(100):
-        clock.take(0.02 * k, 0.02 * k + 5.0)
-    clock.take(2.0, 7.0 + step)
+        clock.update(0.02 * k, 0.02 * k + 5.0)
+    clock.update(2.0, 7.0 + step)
     was_set = abs(step) > 1.0
     assert clock.jumps == was_set
     assert clock.offset == pytest.approx(5.0 + (step if was_set else min(step, 0.0)))
@@ -56,21 +56,21 @@ def test_clock_that_steps_by_more_than_a_second_was_set(step):
 
 @given(st.lists(st.floats(0.0, 0.06), min_size=5, max_size=60), st.randoms())
 def test_what_is_handed_out_is_in_order_and_nothing_twice(delays, random):
-    inbox = Inbox(hold_s=0.03)
+    buffer = ReorderBuffer(hold_s=0.03)
     sent = [0.02 * k for k in range(len(delays))]
     arriving = sorted((s + d, s) for s, d in zip(sent, delays, strict=True))
     handed = []
     for arrived, s in arriving:
-        inbox.put(message(s, arrived))
+        buffer.push(message(s, arrived))
         if random.random() < 0.3:
-            inbox.put(message(s, arrived + 0.001))
-        handed += inbox.take(arrived)
-    handed += inbox.take(1e9)
+            buffer.push(message(s, arrived + 0.001))
+        handed += buffer.pop_until(arrived)
+    handed += buffer.pop_until(1e9)
     times = [time for time, _ in handed]
     assert times == sorted(times)
     found = [each.sent for _, each in handed]
     assert len(found) == len(set(found))
-    late = inbox.counts["robot", BENDS, "late"]
+    late = buffer.counts["robot", BENDS, "late"]
     assert len(found) + late == len(sent)
     if max(delays) - min(delays) < 0.03:
         assert late == 0
@@ -83,39 +83,39 @@ def test_hold_follows_the_jitter_up_to_a_tenth_of_a_second(jitter, longest, late
     """Both clocks agree here: every twentieth message has no delay."""
     delay = np.random.default_rng(4).uniform(0.0, jitter, 1500)
     delay[::20] = 0.0
-    sent, inbox = 0.02 * np.arange(len(delay)), Inbox(hold_s=0.03)
+    sent, buffer = 0.02 * np.arange(len(delay)), ReorderBuffer(hold_s=0.03)
     events = sorted([(s + d, s) for s, d in zip(sent, delay, strict=True)] + [(t, -1.0) for t in sent + 0.01])
     waiting: dict[float, float] = {}
     for now, of in events:
         if of >= 0:
-            taken = inbox.counts["robot", BENDS, "taken"]
-            inbox.put(message(of, now))
-            if inbox.counts["robot", BENDS, "taken"] > taken:
+            taken = buffer.counts["robot", BENDS, "taken"]
+            buffer.push(message(of, now))
+            if buffer.counts["robot", BENDS, "taken"] > taken:
                 waiting[of] = now
-        for _, each in inbox.take(now):
+        for _, each in buffer.pop_until(now):
             del waiting[each.sent]
         assert all(arrived > now - longest - 1e-9 for arrived in waiting.values())
-    assert inbox.counts["robot", BENDS, "late"] <= late * len(delay)
+    assert buffer.counts["robot", BENDS, "late"] <= late * len(delay)
 
 
 @pytest.mark.parametrize("kinds", list(itertools.permutations([VALVES, BENDS, PRESSURES])))
 def test_what_was_sent_at_once_comes_as_it_is_needed(kinds):
-    inbox = Inbox()
+    buffer = ReorderBuffer()
     for kind in kinds:
-        inbox.put(message(1.0, 2.0, kind))
-    assert [each.kind for _, each in inbox.take(10.0)] == [VALVES, BENDS, PRESSURES]
+        buffer.push(message(1.0, 2.0, kind))
+    assert [each.kind for _, each in buffer.pop_until(10.0)] == [VALVES, BENDS, PRESSURES]
 
 
 def test_one_message_with_a_wrong_time_is_refused_and_two_that_agree_set_the_clock():
-    inbox = Inbox()
+    buffer = ReorderBuffer()
     for k in range(50):
-        inbox.put(message(0.02 * k, 5.0 + 0.02 * k))
+        buffer.push(message(0.02 * k, 5.0 + 0.02 * k))
     for k, wrong in enumerate((8e9, -8e9, 7e9)):
-        inbox.put(message(wrong, 6.0 + 0.02 * k))
-    assert inbox.counts["robot", BENDS, "off its clock"] == 3
-    assert inbox.clocks["robot"].jumps == 0
+        buffer.push(message(wrong, 6.0 + 0.02 * k))
+    assert buffer.counts["robot", BENDS, "off its clock"] == 3
+    assert buffer.clocks["robot"].jumps == 0
     for k in range(3):
-        inbox.put(message(100.0 + 0.02 * k, 8.0 + 0.02 * k))
-    assert inbox.counts["robot", BENDS, "off its clock"] == 4
-    assert inbox.clocks["robot"].jumps == 1
-    assert inbox.clocks["robot"].offset == pytest.approx(-92.0)
+        buffer.push(message(100.0 + 0.02 * k, 8.0 + 0.02 * k))
+    assert buffer.counts["robot", BENDS, "off its clock"] == 4
+    assert buffer.clocks["robot"].jumps == 1
+    assert buffer.clocks["robot"].offset == pytest.approx(-92.0)

@@ -27,13 +27,13 @@ def test_who_bends_and_straightens_the_same_way_is_where_it_was():
     """Scallop theorem: without momentum a way there and back leads nowhere."""
     known, there = connection(), gait(40)
     bends = np.concatenate([there, there[-2::-1]])
-    went = sum(known.at((a + b) / 2) @ (b - a) for a, b in zip(bends[:-1], bends[1:], strict=True))
+    went = sum(known.matrix((a + b) / 2) @ (b - a) for a, b in zip(bends[:-1], bends[1:], strict=True))
     assert np.abs(went).max() < 1e-12
 
 
 def test_mirrored_bends_go_the_mirrored_way():
     known, bends = connection(), gait(9)[4]
-    left, right = known.at(bends), known.at(-bends)
+    left, right = known.matrix(bends), known.matrix(-bends)
     assert right == pytest.approx(left * [[-1.0], [1.0], [1.0]], abs=1e-5)
 
 
@@ -43,11 +43,11 @@ def test_what_a_robot_does_otherwise_is_found():
     bends = gait(3000)
     bends = bends + 0.2 * np.cumsum(rng.normal(size=bends.shape), axis=0) / np.sqrt(3000)
     for a, b in zip(bends[:-1], bends[1:], strict=True):
-        parts = known.parts(a, b)
+        parts = known.features(a, b)
         known.learn(parts, parts @ hidden)
     new = gait(700) * 0.9
-    apart = [known.parts(a, b) @ (known.weights - hidden) for a, b in zip(new[:-1], new[1:], strict=True)]
-    missed = [known.parts(a, b) @ hidden for a, b in zip(new[:-1], new[1:], strict=True)]
+    apart = [known.features(a, b) @ (known.weights - hidden) for a, b in zip(new[:-1], new[1:], strict=True)]
+    missed = [known.features(a, b) @ hidden for a, b in zip(new[:-1], new[1:], strict=True)]
     assert np.abs(np.cumsum(apart, axis=0)).max() < 0.2 * np.abs(np.cumsum(missed, axis=0)).max()
 
 
@@ -56,12 +56,14 @@ def test_a_robot_is_known_in_the_bends_in_which_it_was_seen():
     draws = rng.normal(size=(200, *known.weights.shape))
 
     def unsure(change):
-        return known.unsure(known.parts(*change), draws)[:, 2].std() / np.linalg.norm(change[1] - change[0])
+        return known.sample_model_error(known.features(*change), draws)[:, 2].std() / np.linalg.norm(
+            change[1] - change[0]
+        )
 
     seen, other = bends[30:32], np.array([np.full(4, 0.9), np.full(4, 1.0)])
     before = unsure(seen)
     for a, b in zip(bends[:-1], bends[1:], strict=True):
-        known.learn(known.parts(a, b), rng.normal(size=3) * [1e-4, 1e-4, 1e-3])
+        known.learn(known.features(a, b), rng.normal(size=3) * [1e-4, 1e-4, 1e-3])
     assert unsure(seen) < 0.5 * before
     assert unsure(other) > 3 * unsure(seen)
 
@@ -85,13 +87,13 @@ def test_a_snapshot_keeps_what_the_connection_learns_later_out():
 
     def teach(change: slice) -> None:
         for a, b in zip(bends[change][:-1], bends[change][1:], strict=True):
-            known.learn(known.parts(a, b), rng.normal(size=3) * 1e-3)
+            known.learn(known.features(a, b), rng.normal(size=3) * 1e-3)
 
     teach(slice(0, 200))
-    snapshot, parts = known.snapshot(), known.parts(bends[30], bends[31])
-    before = snapshot.at(bends[30]), snapshot.unsure(parts, draws)
+    snapshot, parts = known.snapshot(), known.features(bends[30], bends[31])
+    before = snapshot.matrix(bends[30]), snapshot.sample_model_error(parts, draws)
     teach(slice(200, 400))
-    assert np.array_equal(snapshot.at(bends[30]), before[0])
-    assert np.array_equal(snapshot.unsure(parts, draws), before[1])
-    assert not np.array_equal(known.at(bends[30]), before[0])
-    assert not np.array_equal(known.unsure(parts, draws), before[1])
+    assert np.array_equal(snapshot.matrix(bends[30]), before[0])
+    assert np.array_equal(snapshot.sample_model_error(parts, draws), before[1])
+    assert not np.array_equal(known.matrix(bends[30]), before[0])
+    assert not np.array_equal(known.sample_model_error(parts, draws), before[1])

@@ -80,14 +80,14 @@ def test_faults_do_what_they_say():
 )  # fmt: skip
 def test_what_is_no_fault_is_refused(text, why):
     with pytest.raises(InputError, match=why):
-        Fault.of(text, 4)
+        Fault.parse(text, 4)
 
 
 def test_every_kind_can_be_told():
     for kind, (of, ways) in KINDS.items():
         where = {"chamber": ":1-", "segment": ":1", "connector": ":5", "": ""}[of]
         for how, value in ways.items():
-            assert Fault.of(f"{kind}{where}={how}@2.5", 4).how == value
+            assert Fault.parse(f"{kind}{where}={how}@2.5", 4).how == value
 
 
 def test_a_robot_is_given_by_name_or_path(tmp_path, root):
@@ -178,7 +178,9 @@ def test_robot_vents_a_fifth_of_a_second_after_the_last_command(monkeypatch):
 def test_messages_are_lost_and_late_as_the_air_says(monkeypatch):
     """Five standard errors of 3000 messages; messages leave when the emulator wakes, every 2 ms."""
     bench = Bench(monkeypatch)
-    emulator.emulate(bench, bench, None, air=emulator.Air(loss=0.3, jitter=0.05), duration=20.0, seed=3)
+    emulator.emulate(
+        bench, bench, None, transport=emulator.Transport(loss=0.3, jitter=0.05), duration=20.0, seed=3
+    )
     late = np.array([now - at for _, at, now in bench.sent])
     assert len(late) == pytest.approx(0.7 * 3000, abs=5 * 25)
     assert late.min() >= -1e-9 and late.max() <= 0.05 + 0.0031

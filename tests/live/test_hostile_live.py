@@ -75,7 +75,7 @@ def test_a_session_ignores_hostile_messages_and_obeys_a_stop(link, monkeypatch, 
         eyes._threads.clear()
         eyes._arrived(hostile.natnet.write_server(hostile.VERSION), sender)
         shadow = Shadow(load_robot("gen4"), members=8)
-        session = Session(shadow, [wire, link, eyes], helm=Steering(), commands=link)
+        session = Session(shadow, [wire, link, eyes], steering=Steering(), commands=link)
         told = {"messages": 0, "packets": 0, "times": 0, "stop": 0.0}
 
         def stop() -> bool:

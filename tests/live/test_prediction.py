@@ -1,77 +1,62 @@
-"""Commands that go on in their rhythm, and intervals that earlier predictions have told."""
+"""Periodic commands, and calibrated intervals of predictions."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from srs_twin.live.prediction import SLOT_S, Hindsight, Prediction, Rhythm
+from srs_twin.live.prediction import (
+    SLOT_S,
+    CommandPeriod,
+    IntervalCalibration,
+    Prediction,
+    PredictionCalibration,
+)
 
 
-@pytest.mark.parametrize("period", [0.5, 1 / 1.5, 1.0])
-def test_a_rhythm_goes_on(period):
-    rhythm, times = Rhythm(), SLOT_S * (np.arange(400) + 0.5)
-    wave = np.sin(2 * np.pi * (times / period)[:, None, None] + np.arange(8).reshape(4, 2)) > 0
+@pytest.mark.parametrize("seconds", [0.5, 1 / 1.5, 1.0])
+def test_periodic_commands_are_repeated(seconds):
+    period, times = CommandPeriod(), SLOT_S * (np.arange(400) + 0.5)
+    wave = np.sin(2 * np.pi * (times / seconds)[:, None, None] + np.arange(8).reshape(4, 2)) > 0
     for time, opens in zip(times[:300], wave[:300].astype(float), strict=True):
-        rhythm.take(time, opens)
-    assert np.abs(rhythm.commands(50) - wave[300:350]).mean() < 0.03
+        period.add(time, opens)
+    assert np.abs(period.commands(50) - wave[300:350]).mean() < 0.03
 
 
-def test_without_a_rhythm_the_last_command_holds():
-    rhythm, rng = Rhythm(), np.random.default_rng(0)
+def test_without_a_period_the_last_command_is_kept():
+    period, rng = CommandPeriod(), np.random.default_rng(0)
     for k in range(300):
         last = rng.integers(0, 2, (4, 2)).astype(float)
-        rhythm.take(SLOT_S * (k + 0.5), last)
-    assert (rhythm.commands(10) == last).all()
-    still = Rhythm()
+        period.add(SLOT_S * (k + 0.5), last)
+    assert (period.commands(10) == last).all()
+    still = CommandPeriod()
     for k in range(300):
-        still.take(SLOT_S * (k + 0.5), np.zeros((4, 2)))
+        still.add(SLOT_S * (k + 0.5), np.zeros((4, 2)))
     assert still.period() == 0
 
 
-def test_hindsight_takes_out_what_predictions_miss_and_covers_the_rest():
-    """A model that is 40 % slow, along whatever heading, with noise."""
-    rng, rhythm = np.random.default_rng(2), Rhythm()
-    hindsight = Hindsight(rhythm)
-    commands = np.zeros((50, 4, 2))
+def test_errors_of_earlier_predictions_widen_intervals():
+    """A model that is 10 % slow, with stated standard deviations of 1 mm."""
+    rng, calibration = np.random.default_rng(2), PredictionCalibration()
     ahead = np.arange(1, 11) * 0.1
-    pose, inside, off, told = np.zeros(3), [], [], []
-    path = []
+    pose, path, predictions = np.zeros(3), [], []
     for k in range(3000):
         speed = 0.2 + 0.05 * np.sin(0.02 * k * 2 * np.pi)
         pose = pose + 0.02 * np.array([speed * np.cos(pose[2]), speed * np.sin(pose[2]), 0.3])
         path.append(pose)
-        rhythm.take(0.02 * k - 0.01, commands[0])
-        hindsight.see(0.02 * k, pose + 1e-3 * rng.normal(size=3))
+        calibration.observe(0.02 * k, pose + 1e-3 * rng.normal(size=3))
         if k % 25 == 0:
-            forth = 0.12 * ahead
-            c, s = np.cos(pose[2]), np.sin(pose[2])
-            raw = np.column_stack([pose[0] + c * forth, pose[1] + s * forth, pose[2] + 0.3 * ahead])
-            sd = np.full((10, 3), 1e-3)
-            begun = Prediction(0.02 * k, pose[2], commands, 0.02 * k + ahead, raw, sd)
-            told.append((k, hindsight.corrected(begun)))
-    for k, each in told[10:-2]:
+            arc = pose[2] + 0.3 * ahead / 2
+            step = 0.18 * ahead[:, None] * np.column_stack([np.cos(arc), np.sin(arc)])
+            raw = np.column_stack([pose[:2] + step, pose[2] + 0.3 * ahead])
+            raw = Prediction(0.02 * k, pose[2], 0.02 * k + ahead, raw, np.full((10, 3), 1e-3))
+            predictions.append((k, calibration.widened(raw)))
+    inside = []
+    for k, prediction in predictions[10:-2]:
         true = np.array(path)[k + 5 * np.arange(1, 11)]
-        off.append(each.off(true))
-        inside.append(each.covers(true))
-    assert np.abs(np.array(off)[:, -1, 0]).mean() < 0.02  # 80 mm without
+        assert prediction.pose_sd[-1, 0] < 0.06  # the error is 20 mm
+        inside.append(prediction.contains(true))
     assert np.mean(inside) > 0.9
-
-
-@pytest.mark.parametrize("came", [True, False])
-def test_hindsight_learns_from_commands_that_came_true(came):
-    """A robot that goes 0.1 m in a second where nothing was predicted, as was commanded or as was not."""
-    rhythm = Rhythm()
-    hindsight, ahead = Hindsight(rhythm), np.arange(1, 11) * 0.1
-    still = Prediction(
-        0.99, 0.0, np.zeros((50, 4, 2)), 0.99 + ahead, np.zeros((10, 3)), np.full((10, 3), 0.01)
-    )
-    for k in range(150):
-        if k == 50:
-            hindsight.corrected(still)
-        rhythm.take(SLOT_S * (k + 0.5), np.full((4, 2), 0.0 if came or k < 50 else 1.0))
-        hindsight.see(SLOT_S * k, np.array([0.1 * (SLOT_S * k - 0.99), 0.0, 0.0]))
-    assert hindsight.corrected(still).pose[-1, 0] == pytest.approx(0.1 if came else 0.0, abs=1e-3)
 
 
 def test_intervals_cover_95_percent_along_and_across_the_heading():
@@ -81,8 +66,23 @@ def test_intervals_cover_95_percent_along_and_across_the_heading():
     c, s = np.cos(heading), np.sin(heading)
     turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     zeros, count = np.zeros((len(error), 3)), np.zeros(len(error))
-    predicted = Prediction(0.0, heading, np.zeros((50, 4, 2)), count, zeros + [1.0, 2.0, 3.0], zeros + sd)
+    predicted = Prediction(0.0, heading, count, zeros + [1.0, 2.0, 3.0], zeros + sd)
     poses = [1.0, 2.0, 3.0] + error @ turn
-    assert np.abs(predicted.off(poses) - error).max() < 1e-12
-    share = predicted.covers(poses).mean(axis=0)
+    assert np.abs(predicted.error(poses) - error).max() < 1e-12
+    share = predicted.contains(poses).mean(axis=0)
     assert (share > 0.95).all() and (share < 0.975).all()
+
+
+@pytest.mark.parametrize("rate", [5, 50])
+def test_intervals_are_calibrated_for_errors_with_heavy_tails(rate):
+    """Errors have a Student's t distribution and twice the stated standard deviation."""
+    rng, calibration = np.random.default_rng(1), IntervalCalibration([4, 2])
+    inside = []
+    for k in range(60 * rate):
+        time = k / rate
+        error = 0.015 * rng.standard_t(4, size=6)
+        calibration.predict(time, error, np.full(6, 0.01))
+        inside.append(np.abs(error) < 1.96 * 0.01 * calibration.scale)
+        calibration.update((k - 1) / rate, np.zeros(6), np.full(6, 1e-3), [True, False])
+    assert np.mean(inside[len(inside) // 2 :], axis=0)[:4].mean() == pytest.approx(0.95, abs=0.02)
+    assert calibration.scale[4:] == pytest.approx(1.0)

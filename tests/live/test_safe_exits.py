@@ -17,14 +17,14 @@ from srs_twin import InputError, load_robot, load_scenario
 from srs_twin.errors import SessionWarning
 from srs_twin.io.files import new_numbered
 from srs_twin.io.saved_state import SavedState
-from srs_twin.live import helm as helms
 from srs_twin.live import session as sessions
-from srs_twin.live.helm import Helm
+from srs_twin.live import steering as steering_module
 from srs_twin.live.journal import Journal, journal_messages
 from srs_twin.live.links import Link, clock
-from srs_twin.live.messages import BENDS, COMMAND, CONTROL, POSES, STATUS, Message
+from srs_twin.live.messages import BENDS, COMMAND, CONTROL, GO, POSES, STATUS, Message
 from srs_twin.live.session import Session
 from srs_twin.live.shadow import Shadow
+from srs_twin.live.steering import EstimateSteering
 
 STALE_S, TOO_SLOW_S = sessions.STALE_S, sessions.TOO_SLOW_S
 
@@ -32,7 +32,7 @@ STALE_S, TOO_SLOW_S = sessions.STALE_S, sessions.TOO_SLOW_S
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):
     """Let sessions steer on a busy machine, and a robot that lies still whatever its valves do."""
-    monkeypatch.setattr(helms, "_LARGEST_SD_M", 1.0)
+    monkeypatch.setattr(steering_module, "_LARGEST_SD_M", 1.0)
     monkeypatch.setattr(sessions, "STALE_S", 60.0)
     monkeypatch.setattr(sessions, "TOO_SLOW_S", 60.0)
 
@@ -65,13 +65,13 @@ class Wire(Link):
         pass
 
 
-class Steering(Helm):
-    """A helm that commands at once, without a plan."""
+class Steering(EstimateSteering):
+    """A steering that commands at once, without a plan."""
 
     def __init__(self, segments: int = 4) -> None:
         self._pressure, self._given_up, self.follower = np.zeros((segments, 2)), "", Following()
-        self._held, self._last, self._events, self._steps, self._tick = "", self.vented(), [], 0, 0.02
-        self._lost_for = 0.0
+        self._control, self._last, self._events, self._steps, self._tick = GO, self.vented(), [], 0, 0.02
+        self._lost_s = self._paused_s = 0.0
 
     def _steer(self, found, shadow) -> np.ndarray:
         self._steps += 1
@@ -85,7 +85,7 @@ class Following:
 def session(out: Path | None = None, **more) -> tuple[Session, Wire]:
     wire = Wire()
     shadow = Shadow(load_robot("gen4"), members=8)
-    return Session(shadow, [wire], out=out, helm=Steering(), commands=wire, **more), wire
+    return Session(shadow, [wire], out=out, steering=Steering(), commands=wire, **more), wire
 
 
 def was_made_safe(wire: Wire, status: str = "stopped") -> None:
@@ -103,7 +103,7 @@ def breaks(*_, **__):
 
 
 @pytest.mark.parametrize(
-    "where", ["shadow.take", "shadow.save", "view", "stop", "journal.write", "helm.step"]
+    "where", ["shadow.update", "shadow.save", "view", "stop", "journal.write", "steering.step"]
 )
 def test_any_error_vents_says_so_and_writes_the_summary(tmp_path, monkeypatch, where):
     found, wire = session(tmp_path / "lab", views=[breaks] if where == "view" else [])
@@ -117,7 +117,7 @@ def test_any_error_vents_says_so_and_writes_the_summary(tmp_path, monkeypatch, w
         stop, whole = later, (lambda: False)
     elif where != "view":
         owner, name = where.split(".")
-        of = {"shadow": found.shadow, "journal": found._journal, "helm": found._helm}[owner]
+        of = {"shadow": found.shadow, "journal": found._journal, "steering": found._steering}[owner]
         whole = getattr(of, name)
         monkeypatch.setattr(of, name, later)
     with pytest.raises(Broken):
@@ -131,7 +131,7 @@ def test_any_error_vents_says_so_and_writes_the_summary(tmp_path, monkeypatch, w
 def test_results_that_cannot_be_written_do_not_keep_the_robot_from_being_vented(tmp_path, monkeypatch):
     found, wire = session(tmp_path / "lab")
     monkeypatch.setattr(found._journal, "close", breaks)
-    monkeypatch.setattr(sessions, "replaced", breaks)
+    monkeypatch.setattr(sessions, "write_results", breaks)
     with pytest.raises(Broken):
         found.run(0.1)
     was_made_safe(wire)
@@ -159,7 +159,7 @@ def test_one_wrong_time_in_a_session_is_named_and_moves_no_clock(tmp_path):
 
     told = found.run(stop=stop)
     assert told["dropped"] == {"bends off its clock": 1}
-    assert found.shadow.inbox.clocks["robot"].jumps == 0
+    assert found.shadow.buffer.clocks["robot"].jumps == 0
 
 
 def full(*_, **__):
@@ -167,7 +167,7 @@ def full(*_, **__):
 
 
 def test_a_full_disk_is_reported_once_and_the_session_goes_on(tmp_path, monkeypatch):
-    monkeypatch.setattr(sessions, "SAVES_S", 0.1)
+    monkeypatch.setattr(sessions, "SAVE_INTERVAL_S", 0.1)
     monkeypatch.setattr(np, "savez_compressed", full)
     found, wire = session(tmp_path / "lab")
     begun = clock()
@@ -191,7 +191,7 @@ def test_a_full_disk_is_reported_once_and_the_session_goes_on(tmp_path, monkeypa
 
 def test_a_forecast_that_fails_is_reported_and_the_session_goes_on(monkeypatch):
     found, wire = session()
-    monkeypatch.setattr(found.shadow, "outlook", lambda: breaks)
+    monkeypatch.setattr(found.shadow, "prediction_task", lambda: breaks)
     with pytest.warns(SessionWarning, match="a forecast failed"):
         told = found.run(1.0)
     was_made_safe(wire)
@@ -200,9 +200,9 @@ def test_a_forecast_that_fails_is_reported_and_the_session_goes_on(monkeypatch):
 
 def test_a_forecast_does_not_see_what_is_learnt_meanwhile():
     shadow = Shadow(load_robot("gen4"), members=8)
-    shadow.take(1.0, [Message(BENDS, "robot", 0.9, 0.9, np.zeros(4))])
-    shadow.take(1.2, [])
-    runs = [shadow.outlook() for _ in range(2)]
+    shadow.update(1.0, [Message(BENDS, "robot", 0.9, 0.9, np.zeros(4))])
+    shadow.update(1.2, [])
+    runs = [shadow.prediction_task() for _ in range(2)]
     before = runs[0]().pose
     shadow.ensemble.connection.weights = shadow.ensemble.connection.weights + 1.0
     assert np.array_equal(runs[1]().pose, before)
@@ -273,22 +273,38 @@ def test_pause_keeps_the_valves_and_vent_vents_until_go(word, by):
     if word == "vent":
         assert (after[0] == -1).all()
     assert told["following"]["events"][-1]["event"] == f"control: {word}"
-    found._helm.hold("go")
-    steps = [found._helm.step(found.estimate, found.shadow) for _ in range(2)]
+    found._steering.control("go")
+    steps = [found._steering.step(found.estimate, found.shadow) for _ in range(2)]
     assert not np.array_equal(*steps)
 
 
-def test_a_helm_that_is_held_lets_time_stand_still():
+def test_pause_ends_in_venting():
+    found, _ = session()
+    found.run(0.3)
+    steering = found._steering
+    steering.control("pause")
+    ticks = round(steering_module.PAUSE_LIMIT_S / 0.02)
+    paused = [steering.step(found.estimate, found.shadow) for _ in range(ticks - 1)]
+    assert (np.ptp(paused, axis=0) == 0).all()
+    late = [steering.step(found.estimate, found.shadow) for _ in range(3)]
+    assert (late[-1] == -1).all()
+    assert steering.summary()["events"][-1]["event"] == "control: vent"
+    steering.control("go")
+    steps = [steering.step(found.estimate, found.shadow) for _ in range(2)]
+    assert not np.array_equal(*steps)
+
+
+def test_a_steering_that_is_held_lets_time_stand_still():
     shadow = Shadow(load_robot("gen2"), members=8)
-    helm = Helm(load_scenario("follow_orifice"), shadow, 0.02)
-    helm.hold("pause")
+    steering = EstimateSteering(load_scenario("follow_orifice"), shadow, 0.02)
+    steering.control("pause")
     wire, now = Wire(shadow.spec.segments), 0.0
     for _ in range(80):
         time.sleep(0.001)
         now = clock()
-        found = shadow.take(now, wire.received())
-    assert (helm.step(found, shadow) == -1).all()
-    assert helm._steps == 0
+        found = shadow.update(now, wire.received())
+    assert (steering.step(found, shadow) == -1).all()
+    assert steering._steps == 0
 
 
 def test_a_state_that_was_saved_is_whole(tmp_path):
@@ -299,7 +315,7 @@ def test_a_state_that_was_saved_is_whole(tmp_path):
 
 def slowed(found: Session, seconds: float, ticks: range) -> None:
     """Let the filter of a session take longer in some ticks."""
-    take, count = found.shadow.take, 0
+    take, count = found.shadow.update, 0
 
     def slow(now, messages):
         nonlocal count
@@ -308,7 +324,7 @@ def slowed(found: Session, seconds: float, ticks: range) -> None:
             time.sleep(seconds)
         return take(now, messages)
 
-    found.shadow.take = slow  # type: ignore[method-assign]
+    found.shadow.update = slow  # type: ignore[method-assign]
 
 
 @pytest.fixture

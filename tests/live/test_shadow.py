@@ -11,44 +11,67 @@ from live_runs import BREAKS_S, Run, followed_estimate, isolated, parts, shadowe
 
 from srs_twin import InputError, load_robot, load_scenario
 from srs_twin.io.saved_state import SavedState
-from srs_twin.live.helm import LEAST_MARGIN, Helm, differences
-from srs_twin.live.messages import BENDS, Message
+from srs_twin.live.messages import BENDS, COMMAND, Message
 from srs_twin.live.shadow import Shadow, frames_of
+from srs_twin.live.steering import LEAST_MARGIN, EstimateSteering, differences
+
+SETTLED_S = 5.0
 
 
-def off_by(found):
-    """Return what estimates from 5 s on are off by, and their standard deviations: bends, place, heading."""
-    truth, estimate = found["truth"], found["estimate"]
-    n = truth.shape[1] - 4
-    true = np.stack([np.interp(estimate[:, 0], truth[:, 0], truth[:, k]) for k in range(1, n + 4)], axis=1)
-    late = estimate[:, 0] > 5
-    return (estimate[:, 1 : n + 4] - true)[late], estimate[late, n + 4 :], n
+def true_values(result, times):
+    """Return true bends, position and heading at the given times, shape (times, segments + 3)."""
+    truth = result["truth"]
+    return np.stack([np.interp(times, truth[:, 0], column) for column in truth[:, 1:].T], axis=1)
+
+
+def errors(result):
+    """Return errors and standard deviations of settled estimates, shape (times, segments + 3)."""
+    estimate = result["estimate"]
+    estimate = estimate[estimate[:, 0] > SETTLED_S]
+    values, sd = np.split(estimate[:, 1:], 2, axis=1)
+    return values - true_values(result, estimate[:, 0]), sd, values.shape[1] - 3
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 @pytest.mark.slow
-def test_bends_and_pose_are_known_and_their_intervals_hold():
-    found = followed_estimate(Run(1, 12.0), members=24)
-    off, sd, n = off_by(found)
-    assert np.sqrt(np.mean(off[:, :n] ** 2)) < 0.03
-    assert np.sqrt(np.mean((off[:, n : n + 2] ** 2).sum(axis=1))) < 0.005
-    for some in (slice(0, n), slice(n, n + 3)):
-        assert 0.9 < np.mean(np.abs(off[:, some]) < 1.96 * sd[:, some]) < 0.99
-    assert np.sqrt(np.mean((found["known_gain"][0] / found["gain"] - 1) ** 2)) < 0.05
+@pytest.mark.parametrize("pneumatics", ["orifice", "lag"])
+def test_errors_are_small_and_within_their_intervals(pneumatics):
+    result = followed_estimate(Run(1, 12.0, pneumatics=pneumatics), members=24)
+    error, sd, n = errors(result)
+    filtered = result["filtered"][result["estimate"][:, 0] > SETTLED_S]
+    times, bends = filtered[:, 0], filtered[:, 1:]
+    assert rms(bends - true_values(result, times)[:, :n]) < 0.03
+    # The estimate is predicted by 30 to 60 ms from the newest message. The model has first-order chambers: it
+    # predicts most of the change of the bends, or all of it if the robot has such chambers, too.
+    change = bends - true_values(result, result["estimate"][:, 0])[-len(bends) :, :n]
+    assert rms(error[:, :n]) < (rms(change) / 3 if pneumatics == "orifice" else 0.03)
+    assert rms(np.hypot(*error[:, n : n + 2].T)) < 0.005
+    # Where the prediction adds no error, its intervals are too wide: they include that of the filter twice.
+    most = 0.99 if pneumatics == "orifice" else 1.0
+    for values in (slice(0, n), slice(n, n + 3)):
+        assert 0.9 < np.mean(np.abs(error[:, values]) < 1.96 * sd[:, values]) <= most
+    if pneumatics == "orifice":
+        assert rms(result["known_gain"][0] / result["gain"] - 1) < 0.05
 
 
 @pytest.mark.slow
-def test_cameras_may_be_worse_than_expected(monkeypatch):
-    """Places off by 2 mm and headings by 0.1 rad, which nobody said."""
+def test_unknown_camera_noise_does_not_disturb_bends(monkeypatch):
+    """Positions with a noise of 2 mm and headings with 0.1 rad, seven times what the filter assumes."""
     monkeypatch.setattr("srs_twin.live.emulator._CAMERA_NOISE_M", 0.002)
-    off, sd, n = off_by(followed_estimate(Run(1, 9.0), members=24))
-    assert np.sqrt(np.mean(off[:, :n] ** 2)) < 0.03
-    assert 0.9 < np.mean(np.abs(off) < 1.96 * sd)
+    result = followed_estimate(Run(1, 9.0), members=24)
+    error, sd, n = errors(result)
+    filtered = result["filtered"][result["filtered"][:, 0] > SETTLED_S]
+    assert rms(filtered[:, 1:] - true_values(result, filtered[:, 0])[:, :n]) < 0.03
+    assert 0.9 < np.mean(np.abs(error) < 1.96 * sd)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["stuck_valve:{j}{side}=open", "dead_sensor:{j}=silent", "lost_marker:{j}"])
 def test_a_fault_is_named(kind):
-    done = isolated((kind, 3, True))
+    (done,) = isolated((3, "nominal", (kind,)))
     assert done["among"], done
     assert done["at"] > BREAKS_S
     assert not done["others"], done
@@ -66,15 +89,53 @@ def test_a_healthy_robot_is_accused_of_nothing(run):
         assert moment.estimate is None or moment.estimate.faults == ()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [5.0, 10.0, 200.0])
+def test_estimates_are_for_now_and_their_intervals_hold(rate):
+    run = Run(6, 12.0, rate_hz=rate, camera_hz=rate)
+    found = followed_estimate(run)
+    assert found["estimate"][-1, 0] == found["truth"][-1, 0]
+    error, sd, _ = errors(found)
+    assert 0.9 < np.mean(np.abs(error) < 1.96 * sd) < 0.99
+
+
+def test_measurements_beyond_50_hz_are_left_out(monkeypatch):
+    spec = load_robot("gen4")
+    shadow, used = Shadow(spec, members=8), []
+    monkeypatch.setattr(shadow.faults, "update", lambda *given, **named: used.append(given))
+    for k in range(200):
+        time = 0.005 * k
+        shadow.update(time, [Message(BENDS, "robot", time, time, np.zeros(spec.segments))])
+    assert 40 <= len(used) <= 60
+
+
+def test_commands_that_wait_already_bend_the_estimate():
+    """Messages wait for others that were sent earlier; the estimate of now does not."""
+    spec, bends = load_robot("gen4"), []
+    n = spec.segments
+    for fills in (False, True):
+        shadow = Shadow(spec, members=8, hold_s=0.1)
+        for k in range(60):
+            time = 0.02 * k
+            valves = np.full((n, 2), -1.0)
+            valves[:, 0] = 1.0 if fills and k >= 55 else -1.0
+            values = {BENDS: np.zeros(n), COMMAND: valves}
+            found = shadow.update(
+                time, [Message(kind, kind, time, time, each) for kind, each in values.items()]
+            )
+        bends.append(found.bend)
+    assert (bends[1] > bends[0] + 0.02).all()
+
+
 def test_silence_is_said_and_survived():
     run = Run(2, 4.0)
+    n = load_robot(run.robot).segments
     for moment in shadowed(run, members=8):
         shadow = moment.shadow
-    found = shadow.take(moment.time + 3.0, [])
-    assert found.lost == "the robot says nothing"
-    n = run.emulated().segments
+    found = shadow.update(moment.time + 3.0, [])
+    assert found.lost == "no message from the robot"
     back = [Message(BENDS, run.robot, 40 + moment.time + 5.0, moment.time + 5.001, np.zeros(n))]
-    assert np.isfinite(shadow.take(moment.time + 5.1, back).bend).all()
+    assert np.isfinite(shadow.update(moment.time + 5.1, back).bend).all()
 
 
 @pytest.mark.slow
@@ -86,11 +147,11 @@ def test_what_was_learnt_survives_a_restart(tmp_path):
     shadow.save().write(tmp_path / "state.npz")
     new = Shadow(load_robot("gen4"), members=8)
     new.restore(SavedState.read(tmp_path / "state.npz"))
-    assert new.bank.named == shadow.bank.named
-    assert part == f"segment {next(iter(new.bank.named))}"
+    assert new.faults.named == shadow.faults.named
+    assert part == f"segment {next(iter(new.faults.named))}"
     weights = (each.ensemble.connection.weights for each in (new, shadow))
     assert np.array_equal(*weights) and shadow.ensemble.connection.weights.any()
-    assert new.ensemble.parameters()["gain"][0] == pytest.approx(shadow.ensemble.parameters()["gain"][0])
+    assert new.faults.parameters()["gain"][0] == pytest.approx(shadow.faults.parameters()["gain"][0])
     with pytest.raises(InputError, match="belongs to something else"):
         Shadow(load_robot("gen2"), members=8).restore(SavedState.read(tmp_path / "state.npz"))
 
@@ -102,20 +163,22 @@ def test_bodies_have_names():
             frames_of([wrong], 5)
 
 
-def test_helms_refuse_what_cannot_be_steered():
+def test_steerings_refuse_what_cannot_be_steered():
     shadow = Shadow(load_robot("gen2"), members=8)
     with pytest.raises(InputError, match="it follows no plan"):
-        Helm(load_scenario("gen2_straight"), shadow, 0.02)
+        EstimateSteering(load_scenario("gen2_straight"), shadow, 0.02)
     text = r"follow_gen4_a is for robot 'gen4', not for 'gen2'; they differ in geometry.segment_length "
     with pytest.raises(InputError, match=text + r"\(0.075 and 0.037\), .* and \d more"):
-        Helm(load_scenario("follow_gen4_a"), shadow, 0.02)
+        EstimateSteering(load_scenario("follow_gen4_a"), shadow, 0.02)
 
 
 def test_a_plan_without_margin_is_refused_unless_pressing_on():
     shadow = Shadow(load_robot("gen2"), members=8)
     for press_on, least in ((False, LEAST_MARGIN), (True, 0.0)):
         assert (
-            Helm(load_scenario("follow_orifice"), shadow, 0.02, press_on=press_on).follower.least_margin
+            EstimateSteering(
+                load_scenario("follow_orifice"), shadow, 0.02, press_on=press_on
+            ).follower.least_margin
             == least
         )
     assert LEAST_MARGIN > 0

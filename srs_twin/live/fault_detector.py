@@ -1,0 +1,461 @@
+r"""FaultDetector: interacting multiple model filter for the faults of each segment.
+
+A hypothesis m states the behaviour of the valves, chambers and sensor of a segment (`hypotheses`). It
+determines the chamber pressures, by the first-order law of `pneumatics.lag`, and their drives
+$A^\pm = G a^\pm$ (rad), where $a^\pm$ is the pressure after the lag τ₂. Bend and measurements are
+
+$$ q = b + g^+ A_m^+ - g^- A_m^- + d, \qquad y = q + s + n, \qquad y_{markers} = q + n', $$
+
+with the constant bias b and gains g± of the module, the disturbance d (load, inertia and model error; a
+first-order Gauss–Markov process), and the offset s of the sensor, which drifts under one hypothesis. The
+state (b, g⁺, g⁻, d, s) is linear: each hypothesis has a Kalman filter, and the filters are mixed as by Blom
+and Bar-Shalom (1988). Faults are rare and permanent.
+
+While a segment has no fault, the detector learns the deviations of the pressures from the first-order law
+(`pressure_table`). Leaks are detected from balances of air (`leak_detector`).
+
+All pressures are relative to the estimated supply pressure (`supply`), so a droop of the supply is not a
+fault. A sudden loss makes all segments weak, or seem to leak, at once; the estimate is then corrected.
+`starved` is reported below `supply.STARVED_BELOW` of the nominal pressure.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from srs_twin.io.saved_state import Remembers, names
+from srs_twin.live.fault_naming import FaultNaming, NamingSettings
+from srs_twin.live.hypotheses import (
+    CHAMBERS,
+    DRIFTS,
+    FROZEN,
+    HAS_NAME,
+    HYPOTHESES,
+    LEAK_RATES,
+    LEAKS,
+    OBEYS,
+    READS,
+    SENSORS,
+    SILENT,
+    SUPPLY_SHARES,
+    WEAK,
+    valve_duty,
+)
+from srs_twin.live.leak_detector import MESSAGES_PER_INDEPENDENT, LeakDetector
+from srs_twin.live.pressure_table import PressureLevels
+from srs_twin.live.supply import RECOVERED_ABOVE, STARVED_BELOW, SupplyFilter
+from srs_twin.pneumatics.chambers import chamber_gains, free_bends, largest_bend
+from srs_twin.pneumatics.lag import followed, relaxation_of, relaxed
+from srs_twin.robot.spec import RobotSpec
+
+_FAILED_BELOW = 0.85
+"""Share of the expected pressures below which several suspected leaks are a failure of the supply."""
+_SETTLED_S = 0.1
+"""Time after which the pressure of a filling chamber shows the supply pressure."""
+_BALANCED_STROKES = 3
+"""Strokes after which the balance of air of a chamber is used for leaks."""
+_WEAK_THRESHOLD = 0.1
+"""Probability from which a segment is possibly weak."""
+_SINGLE_WEAK_FACTOR = 0.8
+"""Factor per measurement of the probability that a single segment is weak."""
+_TAILS = 4.0
+"""Degrees of freedom of Student's t distribution."""
+_AT_REST_RAD = 1e-6
+_LEAST_PROBABILITY = 1e-12
+_OFFSET_WALK = 1e-5
+"""Random walk of the sensor's offset without a drift, rad per step."""
+_FROZEN_NOISE = 0.1
+"""Largest difference of successive readings of a frozen sensor, share of the noise."""
+_BIAS, _PLUS, _MINUS, _LOAD, _SENSOR = range(5)
+_MODULE = [_PLUS, _MINUS, _BIAS]
+
+
+@dataclass(frozen=True)
+class DetectorSettings:
+    """Assumptions of the filters.
+
+    Attributes:
+        fault_rate: rate at which faults occur, 1/s.
+        naming: thresholds of detection.
+        noise: standard deviation of bend readings, rad.
+        marker_noise: standard deviation of bends from markers, rad.
+        loss: share of lost readings.
+        gain: standard deviation of the modules' gains.
+        bias: standard deviation of the modules' bends without pressure, rad.
+        offset: standard deviation of the sensors' offsets, rad.
+        pressure: initial standard deviation of pressures, and its minimum, share of the supply pressure.
+        load: standard deviation of d, share of the largest bend.
+        load_time: time constant of d, s.
+        pressure_time: correlation time of pressure residuals, s.
+        wander: random walks of the bias (rad) and the gains, per square root of a second.
+        drift: random walk of a drifting sensor, rad per square root of a second.
+    """
+
+    fault_rate: float = 1e-3
+    naming: NamingSettings = NamingSettings()
+    noise: float = 0.02
+    marker_noise: float = 0.025
+    loss: float = 0.05
+    gain: float = 0.15
+    bias: float = 0.05
+    offset: float = 0.06
+    pressure: tuple[float, float] = (0.12, 0.02)
+    load: float = 0.11
+    load_time: float = 0.15
+    pressure_time: float = 0.08
+    wander: tuple[float, float] = (0.0014, 0.0035)
+    drift: float = 0.03
+
+
+class FaultDetector(Remembers):
+    """Interacting multiple model filters of all segments.
+
+    Attributes:
+        settings: assumptions.
+        probability: of the hypotheses, shape (segments, hypotheses).
+        mean: of b, g⁺, g⁻, d and s, shape (segments, hypotheses, 5).
+        supply: filter for the supply pressure.
+        leaks: balances of air.
+        naming: detected faults.
+        time: since the start, s.
+    """
+
+    memory = names(
+        "probability",
+        "mean",
+        "_covariance",
+        "_pressure",
+        "_delayed",
+        "_levels",
+        "_last",
+        "naming",
+        "leaks",
+        "supply",
+        "time",
+    )
+
+    def __init__(
+        self, spec: RobotSpec, *, supply_pa: float, settings: DetectorSettings = DetectorSettings()
+    ) -> None:
+        """Begin with a robot at rest and empty chambers.
+
+        Args:
+            spec: the robot.
+            supply_pa: nominal supply pressure, gauge, Pa.
+            settings: assumptions.
+        """
+        self.settings, self._spec, actuator = settings, spec, spec.actuator
+        self._fill, self._vent, self._tau = actuator.tau_fill, actuator.tau_vent, actuator.tau_mode
+        count, kinds = spec.segments, len(HYPOTHESES)
+        self.supply, self._gain = SupplyFilter(supply_pa), chamber_gains(spec)
+        # The initial pressures of a robot that already moves are unknown.
+        self._settling_s = 4 * (max(self._fill, self._vent) + self._tau)
+        self._pressure = np.zeros((count, kinds, 2))
+        self._delayed = np.zeros((count, kinds, 2))
+        self._levels = PressureLevels(count, settings.pressure[0])
+        s = settings
+        self.mean = np.zeros((count, kinds, 5))
+        self.mean[..., _PLUS] = self.mean[..., _MINUS] = 1.0
+        self._largest = largest_bend(spec, supply_pa)
+        self._load = s.load * self._largest
+        self._obeys = np.isin(CHAMBERS, (OBEYS, LEAKS))
+        inflows = [(each.inflow(each.plus), each.inflow(each.minus)) for each in HYPOTHESES]
+        variants = list(dict.fromkeys(inflow for pair in inflows for inflow in pair))
+        self._variant = np.array([[variants.index(inflow) for inflow in pair] for pair in inflows])
+        self.leaks = LeakDetector(spec, supply_pa=supply_pa, variants=variants)
+        sd = np.array([s.bias, s.gain, s.gain, self._load, s.offset])
+        self._covariance = np.tile(np.diag(sd**2), (count, kinds, 1, 1))
+        self.probability = np.zeros((count, kinds))
+        self.probability[:, 0] = 1.0
+        # Median of filling chambers' pressures over the expected ones; NaN without measured pressures.
+        self._level = math.nan
+        self._last = np.full(count, np.nan)
+        self.time = 0.0
+        self.naming = FaultNaming(count, s.naming)
+
+    @property
+    def named(self) -> dict[int, str]:
+        """Detected fault by segment, from 1; 0 is the supply."""
+        return self.naming.named
+
+    def clear_fault(self, number: int) -> None:
+        """Remove the fault of a segment (from 1) or of the supply (0), as after a repair."""
+        self.naming.clear(number)
+        if number == 0:
+            self.supply = SupplyFilter(self.supply.nominal)
+        else:
+            self.probability[number - 1] = 0.0
+            self.probability[number - 1, 0] = 1.0
+
+    def inflate(self, switched: np.ndarray, dt: float) -> None:
+        """Inflate the variance for unknown switching times of valves.
+
+        Args:
+            switched: change of the duty, shape (segments, 2).
+            dt: interval in which the valves switched, s.
+        """
+        self.leaks.drop(switched > 0)
+        change = self._largest * switched.sum(axis=1) / 2 * (1 - math.exp(-dt / self._fill))
+        self._covariance[..., _LOAD, _LOAD] += change[:, None] ** 2
+
+    def most_likely(self) -> np.ndarray:
+        """Return the hypothesis of each segment that agrees with its detected fault."""
+        return self.naming.most_likely(self.probability)
+
+    def modules(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean and standard deviation of g⁺, g⁻ and b (rad), shape (segments, 3)."""
+        values = self.mean[..., _MODULE]
+        variances = np.einsum("smii->smi", self._covariance)[..., _MODULE]
+        mean = np.einsum("sm,smi->si", self.probability, values)
+        square = variances + (values - mean[:, None]) ** 2
+        return mean, np.sqrt(np.einsum("sm,smi->si", self.probability, square))
+
+    def parameters(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Return values and standard deviations of gains and biases (rad) by name."""
+        mean, sd = self.modules()
+        return {"gain": (mean[:, :2], sd[:, :2]), "bias_rad": (mean[:, 2], sd[:, 2])}
+
+    def predict(self, duty: np.ndarray, dt: float) -> None:
+        """Advance by a step.
+
+        Args:
+            duty: share of time in which each valve fills, as commanded, shape (segments, 2).
+            dt: s.
+        """
+        self.time += dt
+        self.supply.predict(dt)
+        self._mix(dt)
+        duty = np.asarray(duty, dtype=float)
+        self._levels.ages.advance(duty, dt)
+        self._advance_chambers(duty, dt)
+
+    def update(
+        self, readings: np.ndarray | None = None, markers: np.ndarray | None = None,
+        pressures: np.ndarray | None = None, *, dt: float = 0.02, heading_noise_scale: float = 1.0,
+    ) -> None:  # fmt: skip
+        """Update with measurements of the current time.
+
+        Args:
+            readings: bends of the sensors, shape (segments,), rad, NaN without a reading; None: no message.
+            markers: bends from markers, rad, NaN where they are missing; None: no frame.
+            pressures: gauge, shape (segments, 2), Pa, NaN where they are missing; None: no message.
+            dt: interval since the previous pressures, s.
+            heading_noise_scale: noise of the markers over the usual one.
+        """
+        if self.time < self._settling_s:
+            return
+        drive = self._gain[:, None] * self._delayed
+        drive = drive * self._bend_share(drive)
+        rows = np.ones((*self.probability.shape, 5))
+        rows[..., _PLUS], rows[..., _MINUS] = drive[..., 0], -drive[..., 1]
+        log_likelihood = np.zeros(self.probability.shape)
+        if readings is not None:
+            readings = np.asarray(readings, dtype=float)
+            reads = np.isin(SENSORS, (READS, DRIFTS))
+            log_likelihood += self._sensor_log_likelihood(readings)
+            log_likelihood += self._correct(rows, readings, self.settings.noise, reads)
+            self._last = np.where(np.isnan(readings), self._last, readings)
+        rows[..., _SENSOR] = 0.0
+        if markers is not None:
+            noise = heading_noise_scale * self.settings.marker_noise
+            every = np.ones(len(HYPOTHESES), dtype=bool)
+            log_likelihood += self._correct(rows, np.asarray(markers), noise, every)
+        if pressures is not None:
+            pressures = np.asarray(pressures, dtype=float)
+            log_likelihood += self._pressure_log_likelihood(pressures, dt)
+            log_likelihood += self._leak_log_likelihood(pressures, rows)
+        weight = self.probability * np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
+        # The supply is common: a single weak segment is unlikely.
+        weak = (weight @ HAS_NAME[:, WEAK]) / weight.sum(axis=1)
+        single = (weak > 0.5) & ((weak > _WEAK_THRESHOLD).sum() < min(2, len(weak)))
+        weight[:, HAS_NAME[:, WEAK] > 0] *= np.where(single, _SINGLE_WEAK_FACTOR, 1.0)[:, None]
+        self.probability = np.maximum(weight / weight.sum(axis=1, keepdims=True), _LEAST_PROBABILITY)
+        self._judge_supply()
+        self.naming.update(self.time, self.probability)
+
+    def update_supply(self, pressure: float) -> None:
+        """Update with a measured supply pressure (gauge, Pa)."""
+        before = self.supply.pressure
+        self.supply.measure(pressure)
+        self._rescale(before)
+        self._judge_supply()
+
+    def _advance_chambers(self, duty: np.ndarray, dt: float) -> None:
+        """Advance the pressures of all hypotheses, and these after the lag τ₂."""
+        duty = valve_duty(duty[:, None], CHAMBERS)
+        leak = np.where(CHAMBERS == LEAKS, LEAK_RATES[:, None], 0.0)
+        supply = self.supply.pressure * SUPPLY_SHARES[:, None]
+        relaxation = relaxation_of(duty / self._fill, (1 - duty) / self._vent, supply, leak)
+        self._delayed = followed(self._delayed, self._pressure, relaxation, self._tau, dt)
+        self._pressure = relaxed(self._pressure, *relaxation, dt)
+
+    def _bend_share(self, drive: np.ndarray) -> np.ndarray:
+        """Return the bend over its linear drive, shape (segments, hypotheses, 1)."""
+        linear = drive[..., 0] - drive[..., 1]
+        # At rest the share is the slope.
+        linear = np.where(np.abs(linear) < _AT_REST_RAD, _AT_REST_RAD, linear)
+        return np.asarray((free_bends(self._spec, linear) / linear)[..., None])
+
+    def _mix(self, dt: float) -> None:
+        """Mix the hypotheses by their transition probabilities, then predict their states."""
+        s = self.settings
+        # Faults do not heal, but one may at first be taken for another.
+        transition = np.full((len(HYPOTHESES),) * 2, s.fault_rate * dt)
+        transition[1:, 0] = 0.0
+        np.fill_diagonal(transition, 0.0)
+        np.fill_diagonal(transition, 1 - transition.sum(axis=1))
+        decay = np.array([1.0, 1.0, 1.0, math.exp(-dt / s.load_time), 1.0])
+        bias, gain = (walk * math.sqrt(dt) for walk in s.wander)
+        load = self._load * math.sqrt(1 - decay[_LOAD] ** 2)
+        noise = np.tile(np.diag([bias, gain, gain, load, _OFFSET_WALK]) ** 2, (len(HYPOTHESES), 1, 1))
+        noise[SENSORS == DRIFTS, _SENSOR, _SENSOR] = s.drift**2 * dt
+        joint = self.probability[:, :, None] * transition
+        predicted = joint.sum(axis=1)
+        share = joint / np.maximum(predicted[:, None, :], 1e-300)
+        mean = np.einsum("sij,sik->sjk", share, self.mean)
+        difference = self.mean[:, :, None, :] - mean[:, None, :, :]
+        covariance = np.einsum("sij,sikl->sjkl", share, self._covariance)
+        covariance += np.einsum("sij,sijk,sijl->sjkl", share, difference, difference)
+        self.mean = mean * decay
+        self._covariance = covariance * np.outer(decay, decay) + noise
+        self._pressure = np.einsum("sij,sik->sjk", share, self._pressure)
+        self._delayed = np.einsum("sij,sik->sjk", share, self._delayed)
+        self.probability = predicted
+
+    def _correct(self, rows: np.ndarray, measured: np.ndarray, noise: float, used: np.ndarray) -> np.ndarray:
+        """Correct by one measurement per segment.
+
+        Args:
+            rows: measurement matrix, shape (segments, hypotheses, 5).
+            measured: shape (segments,), rad, NaN where it is missing.
+            noise: standard deviation, rad.
+            used: whether a hypothesis uses the measurement, shape (hypotheses,).
+
+        Returns:
+            Log-likelihoods, 0 without a measurement.
+        """
+        there = ~np.isnan(measured)[:, None] & used
+        gain = np.einsum("smkl,sml->smk", self._covariance, rows)
+        variance = np.einsum("smk,smk->sm", rows, gain) + noise**2
+        predicted = np.einsum("smk,smk->sm", rows, self.mean)
+        innovation = np.where(there, np.nan_to_num(measured)[:, None] - predicted, 0.0)
+        weight = np.where(there[..., None], gain / variance[..., None], 0.0)
+        self.mean = self.mean + weight * innovation[..., None]
+        self._covariance = self._covariance - weight[..., :, None] * gain[..., None, :]
+        # Model errors have heavy tails under every hypothesis.
+        log = _log_student(innovation**2 / variance) - np.log(variance * 2 * math.pi) / 2
+        return np.where(there, log, 0.0)
+
+    def _sensor_log_likelihood(self, readings: np.ndarray) -> np.ndarray:
+        """Return log-likelihoods of missing and of repeated readings."""
+        found, lost = np.zeros(self.probability.shape), np.isnan(readings)[:, None]
+        loss = self.settings.loss
+        silent, frozen = SENSORS == SILENT, SENSORS == FROZEN
+        found[:, ~silent] = np.where(lost, math.log(loss), math.log(1 - loss))
+        found[:, silent] = np.where(lost, math.log(0.999), math.log(1e-3 / (2 * math.pi)))
+        narrow = self.settings.noise * _FROZEN_NOISE
+        change = np.nan_to_num(readings - self._last, nan=10.0)[:, None]
+        density = -0.5 * (change / narrow) ** 2 - math.log(narrow * math.sqrt(2 * math.pi))
+        found[:, frozen] += np.where(lost, 0.0, np.maximum(density, -50.0))
+        return found
+
+    def _pressure_log_likelihood(self, pressures: np.ndarray, dt: float) -> np.ndarray:
+        """Return log-likelihoods of pressures; residuals are correlated, so each counts for dt only."""
+        first, least = self.settings.pressure
+        usual, sd = self._levels.read()
+        self._update_supply(pressures, usual, sd + least)
+        residual = np.nan_to_num((pressures[:, None] - self._pressure) / self.supply.pressure)
+        # Nothing was learnt about valves that do not obey.
+        residual = residual - np.where(self._obeys, usual[:, None], 0.0)
+        spread = np.where(self._obeys, sd[:, None] + least, first)
+        log = _log_student((residual / spread) ** 2) - np.log(spread)
+        # With enough strokes, the balance of air replaces this evidence for leaks.
+        balanced = (self.leaks.strokes.learnt >= _BALANCED_STROKES)[:, None] & (CHAMBERS == LEAKS)
+        log = np.where(balanced, log.max(axis=1, keepdims=True), log)
+        self._levels.update(residual[:, 0], ~np.isnan(pressures) & (self.probability[:, :1] > 0.9))
+        return np.asarray(log.sum(axis=-1) * min(dt / self.settings.pressure_time, 1.0))
+
+    def _update_supply(self, pressures: np.ndarray, usual: np.ndarray, sd: np.ndarray) -> None:
+        """Correct the supply pressure by chambers that fill as commanded."""
+        before = self.supply.pressure
+        response = self._pressure[:, 0] / before + usual
+        obeys = np.einsum("sm,mc->sc", self.probability, self._obeys)
+        obeys[self.naming.faulty] = 0.0
+        filled = self._levels.ages.filled_s
+        residual = pressures - before * response
+        late = (filled > _SETTLED_S) & ~np.isnan(pressures) & (obeys > 0.5)
+        if late.sum() * 2 >= len(pressures):
+            self._level = float(np.median(pressures[late] / (before * response[late])))
+        if self.supply.follow_sudden_change(residual[late], response[late], before * sd[late]):
+            self.leaks.drop(np.ones(pressures.shape, dtype=bool))
+            self._rescale(before)
+            return
+        balanced = self.leaks.strokes.learnt >= _BALANCED_STROKES
+        excess, slope, variance = np.moveaxis(self.leaks.residuals(self.time, pressures, filled), -1, 0)
+        weight = np.where(balanced, obeys, 0.0)
+        self.supply.update(excess, slope, np.sqrt(variance), weight, MESSAGES_PER_INDEPENDENT)
+        self._rescale(before)
+
+    def _rescale(self, before: float) -> None:
+        """Adapt the chamber pressures of all hypotheses to another supply pressure."""
+        share = self.supply.pressure / before
+        self._pressure *= share
+        self._delayed *= share
+
+    def _judge_supply(self) -> None:
+        """Correct the supply pressure if all segments are weak at once; detect and clear `starved`."""
+        weak = SUPPLY_SHARES < 1.0
+        kind = np.flatnonzero(weak)[self.probability[:, weak].sum(axis=0).argmax()]
+        share = SUPPLY_SHARES[kind] if math.isnan(self._level) else self._level
+        # Several leaks at once are a failure of the supply, if pressures confirm it.
+        common = weak if math.isnan(self._level) else weak | (LEAK_RATES > 0.0)
+        if share < _FAILED_BELOW and (self.probability[:, common].sum(axis=1) > 0.5).mean() > 0.5:
+            before = self.supply.pressure
+            self.supply.jump(share)
+            self._rescale(before)
+            self._attribute_to_supply(common, np.full(len(self.probability), kind))
+            self.leaks.drop(np.ones((len(self.probability), 2), dtype=bool))
+        if self.time < self.settings.naming.start_s:
+            return
+        if self.naming.starved:
+            # A segment with a low supply seems to leak, and would still do so after the recovery.
+            common = weak | (LEAK_RATES > 0.0)
+            self._attribute_to_supply(common, np.where(common, self.probability, 0.0).argmax(axis=1))
+        if self.supply.pressure + self.supply.sd < STARVED_BELOW * self.supply.nominal:
+            self.naming.pairs[0, 0] = WEAK
+        elif self.supply.pressure - self.supply.sd > RECOVERED_ABOVE * self.supply.nominal:
+            self.naming.clear(0)
+
+    def _attribute_to_supply(self, common: np.ndarray, kind: np.ndarray) -> None:
+        """Move the probability of hypotheses to that of no fault.
+
+        Args:
+            common: whether the supply explains a hypothesis.
+            kind: hypothesis of each segment from which the state is taken, if it is likely.
+        """
+        moved = self.probability[:, common].sum(axis=1)
+        segments = np.flatnonzero(moved > 0.5)
+        for states in (self.mean, self._covariance):
+            states[segments, 0] = states[segments, kind[segments]]
+        self.probability[:, 0] += moved
+        self.probability[:, common] = _LEAST_PROBABILITY
+
+    def _leak_log_likelihood(self, pressures: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Return log-likelihoods of the air that filling chambers have taken in."""
+        bends = np.einsum("smk,smk->sm", rows, self.mean)
+        bend = (self.probability * bends).sum(axis=1)
+        variance = np.einsum("smk,smkl,sml->sm", rows, self._covariance, rows)
+        sd = np.sqrt((self.probability * (variance + (bends - bend[:, None]) ** 2)).sum(axis=1))
+        found = self.leaks.update(
+            self.time, pressures, bend, sd, self._levels.ages.filled_s, self.probability[:, 0],
+            (self.supply.pressure, self.supply.sd),
+        )  # fmt: skip
+        return np.asarray(found[:, np.arange(2), self._variant].sum(axis=-1))
+
+
+def _log_student(square: np.ndarray) -> np.ndarray:
+    """Return the logarithm of Student's t density at a squared deviation, without its constant."""
+    return np.asarray(-np.log1p(square / _TAILS) * (_TAILS + 1) / 2)

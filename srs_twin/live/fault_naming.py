@@ -1,0 +1,118 @@
+"""FaultNaming: detected faults, from the probabilities of the hypotheses over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from srs_twin.io.saved_state import Remembers, names
+from srs_twin.live.hypotheses import HAS_NAME, INDISTINGUISHABLE, LEAK, NAMES, STARVED, WEAK
+
+_DOUBT = 0.5
+"""Probability of no fault below which a segment is in doubt."""
+_PATIENCE_FACTOR = 3.0
+"""Factor of the required time while another segment is in doubt."""
+
+
+@dataclass(frozen=True)
+class NamingSettings:
+    """Thresholds of detection.
+
+    Attributes:
+        threshold: probability from which a fault is detected.
+        patience_s: time for which the probability must be above it, s.
+        leak_threshold: threshold for leaks.
+        leak_patience_s: required time for leaks, s; their evidence is that of single messages.
+        start_s: time after the start in which no fault is detected, s.
+    """
+
+    threshold: float = 0.97
+    patience_s: float = 0.16
+    leak_threshold: float = 0.99
+    leak_patience_s: float = 0.08
+    start_s: float = 2.0
+
+
+class FaultNaming(Remembers):
+    """Detected faults of the segments and the supply.
+
+    Attributes:
+        settings: thresholds.
+        pairs: indices into `NAMES` of one or two faults, −1 for none, shape (segments + 1, 2); row 0 is the
+            supply.
+    """
+
+    memory = names("pairs", "_since", "_either_since")
+
+    def __init__(self, segments: int, settings: NamingSettings) -> None:
+        """Begin without a fault."""
+        self.settings = settings
+        self.pairs = np.full((segments + 1, 2), -1, dtype=int)
+        # Times since which a fault, and one of an indistinguishable pair, is above its threshold.
+        self._since = np.full((segments, len(NAMES)), np.inf)
+        self._either_since = np.full((segments, len(INDISTINGUISHABLE)), np.inf)
+
+    @property
+    def named(self) -> dict[int, str]:
+        """Names of the faults by segment, from 1; 0 is the supply."""
+        found = {j: [NAMES[m] for m in pair if m >= 0] for j, pair in enumerate(self.pairs.tolist())}
+        return {j: " or ".join(texts) if j else STARVED for j, texts in found.items() if texts}
+
+    @property
+    def starved(self) -> bool:
+        """Whether the supply is starved."""
+        return bool(self.pairs[0, 0] >= 0)
+
+    @property
+    def faulty(self) -> np.ndarray:
+        """Whether a fault is detected, shape (segments,)."""
+        return np.asarray(self.pairs[1:, 0] >= 0)
+
+    def clear(self, number: int) -> None:
+        """Remove the fault of a segment (from 1), or of the supply (0)."""
+        self.pairs[number] = -1
+
+    def most_likely(self, probability: np.ndarray) -> np.ndarray:
+        """Return the most likely hypothesis with a detected name of each segment, 0 without a fault."""
+        found = np.zeros(len(probability), dtype=int)
+        for j in np.flatnonzero(self.faulty):
+            among = HAS_NAME[:, [m for m in self.pairs[j + 1] if m >= 0]].sum(axis=1)
+            found[j] = np.argmax(probability[j] * among)
+        return found
+
+    def update(self, time: float, probability: np.ndarray) -> None:
+        """Detect and clear faults.
+
+        Args:
+            time: s.
+            probability: of the hypotheses, shape (segments, hypotheses).
+        """
+        s, pairs = self.settings, self.pairs
+        if time < s.start_s:
+            return
+        likely = probability @ HAS_NAME
+        # Segments seldom fail together: if several are in doubt, the cause may be a common one.
+        doubted = likely[:, 0] < _DOUBT
+        factor = np.where(doubted.sum() - doubted > 0, _PATIENCE_FACTOR, 1.0)[:, None]
+        threshold = np.where(LEAK, s.leak_threshold, s.threshold)
+        patience = factor * np.where(LEAK, s.leak_patience_s, s.patience_s) - 1e-9
+        weak, count = likely[:, WEAK], len(likely)
+        if count > 1:
+            other_weak = (weak.sum() - weak) / (count - 1)
+            likely[:, WEAK] = weak * np.minimum(2 * other_weak, 1.0)
+            likely /= likely.sum(axis=1, keepdims=True)
+        starved = self.starved
+        self._since = np.where(likely > threshold, np.minimum(self._since, time), np.inf)
+        for j, m in np.argwhere(time - self._since >= patience):
+            # One fault of a detected pair may turn out to be the right one.
+            if m and (pairs[j + 1, 0] < 0 or m in pairs[j + 1]) and not (m == WEAK or starved):
+                pairs[j + 1] = m, -1
+        for k, pair in enumerate(INDISTINGUISHABLE):
+            above = likely[:, pair].sum(axis=1) > s.threshold
+            self._either_since[:, k] = np.where(above, np.minimum(self._either_since[:, k], time), np.inf)
+            for j in np.flatnonzero(time - self._either_since[:, k] >= patience[:, 0]) + 1:
+                if pairs[j, 0] < 0 and not starved:
+                    pairs[j] = pair
+        sound = np.append(False, likely[:, 0] > s.threshold)
+        pairs[sound & (pairs[:, 0] >= 0)] = -1

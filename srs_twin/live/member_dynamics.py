@@ -1,0 +1,128 @@
+"""MemberDynamics: chambers and bodies of the ensemble members, as in the `compliant` model."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from srs_twin.live.ensemble_kernels import advance, set_momenta
+from srs_twin.live.pressure_table import PressureRates
+from srs_twin.plants.analytical import compliant_kernels, kernels
+from srs_twin.plants.analytical.floor import floor_friction
+from srs_twin.plants.analytical.kinematics import BodyParameters
+from srs_twin.pneumatics.chambers import free_bends
+from srs_twin.pneumatics.lag import relaxation_of, relaxed
+from srs_twin.robot.spec import RobotSpec
+
+STEP_S = 0.0025
+"""Longest time step of the members."""
+_SLIP_SPEED = 0.001
+"""Speed below which friction is viscous, m/s."""
+_LARGEST_VELOCITY = 20.0
+"""Velocity (m/s or rad/s) above which a member has diverged."""
+
+
+class ValveInput(NamedTuple):
+    """Input of the chambers, including detected faults.
+
+    Attributes:
+        duty: share of time in which each valve fills, in equal slots, shape (slots, segments, 2).
+        supply: supply pressure of each segment, gauge, Pa.
+        leak: pressure that each chamber loses, share per second, shape (segments, 2).
+    """
+
+    duty: np.ndarray
+    supply: np.ndarray
+    leak: np.ndarray
+
+
+class MemberDynamics:
+    r"""Chambers and bodies of members.
+
+    The moment of segment j is
+
+    $$ \tau_j = k\,\bigl(b_j + \varphi(G\,(g_j^+ p_j^+ - g_j^- p_j^-)) + d_j\bigr), $$
+
+    and the pressures obey the first-order law of `pneumatics.lag`, corrected by the learnt rates of
+    `pressure_table`.
+
+    Attributes:
+        mass: of each connector with its share of the segments, kg.
+    """
+
+    def __init__(self, spec: RobotSpec) -> None:
+        """Prepare the model of a robot."""
+        self._spec, g, mu = spec, spec.geometry, spec.friction
+        solid = BodyParameters(spec.mass.array(), spec.yaw_inertia(), g.segment_length, g.rigid_gap, 0.0)
+        lean, drag = g.com_height / (2 * g.half_track), mu.drag / g.connectors
+        floor = floor_friction("wheel", g.half_track, mu.mu_t, mu.mu_n, _SLIP_SPEED, lean, drag=drag)
+        self.mass: np.ndarray = solid.mass
+        self._model = solid, (spec.bending.stiffness, spec.bending.damping), floor
+
+    def drive(
+        self, valves: ValveInput, dt: float, step: float, pressure: np.ndarray, gain: np.ndarray,
+        rates: PressureRates, noise: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
+        """Advance the pressures.
+
+        Args:
+            valves: input of the chambers.
+            dt: duration, s.
+            step: longest time step, s.
+            pressure: at the start, shape (members, segments, 2), Pa.
+            gain: of the chambers, same shape.
+            rates: learnt rates of the pressures.
+            noise: standard normal numbers, same shape.
+
+        Returns:
+            Linear drives at the two stages of each step, shape (steps, 2, members, segments), rad; the
+            pressures at the end, Pa; and the time step, s.
+        """
+        actuator, slots = self._spec.actuator, len(valves.duty)
+        steps = math.ceil(dt / slots / step - 1e-6)
+        h = dt / slots / steps
+        stages = (np.arange(steps)[:, None] + [kernels.GAMMA, 1.0]).ravel() * h
+        gain = actuator.gain * gain
+        # The random walk of the pressures also acts on the bends while it grows.
+        noise = noise / math.sqrt(dt)
+        drives = []
+        for duty in valves.duty:
+            index = rates.advance(duty, dt / slots)
+            change = rates.rate[index] + noise * np.sqrt(rates.wander[index])
+            fill, vent = duty / actuator.tau_fill, (1 - duty) / actuator.tau_vent
+            rate, end = relaxation_of(fill, vent, valves.supply[:, None], valves.leak, change)
+            trace = relaxed(pressure, rate, end, stages[:, None, None, None])
+            drives.append(gain[..., 0] * trace[..., 0] - gain[..., 1] * trace[..., 1])
+            pressure = trace[-1]
+        return np.reshape(drives, (slots * steps, 2, *pressure.shape[:2])), pressure, h
+
+    def bend(
+        self, pose: np.ndarray, bend: np.ndarray, velocity: np.ndarray, drive: np.ndarray,
+        bias: np.ndarray, h: float,
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+        """Advance the bodies.
+
+        Args:
+            pose: x, y (m), heading (rad), shape (members, 3).
+            bend: shape (members, segments), rad.
+            velocity: forward, lateral (m/s), yaw rate and bend rates (rad/s), in place.
+            drive: linear drives as from `drive`.
+            bias: bends without pressure, including disturbances, shape (members, segments), rad.
+            h: time step, s.
+
+        Returns:
+            Bends at the end, and whether each member is valid.
+        """
+        members, n = bend.shape
+        states = np.zeros((members, kernels.STATES + 2 * n))
+        states[:, [kernels.STATE_X, kernels.STATE_Y, kernels.HEADING]] = pose
+        bends = states[:, compliant_kernels.BENDS :][:, :n]
+        bends[:] = bend
+        set_momenta(states, velocity, self._model)
+        free = self._spec.bending.stiffness * (bias + free_bends(self._spec, drive))
+        moments = np.ascontiguousarray(free.transpose(2, 0, 1, 3))
+        complete = advance(states, velocity, np.full(len(drive), h), moments, self._model)
+        slow = np.abs(velocity[:, :3]).max(axis=1) <= _LARGEST_VELOCITY
+        return bends, complete & slow & np.isfinite(states).all(axis=1)

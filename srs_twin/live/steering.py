@@ -1,0 +1,205 @@
+"""EstimateSteering: steers a robot by the estimate of its live twin."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from srs_twin.control.camera import Camera
+from srs_twin.errors import InputError
+from srs_twin.live.commands import DELAY_S
+from srs_twin.live.estimate import Estimate
+from srs_twin.live.hypotheses import CHAMBERS, FILLS, VENTS
+from srs_twin.live.messages import GO, PAUSE, VENT
+from srs_twin.live.shadow import Shadow
+from srs_twin.planning.follower import Follower
+from srs_twin.robot.spec import RobotSpec
+from srs_twin.robot.world import Pose
+from srs_twin.scenario.scenario import Scenario
+
+PATIENCE_S = 3.0
+"""Time without an estimate or a supply after which the steering ends."""
+PAUSE_LIMIT_S = 30.0
+"""Longest pause; afterwards the chambers are vented, so a forgotten robot loses its pressure."""
+LOST, EMPTY, STOPPED, TOO_SLOW = "estimate_lost", "supply_empty", "stopped", "estimate_too_old"
+"""Endings in addition to those of the follower; `STOPPED`: the session ended first."""
+LEAST_MARGIN = 0.25
+"""Share of the plan's margin that a new plan needs at least; without such a plan the robot is stopped.
+
+Of the runs that the shipped footprints' margins were measured with (`planning/margins.py`; 100 of each kind,
+3.5 m each), 98 to 100 % left a plan without any margin, so contact is almost certain there. 1 to 19 % left
+half of a margin of 80 mm, 52 to 93 % a quarter of it at some time.
+"""
+_LARGEST_SD_M = 0.0125
+"""Largest position uncertainty at which steering is allowed: half of the usual margin to obstacles."""
+_SETTLING_S = 1.0
+"""Time at the start in which the robot stands and its pose is estimated."""
+_NEAR_M, _NEAR_RAD = 0.03, 0.05
+"""Deviation from the scenario's initial pose above which a new plan is made."""
+_EMPTY_BELOW = 0.3
+"""Share of the nominal supply pressure below which steering is impossible; half of it is enough."""
+_MODEL_FIELDS = {("actuator", "bend_limit"), ("supply", "limit_source")}
+"""Fields that scenarios set for their models, and texts; robots may differ in them."""
+
+
+def differences(one: RobotSpec, other: RobotSpec) -> list[str]:
+    """Return the fields in which two robots differ, with both values.
+
+    Names, titles and the values of single modules do not count, because the live twin estimates the latter.
+    The limit of the bends does not count either, because scenarios set it for the models.
+    """
+    found = []
+    for field in fields(RobotSpec):
+        first, second = getattr(one, field.name), getattr(other, field.name)
+        if field.name in ("name", "title", "variation") or first == second:
+            continue
+        if not (is_dataclass(first) and type(first) is type(second)):
+            found.append(f"{field.name} ({_short(first)} and {_short(second)})")
+            continue
+        for name in (inner.name for inner in fields(first)):
+            a, b = getattr(first, name), getattr(second, name)
+            if a != b and (field.name, name) not in _MODEL_FIELDS:
+                found.append(f"{field.name}.{name} ({_short(a)} and {_short(b)})")
+    return found
+
+
+def _short(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+class EstimateSteering:
+    """The follower of a scenario, with the estimate of a live twin as its state.
+
+    A segment with a stuck valve is kept straight, with both chambers filled or both vented, and a new plan is
+    made. The chambers are vented while the estimate is lost, and at the end after a loss of the supply.
+
+    Attributes:
+        follower: of the scenario.
+    """
+
+    def __init__(self, scenario: Scenario, shadow: Shadow, tick: float, *, press_on: bool = False) -> None:
+        """Prepare the follower.
+
+        Args:
+            scenario: with a controller that follows a plan.
+            shadow: live twin of the robot.
+            tick: s.
+            press_on: continue without any margin, instead of stopping (`LEAST_MARGIN`).
+
+        Raises:
+            InputError: the scenario has no plan, or is for another robot.
+        """
+        controller = scenario.build_controller()
+        if not isinstance(controller, Follower):
+            raise InputError(
+                f"{scenario.name}: it follows no plan; --follow takes a scenario with controller.kind: follow"
+            )
+        if differ := differences(scenario.robot, shadow.spec):
+            more = f" and {len(differ) - 3} more" if len(differ) > 3 else ""
+            raise InputError(
+                f"{scenario.name} is for robot '{scenario.robot.name}', not for '{shadow.spec.name}'; "
+                f"they differ in {', '.join(differ[:3])}{more}"
+            )
+        controller.least_margin = 0.0 if press_on else LEAST_MARGIN
+        self.follower, self._start, self._tick = controller, Pose(*scenario.pose), tick
+        self._seed = scenario.seed
+        self._stuck = np.zeros(shadow.spec.segments, dtype=int)
+        self._steps = self._waited = 0
+        self._lost_s = self._empty_s = self._paused_s = 0.0
+        self._given_up, self._control = "", GO
+        self._events: list[tuple[float, str]] = []
+        self._pressure = np.zeros((shadow.spec.segments, 2))
+        self._last = self.vented()
+
+    @property
+    def finished(self) -> bool:
+        """Whether the steering has ended."""
+        return bool(self._given_up) or self.follower.finished
+
+    @property
+    def begun(self) -> bool:
+        """Whether the robot has been steered."""
+        return self._steps > 0
+
+    def vented(self) -> np.ndarray:
+        """Return the command that vents all chambers."""
+        return np.full(self._pressure.shape, -1.0)
+
+    def control(self, word: str) -> None:
+        """Obey a control word: `PAUSE` keeps the valves as they are, `VENT` vents all, `GO` continues."""
+        if word != self._control:
+            self._control, self._paused_s = word, 0.0
+            self._log(f"control: {word}")
+
+    def step(self, estimate: Estimate | None, shadow: Shadow) -> np.ndarray:
+        """Return the command of a tick: states of valves, or duties, shape (segments, 2)."""
+        self._last = self._command(estimate, shadow)
+        return self._last
+
+    def give_up(self, ending: str) -> None:
+        """End the steering, with a name for the ending."""
+        if not self._given_up:
+            self._given_up = ending
+            self._log(ending)
+
+    def summary(self) -> dict[str, Any]:
+        """Return ending, duration and events as JSON values."""
+        return {
+            "ending": self._given_up or self.follower.ending or STOPPED, "seconds": self._steps * self._tick,
+            "events": [{"time_s": time, "event": text} for time, text in self._events],
+        }  # fmt: skip
+
+    def _log(self, text: str) -> None:
+        self._events.append((self._steps * self._tick, text))
+
+    def _command(self, estimate: Estimate | None, shadow: Shadow) -> np.ndarray:
+        if estimate is None or estimate.lost or np.hypot(*estimate.pose_sd[:2]) > _LARGEST_SD_M:
+            self._lost_s += self._tick
+            if self._steps and self._lost_s > PATIENCE_S:
+                self.give_up(LOST)
+            return self.vented()
+        self._lost_s = 0.0
+        if self._control == PAUSE:
+            self._paused_s += self._tick
+            if self._paused_s <= PAUSE_LIMIT_S:
+                return self._last
+            self.control(VENT)
+        return self.vented() if self._control == VENT else self._steer(estimate, shadow)
+
+    def _steer(self, estimate: Estimate, shadow: Shadow) -> np.ndarray:
+        self._waited += 1
+        if self._waited * self._tick < _SETTLING_S:
+            return self.vented()
+        if not self._steps:
+            self._begin(estimate, shadow)
+        self._empty_s = self._empty_s + self._tick if shadow.faults.supply.share < _EMPTY_BELOW else 0.0
+        if self._empty_s > PATIENCE_S:
+            self.give_up(EMPTY)
+            return self.vented()
+        # Segments with a leak still bend; they are steered as before.
+        chambers = CHAMBERS[shadow.faults.most_likely()]
+        stuck = np.where((chambers == FILLS).any(axis=1), FILLS, 0)
+        stuck = np.where((chambers == VENTS).any(axis=1), VENTS, stuck)
+        if (stuck != self._stuck).any():
+            self._stuck = stuck
+            self.follower.renew("fault")
+        valves = self.follower.step(estimate.state(self._steps * self._tick, self._pressure))
+        self._steps += 1
+        self._events += [(event.time, f"{event.kind}: {event.text}") for event in self.follower.events()]
+        duty = (valves.mean(axis=0) if valves.ndim == 3 else valves + 0.0) / 2 + 0.5
+        duty[stuck == FILLS], duty[stuck == VENTS] = 1.0, 0.0
+        return 2 * duty - 1 if np.isin(duty, (0.0, 1.0)).all() else duty
+
+    def _begin(self, estimate: Estimate, shadow: Shadow) -> None:
+        """Prepare the follower; make a new plan if the robot is not at the scenario's initial pose."""
+        # The robot has its own noise and delays. The estimate is for now; commands take effect a tick later.
+        follower, lag = self.follower, DELAY_S + self._tick
+        camera = Camera(follower.conditions.camera.rate_hz)
+        follower.conditions = replace(follower.conditions, camera=camera, delay=0.0, lag=lag)
+        follower.reset(shadow.spec, self._tick, seed=self._seed)
+        x, y, heading = estimate.pose
+        distance, turn = np.hypot(x - self._start.x, y - self._start.y), abs(heading - self._start.heading)
+        if distance > _NEAR_M or turn > _NEAR_RAD:
+            follower.renew("start")

@@ -1,0 +1,93 @@
+"""Supply pressure as a state of the shadow: estimated from chambers that fill, or measured."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from live_runs import DROOPS_S, OUTAGE, Run, alarms, conditioned, shadowed
+
+from srs_twin.live.messages import SUPPLY, BadMessageError, decode, encode
+from srs_twin.live.supply import LARGEST_SD, PRIOR_SD, WALK, SupplyFilter
+
+NOMINAL, TICK = 60e3, 0.02
+
+
+def chambers(supply, rng, sd=0.03, count=4):
+    """Return residuals' ingredients of chambers that fill: pressures, responses, standard deviations."""
+    response = rng.uniform(0.3, 0.95, count)
+    return response * supply + sd * NOMINAL * rng.normal(size=count), response, np.full(count, sd * NOMINAL)
+
+
+def followed(supplies, seed=1, outlier=0.0):
+    rng, supply = np.random.default_rng(seed), SupplyFilter(NOMINAL)
+    estimates = []
+    for true in supplies:
+        supply.predict(TICK)
+        pressure, response, sd = chambers(true, rng)
+        pressure[0] *= 1 - outlier
+        supply.update(pressure - response * supply.pressure, response, sd, np.ones(len(sd)))
+        estimates.append((supply.pressure, supply.sd))
+    return np.array(estimates)
+
+
+def test_droop_is_followed_within_half_a_second():
+    found = followed(np.full(50, 0.9 * NOMINAL))
+    assert found[25:, 0] == pytest.approx(0.9 * NOMINAL, rel=0.05)
+
+
+def test_standard_deviation_is_that_of_the_errors():
+    """Supplies drawn from the filter's own random walk."""
+    errors = []
+    for seed in range(40):
+        rng = np.random.default_rng((seed, 1))
+        walk = NOMINAL * (
+            1 + PRIOR_SD * rng.normal() + np.cumsum(WALK * np.sqrt(TICK) * rng.normal(size=100))
+        )
+        found = followed(walk, seed)
+        errors.append((found[50:, 0] - walk[50:]) / found[50:, 1])
+    assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.2
+
+
+def test_one_leaking_chamber_hardly_moves_the_estimate():
+    assert followed(np.full(100, NOMINAL), outlier=0.5)[-1, 0] == pytest.approx(NOMINAL, rel=0.05)
+
+
+def test_measurement_corrects_and_variance_grows_up_to_its_limit():
+    supply = SupplyFilter(NOMINAL)
+    for _ in range(1000):
+        supply.predict(1.0)
+    assert supply.sd == pytest.approx(LARGEST_SD * NOMINAL)
+    supply.measure(0.9 * NOMINAL)
+    assert supply.share == pytest.approx(0.9, abs=0.002)
+
+
+def test_supply_message_keeps_its_pressure():
+    message = decode(SUPPLY, encode(SUPPLY, 3.0, np.array(47.5e3)), source="r", arrived=1.0, segments=4)
+    assert message.values == pytest.approx(47.5e3) and message.sent == 3.0
+    for wrong in (b'{"t": 1}', b'{"t": 1, "kpa": -5}', b'{"t": 1, "kpa": "much"}'):
+        with pytest.raises(BadMessageError, match="kpa"):
+            decode(SUPPLY, wrong, source="r", arrived=1.0, segments=4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("supply", ["droop:0.97", "droop:0.85", "wander"])
+def test_drooping_supply_is_followed_and_is_not_a_fault(supply):
+    assert alarms((104, 20.0, supply)) == []
+    run = conditioned(supply, 104, 20.0)
+    off = [
+        moment.shadow.faults.supply.share - run.supply_share(moment.time)
+        for moment in shadowed(run, members=8)
+        if moment.time > DROOPS_S + 1
+    ]
+    assert np.abs(np.subtract(off, np.median(off))).max() < 0.06
+
+
+@pytest.mark.slow
+def test_starved_is_reported_and_cleared_when_the_supply_recovers():
+    back, named = DROOPS_S + OUTAGE[1], {}
+    for moment in shadowed(Run(104, back + 3.0, supply="outage"), members=8):
+        named[moment.time] = dict(moment.shadow.faults.named)
+    period = 1 / 1.5
+    assert all(not faults for time, faults in named.items() if time < DROOPS_S)
+    assert all(faults == {0: "starved"} for time, faults in named.items() if DROOPS_S + 1.5 < time < back)
+    assert all(not faults for time, faults in named.items() if time > back + 2 * period)
