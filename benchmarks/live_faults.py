@@ -19,7 +19,7 @@ import numpy as np
 from grid import table
 from live_runs import NAMES, alarms, isolated
 
-from srs_twin.compute.workers import each
+from srs_twin.compute.workers import run_tasks
 
 
 def main() -> None:
@@ -34,7 +34,7 @@ def main() -> None:
     seeds = range(given.first, given.first + given.seeds)
     for pressures in (True, False):
         orders = [(kind, seed, pressures) for kind in NAMES for seed in seeds]
-        found = [done.result or {"fault": done.error} for done in each(isolated, orders)]
+        found = [done.result or {"fault": done.error} for done in run_tasks(isolated, orders)]
         kept["faults"] += found
         lines = []
         for kind in NAMES:
@@ -50,7 +50,7 @@ def main() -> None:
         print(table(["fault", "in time", "named", "alone", "after, median, s", "others accused"], lines))
         hour = 600.0
         healthy = [(10_000 + k, hour, pressures) for k in range(round(given.hours * 3600 / hour))]
-        accused = [name for done in each(alarms, healthy) for name in done.result or ()]
+        accused = [name for done in run_tasks(alarms, healthy) for name in done.result or ()]
         kept["alarms"] += [{"pressures": pressures, "named": name} for name in accused]
         print(f"{len(accused)} false alarms in {given.hours:g} healthy hours: {accused}\n", flush=True)
     if given.json:

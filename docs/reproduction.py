@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 NAME = "reproduction"
 
 
-def remembered(claims: Sequence[Claim], baseline: Baseline) -> tuple[Judged, ...]:
+def get_state(claims: Sequence[Claim], baseline: Baseline) -> tuple[Judged, ...]:
     """Return claims with the outcomes of the baseline."""
     return tuple(Judged(claim, baseline.outcomes.get(claim.id, {})) for claim in claims)
 
@@ -118,7 +118,7 @@ def pages(rows: tuple[Judged, ...]) -> dict[Path, str]:
 
 def main() -> None:
     """Write both."""
-    rows = remembered(load_claims(), load_baseline())
+    rows = get_state(load_claims(), load_baseline())
     for path, text in pages(rows).items():
         with atomic_write(path) as part:
             part.write_text(text, "utf-8")

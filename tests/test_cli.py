@@ -21,7 +21,7 @@ from srs_twin.cli.app import command
 from srs_twin.cli.progress import ScenarioProgress
 from srs_twin.cli.table import asks_why, rows
 from srs_twin.cli.view import find_recording
-from srs_twin.compute.workers import Done
+from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import DivergedError, InputError, TaskFailedError, WorkerDiedError
 from srs_twin.experiment import RunResult
 from srs_twin.scenario import Expectation
@@ -93,13 +93,13 @@ def last_first(task, arguments, *, workers):
     """Stand in for worker processes that finish in the least convenient order."""
     for number in reversed(range(len(arguments))):
         try:
-            done = Done(number, task(arguments[number]), None)
+            done = TaskResult(number, task(arguments[number]), None)
             # What comes back was sent from one process to another.
             yield pickle.loads(pickle.dumps(done))
         except RuntimeError as error:
-            yield Done(number, None, TaskFailedError(error))
+            yield TaskResult(number, None, TaskFailedError(error))
         except MemoryError:
-            yield Done(number, None, WorkerDiedError(-signal.SIGKILL, 3))
+            yield TaskResult(number, None, WorkerDiedError(-signal.SIGKILL, 3))
 
 
 @pytest.fixture
@@ -126,7 +126,7 @@ def start(monkeypatch, capsys, tmp_path):
         monkeypatch.setattr("srs_twin.scenario.load_scenario", load)
         monkeypatch.setattr("srs_twin.experiment.check_run", lambda scenario, folder: None)
         monkeypatch.setattr("srs_twin.experiment.prepare", prepare)
-        monkeypatch.setattr("srs_twin.compute.workers.each", last_first)
+        monkeypatch.setattr("srs_twin.compute.workers.run_tasks", last_first)
         with pytest.raises(SystemExit) as left:
             main(list(words))
         said = capsys.readouterr()

@@ -58,7 +58,7 @@ def resolved(block) -> RobotFile:
     """Return the robot that a scenario with such a block gets."""
     document = parse_yaml(dump_yaml({"robot": block}), "scenario.yaml")
     file = resolve_robot(document, document.data["robot"], prefix=("robot",))
-    document.finish()
+    document.raise_problems()
     assert file is not None
     return file
 

@@ -44,7 +44,7 @@ def unlike(
 ) -> RobotSpec:
     """Return a generation 4 whose modules all differ, with a largest bend (rad)."""
     rng, spec = np.random.default_rng(seed), load_robot("gen4")
-    modules = Modules.of(
+    modules = Modules.from_arrays(
         gain=rng.uniform(0.7, 1.3, (4, 2)), tau_fill=rng.uniform(0.7, 1.3, (4, 2)),
         tau_vent=rng.uniform(0.7, 1.3, (4, 2)), bias=rng.uniform(-bias, bias, 4),
         sensor_gain=1 + rng.uniform(-sensors, sensors, 4), sensor_bias=rng.uniform(-sensors, sensors, 4),
@@ -57,7 +57,7 @@ def mirrored(spec: RobotSpec) -> RobotSpec:
     modules = spec.modules
     turned = {name: modules.array(name)[:, ::-1] for name in ("gain", "tau_fill", "tau_vent")}
     other = {"bias": -modules.array("bias"), "sensor_bias": -modules.array("sensor_bias")}
-    variation = Modules.of(**turned, **other, sensor_gain=modules.array("sensor_gain"))
+    variation = Modules.from_arrays(**turned, **other, sensor_gain=modules.array("sensor_gain"))
     return replace(spec, variation=variation)
 
 
@@ -193,7 +193,7 @@ def test_slower_valves_of_one_chamber_pass_less_air():
     spec = load_robot("gen4")
     slow = np.ones((4, 2))
     slow[2, 1] = 2.0
-    modules = replace(Modules.alike(4), tau_fill=tuple(map(tuple, slow.tolist())))
+    modules = replace(Modules.nominal(4), tau_fill=tuple(map(tuple, slow.tolist())))
     fill, vent = OrificePneumatics(replace(spec, variation=modules), supply_pa=SUPPLY).conductances
     even_fill, even_vent = OrificePneumatics(spec, supply_pa=SUPPLY).conductances
     assert vent == pytest.approx(even_vent, rel=1e-12)
@@ -238,7 +238,7 @@ def test_at_rest_a_free_snake_bends_as_its_modules_are(kind):
 )  # fmt: skip
 def test_the_static_bend_is_the_modules_own(kind, way, share, supply, chambers):
     """On a bench, where nothing but the air bends it; the formula is written out once more."""
-    spec = replace(load_robot("gen4_module"), variation=Modules.of(
+    spec = replace(load_robot("gen4_module"), variation=Modules.from_arrays(
         gain=np.array([[1.2, 0.8]]), tau_fill=np.ones((1, 2)), tau_vent=np.ones((1, 2)),
         bias=np.array([0.15]), sensor_gain=np.array([1.1]), sensor_bias=np.array([-0.05]),
     ))  # fmt: skip
@@ -361,12 +361,12 @@ def test_listed_numbers_and_drawn_ones_come_together():
 )
 def test_modules_that_cannot_be_are_refused(changed, words):
     with pytest.raises(InputError, match=words):
-        replace(Modules.alike(4), **changed)
+        replace(Modules.nominal(4), **changed)
 
 
 def test_a_robot_of_another_length_is_refused():
     with pytest.raises(InputError, match="modules: 3 is not allowed; the robot has 4"):
-        replace(load_robot("gen4"), variation=Modules.alike(3))
+        replace(load_robot("gen4"), variation=Modules.nominal(3))
 
 
 # Files

@@ -83,9 +83,9 @@ def test_numbers_go_together_as_the_file_says():
         ({"kind": "uniform", "low": 0.05, "high": 0.04}, "low 0.05 is not below high 0.04"),
         (
             {"kind": "uniform", "low": 0.05, "high": 0.06},
-            "the number itself, 0.043, lies outside of 0.05 to 0.06",
+            "the number itself, 0.043, is outside 0.05 to 0.06",
         ),
-        ({"kind": "uniform", "low": -1.0, "high": 0.06}, "-1 to 0.06 leaves the allowed 0 to 10"),
+        ({"kind": "uniform", "low": -1.0, "high": 0.06}, "-1 to 0.06 exceeds the allowed 0 to 10"),
         ({"kind": "normel", "sd": 1.0}, "normal"),
     ],
 )
@@ -95,7 +95,7 @@ def test_what_makes_no_distribution_is_refused_with_its_place(spread, words):
     document = Document("mine.yaml", data)
     validate(RobotFile, document, data)
     with pytest.raises(InputFileError, match="friction.mu_t.uncertain") as caught:
-        document.finish()
+        document.raise_problems()
     assert words in str(caught.value)
 
 

@@ -23,7 +23,6 @@ from srs_twin.control.camera import Camera, CameraFrames
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
 from srs_twin.envs.task import Episode, Signal, Signals, Task, numbered
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import names
 from srs_twin.planning.fields import strewn
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
@@ -141,7 +140,7 @@ class CrawlEpisode(Episode):
         world: obstacles, room and goal.
     """
 
-    memory = names("_gait", "_frames", "_readings", "_distance")
+    state_attributes = ("_gait", "_frames", "_readings", "_distance")
 
     def __init__(
         self, task: CrawlTask, twin: TwinSnake, world: World, heading: float, frames: CameraFrames, seed: int

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from srs_twin.compute.compiled import compiled
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 from srs_twin.pneumatics.chambers import AMBIENT_PA, volume
 from srs_twin.pneumatics.flow import REFERENCE_PA, conductances, flow
 from srs_twin.pneumatics.orifice import CRITICAL_RATIO
@@ -97,14 +97,14 @@ class Chambers(NamedTuple):
     shares: np.ndarray
 
 
-class AirBalance(Remembers):
+class AirBalance(Stateful):
     """Balances of all chambers, from message to message.
 
     Attributes:
         books: of what was seen.
     """
 
-    memory = names("books")
+    state_attributes = ("books",)
 
     def __init__(self, spec: RobotSpec, *, supply_pa: float, variants: Sequence[tuple[float, float]]) -> None:
         """Know of each chamber what its robot's file says.

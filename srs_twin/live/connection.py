@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import RobotSpec
 
@@ -38,14 +38,14 @@ _RECURS = 1.3
 _SMALL = 1e-4
 
 
-class LocalConnection(Remembers):
+class LocalConnection(Stateful):
     """How one robot goes by bending.
 
     Attributes:
         weights: W, a row for each product of φ and a bend's change, columns forth, aside (m), turning (rad).
     """
 
-    memory = names("weights", "_gram", "_sums", "_noise", "_drift", "_frames", "_block")
+    state_attributes = ("weights", "_gram", "_sums", "_noise", "_drift", "_frames", "_block")
 
     def __init__(self, spec: RobotSpec, mass: np.ndarray) -> None:
         """Know the wheels.
@@ -126,9 +126,9 @@ class LocalConnection(Remembers):
         self._block = np.zeros(3)
         self.weights = np.asarray(np.linalg.solve(self._normal(), self._sums))
 
-    def recall(self, memory: Mapping[str, Any]) -> None:
+    def load_state_dict(self, memory: Mapping[str, Any]) -> None:
         """Take a memory, as all that remember do."""
-        super().recall(memory)
+        super().load_state_dict(memory)
         if self._frames >= _BLOCK:
             self._normal()
 

@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 from srs_twin.live.balance import AirBalance
 from srs_twin.pneumatics.chambers import free_bends, gains, largest_bend
 from srs_twin.robot.spec import RobotSpec
@@ -136,7 +136,7 @@ class BankSettings:
     drift: float = 0.03
 
 
-class FaultBank(Remembers):
+class FaultBank(Stateful):
     """Hypotheses of all segments, from measurement to measurement.
 
     Attributes:
@@ -146,7 +146,7 @@ class FaultBank(Remembers):
         time: since the beginning, s.
     """
 
-    memory = names(
+    state_attributes = (
         "probability",
         "mean",
         "_spread",

@@ -16,14 +16,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 
 GAIN, BIAS, FILL, VENT, _REST = slice(0, 2), 2, 3, 4, 5
 _WIDTH = 6
 _LEAST = 0.01  # rad: no unexplained bend is known better
 
 
-class ModuleFilter(Remembers):
+class ModuleFilter(Stateful):
     """Means and covariances of all modules.
 
     Attributes:
@@ -31,7 +31,7 @@ class ModuleFilter(Remembers):
         covariance: shape (segments, 6, 6).
     """
 
-    memory = names("mean", "covariance")
+    state_attributes = ("mean", "covariance")
 
     def __init__(self, segments: int, sd: np.ndarray, walk: np.ndarray, fades_s: float) -> None:
         """Begin with what is known before.

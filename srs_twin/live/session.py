@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import InputError, SessionWarning
-from srs_twin.io.file_sets import replaced
-from srs_twin.io.files import new_numbered, shown
+from srs_twin.io.file_sets import replace_files
+from srs_twin.io.files import create_numbered_file, display_path
 from srs_twin.io.saved_state import SavedState
 from srs_twin.live.helm import TOO_SLOW, Helm
 from srs_twin.live.journal import Journal
@@ -118,10 +118,10 @@ class Session:
                     shadow.restore(SavedState.read(out / STATE))
                 except InputError as error:
                     raise InputError(
-                        f"{error}; another --out keeps them apart, or remove {shown(out / STATE)}"
+                        f"{error}; another --out keeps them apart, or remove {display_path(out / STATE)}"
                     ) from error
                 self.resumed = True
-            self._journal = Journal(new_numbered(out, JOURNALS))
+            self._journal = Journal(create_numbered_file(out, JOURNALS))
         self.estimate: Estimate | None = None
         self.faults: dict[tuple[str, str], float] = {}
         self.problems: list[str] = []
@@ -295,7 +295,7 @@ class Session:
         self._collect()
         self._found["problems"] = self.problems
         if self._out is not None:
-            with replaced(self._out, (SUMMARY, ESTIMATE)) as fresh:
+            with replace_files(self._out, (SUMMARY, ESTIMATE)) as fresh:
                 if self._rows:
                     self._trajectory().to_parquet(fresh / ESTIMATE)
                 (fresh / SUMMARY).write_text(json.dumps(self._found, indent=1) + "\n", "utf-8")

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import Remembers, SavedState, fingerprint
+from srs_twin.io.saved_state import SavedState, Stateful, short_digest
 from srs_twin.live.clocks import Inbox
 from srs_twin.live.ensemble import STEP_S, Air, Ensemble
 from srs_twin.live.faults import FILLS, HYPOTHESES, LEAKS, READS, STARVED, VENTS, FaultBank
@@ -185,7 +185,7 @@ class Shadow:
     def save(self) -> SavedState:
         """Return what was learnt of the robot, for `restore` after an interruption; not where it is."""
         content = {"gone": self._gone} | {
-            name: part.remembered() for name, part in zip(_LEARNS, self._parts(), strict=True)
+            name: part.state_dict() for name, part in zip(_LEARNS, self._parts(), strict=True)
         }
         return SavedState(self._identity(), content)
 
@@ -197,16 +197,16 @@ class Shadow:
         """
         state.check("shadow", self._identity())
         for name, part in zip(_LEARNS, self._parts(), strict=True):
-            part.recall(state.content[name])
+            part.load_state_dict(state.content[name])
         self._gone = np.array(state.content["gone"])
 
-    def _parts(self) -> tuple[Remembers, ...]:
+    def _parts(self) -> tuple[Stateful, ...]:
         return self.ensemble.modules, self.ensemble.connection, self.bank
 
     def _identity(self) -> dict[str, Any]:
         rows = len(self.ensemble.connection.weights)
         return {
-            "shadow": fingerprint(self.spec), "supply_pa": self._supply, "learns": _LEARNS, "products": rows,
+            "shadow": short_digest(self.spec), "supply_pa": self._supply, "learns": _LEARNS, "products": rows,
         }  # fmt: skip
 
     def _take(self, time: float, messages: Sequence[Message]) -> None:

@@ -11,13 +11,13 @@ import reprlib
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from srs_twin.compute.arrays import LARGEST, implausible, joined, plausible
-from srs_twin.errors import DivergedError, InputError, exact, whole_steps
-from srs_twin.io.saved_state import Remembers, SavedState, fingerprint, names
+from srs_twin.compute.arrays import LARGEST_PLAUSIBLE, concatenate_records, first_implausible, is_plausible
+from srs_twin.errors import DivergedError, InputError, count_steps, format_exact
+from srs_twin.io.saved_state import SavedState, Stateful, short_digest
 from srs_twin.pneumatics import Pneumatics, Schedule, make_pneumatics
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.sensing import Sensor, make_sensor
@@ -87,7 +87,7 @@ class SnakeState:
     def history(parts: Sequence[SnakeState]) -> SnakeState:
         """Return the history of these histories, one after the other; a moment counts as one sample."""
         whole = [part if np.ndim(part.time) else part._sample() for part in parts]
-        return joined(whole)
+        return concatenate_records(whole)
 
     def _sample(self) -> SnakeState:
         return SnakeState(*(np.asarray(getattr(self, name))[None] for name in _FIELDS))
@@ -96,7 +96,7 @@ class SnakeState:
 _FIELDS = tuple(each.name for each in fields(SnakeState))  # asked for every tick
 
 
-class Plant(Remembers, ABC):
+class Plant(Stateful, ABC):
     """A snake that obeys valve commands, analytical or in MuJoCo.
 
     Attributes:
@@ -141,8 +141,8 @@ class Plant(Remembers, ABC):
         Raises:
             InputError: a plant that does not say what it remembers (`memory`).
         """
-        self.check_memory(Plant, f"plant '{self.name}'")
-        return PlantState(self.identity(), self.remembered())
+        self.check_saveable(Plant, f"plant '{self.name}'")
+        return PlantState(self.identity(), self.state_dict())
 
     def restore(self, state: PlantState) -> SnakeState:
         """Go on from a saved state, with the same bits as the plant that it was taken from.
@@ -154,7 +154,7 @@ class Plant(Remembers, ABC):
             InputError: a state of another plant or robot.
         """
         state.check(f"plant '{self.name}'", self.identity())
-        self.recall(state.content)
+        self.load_state_dict(state.content)
         return self.state
 
     def place(self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0) -> SnakeState:
@@ -173,7 +173,7 @@ class Plant(Remembers, ABC):
 
     def identity(self) -> dict[str, Any]:
         """Return what a saved state must share with the plant, JSON values."""
-        return {**self.describe(), "robot_digest": fingerprint(self.spec)}
+        return {**self.describe(), "robot_digest": short_digest(self.spec)}
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -209,7 +209,7 @@ class Plant(Remembers, ABC):
         if samples != 1:
             raise InputError(
                 f"plant '{self.name}' gives one sample a tick, not {samples}; "
-                f"record_hz {exact(1 / self.tick)} or a whole fraction of it would do"
+                f"record_hz {format_exact(1 / self.tick)} or a whole fraction of it would do"
             )
         return [self.step(valves)]
 
@@ -247,7 +247,7 @@ class PneumaticPlant(Plant):
         seed: of its noise.
     """
 
-    memory = names("_ticks", "seed", "pneumatics", "state")
+    state_attributes: ClassVar[tuple[str, ...]] = ("_ticks", "seed", "pneumatics", "state")
 
     pneumatics: Pneumatics
     sensor: Sensor
@@ -280,7 +280,7 @@ class PneumaticPlant(Plant):
     def play(self, schedule: Schedule, samples: int) -> SnakeState:
         """Follow a schedule; see `Plant.play`."""
         self.pneumatics.check(schedule.states)
-        ticks = whole_steps("schedule", schedule.span, "tick", self.tick)
+        ticks = count_steps("schedule", schedule.span, "tick", self.tick)
         history = self._follow(schedule, ticks, samples)
         self.state = history.at(-1)
         return history
@@ -336,13 +336,13 @@ def check_plausible(plant: str, state: SnakeState) -> SnakeState:
     # The other fields follow from these. Single numbers apart: to numpy each costs as much as an array.
     singles: tuple[Any, ...] = (state.heading, state.work, state.air)
     moment = not isinstance(state.time, np.ndarray)
-    fine = all(abs(each) < LARGEST for each in singles) if moment else plausible(*singles)
-    if fine and plausible(state.com, state.bend, state.pressure):
+    fine = all(abs(each) < LARGEST_PLAUSIBLE for each in singles) if moment else is_plausible(*singles)
+    if fine and is_plausible(state.com, state.bend, state.pressure):
         return state
     history = SnakeState.history([state])
     for k, time in enumerate(np.asarray(history.time)):
         for each in fields(history):
-            wrong = implausible(getattr(history, each.name)[k])
+            wrong = first_implausible(getattr(history, each.name)[k])
             if wrong is not None:
                 before = history.at(slice(k)) if k else None
                 what = f"{each.name} is {wrong:g}, which no snake reaches"
@@ -361,8 +361,8 @@ def check_before(plant: str, time: float, *state: Any) -> None:
     Raises:
         DivergedError: it is not plausible.
     """
-    if not plausible(*state):
-        wrong = implausible(np.concatenate([np.ravel(each) for each in state]))
+    if not is_plausible(*state):
+        wrong = first_implausible(np.concatenate([np.ravel(each) for each in state]))
         what = f"its state held {wrong:g} before the step, which no snake reaches"
         raise DivergedError(plant, time, what)
 

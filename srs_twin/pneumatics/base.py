@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import asdict
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.arrays import implausible, plausible
-from srs_twin.errors import DivergedError, InputError, one_of
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.compute.arrays import first_implausible, is_plausible
+from srs_twin.errors import DivergedError, InputError, check_choice
+from srs_twin.io.saved_state import Stateful
 from srs_twin.pneumatics.valves import LAYOUTS, Schedule, StuckValve
 from srs_twin.robot.spec import RobotSpec
 
@@ -50,7 +50,7 @@ class Trace(NamedTuple):
         return Trace(*(column.take(rows, axis=0) for column in self))
 
 
-class Pneumatics(Remembers, ABC):
+class Pneumatics(Stateful, ABC):
     """Valves and chambers of a robot, and the bend that they would give a segment without load.
 
     A subclass says in `_follow` what the chambers do; commands reach it the valve delay later.
@@ -74,7 +74,16 @@ class Pneumatics(Remembers, ABC):
         rest_bend: bends of free segments without pressure, shape (segments,), rad.
     """
 
-    memory = names("pressure", "bend", "air", "_elapsed", "openings", "valves", "_coming", "stuck")
+    state_attributes: ClassVar[tuple[str, ...]] = (
+        "pressure",
+        "bend",
+        "air",
+        "_elapsed",
+        "openings",
+        "valves",
+        "_coming",
+        "stuck",
+    )
     kind = "own"
     stuck: tuple[StuckValve, ...] = ()
     feels_bend = False
@@ -84,7 +93,7 @@ class Pneumatics(Remembers, ABC):
     stiffness = 0.0
 
     def __init__(self, spec: RobotSpec, *, layout: str, valve_delay_s: float = 0.0) -> None:
-        one_of("valve layout", layout, LAYOUTS)
+        check_choice("valve layout", layout, LAYOUTS)
         not_negative(valve_delay_s=valve_delay_s)
         self.layout, self._delay = layout, valve_delay_s
         self._segments = spec.segments
@@ -205,10 +214,10 @@ class Pneumatics(Remembers, ABC):
 
     def _refuse_implausible(self) -> None:
         """Refuse to go on from a state that no chambers have."""
-        if plausible(self.pressure, self.bend, self.air):
+        if is_plausible(self.pressure, self.bend, self.air):
             return
         for name, values in (("pressure", self.pressure), ("free bend", self.bend), ("air drawn", self.air)):
-            wrong = implausible(values)
+            wrong = first_implausible(values)
             if wrong is not None:
                 what = f"{name} is {wrong:g}, which no chamber reaches"
                 raise DivergedError(f"pneumatics '{self.kind}'", self._elapsed, what)

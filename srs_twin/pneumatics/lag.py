@@ -25,7 +25,6 @@ import numpy as np
 
 from srs_twin.compute.compiled import allocating, compiled
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import names
 from srs_twin.pneumatics.base import Known, Pneumatics, Trace, not_negative
 from srs_twin.pneumatics.chambers import AMBIENT_PA, BendLaw, bend_law, bent, gains, reached, unbent, volume
 from srs_twin.pneumatics.valves import Schedule
@@ -64,7 +63,7 @@ class LagPneumatics(Pneumatics):
     """Chambers with a first-order lag each (module docstring)."""
 
     kind = "lag"
-    memory = names("_linear", "_asymptote", "_worth")
+    state_attributes = ("_linear", "_asymptote", "_worth")
 
     def __init__(
         self,

@@ -25,7 +25,6 @@ import numpy as np
 
 from srs_twin.compute.arrays import check_positive
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import names
 from srs_twin.pneumatics.base import Known, Pneumatics, Trace, not_negative
 from srs_twin.pneumatics.chambers import AMBIENT_PA, bend_law, gains, reached, unbent, volume
 from srs_twin.pneumatics.flow import REFERENCE_PA, conductances
@@ -57,7 +56,7 @@ class OrificePneumatics(Pneumatics):
     """
 
     kind = "orifice"
-    memory = names("_state", "_books", "_plumbing", "_worth")
+    state_attributes = ("_state", "_books", "_plumbing", "_worth")
     feels_bend = True
     # A full chamber that its opposite squeezes: 1.6 times was seen in gen 3.
     overshoot = 4.0

@@ -23,7 +23,7 @@ import numpy as np
 from srs_twin import __version__
 from srs_twin.compute.arrays import blas_kernels, one_blas_thread
 from srs_twin.errors import InputError
-from srs_twin.io.files import find
+from srs_twin.io.files import find_file
 
 NOT_PHYSICS = ("name", "title", "expect", "changes")
 """Keys of a scenario that name or judge results."""
@@ -117,7 +117,7 @@ def _files(document: Mapping[str, Any]) -> Iterator[str]:
     planner, recording = document.get("planner"), document.get("recording")
     if isinstance(planner, Mapping) and isinstance(name := planner.get("footprint"), str):
         try:
-            yield str(find("footprint", name))
+            yield str(find_file("footprint", name))
         except InputError:
             yield name
     start = document.get("start")

@@ -18,7 +18,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from srs_twin.errors import DivergedError, EngineWarning, InputError, whole_steps
+from srs_twin.errors import DivergedError, EngineWarning, InputError, count_steps
 from srs_twin.plants.base import Pose, SnakeState
 from srs_twin.plants.twin.mjcf.numerics import LoadedContact
 from srs_twin.plants.twin.snake import TwinSnake
@@ -432,7 +432,7 @@ class WarpBatch:
         if not any(schedules):
             return [None] * len(self)
         span = max(each.span for each in schedules if each is not None)
-        ticks, slots = whole_steps("span", span, "tick", self.tick), self._steps * self._slots
+        ticks, slots = count_steps("span", span, "tick", self.tick), self._steps * self._slots
         if max(ticks, samples) % min(ticks, samples):
             raise InputError(f"{samples} samples of {ticks} ticks: engine 'warp' takes whole ones of either")
         middles = (np.arange(ticks * slots) + 0.5) * self.tick / slots
@@ -457,7 +457,7 @@ class WarpBatch:
 
     def follow(self, duration: float, samples: int) -> list[SnakeState | None]:
         """Follow the gaits of `set_gaits`; samples are equally spaced, the last at the end."""
-        return self._observed(whole_steps("duration", duration, "time step", self._h), samples, gait=True)
+        return self._observed(count_steps("duration", duration, "time step", self._h), samples, gait=True)
 
     def arrays(self) -> dict[str, Any]:
         """Return what is on the device, a run a row: qpos, qvel, pressure, valves; DLPack takes them.
@@ -482,7 +482,7 @@ class WarpBatch:
 
     def _observed(self, steps: int, samples: int, *, gait: bool) -> list[SnakeState | None]:
         """Step and look so many times; return the history of each run that had not ended."""
-        each = whole_steps("sample interval", steps * self._h / samples, "time step", self._h)
+        each = count_steps("sample interval", steps * self._h / samples, "time step", self._h)
         rows, times, passed = [], np.empty(samples), np.empty(samples)
         for k in range(samples):
             self.run(each, gait=gait)

@@ -17,14 +17,14 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.arrays import check_positive, joined
+from srs_twin.compute.arrays import check_positive, concatenate_records
 from srs_twin.compute.compiled import allocating
-from srs_twin.errors import DivergedError, InputError, one_of
-from srs_twin.io.saved_state import Remembers, fingerprint, names
+from srs_twin.errors import DivergedError, InputError, check_choice
+from srs_twin.io.saved_state import Stateful, short_digest
 from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
 from srs_twin.plants.analytical.kernels import inverse_dynamics
@@ -41,7 +41,7 @@ from srs_twin.plants.base import (
 )
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import air_bend
-from srs_twin.robot.friction import AT_TRACK, LAWS
+from srs_twin.robot.friction import LAWS, TWO_POINT_LAWS
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor
@@ -66,7 +66,7 @@ class Motion(NamedTuple):
     torque: np.ndarray
 
 
-class Body(Remembers, ABC):
+class Body(Stateful, ABC):
     """The mechanics of an analytical model, driven by what the chambers do.
 
     Attributes:
@@ -76,7 +76,7 @@ class Body(Remembers, ABC):
         floor: for the kernels.
     """
 
-    memory = names("state", "velocity")
+    state_attributes: ClassVar[tuple[str, ...]] = ("state", "velocity")
 
     state: np.ndarray
     velocity: np.ndarray
@@ -140,7 +140,7 @@ class Body(Remembers, ABC):
 class GivenBends(Body):
     """`complete` and `simplified`: the bends are the free ones of Eq. 14, whatever the load."""
 
-    memory = names("_slope")
+    state_attributes = ("_slope",)
 
     def __init__(self, solid: Solid, floor: FloorFriction, *, turning: bool, tolerance: float) -> None:
         super().__init__(solid, floor)
@@ -167,7 +167,7 @@ class GivenBends(Body):
 class ClampedBends(Body):
     """A chain held at its head (module docstring)."""
 
-    memory = names("_head")
+    state_attributes = ("_head",)
 
     def __init__(self, solid: Solid, floor: FloorFriction) -> None:
         # In the air: the floor of the others takes no part.
@@ -330,7 +330,7 @@ class AnalyticalSnake(PneumaticPlant):
     """
 
     name = "analytical"
-    memory = names("_body")
+    state_attributes = ("_body",)
     stretch = 10.0
 
     def __init__(
@@ -388,18 +388,18 @@ class AnalyticalSnake(PneumaticPlant):
                 not above 0, no friction torque with another model, momentary loads of a law that does not act
                 at the wheels, a floor with steps, or a tail on two axles.
         """
-        one_of("model", model, MODELS)
-        one_of("friction law", friction, LAWS)
-        one_of("load", load, LOADS)
-        one_of("inertia", inertia, INERTIAS)
-        if load == "momentary" and friction not in AT_TRACK:
+        check_choice("model", model, MODELS)
+        check_choice("friction law", friction, LAWS)
+        check_choice("load", load, LOADS)
+        check_choice("inertia", inertia, INERTIAS)
+        if load == "momentary" and friction not in TWO_POINT_LAWS:
             raise InputError(f"friction '{friction}' acts in one point a connector; momentary loads need two")
         world = world or World()
         if world.steps:
             raise InputError("the analytical model's floor is a plane; only the twin climbs steps")
         if spec.tail is not None:
             raise InputError("the analytical model has an axle a connector; a tail on two is the twin's")
-        one_of("base", base, BASES)
+        check_choice("base", base, BASES)
         if not friction_torque and model != "simplified":
             raise InputError(f"model '{model}' has a friction torque; only 'simplified' goes without")
         if base == "clamped" and model == "compliant":
@@ -412,7 +412,7 @@ class AnalyticalSnake(PneumaticPlant):
         self._model, self._inertia, self._turning = model, inertia, friction_torque
         self.base = base
         if track is None:
-            track = spec.geometry.half_track if friction in AT_TRACK else 0.0
+            track = spec.geometry.half_track if friction in TWO_POINT_LAWS else 0.0
         mu = spec.friction
         self._tolerance = tolerance
         self.load = load
@@ -479,7 +479,7 @@ class AnalyticalSnake(PneumaticPlant):
             done += made
             if made < len(piece.lengths):
                 break
-        return done, joined(motions), joined(traces)
+        return done, concatenate_records(motions), concatenate_records(traces)
 
     def _turns(self, schedule: Schedule, steps: Steps) -> Iterator[tuple[Schedule, Steps]]:
         if not self._chambers_feel:
@@ -508,7 +508,7 @@ class AnalyticalSnake(PneumaticPlant):
 
     def identity(self) -> dict[str, Any]:
         """See `Plant.identity`."""
-        return super().identity() | {"floor": fingerprint(self._ground)}
+        return super().identity() | {"floor": short_digest(self._ground)}
 
     def _make_body(self) -> Body:
         g = self.spec.geometry

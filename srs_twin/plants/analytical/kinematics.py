@@ -20,8 +20,8 @@ COS, SIN, SPIN, X, Y, VX, VY = range(7)
 
 ROWS = 7
 
-_half_turn = compiled(geometry.half_turn)
-_spans = compiled(geometry.spans)
+_half_turn = compiled(geometry.half_angle_terms)
+_spans = compiled(geometry.chord_from_half_angle)
 
 
 class Solid(NamedTuple):

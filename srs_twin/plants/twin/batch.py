@@ -28,8 +28,8 @@ from typing import Any
 import numpy as np
 
 from srs_twin.compute.workers import Workers
-from srs_twin.errors import DivergedError, InputError, one_of
-from srs_twin.io.saved_state import CopiedWhole
+from srs_twin.errors import DivergedError, InputError, check_choice
+from srs_twin.io.saved_state import DeepCopied
 from srs_twin.plants.base import Pose, SnakeState, check_commands
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics import Pneumatics, Schedule
@@ -38,7 +38,7 @@ from srs_twin.robot.spec import RobotSpec
 ENGINES = ("cpu", "warp")
 
 
-class TwinBatch(CopiedWhole):
+class TwinBatch(DeepCopied):
     """Many twins with one number of connectors and one tick, stepped together over threads.
 
     Each gives bit for bit what a `TwinSnake` of its spec alone gives.
@@ -68,7 +68,7 @@ class TwinBatch(CopiedWhole):
             InputError: MuJoCo Warp is not installed, or cannot do this.
             UnknownNameError: another engine.
         """
-        one_of("engine", engine, ENGINES)
+        check_choice("engine", engine, ENGINES)
         return super().__new__(cls) if engine == "cpu" else on_warp(*given, device=device, **settings)
 
     def __init__(
@@ -119,7 +119,7 @@ class TwinBatch(CopiedWhole):
         if len(places) != len(self):
             raise InputError(f"poses: {len(places)} were given for {len(self)} runs; give one a run")
         self.errors = [None] * len(self)
-        resting = self._workers.each(len(self), lambda k, _: self.twins[k].reset(pose=places[k], seed=seed))
+        resting = self._workers.run(len(self), lambda k, _: self.twins[k].reset(pose=places[k], seed=seed))
         self.state = SnakeState.history(resting)
         return self.state
 
@@ -173,7 +173,7 @@ class TwinBatch(CopiedWhole):
         """
         if len(schedules) != len(self):
             raise InputError(f"schedules: {len(schedules)} were given for {len(self)} runs; give one a run")
-        histories = self._workers.each(len(self), lambda k, _: self._play(k, schedules[k], samples))
+        histories = self._workers.run(len(self), lambda k, _: self._play(k, schedules[k], samples))
         last = [
             self.state.at(k) if history is None else history.at(-1) for k, history in enumerate(histories)
         ]
@@ -257,7 +257,7 @@ def _twins(
     keys = [repr(each) if once else str(k) for k, each in enumerate(zip(specs, supplies, strict=True))]
     first = {key: k for k, key in reversed(list(enumerate(keys)))}
     needed = sorted(first.values())
-    made = workers.each(
+    made = workers.run(
         len(needed), lambda n, _: TwinSnake(specs[needed[n]], supply_pa=supplies[needed[n]], **settings)
     )
     of = dict(zip(needed, made, strict=True))

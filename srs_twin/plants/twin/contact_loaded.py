@@ -36,9 +36,9 @@ import scipy.linalg
 from numba import types
 
 from srs_twin.compute.arrays import one_blas_thread
-from srs_twin.compute.compiled import compiled, inside
+from srs_twin.compute.compiled import compiled, kernel_only
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 from srs_twin.plants.twin.friction_solve import (
     Contacts,
     Engine,
@@ -74,14 +74,14 @@ class Given(NamedTuple):
     qacc_warmstart: np.ndarray
 
 
-class LoadedStepper(Remembers):
+class LoadedStepper(Stateful):
     """The contacts of one twin on the loads of its own data.
 
     Attributes:
         feet: what they keep from step to step.
     """
 
-    memory = names("feet")
+    state_attributes = ("feet",)
 
     def __init__(
         self,
@@ -319,7 +319,7 @@ def _end(given, engine, contacts, pattern, feet, work, h, step, out):  # type: i
     return True
 
 
-@inside
+@kernel_only
 def _copy(of, to):  # type: ignore[no-untyped-def]
     # Loops: a slice that is assigned to takes numba seconds to compile, for the words of an error.
     for k in range(of.shape[0]):

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from srs_twin.compute.compiled import inside
+from srs_twin.compute.compiled import kernel_only
 from srs_twin.plants.twin.friction_held import held, rolling
 from srs_twin.plants.twin.mjcf import surroundings
 from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS, LOADS
@@ -178,21 +178,21 @@ class Work(NamedTuple):
     direction: np.ndarray
 
 
-@inside
+@kernel_only
 def approach(engine, contacts, pattern, feet, work):  # type: ignore[no-untyped-def]
     """See where the wheels are, and push with the friction of the step before."""
     _look(engine, contacts, work)
     _forces(engine.cdof, contacts, pattern, feet.push, work, engine.qfrc_applied)
 
 
-@inside
+@kernel_only
 def expect(engine, work):  # type: ignore[no-untyped-def]
     """Go on with the velocities at mid-step, v̄ without the change; v̂ is known."""
     for i in range(work.before.shape[0]):
         engine.qvel[i] = 0.5 * (work.before[i] + work.predicted[i])
 
 
-@inside
+@kernel_only
 def settle(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped-def]
     """Find friction and the velocities that it leaves.
 
@@ -216,7 +216,7 @@ def settle(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped
         engine.qvel[i] = work.predicted[i] + work.change[i]
 
 
-@inside
+@kernel_only
 def note(contacts, feet, work, force):  # type: ignore[no-untyped-def]
     """Keep what friction was; fill the forces on all contacts, (C, 3), N; return the power it takes, W."""
     power = float(0.0)
@@ -242,14 +242,14 @@ def note(contacts, feet, work, force):  # type: ignore[no-untyped-def]
     return power
 
 
-@inside
+@kernel_only
 def _clear(array):  # type: ignore[no-untyped-def]
     for i in range(array.shape[0]):
         for k in range(array.shape[1]):
             array[i, k] = 0.0
 
 
-@inside
+@kernel_only
 def _multiply(pattern, matrix, x, out):  # type: ignore[no-untyped-def]
     """Add the product of a symmetric matrix of a pattern."""
     for i in range(x.shape[0]):
@@ -260,13 +260,13 @@ def _multiply(pattern, matrix, x, out):  # type: ignore[no-untyped-def]
         out[i] += matrix[last] * x[i]
 
 
-@inside
+@kernel_only
 def dot(a, b):  # type: ignore[no-untyped-def]
     """Return the product of two spatial vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5]
 
 
-@inside
+@kernel_only
 def _look(engine, contacts, work):  # type: ignore[no-untyped-def]
     """Fill the rows of each wheel's contact, which lies below its centre, and the headings."""
     com = engine.subtree_com[1]
@@ -291,7 +291,7 @@ def _look(engine, contacts, work):  # type: ignore[no-untyped-def]
         row[1] = row[1] + contacts.radius * c
 
 
-@inside
+@kernel_only
 def point(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
     """Fill what gives the velocity of a place along an axis."""
     row[0] = y * ez - z * ey
@@ -302,7 +302,7 @@ def point(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
     row[5] = ez
 
 
-@inside
+@kernel_only
 def _feel(engine, contacts, work):  # type: ignore[no-untyped-def]
     """Fill what presses on each contact, and the rows of those with obstacles, whose faces are upright."""
     com, sensed = engine.subtree_com[1], engine.sensordata
@@ -323,7 +323,7 @@ def _feel(engine, contacts, work):  # type: ignore[no-untyped-def]
             point(work.rows[w, _ACROSS], x, y, z, 0.0, 0.0, 1.0)
 
 
-@inside
+@kernel_only
 def _carry(cdof, pattern, velocity, motion):  # type: ignore[no-untyped-def]
     """Fill the spatial velocity beyond each degree of freedom."""
     for i in range(velocity.shape[0]):
@@ -334,7 +334,7 @@ def _carry(cdof, pattern, velocity, motion):  # type: ignore[no-untyped-def]
                 motion[i, k] += motion[p, k]
 
 
-@inside
+@kernel_only
 def _project(cdof, pattern, motion, out):  # type: ignore[no-untyped-def]
     """Sum spatial forces toward the root and fill what they do on each degree of freedom."""
     for i in range(out.shape[0] - 1, -1, -1):
@@ -345,7 +345,7 @@ def _project(cdof, pattern, motion, out):  # type: ignore[no-untyped-def]
                 motion[p, k] += motion[i, k]
 
 
-@inside
+@kernel_only
 def _forces(cdof, contacts, pattern, push, work, out):  # type: ignore[no-untyped-def]
     """Fill the generalised forces of friction."""
     _clear(work.motion)
@@ -357,7 +357,7 @@ def _forces(cdof, contacts, pattern, push, work, out):  # type: ignore[no-untype
     _project(cdof, pattern, work.motion, out)
 
 
-@inside
+@kernel_only
 def _slip(contacts, work, w, theta):  # type: ignore[no-untyped-def]
     """Return a contact's velocity along and across at mid-step, m/s; the change's `motion` is known."""
     last = contacts.last[w]
@@ -369,7 +369,7 @@ def _slip(contacts, work, w, theta):  # type: ignore[no-untyped-def]
     )
 
 
-@inside
+@kernel_only
 def _load(contacts, work, w):  # type: ignore[no-untyped-def]
     """Return the load that friction takes, N."""
     pressed, rest = max(work.press[w] - work.found[w, 6], 0.0), contacts.rest[w]
@@ -381,7 +381,7 @@ def _load(contacts, work, w):  # type: ignore[no-untyped-def]
     return rest
 
 
-@inside
+@kernel_only
 def _theta(x):  # type: ignore[no-untyped-def]
     """Return where in a step friction is taken that lets slip decay by x: its middle, or its end if fast."""
     if x > 0.1:
@@ -389,7 +389,7 @@ def _theta(x):  # type: ignore[no-untyped-def]
     return 0.5 + x / 12.0 - x * x * x / 720.0
 
 
-@inside
+@kernel_only
 def _law(contacts, w, along, across, load, push, rim, h):  # type: ignore[no-untyped-def]
     """Return force, slopes (along by along, along by across, across by across), rim's speed at mid-step."""
     law = contacts.law
@@ -408,7 +408,7 @@ def _law(contacts, w, along, across, load, push, rim, h):  # type: ignore[no-unt
     return f_t - lag * (along - rim), f_n, tt - lag, 0.0, nn, along
 
 
-@inside
+@kernel_only
 def _solve(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped-def]
     """Find friction and the change of velocity that it makes, by Newton's method with a line search."""
     change, direction = work.change, work.direction
@@ -436,7 +436,7 @@ def _solve(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped
                 work.residual[i] = work.other[i]
 
 
-@inside
+@kernel_only
 def _search(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped-def]
     """Move along Newton's direction until the residual is about normal to it; return the residual's square.
 
@@ -471,7 +471,7 @@ def _search(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untype
     return merit
 
 
-@inside
+@kernel_only
 def _residual(engine, contacts, pattern, feet, work, h, out):  # type: ignore[no-untyped-def]
     """Fill what the equation lacks, kg·m/s; return its square; note what the law says."""
     change, motion, rows, found = work.change, work.motion, work.rows, work.found
@@ -511,7 +511,7 @@ def _residual(engine, contacts, pattern, feet, work, h, out):  # type: ignore[no
     return total
 
 
-@inside
+@kernel_only
 def _assemble(engine, contacts, pattern, feet, work, h):  # type: ignore[no-untyped-def]
     """Fill Newton's matrix: A, the normals that press, friction's slopes."""
     matrix, rows, found, yielding = work.matrix, work.rows, work.found, work.yielding
@@ -542,14 +542,14 @@ def _assemble(engine, contacts, pattern, feet, work, h):  # type: ignore[no-unty
                     yielding[p, a, b] += own[a, b]
 
 
-@inside
+@kernel_only
 def _divide(engine, pattern, work):  # type: ignore[no-untyped-def]
     """Fill the direction that Newton's matrix gives the residual, by the engine's own routines."""
     mj_factorM(engine.model, engine.data)
     mj_solveM(engine.model, engine.data, work.direction.ctypes.data, work.residual.ctypes.data, np.int32(1))
 
 
-@inside
+@kernel_only
 def divide_alone(engine, pattern, work):  # type: ignore[no-untyped-def]
     """Do the same without the engine's routines."""
     for i in range(work.direction.shape[0]):
@@ -558,7 +558,7 @@ def divide_alone(engine, pattern, work):  # type: ignore[no-untyped-def]
     _substitute(work.matrix, pattern, work.direction)
 
 
-@inside
+@kernel_only
 def _factor(matrix, pattern):  # type: ignore[no-untyped-def]
     """Factor a matrix of M's pattern into LᵀDL, in place: no entry appears that M does not have."""
     for k in range(pattern.entries.shape[0] - 1, -1, -1):
@@ -571,7 +571,7 @@ def _factor(matrix, pattern):  # type: ignore[no-untyped-def]
             matrix[row + a] = part
 
 
-@inside
+@kernel_only
 def _substitute(matrix, pattern, x):  # type: ignore[no-untyped-def]
     """Solve LᵀDL x = b in place."""
     for i in range(x.shape[0] - 1, -1, -1):

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 from srs_twin.plants.base import Pose
 from srs_twin.plants.twin.contact_loaded import LoadedStepper
 from srs_twin.plants.twin.internal_joints import InternalJoints
@@ -124,13 +124,13 @@ _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _MEMORY = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
-class SnakePhysics(dm.Physics, Remembers):
+class SnakePhysics(dm.Physics, Stateful):
     """dm_control physics of a snake; `step` advances the chambers, then the bodies.
 
     The control is a valve command, held in equal slots over the next `step`.
     """
 
-    memory = names("_floor_force", "_last_push", "_schedule", "loaded")
+    state_attributes = ("_floor_force", "_last_push", "_schedule", "loaded")
 
     @classmethod
     def build(
@@ -151,7 +151,7 @@ class SnakePhysics(dm.Physics, Remembers):
             world: what it may run into; None: nothing.
         """
         # A copy: whoever changes a number in the model of one twin must not change the others'.
-        felt = world if world and (world.solid or world.uneven) else None
+        felt = world if world and (world.has_obstacles or world.uneven) else None
         model = copy.copy(_compiled(spec, settings, supply_pa, felt))
         return cls._of(model, spec, settings, chambers)
 
@@ -171,14 +171,14 @@ class SnakePhysics(dm.Physics, Remembers):
         kinds = np.ndarray | InternalJoints
         settled = {name: value for name, value in vars(self).items() if isinstance(value, kinds)}
         contact = None if self.loaded is None else self.loaded.settled
-        return type(self)._of, made_of, (self.remembered(), settled, contact)
+        return type(self)._of, made_of, (self.state_dict(), settled, contact)
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         memory, settled, contact = state
         self.__dict__.update(settled)
         if self.loaded is not None:
             self.loaded.settled = contact
-        self.recall(memory)
+        self.load_state_dict(memory)
 
     def copy(self, share_model: bool = False) -> SnakePhysics:
         """Return a copy that shares neither chambers nor model.
@@ -330,15 +330,15 @@ class SnakePhysics(dm.Physics, Remembers):
                 spin = moving[3:] @ ahead / (self._spec.geometry.wheel_radius * (ahead @ ahead))
                 data.qvel[raw.jnt_dofadr[joint]] = spin
 
-    def remembered(self) -> dict[str, Any]:
-        """See `Remembers`; the engine's own memory is what it calls the state of integration."""
+    def state_dict(self) -> dict[str, Any]:
+        """See `Stateful`; the engine's own memory is what it calls the state of integration."""
         engine = np.empty(mujoco.mj_stateSize(self.model.ptr, _MEMORY))
         mujoco.mj_getState(self.model.ptr, self.data.ptr, engine, _MEMORY)
-        return super().remembered() | {"engine": engine}
+        return super().state_dict() | {"engine": engine}
 
-    def recall(self, memory: Mapping[str, Any]) -> None:
-        """See `Remembers`."""
-        super().recall(memory)
+    def load_state_dict(self, memory: Mapping[str, Any]) -> None:
+        """See `Stateful`."""
+        super().load_state_dict(memory)
         mujoco.mj_setState(self.model.ptr, self.data.ptr, memory["engine"], _MEMORY)
         self.refresh()
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.compute.arrays import joined
-from srs_twin.errors import DivergedError, InputError, one_of, whole_steps
-from srs_twin.io.saved_state import fingerprint, names
+from srs_twin.compute.arrays import concatenate_records
+from srs_twin.errors import DivergedError, InputError, check_choice, count_steps
+from srs_twin.io.saved_state import short_digest
 from srs_twin.plants.base import (
     BASES,
     PneumaticPlant,
@@ -60,7 +60,7 @@ class TwinSnake(PneumaticPlant):
     """
 
     name = "twin"
-    memory = names("physics", "_spent", "_internal", "_theta", "_raised")
+    state_attributes = ("physics", "_spent", "_internal", "_theta", "_raised")
     stretch = 1.0
     has_internal_loss = True
 
@@ -106,10 +106,10 @@ class TwinSnake(PneumaticPlant):
         contact = as_contact(contact)
         if former:
             contact, numerics = _take_former(contact, numerics, former)
-        one_of("base", base, BASES)
+        check_choice("base", base, BASES)
         if world is not None and world.uneven and isinstance(contact, PreloadedContact):
             raise InputError("a floor that slopes or has steps needs contact 'loaded'")
-        whole_steps("tick", tick, "time step", timestep)
+        count_steps("tick", tick, "time step", timestep)
         self.spec, self.tick, self.timestep, self.contact = spec, tick, timestep, contact
         supply = self._equip(pneumatics, supply_pa, layout, sensor)
         self._settings = ModelSettings(timestep, hinges_per_segment, contact, base, numerics)
@@ -119,10 +119,13 @@ class TwinSnake(PneumaticPlant):
                 f"time step {timestep:g} s is too long for these chambers, which feel how the segments bend; "
                 f"it must be {self.pneumatics.felt_s:g} s or less (timestep_s in a scenario)"
             )
-        self.touches, self.uneven = world is not None and world.solid, world is not None and world.uneven
+        self.touches, self.uneven = (
+            world is not None and world.has_obstacles,
+            world is not None and world.uneven,
+        )
         self._first_step = min((step.x for step in world.steps), default=math.inf) if world else math.inf
         largest = supply * self.pneumatics.overshoot
-        self._world = fingerprint(world)
+        self._world = short_digest(world)
         self.physics = SnakePhysics.build(spec, self._settings, self.pneumatics, largest, world)
         self.reset()
 
@@ -174,7 +177,7 @@ class TwinSnake(PneumaticPlant):
     def _follow(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
         """Follow a schedule of possible valve states over so many ticks."""
         interval = schedule.span / samples
-        steps = whole_steps("sample interval", interval, "time step", self.timestep)
+        steps = count_steps("sample interval", interval, "time step", self.timestep)
         block = max(1, math.floor(self.stretch / interval))
         begun, parts = self._ticks * self.tick, []
         for first in range(0, samples, block):
@@ -232,7 +235,9 @@ class TwinSnake(PneumaticPlant):
             trace = self.physics.fill(part, last - first)
             rolled.append(self.physics.roll(trace.pressure))
             traces.append(trace.at(np.arange(1, last - first + 1)))
-        return joined(traces), self.physics.recorded(*map(np.concatenate, zip(*rolled, strict=True)))
+        return concatenate_records(traces), self.physics.recorded(
+            *map(np.concatenate, zip(*rolled, strict=True))
+        )
 
     def _history(self, times: np.ndarray, trace: Trace, record: StepBatch, steps: int) -> SnakeState:
         """Return what was to be seen at these times, each at the end of so many steps."""
@@ -339,7 +344,7 @@ def _take_former(contact: Contact, numerics: Numerics, former: dict[str, Any]) -
     if isinstance(contact, LoadedContact):
         wheels, law = given.pop("wheels", None), given.pop("friction", None)
         if wheels is not None:
-            one_of("wheels", wheels, WHEELS)
+            check_choice("wheels", wheels, WHEELS)
             law = law or LAW_OF[wheels]
         given |= {"law": law} if law else {}
         # A loaded twin always ignored these.

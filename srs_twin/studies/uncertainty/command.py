@@ -67,7 +67,7 @@ def uncertainty(
 
     runner = chosen_engine(engine, workers, None)
     from srs_twin.experiment import INTERVALS
-    from srs_twin.io.files import open_folder
+    from srs_twin.io.files import check_output_folder
     from srs_twin.robot.file import RobotFile
     from srs_twin.scenario import load_scenario
     from srs_twin.studies.uncertainty import Priors, Study, propagate
@@ -89,7 +89,7 @@ def uncertainty(
     )
     folder = Path(out) if out else STUDIES / found.name
     if write:
-        open_folder(INTERVALS, (f"{found.name}.json",), option="")
+        check_output_folder(INTERVALS, (f"{found.name}.json",), option="")
 
     @contextmanager
     def counting(part: str, count: int) -> Iterator[Callable[[Row], Any]]:
@@ -110,12 +110,14 @@ def uncertainty(
 
 
 def _forms(given: Sequence[str]) -> dict[str, tuple[Any, ...]]:
-    from srs_twin.io.documents import Change
+    from srs_twin.io.documents import Override
 
     found = {}
     for text in given:
         name, _, values = text.partition("=")
-        found[name] = tuple(Change.of(f"--form {text}", name, value).value for value in values.split(","))
+        found[name] = tuple(
+            Override.parse(f"--form {text}", name, value).value for value in values.split(",")
+        )
     return found
 
 

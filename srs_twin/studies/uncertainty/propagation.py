@@ -20,7 +20,7 @@ import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.experiment import INTERVALS, twin_contact
-from srs_twin.io.file_sets import replaced, unmark
+from srs_twin.io.file_sets import remove_completion_mark, replace_files
 from srs_twin.io.files import write_text
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import judged_digest
@@ -256,7 +256,7 @@ class Propagation:
         samples = pa.table({name: pa.array(each, from_pandas=True) for name, each in columns.items()})
         document = self.document()
         picture = draw_intervals(self.study.scenario.title, document)
-        with replaced(folder, (RESULT, SAMPLES, PICTURE)) as fresh:
+        with replace_files(folder, (RESULT, SAMPLES, PICTURE)) as fresh:
             write(fresh / SAMPLES, samples)
             save(picture, fresh / PICTURE)
             (fresh / RESULT).write_text(json.dumps(document, indent=2) + "\n", "utf-8")
@@ -327,7 +327,7 @@ def propagate(
             with progress(part, len(missing)) if progress and missing else nullcontext() as finished:
                 opened.run(engine, missing, finished)
             if missing or changed:  # an earlier result does not belong to these rows
-                unmark(folder / RESULT)
+                remove_completion_mark(folder / RESULT)
             opened.finish()
         rows[part] = _columns(folder / part / "results.parquet", sweep)
     return Propagation(study, rows)

@@ -25,7 +25,7 @@ from srs_twin.comparison.metrics import (
 from srs_twin.identification.fit_report import parameter_table
 from srs_twin.planning import Plan
 from srs_twin.planning.plan_view import following_plot, lines_plot, path_points, plan_view
-from srs_twin.robot.file import RobotFile, units_of
+from srs_twin.robot.file import RobotFile, section_units
 from srs_twin.robot.sourced import si_unit, split_unit
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.expectation import tally, verdict
@@ -251,7 +251,7 @@ def _robot_units() -> dict[str, str]:
     found = {"actuator.gain": "rad/Pa", "chamber.displacement": "m³/rad"}
     for section in RobotFile.model_fields:
         inside = {"modules": "variation.", "gait": ""}.get(section, f"{section}.")
-        found |= {f"{inside}{split_unit(key)[0]}": si_unit(key) for key in units_of(section)}
+        found |= {f"{inside}{split_unit(key)[0]}": si_unit(key) for key in section_units(section)}
     return {name: unit.replace("*", "·") for name, unit in found.items()}
 
 
