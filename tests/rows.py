@@ -1,4 +1,4 @@
-"""How each connector moves with all velocities of a body: the dense way, for tests of the recursions."""
+"""Dense Jacobians of the connector velocities, a reference for the recursive kernels."""
 
 from __future__ import annotations
 

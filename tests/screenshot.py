@@ -1,4 +1,4 @@
-"""Pictures of a recording as the Rerun viewer shows it, with no screen and no browser.
+"""Screenshots of a recording in the Rerun viewer, without a screen or browser.
 
 Needs a Vulkan driver; the software one will do (Debian: `apt-get install mesa-vulkan-drivers`).
 """

@@ -31,7 +31,7 @@ def pid(_):
 
 
 def kill_at(bad, how, x):
-    """Kill the worker at some arguments; return the square of all others."""
+    """Kill the worker at some arguments; return the square of all other arguments."""
     if x in bad:
         os.kill(os.getpid(), how)
     return square(x)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from srs_twin.io.documents import Loc, child, has_child, parse_yaml
 
-# Characters that look like others or are invisible.
+# Characters that look like other characters or are invisible.
 CONFUSABLES = {
     "cyrillic o in robot": ("r\u043ebot", "unknown key"),
     "full-width colon": ("robot\uff1a gen2", ""),

@@ -1,4 +1,4 @@
-"""Sets of files are replaced atomically, at whatever point the process ends."""
+"""Sets of files are replaced atomically, even if the process ends at any line."""
 
 from __future__ import annotations
 
