@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from srs_twin.robot.file import RobotFile
-from srs_twin.scenario import load_scenario
+from srs_twin.robot.priors import Priors
+from srs_twin.scenario.loading import load_scenario
 from srs_twin.studies.sweep.execution import local
-from srs_twin.studies.uncertainty import Priors, Study, propagate
-from srs_twin.studies.uncertainty.propagation import OWN_ROWS
+from srs_twin.studies.uncertainty.propagation import OWN_ROWS, propagate
 from srs_twin.studies.uncertainty.spreads import predicted, sampling_errors
+from srs_twin.studies.uncertainty.study import Study
 
 FEW, SETS = 64, 10
 ENDS = [0.025, 0.975]
@@ -34,7 +35,7 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=2048)
     given = parser.parse_args()
     scenario = load_scenario(given.scenario, set={"duration_s": given.duration})
-    priors = Priors.of(RobotFile.model_validate(scenario.document["robot"]))
+    priors = Priors.from_robot(RobotFile.model_validate(scenario.document["robot"]))
     study = Study(scenario, priors, ("twin",), given.samples, given.samples)
     rows = propagate(study, given.out, local()).rows
     print("| metric | correlation | worse end of each set, % of the width | within 5 % | within 2 s.e. |")

@@ -25,10 +25,11 @@ from scipy.special import ndtri
 from scipy.stats import qmc
 
 from srs_twin.identification.fit_file import load_fit
-from srs_twin.reproduction import judge, load_claims, open_store
-from srs_twin.reproduction.claims import Claim
+from srs_twin.reproduction.claims import Claim, load_claims
+from srs_twin.reproduction.runs import open_store
+from srs_twin.reproduction.verdicts import judge
 from srs_twin.robot.file import RobotFile, load_robot_file
-from srs_twin.studies.uncertainty.priors import Priors
+from srs_twin.robot.priors import Priors
 
 ROOT = Path(__file__).parents[1]
 LEFT_OUT = ("follow-sim", "experiments", "gen1-grid", "gen1-shape-rms", "smc-6hz-amplitude.low", "ilc-")
@@ -57,9 +58,9 @@ def in_robot(robot: Document, shares: np.ndarray) -> Document:
             assert given is not None
             own["actuator"][key]["uncertain"] = given.model_dump(mode="json")
         file = RobotFile.model_validate(own)
-    priors = Priors.of(file)
-    count = len(priors.each)
-    values = dict(zip(priors.paths, priors.at(shares[:count]).tolist(), strict=True))
+    priors = Priors.from_robot(file)
+    count = len(priors.parameters)
+    values = dict(zip(priors.paths, priors.quantile(shares[:count]).tolist(), strict=True))
     for share, (path, (value, error)) in zip(shares[count:], fitted().items(), strict=False):
         section, key = path.split(".")
         if "calibration/fits" in str(robot["friction"]["mu_t"]["source"]) and key in robot.get(section, {}):

@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -49,10 +49,16 @@ class Event:
 
 
 class HtmlResult:
-    """Base class of results that notebooks display as an HTML page."""
+    """Base class of results that notebooks display as an HTML page.
+
+    Attributes:
+        page: entry of `extensions.PAGES` that renders the page.
+    """
+
+    page: ClassVar[str] = "run"
 
     def _repr_html_(self) -> str:
-        page: str = load(PAGES["html"])(self)
+        page: str = load(PAGES[self.page])(self)
         return page
 
 

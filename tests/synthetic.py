@@ -1,7 +1,7 @@
 """Trajectories with prescribed speed, turning radius and bends.
 
-A constant-curvature snake moves along a straight line or a circle. The kinematics of the package are not used:
-the tangent of the centre line is integrated numerically along the body.
+A constant-curvature snake moves along a straight line or a circle. The kinematics of the package are not
+used: the tangent of the centre line is integrated numerically along the body.
 """
 
 from __future__ import annotations

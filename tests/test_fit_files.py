@@ -174,7 +174,7 @@ def test_what_a_fit_leaves_unknown_stands_in_the_robot(tmp_path):
     from scipy.stats import lognorm
 
     from srs_twin.identification.fitted_robot import fitted_robot
-    from srs_twin.studies.uncertainty import Priors
+    from srs_twin.robot.priors import Priors
 
     names = ["friction.mu_t", "bending.stiffness_nm_per_rad"]
     found = [
@@ -184,9 +184,9 @@ def test_what_a_fit_leaves_unknown_stands_in_the_robot(tmp_path):
     estimate = Estimate(tuple(found), np.array([[1.0, -0.6], [-0.6, 1.0]]))
     path = tmp_path / "mine.yaml"
     write_fit(fit_file(estimate, **ABOUT | {"robot": "gen2"}, data=DATA), path)
-    priors = Priors.of(fitted_robot([path], "mine"))
+    priors = Priors.from_robot(fitted_robot([path], "mine"))
     i, j = (priors.paths.index(name) for name in names)
     assert priors.correlation[i, j] == -0.6
-    ends = priors.each[i].at(np.array([0.025, 0.975]))
+    ends = priors.parameters[i].quantile(np.array([0.025, 0.975]))
     assert ends == pytest.approx([0.05 / 1.1, 0.05 * 1.1], rel=1e-3)
     assert ends == pytest.approx(lognorm(np.log(1.1) / 1.96, scale=0.05).ppf([0.025, 0.975]), rel=1e-3)

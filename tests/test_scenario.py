@@ -20,10 +20,11 @@ from srs_twin.io.documents import dump_yaml, load_yaml, parse_yaml
 from srs_twin.io.files import data_root, shipped_names
 from srs_twin.reproduction.claims import CLAIMS_BYTES, claims_file
 from srs_twin.robot.file import load_robot
-from srs_twin.scenario import Expectation, load_scenario, parse_scenario, scenario_json_schema
-from srs_twin.scenario.expectation import known_metrics, verdict
+from srs_twin.scenario.expectation import Expectation, known_metrics, verdict
 from srs_twin.scenario.fields import Section
 from srs_twin.scenario.file import ScenarioFile
+from srs_twin.scenario.loading import load_scenario, parse_scenario
+from srs_twin.scenario.schema import scenario_json_schema
 
 pytestmark = pytest.mark.fast
 
@@ -334,7 +335,7 @@ def test_the_limit_follows_an_override():
             {"plants": plants(tick_s=0.02005)},
             "plants.analytical.tick_s: tick 0.02005 s is not a multiple of valve",
         ),
-        ({"plants": plants(timestep_s=2.5e-5, tick_s=0.001025)}, "no multiple of valve slot 0.0001 s"),
+        ({"plants": plants(timestep_s=2.5e-5, tick_s=0.001025)}, "not a multiple of valve slot 0.0001 s"),
         (
             {"duration_s": 1.01},
             "duration_s: duration 1.01 s is not a multiple of the analytical plant's tick",

@@ -8,11 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from srs_twin.robot.priors import Prior, Priors
 from srs_twin.robot.sourced import Uncertain
-from srs_twin.scenario import load_scenario
-from srs_twin.studies.uncertainty import Prior, Priors, Propagation, Spread, Study
+from srs_twin.scenario.loading import load_scenario
 from srs_twin.studies.uncertainty.plots import draw_intervals
-from srs_twin.studies.uncertainty.spreads import BOUNDING, predicted, sampling_errors
+from srs_twin.studies.uncertainty.propagation import Propagation
+from srs_twin.studies.uncertainty.spreads import BOUNDING, Spread, predicted, sampling_errors
+from srs_twin.studies.uncertainty.study import Study
 
 SPEED = "com_speed_m_s"
 Law = Callable[[np.ndarray], np.ndarray]
@@ -31,7 +33,7 @@ def study_of(dimensions: int, samples: int, *, value: float = 0.5, seed: int = 0
 def result_of(study: Study, law: Law) -> Propagation:
     """Return the result of a study whose speed is a known function of the shares; the step has no error."""
     own = np.full((3, len(study.names)), 0.5)
-    own[1:] = study.priors.each[0].value
+    own[1:] = study.priors.parameters[0].value
     return Propagation(study, {"analytical": {SPEED: law(np.concatenate([study.shares, own]))}})
 
 

@@ -13,8 +13,9 @@ from harness import Contents, MakeFile, Malformed
 from hypothesis import strategies as st
 
 from srs_twin import load_robot
-from srs_twin.identification import read_motion, read_valves
 from srs_twin.identification.actuator import read_static
+from srs_twin.recordings.recording import read_motion
+from srs_twin.recordings.signals.logs import read_valves
 
 SPEC = load_robot("gen2")
 MODULE = load_robot("gen4_module")

@@ -9,7 +9,7 @@ import pytest
 from malformed_scenarios import SCENARIO
 
 from srs_twin.errors import InputError
-from srs_twin.scenario import load_scenario
+from srs_twin.scenario.loading import load_scenario
 
 GOOD = SCENARIO.decode()
 MINE = """title: Mine

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from srs_twin.robot.file import RobotFile
+from srs_twin.robot.priors import Priors
 from srs_twin.scenario.provenance import versions
 from srs_twin.studies.optimization.loading import Study
 from srs_twin.studies.optimization.runs import Runs, metric_of
 from srs_twin.studies.optimization.search import Optimum, excesses
 from srs_twin.studies.sweep.points import Changes
 from srs_twin.studies.sweep.task import Row
-from srs_twin.studies.uncertainty.priors import Priors
 
 RESULT, EVALUATIONS, REPORT = "study.json", "evaluations.parquet", "report.html"
 PICTURES = ("convergence.png", "front.png", "parallel.png")
@@ -209,11 +209,13 @@ def _robots(study: Study, count: int) -> list[Changes]:
 
     robot = RobotFile.model_validate(study.experiments["twin"].base["robot"])
     chosen = [name.removeprefix("robot.") for name in study.space.changes(np.full(study.space.size, 0.5))]
-    priors = Priors.of(robot, without=[each for each in Priors.of(robot).paths if each in chosen])
+    priors = Priors.from_robot(
+        robot, without=[each for each in Priors.from_robot(robot).paths if each in chosen]
+    )
     shares = qmc.Sobol(len(priors.paths), rng=study.file.seed).random_base2(max(count - 1, 1).bit_length())
     return [
         {f"robot.{path}": float(value) for path, value in zip(priors.paths, row, strict=True)}
-        for row in priors.at(shares[:count])
+        for row in priors.quantile(shares[:count])
     ]
 
 

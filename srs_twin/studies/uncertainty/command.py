@@ -24,7 +24,8 @@ from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
     from srs_twin.studies.sweep.task import Row
-    from srs_twin.studies.uncertainty import Propagation, Spread
+    from srs_twin.studies.uncertainty.propagation import Propagation
+    from srs_twin.studies.uncertainty.spreads import Spread
 
 STUDIES = Path("runs/uncertainty")
 _NEXT = 3
@@ -69,14 +70,16 @@ def uncertainty(
     from srs_twin.experiment import INTERVALS
     from srs_twin.io.files import check_output_folder
     from srs_twin.robot.file import RobotFile
-    from srs_twin.scenario import load_scenario
-    from srs_twin.studies.uncertainty import Priors, Study, propagate
+    from srs_twin.robot.priors import Priors
+    from srs_twin.scenario.loading import load_scenario
+    from srs_twin.studies.uncertainty.propagation import propagate
+    from srs_twin.studies.uncertainty.study import Study
 
     found = load_scenario(scenario, set=changes.changes())
     if write and found.left_out:
         fields = ", ".join(dict.fromkeys(field for each in found.left_out for field in each["because"]))
         raise InputError(f"--write keeps intervals of unmodified scenarios, but {fields} was changed")
-    priors = Priors.of(RobotFile.model_validate(found.document["robot"]), without=without or ())
+    priors = Priors.from_robot(RobotFile.model_validate(found.document["robot"]), without=without or ())
     chosen = tuple(plants_of(plants) or found.plants)
     study = Study(
         found,
@@ -170,7 +173,7 @@ def _show(result: Propagation) -> None:
     if marks:
         print("* outside its 50 % interval, ** outside its 95 % interval")
     runs = ", ".join(f"{count} runs of {part}" for part, count in study.parts.items())
-    print(f"{len(study.priors.each)} uncertain numbers of {study.scenario.robot.name}; {runs}")
+    print(f"{len(study.priors.parameters)} uncertain numbers of {study.scenario.robot.name}; {runs}")
     lost = {part: count for part, count in result.failed.items() if count}
     if lost:
         print("without a result: " + ", ".join(f"{count} of {part}" for part, count in lost.items()))

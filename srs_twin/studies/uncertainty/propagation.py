@@ -24,7 +24,7 @@ from srs_twin.io.file_sets import remove_completion_mark, replace_files
 from srs_twin.io.files import write_text
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import judged_digest
-from srs_twin.studies.sweep import open_sweep
+from srs_twin.studies.sweep.execution import open_sweep
 from srs_twin.studies.sweep.store import write
 from srs_twin.studies.uncertainty.remarks import Remarks, remedy
 from srs_twin.studies.uncertainty.spreads import RANGES, Spread, predicted, sampling_errors
@@ -33,8 +33,8 @@ from srs_twin.studies.uncertainty.surrogates import Chaos
 from srs_twin.viewing.plots.labels import metric_label
 
 if TYPE_CHECKING:
-    from srs_twin.studies.sweep import Sweep
     from srs_twin.studies.sweep.execution import Engine
+    from srs_twin.studies.sweep.points import Sweep
     from srs_twin.studies.sweep.task import Row
 
 Progress = Callable[[str, int], AbstractContextManager["Callable[[Row], Any]"]]
@@ -141,12 +141,12 @@ class Propagation:
         fresh = self.study.draw(_FORETOLD, self.study.seed + 1)
         rest = np.random.default_rng(self.study.seed).choice(chaos.rest[:, 0], _FORETOLD)
         found = []
-        for i, prior in enumerate(priors.each):
+        for i, prior in enumerate(priors.parameters):
             lows, highs = [], []
-            for centre in prior.at(np.array(_CENTRES)):
-                after = prior.measured(float(centre), _MEASURED_TO / 1.96 * abs(float(centre)))
+            for centre in prior.quantile(np.array(_CENTRES)):
+                after = prior.with_measurement(float(centre), _MEASURED_TO / 1.96 * abs(float(centre)))
                 moved = fresh.copy()
-                moved[:, i] = prior.shares_of(after.at(fresh[:, i]))
+                moved[:, i] = prior.cdf(after.quantile(fresh[:, i]))
                 low, high = np.quantile(chaos.at(moved)[:, 0] + rest, RANGES["interval_95"])
                 lows.append(low)
                 highs.append(high)
@@ -243,12 +243,11 @@ class Propagation:
         """
         import pyarrow as pa
 
-        from srs_twin.studies.sweep.plots import save
-
         # matplotlib takes longer to import than a result without pictures has to wait.
         from srs_twin.studies.uncertainty.plots import draw_intervals
+        from srs_twin.viewing.plots.picture_file import save
 
-        drawn = self.study.priors.at(self.study.shares[:, : len(self.study.priors.each)])
+        drawn = self.study.priors.quantile(self.study.shares[:, : len(self.study.priors.parameters)])
         columns = dict(zip(self.study.priors.paths, drawn.T, strict=True))
         columns |= {
             f"{plant}.{name}": s.samples for plant, each in self.plants.items() for name, s in each.items()

@@ -1,0 +1,159 @@
+r"""Prior distributions of the uncertain parameters of a robot, with correlations.
+
+A robot file gives the distribution of a number in `Uncertain`. The numbers are functions of standard normal
+variables ζ with the correlations R of the file (a Gaussian copula), by their quantile functions:
+
+$$ x_i = F_i^{-1}(\Phi(\zeta_i)), \qquad \zeta = L z, \quad L L^T = R, \quad z_i = \Phi^{-1}(u_i), $$
+
+with u uniform and independent. Normal and lognormal distributions are truncated at the bounds of robot files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.robot.file import RobotFile
+from srs_twin.robot.sourced import Uncertain
+
+_MIN_PROBABILITY = 1e-9
+"""Distance of probabilities from 0 and 1, where the normal quantiles are infinite."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Prior distribution of one parameter.
+
+    Attributes:
+        path: path of the parameter in a robot file.
+        value: value in the robot file.
+        unit: unit of the value.
+        uncertain: distribution.
+        bounds: lowest and highest value allowed in a robot file.
+        source: source of the distribution.
+    """
+
+    path: str
+    value: float
+    unit: str
+    uncertain: Uncertain
+    bounds: tuple[float, float]
+    source: str
+
+    def quantile(self, probabilities: np.ndarray) -> np.ndarray:
+        """Return the values of the parameter at cumulative probabilities."""
+        prior = self.uncertain
+        if prior.low is not None and prior.high is not None:
+            return prior.low + (prior.high - prior.low) * np.asarray(probabilities)
+        if prior.factor is not None:
+            # A bound of 0 has no logarithm; 1e-300 is far below any parameter.
+            ends = np.log(np.maximum(self.bounds, 1e-300) / self.value) / np.log(prior.factor)
+            return np.asarray(self.value * prior.factor ** _truncated_normal(ends, probabilities))
+        assert prior.sd is not None, "the model of the file requires it"
+        ends = (np.array(self.bounds) - self.value) / prior.sd
+        return np.asarray(self.value + prior.sd * _truncated_normal(ends, probabilities))
+
+    def cdf(self, values: np.ndarray) -> np.ndarray:
+        """Return the cumulative probabilities of values, interpolated; 0 or 1 outside the distribution."""
+        table = np.linspace(0.0, 1.0, 4001)
+        return np.interp(values, self.quantile(table), table)
+
+    def with_measurement(self, value: float, sd: float) -> Prior:
+        """Return a normal distribution around a measured value with the standard deviation `sd`."""
+        return replace(self, value=value, uncertain=Uncertain.model_validate({"kind": "normal", "sd": sd}))
+
+
+def _truncated_normal(ends: np.ndarray, probabilities: np.ndarray) -> np.ndarray:
+    """Return quantiles of the standard normal distribution truncated at two ends."""
+    low, high = ndtr(ends)
+    inside = np.clip(probabilities, _MIN_PROBABILITY, 1 - _MIN_PROBABILITY)
+    return np.asarray(ndtri(low + (high - low) * inside))
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Joint prior distribution of the uncertain parameters of a robot.
+
+    Attributes:
+        parameters: prior of each parameter.
+        correlation: correlation matrix R of the normal variables, shape (d, d).
+    """
+
+    parameters: tuple[Prior, ...]
+    correlation: np.ndarray
+
+    @classmethod
+    def from_robot(cls, robot: RobotFile, *, without: Collection[str] = ()) -> Priors:
+        """Return the prior distribution in a robot file.
+
+        Args:
+            robot: the robot file.
+            without: paths of parameters to take as exact.
+
+        Raises:
+            UnknownNameError: a path is not that of an uncertain parameter.
+            InputError: no parameter is uncertain, or the correlations contradict each other.
+        """
+        records = {path: record for path, record in robot.records().items() if record.uncertain is not None}
+        for path in without:
+            if path not in records:
+                raise UnknownNameError("uncertain number", path, records)
+        parameters = []
+        for path, record in records.items():
+            if path not in without:
+                section, key = path.split(".")
+                bounds = getattr(robot, section).bounds[key]
+                prior = record.uncertain
+                source = (prior.source if prior else None) or record.source
+                parameters.append(Prior(path, record.value, record.unit, prior, bounds, source))  # type: ignore[arg-type]
+        if not parameters:
+            raise InputError(
+                f"robot {robot.name}: no number is uncertain; add `uncertain:` to its numbers "
+                "(docs/uncertainty.md)"
+            )
+        index = {prior.path: i for i, prior in enumerate(parameters)}
+        correlation = np.eye(len(parameters))
+        for pair in robot.correlated or ():
+            if all(path in index for path in pair.of):
+                i, j = (index[path] for path in pair.of)
+                correlation[i, j] = correlation[j, i] = pair.r
+        if np.linalg.eigvalsh(correlation)[0] <= 1e-9:
+            raise InputError(f"robot {robot.name}: its correlations contradict each other")
+        return cls(tuple(parameters), correlation)
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """Paths of the parameters."""
+        return tuple(prior.path for prior in self.parameters)
+
+    @property
+    def independent(self) -> bool:
+        """Whether no two parameters are correlated."""
+        return bool((self.correlation == np.eye(len(self.parameters))).all())
+
+    def quantile(self, probabilities: np.ndarray) -> np.ndarray:
+        """Return the parameters for independent uniform probabilities u, shape (…, d)."""
+        inside = np.clip(probabilities, _MIN_PROBABILITY, 1 - _MIN_PROBABILITY)
+        normal = ndtri(inside) @ np.linalg.cholesky(self.correlation).T
+        columns = [prior.quantile(ndtr(normal[..., i])) for i, prior in enumerate(self.parameters)]
+        return np.stack(columns, axis=-1)
+
+    def document(self) -> list[dict[str, Any]]:
+        """Return plain data for digests and results."""
+        rows = [
+            {
+                "parameter": p.path,
+                "value": p.value,
+                "unit": p.unit,
+                **p.uncertain.model_dump(),
+                "source": p.source,
+            }
+            for p in self.parameters
+        ]
+        correlated = [] if self.independent else [{"correlation": self.correlation.tolist()}]
+        return [*rows, *correlated]
