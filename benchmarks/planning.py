@@ -41,6 +41,7 @@ from srs_twin.robot.random_worlds import (
     FIG54_SITES,
     FIG54_START,
     fig54_world,
+    random_circles,
 )
 from srs_twin.robot.world import Bounds, Goal, Polygon, Pose, World
 from srs_twin.scenario.map_file import read_map
@@ -154,7 +155,7 @@ FULL = 10_000
 
 
 def full_map(seed: int) -> tuple[Polygon, ...]:
-    """Return rectangles of a picture random_circles with them, 5 cells apart or more, but for two corners."""
+    """Return rectangles of a picture strewn with them, 5 cells apart or more, but for two corners."""
     from PIL import Image
 
     columns, rows, cell = MAP

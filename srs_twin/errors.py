@@ -117,7 +117,7 @@ class CacheWarning(UserWarning):
 
 
 class DivergedError(SrsError):
-    """Simulation with values that are not finite or not plausible. Exit code 3.
+    """Diverged simulation: a value is not finite or not plausible. Exit code 3.
 
     Attributes:
         time: simulated time at which the divergence was detected, s.

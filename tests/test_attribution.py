@@ -30,26 +30,26 @@ def game(seed: int) -> dict[frozenset[str], np.ndarray]:
 @given(st.integers(0, 1000))
 def test_shapley_values_are_means_over_all_orders_and_add_up(seed):
     seen = game(seed)
-    found = contributions(NAMES, seen)
+    values = contributions(NAMES, seen)
     by_order = {name: [] for name in NAMES}
     for order in permutations(NAMES):
         for k, name in enumerate(order):
             by_order[name].append(seen[frozenset(order[: k + 1])] - seen[frozenset(order[:k])])
     for name, steps in by_order.items():
-        assert found[name].value == pytest.approx(np.mean(steps, axis=0))
-        assert found[name].low == pytest.approx(np.min(steps, axis=0))
-        assert found[name].high == pytest.approx(np.max(steps, axis=0))
+        assert values[name].value == pytest.approx(np.mean(steps, axis=0))
+        assert values[name].low == pytest.approx(np.min(steps, axis=0))
+        assert values[name].high == pytest.approx(np.max(steps, axis=0))
     whole = seen[frozenset(NAMES)] - seen[frozenset()]
-    assert sum(contribution.value for contribution in found.values()) == pytest.approx(whole)
+    assert sum(contribution.value for contribution in values.values()) == pytest.approx(whole)
 
 
 def test_shapley_values_of_null_and_symmetric_players():
     def worth(subset: frozenset[str]) -> np.ndarray:
         return np.array([3.0 * ("a" in subset) * ("b" in subset) + 2.0 * ("c" in subset)])
 
-    found = contributions(NAMES, {subset: worth(subset) for subset in subsets(NAMES)})
-    assert [found[name].value[0] for name in NAMES] == pytest.approx([1.5, 1.5, 2.0, 0.0])
-    assert (found["a"].low[0], found["a"].high[0]) == (0.0, 3.0)
+    values = contributions(NAMES, {subset: worth(subset) for subset in subsets(NAMES)})
+    assert [values[name].value[0] for name in NAMES] == pytest.approx([1.5, 1.5, 2.0, 0.0])
+    assert (values["a"].low[0], values["a"].high[0]) == (0.0, 3.0)
 
 
 def test_plot_has_bars_sorted_by_size_that_add_up():
@@ -186,15 +186,15 @@ def test_frozen_chords_are_switched_first_and_shares_add_up():
     """Compliant bends include arcs; averaging over both orders would split the contribution of arcs."""
     s = scenario(plants={"analytical": {"model": "simplified", "friction_torque": False}, "twin": {}})
     runs = both(s)
-    found = explain(s, runs)
-    assert (found.shares[0].name, found.shares[0].how) == ("frozen chords", "first")
-    parts = np.sum([share.value for share in found.shares], axis=0) + found.remainder
-    assert parts == pytest.approx(found.gap, abs=1e-12)
+    attribution = explain(s, runs)
+    assert (attribution.shares[0].name, attribution.shares[0].how) == ("frozen chords", "first")
+    total = np.sum([share.value for share in attribution.shares], axis=0) + attribution.remainder
+    assert total == pytest.approx(attribution.gap, abs=1e-12)
     arcs = rollout(
         s.build_plant("analytical", model="complete", friction_torque=True), s.build_controller(), 2.0
     )
     expected = gap_between(runs["analytical"], runs["twin"]) - gap_between(arcs, runs["twin"])
-    assert found.shares[0].value == pytest.approx(expected)
+    assert attribution.shares[0].value == pytest.approx(expected)
 
 
 @pytest.mark.slow

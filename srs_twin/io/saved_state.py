@@ -1,4 +1,4 @@
-"""Saved states of plants and controllers: get, set, and store in files without pickles.
+"""Saved states of plants and controllers, stored in files without pickles.
 
 A class lists the attributes that change during a run in `state_attributes`; attributes that are `Stateful`
 themselves are saved recursively. Settings of the constructor and of `reset` are not part of a state: they
@@ -48,6 +48,12 @@ _MAX_UNPACKED_BYTES = 256 << 20
 """Limit against archives that unpack to far more than their own size."""
 
 _PACKAGE = __name__.partition(".")[0] + "."
+
+
+def names(*attributes: str) -> tuple[str, ...]:
+    """Return a tuple of names; deprecated, `state_attributes` is a plain tuple now."""
+    warnings.warn("names() is deprecated: write a tuple of names", DeprecationWarning, stacklevel=2)
+    return attributes
 
 
 class DeepCopied:
@@ -100,6 +106,13 @@ class Stateful(DeepCopied):
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ()
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if "memory" in vars(cls):
+            message = f"{cls.__name__}.memory is now {cls.__name__}.state_attributes, a tuple of names"
+            warnings.warn(message, DeprecationWarning, stacklevel=2)
+            cls.state_attributes = vars(cls)["memory"]
 
     def state_dict(self) -> dict[str, Any]:
         """Return a copy of the state, attribute name → value or nested state."""

@@ -115,8 +115,8 @@ def test_complete_run_replaces_the_earlier_run(room, full_at):
     written = full_at(FILES + 1)
     prepare(load_scenario(room / "brief.yaml"), room / "out").execute()
     assert len(written) == FILES
-    found = {path.name for path in (room / "out").iterdir()}
-    assert found == {*PRODUCTS, "notes.txt"} - {"twin.parquet"}
+    written_names = {path.name for path in (room / "out").iterdir()}
+    assert written_names == {*PRODUCTS, "notes.txt"} - {"twin.parquet"}
     assert (room / "out/metrics.json").read_text() != "metrics.json of before"
 
 

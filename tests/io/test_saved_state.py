@@ -18,7 +18,7 @@ from subsets import first_by_default
 
 from srs_twin import AnalyticalSnake, Gait, InputError, TwinSnake, load_robot, rollout
 from srs_twin.control.base import Controller
-from srs_twin.io.saved_state import SavedState
+from srs_twin.io.saved_state import SavedState, names
 from srs_twin.plants.base import Plant, SnakeState
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.scenario.loading import parse_scenario
@@ -182,6 +182,15 @@ def test_three_differences_are_named_and_the_rest_counted():
         assert str(error.value) == named + rest
 
 
+def test_old_declaration_of_the_state_is_deprecated():
+    with pytest.warns(DeprecationWarning, match="tuple of names"):
+
+        class Old(Gait):
+            memory = names("count")
+
+    assert Old.state_attributes == ("count",)
+
+
 def test_old_name_of_the_owner_is_deprecated():
     state = SavedState({"plant": "twin"}, {})
     with pytest.warns(DeprecationWarning, match="SavedState.owner"):
@@ -291,20 +300,20 @@ MOVING = {
 def test_placed_plant_has_the_given_state(name, seed):
     plant = MOVING[name]()
     asked, yaw = physical(plant.spec.segments, seed)
-    found = plant.place(asked, yaw_rate=yaw)
-    given = ["com", "com_velocity", "heading", "bend", "pressure"]
-    given += [] if name == "complete" else ["bend_rate"]
-    for field in given:
-        assert getattr(found, field) == pytest.approx(getattr(asked, field), abs=1e-8), field
-    assert found.theta.mean() == pytest.approx(asked.heading, abs=1e-6)
-    assert -np.diff(found.theta) == pytest.approx(asked.bend, abs=1e-5)
-    assert found.time == 0
+    placed = plant.place(asked, yaw_rate=yaw)
+    attributes = ["com", "com_velocity", "heading", "bend", "pressure"]
+    attributes += [] if name == "complete" else ["bend_rate"]
+    for field in attributes:
+        assert getattr(placed, field) == pytest.approx(getattr(asked, field), abs=1e-8), field
+    assert placed.theta.mean() == pytest.approx(asked.heading, abs=1e-6)
+    assert -np.diff(placed.theta) == pytest.approx(asked.bend, abs=1e-5)
+    assert placed.time == 0
     # The velocities show in a short first step, whose length limits the effect of forces.
     h = plant.timestep / 2 if name in ("complete", "compliant") else plant.timestep
     plant.tick = h
     later = plant.step(np.full((plant.spec.segments, 2), -1, dtype=np.int8))
     reach = 40 * h**2 + 1e-9  # 80 m/s² or rad/s² of friction and air
-    assert later.com == pytest.approx(found.com + h * found.com_velocity, abs=reach)
+    assert later.com == pytest.approx(placed.com + h * placed.com_velocity, abs=reach)
 
 
 def test_compliant_model_continues_from_a_physical_state():

@@ -37,13 +37,13 @@ def test_derivatives_match_finite_differences(law, v_t, v_n, mu_t, mu_n, slip):
     ahead, behind = forces(law, v_t + h, v_n, mu_t, mu_n, slip), forces(law, v_t - h, v_n, mu_t, mu_n, slip)
     left, right = forces(law, v_t, v_n + h, mu_t, mu_n, slip), forces(law, v_t, v_n - h, mu_t, mu_n, slip)
     steepest = LOAD * max(mu_t, mu_n) / slip
-    found = [
+    differences = [
         (ahead[0] - behind[0]) / (2 * h),
         (left[0] - right[0]) / (2 * h),
         (ahead[1] - behind[1]) / (2 * h),
         (left[1] - right[1]) / (2 * h),
     ]
-    assert slopes == pytest.approx(found, abs=1e-5 * steepest + 1e-7)
+    assert slopes == pytest.approx(differences, abs=1e-5 * steepest + 1e-7)
 
 
 @EACH_LAW
@@ -123,8 +123,8 @@ def spinning_wheel(v_t: float, v_n: float, mu_t: float, mu_n: float) -> tuple[fl
 def test_wheel_law_equals_a_simulated_spinning_wheel(v_t, v_n, mu_t):
     mu_n = 0.57
     expected = spinning_wheel(v_t, v_n, mu_t, mu_n)
-    found = forces(friction.wheel, v_t, v_n, mu_t, mu_n, 1e-4)
-    assert found == pytest.approx(expected, abs=0.005 * LOAD * mu_n)
+    force = forces(friction.wheel, v_t, v_n, mu_t, mu_n, 1e-4)
+    assert force == pytest.approx(expected, abs=0.005 * LOAD * mu_n)
 
 
 def at_slip(law, degrees: float, mu_t: float, mu_n: float) -> tuple[float, float]:
@@ -163,11 +163,11 @@ def test_ellipse_law_along_one_direction_is_the_axis_law(v, greater, share, slip
         if mu_t == greater:
             assert along == pytest.approx(forces(friction.axis, v, 0.0, mu_t, mu_n, slip), abs=1e-12)
         else:
-            found = forces(friction.ellipse, *across, mu_t, mu_n, slip)
-            assert found == pytest.approx(forces(friction.axis, *across, mu_t, mu_n, slip), abs=1e-12)
+            force = forces(friction.ellipse, *across, mu_t, mu_n, slip)
+            assert force == pytest.approx(forces(friction.axis, *across, mu_t, mu_n, slip), abs=1e-12)
     assume(abs(v) > 0.1 and share > 0.1)
-    found = forces(friction.ellipse, v, 0.0, lesser, greater, 1e-6)
-    assert found == pytest.approx(forces(friction.axis, v, 0.0, lesser, greater, 1e-6), rel=1e-6)
+    force = forces(friction.ellipse, v, 0.0, lesser, greater, 1e-6)
+    assert force == pytest.approx(forces(friction.axis, v, 0.0, lesser, greater, 1e-6), rel=1e-6)
 
 
 def test_ellipse_law_with_equal_coefficients_is_the_isotropic_cone_of_a_locked_wheel():
@@ -192,8 +192,8 @@ def test_skid_has_less_axial_drag_than_the_axis_law_at_15_degrees_of_slip(mu_t, 
 def test_zero_coefficients_give_zero_force(law):
     for v in ((0.1, -0.2), (0.0, 0.0)):
         assert list(law(*v, LOAD, 0.0, 0.0, 1e-3)) == pytest.approx([0] * 6, abs=1e-15)
-        found = law(*v, LOAD, 0.0, 0.5, 1e-3)
-        assert np.isfinite(found).all() and found[0] == pytest.approx(0, abs=1e-15)
+        force = law(*v, LOAD, 0.0, 0.5, 1e-3)
+        assert np.isfinite(force).all() and force[0] == pytest.approx(0, abs=1e-15)
 
 
 @EACH_LAW

@@ -148,9 +148,9 @@ def test_all_problems_of_a_robot_are_reported_at_once(write):
         "supply.nominal_kpa: must be a block of keys (value, unit, status, source, uncertain), not 48.3",
         "gait.phase_step_rad.value: must be a number from -6.3 to 6.3, not NaN",
     ]
-    found = refusal(path)
-    assert [line.split(": ", 1)[1] for line in found] == words
-    assert found[0].startswith("mine.yaml:5:12: ")
+    problems = refusal(path)
+    assert [line.split(": ", 1)[1] for line in problems] == words
+    assert problems[0].startswith("mine.yaml:5:12: ")
 
 
 METRES = {"unit": "m", "status": "estimated", "source": "for a test"}
@@ -225,9 +225,9 @@ def test_default_gyration_of_a_connector_is_that_of_a_block():
     spec = load_robot("gen2")
     g = spec.geometry
     assert spec.connector_gyration == pytest.approx(math.sqrt((g.rigid_gap**2 + 4 * g.half_track**2) / 12))
-    given = dataclasses.replace(spec, mass=dataclasses.replace(spec.mass, connector_gyration=0.005))
-    assert given.connector_gyration == 0.005
-    assert (given.yaw_inertia() < spec.yaw_inertia()).all()
+    measured = dataclasses.replace(spec, mass=dataclasses.replace(spec.mass, connector_gyration=0.005))
+    assert measured.connector_gyration == 0.005
+    assert (measured.yaw_inertia() < spec.yaw_inertia()).all()
 
 
 def test_robot_file_may_give_the_gyration_of_connectors(write):
