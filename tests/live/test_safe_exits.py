@@ -131,7 +131,7 @@ def test_any_error_vents_says_so_and_writes_the_summary(tmp_path, monkeypatch, w
 def test_results_that_cannot_be_written_do_not_keep_the_robot_from_being_vented(tmp_path, monkeypatch):
     found, wire = session(tmp_path / "lab")
     monkeypatch.setattr(found._journal, "close", breaks)
-    monkeypatch.setattr(sessions, "replaced", breaks)
+    monkeypatch.setattr(sessions, "replace_files", breaks)
     with pytest.raises(Broken):
         found.run(0.1)
     was_made_safe(wire)
