@@ -288,7 +288,7 @@ def test_shared_plants_and_controllers_are_refused():
     ):
         run_many([Job(_snake, gait, 1.0), Job(_snake, Gait(2.0), 1.0), Job(_snake, gait, 1.0)])
     with pytest.raises(
-        InputError, match="jobs 1 and 2 share one plant, a AnalyticalSnake; give each its own"
+        InputError, match="jobs 1 and 2 share one plant, a AnalyticalSnake; give each job its own"
     ):
         run_many([Job(snake, Gait(2.0), 1.0), Job(snake, Gait(2.0), 1.0)])
 

@@ -295,7 +295,7 @@ def test_a_dead_worker_and_a_fault_cost_their_own_scenario_only(start):
     endings = {"a": "met", "b": MemoryError(), "c": RuntimeError("nobody foresaw this"), "d": "met"}
     left = start("run", *"abcd", "--jobs", "2", **endings)
     assert left.code == 4
-    assert "b: the worker process was killed by SIGKILL, 3 times in a row; the machine was out of" in left.err
+    assert "b: the worker process was killed by SIGKILL, 3 times in a row; the machine ran out of" in left.err
     assert "c: internal error: RuntimeError: nobody foresaw this (test_cli.py:" in left.err
     assert "files in runs/a;" in left.err
     assert "files in runs/d;" in left.err
@@ -361,7 +361,7 @@ def test_internal_errors_are_one_line_with_where_to_report(start, monkeypatch):
     lines = [line for line in left.err.splitlines() if "warn" not in line]
     assert len(lines) == 1
     assert "internal error: RuntimeError: two lines (test_cli.py:" in lines[0]
-    assert "report it as CONTRIBUTING.md says" in lines[0]
+    assert "report it as CONTRIBUTING.md describes" in lines[0]
     monkeypatch.setenv("SRS_TWIN_DEBUG", "1")
     assert "Traceback (most recent call last)" in start("run", "a", a=RuntimeError("x")).err
 
