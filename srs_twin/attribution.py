@@ -366,16 +366,7 @@ def explain(
     shares = [_make_share(switch.name, switch.title, "first", frozen) for switch in variants.first]
     for switch in variants.switches:
         shares.append(_make_share(switch.name, switch.title, "averaged", averaged[switch.name]))
-    switched_model = runs[_variant_name(all_on)]
-    for refinement in variants.refinements:
-        if refinement.plant == "twin":
-            before = gap_between(switched_model, runs[_variant_name(refinement.base)])
-            after = gap_between(switched_model, runs[refinement.name])
-        else:
-            before, after = differences[all_on], gap_between(runs[refinement.name], twin)
-        value = refinement.factor * (after - before)
-        effect = Contribution(value, value, value)
-        shares.append(_make_share(refinement.name, refinement.title, "refined", effect))
+    shares += _refinement_shares(variants.refinements, runs, all_on)
     remainder = gap - np.sum([share.value for share in shares], axis=0)
     metrics = plant_metrics(model)
     return Attribution(
@@ -450,6 +441,24 @@ def _run_all(
             raise run
         trajectories[name] = run
     return trajectories
+
+
+def _refinement_shares(
+    refinements: Sequence[Refinement], runs: Mapping[str, Trajectory], all_on: frozenset[str]
+) -> list[Share]:
+    """Return the shares of the refinements, against the model with all switches on or the given twin."""
+    model, twin = runs[_variant_name(all_on)], runs[_variant_name({})]
+    shares = []
+    for refinement in refinements:
+        if refinement.plant == "twin":
+            before = gap_between(model, runs[_variant_name(refinement.base)])
+            after = gap_between(model, runs[refinement.name])
+        else:
+            before, after = gap_between(model, twin), gap_between(runs[refinement.name], twin)
+        value = refinement.factor * (after - before)
+        effect = Contribution(value, value, value)
+        shares.append(_make_share(refinement.name, refinement.title, "refined", effect))
+    return shares
 
 
 def _make_share(name: str, title: str, how: str, contribution: Contribution) -> Share:
