@@ -256,8 +256,8 @@ def test_state_that_unpacks_to_a_large_size_is_rejected(tmp_path):
         SavedState.read(tmp_path / "state.npz")
 
 
-def test_a_file_of_another_version_is_refused_by_its_version(tmp_path):
-    """Version 1 named classes by the modules of that time."""
+def test_file_of_another_version_is_rejected(tmp_path):
+    """Files of version 1 contain module names that no longer exist."""
     tree = '{"version": 1, "of": {}, "content": {"@": "srs_twin.plants.loaded:Memory", "parts": {}}}'
     np.savez(tmp_path / "state.npz", state=np.array(tree))
     with pytest.raises(
