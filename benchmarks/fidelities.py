@@ -35,7 +35,7 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=2048)
     given = parser.parse_args()
     scenario = load_scenario(given.scenario, set={"duration_s": given.duration})
-    priors = Priors.of(RobotFile.model_validate(scenario.document["robot"]))
+    priors = Priors.from_robot(RobotFile.model_validate(scenario.document["robot"]))
     study = Study(scenario, priors, ("twin",), given.samples, given.samples)
     rows = propagate(study, given.out, local()).rows
     print("| metric | correlation | worse end of each set, % of the width | within 5 % | within 2 s.e. |")

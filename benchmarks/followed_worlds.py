@@ -22,7 +22,7 @@ import shapely
 from grid import table
 from witnessed_worlds import KINDS, Witnessed, drawn
 
-from srs_twin.compute.workers import each
+from srs_twin.compute.workers import run_tasks
 from srs_twin.planning.metrics import beyond, following_metrics
 from srs_twin.rollout import rollout
 from srs_twin.scenario.loading import load_scenario, parse_scenario
@@ -115,7 +115,7 @@ def main() -> None:
     seeds = range(given.first, given.first + given.worlds)
     orders = [(r, p, seed, given.spread) for r in given.robots for p in given.plants for seed in seeds]
     rows: list[dict[str, Any]] = []
-    for done in each(run, orders):
+    for done in run_tasks(run, orders):
         if done.result is None:
             raise SystemExit(f"{orders[done.number]}: {done.error}")
         rows.append(done.result)

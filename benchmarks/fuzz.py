@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "hostile"))
 
 from grid import table  # noqa: E402
 from harness import Malformed, Parser  # noqa: E402
-from parsers import PARSERS, path_of  # noqa: E402
+from parsers import PARSERS  # noqa: E402
 
 SHARES = {"damaged": 0.4, "values": 0.4, "bytes": 0.2}
 LIMIT_S = 2.0
@@ -88,7 +88,7 @@ def generate(parser: Parser, examples: int) -> Generated:
     """Let a parser read generated files."""
     found = Generated()
     with tempfile.TemporaryDirectory() as room:
-        path = path_of(parser, Path(room))
+        path = parser.path_in(Path(room))
         for way, share in SHARES.items():
 
             @settings(
@@ -99,7 +99,7 @@ def generate(parser: Parser, examples: int) -> Generated:
             def look(content: bytes) -> None:
                 begun = time.perf_counter()
                 try:
-                    found.read += parser.survives(content, path) is None
+                    found.read += parser.read_or_reject(content, path) is None
                 except Exception as error:  # whatever nobody foresaw is what is looked for
                     last = traceback.extract_tb(error.__traceback__)[-1]
                     said = " ".join(str(error).split())[:200]
@@ -121,7 +121,7 @@ def commands(chosen: list[Parser]) -> int:
     for parser in chosen:
         times: list[tuple[float, str]] = []
         bad = 0
-        for malformed in parser.refused:
+        for malformed in parser.all_malformed:
             taken, wrong = start(parser, malformed)
             times.append((taken, malformed.name))
             if wrong:
@@ -141,10 +141,10 @@ def commands(chosen: list[Parser]) -> int:
 def start(parser: Parser, malformed: Malformed) -> tuple[float, str]:
     """Return how long a process needs to refuse a file (s), and what is wrong with how it does."""
     with tempfile.TemporaryDirectory() as room:
-        path = path_of(parser, Path(room))
+        path = parser.path_in(Path(room))
         malformed.write(path)
-        words = [str(Path(sys.executable).with_name("srs-twin")), *parser.words(Path(path.name))]
-        if parser.command is None:
+        words = [str(Path(sys.executable).with_name("srs-twin")), *parser.arguments(Path(path.name))]
+        if not parser.command:
             words = [sys.executable, "-c", IN_PYTHON, parser.function, path.name]
         before = {each.name for each in Path(room).iterdir()}
         begun = time.perf_counter()
@@ -156,7 +156,7 @@ def start(parser: Parser, malformed: Malformed) -> tuple[float, str]:
         left = {each.name for each in Path(room).iterdir()} - before
     checks = {
         f"exit code {done.returncode}": done.returncode == 2,
-        f"message {done.stderr[:200]!r}": malformed.says in done.stderr and path.name in done.stderr,
+        f"message {done.stderr[:200]!r}": malformed.message in done.stderr and path.name in done.stderr,
         "a traceback": "Traceback" not in done.stderr,
         f"wrote {sorted(left)}": not left,
         f"took {taken:.2f} s": taken < LIMIT_S,

@@ -27,7 +27,7 @@ from typing import Any
 import pyarrow.parquet as pq
 
 from srs_twin.comparison.diff import Results, Tolerances, diff
-from srs_twin.io.file_sets import replaced
+from srs_twin.io.file_sets import replace_files
 
 COMMAND = Path(sys.executable).with_name("srs-twin")
 SCENARIO = """\
@@ -252,7 +252,7 @@ _SET = ("metrics.json", "scenario.resolved.yaml", "report.html", "recording.rrd"
 def _finishes(folder: Path, who: int, rounds: int, gate: Any) -> None:
     for number in range(rounds):
         gate.wait()
-        with replaced(folder, _SET) as fresh:
+        with replace_files(folder, _SET) as fresh:
             for name in _SET:
                 (fresh / name).write_text(f"{who} {number}")
         gate.wait()

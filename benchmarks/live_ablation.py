@@ -20,7 +20,7 @@ from grid import table
 from live_runs import POSES, conditioned, recorded
 
 from srs_twin import load_robot
-from srs_twin.compute.workers import each
+from srs_twin.compute.workers import run_tasks
 from srs_twin.live.shadow import Shadow
 
 SETTLED_S, BLIND_S, END_S = 5.0, 20.0, 30.0
@@ -100,7 +100,7 @@ def main() -> None:
     for seed in seeds:
         recorded(conditioned("nominal", seed, END_S))
     orders = [(part, seed) for part in PARTS for seed in seeds]
-    rows = [done.result for done in each(figures, orders) if done.result]
+    rows = [done.result for done in run_tasks(figures, orders) if done.result]
     lines = []
     for part in PARTS:
         mine = [row for row in rows if row["part"] == part]

@@ -21,7 +21,7 @@ import numpy as np
 from grid import table
 from live_runs import CONDITIONS, NAMES, alarms, isolated
 
-from srs_twin.compute.workers import each
+from srs_twin.compute.workers import run_tasks
 
 STILL = ("standing", "held bends", "stop and go")
 """Conditions in which faults need not show within a period: false alarms only."""
@@ -41,7 +41,7 @@ def main() -> None:
     seeds = range(given.first, given.first + given.seeds)
     kinds = tuple(NAMES)
     orders = [(seed, name, kinds) for name in conditions if name not in STILL for seed in seeds]
-    done = [row for each_ in each(isolated, orders) for row in each_.result or ()]
+    done = [row for each_ in run_tasks(isolated, orders) for row in each_.result or ()]
     lines = []
     for condition in conditions:
         for kind in kinds:
@@ -65,7 +65,7 @@ def main() -> None:
     ]  # fmt: skip
     found = [
         {"condition": order[2], "seed": order[0], "named": name}
-        for order, ended in zip(healthy, each(alarms, healthy), strict=True) for name in ended.result or ()
+        for order, ended in zip(healthy, run_tasks(alarms, healthy), strict=True) for name in ended.result or ()
     ]  # fmt: skip
     hours = len(healthy) * RUN_S / 3600
     print(f"{len(found)} false alarms in {hours:.2f} sound hours")

@@ -10,7 +10,7 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.planning.footprint import Footprint, Transient, load_footprint
 from srs_twin.planning.problem import Problem
-from srs_twin.robot.drawn_worlds import strewn
+from srs_twin.robot.random_worlds import random_circles
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 BODIES = ("gen2_section52", "gen4_table8", "gen4_table9")
@@ -34,7 +34,9 @@ def drawn_problem(seed: int) -> Problem:
     circles: tuple[Circle, ...] = ()
     while count and not circles:
         try:
-            circles = strewn(count, bounds, seed, radius=(0.03 * scale, 0.12 * scale), gap=gap, clear=clear)
+            circles = random_circles(
+                count, bounds, seed, radius=(0.03 * scale, 0.12 * scale), gap=gap, clear=clear
+            )
         except InputError:
             count -= 1
     if seed % 2:

@@ -35,13 +35,13 @@ from srs_twin.planning.footprint import load_footprint
 from srs_twin.planning.plan import Plan
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Problem, Settings
-from srs_twin.robot.drawn_worlds import (
+from srs_twin.robot.random_worlds import (
     FIG54_BOUNDS,
     FIG54_GOAL,
     FIG54_SITES,
     FIG54_START,
     fig54_world,
-    strewn,
+    random_circles,
 )
 from srs_twin.robot.world import Bounds, Goal, Polygon, Pose, World
 from srs_twin.scenario.map_file import read_map
@@ -66,7 +66,7 @@ def narrow_problem(count: int, seed: int, *, arcs: bool) -> Problem:
     body, ends = load_footprint("gen2_section52"), (FIG54_START, FIG54_GOAL)
     clear = tuple((end.x, end.y, 0.06) for end in ends)
     seeded = 1000 * count + seed
-    circles = strewn(count, FIG54_BOUNDS, seeded, radius=(0.04, 0.09), gap=0.045, clear=clear)
+    circles = random_circles(count, FIG54_BOUNDS, seeded, radius=(0.04, 0.09), gap=0.045, clear=clear)
     return Problem(FIG54_START, FIG54_GOAL, World(circles, FIG54_BOUNDS), body, ARCS if arcs else None)
 
 

@@ -58,9 +58,9 @@ def in_robot(robot: Document, shares: np.ndarray) -> Document:
             assert given is not None
             own["actuator"][key]["uncertain"] = given.model_dump(mode="json")
         file = RobotFile.model_validate(own)
-    priors = Priors.of(file)
-    count = len(priors.each)
-    values = dict(zip(priors.paths, priors.at(shares[:count]).tolist(), strict=True))
+    priors = Priors.from_robot(file)
+    count = len(priors.parameters)
+    values = dict(zip(priors.paths, priors.quantile(shares[:count]).tolist(), strict=True))
     for share, (path, (value, error)) in zip(shares[count:], fitted().items(), strict=False):
         section, key = path.split(".")
         if "calibration/fits" in str(robot["friction"]["mu_t"]["source"]) and key in robot.get(section, {}):

@@ -49,7 +49,7 @@ def study(changes: Mapping[str, Any], samples: int, seed: int, scenario: str, du
     """Return the twin's runs of a scenario with other assumptions."""
     found = load_scenario(scenario, set={"duration_s": duration, **changes})
     document = {**found.document, "plants": {"twin": found.document["plants"]["twin"]}, "expect": []}
-    priors = Priors.of(RobotFile.model_validate(document["robot"]))
+    priors = Priors.from_robot(RobotFile.model_validate(document["robot"]))
     return Study(parse_scenario(document, name=scenario), priors, ("twin",), samples, 64, seed)
 
 
@@ -74,10 +74,12 @@ def held(predictor: Propagation, truth: Mapping[str, np.ndarray], robots: np.nda
         wide, narrow, widths = (low <= true[known]) & (true[known] <= high), [], []
         for robot, value in zip(robots[known], true[known], strict=True):
             after = fresh.copy()
-            for i, (prior, number) in enumerate(zip(study.priors.each, robot, strict=True)):
+            for i, (prior, number) in enumerate(zip(study.priors.parameters, robot, strict=True)):
                 sd = 0.1 / 1.96 * abs(float(number))
-                said = prior.measured(float(number) + sd * float(rng.standard_normal()), sd).at(fresh[:, i])
-                after[:, i] = prior.shares_of(said)
+                said = prior.with_measurement(float(number) + sd * float(rng.standard_normal()), sd).quantile(
+                    fresh[:, i]
+                )
+                after[:, i] = prior.cdf(said)
             drawn = chaos.at(after)[:, 0] + rng.choice(chaos.rest[:, 0], len(fresh))
             a, b = np.quantile(drawn, [0.025, 0.975])
             narrow.append(a <= value <= b)
@@ -117,7 +119,7 @@ def main() -> None:
     same = ran("same_chambers", {"plants.twin": FINER}, given.robots)
     truth = ran("truth", {"plants.twin": FINER, "pneumatics": {"kind": "orifice"}}, given.robots)
     shipped, drawn = made({}, 2048, 0), made({}, given.robots, 1)
-    robots = drawn.priors.at(drawn.shares)
+    robots = drawn.priors.quantile(drawn.shares)
     found = propagate(shipped, given.out / "shipped", local())
     print("Robots with the predictor's model of the chambers")
     held(found, same, robots)

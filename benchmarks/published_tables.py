@@ -19,9 +19,9 @@ from typing import Annotated, Literal
 from pydantic import Field, RootModel
 
 from srs_twin.io.documents import Loc, load_yaml
-from srs_twin.io.files import find
-from srs_twin.io.validation import Strict, validate
-from srs_twin.robot.sourced import between, split_unit
+from srs_twin.io.files import find_file
+from srs_twin.io.validation import StrictModel, validate
+from srs_twin.robot.sourced import bounded, split_unit
 
 TABLES = tuple(f"table{number}" for number in range(1, 11))
 """Their names."""
@@ -29,13 +29,13 @@ TABLES = tuple(f"table{number}" for number in range(1, 11))
 Key = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60)]
 Text = Annotated[str, Field(min_length=1, max_length=300)]
 Long = Annotated[str, Field(min_length=1, max_length=1000)]
-Number = Annotated[float, between(-1e6, 1e6)]
-Edge = Annotated[float, between(-10.0, 10.0)]
+Number = Annotated[float, bounded(-1e6, 1e6)]
+Edge = Annotated[float, bounded(-10.0, 10.0)]
 Erratum = Annotated[str, Field(pattern=r"^E([1-9]|[12][0-9])$", min_length=2, max_length=3)]
 Errata = Annotated[list[Erratum], Field(max_length=29)]
 
 
-class _Head(Strict):
+class _Head(StrictModel):
     """What all tables have."""
 
     name: str = Field(
@@ -45,13 +45,13 @@ class _Head(Strict):
     section: str = Field(
         pattern=r"^[1-6](\.[1-9]){0,2}$", min_length=1, max_length=5, description="Where it is."
     )
-    page: Annotated[int, between(1, 200)] = Field(description="As numbered in the text.")
+    page: Annotated[int, bounded(1, 200)] = Field(description="As numbered in the text.")
     robot: Key | None = Field(None, description="Whose numbers these are; none: any.")
     errata: Errata = Field(description="What is wrong with it, E1 to E29 of calibration/README.md.")
     note: Long | None = Field(None, description="What the text says besides.")
 
 
-class Symbol(Strict):
+class Symbol(StrictModel):
     """One symbol."""
 
     symbol: Text = Field(description="As printed.")
@@ -66,7 +66,7 @@ class SymbolTable(_Head):
     symbols: Annotated[list[Symbol], Field(min_length=1, max_length=100)] = Field(description="In order.")
 
 
-class PublishedValue(Strict):
+class PublishedValue(StrictModel):
     """One number of a table."""
 
     value: Number = Field(description="As read, with the errata put right.")
@@ -97,30 +97,30 @@ class AlgorithmTable(_Head):
     steps: Annotated[list[Text], Field(min_length=1, max_length=100)] = Field(description="In order.")
 
 
-class PublishedRun(Strict):
+class PublishedRun(StrictModel):
     """One run of Table 8, signs as printed."""
 
-    offset: Annotated[float, between(-1.0, 1.0)] = Field(description="Phase offset, positive to the left.")
-    speed_m_s: Annotated[float, between(0.0, 10.0)] = Field(description="Linear velocity, m/s.")
+    offset: Annotated[float, bounded(-1.0, 1.0)] = Field(description="Phase offset, positive to the left.")
+    speed_m_s: Annotated[float, bounded(0.0, 10.0)] = Field(description="Linear velocity, m/s.")
     left_m: Edge = Field(description="Left edge of the bounding box, m, negative.")
     right_m: Edge = Field(description="Right edge, m.")
-    radius_m: Annotated[float, between(1e-3, 1e3)] = Field(description="Of the path, m, without a sign.")
+    radius_m: Annotated[float, bounded(1e-3, 1e3)] = Field(description="Of the path, m, without a sign.")
 
 
 class RunTable(_Head):
     """Runs of a robot at several offsets (Table 8)."""
 
     kind: Literal["runs"] = Field(description="Kind of table.")
-    frequency_hz: Annotated[float, between(0.01, 100.0)] = Field(description="Of the gait, Hz.")
+    frequency_hz: Annotated[float, bounded(0.01, 100.0)] = Field(description="Of the gait, Hz.")
     rows: Annotated[list[PublishedRun], Field(min_length=1, max_length=100)] = Field(description="In order.")
 
 
-class Generation(Strict):
+class Generation(StrictModel):
     """One generation of the robot."""
 
     robot: Key = Field(description="Its name here.")
-    year: Annotated[int, between(1900, 2100)] = Field(description="As printed.")
-    top_speed_mm_s: Annotated[float, between(0.0, 1e4)] | None = Field(None, description="Where printed.")
+    year: Annotated[int, bounded(1900, 2100)] = Field(description="As printed.")
+    top_speed_mm_s: Annotated[float, bounded(0.0, 1e4)] | None = Field(None, description="Where printed.")
     advantages: Annotated[list[Text], Field(max_length=20)] = Field(description="As printed.")
     disadvantages: Annotated[list[Text], Field(max_length=20)] = Field(description="As printed.")
 
@@ -148,12 +148,12 @@ def load_table(name_or_path: str | os.PathLike[str]) -> Table:
         InputError: not found or not readable.
         InputFileError: everything that is wrong with it.
     """
-    path = find("table", name_or_path)
+    path = find_file("table", name_or_path)
     document = load_yaml(path)
     file = validate(_TableFile, document, document.data)
     for loc, message in _contradictions(file.root) if file else ():
         document.report(loc, message)
-    document.finish()
+    document.raise_problems()
     assert file is not None, "a table without a problem was checked"
     return file.root
 

@@ -253,7 +253,7 @@ def _arithmetic(aim: float) -> Work:
     steps = round(aim / RUNS / once(Task(lambda: _spin(probe))) * probe)
 
     def work(threads: int) -> None:
-        Workers(threads).each(RUNS, lambda k, stopped: _spin(steps))
+        Workers(threads).run(RUNS, lambda k, stopped: _spin(steps))
 
     return work
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.integrate import simpson
 
-from srs_twin.errors import one_of
+from srs_twin.errors import check_choice
 from srs_twin.io.files import atomic_write
 from srs_twin.recordings.body.floor import MAPS
 from srs_twin.recordings.body.markers import LAYOUTS
@@ -71,7 +71,7 @@ class Take:
             ("unit", self.unit, tuple(MOTIVE_LENGTHS.values())),
             ("up", self.up, tuple(MAPS)),
         ):
-            one_of(name, value, allowed)
+            check_choice(name, value, allowed)
 
 
 def markers(trajectory: Trajectory, take: Take) -> np.ndarray:

@@ -1,13 +1,13 @@
-r"""Why twin and analytical model differ: assumptions switched one at a time, and each one's share.
+r"""Attribution of the difference between twin and analytical model to modelling assumptions.
 
-On the analytical side a switch turns an assumption of the model into what the twin has; any subset of them is
-a model. With v(S) the gap to the twin when the switches S are on, switch i contributes on average over all n!
-orders of switching (Shapley's value)
+A switch replaces one assumption of the analytical model by that of the twin, so that any subset S of the
+switches gives a model. v(S) is the difference from the twin with the switches in S on. The contribution of
+switch i is its Shapley value, the average over all n! orders of switching:
 
-$$ \phi_i = \sum_{S \not\ni i} \frac{|S|!\,(n - |S| - 1)!}{n!}\,\bigl[v(S \cup i) - v(S)\bigr], $$
+$$ \phi_i = \sum_{S \not\ni i} \frac{|S|!\,(n - |S| - 1)!}{n!}\,\bigl[v(S \cup i) - v(S)\bigr]. $$
 
-and the contributions add up to v(all) − v(none). What the twin alone has is refined: by how much it is made
-smaller and how its effect then shrinks give what it contributes in all.
+The contributions add up to v(all) − v(none). Assumptions of one plant alone, such as its time step, cannot be
+switched. They are refined instead: the change under a refinement is extrapolated to the limit.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from srs_twin.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class Contribution:
-    """What one switch contributes: its average over all orders, the least and the most of it."""
+    """Contribution of one switch: its average, minimum and maximum over all orders of switching."""
 
     value: np.ndarray
     low: np.ndarray
@@ -44,46 +44,51 @@ class Contribution:
 
 
 def subsets(names: Sequence[str]) -> list[frozenset[str]]:
-    """Return all subsets, small ones first."""
-    return [frozenset(some) for size in range(len(names) + 1) for some in combinations(names, size)]
+    """Return all subsets in the order of their sizes."""
+    return [frozenset(subset) for size in range(len(names) + 1) for subset in combinations(names, size)]
 
 
-def contributions(names: Sequence[str], seen: Mapping[frozenset[str], np.ndarray]) -> dict[str, Contribution]:
-    """Return what each switch contributes.
+def contributions(
+    names: Sequence[str], differences: Mapping[frozenset[str], np.ndarray]
+) -> dict[str, Contribution]:
+    """Return the Shapley value of each switch.
 
     Args:
-        names: the switches.
-        seen: what is seen with each subset of them on; arrays of one shape.
+        names: names of the switches.
+        differences: v(S), the difference with each subset S of switches on; arrays of one shape.
     """
     n = len(names)
-    found = {}
+    shapley = {}
     for name in names:
-        others = [each for each in names if each != name]
-        steps = [(len(some), seen[some | {name}] - seen[some]) for some in subsets(others)]
+        others = subsets([other for other in names if other != name])
+        changes = [differences[subset | {name}] - differences[subset] for subset in others]
         weights = [
-            math.factorial(size) * math.factorial(n - size - 1) / math.factorial(n) for size, _ in steps
+            math.factorial(len(subset)) * math.factorial(n - len(subset) - 1) / math.factorial(n)
+            for subset in others
         ]
-        value = np.sum([w * step for w, (_, step) in zip(weights, steps, strict=True)], axis=0)
-        every = [step for _, step in steps]
-        found[name] = Contribution(value, np.min(every, axis=0), np.max(every, axis=0))
-    return found
+        value = np.sum([w * change for w, change in zip(weights, changes, strict=True)], axis=0)
+        shapley[name] = Contribution(value, np.min(changes, axis=0), np.max(changes, axis=0))
+    return shapley
 
 
-FROZEN = "frozen chords"
-STIFF = 45.0
-"""How many times stiffer the bends of the matched setting are: gen 2's 0.44 become 20 N·m/rad."""
+FROZEN_CHORDS = "frozen chords"
+MATCHED_STIFFNESS_FACTOR = 45.0
+"""Factor on the bending stiffness of the twin in the matched setting: gen2 gets 20 instead of 0.44 N·m/rad.
 
-Change = Callable[[RobotSpec], RobotSpec]
+So stiff a segment follows its free bend, as the prescribed bends of the analytical model do.
+"""
+
+RobotChange = Callable[[RobotSpec], RobotSpec]
 
 
 class Switch(NamedTuple):
-    """An assumption of the analytical model that the twin does not make.
+    """Assumption of the analytical model that can be replaced by that of the twin.
 
     Attributes:
         name: short name.
-        title: what it is, from → to.
-        differs: whether the twin of this scenario has it otherwise.
-        options: arguments of the analytical model that switch it; later switches' go before earlier ones'.
+        title: the assumption of the model → that of the twin.
+        differs: whether the plants of this scenario differ in it.
+        options: arguments of the analytical model with the switch on; later switches take precedence.
     """
 
     name: str
@@ -94,16 +99,20 @@ class Switch(NamedTuple):
 
 @dataclass(frozen=True)
 class Refinement:
-    """Something that one plant alone has, made smaller.
+    """Reduction of an approximation that only one plant makes.
+
+    The total effect is `factor` times the change under the refinement: 2 for an error of first order that is
+    halved, 4/3 for one of second order that is halved or of first order that is quartered, and 1 if the
+    refinement removes the approximation.
 
     Attributes:
         name: short name.
-        title: what it is, and how it was made smaller.
+        title: the approximation.
         options: changed arguments of the plant.
-        factor: all of its effect over the part that the refinement took away.
-        plant: "twin" or "analytical".
-        base: changed arguments of the plant that it is compared with.
-        change: of the robot.
+        factor: total effect over the change under the refinement.
+        plant: plant that makes the approximation, "twin" or "analytical".
+        base: changed arguments of the plant without the refinement.
+        change: change of the robot.
     """
 
     name: str
@@ -112,54 +121,82 @@ class Refinement:
     factor: float
     plant: str = "twin"
     base: dict[str, Any] = field(default_factory=dict)
-    change: Change = lambda spec: spec
+    change: RobotChange = lambda spec: spec
 
 
-class Ladder:
-    """The plants of a scenario with any of their assumptions switched.
+class PlantVariants:
+    """Builder of the plants of a scenario with switched assumptions and refinements.
 
     Attributes:
-        first: what is switched before all others: arcs come before they can yield.
-        switches: those of the analytical side that differ here and go in any order.
-        same: names of those that do not.
-        refinements: of what one plant alone has.
+        first: switches that come first, because compliant bends need arcs instead of frozen chords.
+        switches: the other switches in which the plants of the scenario differ, in any order.
+        same: names of the switches in which they agree.
+        refinements: refinements of approximations that one plant makes.
     """
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
         self._model = scenario.file.plants.analytical or AnalyticalFile()
         self._twin = scenario.file.plants.twin or TwinFile()
-        self._every = self._all_switches()
-        self.first = [each for each in self._every if each.differs and each.name == FROZEN]
-        self.switches = [each for each in self._every if each.differs and each.name != FROZEN]
-        self.same = [each.name for each in self._every if not each.differs]
+        self._all = self._all_switches()
+        differing = [switch for switch in self._all if switch.differs]
+        self.first = [switch for switch in differing if switch.name == FROZEN_CHORDS]
+        self.switches = [switch for switch in differing if switch.name != FROZEN_CHORDS]
+        self.same = [switch.name for switch in self._all if not switch.differs]
         self.refinements = self._refinements()
 
     def _all_switches(self) -> list[Switch]:
         model, twin, spec = self._model, self._twin, self._scenario.robot
-        law, lag = self._twin.law, spec.bending.damping_time
-        point = model.friction not in LAW_OF.values()
-        springs = model.model != "compliant"
-        damped = springs and lag != spec.actuator.tau_mode
-        friction, gaps = f"friction law: {model.friction} → {law}", f"rigid gaps: {model.gaps} → {twin.gaps}"
-        track = "contacts: one point a connector → two at the track"
-        frozen = "chords frozen, and friction torque where it is left out → arcs"
-        bends = "bends: as given → springs that load and inertia deflect"
-        inertia = f"inertia of a connector about itself: {model.inertia} → compact"
-        half, torque = spec.geometry.half_track, {"friction_torque": True}
-        by_law = {"friction": law, "track": 0.0 if point else half}
+        law, damping_time = self._twin.law, spec.bending.damping_time
+        one_point = model.friction not in LAW_OF.values()
+        prescribed = model.model != "compliant"
+        half_track = spec.geometry.half_track
+        # Arcs and compliant bends need the torque of friction, which the simplified model may leave out.
+        torque = {"friction_torque": True}
         return [
-            Switch("friction law", friction, model.friction != law, by_law),
-            Switch("wheel track", track, point, {"track": half}),
-            Switch("rigid gaps", gaps, model.gaps != twin.gaps, {"gaps": twin.gaps}),
-            Switch(FROZEN, frozen, model.model == "simplified", torque | {"model": "complete"}),
-            Switch("compliance", bends, springs, torque | {"model": "compliant"}),
-            Switch("damping", f"damping c/k: τ₂ → {1e3 * lag:g} ms", damped, {}),
-            Switch("connector inertia", inertia, model.inertia != "connector", {"inertia": "connector"}),
+            Switch(
+                "friction law",
+                f"friction law: {model.friction} → {law}",
+                model.friction != law,
+                {"friction": law, "track": 0.0 if one_point else half_track},
+            ),
+            Switch(
+                "wheel track",
+                "contacts: one point per connector → two at the track",
+                one_point,
+                {"track": half_track},
+            ),
+            Switch(
+                "rigid gaps",
+                f"rigid gaps: {model.gaps} → {twin.gaps}",
+                model.gaps != twin.gaps,
+                {"gaps": twin.gaps},
+            ),
+            Switch(
+                FROZEN_CHORDS,
+                "frozen chords (without friction torque) → arcs",
+                model.model == "simplified",
+                torque | {"model": "complete"},
+            ),
+            Switch(
+                "compliance", "bends: prescribed → compliant", prescribed, torque | {"model": "compliant"}
+            ),
+            Switch(
+                "damping",
+                f"damping c/k: τ₂ → {1e3 * damping_time:g} ms",
+                prescribed and damping_time != spec.actuator.tau_mode,
+                {},
+            ),
+            Switch(
+                "connector inertia",
+                f"yaw inertia of a connector: {model.inertia} → compact",
+                model.inertia != "connector",
+                {"inertia": "connector"},
+            ),
         ]
 
     def _contact_refinements(self) -> list[Refinement]:
-        """Return those of how the floor holds the twin."""
+        """Return the refinements of the floor contact of the twin."""
         contact = self._twin.build_contact()
         if isinstance(contact, PreloadedContact):
             stiffer = replace(
@@ -170,83 +207,104 @@ class Ladder:
             )
             title = "slip of MuJoCo's smoothed friction"
             return [Refinement("contact softness", title, {"contact": stiffer}, 2.0)]
-        models = "across" if self._model.load == "momentary" else "static"
-        shared = {"contact": replace(contact, load=models)}
+        model_load = "across" if self._model.load == "momentary" else "static"
         loads = Refinement(
             "loads that follow the motion",
-            "friction on what presses a wheel, not on the model's loads",
-            shared,
+            "momentary wheel loads instead of the model's loads",
+            {"contact": replace(contact, load=model_load)},
             1.0,
         )
-        bodies = {law: wheels for wheels, law in LAW_OF.items()}
-        if contact.law not in bodies or self._scenario.world.uneven:
+        wheels_of_law = {law: wheels for wheels, law in LAW_OF.items()}
+        if contact.law not in wheels_of_law or self._scenario.world.uneven:
             return [loads]
-        static = {"contact": replace(contact, load="static")}
-        pressed = {"contact": PreloadedContact(bodies[contact.law])}
+        # The two solvers are compared under static loads.
         solver = Refinement(
-            "friction solver", "the law that sticks → MuJoCo's own friction", pressed, 1.0, base=static
+            "friction solver",
+            "stick-slip friction → MuJoCo's own friction",
+            {"contact": PreloadedContact(wheels_of_law[contact.law])},
+            1.0,
+            base={"contact": replace(contact, load="static")},
         )
         return [loads, solver]
 
     def _refinements(self) -> list[Refinement]:
         step, hinges = self._twin.timestep_s, self._twin.hinges_per_segment
         arcs = {"numerics": Numerics(constant_curvature=True)}
-        model = {"timestep": self._model.timestep_s / 4, "slip_speed": self._model.slip_speed_m_s / 4}
-        finer = arcs | {"hinges_per_segment": 2 * hinges}
-        lighter = {"numerics": Numerics(link_share=Numerics.link_share / 2)}
-        # Axles need inertia, and the preloaded twin is of first order in its step; the loaded one is neither.
+        finer_hinges = arcs | {"hinges_per_segment": 2 * hinges}
+        finer_model = {"timestep": self._model.timestep_s / 4, "slip_speed": self._model.slip_speed_m_s / 4}
+        lighter_links = {"numerics": Numerics(link_share=Numerics.link_share / 2)}
+        # The preloaded twin needs axles with inertia and is of first order in its time step; the loaded twin
+        # works without inertia and is of second order.
         loaded = self._twin.contact == "loaded"
-        left, most = (0.0, 1.0) if loaded else (0.25, 4 / 3)
-        spin = Refinement(
+        wheel_spin, spin_factor = (0.0, 1.0) if loaded else (0.25, 4 / 3)
+        lighter_wheels = Refinement(
             "wheel inertia",
-            "wheels' inertia about their axles",
-            {"numerics": Numerics(wheel_spin=left)},
-            most,
+            "inertia of the wheels about their axles",
+            {"numerics": Numerics(wheel_spin=wheel_spin)},
+            spin_factor,
         )
-        rigid = Refinement("out-of-plane motion", "segments that pitch and roll", {}, 4 / 3)
-        hinged = f"{hinges} hinges a segment for an arc"
-        model_step = "the model's time step and slip speed"
+        out_of_plane = Refinement(
+            "out-of-plane motion", "pitch and roll of segments", {}, 4 / 3, change=_stiffer_out_of_plane
+        )
         return [
             Refinement("curvature not constant", "segments under load bend to an S", arcs, 1.0),
-            Refinement("bending discretisation", hinged, finer, 4 / 3, base=arcs),
-            *([spin] if self._twin.law != "ellipse" else []),
-            *self._contact_refinements(),
-            replace(rigid, change=_stiffer_out_of_plane),
-            Refinement("link mass", "mass between the hinges", lighter, 2.0),
             Refinement(
-                "twin time step", f"its {1e3 * step:g} ms", {"timestep": step / 2}, 4 / 3 if loaded else 2.0
+                "bending discretisation",
+                f"{hinges} hinges per segment instead of an arc",
+                finer_hinges,
+                4 / 3,
+                base=arcs,
             ),
-            Refinement("model time step", model_step, model, 4 / 3, plant="analytical"),
+            *([lighter_wheels] if self._twin.law != "ellipse" else []),
+            *self._contact_refinements(),
+            out_of_plane,
+            Refinement("link mass", "mass between the hinges", lighter_links, 2.0),
+            Refinement(
+                "twin time step",
+                f"time step of {1e3 * step:g} ms",
+                {"timestep": step / 2},
+                4 / 3 if loaded else 2.0,
+            ),
+            Refinement(
+                "model time step",
+                "time step and slip speed of the model",
+                finer_model,
+                4 / 3,
+                plant="analytical",
+            ),
         ]
 
     def analytical(self, on: frozenset[str], **options: Any) -> Plant:
-        """Return the analytical model with these switches on.
+        """Build the analytical model with the named switches on.
 
         Args:
             on: names of switches.
-            options: further changes.
+            options: further arguments of the model.
         """
         spec = self._scenario.robot
-        changes = dict(ChainMap(*(each.options for each in reversed(self._every) if each.name in on)))
+        changes = dict(ChainMap(*(switch.options for switch in reversed(self._all) if switch.name in on)))
         if "damping" not in on and self._model.model != "compliant":
             spec = replace(spec, bending=replace(spec.bending, damping_time=spec.actuator.tau_mode))
         return self._scenario.build_plant("analytical", robot=spec, **changes | options)
 
-    def twin(self, change: Change = lambda spec: spec, **options: Any) -> Plant:
-        """Return the twin with these changes of the robot and of its own arguments."""
+    def twin(self, change: RobotChange = lambda spec: spec, **options: Any) -> Plant:
+        """Build the twin with a changed robot and changed arguments."""
         return self._scenario.build_plant("twin", robot=change(self._scenario.robot), **options)
 
     def stiff_twin(self) -> Plant:
-        """Return the twin with the stiff bends of the match."""
+        """Build the twin of the matched setting, whose bends are stiff."""
 
         def stiffer(spec: RobotSpec) -> RobotSpec:
-            stiffness, lag = STIFF * spec.bending.stiffness, spec.actuator.tau_mode
-            return replace(spec, bending=replace(spec.bending, stiffness=stiffness, damping_time=lag))
+            stiffness = MATCHED_STIFFNESS_FACTOR * spec.bending.stiffness
+            damping_time = spec.actuator.tau_mode
+            return replace(
+                spec, bending=replace(spec.bending, stiffness=stiffness, damping_time=damping_time)
+            )
 
         return self.twin(stiffer)
 
     def matched(self) -> Plant:
-        """Return the analytical model with the twin's friction, inertia and gaps, and its bends as given."""
+        """Build the analytical model of the matched setting: friction, inertia and gaps of the twin."""
         on = {"friction law", "wheel track", "rigid gaps", "connector inertia"}
         return self.analytical(frozenset(on), model="complete", friction_torque=True)
 
@@ -265,135 +323,157 @@ Progress = Callable[[float], None]
 def explain(
     scenario: Scenario, trajectories: Mapping[str, Trajectory], *, progress: Progress | None = None
 ) -> Attribution:
-    """Say why the two plants of a run differ.
+    """Attribute the difference between the two plants of a run to assumptions.
 
-    On the analytical side every subset of the assumptions that differ is run against the twin as it is, and
-    each assumption's share averaged over the orders of switching (`shapley`). What the twin alone has is
-    then refined, one at a time, against the model that has everything else in common with it. Shares and
-    remainder add up to the gap.
+    Every subset of the switches is simulated with the analytical model and compared with the given twin,
+    which gives the Shapley value of each switch (`contributions`). Approximations of one plant are then
+    refined, one at a time, against the model with all switches on. Shares and remainder add up to the
+    difference.
 
     Args:
-        scenario: what ran.
-        trajectories: what both plants did, by name.
-        progress: called with the part that is done, 0 to 1.
+        scenario: scenario of the run.
+        trajectories: trajectories of both plants, by plant name.
+        progress: function called with the finished fraction, 0 to 1.
 
     Raises:
-        InputError: one plant alone ran, or the runs have no whole gait periods to compare.
-        DivergedError: one of the variants diverged.
+        InputError: only one plant ran, or the runs are too short for gait metrics.
+        DivergedError: a variant diverged.
     """
     if not {"analytical", "twin"} <= trajectories.keys():
-        raise InputError("a difference needs two plants to be explained; run both")
+        raise InputError("an attribution needs both plants; run both")
     model, twin = trajectories["analytical"], trajectories["twin"]
     try:
         gap = gap_between(model, twin)
     except ValueError as error:
-        raise InputError(f"{scenario.name}: {error}; three or more periods of a gait are needed") from error
+        raise InputError(f"{scenario.name}: {error}; at least three gait periods are needed") from error
     if scenario.file.comparison.gap_factor:
         raise InputError(
-            f"{scenario.name}: comparison.gap_factor scales a speed and leaves nothing to explain it by; "
-            "take it out, rigid gaps are a switch of their own"
+            f"{scenario.name}: comparison.gap_factor scales a speed, which cannot be attributed; "
+            "remove it (rigid gaps are a switch already)"
         )
-    ladder = Ladder(scenario)
-    first = frozenset(switch.name for switch in ladder.first)
-    names = [switch.name for switch in ladder.switches]
-    sets = [first | some for some in subsets(names)]
-    runs = _run_all(scenario, _variants(ladder, sets), progress)
-    runs |= {_key(frozenset()): model, _key({}): twin}
+    variants = PlantVariants(scenario)
+    first = frozenset(switch.name for switch in variants.first)
+    names = [switch.name for switch in variants.switches]
+    sets = [first | subset for subset in subsets(names)]
+    all_on = sets[-1]
+    runs = _run_all(scenario, _builders(variants, sets), progress)
+    runs |= {_variant_name(frozenset()): model, _variant_name({}): twin}
 
-    seen = {some: gap_between(runs[_key(some)], twin) for some in sets}
-    found = contributions(names, {some - first: value for some, value in seen.items()})
-    change = seen[first] - gap
-    alone = Contribution(change, change, change)
-    shares = [_share(switch.name, switch.title, "first", alone) for switch in ladder.first]
-    for switch in ladder.switches:
-        shares.append(_share(switch.name, switch.title, "averaged", found[switch.name]))
-    alike = runs[_key(sets[-1])]
-    for each in ladder.refinements:
-        if each.plant == "twin":
-            before, after = (gap_between(alike, runs[key]) for key in (_key(each.base), each.name))
-        else:
-            before, after = seen[sets[-1]], gap_between(runs[each.name], twin)
-        value = each.factor * (after - before)
-        shares.append(_share(each.name, each.title, "refined", Contribution(value, value, value)))
+    differences = {switched: gap_between(runs[_variant_name(switched)], twin) for switched in sets}
+    averaged = contributions(names, {switched - first: value for switched, value in differences.items()})
+    change = differences[first] - gap
+    frozen = Contribution(change, change, change)
+    shares = [_make_share(switch.name, switch.title, "first", frozen) for switch in variants.first]
+    for switch in variants.switches:
+        shares.append(_make_share(switch.name, switch.title, "averaged", averaged[switch.name]))
+    shares += _refinement_shares(variants.refinements, runs, all_on)
     remainder = gap - np.sum([share.value for share in shares], axis=0)
-    ours = plant_metrics(model)
+    metrics = plant_metrics(model)
     return Attribution(
-        reference=tuple(float(ours.get(name) or 0.0) for name in MEASURES),
-        gap=_numbers(gap),
+        reference=tuple(float(metrics.get(name) or 0.0) for name in MEASURES),
+        gap=_to_floats(gap),
         shares=tuple(shares),
-        remainder=_numbers(remainder),
-        matched=_numbers(gap_between(runs["matched"], runs["stiff twin"])),
-        same=tuple(ladder.same),
+        remainder=_to_floats(remainder),
+        matched=_to_floats(gap_between(runs["matched"], runs["stiff twin"])),
+        same=tuple(variants.same),
     )
 
 
 def main_cause(scenario: Scenario, trajectories: Mapping[str, Trajectory]) -> dict[str, Any] | None:
-    """Return what compliance alone changes of the analytical model, which one more run of it tells.
+    """Return the effect of compliance on the analytical model, from one additional run.
 
-    It usually is the largest of the shares that `explain` finds.
+    Compliance usually has the largest of the shares that `explain` computes.
 
     Args:
-        scenario: what ran.
-        trajectories: what both plants did, by name.
+        scenario: scenario of the run.
+        trajectories: trajectories of both plants, by plant name.
 
     Returns:
-        The assumption's `name` and by how much it changes `com_speed_m_s` and `yaw_rate_rad_s`; None where
-        the model has no gait, or is compliant already.
+        `name` of the assumption and its effects on `com_speed_m_s` and `yaw_rate_rad_s`; None if the run has
+        no gait or the model is compliant already.
     """
-    ladder, model = Ladder(scenario), plant_metrics(trajectories["analytical"])
-    known = "compliance" in [switch.name for switch in ladder.switches]
-    if not known or scenario.planner is not None or model["com_speed_m_s"] is None:
+    variants, model = PlantVariants(scenario), plant_metrics(trajectories["analytical"])
+    differs = "compliance" in [switch.name for switch in variants.switches]
+    if not differs or scenario.planner is not None or model["com_speed_m_s"] is None:
         return None
-    on = frozenset(switch.name for switch in ladder.first) | {"compliance"}
-    run = rollout(ladder.analytical(on), scenario.build_controller(), **scenario.timing)
-    found = plant_metrics(run)
-    changes = {name: found[name] - model[name] for name in ("com_speed_m_s", "yaw_rate_rad_s")}
+    on = frozenset(switch.name for switch in variants.first) | {"compliance"}
+    run = rollout(variants.analytical(on), scenario.build_controller(), **scenario.timing)
+    compliant = plant_metrics(run)
+    changes = {name: compliant[name] - model[name] for name in ("com_speed_m_s", "yaw_rate_rad_s")}
     return {"name": "compliance", **changes}
 
 
-def _variants(ladder: Ladder, sets: Sequence[frozenset[str]]) -> dict[str, Callable[[], Plant]]:
-    """Return what has to run besides the two plants themselves, by name."""
-    plants: dict[str, Callable[[], Plant]] = {"stiff twin": ladder.stiff_twin, "matched": ladder.matched}
-    for some in (some for some in sets if some):
-        plants[_key(some)] = partial(ladder.analytical, some)
-    for each in ladder.refinements:
-        if each.plant == "analytical":
-            plants[each.name] = partial(ladder.analytical, sets[-1], **each.options)
+def _builders(variants: PlantVariants, sets: Sequence[frozenset[str]]) -> dict[str, Callable[[], Plant]]:
+    """Return name and builder of each plant to simulate, other than the two plants of the run."""
+    builders: dict[str, Callable[[], Plant]] = {
+        "stiff twin": variants.stiff_twin,
+        "matched": variants.matched,
+    }
+    for switched in filter(None, sets):
+        builders[_variant_name(switched)] = partial(variants.analytical, switched)
+    for refinement in variants.refinements:
+        if refinement.plant == "analytical":
+            builders[refinement.name] = partial(variants.analytical, sets[-1], **refinement.options)
             continue
-        plants[each.name] = partial(ladder.twin, each.change, **each.options)
-        if each.base:
-            plants.setdefault(_key(each.base), partial(ladder.twin, **each.base))
-    return plants
+        builders[refinement.name] = partial(variants.twin, refinement.change, **refinement.options)
+        if refinement.base:
+            builders.setdefault(_variant_name(refinement.base), partial(variants.twin, **refinement.base))
+    return builders
 
 
-def _key(switched: frozenset[str] | Mapping[str, Any]) -> str:
-    """Return a name for the model with these switches on, or for the twin with these arguments."""
-    plant = "model" if isinstance(switched, frozenset) else "twin"
-    names = switched if isinstance(switched, frozenset) else map(str, switched.items())
+def _variant_name(changes: frozenset[str] | Mapping[str, Any]) -> str:
+    """Return a name for the model with a set of switches on, or for the twin with changed arguments."""
+    plant = "model" if isinstance(changes, frozenset) else "twin"
+    names = changes if isinstance(changes, frozenset) else map(str, changes.items())
     return f"{plant} with {', '.join(sorted(names))}"
 
 
 def _run_all(
-    scenario: Scenario, plants: Mapping[str, Callable[[], Plant]], progress: Progress | None
+    scenario: Scenario, builders: Mapping[str, Callable[[], Plant]], progress: Progress | None
 ) -> dict[str, Trajectory]:
-    """Roll every plant out under the scenario's gait, on all processors."""
-    jobs = [Job(build, scenario.build_controller, **scenario.timing) for build in plants.values()]
+    """Simulate every plant under the controller of the scenario, on all processors."""
+    jobs = [Job(build, scenario.build_controller, **scenario.timing) for build in builders.values()]
     report = None if progress is None else lambda done: progress(done / len(jobs))
-    found: dict[str, Trajectory] = {}
-    for name, run in zip(plants, run_many(jobs, progress=report), strict=True):
+    trajectories: dict[str, Trajectory] = {}
+    for name, run in zip(builders, run_many(jobs, progress=report), strict=True):
         if isinstance(run, DivergedError):
-            run.args = (f"{scenario.name}: why they differ: {name}: {run}",)
+            run.args = (f"{scenario.name}: attribution: {name}: {run}",)
             raise run
-        found[name] = run
-    return found
+        trajectories[name] = run
+    return trajectories
 
 
-def _share(name: str, title: str, how: str, found: Contribution) -> Share:
-    """Return a share; what a switch takes off the gap is its share of it."""
-    return Share(name, title, _numbers(-found.value), _numbers(-found.high), _numbers(-found.low), how)
+def _refinement_shares(
+    refinements: Sequence[Refinement], runs: Mapping[str, Trajectory], all_on: frozenset[str]
+) -> list[Share]:
+    """Return the shares of the refinements, against the model with all switches on or the given twin."""
+    model, twin = runs[_variant_name(all_on)], runs[_variant_name({})]
+    shares = []
+    for refinement in refinements:
+        if refinement.plant == "twin":
+            before = gap_between(model, runs[_variant_name(refinement.base)])
+            after = gap_between(model, runs[refinement.name])
+        else:
+            before, after = gap_between(model, twin), gap_between(runs[refinement.name], twin)
+        value = refinement.factor * (after - before)
+        effect = Contribution(value, value, value)
+        shares.append(_make_share(refinement.name, refinement.title, "refined", effect))
+    return shares
 
 
-def _numbers(values: Sequence[float] | np.ndarray) -> tuple[float, ...]:
+def _make_share(name: str, title: str, how: str, contribution: Contribution) -> Share:
+    """Return a share of the difference: positive if a switch reduces it."""
+    return Share(
+        name,
+        title,
+        _to_floats(-contribution.value),
+        _to_floats(-contribution.high),
+        _to_floats(-contribution.low),
+        how,
+    )
+
+
+def _to_floats(values: Sequence[float] | np.ndarray) -> tuple[float, ...]:
     return tuple(float(value) for value in values)
 
 

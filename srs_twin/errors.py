@@ -1,7 +1,9 @@
-"""What can go wrong, each with its own exit code and a message that says what to do.
+"""Exceptions and warnings of the package, with exit codes and messages that name a remedy.
 
-Every error the package raises on purpose is an `SrsError`. Its text is complete: where, what was given,
-what is allowed, what was probably meant. The command line prints it and exits with `exit_code`.
+Every error that the package raises on purpose is an `SrsError`. Its message is complete: where the problem
+is, what was given, what is allowed and the closest valid input. The command line prints the message and exits
+with `exit_code`. The helpers below build such messages: lists of names, suggestions, and times that divide
+evenly.
 """
 
 from __future__ import annotations
@@ -16,74 +18,82 @@ from fractions import Fraction
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
-FEW = 12
-"""Most names that a message lists."""
+MAX_LISTED_NAMES = 12
+"""Largest number of names that a message lists."""
 
-_MOST = 3  # names suggested
-_CLOSE = 0.6  # similarity from which on a name is suggested; that of `difflib`
-_ALIKE = 0.05  # names this much less similar than the best are suggested with it
-_STEM = 0.75  # the same for the beginning of a name: short words are soon alike
-_SUFFIXES = (".yaml", ".yml", ".csv", ".parquet", ".rrd", ".xml", ".json", ".urdf", ".mjcf")
-_WORDS = re.compile(r"[_.\s-]")
+_MAX_SUGGESTIONS = 3
+_MIN_SIMILARITY = 0.6
+"""Lowest similarity of a suggested name, on the scale of `difflib`; its default cutoff as well."""
+
+_SIMILARITY_TIE = 0.05
+"""Names whose similarity is within this distance of the best are suggested together."""
+
+_MIN_PREFIX_SIMILARITY = 0.75
+"""`_MIN_SIMILARITY` for the first words of a name: short texts are similar by chance."""
+
+_FILE_SUFFIXES = (".yaml", ".yml", ".csv", ".parquet", ".rrd", ".xml", ".json", ".urdf", ".mjcf")
+_WORD_SEPARATOR = re.compile(r"[_.\s-]")
 
 
 class SrsError(Exception):
-    """Base of all errors raised on purpose.
+    """Base class of all errors raised on purpose.
 
     Attributes:
-        exit_code: what the command line exits with (2 bad input, 3 diverged, 4 internal).
+        exit_code: exit code of the command line (2 bad input, 3 diverged, 4 internal error).
     """
 
     exit_code = 4
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Come back from another process as it was: `Exception` would call __init__ with its own message."""
-        return _restored, (type(self), self.args, self.__dict__)
+        """Pickle class, arguments and attributes: `Exception` would call __init__ with the message alone."""
+        return _restore_error, (type(self), self.args, self.__dict__)
 
 
 class InputError(SrsError):
-    """Something a person gave cannot be used; nothing was written. Exit code 2."""
+    """Unusable input; nothing was written. Exit code 2."""
 
     exit_code = 2
 
 
 class UnknownNameError(InputError):
-    """A name that is not among the available ones; says which are closest, and all where they are few.
+    """Name that is not available; the message suggests the closest names and lists a small selection.
 
     Args:
-        kind: what it names.
-        given: the name.
-        available: those that there are.
-        listed: where they are listed, said where none is close and they are many.
+        kind: kind of object with this name, such as "metric".
+        name: the unknown name.
+        available: all valid names.
+        listing: command or page that lists them, for messages about more than `MAX_LISTED_NAMES` names.
     """
 
-    def __init__(self, kind: str, given: str, available: Iterable[str], listed: str = "") -> None:
+    def __init__(self, kind: str, name: str, available: Iterable[str], listing: str = "") -> None:
         names = sorted(available)
-        close = did_you_mean(given, names)
-        # Many names are a wall of words, which hides the close ones and helps nobody without them.
-        rest = "" if close and len(names) > FEW else f" (available: {some(names, listed)})"
-        super().__init__(f"unknown {kind} '{given}'{close}{rest}")
+        suggestion = did_you_mean(name, names)
+        # A long list would hide the suggestion.
+        hide_list = suggestion and len(names) > MAX_LISTED_NAMES
+        rest = "" if hide_list else f" (available: {format_names(names, listing)})"
+        super().__init__(f"unknown {kind} '{name}'{suggestion}{rest}")
 
 
 class TimeStepError(InputError):
-    """A period that is no whole multiple of a shorter one; prints both.
+    """Period that is not a whole multiple of a shorter one; the message names both.
 
     Attributes:
-        fault: the message without the times that would do.
+        problem: the message without the suggested times.
     """
 
     def __init__(self, name: str, period_s: float, step_name: str, step_s: float) -> None:
-        # With enough digits to see it: 0.13999994 s, which is 0.14 s to six digits, is no multiple of 0.02 s.
-        given = decimal(period_s, lambda time: not _is_whole(time / step_s))
-        self.fault = f"{name} {given} s is no multiple of {step_name} {exact(step_s)} s"
-        multiple, part = max(1, round(period_s / step_s)) * step_s, _round_part(period_s, step_s)
-        longer = decimal(multiple, lambda time: _is_whole(time / step_s))
-        shorter = decimal(part, lambda time: _is_whole(period_s / time))
-        super().__init__(f"{self.fault}; {longer} s or {step_name} {shorter} s would be")
+        # As many digits as show the problem: 0.13999994 s is 0.14 s to six digits, a multiple of 0.02 s.
+        period = shortest_decimal(period_s, lambda time: not _is_whole(time / step_s))
+        self.problem = f"{name} {period} s is not a multiple of {step_name} {format_exact(step_s)} s"
+        multiple = max(1, round(period_s / step_s)) * step_s
+        divisor = _longest_round_divisor(period_s, step_s)
+        longer = shortest_decimal(multiple, lambda time: _is_whole(time / step_s))
+        shorter = shortest_decimal(divisor, lambda time: _is_whole(period_s / time))
+        super().__init__(f"{self.problem}; use {longer} s or {step_name} {shorter} s")
 
 
 class InputFileError(InputError):
-    """All that is wrong with a file, each line as ``path:line:column: key.path: message``.
+    """All problems of one file, each as ``path:line:column: key.path: message``.
 
     Attributes:
         lines: the messages, in the order of the file.
@@ -95,24 +105,24 @@ class InputFileError(InputError):
 
 
 class EngineWarning(UserWarning):
-    """Something ran elsewhere than asked for."""
+    """A computation ran on another engine than requested."""
 
 
 class SessionWarning(UserWarning):
-    """A session continues without something, such as a file or a forecast, or is too slow."""
+    """A live session continues without a file or a forecast, or falls behind real time."""
 
 
 class CacheWarning(UserWarning):
-    """Machine code cannot be kept: every start compiles it again."""
+    """Compiled kernels cannot be cached; every start compiles them again."""
 
 
 class DivergedError(SrsError):
-    """A simulation left the range of the finite and plausible. Exit code 3.
+    """Diverged simulation: a value is not finite or not plausible. Exit code 3.
 
     Attributes:
-        time: simulated time at which it was found, s.
-        history: the samples of the unfinished stretch before it, or None.
-        trajectory: what was recorded up to there (set by `rollout`), or None.
+        time: simulated time at which the divergence was detected, s.
+        history: samples of the unfinished chunk before that time, or None.
+        trajectory: samples recorded up to that time (set by `rollout`), or None.
     """
 
     exit_code = 3
@@ -125,35 +135,35 @@ class DivergedError(SrsError):
 
 
 class TaskFailedError(SrsError):
-    """A task in a worker process raised what nobody foresaw. Exit code 4."""
+    """Unexpected exception of a task in a worker process. Exit code 4."""
 
     def __init__(self, error: BaseException) -> None:
         frames = traceback.extract_tb(error.__traceback__)
         where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-        said = " ".join(str(error).split())
+        message = " ".join(str(error).split())
         super().__init__(
-            f"internal error: {type(error).__name__}: {said}{where}. "
-            "This is a fault of srs-twin, not of your files: please report it as CONTRIBUTING.md says"
+            f"internal error: {type(error).__name__}: {message}{where}. "
+            "This is a bug in srs-twin, not in your files: please report it as CONTRIBUTING.md describes"
         )
 
 
 class WorkerDiedError(SrsError):
-    """A worker process ended in the middle of its task, as often as it was tried. Exit code 4."""
+    """Worker processes that died during a task, in every attempt. Exit code 4."""
 
     def __init__(self, exit_code: int, attempts: int) -> None:
         times = "" if attempts == 1 else f", {attempts} times in a row"
-        super().__init__(f"the worker process {ending(exit_code)}{times}; {_cause(exit_code)}")
+        super().__init__(f"the worker process {describe_exit(exit_code)}{times}; {_exit_cause(exit_code)}")
 
 
-def _restored(kind: type[SrsError], args: tuple[Any, ...], attributes: dict[str, Any]) -> SrsError:
+def _restore_error(kind: type[SrsError], args: tuple[Any, ...], attributes: dict[str, Any]) -> SrsError:
     error = kind.__new__(kind)
     error.args = args
     error.__dict__.update(attributes)
     return error
 
 
-def ending(exit_code: int) -> str:
-    """Return how a process ended: multiprocessing gives a signal as its negative."""
+def describe_exit(exit_code: int) -> str:
+    """Return how a process ended; a negative exit code is a signal number, as in multiprocessing."""
     if exit_code >= 0:
         return f"ended with exit code {exit_code}"
     try:
@@ -162,142 +172,144 @@ def ending(exit_code: int) -> str:
         return f"was killed by signal {-exit_code}"
 
 
-def _cause(exit_code: int) -> str:
+def _exit_cause(exit_code: int) -> str:
     if exit_code == -signal.SIGKILL:
-        return "the machine was out of memory (fewer workers help), or somebody ended it"
+        return "the machine ran out of memory (use fewer workers), or a user killed it"
     if exit_code < 0:
-        return "compiled code failed, or somebody ended it"
-    return "its own output above may say why"
+        return "compiled code crashed, or a user killed it"
+    return "see its output above"
 
 
-def _round_part(period_s: float, step_s: float) -> float:
-    """Return the longest whole part of a period, up to a step, that a person can write out."""
+def _longest_round_divisor(period_s: float, step_s: float) -> float:
+    """Return the longest divisor of a period, at most one step, that has four digits or fewer."""
     fewest = max(1, math.ceil(period_s / step_s))
-    parts = (period_s / n for n in range(fewest, min(20 * fewest, fewest + 1000)))
-    return next((part for part in parts if math.isclose(float(f"{part:.4g}"), part, rel_tol=1e-12)), period_s)
+    divisors = (period_s / n for n in range(fewest, min(20 * fewest, fewest + 1000)))
+    short = (time for time in divisors if math.isclose(float(f"{time:.4g}"), time, rel_tol=1e-12))
+    return next(short, period_s)
 
 
-def some(names: Sequence[str], listed: str = "") -> str:
-    """Return names for a message: all where they are few, else how many and where they are listed."""
-    if len(names) > FEW:
-        return f"{len(names)} names{listed and f'; {listed} lists them'}"
+def format_names(names: Sequence[str], listing: str = "") -> str:
+    """Return names for a message: all of a short list, else their number and where they are listed."""
+    if len(names) > MAX_LISTED_NAMES:
+        return f"{len(names)} names{listing and f'; {listing} lists them'}"
     return ", ".join(names) or "none"
 
 
-def one_of(name: str, given: str, allowed: Iterable[str]) -> None:
-    """Raise InputError unless a value is one of those allowed; the closest is suggested."""
+def check_choice(name: str, value: str, allowed: Iterable[str]) -> None:
+    """Raise InputError unless a value is one of those allowed; the message suggests the closest."""
     allowed = tuple(allowed)
-    if given not in allowed:
+    if value not in allowed:
         raise InputError(
-            f"{name} '{given}' is unknown; allowed: {', '.join(allowed)}{did_you_mean(given, allowed)}"
+            f"{name} '{value}' is unknown; allowed: {', '.join(allowed)}{did_you_mean(value, allowed)}"
         )
 
 
-def did_you_mean(given: str, available: Iterable[str]) -> str:
+def did_you_mean(text: str, available: Iterable[str]) -> str:
     """Return '; did you mean A, B or C?' for the closest available names, or an empty string.
 
-    Names are compared by their last part: `frequency_hz` of `controller.frequency_hz`, `gen2_turn` of
-    `scenarios/gen2_turn.yaml`. An abbreviation, or a name without its unit, is close; of names that are as
-    close, those in the same section are meant.
+    Names are compared by their last component: `frequency_hz` of `controller.frequency_hz`, `gen2_turn` of
+    `scenarios/gen2_turn.yaml`. Abbreviations and names without their unit count as similar. Between equally
+    similar names, those of the same section are preferred.
 
     Args:
-        given: the name that there is not.
-        available: those that there are; the closest, at most three, are suggested in this order.
+        text: the unknown name.
+        available: valid names; at most three are suggested, ties in this order.
     """
-    section, last = _parts(given)
-    found = {}
+    section, last = _split_name(text)
+    similarity = {}
     for name in available:
-        where, candidate = _parts(name)
-        closeness = _closeness(last, candidate)
-        if not section and where:  # perhaps the beginning was given
-            closeness = max(closeness, _closeness(last, name.lower()))
-        if closeness >= _CLOSE:
-            found[name] = closeness + (0.5 * _ratio(section, where) if section else 0.0)
-    best = max(found.values(), default=0.0)
-    names = sorted((name for name in found if found[name] >= best - _ALIKE), key=lambda name: -found[name])
-    *others, final = names[:_MOST] or [""]
-    return f"; did you mean {', '.join(others)}{' or ' if others else ''}{final}?" if final else ""
+        name_section, candidate = _split_name(name)
+        closeness = _similarity(last, candidate)
+        if not section and name_section:  # the text may be the beginning of the full name
+            closeness = max(closeness, _similarity(last, name.lower()))
+        if closeness >= _MIN_SIMILARITY:
+            similarity[name] = closeness + (0.5 * _ratio(section, name_section) if section else 0.0)
+    best = max(similarity.values(), default=0.0)
+    close = [name for name in similarity if similarity[name] >= best - _SIMILARITY_TIE]
+    *first, final = sorted(close, key=lambda name: -similarity[name])[:_MAX_SUGGESTIONS] or [""]
+    return f"; did you mean {', '.join(first)}{' or ' if first else ''}{final}?" if final else ""
 
 
-def _parts(name: str) -> tuple[str, str]:
-    """Return where a name stands and its last part, in small letters."""
+def _split_name(name: str) -> tuple[str, str]:
+    """Return the section or folder of a name, and its last component, in lower case."""
     path = PurePath(name.lower())
-    if path.suffix in _SUFFIXES:
+    if path.suffix in _FILE_SUFFIXES:
         return str(path.parent), path.stem
     section, _, last = name.lower().rpartition(".")
     return section, last
 
 
-def _closeness(given: str, name: str) -> float:
-    """Return how much one name is like another, from 0 to 1."""
-    alike = _ratio(given, name)
-    if len(given) < 3 or alike == 1.0:
-        return alike
-    if name.startswith(given):
-        return max(alike, 0.85 + 0.1 * len(given) / len(name))
-    given, words = _WORDS.sub("_", given), _WORDS.split(name)
-    # From the front, as without a unit; or from anywhere, as without what it is of.
-    stem = 0.95 * max((_ratio(given, "_".join(words[:i])) for i in range(1, len(words))), default=0.0)
-    within = 0.8 if f"_{given}_" in f"_{name}_" else 0.0
-    return max(alike, stem if stem > _STEM else 0.0, within)
+def _similarity(text: str, name: str) -> float:
+    """Return the similarity of a text and a name, from 0 to 1."""
+    whole = _ratio(text, name)
+    if len(text) < 3 or whole == 1.0:
+        return whole
+    if name.startswith(text):
+        return max(whole, 0.85 + 0.1 * len(text) / len(name))
+    text, words = _WORD_SEPARATOR.sub("_", text), _WORD_SEPARATOR.split(name)
+    # The first words of the name (it may end in a unit), or any words of it.
+    prefix = 0.95 * max((_ratio(text, "_".join(words[:i])) for i in range(1, len(words))), default=0.0)
+    within = 0.8 if f"_{text}_" in f"_{name}_" else 0.0
+    return max(whole, prefix if prefix > _MIN_PREFIX_SIMILARITY else 0.0, within)
 
 
 def _ratio(one: str, other: str) -> float:
     return difflib.SequenceMatcher(None, one, other).ratio()
 
 
-def whole_steps(name: str, period_s: float, step_name: str, step_s: float) -> int:
-    """Return how many steps fill a period.
+def count_steps(name: str, period_s: float, step_name: str, step_s: float) -> int:
+    """Return the number of steps in a period.
 
     Args:
-        name: what the period is called in the message.
+        name: name of the period in messages.
         period_s: the longer time, s.
-        step_name: what the step is called in the message.
+        step_name: name of the step in messages.
         step_s: the shorter time, s.
 
     Raises:
         TimeStepError: the ratio is not a whole number (relative tolerance 1e-9).
-        InputError: one of them is not finite or not above 0.
+        InputError: one of the times is not finite or not above 0.
     """
-    for what, value in ((name, period_s), (step_name, step_s)):
+    for label, value in ((name, period_s), (step_name, step_s)):
         if not (math.isfinite(value) and value > 0):
-            raise InputError(f"{what} {value!r} s is not allowed; it must be finite and above 0")
+            raise InputError(f"{label} {value!r} s is not allowed; it must be finite and above 0")
     ratio = period_s / step_s
     if not math.isfinite(ratio):
-        raise InputError(f"{name} {exact(period_s)} s is too long for {step_name} {exact(step_s)} s")
+        period, step = format_exact(period_s), format_exact(step_s)
+        raise InputError(f"{name} {period} s is too long for {step_name} {step} s")
     if not _is_whole(ratio):
         raise TimeStepError(name, period_s, step_name, step_s)
     return round(ratio)
 
 
 def _is_whole(ratio: float, tolerance: float = 1e-9) -> bool:
-    """Say whether a number is a whole number above 0, within a relative tolerance."""
+    """Return whether a number is a positive integer within a relative tolerance."""
     return 0.5 < ratio < math.inf and abs(ratio - round(ratio)) <= tolerance * max(1.0, ratio)
 
 
-def decimal(value: float, fits: Callable[[float], bool]) -> str:
-    """Return the shortest decimal text of a number, from six digits up, that still fits."""
+def shortest_decimal(value: float, fits: Callable[[float], bool]) -> str:
+    """Return the shortest decimal text of a number, with six or more digits, whose value still fits."""
     return next((text for n in range(6, 17) if fits(float(text := f"{value:.{n}g}"))), repr(value))
 
 
-def exact(value: float) -> str:
+def format_exact(value: float) -> str:
     """Return the shortest text that reads back as the same number."""
-    return decimal(value, lambda read: read == value)
+    return shortest_decimal(value, lambda read: read == value)
 
 
-class Clock(NamedTuple):
+class SamplingGrid(NamedTuple):
     """Times at which a plant can be sampled.
 
     Attributes:
         tick: control tick, s.
-        step: unit of the intervals between samples within a tick, s; None: any interval is allowed.
+        step: unit of the sampling intervals within a tick, s; None if any interval is allowed.
     """
 
     tick: float
     step: float | None = None
 
     def fits(self, rate: float, tolerance: float = 1e-9) -> bool:
-        """Say whether samples at a rate (Hz) coincide with ticks, or divide them into allowed parts."""
+        """Return whether samples at a rate (Hz) coincide with ticks or divide them into allowed intervals."""
         per_tick = self.tick * rate
         if not 0 < per_tick < math.inf:
             return False
@@ -306,49 +318,51 @@ class Clock(NamedTuple):
         allowed = self.step is None or _is_whole(1 / (rate * self.step), tolerance)
         return allowed and _is_whole(per_tick, tolerance)
 
-    def near(self, rate: float) -> Iterator[float]:
-        """Yield rates (Hz) near a rate that fit this plant."""
-        ticks, parts = 1 / (self.tick * rate), self.tick * rate
-        yield from (1 / (k * self.tick) for k in _near(ticks))
+    def rates_near(self, rate: float) -> Iterator[float]:
+        """Yield rates (Hz) close to a given one that fit this plant."""
+        ticks_per_sample, samples_per_tick = 1 / (self.tick * rate), self.tick * rate
+        yield from (1 / (k * self.tick) for k in _integers_near(ticks_per_sample))
         if self.step is None:
-            yield from (n / self.tick for n in _near(parts))
+            yield from (n / self.tick for n in _integers_near(samples_per_tick))
         else:
             steps = round(self.tick / self.step)
             yield from (n / self.tick for n in range(1, steps + 1) if steps % n == 0)
 
 
-_NEIGHBOURS = 20
+_NEIGHBOUR_COUNT = 20
+"""Integers to try on each side of a ratio."""
 
 
-def _near(number: float) -> range:
-    """Return whole numbers above 0 about a number."""
+def _integers_near(number: float) -> range:
+    """Return positive integers around a number."""
     middle = round(min(number, 1e15))
-    return range(max(1, middle - _NEIGHBOURS), max(1, middle) + _NEIGHBOURS)
+    return range(max(1, middle - _NEIGHBOUR_COUNT), max(1, middle) + _NEIGHBOUR_COUNT)
 
 
 def nearest_rate(
-    rate: float, clocks: Sequence[Clock], low: float = 0.0, high: float = math.inf
+    rate: float, grids: Sequence[SamplingGrid], low: float = 0.0, high: float = math.inf
 ) -> str | None:
-    """Return the sampling rate nearest to one asked for that fits all plants, as text to type, Hz.
+    """Return the sampling rate closest to a requested one that fits all plants, as text in Hz.
 
     Args:
-        rate: that was asked for, above 0.
-        clocks: of the plants.
-        low: least rate that is allowed.
-        high: greatest rate that is allowed.
+        rate: requested rate, above 0, Hz.
+        grids: sampling grids of the plants.
+        low: lowest allowed rate, Hz.
+        high: highest allowed rate, Hz.
 
     Returns:
-        None where no rate fits.
+        None if no rate fits.
     """
-    # Ticks that are no multiples of each other meet at multiples of their least common multiple.
-    ticks = [Fraction(clock.tick).limit_denominator(1_000_000) for clock in clocks]
-    scale = math.lcm(*(each.denominator for each in ticks))
-    common = math.lcm(*(max(1, int(each * scale)) for each in ticks)) / scale
-    candidates = [*Clock(common).near(rate), *(each for clock in clocks for each in clock.near(rate))]
+    # Ticks that are not multiples of each other coincide at multiples of their least common multiple.
+    ticks = [Fraction(grid.tick).limit_denominator(1_000_000) for grid in grids]
+    scale = math.lcm(*(tick.denominator for tick in ticks))
+    common = math.lcm(*(max(1, int(tick * scale)) for tick in ticks)) / scale
+    candidates = [*SamplingGrid(common).rates_near(rate)]
+    candidates += [near for grid in grids for near in grid.rates_near(rate)]
 
     def fits(rate: float) -> bool:
-        # Tighter than the checks, which divide once more.
-        return low <= rate <= high and all(clock.fits(rate, 1e-10) for clock in clocks)
+        # Tighter than the checks of the plants, which divide once more.
+        return low <= rate <= high and all(grid.fits(rate, 1e-10) for grid in grids)
 
-    fitting = sorted(filter(fits, candidates), key=lambda each: abs(math.log(each / rate)))
-    return decimal(fitting[0], fits) if fitting else None
+    fitting = sorted(filter(fits, candidates), key=lambda candidate: abs(math.log(candidate / rate)))
+    return shortest_decimal(fitting[0], fits) if fitting else None

@@ -24,8 +24,8 @@ from srs_twin.comparison.undefined import why_undefined
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.io.documents import dump_yaml
-from srs_twin.io.file_sets import replaced
-from srs_twin.io.files import data_root, open_folder, shipped_names, shown
+from srs_twin.io.file_sets import replace_files
+from srs_twin.io.files import check_output_folder, data_root, display_path, shipped_names
 from srs_twin.plants.base import Plant
 from srs_twin.plants.twin.mjcf.numerics import UNSTATED_CONTACT
 from srs_twin.robot.spec import RobotSpec
@@ -127,7 +127,7 @@ class PreparedRun:
                 trajectories[kind] = rollout(plant, controller, **scenario.timing, progress=watch)
                 watch(scenario.duration)
             except DivergedError as error:
-                kept = shown(self.folder / f"{kind}.parquet")
+                kept = display_path(self.folder / f"{kind}.parquet")
                 error.args = (f"{scenario.name}: {error}; what it did up to there is in {kept}",)
                 diverged.append(error)
                 trajectories[kind] = error.trajectory
@@ -141,7 +141,7 @@ class PreparedRun:
                 unexplained.append(error)
         main = cause(scenario, trajectories) if cause is not None and not (diverged or attribution) else None
         # Only now and all at once: an interrupt or a full disk leaves what an earlier run wrote.
-        with replaced(self.folder, _OF_REPLAYS) as fresh:
+        with replace_files(self.folder, _OF_REPLAYS) as fresh:
             (fresh / RESOLVED).write_text(dump_yaml(scenario.document), "utf-8")
             for kind, trajectory in trajectories.items():
                 trajectory.to_parquet(fresh / f"{kind}.parquet")
@@ -254,16 +254,19 @@ def kept_intervals(scenario: Scenario) -> dict[str, Any]:
         found = json.loads(path.read_text("utf-8"))
         kept, plants = found["digest"], found["plants"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        return {"stale": f"{shown(path)} cannot be read ({error}); {renew} writes it again"}
+        return {"stale": f"{display_path(path)} cannot be read ({error}); {renew} writes it again"}
     own, here = found.get("contact") or UNSTATED_CONTACT, twin_contact(scenario)
     if "twin" in plants and here is not None and own != here:
         return {
-            "stale": f"the interval in {shown(path)} is for a twin with contact {own}, not {here}; "
+            "stale": f"the interval in {display_path(path)} is for a twin with contact {own}, not {here}; "
             f"{renew} renews it"
         }
     if kept != judged_digest(scenario.document):
-        return {"stale": f"the interval in {shown(path)} is for another robot or scenario; {renew} renews it"}
-    return {"stale": None, "file": shown(path), "renew": renew, "plants": plants}
+        return {
+            "stale": f"the interval in {display_path(path)} is for another robot or scenario; "
+            f"{renew} renews it"
+        }
+    return {"stale": None, "file": display_path(path), "renew": renew, "plants": plants}
 
 
 def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:
@@ -383,7 +386,7 @@ def prepare(scenario: Scenario, out: Path, *, plants: Sequence[str] | None = Non
         InputError: a plant, a controller or the folder cannot be had as asked.
     """
     found = PreparedRun.of(scenario, out, plants)
-    open_folder(out, _OF_REPLAYS)
+    check_output_folder(out, _OF_REPLAYS)
     return found
 
 
@@ -393,7 +396,7 @@ def check_run(scenario: Scenario, out: Path) -> None:
     Raises:
         InputError: the folder cannot be written, or nothing can be planned.
     """
-    open_folder(out, _OF_REPLAYS)
+    check_output_folder(out, _OF_REPLAYS)
     scenario.check_run()
 
 
@@ -441,7 +444,7 @@ def load_run(run: str | Path) -> FinishedRun:
     paths = {kind: folder / f"{kind}.parquet" for kind in (*PLANTS, MEASURED)}
     found = {kind: Trajectory.from_parquet(path) for kind, path in paths.items() if path.is_file()}
     if not found:
-        raise InputError(f"{shown(folder)}: holds no trajectory; `srs-twin run SCENARIO` leaves them")
+        raise InputError(f"{display_path(folder)}: holds no trajectory; `srs-twin run SCENARIO` leaves them")
     return FinishedRun(folder, load_scenario(folder / RESOLVED), found)
 
 
@@ -455,5 +458,5 @@ def find_run(run: str | Path) -> Path:
     for folder in looked:
         if os.path.isfile(folder / RESOLVED):
             return folder
-    tried = " and ".join(shown(path / RESOLVED) for path in looked)
+    tried = " and ".join(display_path(path / RESOLVED) for path in looked)
     raise InputError(f"{run}: no run there (looked for {tried}); `srs-twin run SCENARIO` makes one")

@@ -1,9 +1,9 @@
-"""Run plants under controllers and record them: `rollout` one, `run_many` many at once, `run_batch` a batch.
+"""Rollouts of plants under controllers: `rollout` for one run, `run_many` and `run_batch` for several.
 
-Jobs of `run_many` do not know of each other, on any plants, and each gives what `rollout` alone would have
-given; with `run_batch` one policy looks at all twins of a batch and commands them, tick by tick. Kernels and
-engine free the interpreter's lock while they step, so runs overlap on threads; bytes do not depend on how
-many there are.
+`run_many` runs independent jobs on any plants, each with the result that `rollout` alone would give. In
+`run_batch` one policy commands all twins of a batch, tick by tick. Kernels and MuJoCo release the
+interpreter's lock while they step, so that runs overlap on threads. Results do not depend on the number of
+threads.
 
 >>> from functools import partial
 >>> from srs_twin import AnalyticalSnake, Gait, Job, load_robot, run_many
@@ -24,9 +24,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srs_twin.compute.workers import Stopped, Workers
+from srs_twin.compute.workers import IsCancelled, Workers
 from srs_twin.control.base import Controller
-from srs_twin.errors import Clock, DivergedError, InputError, decimal, exact, nearest_rate, whole_steps
+from srs_twin.errors import (
+    DivergedError,
+    InputError,
+    SamplingGrid,
+    count_steps,
+    format_exact,
+    nearest_rate,
+    shortest_decimal,
+)
 from srs_twin.io.saved_state import SavedState
 from srs_twin.plants.base import Plant, PlantState, Pose, SnakeState, check_commands, check_plausible
 from srs_twin.pneumatics.valves import Schedule
@@ -38,7 +46,11 @@ if TYPE_CHECKING:
 
 
 Observer = Callable[[SnakeState], None]
-Begin = Callable[[Plant, int], SnakeState]
+PlaceFunction = Callable[[Plant, int], SnakeState]
+"""Function of a plant and a seed that sets an initial state and returns it."""
+
+Policy = Callable[[SnakeState], np.ndarray]
+"""Function from the states of a batch to valve commands."""
 
 
 def rollout(
@@ -47,7 +59,7 @@ def rollout(
     duration: float,
     *,
     pose: Pose = (0.0, 0.0, 0.0),
-    begin: Begin | None = None,
+    begin: PlaceFunction | None = None,
     resume: tuple[PlantState, SavedState] | None = None,
     seed: int = 0,
     record_hz: float = 100,
@@ -55,37 +67,37 @@ def rollout(
     observers: Iterable[Observer] = (),
     progress: Callable[[float], None] | None = None,
 ) -> Trajectory:
-    """Run a plant under a controller, from rest unless told otherwise.
+    """Simulate a plant under a controller and record the trajectory.
 
-    Where nothing looks on (`until`, `observers`), a controller that does not sense runs its whole script on
-    a plant that can follow one; otherwise they meet every tick.
+    The snake starts at rest unless `begin` or `resume` is given. A controller without sensor input has a
+    script of valve commands, which the plant simulates in chunks of many ticks. With `until` or `observers`,
+    for other controllers, and on plants that cannot play scripts, plant and controller alternate every tick.
 
     Args:
-        plant: what moves.
-        controller: what commands its valves.
-        duration: s, a multiple of the plant's tick.
-        pose: where the snake lies at first: centre of mass x, y (m), mean heading (rad).
-        begin: brings the plant into another first state, from plant and seed, as `Plant.place` does.
-        resume: saved states of plant and controller, from which both go on; the clock goes on, too.
-        seed: for plant and controller.
-        record_hz: samples a second. Above the tick rate a whole number a tick, else every whole-numbered
-            tick.
-        until: ends the run after the tick in which it returns True.
-        observers: called with the state at the start and after every tick.
-        progress: called now and then with the simulated time, s.
+        plant: simulated robot.
+        controller: controller of its valves.
+        duration: simulated time, s, a multiple of the plant's tick.
+        pose: initial pose: centre of mass x, y (m), mean heading (rad).
+        begin: sets another initial state of the plant, as `Plant.place` does; called with plant and seed.
+        resume: saved states of plant and controller to continue from; the simulated time continues as well.
+        seed: random seed of plant and controller.
+        record_hz: sampling rate, Hz: a whole number of samples per tick, or one sample per whole number of
+            ticks.
+        until: predicate that ends the run after the first tick for which it returns True.
+        observers: functions called with the initial state and with the state after every tick.
+        progress: function called at intervals with the simulated time, s.
 
     Returns:
-        The samples from the first state on; where `until` or a controller that has finished ends the run
-        between two, its last state as well. Its metadata say which of them did (``ended_by``, None at the
-        full duration), and what the controller says of itself (``control``).
+        Samples from the initial state on. If `until` or the controller ends the run between two samples, the
+        last state is recorded as well. The metadata contain the reason for an early end (``ended_by``) and
+        the description of the controller (``control``).
 
     Raises:
-        InputError: duration, tick, time step and record_hz do not fit together, or the controller cannot
-            drive these valves, or a state that does not belong to them.
-        DivergedError: the plant or the controller diverged; the error's `trajectory` holds what was recorded
-            until then.
+        InputError: duration, tick, time step and record_hz are not compatible; the controller cannot drive
+            this valve layout; or a saved state belongs to another plant or controller.
+        DivergedError: plant or controller diverged; its `trajectory` has the samples recorded before.
     """
-    ticks = whole_steps("duration", duration, "tick", plant.tick)
+    ticks = count_steps("duration", duration, "tick", plant.tick)
     recorder = Recorder(plant, controller, record_hz, duration)
     if plant.layout not in controller.layouts:
         raise InputError(
@@ -98,13 +110,13 @@ def rollout(
         state = plant.restore(resume[0])
         controller.restore(resume[1])
     recorder.add(state)
-    watchers, passed = tuple(observers), float(state.time)
-    script = None if until is not None or watchers else controller.script(passed + ticks * plant.tick)
-    if script is not None and passed:
-        script = script.slice(passed, passed + ticks * plant.tick)
+    observers, start = tuple(observers), float(state.time)
+    script = None if until is not None or observers else controller.script(start + ticks * plant.tick)
+    if script is not None and start:
+        script = script.slice(start, start + ticks * plant.tick)
     try:
         if script is None or not _play_script(recorder, script, ticks, progress):
-            _step_ticks(recorder, state, ticks, until, watchers, progress)
+            _step_ticks(recorder, state, ticks, until, observers, progress)
     except DivergedError as error:
         if error.history is not None and len(error.history.time):
             recorder.add(error.history)
@@ -116,27 +128,27 @@ def rollout(
 def _play_script(
     recorder: Recorder, script: Schedule, ticks: int, progress: Callable[[float], None] | None
 ) -> bool:
-    """Let a plant follow a script; return whether it can.
+    """Simulate a script of valve commands in chunks; return False if the plant cannot play scripts.
 
-    Stretches are whole numbers of recorded ticks, the last one apart, whose unrecorded rest is only played.
+    A chunk is a whole number of recorded ticks. Ticks after the last sample are simulated without recording.
     """
-    plant, stride, controller = recorder.plant, recorder.stride, _described(recorder.controller)
-    stretch = max(1, round(plant.max_chunk_s / plant.tick / stride)) * stride
+    plant, stride, controller = recorder.plant, recorder.stride, _describe_controller(recorder.controller)
+    chunk = max(1, round(plant.max_chunk_s / plant.tick / stride)) * stride
     recorded = ticks - ticks % stride
-    begun = 0
-    while begun < ticks:
-        now = min(stretch, (recorded if begun < recorded else ticks) - begun)
-        part = script.slice(begun * plant.tick, (begun + now) * plant.tick)
-        check_commands(controller, begun * plant.tick, part.states)
-        history = plant.play(part, now * recorder.samples // stride if begun < recorded else 1)
+    done = 0
+    while done < ticks:
+        count = min(chunk, (recorded if done < recorded else ticks) - done)
+        commands = script.slice(done * plant.tick, (done + count) * plant.tick)
+        check_commands(controller, done * plant.tick, commands.states)
+        history = plant.play(commands, count * recorder.samples // stride if done < recorded else 1)
         if history is None:
             return False
         check_plausible(plant.name, history)
-        if begun < recorded:
+        if done < recorded:
             recorder.add(history)
-        begun += now
+        done += count
         if progress is not None:
-            progress(begun * plant.tick)
+            progress(done * plant.tick)
     return True
 
 
@@ -145,16 +157,16 @@ def _step_ticks(
     state: SnakeState,
     ticks: int,
     until: Callable[[SnakeState], bool] | None,
-    watchers: tuple[Observer, ...],
+    observers: tuple[Observer, ...],
     progress: Callable[[float], None] | None,
 ) -> None:
-    """Let the controller sense and command every tick."""
+    """Alternate controller and plant, one tick at a time, until the run ends."""
     plant, controller = recorder.plant, recorder.controller
-    for watch in watchers:
-        watch(state)
+    for observe in observers:
+        observe(state)
     for k in range(1, ticks + 1):
         valves = controller.step(state)
-        check_commands(_described(controller), (k - 1) * plant.tick, valves)
+        check_commands(_describe_controller(controller), (k - 1) * plant.tick, valves)
         states = plant.advance(valves, recorder.samples)
         for sample in states:
             check_plausible(plant.name, sample)
@@ -168,104 +180,107 @@ def _step_ticks(
             for sample in states:
                 recorder.add(sample)
         recorder.events.extend(controller.events())
-        for watch in watchers:
-            watch(state)
+        for observe in observers:
+            observe(state)
         if progress is not None:
             progress(k * plant.tick)
         if ends:
             break
 
 
-def _described(controller: Controller) -> str:
+def _describe_controller(controller: Controller) -> str:
     return f"controller '{controller.kind}'"
 
 
-def sampling(tick: float, record_hz: float, step: float | None = None) -> tuple[int, int]:
-    """Return samples per tick and ticks per recorded tick; one of them is 1.
+def sample_counts(tick: float, record_hz: float, step: float | None = None) -> tuple[int, int]:
+    """Return samples per tick and ticks per sample; at least one of them is 1.
 
     Args:
-        tick: of the plant, s.
-        record_hz: recording rate, Hz.
-        step: `Plant.sample_step`, s.
+        tick: control tick of the plant, s.
+        record_hz: sampling rate, Hz.
+        step: unit of the sampling interval (`Plant.sample_step`), s.
 
     Raises:
-        InputError: the rate does not fit; the message names the nearest one that does.
+        InputError: the rate does not fit the tick; the message gives the nearest rate that does.
     """
     if not 0 < record_hz < math.inf:
         raise InputError(f"record_hz {record_hz:g} is not allowed; it must be finite and above 0")
-    clock = Clock(tick, step)
-    if not clock.fits(record_hz):
-        whole = decimal(1 / tick, lambda rate: clock.fits(rate, 1e-10))
-        whole += " Hz" if step is None else f" Hz with an interval that is a multiple of {exact(step)} s"
+    grid = SamplingGrid(tick, step)
+    if not grid.fits(record_hz):
+        base = shortest_decimal(1 / tick, lambda rate: grid.fits(rate, 1e-10)) + " Hz"
+        if step is not None:
+            base += f" with an interval that is a multiple of {format_exact(step)} s"
         raise InputError(
-            f"record_hz {exact(record_hz)} does not fit the tick {exact(tick)} s; "
-            f"{nearest_rate(record_hz, [clock])} Hz or any whole multiple or fraction of {whole} would"
+            f"record_hz {format_exact(record_hz)} does not fit the tick {format_exact(tick)} s; "
+            f"use {nearest_rate(record_hz, [grid])} Hz, or any whole multiple or fraction of {base}"
         )
     return max(1, round(tick * record_hz)), max(1, round(1 / (tick * record_hz)))
 
 
 class Recorder:
-    """Collects states and signals, and turns them into columns.
+    """Collector of plant states and controller signals that builds a trajectory.
 
     Attributes:
-        plant: what is recorded.
-        controller: whose signals are recorded.
-        samples: a tick.
-        stride: ticks a recorded tick.
-        events: of the controller.
-        ended_by: what ended the run before its time, "until" or "controller".
+        plant: recorded plant.
+        controller: controller whose signals are recorded.
+        samples: samples per tick.
+        stride: ticks per sample; 1 if there are several samples per tick.
+        events: events of the controller.
+        ended_by: reason for an early end, "until" or "controller", or None.
     """
 
     def __init__(self, plant: Plant, controller: Controller, record_hz: float, duration: float) -> None:
         self.plant, self.controller = plant, controller
-        self.samples, self.stride = sampling(plant.tick, record_hz, plant.sample_step)
-        self._about = {"record_hz": record_hz, "duration_s": duration}
-        self._parts: list[SnakeState] = []
+        self.samples, self.stride = sample_counts(plant.tick, record_hz, plant.sample_step)
+        self._settings = {"record_hz": record_hz, "duration_s": duration}
+        self._states: list[SnakeState] = []
         self._signals: list[tuple[int, dict[str, float]]] = []
         self.events: list[Event] = []
         self.ended_by: str | None = None
 
     def add(self, state: SnakeState) -> None:
-        """Add a moment or a history, with the controller's signals of now."""
-        self._parts.append(state)
-        self._signals.append((np.size(state.time), _numbered(self.controller.signals())))
+        """Append one state or a history of states, with the current signals of the controller."""
+        self._states.append(state)
+        self._signals.append((np.size(state.time), _flatten_signals(self.controller.signals())))
 
-    def trajectory(self, more: Mapping[str, object] = MappingProxyType({})) -> Trajectory:
-        """Return what was added, with more to say of it."""
-        self._states = SnakeState.history(self._parts)
-        columns = {"time": self._column("time")}
-        columns |= _spread("com_", self._column("com"), "xy")
-        columns["heading"] = self._column("heading")
-        position = self._column("position")
-        columns |= _spread("x_", position[..., 0]) | _spread("y_", position[..., 1])
+    def trajectory(self, metadata: Mapping[str, object] = MappingProxyType({})) -> Trajectory:
+        """Return the trajectory recorded so far, with additional metadata."""
+        states = SnakeState.history(self._states)
+
+        def values_of(name: str) -> np.ndarray:
+            return np.asarray(getattr(states, name), dtype=float)
+
+        columns = {"time": values_of("time")}
+        columns |= _numbered_columns("com_", values_of("com"), "xy")
+        columns["heading"] = values_of("heading")
+        position = values_of("position")
+        columns |= _numbered_columns("x_", position[..., 0]) | _numbered_columns("y_", position[..., 1])
         for name in ("theta", "bend", "sensed", "torque"):
-            columns |= _spread(f"{name}_", self._column(name))
-        for name, quantity in (("pressure", "pressure"), ("valve", "valves")):
-            values = self._column(quantity)
-            columns |= _spread(f"{name}_plus_", values[..., 0]) | _spread(f"{name}_minus_", values[..., 1])
-        columns["work"] = self._column("work")
+            columns |= _numbered_columns(f"{name}_", values_of(name))
+        for name, attribute in (("pressure", "pressure"), ("valve", "valves")):
+            chambers = values_of(attribute)
+            columns |= _numbered_columns(f"{name}_plus_", chambers[..., 0])
+            columns |= _numbered_columns(f"{name}_minus_", chambers[..., 1])
+        columns["work"] = values_of("work")
         if self.plant.has_internal_loss:
-            columns["internal_loss"] = self._column("internal_loss")
+            columns["internal_loss"] = values_of("internal_loss")
         if self.plant.metered:
-            columns["air"] = self._column("air")
+            columns["air"] = values_of("air")
         if self.plant.touches:
-            force = self._column("obstacle_force")
-            columns |= _spread("obstacle_force_x_", force[..., 0])
-            columns |= _spread("obstacle_force_y_", force[..., 1])
+            force = values_of("obstacle_force")
+            columns |= _numbered_columns("obstacle_force_x_", force[..., 0])
+            columns |= _numbered_columns("obstacle_force_y_", force[..., 1])
         counts = [count for count, _ in self._signals]
         for name in self._signals[0][1]:
             columns[name] = np.repeat([signals[name] for _, signals in self._signals], counts)
-        columns |= _spread("qpos_", self._column("qpos"))
-        return Trajectory(columns, events=tuple(self.events), metadata={**self._metadata(), **more})
-
-    def _column(self, name: str) -> np.ndarray:
-        return np.asarray(getattr(self._states, name), dtype=float)
+        columns |= _numbered_columns("qpos_", values_of("qpos"))
+        return Trajectory(columns, events=tuple(self.events), metadata={**self._metadata(), **metadata})
 
     def _metadata(self) -> dict[str, object]:
         plant, geometry = self.plant, self.plant.spec.geometry
         return {
             **plant.describe(),
-            **self._about,
+            **self._settings,
             "body_length_m": geometry.body_length,
             "body_width_m": geometry.width,
             "segment_length_m": geometry.segment_length,
@@ -279,8 +294,8 @@ class Recorder:
         }
 
 
-def _numbered(signals: dict[str, float | np.ndarray]) -> dict[str, float]:
-    """Give the elements of array signals names of their own, numbered from 1."""
+def _flatten_signals(signals: dict[str, float | np.ndarray]) -> dict[str, float]:
+    """Return signals as scalars; the elements of array signals get numbered names, from 1."""
     flat: dict[str, float] = {}
     for name, value in signals.items():
         if np.ndim(value) == 0:
@@ -290,13 +305,10 @@ def _numbered(signals: dict[str, float | np.ndarray]) -> dict[str, float]:
     return flat
 
 
-def _spread(prefix: str, values: np.ndarray, names: str | None = None) -> dict[str, np.ndarray]:
-    """Return the columns of a (samples, n) array under prefix + 1…n, or prefix + each of `names`."""
+def _numbered_columns(prefix: str, values: np.ndarray, names: str | None = None) -> dict[str, np.ndarray]:
+    """Return the columns of a (samples, n) array, named by a prefix and 1…n or the letters of `names`."""
     suffixes = names or [str(i) for i in range(1, values.shape[1] + 1)]
     return {f"{prefix}{suffix}": values[:, i] for i, suffix in enumerate(suffixes)}
-
-
-Policy = Callable[[SnakeState], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -304,14 +316,14 @@ class Job:
     """One run of `run_many`; the fields are the arguments of `rollout`.
 
     Attributes:
-        plant: what moves, or what makes it. Jobs with the same maker, one after the other, share the plants
-            that it made, one a thread.
-        controller: what commands its valves, or what makes it.
-        duration: s.
-        pose: where the snake lies at first: centre of mass x, y (m), mean heading (rad).
-        seed: for plant and controller.
-        record_hz: samples a second.
-        begin: brings the plant into another first state.
+        plant: simulated robot, or a function that builds it. Consecutive jobs with the same function share
+            the plants that it builds, one per thread.
+        controller: controller of its valves, or a function that builds it.
+        duration: simulated time, s.
+        pose: initial pose: centre of mass x, y (m), mean heading (rad).
+        seed: random seed of plant and controller.
+        record_hz: sampling rate, Hz.
+        begin: sets another initial state of the plant.
     """
 
     plant: Plant | Callable[[], Plant]
@@ -320,49 +332,55 @@ class Job:
     pose: Pose = (0.0, 0.0, 0.0)
     seed: int = 0
     record_hz: float = 100
-    begin: Begin | None = None
+    begin: PlaceFunction | None = None
 
 
 def run_many(
     jobs: Iterable[Job], *, threads: int | None = None, progress: Callable[[int], None] | None = None
 ) -> list[Trajectory | DivergedError]:
-    """Run jobs over threads; each gives what `rollout` would have given, bit for bit.
+    """Run jobs on several threads; results equal those of `rollout` bit for bit.
 
     Args:
-        jobs: in any order; none shares its plant or controller with another.
-        threads: how many; default one a processor.
-        progress: called on the calling thread with how many jobs are done.
+        jobs: runs in any order, without a common plant or controller object.
+        threads: number of threads (default: one per processor).
+        progress: function called on the calling thread with the number of finished jobs.
 
     Returns:
-        A trajectory a job, in order; in place of one that diverged its error, whose `trajectory` holds what
-        was recorded until then.
+        One trajectory per job, in order. A diverged job has its error instead, whose `trajectory` has the
+        samples recorded before.
 
     Raises:
-        InputError: two jobs share a plant or a controller, or the first job, by order, that cannot be run,
-            with its number.
+        InputError: two jobs share a plant or a controller, or a job cannot be run; the message has the number
+            of the first such job.
     """
     jobs = list(jobs)
-    _refuse_sharing(jobs)
-    here = threading.local()
+    _check_not_shared(jobs)
+    thread_data = threading.local()
 
-    def run(k: int, stopped: Stopped) -> Trajectory | DivergedError:
-        def go_on(time: float) -> None:
-            if stopped():
-                raise _StoppedError
+    def run(k: int, is_cancelled: IsCancelled) -> Trajectory | DivergedError:
+        def check_cancelled(time: float) -> None:
+            if is_cancelled():
+                raise _CancelledError
 
         job = jobs[k]
         try:
             controller = job.controller if isinstance(job.controller, Controller) else job.controller()
             return rollout(
-                _plant(job, here), controller, job.duration,
-                pose=job.pose, begin=job.begin, seed=job.seed, record_hz=job.record_hz, progress=go_on,
-            )  # fmt: skip
+                _build_plant(job, thread_data),
+                controller,
+                job.duration,
+                pose=job.pose,
+                begin=job.begin,
+                seed=job.seed,
+                record_hz=job.record_hz,
+                progress=check_cancelled,
+            )
         except DivergedError as error:
-            return error.with_traceback(None)  # its frames hold the plant
+            return error.with_traceback(None)  # its frames would keep the plant alive
         except InputError as error:
             raise InputError(f"job {k + 1} of {len(jobs)}: {error}") from error
 
-    return Workers(threads).each(len(jobs), run, progress)
+    return Workers(threads).run(len(jobs), run, progress)
 
 
 def run_batch(
@@ -375,27 +393,27 @@ def run_batch(
     record_hz: float = 100,
     progress: Callable[[float], None] | None = None,
 ) -> list[Trajectory | DivergedError]:
-    """Let one policy command all twins of a batch, every tick.
+    """Simulate a batch of twins that one policy commands at every tick.
 
     Args:
-        batch: the twins.
-        policy: maps the twins' states, which have a leading axis of runs, to valves of shape
+        batch: batch of twins, one per run.
+        policy: function from the states of all twins (leading axis: runs) to valve commands of shape
             (runs, segments, 2) or (runs, slots, segments, 2).
-        duration: s, a multiple of the tick.
-        poses: one a twin, as in `rollout`; default all at the origin.
-        seed: for the twins.
-        record_hz: samples a second, as in `rollout`.
-        progress: called with the simulated time after every tick, s.
+        duration: simulated time, s, a multiple of the tick.
+        poses: initial poses, one per twin, as in `rollout` (default: all at the origin).
+        seed: random seed of the twins.
+        record_hz: sampling rate, Hz, as in `rollout`.
+        progress: function called with the simulated time after every tick, s.
 
     Returns:
-        A trajectory a twin, in order; in place of one that diverged its error, whose `trajectory` holds what
-        was recorded until then. The others go on.
+        One trajectory per twin, in order. A diverged twin has its error instead, whose `trajectory` has the
+        samples recorded before; the other twins continue.
 
     Raises:
-        InputError: times that do not fit together, or valves that are not possible.
+        InputError: duration, tick and record_hz are not compatible, or invalid valve commands.
     """
-    ticks = whole_steps("duration", duration, "tick", batch.tick)
-    samples, stride = sampling(batch.tick, record_hz, batch.twins[0].sample_step)
+    ticks = count_steps("duration", duration, "tick", batch.tick)
+    samples, stride = sample_counts(batch.tick, record_hz, batch.twins[0].sample_step)
     recorders = [Recorder(twin, _PolicyController(), record_hz, duration) for twin in batch.twins]
     resting = batch.reset(poses=poses, seed=seed)
     for k, recorder in enumerate(recorders):
@@ -409,19 +427,19 @@ def run_batch(
             progress(tick * batch.tick)
         if all(batch.errors):
             break
-    return _ended(batch, recorders)
+    return _finish_batch(batch, recorders)
 
 
-def _ended(batch: TwinBatch, recorders: Sequence[Recorder]) -> list[Trajectory | DivergedError]:
-    """Return what came of the runs of a batch; an error holds the trajectory up to it."""
-    found: list[Trajectory | DivergedError] = []
-    for recorder, opened, error in zip(recorders, batch.openings(), batch.errors, strict=True):
-        counted = opened.tolist() if recorder.plant.metered else None
-        trajectory = recorder.trajectory(batch.describe() | {"valve_switches": counted})
+def _finish_batch(batch: TwinBatch, recorders: Sequence[Recorder]) -> list[Trajectory | DivergedError]:
+    """Return the trajectories of a batch; an error has the trajectory recorded before it."""
+    results: list[Trajectory | DivergedError] = []
+    for recorder, openings, error in zip(recorders, batch.openings(), batch.errors, strict=True):
+        switches = openings.tolist() if recorder.plant.metered else None
+        trajectory = recorder.trajectory(batch.describe() | {"valve_switches": switches})
         if error is not None:
             error.trajectory = trajectory
-        found.append(error or trajectory)
-    return found
+        results.append(error or trajectory)
+    return results
 
 
 def run_scripts(
@@ -434,25 +452,26 @@ def run_scripts(
     record_hz: float = 100,
     progress: Callable[[float], None] | None = None,
 ) -> list[Trajectory | DivergedError]:
-    """Let each twin of a batch follow a controller that does not sense.
+    """Simulate a batch of twins, each under its own controller without sensor input.
 
     Args:
-        batch: the twins.
-        controllers: one a twin.
-        duration: s, a multiple of the tick.
-        poses: one a twin, as in `rollout`; default all at the origin.
-        seed: for twins and controllers.
-        record_hz: samples a second, as in `rollout`.
-        progress: called now and then with the simulated time, s.
+        batch: batch of twins, one per run.
+        controllers: one controller per twin.
+        duration: simulated time, s, a multiple of the tick.
+        poses: initial poses, one per twin, as in `rollout` (default: all at the origin).
+        seed: random seed of twins and controllers.
+        record_hz: sampling rate, Hz, as in `rollout`.
+        progress: function called at intervals with the simulated time, s.
 
     Returns:
         As `run_batch`.
 
     Raises:
-        InputError: a controller that senses, not one a twin, or as in `run_batch`.
+        InputError: a controller that uses sensor readings, another number of controllers than twins, or an
+            error as in `run_batch`.
     """
-    ticks = whole_steps("duration", duration, "tick", batch.tick)
-    samples, stride = sampling(batch.tick, record_hz, batch.twins[0].sample_step)
+    ticks = count_steps("duration", duration, "tick", batch.tick)
+    samples, stride = sample_counts(batch.tick, record_hz, batch.twins[0].sample_step)
     if len(controllers) != len(batch.twins):
         raise InputError(f"controllers: {len(controllers)} were given for {len(batch.twins)} runs")
     scripts = []
@@ -460,63 +479,66 @@ def run_scripts(
         controller.reset(twin.spec, twin.tick, seed=seed)
         script = controller.script(duration)
         if script is None:
-            raise InputError(f"controller '{controller.kind}' senses; a batch of scripts cannot run it")
+            raise InputError(
+                f"controller '{controller.kind}' uses sensor readings; "
+                "run_scripts needs controllers with a script"
+            )
         scripts.append(script)
     pairs = zip(batch.twins, controllers, strict=True)
     recorders = [Recorder(twin, controller, record_hz, duration) for twin, controller in pairs]
     resting = batch.reset(poses=poses, seed=seed)
     for k, recorder in enumerate(recorders):
         recorder.add(resting.at(k))
-    whole = ticks - ticks % stride
-    stretch = max(1, round(batch.twins[0].max_chunk_s / batch.tick / stride)) * stride
-    for begun in range(0, whole, stretch):
-        now = min(stretch, whole - begun)
-        parts = [script.slice(begun * batch.tick, (begun + now) * batch.tick) for script in scripts]
-        for recorder, history in zip(recorders, batch.play(parts, now * samples // stride), strict=True):
+    recorded = ticks - ticks % stride
+    chunk = max(1, round(batch.twins[0].max_chunk_s / batch.tick / stride)) * stride
+    for done in range(0, recorded, chunk):
+        count = min(chunk, recorded - done)
+        commands = [script.slice(done * batch.tick, (done + count) * batch.tick) for script in scripts]
+        for recorder, history in zip(recorders, batch.play(commands, count * samples // stride), strict=True):
             if history is not None:
                 recorder.add(history)
         if progress is not None:
-            progress((begun + now) * batch.tick)
-    return _ended(batch, recorders)
+            progress((done + count) * batch.tick)
+    return _finish_batch(batch, recorders)
 
 
-def _refuse_sharing(jobs: Sequence[Job]) -> None:
-    """Refuse plants and controllers that two jobs would use at the same time."""
-    seen: dict[int, int] = {}
+def _check_not_shared(jobs: Sequence[Job]) -> None:
+    """Raise InputError if two jobs would use one plant or controller at the same time."""
+    first_user: dict[int, int] = {}
     for k, job in enumerate(jobs, start=1):
-        for kind, thing in (("plant", job.plant), ("controller", job.controller)):
-            if not isinstance(thing, Plant | Controller):
+        for kind, shared in (("plant", job.plant), ("controller", job.controller)):
+            if not isinstance(shared, Plant | Controller):
                 continue
-            first = seen.setdefault(id(thing), k)
+            first = first_user.setdefault(id(shared), k)
             if first != k:
                 raise InputError(
-                    f"jobs {first} and {k} share one {kind}, a {type(thing).__name__}; "
-                    f"give each its own, or what makes one"
+                    f"jobs {first} and {k} share one {kind}, a {type(shared).__name__}; "
+                    f"give each job its own, or a function that builds one"
                 )
 
 
-def _plant(job: Job, here: threading.local) -> Plant:
-    """Return the job's plant; one that this thread has made last serves again."""
+def _build_plant(job: Job, thread_data: threading.local) -> Plant:
+    """Return the plant of a job; a thread reuses its last plant if the job has the same builder."""
     if isinstance(job.plant, Plant):
         return job.plant
-    if getattr(here, "maker", None) is not job.plant:
-        here.plant, here.maker = job.plant(), job.plant
-    plant: Plant = here.plant
+    if getattr(thread_data, "builder", None) is not job.plant:
+        thread_data.plant, thread_data.builder = job.plant(), job.plant
+    plant: Plant = thread_data.plant
     return plant
 
 
-class _StoppedError(Exception):
-    """Nobody waits for this run any more."""
+class _CancelledError(Exception):
+    """The result of this run is no longer needed."""
 
 
 class _PolicyController(Controller):
-    """Stands in a recording for a policy that commands many snakes: it has no signals of its own."""
+    """Placeholder controller in the recording of a batch that a policy commands; it has no signals."""
 
     kind = "policy"
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
-        """Nothing to prepare."""
+        """Do nothing."""
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Hold what there is: the policy commands the batch itself."""
+        """Return the current valve states."""
         return state.valves

@@ -1,4 +1,4 @@
-"""Trajectory: what a rollout recorded. Named columns over time with units, events, metadata; Parquet."""
+"""Trajectory: signals of one rollout over time, with units, events and metadata, stored as Parquet."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from srs_twin.errors import InputError
 from srs_twin.extensions import PAGES, load
 from srs_twin.io.parquet import read_table
 
-_NAMES = {
+_COLUMNS_OF_UNIT = {
     "s": "time",
     "m": "com_x com_y x y cross_track estimate_x estimate_y",
     "rad": "heading theta bend sensed heading_error estimate_heading reference error"
@@ -27,20 +27,20 @@ _NAMES = {
     "J": "work internal_loss air",
     "mixed": "qpos",
 }
-# Column without its number → unit; all others are pure numbers.
-_UNITS = {name: unit for unit, names in _NAMES.items() for name in names.split()}
+# Column name without its number → unit; all other columns are dimensionless.
+_UNIT_OF_COLUMN = {name: unit for unit, names in _COLUMNS_OF_UNIT.items() for name in names.split()}
 
-_OURS = "a trajectory written by srs-twin"
+_FILE_KIND = "a trajectory written by srs-twin"
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened at one moment (an ILC update, replanning, saturation, contact).
+    """Event at one instant, such as an ILC update, replanning, saturation or a contact.
 
     Attributes:
-        time: s.
+        time: time of the event, s.
         kind: short name, e.g. ``"ilc_update"``.
-        text: one line for people.
+        text: description in one line.
     """
 
     time: float
@@ -48,11 +48,11 @@ class Event:
     text: str
 
 
-class Shown:
-    """Result that a notebook shows as HTML.
+class HtmlResult:
+    """Base class of results that notebooks display as an HTML page.
 
     Attributes:
-        page: entry of `extensions.PAGES`.
+        page: entry of `extensions.PAGES` that renders the page.
     """
 
     page: ClassVar[str] = "run"
@@ -63,20 +63,20 @@ class Shown:
 
 
 @dataclass(frozen=True)
-class Trajectory(Shown):
-    """Columns over time of one rollout. Frozen; arrays are not to be written to.
+class Trajectory(HtmlResult):
+    """Recorded columns of one rollout over time. Frozen; do not write to the arrays.
 
     Column names are fixed: ``time``, ``com_x``, ``com_y``, ``heading``, ``x_1…N``, ``y_1…``, ``theta_1…``
-    (head first), ``bend_1…``, ``sensed_1…``, ``torque_1…``, ``work``, ``air``,
-    ``pressure_plus_1…``,
-    ``pressure_minus_1…``, ``valve_plus_1…``, ``valve_minus_1…``, the controller's signals, and for the twin
-    ``qpos_1…``.
+    (head first), ``bend_1…``, ``sensed_1…``, ``torque_1…``, ``work``, ``air``, ``pressure_plus_1…``,
+    ``pressure_minus_1…``, ``valve_plus_1…``, ``valve_minus_1…``, the signals of the controller, and for the
+    twin ``qpos_1…``.
 
     Attributes:
-        columns: name → float array, each of shape (samples,).
-        units: name → unit, for the columns that the project does not name itself.
-        events: in order of time.
-        metadata: JSON values: plant, robot, tick, gait frequency, switch counts. No wall times.
+        columns: name → float array of shape (samples,).
+        units: name → unit, for columns with names other than these.
+        events: events in the order of time.
+        metadata: JSON values, such as plant, robot, tick, gait frequency and valve switch counts; no wall
+            times.
     """
 
     columns: Mapping[str, np.ndarray]
@@ -108,10 +108,10 @@ class Trajectory(Shown):
         return np.stack([self.stack("x"), self.stack("y")], axis=-1)
 
     def stack(self, name: str) -> np.ndarray:
-        """Return numbered columns side by side: ``stack("bend")`` has shape (samples, segments).
+        """Return numbered columns as one array: ``stack("bend")`` has shape (samples, segments).
 
         Raises:
-            KeyError: there is no ``<name>_1``.
+            KeyError: there is no column ``<name>_1``.
         """
         arrays: list[np.ndarray] = []
         while (column := self.columns.get(f"{name}_{len(arrays) + 1}")) is not None:
@@ -121,92 +121,92 @@ class Trajectory(Shown):
         return np.stack(arrays, axis=-1)
 
     def has(self, name: str) -> bool:
-        """Say whether a column ``name`` or ``name_1`` is there."""
+        """Return whether there is a column ``name`` or ``name_1``."""
         return name in self.columns or f"{name}_1" in self.columns
 
     def unit(self, name: str) -> str:
         """Return the unit of a column."""
-        return self.units.get(name) or _UNITS.get(re.sub(r"_\d+$", "", name), "1")
+        return self.units.get(name) or _UNIT_OF_COLUMN.get(re.sub(r"_\d+$", "", name), "1")
 
     def to_parquet(self, path: Any) -> None:
         """Write to a Parquet file or file-like object; equal trajectories give equal bytes.
 
-        Units stand in each field's metadata, events and metadata as JSON in the schema's.
+        The metadata of each field contain its unit; those of the schema contain events and metadata as JSON.
         """
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        fields = [pa.field(n, pa.float64(), metadata={"unit": self.unit(n)}) for n in self.columns]
-        about = {
-            "srs_twin.events": json.dumps([asdict(e) for e in self.events]),
+        fields = [pa.field(name, pa.float64(), metadata={"unit": self.unit(name)}) for name in self.columns]
+        schema_metadata = {
+            "srs_twin.events": json.dumps([asdict(event) for event in self.events]),
             "srs_twin.metadata": json.dumps(dict(self.metadata), sort_keys=True),
         }
         table = pa.Table.from_arrays(
-            [pa.array(np.ascontiguousarray(c, dtype=float)) for c in self.columns.values()],
-            schema=pa.schema(fields, metadata=about),
+            [pa.array(np.ascontiguousarray(column, dtype=float)) for column in self.columns.values()],
+            schema=pa.schema(fields, metadata=schema_metadata),
         )
+        # Splitting the bytes of floats compresses smooth signals better than a dictionary.
+        encoding = dict.fromkeys(self.columns, "BYTE_STREAM_SPLIT")
         options = {"compression": "zstd", "use_dictionary": False, "write_page_checksum": True}
-        pq.write_table(
-            table, path, **options, column_encoding=dict.fromkeys(self.columns, "BYTE_STREAM_SPLIT")
-        )
+        pq.write_table(table, path, **options, column_encoding=encoding)
 
     @classmethod
     def from_parquet(cls, path: Any) -> Trajectory:
-        """Read what `to_parquet` wrote.
+        """Read a file written by `to_parquet`.
 
         Raises:
-            InputError: not a Parquet file, not one of a trajectory, damaged, or beyond all bounds.
+            InputError: not a Parquet file, not a trajectory, damaged or too large.
         """
-        table = read_table(path, _OURS, _check_schema)
-        about = table.schema.metadata or {}
+        table = read_table(path, _FILE_KIND, _check_schema)
+        schema_metadata = table.schema.metadata or {}
         try:
-            events = tuple(_event(each) for each in json.loads(about[b"srs_twin.events"]))
-            metadata = json.loads(about[b"srs_twin.metadata"])
-            units = {f.name: (f.metadata or {}).get(b"unit", b"1").decode() for f in table.schema}
+            events = tuple(_parse_event(data) for data in json.loads(schema_metadata[b"srs_twin.events"]))
+            metadata = json.loads(schema_metadata[b"srs_twin.metadata"])
+            units = {field.name: (field.metadata or {}).get(b"unit", b"1").decode() for field in table.schema}
             if not isinstance(metadata, dict):
-                raise TypeError("its metadata is no mapping")
-            columns = {name: _numbers(name, table.column(name)) for name in table.column_names}
+                raise TypeError("its metadata is not a mapping")
+            columns = {name: _to_array(name, table.column(name)) for name in table.column_names}
         except (TypeError, ValueError, RecursionError) as error:
-            raise InputError(f"{path}: not {_OURS} ({error})") from error
+            raise InputError(f"{path}: not {_FILE_KIND} ({error})") from error
         if "time" not in columns:
             raise InputError(f"{path}: a trajectory needs a column 'time'")
         time = columns["time"]
         if not (np.isfinite(time).all() and (np.diff(time) > 0).all()):
-            raise InputError(f"{path}: column time: must be finite and rise from sample to sample")
+            raise InputError(f"{path}: column time: must be finite and increase from sample to sample")
         return cls(columns, units, events, metadata)
 
 
 def _check_schema(schema: Any) -> None:
-    """Refuse a file of something else before its data are read.
+    """Check that a file is a trajectory before its data are read.
 
     Raises:
-        TypeError: it holds something else than numbers, or is none of ours.
+        TypeError: another kind of Parquet file, or a column that is not float64.
     """
     if not {b"srs_twin.events", b"srs_twin.metadata"} <= (schema.metadata or {}).keys():
-        raise TypeError("a Parquet file of something else")
-    for each in schema:
-        if str(each.type) != "double":
-            raise TypeError(f"column {each.name} holds {each.type}, not float64")
+        raise TypeError("a Parquet file with other content")
+    for column in schema:
+        if str(column.type) != "double":
+            raise TypeError(f"column {column.name} holds {column.type}, not float64")
 
 
-def _numbers(name: str, column: Any) -> np.ndarray:
+def _to_array(name: str, column: Any) -> np.ndarray:
     """Return a Parquet column as an array.
 
     Raises:
-        TypeError: it has gaps.
+        TypeError: values are missing.
     """
     if column.null_count:
-        raise TypeError(f"column {name} has {column.null_count} gaps")
+        raise TypeError(f"column {name} has {column.null_count} missing values")
     return np.asarray(column.to_numpy())
 
 
-def _event(given: Any) -> Event:
-    """Return an event as it was written.
+def _parse_event(data: Any) -> Event:
+    """Return an event from its JSON object.
 
     Raises:
-        TypeError, ValueError: it is none.
+        TypeError, ValueError: a missing or unknown key, or a value of another type.
     """
-    event = Event(**given)
+    event = Event(**data)
     if not (isinstance(event.kind, str) and isinstance(event.text, str)):
         raise TypeError("an event's kind and text must be text")
     if isinstance(event.time, bool) or not math.isfinite(event.time):

@@ -1,4 +1,4 @@
-"""Bags of ROS 1 and ROS 2 as rosbags and mcap write them, with messages of any kind."""
+"""Bags of ROS 1 and ROS 2 with messages of any type, written by rosbags and mcap."""
 
 from __future__ import annotations
 

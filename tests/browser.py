@@ -1,4 +1,4 @@
-"""A real browser without a screen and without the internet: Debian's chromium, steered by selenium."""
+"""Headless browser without internet access: Debian's chromium, controlled by selenium."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ SETTINGS = (
     "--enable-unsafe-swiftshader",
     "--disable-background-networking",
     "--no-proxy-server",
-    # Whoever asks for another machine gets no answer, as where there is no internet.
+    # Requests to other machines fail, as without internet access.
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
 )
 
 
 def missing() -> str:
-    """Return what is not installed, empty where all is."""
-    lacking = [name for name in ("chromium", "chromedriver") if shutil.which(name) is None]
-    return f"no {' and no '.join(lacking)} (apt-get install chromium chromium-driver)" if lacking else ""
+    """Return a message about missing programs, or an empty text."""
+    absent = [name for name in ("chromium", "chromedriver") if shutil.which(name) is None]
+    return f"no {' and no '.join(absent)} (apt-get install chromium chromium-driver)" if absent else ""
 
 
 @contextmanager
 def chromium(width: int = 800, height: int = 600) -> Iterator[webdriver.Chrome]:
-    """Start a browser with a window of so many pixels and end it."""
+    """Run a browser with a window of a size in pixels for a `with` block."""
     options = webdriver.ChromeOptions()
     options.binary_location = shutil.which("chromium")
     for setting in (*SETTINGS, f"--window-size={width},{height}"):
@@ -53,9 +53,9 @@ def chromium(width: int = 800, height: int = 600) -> Iterator[webdriver.Chrome]:
 def picture(
     driver: webdriver.Chrome, ready: Callable[[np.ndarray], bool], *, patience_s: float = 240.0
 ) -> tuple[bytes, np.ndarray]:
-    """Return the first picture of the page that is ready, else the last: PNG and (height, width, 3) bytes.
+    """Return a picture of the page when it is ready or time is up: PNG, and array (height, width, 3).
 
-    Drawn on the processor the page is slow: a picture of it may take longer than selenium waits.
+    Without a GPU the page is slow, and a screenshot may exceed the time limit of selenium.
     """
     deadline = time.monotonic() + patience_s
     while True:
@@ -72,20 +72,18 @@ def picture(
 
 
 def requested(driver: webdriver.Chrome) -> set[str]:
-    """Return the addresses that were asked for since the start, or the last call."""
-    told = (json.loads(entry["message"])["message"] for entry in driver.get_log("performance"))
-    asked = (
-        each["params"]["request"]["url"] for each in told if each["method"] == "Network.requestWillBeSent"
-    )
-    return set(asked)
+    """Return the URLs that were requested since the start or the last call."""
+    messages = (json.loads(entry["message"])["message"] for entry in driver.get_log("performance"))
+    requests = (entry for entry in messages if entry["method"] == "Network.requestWillBeSent")
+    return {entry["params"]["request"]["url"] for entry in requests}
 
 
 def share(picture: np.ndarray, rgb: tuple[int, int, int]) -> float:
-    """The share of pixels that have a colour's hue, in light and shade, and are not grey."""
+    """Return the fraction of pixels with the hue of a colour at any brightness."""
     bright = picture / np.maximum(picture.max(axis=-1, keepdims=True), 1)
     return float((np.abs(bright - np.array(rgb) / max(rgb)).max(axis=-1) < 0.12).mean())
 
 
 def shows_a_snake(picture: np.ndarray) -> bool:
-    """Say whether segments with pressure in either chamber are in a picture."""
+    """Return whether a picture shows segments with pressure in either chamber."""
     return share(picture, PLUS_RGB) > 0.002 and share(picture, MINUS_RGB) > 0.002

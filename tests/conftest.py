@@ -1,4 +1,4 @@
-"""What many tests share: the command line as a person starts it, runs of the shipped scenarios."""
+"""Shared fixtures: the command line, runs of shipped scenarios, processes and signals."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from hypothesis import settings
 
 ROOT = Path(__file__).parents[1]
 
-# Wall-clock deadlines of single examples fail on a busy machine and say nothing about the code.
+# Deadlines of single examples would fail on a busy machine.
 settings.register_profile("srs_twin", deadline=None, print_blob=True)
 settings.load_profile("srs_twin")
 
-# Tests start hundreds of commands: each would compile the package anew where Python keeps no bytecode.
+# Tests start hundreds of commands, which would compile the package again without stored bytecode.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
@@ -34,13 +34,13 @@ Command = Callable[..., subprocess.CompletedProcess[str]]
 
 @pytest.fixture(scope="session")
 def root() -> Path:
-    """The checkout."""
+    """Return the root of the checkout."""
     return ROOT
 
 
 @pytest.fixture(scope="session")
 def srs_twin_process() -> Command:
-    """Start the installed `srs-twin` in a folder, as a person does."""
+    """Return a function that runs the installed `srs-twin` in a folder as a process."""
     script = Path(sys.executable).with_name("srs-twin")
 
     def start(*words: str, cwd: Path, **env: str) -> subprocess.CompletedProcess[str]:
@@ -58,28 +58,28 @@ def srs_twin_process() -> Command:
 
 @pytest.fixture(scope="session")
 def srs_twin() -> Command:
-    """Run `srs-twin` in a folder within this process, which spares a second of imports."""
+    """Return a function that runs `srs-twin` in a folder within this process, without a second of imports."""
     from srs_twin.cli import main
 
-    def run(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         out, err = (io.TextIOWrapper(io.BytesIO(), "utf-8", write_through=True) for _ in range(2))
         with as_in_a_process(), chdir(cwd), redirect_stdout(out), redirect_stderr(err):
-            with pytest.raises(SystemExit) as ended:
-                main(list(words))
+            with pytest.raises(SystemExit) as exit_:
+                main(list(arguments))
         texts = (stream.buffer.getvalue().decode() for stream in (out, err))
-        return subprocess.CompletedProcess(words, ended.value.code or 0, *texts)
+        return subprocess.CompletedProcess(arguments, exit_.value.code or 0, *texts)
 
     return run
 
 
 @contextmanager
 def as_in_a_process() -> Iterator[None]:
-    """Show warnings as Python's own filters do; undo what a command changes of its process."""
-    environ, handlers = dict(os.environ), {each: signal.getsignal(each) for each in ENDINGS}
+    """Use Python's default warning filters; afterwards restore environment, signals and warnings."""
+    environ, handlers = dict(os.environ), {number: signal.getsignal(number) for number in ENDINGS}
     with warnings.catch_warnings():
         warnings.simplefilter("default")
-        for quiet in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
-            warnings.simplefilter("ignore", quiet)
+        for category in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
+            warnings.simplefilter("ignore", category)
         formatted = warnings.formatwarning
         warnings.showwarning = lambda *about: print(
             warnings.formatwarning(*about[:4]), end="", file=sys.stderr
@@ -90,13 +90,13 @@ def as_in_a_process() -> Iterator[None]:
             warnings.formatwarning = formatted
             os.environ.clear()
             os.environ.update(environ)
-            for each, handler in handlers.items():
-                signal.signal(each, handler)
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
 
 
 @pytest.fixture(scope="session")
 def shipped_run(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Return the run folder of a shipped scenario, which one worker simulates for all; not to be changed."""
+    """Return a function from the name of a shipped scenario to a read-only run that all tests share."""
     from srs_twin import load_scenario
     from srs_twin.experiment import run_scenario
 
@@ -117,7 +117,7 @@ def shipped_run(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pat
 
 
 def exists(process: int) -> bool:
-    """Whether a process runs: not gone, and no zombie that only waits to be looked at."""
+    """Return whether a process runs and is not a zombie."""
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
@@ -125,19 +125,19 @@ def exists(process: int) -> bool:
 
 
 def wait_until(condition: Callable[[], Any], seconds: float = 300.0) -> None:
-    """Wait until something holds; fail where it never does."""
-    latest = time.monotonic() + seconds
+    """Wait until a condition holds; fail after a time limit."""
+    deadline = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < latest, "waited in vain"
+        assert time.monotonic() < deadline, "the condition did not become true"
         time.sleep(0.01)
 
 
 @contextmanager
 def on_interrupt(handler: Any) -> Iterator[None]:
-    """Let this process, and children that it starts meanwhile, do something else on SIGINT.
+    """Set the SIGINT handler of this process and of children that it starts for a `with` block.
 
-    Children that are to be interrupted need that: a program that a script starts in the background ignores
-    SIGINT, and so does all that it starts.
+    A program that a script starts in the background ignores SIGINT, and its children inherit that. Tests that
+    interrupt children must undo it.
     """
     before = signal.signal(signal.SIGINT, handler)
     try:
@@ -148,6 +148,6 @@ def on_interrupt(handler: Any) -> Iterator[None]:
 
 @pytest.fixture
 def interruptible() -> Iterator[None]:
-    """Children of the test, and itself, can be interrupted, whether or not pytest can be."""
+    """Allow SIGINT for the test and its children, even if pytest ignores it."""
     with on_interrupt(signal.default_int_handler):
         yield

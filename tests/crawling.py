@@ -1,6 +1,6 @@
-"""A stiff straight snake carried along arcs, with a sway: speed, curvature and edges follow by geometry.
+"""Trajectories of a straight rigid snake on arcs, with exact speed, curvature and edges.
 
-Nothing here uses the package's kinematics: headings are added up in small steps.
+The kinematics of the package are not used: headings are integrated in small steps.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ SUBSTEPS = 10
 
 @dataclass(frozen=True)
 class Crawl:
-    """What to prescribe, SI; sway in the frame of the path (ahead, left), once a period."""
+    """Prescribed motion in SI units; the sway (ahead, left) in the path frame has the gait's period."""
 
     curvatures: tuple[float, ...] = (0.0,)
     until: tuple[float, ...] = ()
@@ -39,7 +39,7 @@ class Crawl:
         return 1 / self.frequency
 
     def path(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return places x + i y and headings of the path at evenly spaced times."""
+        """Return positions x + i y and headings of the path at evenly spaced times."""
         fine = np.linspace(time[0], time[-1], (len(time) - 1) * SUBSTEPS + 1)
         step = fine[1] - fine[0]
         middle = fine[:-1] + step / 2

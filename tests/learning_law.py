@@ -1,4 +1,4 @@
-"""A snake of perfect modules to learn on, and its broken ones; shares no code with the project's plants."""
+"""Snake of ideal or faulty modules for tests of learning controllers, independent of the plants."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ STUCK = {"open": 1.0, "shut": 0.0}
 
 
 class Modules:
-    """The bend is c⁺ times the share of the last half period for which the + valve filled, less the − one's.
+    """Modules whose bend is c⁺ d⁺ − c⁻ d⁻, with d the filled fraction of the last half period.
 
-    At the end of a fill at duty u that is c u, whatever came before.
+    At the end of a fill with duty u, the bend is c u, independent of the past.
 
     Attributes:
-        gain: c, shape (segments, 2), rad; may be changed.
+        gain: c, shape (segments, 2), rad; tests may change it.
         stuck: (segment, side) → "open" or "shut".
     """
 
@@ -45,12 +45,12 @@ class Modules:
 
 
 class Run:
-    """A controller on modules, tick by tick, with a sensor that may be broken.
+    """Simulation of a controller on modules, with a sensor that may be faulty.
 
     Attributes:
-        bend: what the sensors said at the begin of each tick.
-        duty: what was commanded in each, (ticks, segments, 2).
-        events: all so far.
+        bend: sensor readings at the beginning of each tick.
+        duty: commanded duties of each tick, (ticks, segments, 2).
+        events: all events so far.
     """
 
     def __init__(self, controller: ILC, gain: Any = 1.0) -> None:
@@ -65,7 +65,7 @@ class Run:
         for _ in range(round(periods / self.controller.frequency / TICK)):
             time = len(self.bend) * TICK
             sensed = np.asarray(self.sensor(time, self.modules.bend), dtype=float)
-            # Nothing else is there: reading anything true would fail.
+            # The controller must read sensors only: other attributes do not exist.
             state: Any = SimpleNamespace(time=time, sensed=sensed)
             self.modules.step(self.controller.step(state))
             signals = self.controller.signals()
@@ -74,23 +74,23 @@ class Run:
             self.events += self.controller.events()
         return self
 
-    def told(self, kind: str) -> list[str]:
+    def event_texts(self, kind: str) -> list[str]:
         return [event.text for event in self.events if event.kind == kind]
 
     def amplitudes(self) -> np.ndarray:
-        """Return (periods, segments, 2): peaks of whole periods that begin with each chamber's fills.
+        """Return the peak bends per period that begins with a fill, shape (periods, segments, 2).
 
-        Segment j + 1 lags by a quarter of a period; the − chamber by half a one. A fill that runs at the
-        start is the first.
+        Segment j + 1 lags by a quarter of a period, and the − chamber by half a period. A fill that runs at
+        the start counts as the first.
         """
         bend, length = np.array(self.bend), round(1 / self.controller.frequency / TICK)
         peaks = []
         for j in range(SEGMENTS):
             for side, sign in ((0, 1), (1, -1)):
-                late = (j / 4 + side / 2) % 1
-                begin = round((late if late <= 0.5 else late - 1) * length)
+                lag = (j / 4 + side / 2) % 1
+                begin = round((lag if lag <= 0.5 else lag - 1) * length)
                 ends = range(begin + length, len(bend) + 1, length)
-                # The peak is seen a tick after the fill has ended, well inside the period.
+                # The peak is read one tick after the end of the fill, well inside the period.
                 peaks.append([(sign * bend[max(end - length, 0) : end, j]).max() for end in ends])
         whole = min(map(len, peaks))
-        return np.array([each[:whole] for each in peaks]).T.reshape(whole, SEGMENTS, 2)
+        return np.array([peak[:whole] for peak in peaks]).T.reshape(whole, SEGMENTS, 2)

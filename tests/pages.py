@@ -1,4 +1,4 @@
-"""The pages of the documentation as tests read them: blocks, commands, scripts."""
+"""Documentation pages as data for tests: blocks, commands, scripts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PROGRAMS = ("srs-twin ", "uv ")
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block: its language, what stands behind it (`runnable`, a file's name, …), its text."""
+    """Fenced block: language, mark after the language (`runnable`, a file name, …), and text."""
 
     language: str
     mark: str
@@ -27,13 +27,13 @@ class Block:
 
     @property
     def file(self) -> str | None:
-        """The name under which a reader is told to save it."""
+        """Name of the file to save the block in, or None."""
         return self.mark if re.fullmatch(r"[\w.-]+\.\w+", self.mark) else None
 
 
 @dataclass(frozen=True)
 class Page:
-    """One page."""
+    """Documentation page."""
 
     path: Path
 
@@ -47,59 +47,59 @@ class Page:
 
     @cached_property
     def blocks(self) -> list[Block]:
-        found = re.findall(r"^ *```([\w{}-]*) ?(.*)\n((?:.*\n)*?) *```$", self.text, re.M)
-        return [Block(*each) for each in found]
+        blocks = re.findall(r"^ *```([\w{}-]*) ?(.*)\n((?:.*\n)*?) *```$", self.text, re.M)
+        return [Block(*block) for block in blocks]
 
     @cached_property
     def prose(self) -> str:
-        """The page without its blocks."""
+        """Text of the page without its blocks."""
         return re.sub(r"^ *```.*\n(?:.*\n)*? *```$", "", self.text, flags=re.M)
 
     @property
     def anchors(self) -> set[str]:
-        """Targets of links: headings, as forges and the site spell them, and labels such as ``(gains)=``."""
+        """Link targets: headings as GitHub and the site spell them, and labels such as ``(gains)=``."""
         headings = re.findall(r"^#+ (.*)$", self.prose, re.M)
         labels = re.findall(r"^\(([\w-]+)\)=$", self.prose, re.M)
         return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings} | {*labels}
 
     @property
     def commands(self) -> list[str]:
-        """Every line that a reader is to type, without comments; blocks of no language may be output."""
-        found = []
+        """Command lines without comments; blocks without a language may also be output."""
+        commands = []
         for block in self.blocks:
             if block.language in ("", "sh"):
                 joined = block.text.replace("\\\n", " ").splitlines()
                 lines = [line.partition(" # ")[0].strip() for line in joined]
-                found += [line for line in lines if line and (block.language or line.startswith(PROGRAMS))]
-        return found
+                commands += [line for line in lines if line and (block.language or line.startswith(PROGRAMS))]
+        return commands
 
     @property
     def script(self) -> str:
-        """All blocks of Python as the one script that a reader makes of them."""
+        """All Python blocks of the page as one script."""
         return "\n".join(block.text for block in self.blocks if block.language == "python")
 
     @property
     def mentions(self) -> list[str]:
-        """Commands in the prose; they may lack what they need: `srs-twin compare --explain`."""
-        found = re.findall(r"`((?:uv run )?(?:srs-twin [a-z-]|python benchmarks)[^`]*)`", self.prose)
-        return [" ".join(each.split()) for each in found]
+        """Commands in the prose, possibly incomplete, such as `srs-twin compare --explain`."""
+        commands = re.findall(r"`((?:uv run )?(?:srs-twin [a-z-]|python benchmarks)[^`]*)`", self.prose)
+        return [" ".join(command.split()) for command in commands]
 
     @property
     def files(self) -> set[str]:
-        """Names of files that the page has a reader save."""
+        """Names of the files that the page defines."""
         return {block.file for block in self.blocks if block.file}
 
     def save_files(self, folder: Path) -> None:
-        """Save in a folder what a reader is told to save, beside what ships."""
+        """Write the files of the page to a folder with copies of the shipped files."""
         for name in ("scenarios", "calibration"):
-            # Examples write beside what ships, so not links: that would be into the checkout.
+            # Copies instead of links, because examples write to these folders.
             shutil.copytree(ROOT / name, folder / name)
         for block in self.blocks:
             if block.file:
                 (folder / block.file).write_text(block.text, "utf-8")
 
     def run_script(self, folder: Path) -> str:
-        """Run the Python of the page in a folder as a script of its own; return what it prints."""
+        """Run the Python blocks of the page as a script in a folder, and return its output."""
         self.save_files(folder)
         (folder / "example.py").write_text(self.script, "utf-8")
         words = [sys.executable, "example.py"]
@@ -110,7 +110,7 @@ class Page:
 
 
 def words_of(command: str) -> list[str]:
-    """Return the words of a command; `…` stands for whatever a reader puts there and is left out."""
+    """Return the arguments of a command without the placeholder `…`."""
     return [word for word in shlex.split(command) if word != "…"]
 
 

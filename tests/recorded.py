@@ -1,4 +1,4 @@
-"""Motions of the analytical plant as cameras would have recorded them, with what was true beside it."""
+"""Simulated motion-capture recordings of the analytical model, with the true motion."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from srs_twin.recordings.recording import Recording, read_motion
 
 SPEC = load_robot("gen2")
 RATE = 100.0
-NOISE = 2e-4  # m, what `Take` has
+NOISE = 2e-4  # m, the default of `Take`
 
 
 @cache
 def motion(seconds: float = 4.0, offset: float = 0.1, frequency: float = 2.0) -> Trajectory:
-    """Return a gait from rest: a start is in view."""
+    """Return a gait that starts from rest."""
     plant = AnalyticalSnake(SPEC, supply_pa=48e3)
     return rollout(plant, Gait(frequency, offset), seconds, record_hz=RATE)
 
 
 def recorded(folder: Path, take: Take, truth: Trajectory | None = None, **options: object) -> Recording:
-    """Write a take and read it."""
+    """Write a recording and read it back."""
     path = folder / "take.csv"
     write_motive(truth or motion(), take, path)
     return read_motion(path, SPEC, **options)
@@ -50,7 +50,7 @@ def plain_csv(trajectory: Trajectory, unit: str = "m", scale: float = 1.0) -> st
 
 
 def valve_csv(truth: Trajectory, start: float, stop: float, shift: float) -> str:
-    """Return the valves between two times, on a clock that shows `shift` more."""
+    """Return a valve log between two times, on a clock that is ahead by `shift`."""
     names = [f"valve_{side}_{j}" for j in range(1, SPEC.segments + 1) for side in ("plus", "minus")]
     rows = (truth.time >= start - 1e-9) & (truth.time <= stop + 1e-9)
     values = np.column_stack([truth.time[rows] + shift, *(truth[name][rows] for name in names)])

@@ -1,4 +1,4 @@
-"""How each connector moves with all velocities of a body: the dense way, for tests of the recursions."""
+"""Dense Jacobians of the connector velocities, a reference for the recursive kernels."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ def fill_rows(body, q, u, solid, rows, rates):  # type: ignore[no-untyped-def]
         half_c, half_s, span, slope, curvature = chord_terms(q[j], solid)
         c = body[COS, j] * half_c + body[SIN, j] * half_s
         s = body[SIN, j] * half_c - body[COS, j] * half_s
-        stretch, bulge = slope * u[3 + j], curvature * u[3 + j]
+        length_rate, bulge = slope * u[3 + j], curvature * u[3 + j]
         for k in range(n - 1):
             # Bend k turns all behind it by −1, and everything by this much, so that the mean stays.
             turn = (n - 1 - k) / n - (1.0 if k < j else 0.5 if k == j else 0.0)
             own = 1.0 if k == j else 0.0
             forth, aside = own * slope, span * turn
-            forth_rate, aside_rate = own * bulge - aside * spin, stretch * turn + own * slope * spin
+            forth_rate, aside_rate = own * bulge - aside * spin, length_rate * turn + own * slope * spin
             rows[i, 0, 3 + k] = rows[j, 0, 3 + k] - forth * c + aside * s
             rows[i, 1, 3 + k] = rows[j, 1, 3 + k] - forth * s - aside * c
             rates[i, 0, 3 + k] = rates[j, 0, 3 + k] - forth_rate * c + aside_rate * s

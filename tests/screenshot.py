@@ -1,4 +1,4 @@
-"""Pictures of a recording as the Rerun viewer shows it, with no screen and no browser.
+"""Screenshots of a recording in the Rerun viewer, without a screen or browser.
 
 Needs a Vulkan driver; the software one will do (Debian: `apt-get install mesa-vulkan-drivers`).
 """
@@ -81,11 +81,11 @@ def _headless_viewer(size: tuple[int, int]) -> Iterator[ViewerClient]:
     """
     port = free_port()
     window = ("--headless", "--window-size", f"{size[0]}x{size[1]}", "--hide-welcome-screen")
-    with running_rerun("--port", str(port), *window) as (viewer, said):
-        yield _connected(viewer, port, said)
+    with running_rerun("--port", str(port), *window) as (viewer, output):
+        yield _connected(viewer, port, output)
 
 
-def _connected(viewer: Rerun, port: int, said: IO[bytes]) -> ViewerClient:
+def _connected(viewer: Rerun, port: int, output: IO[bytes]) -> ViewerClient:
     from rerun.experimental import ViewerClient
 
     deadline = time.monotonic() + _START_S
@@ -96,7 +96,7 @@ def _connected(viewer: Rerun, port: int, said: IO[bytes]) -> ViewerClient:
             return client
         except (ConnectionError, RuntimeError):
             time.sleep(0.1)
-    words = output_lines(said)
+    words = output_lines(output)
     if any("render context" in line or "graphics adapter" in line for line in words):
         raise InputError(
             "no Vulkan driver to draw a picture with; install one (Debian: apt-get install "

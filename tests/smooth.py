@@ -1,4 +1,4 @@
-"""Bends without kinks: chambers that follow a wave in closed form, whatever the valves say."""
+"""Pneumatics with a smooth prescribed bend wave that ignores the valves."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 
 
 class Wave(Pneumatics):
-    """Free bends q_j = s(t) [a sin(2π f t − β (j − 1)) + b], which swell as s = 1 − exp(−(t/rise)⁴).
+    """Free bends q_j = s(t) [a sin(2π f t − β (j − 1)) + b] with s = 1 − exp(−(t/rise)⁴).
 
-    The pressures are those that the lag τ₂ asks for, p⁺ − p⁻ = (q + τ₂ q̇)/G, about half the supply's.
+    The pressures follow from the mode time constant, p⁺ − p⁻ = (q + τ₂ q̇)/G, around half the supply.
     """
 
     kind = "wave"

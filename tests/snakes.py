@@ -1,4 +1,4 @@
-"""Snakes to test laws on: stiff or slippery variants of a robot, and how to throw one across the floor."""
+"""Robots with other stiffness, friction or masses, and a function that sets a velocity."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ def robot(name: str = "gen2", *, stiffness: float | None = None, **friction: flo
 def chain(
     masses: tuple[float, ...], *, length: float = 0.037, gap: float = 0.018, **friction: float
 ) -> RobotSpec:
-    """Return a gen2 with as many connectors as masses (kg) and other lengths (m)."""
+    """Return gen2 with other connector masses (kg) and lengths (m); the masses set the number."""
     spec = robot(**friction)
     geometry = replace(spec.geometry, connectors=len(masses), segment_length=length, rigid_gap=gap)
     return replace(spec, geometry=geometry, mass=replace(spec.mass, connectors=masses))
 
 
 def vented(spec: RobotSpec) -> np.ndarray:
-    """Return valves that empty every chamber, shape (segments, 2)."""
+    """Return valve commands that vent every chamber, shape (segments, 2)."""
     return np.full((spec.segments, 2), -1, dtype=np.int8)
 
 
 def throw(plant: Plant, velocity: tuple[float, float], *, spin: float = 0.0, heading: float = 0.0) -> None:
-    """Lay a plant straight at the origin and give it a velocity (m/s, world) and yaw rate (rad/s).
+    """Place a straight plant at the origin with a velocity (m/s, world) and yaw rate (rad/s).
 
-    The twin settles on its wheels first and its wheels turn as they would when rolling.
+    The twin is first simulated until it rests on its wheels; the wheels then roll without slip.
     """
     plant.reset(pose=(0.0, 0.0, heading))
     if isinstance(plant, AnalyticalSnake):

@@ -1,4 +1,4 @@
-"""Parameters of which the default run takes a few, and `-m slow` the rest."""
+"""Parameter lists of which the default run uses the first few, and `-m slow` the rest."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 
 def first_by_default(count: int, values: Iterable[Any]) -> list[Any]:
-    """Return the values, marked slow after the first `count`; a tuple holds several arguments."""
+    """Return the values, marked slow after the first `count`; a tuple contains several arguments."""
     values = list(values)
     return values[:count] + [_slow(value) for value in values[count:]]
 

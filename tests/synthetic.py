@@ -1,7 +1,7 @@
-"""Trajectories whose speed, radius and bends are known because they were prescribed.
+"""Trajectories with prescribed speed, turning radius and bends.
 
-A constant-curvature snake is carried along a straight line or a circle. Nothing here uses the package's
-kinematics: the body is the centre line's tangent integrated numerically along its length.
+A constant-curvature snake moves along a straight line or a circle. The kinematics of the package are not
+used: the tangent of the centre line is integrated numerically along the body.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from srs_twin.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class Snake:
-    """What to prescribe. SI; the body's own oscillation is in the frame of the path (ahead, left)."""
+    """Prescribed motion in SI units; the oscillation of the body is in the path frame (ahead, left)."""
 
     speed: float = 0.2
     yaw_rate: float = 0.0
@@ -38,7 +38,7 @@ class Snake:
         return (self.connectors - 1) * (self.segment_length + self.rigid_gap)
 
     def bends(self, time: np.ndarray) -> np.ndarray:
-        """Return a wave that travels head to tail, shape (samples, segments)."""
+        """Return a bend wave that travels from head to tail, shape (samples, segments)."""
         lag = 2 * np.pi / (self.connectors - 1) * np.arange(self.connectors - 1)
         sense = -1.0 if self.backward_wave else 1.0
         angle = sense * 2 * np.pi * self.frequency * time[:, None] - lag + self.phase
@@ -87,7 +87,7 @@ def sampled(trajectory: Trajectory, keep: slice | np.ndarray) -> Trajectory:
 
 
 def moved(trajectory: Trajectory, x: float, y: float, angle: float) -> Trajectory:
-    """Lay the same run elsewhere in the world: turned about the origin, then shifted."""
+    """Return the run rotated about the origin and then shifted."""
     shift = np.array([x, y])
     com = _turned(trajectory.com, angle) + shift
     position = _turned(trajectory.position, angle) + shift
@@ -100,14 +100,14 @@ def moved(trajectory: Trajectory, x: float, y: float, angle: float) -> Trajector
 
 
 def mirrored(trajectory: Trajectory) -> Trajectory:
-    """Return the run seen in a mirror along the x axis: left becomes right."""
+    """Return the run mirrored at the x axis."""
     names = ("com_y", "heading", "y", "theta", "bend")
     flipped = {n: -c for n, c in trajectory.columns.items() if n.rstrip("0123456789").rstrip("_") in names}
     return with_columns(trajectory, **flipped)
 
 
 def backwards(trajectory: Trajectory) -> Trajectory:
-    """Return the run as a film played from its end."""
+    """Return the run in reverse order."""
     return with_columns(sampled(trajectory, slice(None, None, -1)), time=trajectory.time)
 
 
@@ -117,7 +117,7 @@ def _turned(points: np.ndarray, angle: float | np.ndarray) -> np.ndarray:
 
 
 def _carried(speed: float, yaw_rate: float, time: np.ndarray) -> np.ndarray:
-    """Return points that run ahead along x and turn at a constant rate, shape (samples, 2)."""
+    """Return points of a path that starts along x with a constant yaw rate, shape (samples, 2)."""
     half = yaw_rate * time / 2
     chord = speed * time * np.sinc(half / np.pi)
     return np.stack([chord * np.cos(half), chord * np.sin(half)], axis=-1)
@@ -130,7 +130,7 @@ def _headings(bend: np.ndarray, mean: np.ndarray) -> np.ndarray:
 
 
 def _centre_line(theta: np.ndarray, length: float, gap: float) -> np.ndarray:
-    """Return connectors relative to the head, shape (samples, N, 2): straight, arc, straight a segment."""
+    """Return connector positions relative to the head, shape (samples, N, 2)."""
     node, weight = np.polynomial.legendre.leggauss(12)
     along_arc = 0.5 * (node + 1)
     front, back = theta[:, :-1, None], theta[:, 1:, None]

@@ -1,4 +1,4 @@
-"""Why the plants differ: Shapley's axioms, the ladder of switches, and what compare --explain shows."""
+"""Attribution of the difference between the plants: Shapley axioms, switches, and `compare --explain`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from srs_twin import Numerics, rollout
-from srs_twin.attribution import Ladder, contributions, explain, subsets
+from srs_twin.attribution import PlantVariants, contributions, explain, subsets
 from srs_twin.comparison.compare import MEASURES, Attribution, Share, gap_between
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.experiment import prepare
@@ -23,36 +23,36 @@ NAMES = ["a", "b", "c", "d"]
 
 def game(seed: int) -> dict[frozenset[str], np.ndarray]:
     generator = np.random.default_rng(seed)
-    return {some: generator.normal(size=3) for some in subsets(NAMES)}
+    return {subset: generator.normal(size=3) for subset in subsets(NAMES)}
 
 
 @settings(max_examples=20)
 @given(st.integers(0, 1000))
-def test_shares_are_the_mean_over_all_orders_and_add_up(seed):
+def test_shapley_values_are_means_over_all_orders_and_add_up(seed):
     seen = game(seed)
-    found = contributions(NAMES, seen)
+    values = contributions(NAMES, seen)
     by_order = {name: [] for name in NAMES}
     for order in permutations(NAMES):
         for k, name in enumerate(order):
             by_order[name].append(seen[frozenset(order[: k + 1])] - seen[frozenset(order[:k])])
     for name, steps in by_order.items():
-        assert found[name].value == pytest.approx(np.mean(steps, axis=0))
-        assert found[name].low == pytest.approx(np.min(steps, axis=0))
-        assert found[name].high == pytest.approx(np.max(steps, axis=0))
+        assert values[name].value == pytest.approx(np.mean(steps, axis=0))
+        assert values[name].low == pytest.approx(np.min(steps, axis=0))
+        assert values[name].high == pytest.approx(np.max(steps, axis=0))
     whole = seen[frozenset(NAMES)] - seen[frozenset()]
-    assert sum(each.value for each in found.values()) == pytest.approx(whole)
+    assert sum(contribution.value for contribution in values.values()) == pytest.approx(whole)
 
 
-def test_what_changes_nothing_has_no_share_and_twins_share_alike():
-    def worth(some: frozenset[str]) -> np.ndarray:
-        return np.array([3.0 * ("a" in some) * ("b" in some) + 2.0 * ("c" in some)])
+def test_shapley_values_of_null_and_symmetric_players():
+    def worth(subset: frozenset[str]) -> np.ndarray:
+        return np.array([3.0 * ("a" in subset) * ("b" in subset) + 2.0 * ("c" in subset)])
 
-    found = contributions(NAMES, {some: worth(some) for some in subsets(NAMES)})
-    assert [found[name].value[0] for name in NAMES] == pytest.approx([1.5, 1.5, 2.0, 0.0])
-    assert (found["a"].low[0], found["a"].high[0]) == (0.0, 3.0)
+    values = contributions(NAMES, {subset: worth(subset) for subset in subsets(NAMES)})
+    assert [values[name].value[0] for name in NAMES] == pytest.approx([1.5, 1.5, 2.0, 0.0])
+    assert (values["a"].low[0], values["a"].high[0]) == (0.0, 3.0)
 
 
-def test_the_picture_has_bars_from_zero_largest_first_that_add_up():
+def test_plot_has_bars_sorted_by_size_that_add_up():
     small, large = np.array([0.001, 0.1, 0.0, 0.0]), np.array([-0.004, 0.7, 0.05, 0.002])
     shares = [
         Share(name, name, tuple(v), tuple(v - 1e-3), tuple(v + 1e-3), "averaged")
@@ -86,25 +86,25 @@ def both(s):
 
 
 @pytest.fixture(scope="module")
-def found():
+def explained():
     s = scenario()
-    told: list[float] = []
-    return explain(s, both(s), progress=told.append), told
+    progress: list[float] = []
+    return explain(s, both(s), progress=progress.append), progress
 
 
 @pytest.mark.slow
-def test_the_remainder_is_small_in_speed_and_in_yaw_rate(found):
-    """The remainder is what shares leave of the gap: 0.03 % of the speed, 4 % of the yaw rate."""
-    attribution, told = found
+def test_remainder_is_small_for_speed_and_yaw_rate(explained):
+    """The remainder of the difference was 0.03 % of the speed and 4 % of the yaw rate."""
+    attribution, progress = explained
     speed, yaw, *_ = np.abs(attribution.remainder) / np.abs(attribution.reference).clip(1e-9)
     assert speed < 0.005 and yaw < 0.06
-    assert told == sorted(told) and told[-1] == 1.0
+    assert progress == sorted(progress) and progress[-1] == 1.0
     assert attribution.same == ("rigid gaps", "frozen chords", "damping")
 
 
 @pytest.mark.slow
-def test_compliance_is_most_of_it_and_the_matched_plants_agree(found):
-    attribution, _ = found
+def test_compliance_dominates_and_matched_plants_agree(explained):
+    attribution, _ = explained
     shares = {share.name: np.array(share.value) for share in attribution.shares}
     speed, yaw, _, shape = np.array(attribution.gap)
     assert shares["compliance"][3] > 0.5 * shape
@@ -116,8 +116,8 @@ def test_compliance_is_most_of_it_and_the_matched_plants_agree(found):
 
 
 @pytest.mark.slow
-def test_shares_are_what_a_switch_and_refinements_change():
-    """One assumption differs, so that its share is what switching it takes off the gap; factors by hand."""
+def test_shares_equal_the_changes_of_switches_and_refinements():
+    """Only one assumption differs, so that its share is the change by its switch."""
     alike = {"model": "compliant", "friction": "wheel", "inertia": "point"}
     s = scenario(plants={"analytical": alike, "twin": {}})
     runs = both(s)
@@ -145,88 +145,86 @@ def test_shares_are_what_a_switch_and_refinements_change():
 
 
 @pytest.mark.slow
-def test_a_document_is_plain_and_names_its_measures(found):
-    document = json.loads(json.dumps(found[0].document()))
+def test_document_is_plain_data_and_names_its_measures(explained):
+    document = json.loads(json.dumps(explained[0].document()))
     assert document["measures"] == list(MEASURES)
     assert len(document["shares"][0]["value"]) == len(MEASURES)
 
 
-def test_only_what_differs_is_switched():
+def test_only_differing_assumptions_are_switched():
     alike = {"model": "compliant", "friction": "wheel", "inertia": "connector"}
-    assert Ladder(scenario(plants={"analytical": alike, "twin": {}})).switches == []
+    assert PlantVariants(scenario(plants={"analytical": alike, "twin": {}})).switches == []
     other = {"model": "simplified", "friction_torque": False, "gaps": False}
-    ladder = Ladder(scenario(plants={"analytical": other, "twin": {"wheels": "skid"}}))
+    variants = PlantVariants(scenario(plants={"analytical": other, "twin": {"wheels": "skid"}}))
     names = ["friction law", "wheel track", "rigid gaps", "compliance", "connector inertia"]
-    assert [switch.name for switch in ladder.switches] == names
-    assert [switch.name for switch in ladder.first] == ["frozen chords"]
-    assert "wheel inertia" not in [each.name for each in ladder.refinements]
+    assert [switch.name for switch in variants.switches] == names
+    assert [switch.name for switch in variants.first] == ["frozen chords"]
+    assert "wheel inertia" not in [refinement.name for refinement in variants.refinements]
     bending = {"base": "gen2", "bending": {"damping_time_s": 0.01}}
-    assert "damping" in [switch.name for switch in Ladder(scenario(robot=bending)).switches]
+    assert "damping" in [switch.name for switch in PlantVariants(scenario(robot=bending)).switches]
 
 
-def test_every_switch_reaches_the_plant():
-    ladder = Ladder(scenario(plants={"analytical": {"model": "simplified"}, "twin": {}}))
-    every = [switch.name for switch in (*ladder.first, *ladder.switches)]
-    plain, all_on = (ladder.analytical(frozenset(on)).describe() for on in ((), every))
+def test_every_switch_changes_the_plant():
+    variants = PlantVariants(scenario(plants={"analytical": {"model": "simplified"}, "twin": {}}))
+    every = [switch.name for switch in (*variants.first, *variants.switches)]
+    plain, all_on = (variants.analytical(frozenset(on)).describe() for on in ((), every))
     assert (plain["model"], plain["friction"], plain["track_m"], plain["inertia"]) == (
         "simplified", "axis", 0.0, "point",
     )  # fmt: skip
     assert (all_on["model"], all_on["friction"], all_on["track_m"], all_on["inertia"]) == (
         "compliant", "wheel", 0.015, "connector",
     )  # fmt: skip
-    for each in ladder.refinements:
-        if each.plant == "twin" and each.options:
-            about = ladder.twin(each.change, **each.options).describe()
-            usual = ladder.twin().describe()
-            assert about != usual, each.name
+    for refinement in variants.refinements:
+        if refinement.plant == "twin" and refinement.options:
+            about = variants.twin(refinement.change, **refinement.options).describe()
+            usual = variants.twin().describe()
+            assert about != usual, refinement.name
 
 
 @pytest.mark.slow
-def test_what_has_to_come_first_does_and_still_all_adds_up():
-    """Arcs before they yield: averaged with compliance, which brings arcs along, they would share."""
+def test_frozen_chords_are_switched_first_and_shares_add_up():
+    """Compliant bends include arcs; averaging over both orders would split the contribution of arcs."""
     s = scenario(plants={"analytical": {"model": "simplified", "friction_torque": False}, "twin": {}})
     runs = both(s)
-    found = explain(s, runs)
-    assert (found.shares[0].name, found.shares[0].how) == ("frozen chords", "first")
-    parts = np.sum([share.value for share in found.shares], axis=0) + found.remainder
-    assert parts == pytest.approx(found.gap, abs=1e-12)
+    attribution = explain(s, runs)
+    assert (attribution.shares[0].name, attribution.shares[0].how) == ("frozen chords", "first")
+    total = np.sum([share.value for share in attribution.shares], axis=0) + attribution.remainder
+    assert total == pytest.approx(attribution.gap, abs=1e-12)
     arcs = rollout(
         s.build_plant("analytical", model="complete", friction_torque=True), s.build_controller(), 2.0
     )
     expected = gap_between(runs["analytical"], runs["twin"]) - gap_between(arcs, runs["twin"])
-    assert found.shares[0].value == pytest.approx(expected)
+    assert attribution.shares[0].value == pytest.approx(expected)
 
 
 @pytest.mark.slow
-def test_a_variant_that_diverges_is_named_and_costs_no_run(tmp_path, monkeypatch):
+def test_diverged_variant_is_named_and_keeps_the_run(tmp_path, monkeypatch):
     def stuck(self):
         raise DivergedError("twin", 0.3, "it flew")
 
-    monkeypatch.setattr(Ladder, "stiff_twin", stuck)
+    monkeypatch.setattr(PlantVariants, "stiff_twin", stuck)
     result = prepare(scenario(), tmp_path).execute(explain=explain)
     (error,) = result.unexplained
-    assert str(error) == "short: why they differ: stiff twin: twin diverged at t = 0.3 s: it flew"
+    assert str(error) == "short: attribution: stiff twin: twin diverged at t = 0.3 s: it flew"
     assert result.metrics["plants"]["twin"]["com_speed_m_s"] > 0.1 and "attribution" not in result.metrics
     assert (tmp_path / "report.html").is_file() and (tmp_path / "twin.parquet").is_file()
 
 
-def test_what_cannot_be_explained_is_refused():
+def test_run_without_attribution_is_rejected():
     s = scenario(duration_s=1.0)
     runs = both(s)
-    with pytest.raises(InputError, match="a difference needs two plants to be explained; run both"):
+    with pytest.raises(InputError, match="an attribution needs both plants; run both"):
         explain(s, {"twin": runs["twin"]})
     scaled = {"analytical": {"gaps": False}, "twin": {}}
     with_factor = scenario(plants=scaled, comparison={"gap_factor": True})
-    with pytest.raises(
-        InputError, match="comparison.gap_factor scales a speed and leaves nothing to explain"
-    ):
+    with pytest.raises(InputError, match="comparison.gap_factor scales a speed, which cannot be attributed"):
         explain(with_factor, both(with_factor))
-    with pytest.raises(InputError, match=r"short: .*; three or more periods of a gait are needed"):
+    with pytest.raises(InputError, match=r"short: .*; at least three gait periods are needed"):
         explain(s, runs)
 
 
 @pytest.mark.slow
-def test_the_command_shows_and_keeps_it(srs_twin, tmp_path):
+def test_command_prints_and_stores_the_attribution(srs_twin, tmp_path):
     text = "robot: gen2\nduration_s: 1.6\ncontroller: {kind: gait, frequency_hz: 2.0}\n"
     (tmp_path / "brief.yaml").write_text(text)
     done = srs_twin("compare", "brief.yaml", "--explain", "--out", "out", cwd=tmp_path)
@@ -236,4 +234,4 @@ def test_the_command_shows_and_keeps_it(srs_twin, tmp_path):
     metrics = json.loads((tmp_path / "out/metrics.json").read_text("utf-8"))
     assert metrics["attribution"]["shares"][0]["name"] == "friction law"
     report = (tmp_path / "out/report.html").read_text("utf-8")
-    assert "Why the plants differ" in report and "springs that load and inertia deflect" in report
+    assert "Why the plants differ" in report and "bends: prescribed → compliant" in report

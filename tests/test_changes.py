@@ -20,7 +20,7 @@ from srs_twin.comparison.metrics import (
     headline,
     meanings,
 )
-from srs_twin.io.documents import Change, parse_yaml
+from srs_twin.io.documents import Override, parse_yaml
 from srs_twin.scenario.loading import parse_scenario
 
 SHORT = {"duration_s": 1.0}
@@ -61,7 +61,7 @@ def test_a_resolved_scenario_can_be_changed_again():
         ("robot.bending.stiffness=1", "unknown key; did you mean stiffness_nm_per_rad?"),
         ("robot.friction.mu_t=-1", "robot.friction.mu_t: must be a number from 0 to 10, not -1"),
         ("robot=gen9", "unknown robot 'gen9'"),
-        ("expect[40].near=1", "expect[40]: there are 7 entries, from 0"),
+        ("expect[40].near=1", "expect[40]: there are 7 entries, counted from 0"),
         ("supply.pressure_kpa=48300", "not 48300; did you mean 48.3?"),
         ("supply.pressure_kpa=0.0483", "not 0.0483; did you mean 48.3?"),
         ("start.heading_rad=90", "did you mean 1.571?"),
@@ -107,13 +107,13 @@ def test_a_number_a_thousand_times_off_its_robots_is_asked_about():
 
 def test_a_change_of_a_list_and_of_a_new_block():
     document = parse_yaml("a: {b: [1, 2]}\n", "x.yaml")
-    document.change(Change("first", ("a", "b", 1), 5))
-    document.change(Change("second", ("c", "d"), {"e": 1}))
+    document.apply(Override("first", ("a", "b", 1), 5))
+    document.apply(Override("second", ("c", "d"), {"e": 1}))
     assert document.data == {"a": {"b": [1, 5]}, "c": {"d": {"e": 1}}}
     document.report(("c", "d", "e"), "wrong")
     document.report(("a", "b", 0), "wrong")
     with pytest.raises(InputError) as caught:
-        document.finish()
+        document.raise_problems()
     assert str(caught.value).splitlines() == ["second: c.d.e: wrong", "x.yaml:1:9: a.b[0]: wrong"]
 
 

@@ -21,7 +21,7 @@ from srs_twin.cli.app import command
 from srs_twin.cli.progress import ScenarioProgress
 from srs_twin.cli.table import asks_why, rows
 from srs_twin.cli.view import find_recording
-from srs_twin.compute.workers import Done
+from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import DivergedError, InputError, TaskFailedError, WorkerDiedError
 from srs_twin.experiment import RunResult
 from srs_twin.scenario.expectation import Expectation
@@ -93,13 +93,13 @@ def last_first(task, arguments, *, workers):
     """Stand in for worker processes that finish in the least convenient order."""
     for number in reversed(range(len(arguments))):
         try:
-            done = Done(number, task(arguments[number]), None)
+            done = TaskResult(number, task(arguments[number]), None)
             # What comes back was sent from one process to another.
             yield pickle.loads(pickle.dumps(done))
         except RuntimeError as error:
-            yield Done(number, None, TaskFailedError(error))
+            yield TaskResult(number, None, TaskFailedError(error))
         except MemoryError:
-            yield Done(number, None, WorkerDiedError(-signal.SIGKILL, 3))
+            yield TaskResult(number, None, WorkerDiedError(-signal.SIGKILL, 3))
 
 
 @pytest.fixture
@@ -126,7 +126,7 @@ def start(monkeypatch, capsys, tmp_path):
         monkeypatch.setattr("srs_twin.scenario.loading.load_scenario", load)
         monkeypatch.setattr("srs_twin.experiment.check_run", lambda scenario, folder: None)
         monkeypatch.setattr("srs_twin.experiment.prepare", prepare)
-        monkeypatch.setattr("srs_twin.compute.workers.each", last_first)
+        monkeypatch.setattr("srs_twin.compute.workers.run_tasks", last_first)
         with pytest.raises(SystemExit) as left:
             main(list(words))
         said = capsys.readouterr()
@@ -295,7 +295,7 @@ def test_a_dead_worker_and_a_fault_cost_their_own_scenario_only(start):
     endings = {"a": "met", "b": MemoryError(), "c": RuntimeError("nobody foresaw this"), "d": "met"}
     left = start("run", *"abcd", "--jobs", "2", **endings)
     assert left.code == 4
-    assert "b: the worker process was killed by SIGKILL, 3 times in a row; the machine was out of" in left.err
+    assert "b: the worker process was killed by SIGKILL, 3 times in a row; the machine ran out of" in left.err
     assert "c: internal error: RuntimeError: nobody foresaw this (test_cli.py:" in left.err
     assert "files in runs/a;" in left.err
     assert "files in runs/d;" in left.err
@@ -361,7 +361,7 @@ def test_internal_errors_are_one_line_with_where_to_report(start, monkeypatch):
     lines = [line for line in left.err.splitlines() if "warn" not in line]
     assert len(lines) == 1
     assert "internal error: RuntimeError: two lines (test_cli.py:" in lines[0]
-    assert "report it as CONTRIBUTING.md says" in lines[0]
+    assert "report it as CONTRIBUTING.md describes" in lines[0]
     monkeypatch.setenv("SRS_TWIN_DEBUG", "1")
     assert "Traceback (most recent call last)" in start("run", "a", a=RuntimeError("x")).err
 

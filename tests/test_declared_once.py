@@ -23,7 +23,7 @@ OTHER = {
     "FollowFile.delay_s": "a real snake answers late",
     "OmplFile.seconds": "it has no other end",
     "TwinFile.contact": "a file names what is an object",
-    "RandomFile.clear_m": "one distance, where `strewn` takes discs",
+    "RandomFile.clear_m": "one distance, where `random_circles` takes discs",
     "RandomFile.seed": "the scenario's",
 }
 

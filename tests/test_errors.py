@@ -1,4 +1,4 @@
-"""Errors come back whole from another process; a mistyped name says what was meant, wherever it stands."""
+"""Errors are unchanged by pickling; unknown names have suggestions in every command."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from srs_twin.scenario.expectation import known_metrics
 
 pytestmark = pytest.mark.fast
 
-EVERY = [
+ERRORS = [
     InputError("no such file"),
     UnknownNameError("metric", "sped", ["speed", "yaw"]),
     TimeStepError("tick", 0.02, "time step", 0.003),
@@ -36,19 +36,19 @@ EVERY = [
 
 
 def kinds(kind: type) -> set[type]:
-    return {kind}.union(*(kinds(each) for each in kind.__subclasses__()))
+    return {kind}.union(*map(kinds, kind.__subclasses__()))
 
 
-@pytest.mark.parametrize("error", EVERY, ids=lambda error: type(error).__name__)
-def test_survives_the_way_between_processes(error):
-    again = pickle.loads(pickle.dumps(error))
-    assert type(again) is type(error)
-    assert (str(again), again.exit_code, again.__dict__) == (str(error), error.exit_code, error.__dict__)
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+def test_error_is_unchanged_by_pickling(error):
+    copy = pickle.loads(pickle.dumps(error))
+    assert type(copy) is type(error)
+    assert (str(copy), copy.exit_code, copy.__dict__) == (str(error), error.exit_code, error.__dict__)
 
 
-def test_every_kind_was_tried():
+def test_every_error_class_is_covered():
     ours = {kind for kind in kinds(SrsError) if kind.__module__ == "srs_twin.errors"}
-    assert ours - {type(error) for error in EVERY} <= {SrsError}
+    assert ours - {type(error) for error in ERRORS} <= {SrsError}
 
 
 CONTROLLER = ("controller.kind", "controller.frequency_hz", "controller.offset", "controller.phase_rad")
@@ -107,27 +107,27 @@ TYPOS = [
 ]
 
 
-@pytest.mark.parametrize(("given", "available", "meant"), TYPOS)
-def test_what_was_meant(given, available, meant):
-    *others, last = meant
-    words = f"{', '.join(others)} or {last}" if others else last
-    assert did_you_mean(given, sorted(available)) == f"; did you mean {words}?"
+@pytest.mark.parametrize(("text", "available", "suggested"), TYPOS)
+def test_closest_names_are_suggested(text, available, suggested):
+    *first, last = suggested
+    listed = f"{', '.join(first)} or {last}" if first else last
+    assert did_you_mean(text, sorted(available)) == f"; did you mean {listed}?"
 
 
 @pytest.mark.parametrize(
-    "given", ["zzz", "banana", "x", "", "...", "on", "hello_world", "\u202erobot", "/", "?"]
+    "text", ["zzz", "banana", "x", "", "...", "on", "hello_world", "\u202erobot", "/", "?"]
 )
 @pytest.mark.parametrize("available", [CONTROLLER, ROBOT, METRICS, SCENARIOS, PATHS, FITS, ()])
-def test_garbage_suggests_nothing(given, available):
-    assert did_you_mean(given, available) == ""
+def test_unrelated_text_has_no_suggestion(text, available):
+    assert did_you_mean(text, available) == ""
 
 
-def test_at_most_three_are_suggested():
-    said = did_you_mean("straight", SCENARIOS)
-    assert said == "; did you mean gen1_straight, gen2_straight or gen3_straight?"
+def test_at_most_three_names_are_suggested():
+    suggestion = did_you_mean("straight", SCENARIOS)
+    assert suggestion == "; did you mean gen1_straight, gen2_straight or gen3_straight?"
 
 
-def test_many_names_are_counted_not_listed():
+def test_long_lists_of_names_are_counted():
     assert str(UnknownNameError("metric", "banana", METRICS, "`srs-twin schema`")) == (
         f"unknown metric 'banana' (available: {len(METRICS)} names; `srs-twin schema` lists them)"
     )
@@ -136,7 +136,7 @@ def test_many_names_are_counted_not_listed():
     assert few == "unknown plant 'banana' (available: analytical, twin)"
 
 
-PLACES = [
+COMMANDS = [
     (("run", "scenarios/gen2_strait.yaml"), "did you mean gen2_straight?"),
     (("run", "gen2_strait"), "did you mean gen2_straight?"),
     (("run", "keys.yaml"), "robot.bending.stiffnes: unknown key; did you mean stiffness_nm_per_rad?"),
@@ -161,14 +161,14 @@ FILES = {
 }
 
 
-@pytest.mark.parametrize(("words", "said"), PLACES)
-def test_every_place_says_what_was_meant(words, said, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(("arguments", "message"), COMMANDS)
+def test_every_command_suggests_the_closest_name(arguments, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name, text in FILES.items():
         (tmp_path / name).write_text(text)
     with pytest.raises(SystemExit) as left:
-        main(list(words))
+        main(list(arguments))
     assert left.value.code == 2
     err = capsys.readouterr().err
-    assert said in err, err
+    assert message in err, err
     assert {path.name for path in tmp_path.iterdir()} == FILES.keys()

@@ -58,7 +58,7 @@ def resolved(block) -> RobotFile:
     """Return the robot that a scenario with such a block gets."""
     document = parse_yaml(dump_yaml({"robot": block}), "scenario.yaml")
     file = resolve_robot(document, document.data["robot"], prefix=("robot",))
-    document.finish()
+    document.raise_problems()
     assert file is not None
     return file
 
@@ -184,9 +184,9 @@ def test_what_a_fit_leaves_unknown_stands_in_the_robot(tmp_path):
     estimate = Estimate(tuple(found), np.array([[1.0, -0.6], [-0.6, 1.0]]))
     path = tmp_path / "mine.yaml"
     write_fit(fit_file(estimate, **ABOUT | {"robot": "gen2"}, data=DATA), path)
-    priors = Priors.of(fitted_robot([path], "mine"))
+    priors = Priors.from_robot(fitted_robot([path], "mine"))
     i, j = (priors.paths.index(name) for name in names)
     assert priors.correlation[i, j] == -0.6
-    ends = priors.each[i].at(np.array([0.025, 0.975]))
+    ends = priors.parameters[i].quantile(np.array([0.025, 0.975]))
     assert ends == pytest.approx([0.05 / 1.1, 0.05 * 1.1], rel=1e-3)
     assert ends == pytest.approx(lognorm(np.log(1.1) / 1.96, scale=0.05).ppf([0.025, 0.975]), rel=1e-3)

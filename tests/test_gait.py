@@ -156,7 +156,7 @@ def test_refuses_offsets_that_leave_no_wave(offset):
 
 
 def test_refuses_ticks_off_the_slot_raster():
-    with pytest.raises(InputError, match=r"tick 0.02005 s is no multiple of valve slot 0.0001 s"):
+    with pytest.raises(InputError, match=r"tick 0.02005 s is not a multiple of valve slot 0.0001 s"):
         Gait(2.0).reset(robot(), 0.02005)
 
 

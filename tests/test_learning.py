@@ -41,7 +41,7 @@ def test_the_error_shrinks_by_1_less_k_c_a_period(gain, offset, k):
     free, n = target - gain, np.arange(1, 7)[:, None, None]
     assert error[1:3] == pytest.approx(np.stack([free, free]), abs=1e-9)
     assert error[3:9] == pytest.approx(free * (1 - k * gain) ** n, abs=SLOTS * 1.5)
-    assert run.told("fault") == []
+    assert run.event_texts("fault") == []
 
 
 @pytest.mark.slow
@@ -50,7 +50,7 @@ def test_the_error_shrinks_by_1_less_k_c_a_period(gain, offset, k):
 def test_the_smallest_amplitude_is_the_target_of_all(gain):
     run = Run(ILC(1.0), gain).go(16)
     assert run.amplitudes()[-1] == pytest.approx(gain.min(), abs=0.05 * gain.min())
-    (text,) = run.told("target")
+    (text,) = run.event_texts("target")
     weakest = gain.min(axis=1).argmin() + 1
     assert text == f"target {gain.min():.4g} rad, the smallest amplitude recorded (segment {weakest})"
     # Two free periods, the third recorded: nothing changes before 3.5 periods are over.
@@ -59,9 +59,11 @@ def test_the_smallest_amplitude_is_the_target_of_all(gain):
 
 def test_any_error_is_told_of_once_a_period():
     run = Run(ILC(1.0, target=0.7), 1.2).go(12)
-    assert len(run.told("ilc_update")) == 9
-    assert run.told("ilc_update")[0].startswith("after period 3: largest amplitude error -0.5 rad (segment ")
-    assert run.told("converged") == ["all amplitudes are within 5 % of their targets"]
+    assert len(run.event_texts("ilc_update")) == 9
+    assert run.event_texts("ilc_update")[0].startswith(
+        "after period 3: largest amplitude error -0.5 rad (segment "
+    )
+    assert run.event_texts("converged") == ["all amplitudes are within 5 % of their targets"]
 
 
 def test_steering_while_it_runs_moves_the_targets_alone():
@@ -72,7 +74,7 @@ def test_steering_while_it_runs_moves_the_targets_alone():
     run.controller.offset = 0.3
     run.go(10)
     assert run.amplitudes()[-1] == pytest.approx(np.tile([0.7, 0.4], (SEGMENTS, 1)), abs=0.01)
-    assert len(run.told("converged")) == 3
+    assert len(run.event_texts("converged")) == 3
 
 
 def test_one_clock_for_all_chambers_converges_too():
@@ -194,13 +196,13 @@ def test_a_module_that_cannot_reach_its_target_stays_at_1_and_leaves_it_at_once(
     assert (run.duty[-1][1] == 1).all()
     others = np.delete(run.amplitudes()[-1], 1, axis=0)
     assert others == pytest.approx(0.7, abs=0.05 * 0.7)
-    assert "segment 2, + chamber: duty saturated at 1" in run.told("saturation")
-    assert run.told("fault") == [] and run.told("converged") == []
+    assert "segment 2, + chamber: duty saturated at 1" in run.event_texts("saturation")
+    assert run.event_texts("fault") == [] and run.event_texts("converged") == []
     run.modules.gain[1] = 1.0
     run.go(3)
     # The first whole period with the new gain is 0.3 rad too wide, however long the duty was at its bound.
     assert run.duty[-1][1].max() <= 1 - 0.3 * 0.3 + SLOTS
-    assert "segment 2, + chamber: duty no longer saturated" in run.told("saturation")
+    assert "segment 2, + chamber: duty no longer saturated" in run.event_texts("saturation")
 
 
 # --- faults -------------------------------------------------------------------------------------------------
@@ -215,11 +217,13 @@ def test_a_stuck_valve_is_named_and_the_others_converge(segment, side, how, targ
     run = Run(ILC(1.0, target=target), gain)
     run.modules.stuck[segment, side] = how
     run.go(20)
-    assert run.told("fault") == [f"segment {segment + 1}: valve of the {'+−'[side]} chamber stuck {how}"]
+    assert run.event_texts("fault") == [
+        f"segment {segment + 1}: valve of the {'+−'[side]} chamber stuck {how}"
+    ]
     assert (run.duty[-1][segment] == 0).all()
     wanted = 0.7 if target == 0.7 else np.delete(gain, segment, axis=0).min()
     assert np.delete(run.amplitudes()[-1], segment, axis=0) == pytest.approx(wanted, rel=0.05)
-    assert len(run.told("converged")) == 1 and not run.controller.finished
+    assert len(run.event_texts("converged")) == 1 and not run.controller.finished
     assert np.isnan(run.controller.signals()["target_plus"][segment])
 
 
@@ -227,7 +231,7 @@ def test_a_valve_that_sticks_later_is_found_too():
     run = Run(ILC(1.0, target=0.7), 1.2).go(10)
     run.modules.stuck[1, 1] = "open"
     run.go(12)
-    assert run.told("fault") == ["segment 2: valve of the − chamber stuck open"]
+    assert run.event_texts("fault") == ["segment 2: valve of the − chamber stuck open"]
 
 
 @pytest.mark.slow
@@ -245,8 +249,8 @@ def test_a_dead_sensor_is_named(says, what, from_period):
     run = Run(ILC(1.0, target="smallest"), 1.2)
     run.sensor = lambda time, bend: np.where((np.arange(4) == 2) & (time >= from_period), says, bend)
     run.go(20)
-    assert run.told("fault") == [f"segment 3: sensor dead, {what}"]
-    assert (run.duty[-1][2] == 0).all() and len(run.told("converged")) == 1
+    assert run.event_texts("fault") == [f"segment 3: sensor dead, {what}"]
+    assert (run.duty[-1][2] == 0).all() and len(run.event_texts("converged")) == 1
 
 
 def test_a_sensor_that_loses_some_readings_still_teaches():
@@ -254,7 +258,7 @@ def test_a_sensor_that_loses_some_readings_still_teaches():
     run = Run(ILC(1.0, target=0.7), 1.2)
     run.sensor = lambda time, bend: np.where(rng.random(4) < 0.2, math.nan, bend)
     run.go(14)
-    assert run.told("fault") == []
+    assert run.event_texts("fault") == []
     assert run.controller.duties.value == pytest.approx(0.7 / 1.2, rel=0.05)
 
 
@@ -263,8 +267,8 @@ def test_what_is_dragged_along_is_no_stuck_valve():
     run = Run(ILC(1.0, target=0.3), 1.2)
     run.sensor = lambda time, bend: bend - [0.0, 0.6 * math.sin(2 * math.pi * time), 0.0, 0.0]
     run.go(25)
-    assert run.told("fault") == []
-    assert run.told("fault_not_found") == ["segment 2: rests straight when vented; no valve is stuck"]
+    assert run.event_texts("fault") == []
+    assert run.event_texts("fault_not_found") == ["segment 2: rests straight when vented; no valve is stuck"]
     assert np.delete(run.duty[-1], 1, axis=0) == pytest.approx(0.25, rel=0.05)
 
 

@@ -26,7 +26,7 @@ def test_the_installed_package_names_its_licence():
 
 def test_the_citation_is_of_this_version_and_names_the_dissertation():
     document = parse_yaml((ROOT / "CITATION.cff").read_text("utf-8"), "CITATION.cff")
-    document.finish()
+    document.raise_problems()
     assert document.get("version") == srs_twin.__version__ == PROJECT["version"]
     assert document.get("license") == PROJECT["license"]
     assert document.get("authors", 0, "name") == PROJECT["authors"][0]["name"]

@@ -27,7 +27,7 @@ GAIT_METRICS = {
 }  # fmt: skip
 
 some = settings(deadline=None, max_examples=25)
-# Frequencies whose period is no multiple of 10 ms, with the awkward as likely as the round.
+# Frequencies whose period is not a multiple of 10 ms, with the awkward as likely as the round.
 frequencies = st.floats(0.8, 4.0).map(lambda f: round(f, 4))
 speeds = st.floats(0.02, 0.4)
 

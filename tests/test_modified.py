@@ -11,7 +11,7 @@ from snakes import robot
 import srs_twin as srs
 from srs_twin import InputError, load_scenario
 from srs_twin.experiment import load_run
-from srs_twin.io.documents import Change, dump_yaml, parse_yaml
+from srs_twin.io.documents import Override, dump_yaml, parse_yaml
 from srs_twin.io.files import data_root
 from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario.loading import parse_scenario
@@ -225,7 +225,7 @@ def test_a_modified_plan_is_marked(srs_twin, tmp_path):
 
 
 def set_to(field, value):
-    return [Change(f"--set {field}={value}", tuple(field.split(".")), value)]
+    return [Override(f"--set {field}={value}", tuple(field.split(".")), value)]
 
 
 def test_a_modified_sweep_is_marked_and_stands_beside_nothing_published():

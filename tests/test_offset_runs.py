@@ -186,7 +186,7 @@ def test_a_shipped_fit_becomes_a_robot(study):
     fit = FITS[study]
     document = parse_yaml(dump_yaml({"robot": robot_override(fit)}), "scenario.yaml")
     file = resolve_robot(document, document.data["robot"], prefix=("robot",))
-    document.finish()
+    document.raise_problems()
     expected = with_values(load_robot("gen4"), numbers(fit))
     assert file.spec().geometry.segment_length == pytest.approx(expected.geometry.segment_length)
     assert file.spec().friction.mu_t == pytest.approx(expected.friction.mu_t)

@@ -117,7 +117,7 @@ def test_refuses_carriers_that_are_none(carrier):
 def test_refuses_ticks_that_do_not_fit():
     with pytest.raises(InputError, match=r"60 Hz does not fit the tick 0.02 s; 50 Hz or less"):
         PulseWidth(60.0, 0.02, 1)
-    with pytest.raises(InputError, match=r"tick 0.00105 s is no multiple of valve slot 0.0001 s"):
+    with pytest.raises(InputError, match=r"tick 0.00105 s is not a multiple of valve slot 0.0001 s"):
         PulseWidth(60.0, 0.00105, 1)
 
 

@@ -1,4 +1,4 @@
-"""rollout: what is recorded when, who is told, when it ends, and what is left of a run that diverges."""
+"""Rollouts: sampling, observers, ends of a run, diverged runs and metadata."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from srs_twin import (
     TwinSnake,
     rollout,
 )
-from srs_twin.errors import whole_steps
-from srs_twin.rollout import sampling
+from srs_twin.errors import count_steps
+from srs_twin.rollout import sample_counts
 
 SPEC = robot()
 
 
 class Clock(Plant):
-    """A plant that only tells the time: heading = time, x of the centre of mass = number of ticks."""
+    """Plant whose heading is the time, and whose x coordinate is the number of ticks."""
 
     name = "clock"
 
     def __init__(self, tick: float = 0.02, *, breaks_at: float = np.inf) -> None:
         self.spec, self.tick, self._breaks_at = SPEC, tick, breaks_at
-        self.given: list[np.ndarray] = []
+        self.commands: list[np.ndarray] = []
         self.resets: list[tuple[Any, int]] = []
 
     def reset(self, *, pose=(0.0, 0.0, 0.0), seed=0) -> SnakeState:
@@ -46,10 +46,10 @@ class Clock(Plant):
         return self._state(0.0)
 
     def advance(self, valves, samples) -> list[SnakeState]:
-        self.given.append(valves)
+        self.commands.append(valves)
         begun = self._ticks * self.tick
         if begun + self.tick > self._breaks_at:
-            raise DivergedError(self.name, begun + self.tick, "it was told to")
+            raise DivergedError(self.name, begun + self.tick, "on request")
         self._ticks += 1
         return [self._state(begun + self.tick * k / samples) for k in range(1, samples + 1)]
 
@@ -68,10 +68,10 @@ class Clock(Plant):
         )  # fmt: skip
 
 
-class Teller(Controller):
-    """A controller with a scalar and an array signal and an event every fifth tick."""
+class Scripted(Controller):
+    """Controller with a scalar signal, an array signal and an event every fifth tick."""
 
-    kind = "teller"
+    kind = "scripted"
 
     def reset(self, spec, tick, *, seed=0) -> None:
         self.prepared = (spec.name, tick, seed)
@@ -92,30 +92,32 @@ class Teller(Controller):
 @pytest.mark.parametrize(
     ("record_hz", "step", "samples"), [(50, 0.02, 51), (200, 0.005, 201), (10, 0.1, 11), (25, 0.04, 26)]
 )
-def test_samples_are_evenly_spaced_ends_included(record_hz, step, samples):
-    trajectory = rollout(Clock(), Teller(), 1.0, record_hz=record_hz)
+def test_samples_are_evenly_spaced_and_include_both_ends(record_hz, step, samples):
+    trajectory = rollout(Clock(), Scripted(), 1.0, record_hz=record_hz)
     assert trajectory.time == pytest.approx(step * np.arange(samples))
     assert (trajectory["heading"] == trajectory.time).all()
     assert trajectory["com_y"] == pytest.approx(-trajectory.time)
 
 
-def test_default_is_a_hundred_samples_a_second():
-    assert rollout(Clock(), Teller(), 0.2).time == pytest.approx(np.arange(21) / 100)
+def test_default_sampling_rate_is_100_hz():
+    assert rollout(Clock(), Scripted(), 0.2).time == pytest.approx(np.arange(21) / 100)
 
 
-def test_what_does_not_fit_is_refused_with_what_would():
-    with pytest.raises(InputError, match=r"duration 1.01 s is no multiple of tick 0.02 s; 1 s or tick"):
-        rollout(Clock(), Teller(), 1.01)
+def test_incompatible_times_are_rejected_with_a_remedy():
+    with pytest.raises(
+        InputError, match=r"duration 1.01 s is not a multiple of tick 0.02 s; use 1 s or tick"
+    ):
+        rollout(Clock(), Scripted(), 1.01)
     message = (
-        r"record_hz 70 does not fit the tick 0.02 s; 50 Hz or any whole multiple or fraction of 50 Hz would"
+        r"record_hz 70 does not fit the tick 0.02 s; use 50 Hz, or any whole multiple or fraction of 50 Hz"
     )
     with pytest.raises(InputError, match=message):
-        rollout(Clock(), Teller(), 1.0, record_hz=70)
-    with pytest.raises(InputError, match=r"record_hz 30 does not fit the tick 0.02 s; 25 Hz or any"):
-        rollout(Clock(), Teller(), 1.0, record_hz=30)
-    with pytest.raises(InputError, match=r"record_hz 2500 does not fit the tick 0.02 s; 1000 Hz or any"):
+        rollout(Clock(), Scripted(), 1.0, record_hz=70)
+    with pytest.raises(InputError, match=r"record_hz 30 does not fit the tick 0.02 s; use 25 Hz, or any"):
+        rollout(Clock(), Scripted(), 1.0, record_hz=30)
+    with pytest.raises(InputError, match=r"record_hz 2500 does not fit the tick 0.02 s; use 1000 Hz, or any"):
         rollout(TwinSnake(SPEC), Gait(2.0), 0.1, record_hz=2500)
-    with pytest.raises(InputError, match=r"tick 0.02 s is no multiple of time step 0.0015 s"):
+    with pytest.raises(InputError, match=r"tick 0.02 s is not a multiple of time step 0.0015 s"):
         TwinSnake(SPEC, timestep=0.0015)
     with pytest.raises(InputError, match=r"time step nan s is not allowed; it must be finite and above 0"):
         AnalyticalSnake(SPEC, timestep=np.nan)
@@ -125,37 +127,38 @@ def test_what_does_not_fit_is_refused_with_what_would():
 @pytest.mark.parametrize(
     ("tick", "step"), [(0.02, None), (0.02, 0.001), (0.02, 0.02), (0.03, None), (1 / 3, None)]
 )
-def test_proposed_record_hz_is_accepted(record_hz, tick, step):
+def test_suggested_record_hz_is_accepted(record_hz, tick, step):
     with pytest.raises(InputError, match="does not fit") as refused:
-        sampling(tick, record_hz, step)
+        sample_counts(tick, record_hz, step)
     nearest, whole = re.findall(r"([0-9.e+-]+) Hz", str(refused.value))
     for text in (nearest, whole):
-        samples, stride = sampling(tick, float(text), step)
+        samples, stride = sample_counts(tick, float(text), step)
         assert samples / stride == pytest.approx(tick * float(text), rel=1e-9)
 
 
 @pytest.mark.parametrize("record_hz", [0, -50, np.nan, np.inf])
-def test_record_hz_without_an_interval_is_refused(record_hz):
+def test_invalid_record_hz_is_rejected(record_hz):
     with pytest.raises(InputError, match="is not allowed; it must be finite and above 0"):
-        rollout(Clock(), Teller(), 1.0, record_hz=record_hz)
+        rollout(Clock(), Scripted(), 1.0, record_hz=record_hz)
 
 
 @pytest.mark.parametrize(("period", "step"), [(0.13999994, 0.02), (1234.567891, 0.00123), (7.0, 0.3333)])
-def test_times_proposed_for_a_period_are_accepted(period, step):
+def test_suggested_times_are_accepted(period, step):
     with pytest.raises(InputError) as refused:
-        whole_steps("duration", period, "tick", step)
-    given, longer, shorter = re.fullmatch(
-        r"duration (\S+) s is no multiple of tick \S+ s; (\S+) s or tick (\S+) s would be", str(refused.value)
+        count_steps("duration", period, "tick", step)
+    printed, longer, shorter = re.fullmatch(
+        r"duration (\S+) s is not a multiple of tick \S+ s; use (\S+) s or tick (\S+) s",
+        str(refused.value),
     ).groups()
-    with pytest.raises(InputError):  # the text shows the fault
-        whole_steps("duration", float(given), "tick", step)
-    assert whole_steps("duration", float(longer), "tick", step) >= 1
-    assert whole_steps("duration", period, "tick", float(shorter)) >= 1
+    with pytest.raises(InputError):  # the printed digits show the problem
+        count_steps("duration", float(printed), "tick", step)
+    assert count_steps("duration", float(longer), "tick", step) >= 1
+    assert count_steps("duration", period, "tick", float(shorter)) >= 1
 
 
 @pytest.mark.parametrize("timestep", [0.003, 0.0007, 0.05])
-def test_analytical_steps_end_on_samples_whatever_the_time_step(timestep):
-    """Steps are shortened to end on samples and ticks, so a run is that of a step somewhat finer."""
+def test_analytical_steps_end_on_samples(timestep):
+    """Steps are shortened to end on samples and ticks, so that the results are those of a finer step."""
     coarse = rollout(AnalyticalSnake(SPEC, timestep=timestep), Gait(1.7), 0.3, record_hz=250)
     fine = rollout(AnalyticalSnake(SPEC, timestep=0.0005), Gait(1.7), 0.3, record_hz=250)
     assert coarse.time == pytest.approx(0.004 * np.arange(76))
@@ -165,26 +168,26 @@ def test_analytical_steps_end_on_samples_whatever_the_time_step(timestep):
 
 @pytest.mark.parametrize("record_hz", [100, 25, 1000])
 @pytest.mark.parametrize(("frequency", "offset"), [(2.0, 0.0), (1.7, -0.3), (0.9, 0.94), (49.0, 0.1)])
-def test_following_a_script_is_meeting_every_tick(record_hz, frequency, offset):
+def test_script_equals_stepping_every_tick(record_hz, frequency, offset):
     plant, gait = AnalyticalSnake(SPEC), Gait(frequency, offset)
-    followed = rollout(plant, gait, 0.62, record_hz=record_hz)
-    met = rollout(plant, gait, 0.62, record_hz=record_hz, observers=[lambda state: None])
-    assert list(followed.columns) == list(met.columns)
-    for name, column in followed.columns.items():
-        assert column == pytest.approx(met[name], rel=1e-9, abs=1e-9), name
-    assert followed.metadata == met.metadata
+    scripted_run = rollout(plant, gait, 0.62, record_hz=record_hz)
+    stepped_run = rollout(plant, gait, 0.62, record_hz=record_hz, observers=[lambda state: None])
+    assert list(scripted_run.columns) == list(stepped_run.columns)
+    for name, column in scripted_run.columns.items():
+        assert column == pytest.approx(stepped_run[name], rel=1e-9, abs=1e-9), name
+    assert scripted_run.metadata == stepped_run.metadata
 
 
-def test_long_scripts_are_followed_in_stretches_and_tell_their_progress():
-    told: list[float] = []
-    whole = rollout(AnalyticalSnake(SPEC), Gait(1.3), 21.0, record_hz=10, progress=told.append)
-    assert told == pytest.approx([10.0, 20.0, 21.0])
-    part = rollout(AnalyticalSnake(SPEC), Gait(1.3), 9.0, record_hz=10, progress=told.append)
+def test_long_script_is_simulated_in_chunks_with_progress():
+    times: list[float] = []
+    whole = rollout(AnalyticalSnake(SPEC), Gait(1.3), 21.0, record_hz=10, progress=times.append)
+    assert times == pytest.approx([10.0, 20.0, 21.0])
+    part = rollout(AnalyticalSnake(SPEC), Gait(1.3), 9.0, record_hz=10, progress=times.append)
     assert whole.com[:91] == pytest.approx(part.com, abs=1e-12)
 
 
-def test_a_resumed_run_continues_its_script_where_it_ended():
-    """The run after the cut is the rest of the uninterrupted run."""
+def test_resumed_run_continues_its_script():
+    """The resumed run equals the rest of an uninterrupted run."""
     plant, gait = AnalyticalSnake(SPEC), Gait(1.7, -0.3)
     whole = rollout(plant, gait, 0.6, record_hz=50)
     rollout(plant, gait, 0.24, record_hz=50)
@@ -195,16 +198,16 @@ def test_a_resumed_run_continues_its_script_where_it_ended():
         assert rest[name] == pytest.approx(whole[name][12:], rel=1e-9, abs=1e-9), name
 
 
-def test_pose_and_seed_reach_plant_and_controller():
-    plant, controller = Clock(), Teller()
+def test_pose_and_seed_are_passed_to_plant_and_controller():
+    plant, controller = Clock(), Scripted()
     rollout(plant, controller, 0.1, pose=(1.0, 2.0, 3.0), seed=7)
     assert plant.resets == [((1.0, 2.0, 3.0), 7)]
     assert controller.prepared == ("gen2", 0.02, 7)
-    assert len(plant.given) == controller.count == 5
+    assert len(plant.commands) == controller.count == 5
 
 
-def test_columns_carry_numbered_names_and_units():
-    trajectory = rollout(Clock(), Teller(), 0.1, record_hz=50)
+def test_columns_have_numbered_names_and_units():
+    trajectory = rollout(Clock(), Scripted(), 0.1, record_hz=50)
     per_connector = [f"{name}_{i}" for name in ("x", "y", "theta") for i in range(1, 6)]
     per_segment = [
         f"{name}_{j}"
@@ -223,35 +226,35 @@ def test_columns_carry_numbered_names_and_units():
     assert units == {"time": "s", "com_x": "m", "theta_2": "rad", "pressure_plus_1": "Pa", "count": "1"}
 
 
-def test_signals_are_those_in_force_at_each_sample():
-    trajectory = rollout(Clock(), Teller(), 0.1, record_hz=50)
+def test_signals_are_recorded_at_each_sample():
+    trajectory = rollout(Clock(), Scripted(), 0.1, record_hz=50)
     assert trajectory["count"].tolist() == [0, 1, 2, 3, 4, 5]
     assert trajectory["reference_1"].tolist() == [0.5] * 6
     assert trajectory["reference_2"].tolist() == [0, 1, 2, 3, 4, 5]
 
 
-def test_events_are_kept_whatever_is_recorded():
-    trajectory = rollout(Clock(), Teller(), 0.4, record_hz=10)
+def test_events_are_kept_at_any_sampling_rate():
+    trajectory = rollout(Clock(), Scripted(), 0.4, record_hz=10)
     assert [event.text for event in trajectory.events] == ["tick 5", "tick 10", "tick 15", "tick 20"]
     assert [event.time for event in trajectory.events] == pytest.approx([0.08, 0.18, 0.28, 0.38])
 
 
-def test_metadata_says_what_ran():
-    trajectory = rollout(Clock(), Teller(), 0.2, record_hz=50)
+def test_metadata_describe_plant_robot_and_controller():
+    trajectory = rollout(Clock(), Scripted(), 0.2, record_hz=50)
     assert trajectory.metadata == {
         "plant": "clock", "robot": "gen2", "tick_s": 0.02, "record_hz": 50, "duration_s": 0.2,
         "body_length_m": pytest.approx(0.22), "body_width_m": 0.04, "segment_length_m": 0.037,
-        "rigid_gap_m": 0.018, "mass_kg": pytest.approx(0.15), "controller": "teller",
+        "rigid_gap_m": 0.018, "mass_kg": pytest.approx(0.15), "controller": "scripted",
         "gait_frequency_hz": None,
         "control": {}, "ended_by": None, "valve_switches": [[10, 10]] * 4,
     }  # fmt: skip
 
 
-def test_observers_see_the_start_and_every_tick():
+def test_observers_are_called_at_the_start_and_every_tick():
     first: list[float] = []
     second: list[int] = []
     rollout(
-        Clock(), Teller(), 0.1, record_hz=10,
+        Clock(), Scripted(), 0.1, record_hz=10,
         observers=[lambda s: first.append(s.time), lambda s: second.append(len(first))],
     )  # fmt: skip
     assert first == pytest.approx([0, 0.02, 0.04, 0.06, 0.08, 0.1])
@@ -259,9 +262,9 @@ def test_observers_see_the_start_and_every_tick():
 
 
 @pytest.mark.parametrize("record_hz", [100, 50, 10])
-def test_a_controller_that_has_finished_ends_the_run_after_its_tick(record_hz):
-    class Sated(Teller):
-        """Has enough at its seventh tick."""
+def test_finished_controller_ends_the_run(record_hz):
+    class Finishing(Scripted):
+        """Controller that finishes at its seventh tick."""
 
         def step(self, state: SnakeState) -> np.ndarray:
             valves = super().step(state)
@@ -269,29 +272,29 @@ def test_a_controller_that_has_finished_ends_the_run_after_its_tick(record_hz):
             return valves
 
     plant = Clock()
-    trajectory = rollout(plant, Sated(), 1.0, record_hz=record_hz)
-    assert len(plant.given) == 7 and trajectory.time[-1] == pytest.approx(0.14)
+    trajectory = rollout(plant, Finishing(), 1.0, record_hz=record_hz)
+    assert len(plant.commands) == 7 and trajectory.time[-1] == pytest.approx(0.14)
     assert trajectory.metadata["ended_by"] == "controller"
     assert trajectory.metadata["duration_s"] == 1.0
 
 
-def test_until_ends_after_the_tick_in_which_it_holds():
-    asked: list[float] = []
+def test_until_ends_the_run_after_its_tick():
+    times: list[float] = []
 
     def far(state: SnakeState) -> bool:
-        asked.append(state.time)
+        times.append(state.time)
         return state.com[0] >= 3
 
-    trajectory = rollout(Clock(), Teller(), 1.0, record_hz=100, until=far)
+    trajectory = rollout(Clock(), Scripted(), 1.0, record_hz=100, until=far)
     assert trajectory.metadata["ended_by"] == "until"
     assert trajectory.time[-1] == pytest.approx(0.06)
-    assert asked == pytest.approx([0.02, 0.04, 0.06])
-    assert rollout(Clock(), Teller(), 0.1, until=lambda s: False).time[-1] == pytest.approx(0.1)
+    assert times == pytest.approx([0.02, 0.04, 0.06])
+    assert rollout(Clock(), Scripted(), 0.1, until=lambda s: False).time[-1] == pytest.approx(0.1)
 
 
-def test_diverged_run_keeps_what_was_recorded():
-    with pytest.raises(DivergedError, match=r"clock diverged at t = 0.52 s: it was told to") as caught:
-        rollout(Clock(breaks_at=0.51), Teller(), 1.0)
+def test_diverged_run_keeps_its_samples():
+    with pytest.raises(DivergedError, match=r"clock diverged at t = 0.52 s: on request") as caught:
+        rollout(Clock(breaks_at=0.51), Scripted(), 1.0)
     kept = caught.value.trajectory
     assert isinstance(kept, Trajectory)
     assert kept.time == pytest.approx(np.arange(51) / 100)
@@ -313,24 +316,24 @@ def spoil_twin(plant: TwinSnake, value: float) -> None:
     [(AnalyticalSnake, spoil_analytical), (TwinSnake, spoil_twin)],
     ids=["analytical", "twin"],
 )
-def test_plants_that_left_the_plausible_say_when_and_keep_the_good_part(build, spoil, value):
+def test_implausible_state_is_a_divergence_with_time_and_samples(build, spoil, value):
     plant = build(SPEC)
 
-    def break_it(state: SnakeState) -> None:
+    def spoil_state(state: SnakeState) -> None:
         if state.time > 0.099:
             spoil(plant, value)
 
     with pytest.raises(DivergedError, match=rf"{plant.name} diverged at t = 0.1(0[12]|1|2) s: ") as caught:
-        rollout(plant, Gait(2.0), 0.4, observers=[break_it])
+        rollout(plant, Gait(2.0), 0.4, observers=[spoil_state])
     kept = caught.value.trajectory
     assert kept.time == pytest.approx(np.arange(11) / 100)
     assert all(np.isfinite(column).all() for column in kept.columns.values())
-    # The same plant is fit again after a reset.
+    # The plant can be used again after a reset.
     assert np.isfinite(rollout(plant, Gait(2.0), 0.1).com).all()
 
 
 @pytest.mark.parametrize("build", [AnalyticalSnake, TwinSnake])
-def test_recording_more_or_less_often_does_not_change_the_run(build):
+def test_sampling_rate_does_not_change_the_run(build):
     plant = build(SPEC)
     runs = {hz: rollout(plant, Gait(1.7, 0.1), 0.4, record_hz=hz) for hz in (10, 50, 500)}
     for name in ("com_x", "com_y", "heading", "bend_3", "pressure_plus_2", "x_5"):
@@ -339,18 +342,18 @@ def test_recording_more_or_less_often_does_not_change_the_run(build):
     assert runs[10].metadata["valve_switches"] == runs[500].metadata["valve_switches"]
 
 
-def test_real_plants_record_their_settings():
-    """Settings that are not the defaults, which a constant would tell as well."""
+def test_metadata_contain_the_settings_of_the_plant():
+    """All settings differ from the defaults."""
     model = AnalyticalSnake(SPEC, model="compliant", friction="wheel", timestep=0.001)
     about = rollout(model, Gait(1.7), 0.1).metadata
     assert (about["model"], about["friction"], about["timestep_s"]) == ("compliant", "wheel", 0.001)
     assert (about["gait_frequency_hz"], about["controller"]) == (1.7, "gait")
     twin = rollout(TwinSnake(SPEC, hinges_per_segment=3, contact=PreloadedContact("skid")), Gait(2.0), 0.1)
     assert (twin.metadata["wheels"], twin.metadata["hinges_per_segment"]) == ("skid", 3)
-    # Free joint, three hinges + pitch + roll a segment.
+    # Free joint; three hinges, pitch and roll per segment.
     assert twin.stack("qpos").shape == (11, 7 + 4 * 5)
     rolling = rollout(TwinSnake(SPEC, contact="preloaded"), Gait(2.0), 0.1)
-    # Two hinges, and two axles a connector besides.
+    # Two hinges instead of three, and two wheels per connector.
     assert rolling.metadata["wheels"] == "rolling" and rolling.stack("qpos").shape == (11, 7 + 4 * 4 + 10)
     loaded = rollout(TwinSnake(SPEC, contact=LoadedContact("axis", slip_speed=0.002)), Gait(2.0), 0.1)
     about = loaded.metadata

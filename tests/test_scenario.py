@@ -325,23 +325,32 @@ def test_the_limit_follows_an_override():
     [
         (
             {"plants": {"twin": {"tick_s": 0.0205}}},
-            "plants.twin.tick_s: tick 0.0205 s is no multiple of time",
+            "plants.twin.tick_s: tick 0.0205 s is not a multiple of time",
         ),
         (
             {"plants": {"twin": {"timestep_s": 0.0015}}},
-            "plants.twin.tick_s: tick 0.02 s is no multiple of time",
+            "plants.twin.tick_s: tick 0.02 s is not a multiple of time",
         ),
         (
             {"plants": plants(tick_s=0.02005)},
-            "plants.analytical.tick_s: tick 0.02005 s is no multiple of valve",
+            "plants.analytical.tick_s: tick 0.02005 s is not a multiple of valve",
         ),
-        ({"plants": plants(timestep_s=2.5e-5, tick_s=0.001025)}, "no multiple of valve slot 0.0001 s"),
-        ({"duration_s": 1.01}, "duration_s: duration 1.01 s is no multiple of the analytical plant's tick"),
-        ({"record_hz": 60}, "record_hz: the analytical plant's tick 0.02 s is no multiple of recording int"),
-        ({"record_hz": 30}, "record_hz: recording interval 0.0333333 s is no multiple of the analytical pl"),
+        ({"plants": plants(timestep_s=2.5e-5, tick_s=0.001025)}, "not a multiple of valve slot 0.0001 s"),
+        (
+            {"duration_s": 1.01},
+            "duration_s: duration 1.01 s is not a multiple of the analytical plant's tick",
+        ),
+        (
+            {"record_hz": 60},
+            "record_hz: the analytical plant's tick 0.02 s is not a multiple of recording int",
+        ),
+        (
+            {"record_hz": 30},
+            "record_hz: recording interval 0.0333333 s is not a multiple of the analytical pl",
+        ),
         (
             {"plants": {"twin": {}}, "record_hz": 2500},
-            "record_hz: recording interval 0.0004 s is no multiple of the twin's time step",
+            "record_hz: recording interval 0.0004 s is not a multiple of the twin's time step",
         ),
     ],
 )

@@ -33,7 +33,7 @@ def study_of(dimensions: int, samples: int, *, value: float = 0.5, seed: int = 0
 def result_of(study: Study, law: Law) -> Propagation:
     """Return the result of a study whose speed is a known function of the shares; the step has no error."""
     own = np.full((3, len(study.names)), 0.5)
-    own[1:] = study.priors.each[0].value
+    own[1:] = study.priors.parameters[0].value
     return Propagation(study, {"analytical": {SPEED: law(np.concatenate([study.shares, own]))}})
 
 

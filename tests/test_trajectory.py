@@ -1,3 +1,5 @@
+"""Trajectories: Parquet round trips, equal bytes, units, and rejected files."""
+
 import hashlib
 import io
 import os
@@ -19,7 +21,7 @@ from srs_twin.trajectory import Event, Trajectory
 
 pytestmark = pytest.mark.fast
 
-some = settings(deadline=None, max_examples=30)
+few = settings(deadline=None, max_examples=30)
 
 json_values = st.recursive(
     st.none()
@@ -31,7 +33,7 @@ json_values = st.recursive(
     max_leaves=6,
 )
 events = st.builds(Event, st.floats(0, 1e6), st.text(max_size=9), st.text(max_size=9))
-# Parquet names are UTF-8 text: any but lone surrogates.
+# Parquet names are UTF-8 text without lone surrogates.
 names = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=9)
 
 
@@ -56,28 +58,28 @@ def read(data: bytes) -> Trajectory:
     return Trajectory.from_parquet(io.BytesIO(data))
 
 
-@some
+@few
 @given(trajectories())
-def test_what_is_written_is_read_back(given_):
-    found = read(written(given_))
-    assert list(found.columns) == list(given_.columns)
-    for name, column in given_.columns.items():
+def test_written_trajectory_is_read_back_unchanged(original):
+    result = read(written(original))
+    assert list(result.columns) == list(original.columns)
+    for name, column in original.columns.items():
         # Bit for bit: signed zeros and every NaN included.
-        assert found[name].tobytes() == np.ascontiguousarray(column).tobytes(), name
-        assert found.unit(name) == given_.unit(name)
-    assert found.events == given_.events
-    assert found.metadata == given_.metadata
+        assert result[name].tobytes() == np.ascontiguousarray(column).tobytes(), name
+        assert result.unit(name) == original.unit(name)
+    assert result.events == original.events
+    assert result.metadata == original.metadata
 
 
-@some
+@few
 @given(trajectories())
-def test_writing_what_was_read_gives_the_same_bytes(given_):
-    once = written(given_)
-    assert written(given_) == once
+def test_rewritten_trajectory_has_the_same_bytes(original):
+    once = written(original)
+    assert written(original) == once
     assert written(read(once)) == once
 
 
-def test_the_order_of_metadata_leaves_no_trace():
+def test_bytes_do_not_depend_on_the_order_of_metadata():
     columns = {"time": np.arange(3.0)}
     one, other = {"plant": "twin", "robot": "gen2"}, {"robot": "gen2", "plant": "twin"}
     assert written(Trajectory(columns, metadata=one)) == written(Trajectory(columns, metadata=other))
@@ -102,13 +104,13 @@ def test_another_process_writes_the_same_bytes():
         assert done.stdout.strip() == hashlib.sha256(written(here)).hexdigest()
 
 
-def test_columns_carry_their_units_into_any_parquet_reader():
+def test_any_parquet_reader_finds_the_units():
     schema = pq.read_schema(io.BytesIO(written(Snake().trajectory())))
     units = {field.name: field.metadata[b"unit"].decode() for field in schema}
     assert (units["time"], units["com_x"], units["theta_5"], units["bend_1"]) == ("s", "m", "rad", "rad")
 
 
-def test_columns_are_told_apart_from_their_numbers():
+def test_numbered_columns_are_stacked():
     run = Snake(connectors=4).trajectory()
     assert run.stack("bend").shape == (len(run), 3)
     assert run.position.shape == (len(run), 4, 2)
@@ -123,20 +125,20 @@ def test_columns_are_told_apart_from_their_numbers():
     ("name", "unit"),
     [("x_12", "m"), ("pressure_minus_2", "Pa"), ("valve_plus_1", "1"), ("offset", "rad"), ("duty", "1")],
 )
-def test_units_come_from_the_name_unless_given(name, unit):
+def test_unit_follows_from_the_name_unless_given(name, unit):
     assert Trajectory({"time": np.zeros(1)}, units={"offset": "rad"}).unit(name) == unit
 
 
-@some
+@few
 @given(st.binary(max_size=200))
-def test_junk_is_refused(data):
+def test_random_bytes_are_rejected(data):
     with pytest.raises(InputError, match="not a trajectory written by srs-twin"):
         read(data)
 
 
-@some
+@few
 @given(st.data())
-def test_a_damaged_file_is_refused_or_read_but_never_breaks_the_reader(data):
+def test_damaged_trajectory_is_rejected_or_read(data):
     whole = written(Snake(duration=0.1, connectors=2).trajectory())
     damaged = bytearray(whole[: data.draw(st.integers(0, len(whole) - 1)) or None])
     damaged[data.draw(st.integers(0, len(damaged) - 1))] ^= data.draw(st.integers(1, 255))
@@ -146,33 +148,33 @@ def test_a_damaged_file_is_refused_or_read_but_never_breaks_the_reader(data):
         assert "trajectory" in str(error)
 
 
-ABOUT = {"srs_twin.events": "[]", "srs_twin.metadata": "{}"}
+METADATA = {"srs_twin.events": "[]", "srs_twin.metadata": "{}"}
 
 
 @pytest.mark.parametrize(
-    ("columns", "about", "words"),
+    ("columns", "metadata", "message"),
     [
-        ({"time": np.zeros(9), "text": ["x" * 999] * 9}, ABOUT, "column text holds string, not float64"),
-        ({"time": np.zeros(9)}, {}, "a Parquet file of something else"),
+        ({"time": np.zeros(9), "text": ["x" * 999] * 9}, METADATA, "column text holds string, not float64"),
+        ({"time": np.zeros(9)}, {}, "a Parquet file with other content"),
     ],
 )
-def test_a_file_of_something_else_is_refused_before_its_data_are_read(
-    columns, about, words, tmp_path, monkeypatch
+def test_other_parquet_file_is_rejected_before_its_data_are_read(
+    columns, metadata, message, tmp_path, monkeypatch
 ):
     """A kilobyte of text unpacks to a gigabyte."""
-    pq.write_table(pa.table(columns).replace_schema_metadata(about), tmp_path / "a.parquet")
+    pq.write_table(pa.table(columns).replace_schema_metadata(metadata), tmp_path / "a.parquet")
     monkeypatch.setattr(parquet, "_read", None)
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=message):
         Trajectory.from_parquet(tmp_path / "a.parquet")
 
 
 @pytest.mark.parametrize("key", [b"srs_twin.events", b"srs_twin.metadata"])
-def test_a_file_whose_two_schemas_differ_is_refused(key, tmp_path):
-    """The footer holds the keys twice, plain and in base64; damage can reach one of them alone."""
+def test_file_with_two_different_schemas_is_rejected(key, tmp_path):
+    """The footer contains the metadata twice, once in base64; damage can affect only one of them."""
     stream = io.BytesIO()
     Trajectory({"time": np.arange(3.0)}, {"time": "s"}).to_parquet(stream)
     whole = stream.getvalue()
     assert whole.count(key) == 1
     (tmp_path / "a.parquet").write_bytes(whole.replace(key, key.upper()))
-    with pytest.raises(InputError, match="a Parquet file of something else"):
+    with pytest.raises(InputError, match="a Parquet file with other content"):
         Trajectory.from_parquet(tmp_path / "a.parquet")

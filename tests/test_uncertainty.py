@@ -50,15 +50,15 @@ def robot(**uncertain: dict[str, Any]) -> RobotFile:
     ],
 )
 def test_numbers_follow_the_distribution_that_the_file_says(spread, expected):
-    (prior,) = Priors.of(robot(friction__mu_t=spread)).each
-    assert prior.at(SHARES) == pytest.approx(expected.ppf(SHARES), rel=1e-9)
+    (prior,) = Priors.from_robot(robot(friction__mu_t=spread)).parameters
+    assert prior.quantile(SHARES) == pytest.approx(expected.ppf(SHARES), rel=1e-9)
 
 
 @pytest.mark.slow
 @given(sd=st.floats(1e-4, 10.0), share=st.floats(0.0, 1.0), more=st.floats(0.0, 1.0))
 def test_normal_numbers_stay_where_files_allow_them_and_rise_with_their_share(sd, share, more):
-    (prior,) = Priors.of(robot(friction__mu_t={"kind": "normal", "sd": sd})).each
-    low, high = prior.at(np.sort([share, more]))
+    (prior,) = Priors.from_robot(robot(friction__mu_t={"kind": "normal", "sd": sd})).parameters
+    low, high = prior.quantile(np.sort([share, more]))
     assert 0.0 <= low <= high <= 10.0
 
 
@@ -70,8 +70,8 @@ def test_numbers_go_together_as_the_file_says():
     )
     paths = ("friction.mu_t", "bending.stiffness_nm_per_rad")
     data = file.model_dump(mode="json") | {"correlated": [{"of": list(paths), "r": -0.7}]}
-    priors = Priors.of(RobotFile.model_validate(data))
-    drawn = np.corrcoef(priors.at(stats.qmc.Sobol(3, rng=0).random(4096)).T)
+    priors = Priors.from_robot(RobotFile.model_validate(data))
+    drawn = np.corrcoef(priors.quantile(stats.qmc.Sobol(3, rng=0).random(4096)).T)
     i, j = (priors.paths.index(path) for path in paths)
     k = 3 - i - j
     assert drawn[i, j] == pytest.approx(-0.7, abs=0.01)
@@ -85,9 +85,9 @@ def test_numbers_go_together_as_the_file_says():
         ({"kind": "uniform", "low": 0.05, "high": 0.04}, "low 0.05 is not below high 0.04"),
         (
             {"kind": "uniform", "low": 0.05, "high": 0.06},
-            "the number itself, 0.043, lies outside of 0.05 to 0.06",
+            "the number itself, 0.043, is outside 0.05 to 0.06",
         ),
-        ({"kind": "uniform", "low": -1.0, "high": 0.06}, "-1 to 0.06 leaves the allowed 0 to 10"),
+        ({"kind": "uniform", "low": -1.0, "high": 0.06}, "-1 to 0.06 exceeds the allowed 0 to 10"),
         ({"kind": "normel", "sd": 1.0}, "normal"),
     ],
 )
@@ -97,7 +97,7 @@ def test_what_makes_no_distribution_is_refused_with_its_place(spread, words):
     document = Document("mine.yaml", data)
     validate(RobotFile, document, data)
     with pytest.raises(InputFileError, match="friction.mu_t.uncertain") as caught:
-        document.finish()
+        document.raise_problems()
     assert words in str(caught.value)
 
 
@@ -121,8 +121,8 @@ def test_no_shipped_robot_draws_drag(name):
 
 
 def test_nothing_uncertain_is_said_plainly():
-    with pytest.raises(InputError, match="nothing is said to be uncertain"):
-        Priors.of(robot())
+    with pytest.raises(InputError, match="no number is uncertain"):
+        Priors.from_robot(robot())
 
 
 def test_a_number_that_is_set_is_no_longer_uncertain():
@@ -167,7 +167,9 @@ def test_sensitivities_of_the_complete_model_by_brute_force(tmp_path):
     document = {**found.document, "robot": file.model_dump(mode="json")}
     from srs_twin.scenario.loading import parse_scenario
 
-    study = Study(parse_scenario(document, name="brute"), Priors.of(file), ("analytical",), samples=512)
+    study = Study(
+        parse_scenario(document, name="brute"), Priors.from_robot(file), ("analytical",), samples=512
+    )
     spread = propagate(study, tmp_path, local(2)).plants["analytical"]["com_speed_m_s"]
     rng, priors = np.random.default_rng(0), study.priors
     a, b = rng.random((2, 1000, 3))
@@ -180,7 +182,7 @@ def test_sensitivities_of_the_complete_model_by_brute_force(tmp_path):
         from srs_twin.comparison.metrics import plant_metrics
 
         out, spec = [], study.scenario.robot
-        for row in priors.at(shares):
+        for row in priors.quantile(shares):
             at = dict(zip(priors.paths, row, strict=True))
             one = replace(
                 spec,
@@ -314,7 +316,10 @@ def test_the_command_keeps_intervals_that_expectations_use_until_the_scenario_ch
 def test_a_second_start_runs_nothing_and_says_the_same(short, tmp_path):
     found = load_scenario(short())
     study = Study(
-        found, Priors.of(RobotFile.model_validate(found.document["robot"])), ("analytical",), samples=32
+        found,
+        Priors.from_robot(RobotFile.model_validate(found.document["robot"])),
+        ("analytical",),
+        samples=32,
     )
     first = propagate(study, tmp_path / "out", local(1)).document()
     seen: list[tuple[str, int]] = []
@@ -330,7 +335,7 @@ def test_a_second_start_runs_nothing_and_says_the_same(short, tmp_path):
 def test_a_result_is_unmarked_before_the_rows_below_it_change(short, tmp_path, monkeypatch):
     """Who is killed in between leaves no intervals.json next to tables of other samples."""
     found = load_scenario(short())
-    priors = Priors.of(RobotFile.model_validate(found.document["robot"]))
+    priors = Priors.from_robot(RobotFile.model_validate(found.document["robot"]))
     folder, marked, finish = tmp_path / "out", [], OpenSweep.finish
 
     def watched(opened):
@@ -349,13 +354,13 @@ def test_measuring_a_number_narrows_the_interval_as_foretold(short, tmp_path):
     """The number that it names, measured wherever in its prior: the mean width comes within 20 %."""
     found = load_scenario(short())
     file = RobotFile.model_validate(found.document["robot"])
-    study = Study(found, Priors.of(file), ("analytical",), samples=128)
+    study = Study(found, Priors.from_robot(file), ("analytical",), samples=128)
     before = propagate(study, tmp_path / "before", local(2))
     best = before.measure_next()[0]
     section, key = best["parameter"].split(".")
-    (prior,) = (each for each in study.priors.each if each.path == best["parameter"])
+    (prior,) = (each for each in study.priors.parameters if each.path == best["parameter"])
     widths = []
-    for k, centre in enumerate(prior.at(np.array([0.2, 0.5, 0.8]))):
+    for k, centre in enumerate(prior.quantile(np.array([0.2, 0.5, 0.8]))):
         data = file.model_dump(mode="json", exclude_none=True)
         data[section][key] |= {
             "value": float(centre),
@@ -364,7 +369,7 @@ def test_measuring_a_number_narrows_the_interval_as_foretold(short, tmp_path):
         measured = load_scenario(short(robot=data))
         after = Study(
             measured,
-            Priors.of(RobotFile.model_validate(measured.document["robot"])),
+            Priors.from_robot(RobotFile.model_validate(measured.document["robot"])),
             ("analytical",),
             samples=128,
         )
@@ -400,10 +405,12 @@ def test_the_value_at_the_medians_is_a_run_with_the_numbers_there(short, tmp_pat
     from srs_twin.rollout import rollout
 
     found = load_scenario(short())
-    priors = Priors.of(RobotFile.model_validate(found.document["robot"]))
+    priors = Priors.from_robot(RobotFile.model_validate(found.document["robot"]))
     study = Study(found, priors, ("analytical",), samples=16)
     spread = propagate(study, tmp_path / "out", local(1)).plants["analytical"]["com_speed_m_s"]
-    medians = {f"robot.{prior.path}": float(prior.at(np.array([0.5]))[0]) for prior in study.priors.each}
+    medians = {
+        f"robot.{prior.path}": float(prior.quantile(np.array([0.5]))[0]) for prior in study.priors.parameters
+    }
     assert medians["robot.friction.mu_t"] == pytest.approx(0.045)  # of the uniform 0.03 to 0.06
     other = load_scenario(short(), set=medians)
     run = rollout(

@@ -1,4 +1,4 @@
-"""A snake without a body: a unicycle whose curvature follows the offset of a gait, and whose head wags."""
+"""Unicycle plant: its curvature follows the offset of a gait, and its heading oscillates."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from srs_twin.plants.base import Plant, SnakeState
 from srs_twin.robot.file import load_robot
 
 VENT = np.full((4, 2), -1, dtype=np.int8)
-NOTHING = np.full((4,), np.nan)
+NOT_MODELLED = np.full((4,), np.nan)
 
 
 class Wheel(Controller):
-    """A gait that is nothing but its offset."""
+    """Gait without valve commands; it only has an offset."""
 
     kind = "wheel"
     frequency = 2.0
@@ -36,15 +36,15 @@ class Wheel(Controller):
 
 @dataclass
 class Unicycle(Plant):
-    """κ' = (map(offset) − κ)/ℓ per metre; what a controller must not read is NaN.
+    """Unicycle with dκ/ds = (curvature_at(offset) − κ)/ℓ; state variables that are not modelled are NaN.
 
     Attributes:
-        wheel: whose offset steers.
-        curvature_at: offset → curvature, 1/m.
-        speed: m/s.
-        settle: ℓ, m.
-        wag: amplitude of the swing of the heading at the gait's frequency, rad.
-        stops: when it stops, s.
+        wheel: gait whose offset steers.
+        curvature_at: function from offset to curvature, 1/m.
+        speed: forward speed, m/s.
+        settle: response length ℓ, m.
+        wag: amplitude of the heading oscillation at the gait frequency, rad.
+        stops: time at which it stops, s.
     """
 
     wheel: Wheel
@@ -64,16 +64,16 @@ class Unicycle(Plant):
 
     def step(self, valves):
         self.offsets.append((self.time, self.wheel.offset))
-        pieces = 10
-        for _ in range(pieces if self.time < self.stops else 0):
-            way = self.speed * self.tick / pieces
+        substeps = 10
+        for _ in range(substeps if self.time < self.stops else 0):
+            distance = self.speed * self.tick / substeps
             self.curvature += (self.curvature_at(self.wheel.offset) - self.curvature) * (
-                1 - math.exp(-way / self.settle)
+                1 - math.exp(-distance / self.settle)
             )
-            self.heading += way * self.curvature / 2
-            self.x += way * math.cos(self.heading)
-            self.y += way * math.sin(self.heading)
-            self.heading += way * self.curvature / 2
+            self.heading += distance * self.curvature / 2
+            self.x += distance * math.cos(self.heading)
+            self.y += distance * math.sin(self.heading)
+            self.heading += distance * self.curvature / 2
         self.time = round(self.time + self.tick, 9)
         return self._state()
 
@@ -82,8 +82,8 @@ class Unicycle(Plant):
         swing = self.wag * math.sin(2 * math.pi * Wheel.frequency * self.time)
         return SnakeState(
             time=self.time, com=np.array([self.x, self.y]), com_velocity=np.full(2, np.nan),
-            heading=self.heading + swing, position=nan, theta=np.full(5, np.nan), bend=NOTHING,
-            bend_rate=NOTHING, pressure=pairs, valves=pairs, sensed=np.zeros(4), contact_force=nan,
-            obstacle_force=nan, torque=NOTHING, work=math.nan, internal_loss=math.nan,
+            heading=self.heading + swing, position=nan, theta=np.full(5, np.nan), bend=NOT_MODELLED,
+            bend_rate=NOT_MODELLED, pressure=pairs, valves=pairs, sensed=np.zeros(4), contact_force=nan,
+            obstacle_force=nan, torque=NOT_MODELLED, work=math.nan, internal_loss=math.nan,
             air=math.nan, qpos=np.empty(0),
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Runs to look at: the synthetic snake with pressures, and a robot of the same measures."""
+"""Runs for tests of pictures: the synthetic snake with pressures, and a robot of the same dimensions."""
 
 from __future__ import annotations
 

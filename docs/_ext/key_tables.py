@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from srs_twin.io.validation import allowed
+from srs_twin.io.validation import describe_schema
 from srs_twin.recordings.facts import RecordingFacts
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.file import ScenarioFile
@@ -82,7 +82,7 @@ class Blocks:
             block = self.root["$defs"][definition] if definition else option
             if "properties" not in block or set(block["properties"]) == set(_RECORD):
                 value = block.get("properties", {}).get("value", block)
-                plain.append(form + allowed(value, self.root))
+                plain.append(form + describe_schema(value, self.root))
                 continue
             if definition not in self.places:
                 kind = block["properties"].get("kind", {}).get("const")

@@ -18,7 +18,7 @@ from srs_twin.errors import (
     SrsError,
     TaskFailedError,
 )
-from srs_twin.io.files import refuse_unprintable
+from srs_twin.io.files import check_printable
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -55,7 +55,7 @@ def main(argv: list[str] | None = None) -> None:
     warnings.formatwarning = _worded  # type: ignore[assignment]
     try:
         for word in sys.argv[1:] if argv is None else argv:
-            refuse_unprintable(word)
+            check_printable(word)
         _refuse_removed_folder()
         from srs_twin.cli.app import command
 

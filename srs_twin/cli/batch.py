@@ -22,7 +22,7 @@ from srs_twin.cli.progress import Counting, ScenarioProgress
 from srs_twin.errors import InputError, SrsError
 
 if TYPE_CHECKING:
-    from srs_twin.io.documents import Change
+    from srs_twin.io.documents import Override
     from srs_twin.scenario.scenario import Scenario
 
 RUNS = Path("runs")
@@ -82,7 +82,7 @@ def run_all(
     junit: str | None = None,
     plants: Sequence[str] | None = None,
     explain: bool = False,
-    changes: Sequence[Change] = (),
+    changes: Sequence[Override] = (),
     as_json: bool = False,
 ) -> None:
     """Find what is bad in any scenario, then run the good ones; exit with the highest code.
@@ -154,12 +154,12 @@ def _load(
     cases: Sequence[Case],
     out: str | None,
     quiet: bool,
-    changes: Sequence[Change],
+    changes: Sequence[Override],
     plants: Sequence[str] | None,
 ) -> list[Case]:
     """Load every scenario and see that it can run; say what is wrong with the bad ones, return the others."""
     from srs_twin.experiment import check_run
-    from srs_twin.io.files import open_folder
+    from srs_twin.io.files import check_output_folder
     from srs_twin.scenario.loading import load_scenario
 
     base = Path(out) if out else RUNS
@@ -177,7 +177,7 @@ def _load(
     good = [case for case in cases if case.ended is None]
     if len(good) > 1:
         # One word on a place where nothing can be written, not one for each scenario.
-        open_folder(base)
+        check_output_folder(base)
     for case in good:
         with _ending(case):
             assert case.scenario is not None
@@ -204,9 +204,12 @@ Finished = Generator[Case, None, None]
 
 def _run(cases: Sequence[Case], task: Callable[..., CaseResult], jobs: int | None, quiet: bool) -> Finished:
     """Run scenarios here or in worker processes; yield each when it and all before it have ended."""
-    from srs_twin.compute.workers import each, processors
+    from srs_twin.compute.workers import processor_count, run_tasks
 
-    workers, orders = min(jobs or processors(), len(cases)), [(case.scenario, case.folder) for case in cases]
+    workers, orders = (
+        min(jobs or processor_count(), len(cases)),
+        [(case.scenario, case.folder) for case in cases],
+    )
     if workers <= 1:
         for case, order in zip(cases, orders, strict=True):
             with ScenarioProgress(case.name, quiet=quiet) as progress:
@@ -216,7 +219,7 @@ def _run(cases: Sequence[Case], task: Callable[..., CaseResult], jobs: int | Non
     shown = 0
     with (
         Counting("scenarios", len(cases), quiet=quiet) as counting,
-        closing(each(task, orders, workers=workers)) as run,
+        closing(run_tasks(task, orders, workers=workers)) as run,
     ):
         for done in run:
             case = cases[done.number]
@@ -236,7 +239,7 @@ def _named(case: Case, error: Exception | None) -> SrsError:
 
 
 def _report(
-    case: Case, *, fails: frozenset[str], quiet: bool, as_json: bool, changes: Sequence[Change]
+    case: Case, *, fails: frozenset[str], quiet: bool, as_json: bool, changes: Sequence[Override]
 ) -> None:
     """Show what a run gave."""
     from srs_twin.cli.table import asks_why, expectation_lines, show
@@ -250,7 +253,7 @@ def _report(
             say(f"files in {case.folder}; `srs-twin view {case.folder}` shows the run")
             if asks_why(ended.metrics):
                 words = shlex.join(
-                    [case.source, *(word for each in changes for word in each.words.split(" ", 1))]
+                    [case.source, *(word for each in changes for word in each.label.split(" ", 1))]
                 )
                 say(f"why the plants differ: `srs-twin compare {words} --explain`")
         elif fails and not as_json:

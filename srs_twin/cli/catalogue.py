@@ -43,7 +43,7 @@ def list_(
 def _listed(kind: str) -> Iterator[dict[str, str]]:
     """Yield what there is of a kind: names, and what each is."""
     from srs_twin.io.documents import load_yaml
-    from srs_twin.io.files import find, shipped_names
+    from srs_twin.io.files import find_file, shipped_names
 
     if kind == "controllers":
         from srs_twin.scenario.file import CONTROLLERS
@@ -59,7 +59,7 @@ def _listed(kind: str) -> Iterator[dict[str, str]]:
             yield {"name": name, "unit": units[name], "meaning": meaning}
     else:
         for name in shipped_names(_SHIPPED[kind]):
-            title = load_yaml(find(_SHIPPED[kind], name)).get("title")
+            title = load_yaml(find_file(_SHIPPED[kind], name)).get("title")
             yield {"name": name, "title": title or name}
 
 
@@ -80,25 +80,27 @@ def show(
         return
     import textwrap
 
-    from srs_twin.io.documents import dotted
-    from srs_twin.io.files import printable
+    from srs_twin.io.documents import format_path
+    from srs_twin.io.files import escape_unprintable
 
     width = console().width
     for loc, value in _leaves(document):
-        text = f"{dotted(loc)}: {_words(value)}"
+        text = f"{format_path(loc)}: {_words(value)}"
         if isinstance(value, Mapping):
             unit = "" if value["unit"] == "1" else f" {value['unit']}"
-            text = f"{dotted(loc)}: {_words(value['value'])}{unit}; {value['status']}: {value['source']}"
+            text = f"{format_path(loc)}: {_words(value['value'])}{unit}; {value['status']}: {value['source']}"
             if doubt := {k: v for k, v in value.get("uncertain", {}).items() if k != "source"}:
                 text += f"; uncertain: {' '.join(_words(each) for each in doubt.values())}"
-        for line in textwrap.wrap(printable(text), width, subsequent_indent="    ", break_long_words=False):
+        for line in textwrap.wrap(
+            escape_unprintable(text), width, subsequent_indent="    ", break_long_words=False
+        ):
             print(line)
 
 
 def _resolved(name: str) -> dict[str, Any]:
     """Return plain data of a scenario, or of a robot where no scenario has the name."""
     from srs_twin.io.documents import load_yaml
-    from srs_twin.io.files import existing, shipped_names
+    from srs_twin.io.files import require_file, shipped_names
     from srs_twin.robot.file import load_robot_file
     from srs_twin.scenario.loading import load_scenario
 
@@ -107,7 +109,7 @@ def _resolved(name: str) -> dict[str, Any]:
     if a_file:
         from pathlib import Path
 
-        is_robot = load_yaml(existing(Path(name))).get("geometry") is not None
+        is_robot = load_yaml(require_file(Path(name))).get("geometry") is not None
     elif name in (*robots, *scenarios):
         is_robot = name in robots
     else:

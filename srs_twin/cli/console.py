@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from srs_twin.io.files import printable
+from srs_twin.io.files import escape_unprintable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -26,7 +26,7 @@ INTERRUPTED = 130
 def say(*lines: str, quiet: bool = False) -> None:
     """Print lines to stderr at once, with control characters escaped; print nothing if `quiet`."""
     for line in () if quiet else lines:
-        print(printable(line, keep="\n\t"), file=sys.stderr, flush=True)
+        print(escape_unprintable(line, keep="\n\t"), file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -45,7 +45,7 @@ def console() -> Console:
 
     class Plain(rich.console.Console):
         def render_str(self, text: str, **options: Any) -> Text:
-            return super().render_str(printable(text, keep="\n\t"), **options | {"markup": False})
+            return super().render_str(escape_unprintable(text, keep="\n\t"), **options | {"markup": False})
 
     return Plain(file=sys.stdout, highlight=False, emoji=False)
 

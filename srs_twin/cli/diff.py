@@ -43,11 +43,11 @@ def diff(
     from srs_twin.comparison.diff import Tolerances, load_tolerances, read_results
     from srs_twin.comparison.diff import diff as difference
     from srs_twin.errors import InputError
-    from srs_twin.io.files import open_folder
+    from srs_twin.io.files import check_output_folder
 
     report = None if junit is None else report_path(junit)
     if report is not None:
-        open_folder(report.parent, (report.name,), option="--junit")
+        check_output_folder(report.parent, (report.name,), option="--junit")
     allowed = load_tolerances(tolerances) if tolerances else Tolerances()
     given = {name: value for name, value in (("rel", rel), ("abs", abs_)) if value is not None}
     for name, value in given.items():

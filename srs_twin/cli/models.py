@@ -31,7 +31,7 @@ def export(
         out: Where models/<robot>/ go.
         contact: How the floor holds the snake; `preloaded`, the only one that an MJCF file can carry.
     """
-    from srs_twin.io.files import open_folder, printable, shipped_names
+    from srs_twin.io.files import check_output_folder, escape_unprintable, shipped_names
     from srs_twin.plants.twin.mjcf.export import SCENE, export_robot
     from srs_twin.plants.twin.mjcf.numerics import as_contact
     from srs_twin.robot.file import load_robot
@@ -44,10 +44,10 @@ def export(
     robots = [load_robot(name) for name in names or shipped_names("robot")]
     folders = {Path(out) / robot.name: robot for robot in robots}
     for folder, robot in folders.items():
-        open_folder(folder, (f"{robot.name}.xml", SCENE))
+        check_output_folder(folder, (f"{robot.name}.xml", SCENE))
     for folder, robot in folders.items():
         export_robot(robot, folder)
-        typer.echo(printable(str(folder / SCENE)))
+        typer.echo(escape_unprintable(str(folder / SCENE)))
 
 
 @app.command()
@@ -63,7 +63,7 @@ def check(
     Options:
         models: MJCF or URDF files, or robots; default all.
     """
-    from srs_twin.io.files import printable, shipped_names, shown
+    from srs_twin.io.files import display_path, escape_unprintable, shipped_names
     from srs_twin.plants.twin.mjcf.check import check_mjcf
     from srs_twin.plants.twin.mjcf.export import stale_files
     from srs_twin.robot.file import load_robot
@@ -79,7 +79,7 @@ def check(
         bad += bool(faults)
         reports.append({"model": model, "faults": faults, "notes": list(report.notes), **report.sizes})
         for line in faults or [_praise(report, current=robot is not None), *report.notes]:
-            typer.echo(f"{shown(path)}: {printable(line)}", err=bool(faults) or as_json)
+            typer.echo(f"{display_path(path)}: {escape_unprintable(line)}", err=bool(faults) or as_json)
     if as_json:
         print_json({"models": reports})
     if bad:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from srs_twin.errors import one_of
+from srs_twin.errors import check_choice
 
 if TYPE_CHECKING:
-    from srs_twin.io.documents import Change
+    from srs_twin.io.documents import Override
 
 
 def option(words: str, help: str | None = None, **more: Any) -> Any:
@@ -81,7 +81,7 @@ def plants_of(given: str | None) -> list[str] | None:
     known = ("analytical", "twin")
     wanted = given and [each.strip() for each in given.split(",")]
     for each in wanted or ():
-        one_of("--plants:", each, known)
+        check_choice("--plants:", each, known)
     return [each for each in known if each in wanted] if wanted else None
 
 
@@ -99,21 +99,21 @@ class ChangeOptions:
     duration: Annotated[str | None, option("--duration S")] = None
     seed: Annotated[str | None, option("--seed N")] = None
 
-    def changes(self) -> list[Change]:
+    def changes(self) -> list[Override]:
         """Return what was given, as fields of a scenario.
 
         Raises:
             InputError: what was given is no field with a value.
         """
-        from srs_twin.io.documents import Change
+        from srs_twin.io.documents import Override
 
         found = []
         for text in self.change or ():
             field, sign, value = text.partition("=")
-            found.append(Change.of(f"--set {text}", field.strip() if sign else "", value))
+            found.append(Override.parse(f"--set {text}", field.strip() if sign else "", value))
         for field, given in (("duration_s", self.duration), ("seed", self.seed)):
             if given is not None:
-                found.append(Change.of(f"--{field.removesuffix('_s')} {given}", field, given))
+                found.append(Override.parse(f"--{field.removesuffix('_s')} {given}", field, given))
         return found
 
 

@@ -141,10 +141,10 @@ class ScenarioProgress(Display):
         self._stage, self._part = "", 0.0
 
     def __enter__(self) -> Self:
-        from srs_twin.compute.compiled import tell_once
+        from srs_twin.compute.compiled import notify_first_compilation
 
         text = f"{self.title}: compiling the kernels for this machine, once; about half a minute"
-        tell_once(lambda: say(text, quiet=self._quiet))
+        notify_first_compilation(lambda: say(text, quiet=self._quiet))
         return super().__enter__()
 
     def __call__(self, stage: str, part: float) -> None:

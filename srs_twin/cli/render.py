@@ -13,7 +13,7 @@ import typer
 from srs_twin.cli.options import QuietOption, argument, option
 from srs_twin.cli.progress import ScenarioProgress
 from srs_twin.errors import InputError
-from srs_twin.io.files import printable, shown
+from srs_twin.io.files import display_path, escape_unprintable
 
 if TYPE_CHECKING:
     from srs_twin.experiment import FinishedRun
@@ -59,7 +59,7 @@ def render(
 
     usable_opengl()  # first: MuJoCo, imported from here on, refuses a name in MUJOCO_GL that it does not know
     from srs_twin.experiment import load_run
-    from srs_twin.io.files import open_folder
+    from srs_twin.io.files import check_output_folder
 
     ending, write = _writing(video, image, _size(size), fps, speed)
     suffix = VIDEO if video is not None else PICTURE
@@ -77,19 +77,21 @@ def render(
     for run, path in work:
         if "twin" not in run.trajectories:
             raise InputError(
-                f"{shown(run.folder)}: the twin did not run, and MuJoCo draws nothing else; "
+                f"{display_path(run.folder)}: the twin did not run, and MuJoCo draws nothing else; "
                 "`srs-twin view` shows the analytical model"
             )
         if ghost and _GHOST not in run.trajectories:
-            raise InputError(f"{shown(run.folder)}: the analytical model did not run; leave out --ghost")
-        open_folder(path.parent, (path.name,))
+            raise InputError(
+                f"{display_path(run.folder)}: the analytical model did not run; leave out --ghost"
+            )
+        check_output_folder(path.parent, (path.name,))
     for run, path in work:
         with ScenarioProgress(run.name, quiet=quiet) as progress:
             told: dict[str, Any] = {"progress": partial(progress, "drawing")} if video is not None else {}
             told |= {"ghost": (_GHOST, run.trajectories[_GHOST])} if ghost else {}
             write(path, run.scenario, run.trajectories["twin"], **told)
         if not quiet:
-            typer.echo(printable(str(path)))
+            typer.echo(escape_unprintable(str(path)))
 
 
 def _writing(

@@ -116,10 +116,10 @@ def play(
     changed = ChangeOptions(change).changes()
     for each in changed:
         if each.loc[0] != "robot":
-            raise InputError(f"{each.words}: play has no scenario; set a field of robot")
-        document.change(each)
+            raise InputError(f"{each.label}: play has no scenario; set a field of robot")
+        document.apply(each)
     found = resolve_robot(document, document.get("robot"), prefix=("robot",))
-    document.finish()
+    document.raise_problems()
     assert found is not None, "a robot without a problem was resolved"
     from srs_twin.viewing.mujoco.live import MujocoWindow, refuse_without_display
 

@@ -15,14 +15,14 @@ import numpy as np
 from srs_twin.comparison.metrics import MEASURED_UNITS, plant_metrics
 from srs_twin.comparison.sampling import body_length, interpolant, label, require, rms, segment_lengths
 from srs_twin.errors import InputError
-from srs_twin.trajectory import Shown, Trajectory
+from srs_twin.trajectory import HtmlResult, Trajectory
 
 # Times closer than this are the same.
 _ROUNDING_S = 1e-9
 
 
 @dataclass(frozen=True)
-class Comparison(Shown):
+class Comparison(HtmlResult):
     """The difference of a candidate (the twin) from a reference (the analytical model).
 
     Attributes:

@@ -18,10 +18,10 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.io.files import existing, shown
+from srs_twin.io.files import display_path, require_file
 from srs_twin.io.json_files import parse_json, read_json
 from srs_twin.io.parquet import read_table
-from srs_twin.io.validation import Strict, load_model
+from srs_twin.io.validation import StrictModel, load_model
 
 REL, ABS = 1e-6, 1e-9
 """What two processor targets may differ by; docs/sweeps.md has what they were measured to."""
@@ -35,7 +35,7 @@ Leaf = bool | int | float | str | None
 Place = tuple[str, str]
 
 
-class Tolerance(Strict):
+class Tolerance(StrictModel):
     """By how much a number may differ."""
 
     rel: Annotated[float, Field(ge=0, le=1, description="Over the larger of the two.")] = REL
@@ -69,7 +69,7 @@ def load_tolerances(path: str | os.PathLike[str]) -> Tolerances:
         InputError: not found or not readable.
         InputFileError: everything that is wrong with it.
     """
-    return load_model(Tolerances, existing(Path(path)))
+    return load_model(Tolerances, require_file(Path(path)))
 
 
 @dataclass(frozen=True)
@@ -189,10 +189,10 @@ def read_results(path: str | os.PathLike[str]) -> Results:
     """
     given = Path(path)
     if not os.path.isdir(given):
-        return _read(existing(given, suffix=".json"), "")
+        return _read(require_file(given, suffix=".json"), "")
     files = sorted(_files(given))
     if not files:
-        raise InputError(f"{shown(given)}: holds no results ({', '.join(_FILES)})")
+        raise InputError(f"{display_path(given)}: holds no results ({', '.join(_FILES)})")
     values: dict[Place, Leaf] = {}
     versions: dict[str, str] = {}
     for file in files:
@@ -216,7 +216,7 @@ def _files(folder: Path) -> Iterator[Path]:
             entries = list(os.scandir(here))
         except OSError as error:
             if here == os.fspath(folder):
-                raise InputError(f"{shown(folder)}: cannot be read ({error.strerror})") from error
+                raise InputError(f"{display_path(folder)}: cannot be read ({error.strerror})") from error
             continue
         # A hidden folder may hold files that a killed process left.
         entries = [each for each in entries if not each.name.startswith(".")]
@@ -234,7 +234,9 @@ def _read(path: Path, folder: str) -> Results:
             if _OWNER.sub("", metric) not in _WALL_TIMES
         }
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{shown(path)}: not the results of a run, a sweep or a reproduction") from error
+        raise InputError(
+            f"{display_path(path)}: not the results of a run, a sweep or a reproduction"
+        ) from error
     return Results(values, versions)
 
 
@@ -281,7 +283,7 @@ def _sweep(path: Path) -> tuple[list[tuple[Place, Leaf]], dict[str, str]]:
         table = read_table(path, "the results of a sweep", check)
     except InputError as error:
         raise ValueError("no results of a sweep") from error
-    about = parse_json(table.schema.metadata[b"srs_twin.sweep"].decode(), shown(path))
+    about = parse_json(table.schema.metadata[b"srs_twin.sweep"].decode(), display_path(path))
     names = table.column_names
     fields = names[1 : names.index("status")]
     metrics = ["status", *names[names.index("exit_code") + 1 :]]

@@ -1,1 +1,1 @@
-"""Compiled kernels, checks of arrays, threads and worker processes."""
+"""Compiled kernels, array checks, threads and worker processes."""

@@ -1,4 +1,4 @@
-"""Numbers of a simulation: whether they are finite and possible, and records of arrays joined."""
+"""Plausibility checks, BLAS settings and concatenation for arrays of a simulation."""
 
 from __future__ import annotations
 
@@ -14,67 +14,68 @@ from threadpoolctl import ThreadpoolController
 
 from srs_twin.errors import InputError
 
-LARGEST = 1e9
-"""Nothing of a snake comes near it in SI units: pressures reach 1e7 Pa, places 1e6 m."""
-_BLAS_THREADS = threading.RLock()
+LARGEST_PLAUSIBLE = 1e9
+"""Limit for all quantities in SI units: pressures of a snake reach 1e7 Pa, and positions 1e6 m."""
+
+_BLAS_LOCK = threading.RLock()
 
 
-def plausible(*quantities: Any) -> bool:
-    """Say whether all numbers of some arrays are finite and smaller than `LARGEST`."""
-    # The sum of squares tells almost always: half a microsecond an array, and no warning.
-    if sum(np.vdot(each, each) for each in quantities) < LARGEST**2:
+def is_plausible(*quantities: Any) -> bool:
+    """Return whether all elements of some arrays are finite and smaller than `LARGEST_PLAUSIBLE`."""
+    # The sum of squares decides almost all cases, in half a microsecond per array and without warnings.
+    if sum(np.vdot(values, values) for values in quantities) < LARGEST_PLAUSIBLE**2:
         return True
-    return all(implausible(each) is None for each in quantities)
+    return all(first_implausible(values) is None for values in quantities)
 
 
-def implausible(values: Any) -> float | None:
-    """Return the first number that is not `plausible`, or None where all are."""
+def first_implausible(values: Any) -> float | None:
+    """Return the first element that is not finite or too large, or None."""
     flat = np.ravel(values)
-    wrong = flat[~(np.abs(flat) < LARGEST)]
+    wrong = flat[~(np.abs(flat) < LARGEST_PLAUSIBLE)]
     return float(wrong[0]) if len(wrong) else None
 
 
-def check_positive(what: str, value: Any, unit: str = "") -> None:
-    """Refuse a number, or an array with one, that is not finite and above 0.
+def check_positive(name: str, value: Any, unit: str = "") -> None:
+    """Check that a number, or every element of an array, is finite and above 0.
 
     Args:
-        what: its name.
+        name: name of the quantity in messages.
         value: number or array.
-        unit: for the message.
+        unit: unit of the quantity in messages.
 
     Raises:
-        InputError: it is not.
+        InputError: a number is not finite or not above 0.
     """
     if not (np.isfinite(value).all() and (np.asarray(value) > 0).all()):
         shown = f"{value!r} {unit}".strip()
-        raise InputError(f"{what} {shown} is not allowed; it must be finite and above 0")
+        raise InputError(f"{name} {shown} is not allowed; it must be finite and above 0")
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Let BLAS compute in one thread within a `with` block.
+    """Limit BLAS to one thread within a `with` block, so that results do not depend on the number of cores.
 
-    OpenBLAS splits sums between its threads, so the last digits of a product of matrices larger than about
-    100 x 100 depend on their number. The number of threads belongs to the process: blocks in several Python
-    threads run one after another, so that the first to leave does not end the limit of the others.
+    OpenBLAS splits sums between its threads, so that the last digits of products of matrices larger than
+    about 100 × 100 depend on their number. The limit applies to the whole process. Blocks in several Python
+    threads are therefore serialised: otherwise the first one to end would remove the limit for the rest.
     """
-    with _BLAS_THREADS, ThreadpoolController().limit(limits=1, user_api="blas"):
+    with _BLAS_LOCK, ThreadpoolController().limit(limits=1, user_api="blas"):
         yield
 
 
 def blas_kernels() -> tuple[str, ...]:
-    """Return the names of the kernels of NumPy's and SciPy's BLAS libraries, such as `SkylakeX`, sorted.
+    """Return the sorted names of the kernels of NumPy's and SciPy's BLAS libraries, such as `SkylakeX`.
 
-    It is empty where no library reports one. Libraries that other packages bring (OpenCV) do not count.
+    Libraries without this information, and those of other packages (OpenCV), are not included.
     """
-    import scipy.linalg  # noqa: F401  SciPy brings a second BLAS library
+    import scipy.linalg  # noqa: F401  loads SciPy's own BLAS library
 
     packages = Path(np.__file__).parents[1]
     kernels = set()
     for library in ThreadpoolController().select(user_api="blas").info():
-        place = Path(library["filepath"])
-        inside = place.relative_to(packages).parts[0] if place.is_relative_to(packages) else ""
-        if inside.partition(".")[0] in ("", "numpy", "scipy") and library.get("architecture"):
+        path = Path(library["filepath"])
+        package = path.relative_to(packages).parts[0] if path.is_relative_to(packages) else ""
+        if package.partition(".")[0] in ("", "numpy", "scipy") and library.get("architecture"):
             kernels.add(library["architecture"])
     return tuple(sorted(kernels))
 
@@ -82,14 +83,15 @@ def blas_kernels() -> tuple[str, ...]:
 Record = TypeVar("Record")
 
 
-def joined(parts: Sequence[Record]) -> Record:
-    """Return several records of one kind, one after the other, as one.
+def concatenate_records(records: Sequence[Record]) -> Record:
+    """Return the concatenation of records of arrays along their first axis, the samples.
 
     Args:
-        parts: one or more; like fields have like shapes but for the samples. One alone is returned itself.
+        records: one or more records of the same type, whose shapes differ only in the number of samples. A
+            single record is returned without a copy.
     """
-    if len(parts) == 1:
-        return parts[0]
-    kind: Any = type(parts[0])
-    names = kind._fields if issubclass(kind, tuple) else [each.name for each in fields(kind)]
-    return kind(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    if len(records) == 1:
+        return records[0]
+    kind: Any = type(records[0])
+    names = kind._fields if issubclass(kind, tuple) else [field.name for field in fields(kind)]
+    return kind(*(np.concatenate([getattr(record, name) for record in records]) for name in names))

@@ -1,4 +1,4 @@
-"""compiled: numba's njit with a cache that knows everything that a kernel may have inlined."""
+"""Numba compilation with a disk cache that detects changes in inlined functions."""
 
 from __future__ import annotations
 
@@ -19,159 +19,159 @@ from numba.core.caching import FunctionCache
 
 from srs_twin.errors import CacheWarning
 
-# The order of sums may change, never what becomes of infinities and NaN.
-_ARITHMETIC = {"contract", "reassoc", "arcp", "nsz"}
-_OPTIONS: Any = {"nogil": True, "error_model": "numpy", "forceinline": True, "fastmath": _ARITHMETIC}
-# What makes no arrays need not count who holds those it is given, which takes most of a small kernel's time.
-_BORROWED: Any = {"_nrt": False}
-_BARE: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-_CONSTANTS = (bool, int, float, complex, str, type(None))
+# Optimisations that may change the order of sums, but not the treatment of infinities and NaN.
+_FASTMATH = {"contract", "reassoc", "arcp", "nsz"}
+_OPTIONS: Any = {"nogil": True, "error_model": "numpy", "forceinline": True, "fastmath": _FASTMATH}
+# A kernel that creates no arrays needs no reference counts, which take most of a small kernel's time.
+_NO_REFCOUNTS: Any = {"_nrt": False}
+_NO_WRAPPERS: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_CONSTANT_TYPES = (bool, int, float, complex, str, type(None))
 _warned = False
-_told: list[Callable[[], None]] = []
+_notices: list[Callable[[], None]] = []
+"""At most one function, to be called before the first compilation."""
 
 
-def tell_once(notice: Callable[[], None]) -> None:
-    """Call a notice when a kernel of this process has to be compiled; the first time only."""
-    _told[:] = [notice]
+def notify_first_compilation(notice: Callable[[], None]) -> None:
+    """Call a function once, before this process compiles a kernel for the first time."""
+    _notices[:] = [notice]
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function that makes no arrays, on its first call; keep the machine code.
+    """Compile a function that creates no arrays, on its first call, and cache the machine code on disk.
 
-    It runs free of the interpreter's lock.
+    The kernel runs without the interpreter's lock.
 
-    numba keeps one file of machine code a function and drops it when the function's own source file has
-    changed, by a comment too. What the function inlined from other files it does not look at: a corrected
-    friction law would go on unused in the kernels. So the stamp that decides is that of what the function
-    computes: its bytecode, that of every kernel it calls, and the constants they use.
-    Where nothing can be kept, every process compiles for itself, with one `CacheWarning`.
+    Numba's own cache is valid as long as the source file of the function is unchanged. It does not detect
+    changes in inlined functions from other files, such as a corrected friction law. Here the cache is valid
+    as long as a digest of the bytecode of the function, of every kernel that it calls and of their constants
+    is unchanged. Without a writable cache folder every process compiles its kernels, with one `CacheWarning`.
     """
-    return _kept(njit(**_OPTIONS, **_BORROWED)(function), function)
+    return _with_cache(njit(**_OPTIONS, **_NO_REFCOUNTS)(function), function)
 
 
 def allocating(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function that makes arrays; else as `compiled`."""
-    return _kept(njit(**_OPTIONS)(function), function)
+    """Compile a function that creates arrays; otherwise as `compiled`."""
+    return _with_cache(njit(**_OPTIONS)(function), function)
 
 
-def inside(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function that only kernels call: without what Python would need to call it.
+def kernel_only(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function that only kernels call, without a wrapper for calls from Python.
 
-    For one that takes records of arrays that takes longer to compile than the function itself.
+    The wrapper of a function with records of arrays as arguments takes longer to compile than the function.
     """
-    return _kept(njit(**_OPTIONS, **_BORROWED, **_BARE)(function), function)
+    return _with_cache(njit(**_OPTIONS, **_NO_REFCOUNTS, **_NO_WRAPPERS)(function), function)
 
 
-def _kept(dispatcher: Any, function: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a dispatcher its cache."""
+def _with_cache(dispatcher: Any, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Attach a cache to a dispatcher."""
     try:
         dispatcher._cache = _Cache(function)
-    except RuntimeError:  # numba knows no folder that it may write
-        _warn("no folder for it can be written")
+    except RuntimeError:  # numba found no writable folder
+        _warn("no cache folder is writable")
     kernel: Callable[..., Any] = dispatcher
     return kernel
 
 
 class _Cache(FunctionCache):
-    """numba's cache of one function, which does without its folder where that fails.
+    """Cache of one function that is disabled if its folder cannot be used.
 
-    Its files are pickles, and loading one executes code: a folder that other users can write is not used.
+    The cache files are pickles, which can execute code. A folder that other users can write to is not used.
     """
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load machine code for a signature, of just this computation; None where there is none.
+        """Return the cached machine code for a signature, or None.
 
-        Only now, at the first call, is everything there that the function refers to.
+        The digest is computed here, at the first call, because all names that the function uses exist then.
         """
-        self._cache_file._source_stamp = _stamp(self._py_func)
-        if (why := _unsafe(Path(self._cache_path))) is not None:
-            _warn(why, "that only you can write")
+        self._cache_file._source_stamp = _source_stamp(self._py_func)
+        if (reason := _why_unsafe(Path(self._cache_path))) is not None:
+            _warn(reason, "that only you can write to")
             self.disable()
-        found = super().load_overload(sig, target_context)
-        if found is None and _told:
-            _told.pop()()
-        return found
+        overload = super().load_overload(sig, target_context)
+        if overload is None and _notices:
+            _notices.pop()()
+        return overload
 
     @contextmanager
     def _guard_against_spurious_io_errors(self) -> Iterator[None]:
-        """Go on without what cannot be loaded or saved; numba's own lets these errors through."""
+        """Continue without the cache after errors that numba's own method would raise."""
         try:
             yield
         except OSError as error:
             _warn(f"{self._cache_path}: {error.strerror}")
         except ReferenceError:
-            # The index names a kernel that was an argument in another process; it cannot be extended.
+            # The index refers to a kernel that was an argument in another process; start a new index.
             self._cache_file.flush()
         except (EOFError, pickle.UnpicklingError, ImportError, AttributeError):
             _warn(f"{self._cache_path}: a damaged file; remove the folder")
 
 
-def _unsafe(folder: Path) -> str | None:
-    """Return why other users can put files into a folder; None where they cannot, or it does not exist."""
+def _why_unsafe(folder: Path) -> str | None:
+    """Return the reason that other users can write to a folder; None if they cannot or it does not exist."""
     if not hasattr(os, "getuid"):
         return None
     for path in (folder, folder.parent):
         try:
-            found = path.stat()
+            status = path.stat()
         except OSError:
             continue
-        if found.st_uid not in (os.getuid(), 0):
+        if status.st_uid not in (os.getuid(), 0):
             return f"{path} belongs to another user"
         # In a folder with the sticky bit, such as /tmp, only the owner can replace a file.
-        sticky = path != folder and found.st_mode & stat.S_ISVTX
-        if found.st_mode & stat.S_IWOTH and not sticky:
+        sticky = path != folder and status.st_mode & stat.S_ISVTX
+        if status.st_mode & stat.S_IWOTH and not sticky:
             return f"{path} can be written by all users"
     return None
 
 
-def _warn(why: str, wanted: str = "that can be written") -> None:
-    """Warn once a process: the next kernel would fail for the same reason."""
+def _warn(reason: str, requirement: str = "that you can write to") -> None:
+    """Warn once per process, because further kernels would fail for the same reason."""
     global _warned
     if not _warned:
         _warned = True
-        said = f"machine code cannot be kept, every start compiles anew ({why})"
-        remedy = f"set NUMBA_CACHE_DIR to a folder {wanted}"
-        warnings.warn(f"{said}; {remedy}", CacheWarning, stacklevel=1)
+        problem = f"compiled kernels cannot be cached, so every start compiles them again ({reason})"
+        remedy = f"set NUMBA_CACHE_DIR to a folder {requirement}"
+        warnings.warn(f"{problem}; {remedy}", CacheWarning, stacklevel=1)
 
 
 @functools.cache
-def _stamp(function: Any) -> str:
-    """Return what changes with anything that decides what a function computes, but with no comment."""
-    total = hashlib.sha256(f"{function.__module__} {sorted(_ARITHMETIC)} {sorted(_BORROWED)}".encode())
-    for part in _meaning(function.__code__, function.__globals__, set()):
-        total.update(part.encode() + b"\0")
-    return total.hexdigest()
+def _source_stamp(function: Any) -> str:
+    """Return a digest of the computation of a function; comments and docstrings do not change it."""
+    digest = hashlib.sha256(f"{function.__module__} {sorted(_FASTMATH)} {sorted(_NO_REFCOUNTS)}".encode())
+    for text in _code_parts(function.__code__, function.__globals__, set()):
+        digest.update(text.encode() + b"\0")
+    return digest.hexdigest()
 
 
-def _meaning(code: CodeType, names: Mapping[str, Any], seen: set[CodeType]) -> Iterator[str]:
-    """Yield the bytecode of a function, what its names stand for, and so on for the functions it calls."""
+def _code_parts(code: CodeType, names: Mapping[str, Any], seen: set[CodeType]) -> Iterator[str]:
+    """Yield the bytecode of a function and the values of its names, recursively for called functions."""
     if code in seen:
         return
     seen.add(code)
     yield f"{code.co_code!r} {code.co_names} {code.co_varnames} {code.co_argcount}"
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
-            yield from _meaning(constant, names, seen)
-        elif not isinstance(constant, str):  # the docstring
+            yield from _code_parts(constant, names, seen)
+        elif not isinstance(constant, str):  # strings are docstrings
             yield repr(constant)
     for name in code.co_names:
         value = names.get(name)
         if isinstance(value, ModuleType) and value.__name__.startswith("srs_twin"):
-            yield from _of_values(name, [vars(value).get(each) for each in code.co_names], seen)
+            yield from _value_parts(name, [vars(value).get(attribute) for attribute in code.co_names], seen)
         else:
-            yield from _of_values(name, [value], seen)
+            yield from _value_parts(name, [value], seen)
 
 
-def _of_values(name: str, values: Iterable[Any], seen: set[CodeType]) -> Iterator[str]:
-    """Yield what the values of a name stand for, as `_meaning` does."""
+def _value_parts(name: str, values: Iterable[Any], seen: set[CodeType]) -> Iterator[str]:
+    """Yield the values of a name as text; for functions the same as `_code_parts`."""
     for value in values:
         function = getattr(value, "py_func", value)
         if isinstance(function, FunctionType):
-            yield f"{function.__module__}.{function.__qualname__}"  # machine code names where it is from
-            yield from _meaning(function.__code__, function.__globals__, seen)
+            yield f"{function.__module__}.{function.__qualname__}"  # machine code contains this name
+            yield from _code_parts(function.__code__, function.__globals__, seen)
         elif isinstance(value, tuple):
-            yield from _of_values(name, value, seen)
-        elif isinstance(value, _CONSTANTS):
+            yield from _value_parts(name, value, seen)
+        elif isinstance(value, _CONSTANT_TYPES):
             yield f"{name} {value!r}"
         elif isinstance(value, type):
             yield f"{value.__qualname__} {getattr(value, '_fields', ())}"

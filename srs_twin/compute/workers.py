@@ -1,12 +1,12 @@
-"""Numbered tasks shared out over threads or worker processes.
+"""Execution of numbered tasks on threads or in worker processes.
 
-`Workers` are threads, for tasks that free the interpreter's lock. `each` runs tasks in worker processes, one
-of which may die without costing the others anything.
+`Workers` is a pool of threads for tasks that release the interpreter's lock. `run_tasks` runs tasks in worker
+processes and survives the death of a worker.
 
-On Linux worker processes are forked from multiprocessing's server: a process of its own that has loaded,
-once, what they need. A worker then starts in hundredths of a second instead of one or two, the first one and
-every one that takes a dead one's place. Elsewhere every worker is started anew, as the libraries of other
-systems do not bear a fork. Why no pool of a library does this: docs/decisions/worker-processes.md.
+On Linux, worker processes are forked from the fork server of multiprocessing, a separate process that has
+imported the required modules once. A worker, also a replacement for a dead one, starts in hundredths of a
+second instead of one or two seconds. On other systems, where forks are unsafe, every worker is a new process.
+docs/decisions/worker-processes.md compares this with the pools of libraries.
 """
 
 from __future__ import annotations
@@ -36,50 +36,52 @@ from srs_twin.errors import InputError, SrsError, TaskFailedError, WorkerDiedErr
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
 Returned = TypeVar("Returned")
-Stopped = Callable[[], bool]
+IsCancelled = Callable[[], bool]
+"""Function that returns whether the result of a task is no longer needed."""
 
 
 class Workers:
-    """Threads for tasks that free the interpreter's lock while they compute.
+    """Pool of threads for tasks that release the interpreter's lock while they compute.
 
     Attributes:
-        threads: how many.
+        threads: number of threads.
     """
 
     def __init__(self, threads: int | None = None) -> None:
-        """Prepare the threads; they start with the first task.
+        """Create the pool; threads start with the first task.
 
         Args:
-            threads: how many; default one a processor. One: tasks run on the calling thread.
+            threads: number of threads (default: one per processor); with 1, tasks run on the calling
+                thread.
 
         Raises:
-            InputError: fewer than one.
+            InputError: fewer than one thread.
         """
-        self.threads = processors() if threads is None else threads
+        self.threads = processor_count() if threads is None else threads
         if self.threads < 1:
             raise InputError(f"threads: {threads} is not allowed; it must be 1 or more")
-        # Idle threads end by themselves once nobody holds the pool.
+        # Idle threads end when the pool is garbage-collected.
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Workers, (self.threads,)
 
-    def each(
+    def run(
         self,
         count: int,
-        task: Callable[[int, Stopped], Returned],
+        task: Callable[[int, IsCancelled], Returned],
         progress: Callable[[int], None] | None = None,
     ) -> list[Returned]:
-        """Run tasks 0 … count − 1 and return what they returned, in order.
+        """Run tasks 0 … count − 1 and return their results in order.
 
-        An error of a task is raised when all tasks before it are done: the one that a plain loop would have
-        met. An interrupt (Ctrl-C) is raised as soon as the running tasks have ended.
+        If tasks fail, the error of the first one by number is raised, as in a loop, after all tasks before it
+        have finished. An interrupt (Ctrl-C) is raised when the running tasks have ended.
 
         Args:
             count: number of tasks.
-            task: called with its number and with what tells it that its result is no longer wanted; then it
-                may end in any way.
-            progress: called on the calling thread with how many tasks are done.
+            task: function of the task number and of an `IsCancelled` function. A cancelled task may return
+                any value or raise any exception.
+            progress: function called on the calling thread with the number of finished tasks.
         """
         progress = progress or (lambda done: None)
         if self._pool is None:
@@ -88,7 +90,7 @@ class Workers:
                 results.append(task(k, lambda: False))
                 progress(k + 1)
             return results
-        end = count  # results from this number on are not wanted
+        end = count  # results of tasks with this number or a higher one are not needed
         futures = [self._pool.submit(task, k, lambda k=k: k >= end) for k in range(count)]  # type: ignore[misc]
         try:
             for done, future in enumerate(as_completed(futures), start=1):
@@ -108,47 +110,48 @@ class Workers:
         return [future.result() for future in futures]
 
 
-def processors() -> int:
-    """Return how many processors this process may use."""
+def processor_count() -> int:
+    """Return the number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
-METHOD = "forkserver" if sys.platform == "linux" else "spawn"
+START_METHOD = "forkserver" if sys.platform == "linux" else "spawn"
 GRACE_S = 2.0
-"""How long a worker that is to end may take to leave its task and clean up."""
+"""Time for a worker to leave its task and clean up before it is killed, s."""
 
-# What the server imports is what this process would: nothing from the folder that it happens to stand in.
-# One thread of linear algebra a worker: there are as many workers as processors, and a process that is
-# forked should have no other threads.
-# This process warns of machine code that cannot be kept; workers need not say it again.
+# The parent process already warns of kernels that cannot be cached.
 _WARNINGS = (os.environ.get("PYTHONWARNINGS"), "ignore::UserWarning:srs_twin.compute.compiled")
 _ENVIRONMENT = {
+    # Import nothing from the current folder.
     "PYTHONSAFEPATH": "1",
+    # There are as many workers as processors, and a process to be forked should have no other threads.
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONWARNINGS": ",".join(filter(None, _WARNINGS)),
 }
+"""Environment variables of the fork server."""
+
 _preloaded: list[str] = []
 
 
 def start_server(preload: str | None = None) -> None:
-    """Start the server and return at once; nothing where one runs or none is needed.
+    """Start the fork server, unless it is running or not needed, without waiting for it.
 
     Args:
-        preload: module that it imports before it forks anybody.
+        preload: module that the server imports before it forks workers.
     """
-    if METHOD != "forkserver":
+    if START_METHOD != "forkserver":
         return
     if preload is not None:
         _preloaded[:] = [preload]
-    forkserver.set_forkserver_preload(_preloaded)  # by default it imports the program that is run
-    # Started outside the block below: it would let Ctrl-C through again.
+    forkserver.set_forkserver_preload(_preloaded)  # instead of the main program
+    # The tracker would unblock Ctrl-C if it were started inside the block below.
     resource_tracker.ensure_running()
     before = dict(os.environ)
     os.environ.update(_ENVIRONMENT)
     try:
-        with _interrupts_held_back():
+        with _interrupts_blocked():
             forkserver.ensure_running()
     finally:
         for name in _ENVIRONMENT:
@@ -157,8 +160,8 @@ def start_server(preload: str | None = None) -> None:
 
 
 @contextmanager
-def _interrupts_held_back() -> Iterator[None]:
-    """Let Ctrl-C wait: a process started here begins deaf to it, and this one hears it afterwards."""
+def _interrupts_blocked() -> Iterator[None]:
+    """Block SIGINT (Ctrl-C): a process started in the block ignores it, this one receives it afterwards."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -168,10 +171,11 @@ def _interrupts_held_back() -> Iterator[None]:
 
 @contextmanager
 def _empty_main_module() -> Iterator[None]:
-    """Put an empty module in the place of the program that is run, which is what a worker has there.
+    """Replace the main module by an empty one, like that of a worker.
 
-    multiprocessing has a process import that program again, and a script without ``__name__ == "__main__"``
-    would run twice. Here it finds none; and what only the program defines cannot be pickled for a worker.
+    Otherwise multiprocessing would import the main program in each worker, and a script without
+    ``__name__ == "__main__"`` would run again. Pickling also fails early for objects that only the main
+    program defines.
     """
     program = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
@@ -182,14 +186,14 @@ def _empty_main_module() -> Iterator[None]:
 
 
 @dataclass(frozen=True)
-class Done(Generic[Result]):
-    """How one task ended.
+class TaskResult(Generic[Result]):
+    """Result or error of one task.
 
     Attributes:
-        number: which argument it had.
-        result: what it returned; None after an error.
-        error: the `SrsError` that it raised, `TaskFailedError` for anything else that it raised,
-            `WorkerDiedError` where its workers died; None after a result.
+        number: index of its argument.
+        result: return value; None after an error.
+        error: `SrsError` that the task raised, `TaskFailedError` for any other exception, `WorkerDiedError`
+            if its workers died; None after success.
     """
 
     number: int
@@ -197,135 +201,161 @@ class Done(Generic[Result]):
     error: Exception | None
 
 
-def each(
+def run_tasks(
     task: Callable[[Argument], Result],
     arguments: Sequence[Argument],
     *,
     workers: int | None = None,
     attempts: int = 3,
     prepare: Callable[[], None] | None = None,
-) -> Generator[Done[Result], None, None]:
-    """Run a task on every argument in worker processes; yield what came of it, as it finishes.
+) -> Generator[TaskResult[Result], None, None]:
+    """Run a function on every argument in worker processes; yield results in the order of completion.
 
-    A worker that dies (killed, out of memory, a fault in compiled code) costs only the task it was at: that
-    goes to a fresh worker. Workers leave Ctrl-C to this process. They end when the generator is closed, and
-    when this process is gone, whatever ended it.
+    If a worker dies (killed, out of memory, a crash in compiled code), its task is repeated in a new worker.
+    Workers ignore Ctrl-C. They end when the generator is closed or this process ends for any reason.
 
     Args:
-        task: called in a worker; it, the arguments and the results can be pickled and the function imported.
-        arguments: one a task.
-        workers: how many processes; default one a processor, never more than tasks.
-        attempts: how many workers a task may cost before it is given up.
-        prepare: called once in each worker before its first task.
+        task: function called in a worker; function, arguments and results must be picklable.
+        arguments: one argument per task.
+        workers: number of processes (default: one per processor), at most one per task.
+        attempts: number of workers that may die on a task before it fails.
+        prepare: function called once in each worker before its first task.
 
     Raises:
-        InputError: fewer than one worker or attempt; what only the program that is run defines, or what
-            cannot be pickled, among task and arguments.
-        SrsError: ``prepare`` raised it; no task can run.
-        TaskFailedError: ``prepare`` raised anything else, or the task cannot be imported.
-        WorkerDiedError: ``attempts`` workers one after another died before their first task.
+        InputError: fewer than one worker or attempt; task or arguments that cannot be pickled or that only
+            the main program defines.
+        SrsError: raised by ``prepare``; no task can run.
+        TaskFailedError: any other exception of ``prepare``, or the task cannot be imported.
+        WorkerDiedError: ``attempts`` workers in a row died before their first task.
     """
-    count = processors() if workers is None else workers
-    for name, given in (("workers", count), ("attempts", attempts)):
-        if given < 1:
-            raise InputError(f"{name}: {given} is not allowed; it must be 1 or more")
+    count = processor_count() if workers is None else workers
+    for name, value in (("workers", count), ("attempts", attempts)):
+        if value < 1:
+            raise InputError(f"{name}: {value} is not allowed; it must be 1 or more")
     try:
         with _empty_main_module():
             program, *packed = map(pickle.dumps, [(task, prepare), *arguments])
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise InputError(
-            f"worker processes cannot be given this: {error}. They import functions and classes by name, "
-            "but not the program that is run: define them in a module and import that"
+            f"cannot be sent to worker processes: {error}. Workers import functions and classes by name, but "
+            "not from the main program: define them in a module and import it"
         ) from error
-    return _run(program, packed, count, attempts)
+    return _TaskRun(program, packed, count, attempts).results()
 
 
-def _run(
-    program: bytes, packed: Sequence[bytes], count: int, attempts: int
-) -> Generator[Done[Any], None, None]:
-    left = len(packed)
-    waiting, finished = deque(range(left)), deque[Done[Any]]()
-    deaths, stillborn, last_stillborn = [0] * left, 0, 0.0
-    workers: list[_Worker] = []
-    try:
-        while left:
-            while len(workers) < min(count, left - len(finished)):
-                workers.append(_Worker(program))
-            for worker in workers:
-                if waiting and worker.ready and worker.number is None:
-                    with suppress(OSError):  # it died before the task
-                        worker.pipe.send_bytes(packed[waiting[0]])
-                        worker.number = waiting.popleft()
-            if finished:  # every worker has a task meanwhile
-                left -= 1
-                yield finished.popleft()
+class _TaskRun:
+    """State of one `run_tasks`: waiting tasks, finished tasks, and workers."""
+
+    def __init__(self, program: bytes, packed: Sequence[bytes], count: int, attempts: int) -> None:
+        self._program, self._packed = program, packed
+        self._count, self._attempts = count, attempts
+        self._waiting = deque(range(len(packed)))
+        self._finished = deque[TaskResult[Any]]()
+        self._deaths = [0] * len(packed)  # of workers, per task
+        self._failed_starts = 0  # consecutive deaths before the first task
+        self._last_failed_start = 0.0
+        self._workers: list[_Worker] = []
+
+    def results(self) -> Generator[TaskResult[Any], None, None]:
+        """Yield the results of all tasks; end the workers when the generator is closed."""
+        remaining = len(self._packed)
+        try:
+            while remaining:
+                while len(self._workers) < min(self._count, remaining - len(self._finished)):
+                    self._workers.append(_Worker(self._program))
+                self._assign_tasks()
+                if self._finished:  # yield only while all workers are busy
+                    remaining -= 1
+                    yield self._finished.popleft()
+                else:
+                    self._wait()
+        finally:
+            for worker in self._workers:
+                worker.process.terminate()
+            deadline = time.monotonic() + GRACE_S
+            for worker in self._workers:
+                worker.end(deadline)
+
+    def _assign_tasks(self) -> None:
+        for worker in self._workers:
+            if self._waiting and worker.ready and worker.number is None:
+                with suppress(OSError):  # the worker died before the task
+                    worker.pipe.send_bytes(self._packed[self._waiting[0]])
+                    worker.number = self._waiting.popleft()
+
+    def _wait(self) -> None:
+        """Wait until a worker reports or dies, and handle all that did.
+
+        Raises:
+            SrsError: `prepare` failed, or workers died before their first task.
+        """
+        handles = [handle for worker in self._workers for handle in (worker.pipe, worker.process.sentinel)]
+        active = wait_for(handles)
+        for worker in list(self._workers):
+            if worker.pipe not in active and worker.process.sentinel not in active:
                 continue
-            heard = wait_for([each for worker in workers for each in (worker.pipe, worker.process.sentinel)])
-            for worker in [each for each in workers if each.pipe in heard or each.process.sentinel in heard]:
-                number = worker.number
-                try:
-                    result, error = worker.answer()
-                except (EOFError, OSError):  # killed in the middle of an answer, too
-                    workers.remove(worker)
-                    code = worker.end(time.monotonic() + GRACE_S)
-                    if worker.ready:
-                        stillborn = 0
-                    elif worker.begun > last_stillborn:  # not one of several that died as one
-                        stillborn, last_stillborn = stillborn + 1, time.monotonic()
-                        if stillborn == attempts:
-                            raise WorkerDiedError(code, attempts) from None
-                    if number is not None:
-                        deaths[number] += 1
-                        if deaths[number] < attempts:
-                            waiting.append(number)
-                        else:
-                            finished.append(Done(number, None, WorkerDiedError(code, attempts)))
-                    continue
-                if number is not None:
-                    finished.append(Done(number, result, error))
-                elif error is not None:
-                    raise error
-                worker.ready, worker.number, stillborn = True, None, 0
-    finally:
-        for worker in workers:
-            worker.process.terminate()
-        latest = time.monotonic() + GRACE_S
-        for worker in workers:
-            worker.end(latest)
+            try:
+                result, error = worker.receive()
+            except (EOFError, OSError):  # it died, possibly while it sent a result
+                self._handle_death(worker)
+                continue
+            if worker.number is not None:
+                self._finished.append(TaskResult(worker.number, result, error))
+            elif error is not None:
+                raise error
+            worker.ready, worker.number, self._failed_starts = True, None, 0
+
+    def _handle_death(self, worker: _Worker) -> None:
+        """Remove a dead worker and repeat its task, or report it as failed."""
+        self._workers.remove(worker)
+        exit_code = worker.end(time.monotonic() + GRACE_S)
+        if worker.ready:
+            self._failed_starts = 0
+        elif worker.start_time > self._last_failed_start:  # workers that started together count once
+            self._failed_starts, self._last_failed_start = self._failed_starts + 1, time.monotonic()
+            if self._failed_starts == self._attempts:
+                raise WorkerDiedError(exit_code, self._attempts) from None
+        if (number := worker.number) is not None:
+            self._deaths[number] += 1
+            if self._deaths[number] < self._attempts:
+                self._waiting.append(number)
+            else:
+                error = WorkerDiedError(exit_code, self._attempts)
+                self._finished.append(TaskResult(number, None, error))
 
 
 class _Worker:
-    """A worker process.
+    """Worker process and its pipe, as seen from the parent process.
 
     Attributes:
-        begun: when it was started, on the monotonic clock, s.
-        ready: whether it has answered that it can begin.
-        number: of the task that it is at, or None.
-        pipe: for pickled arguments and answers.
+        start_time: time of its start on the monotonic clock, s.
+        ready: whether it has reported that it can run tasks.
+        number: number of its current task, or None.
+        pipe: connection for pickled arguments and results.
     """
 
     def __init__(self, program: bytes) -> None:
-        self.begun = time.monotonic()
+        self.start_time = time.monotonic()
         self.ready = False
         self.number: int | None = None
-        self.pipe, theirs = Pipe()
-        self.process = _start(_work, (theirs, program))
-        theirs.close()
+        self.pipe, remote_pipe = Pipe()
+        self.process = _start_process(_worker_main, (remote_pipe, program))
+        remote_pipe.close()
 
-    def answer(self) -> tuple[Any, Exception | None]:
-        """Return result and error, one of them None.
+    def receive(self) -> tuple[Any, Exception | None]:
+        """Return result and error of the task, one of them None.
 
         Raises:
-            EOFError, OSError: it has died.
+            EOFError, OSError: the worker has died.
         """
-        if not self.pipe.poll():  # where its server has died the pipe has no end
+        if not self.pipe.poll():  # if the fork server has died, the pipe reports no end of file
             raise EOFError
         answer: tuple[Any, Exception | None] = pickle.loads(self.pipe.recv_bytes())
         return answer
 
-    def end(self, latest: float) -> int:
-        """See that the process is gone, by force after a time; return its exit code."""
-        self.process.join(max(0.0, latest - time.monotonic()))
+    def end(self, deadline: float) -> int:
+        """Wait for the process to end, kill it after the deadline, and return its exit code."""
+        self.process.join(max(0.0, deadline - time.monotonic()))
         self.process.kill()
         self.process.join()
         code = self.process.exitcode
@@ -334,31 +364,31 @@ class _Worker:
         return code or 0
 
 
-def _start(target: Callable[..., None], arguments: tuple[Any, ...]) -> BaseProcess:
-    """Start a process that is deaf to Ctrl-C; try again for a while where the server has just died."""
-    latest = time.monotonic() + GRACE_S
+def _start_process(target: Callable[..., None], arguments: tuple[Any, ...]) -> BaseProcess:
+    """Start a process that ignores Ctrl-C; retry for a while, because the fork server may have just died."""
+    deadline = time.monotonic() + GRACE_S
     while True:
         start_server()
-        process = get_context(METHOD).Process(target=target, args=arguments, daemon=True)  # type: ignore[attr-defined]
-        # The server is deaf to Ctrl-C, and so is who comes from it.
-        held_back = nullcontext() if METHOD == "forkserver" else _interrupts_held_back()
+        process = get_context(START_METHOD).Process(target=target, args=arguments, daemon=True)  # type: ignore[attr-defined]
+        # The fork server ignores Ctrl-C, and so do its children.
+        blocked = nullcontext() if START_METHOD == "forkserver" else _interrupts_blocked()
         try:
-            with held_back, _empty_main_module():
+            with blocked, _empty_main_module():
                 process.start()
             started: BaseProcess = process
             return started
         except (OSError, EOFError):
-            if time.monotonic() > latest:
+            if time.monotonic() > deadline:
                 raise
             time.sleep(0.02)
 
 
-def _work(pipe: Connection, program: bytes) -> None:
-    """Be a worker: the main thread runs tasks, another takes in arguments."""
+def _worker_main(pipe: Connection, program: bytes) -> None:
+    """Run the tasks of a worker process on its main thread; a second thread receives the arguments."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _leave)
-    inbox: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-    threading.Thread(target=_listen, args=(pipe, inbox), daemon=True).start()
+    signal.signal(signal.SIGTERM, _raise_exit)
+    arguments: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    threading.Thread(target=_receive_arguments, args=(pipe, arguments), daemon=True).start()
     task: Any = None
 
     def begin() -> None:
@@ -367,38 +397,38 @@ def _work(pipe: Connection, program: bytes) -> None:
         if prepare is not None:
             prepare()
 
-    with suppress(OSError):  # nobody waits for an answer any more
-        pipe.send_bytes(_answer(begin))
+    with suppress(OSError):  # the parent process no longer reads results
+        pipe.send_bytes(_call_and_pickle(begin))
         while True:
-            raw = inbox.get()
-            pipe.send_bytes(_answer(lambda raw=raw: task(pickle.loads(raw))))  # type: ignore[misc]
+            raw = arguments.get()
+            pipe.send_bytes(_call_and_pickle(lambda raw=raw: task(pickle.loads(raw))))  # type: ignore[misc]
 
 
-def _answer(call: Callable[[], Any]) -> bytes:
-    """Return what a call came to as the parent reads it: result and error, one of them None."""
+def _call_and_pickle(call: Callable[[], Any]) -> bytes:
+    """Call a function and return its result and error, pickled; one of them is None."""
     try:
         return pickle.dumps((call(), None))
-    except Exception as error:  # a worker's outermost edge: one task must not cost the others theirs
-        known = error if isinstance(error, SrsError) else TaskFailedError(error)
-        # A traceback does not travel between processes; as a note it is shown where the error is.
-        known.add_note("".join(traceback.format_exception(error)))
+    except Exception as error:  # any exception of a task is reported, so that the worker continues
+        reported = error if isinstance(error, SrsError) else TaskFailedError(error)
+        # Tracebacks cannot be pickled; a note is printed with the error.
+        reported.add_note("".join(traceback.format_exception(error)))
         try:
-            return pickle.dumps((None, known))
+            return pickle.dumps((None, reported))
         except (pickle.PicklingError, TypeError, AttributeError) as reason:
             return pickle.dumps((None, TaskFailedError(reason)))
 
 
-def _listen(pipe: Connection, inbox: queue.SimpleQueue[bytes]) -> None:
-    """Take in arguments; where the pipe ends, the worker ends, whatever it is at."""
+def _receive_arguments(pipe: Connection, arguments: queue.SimpleQueue[bytes]) -> None:
+    """Receive arguments; end the worker, even during a task, when the parent closes the pipe."""
     with suppress(EOFError, OSError):
         while True:
-            inbox.put(pipe.recv_bytes())
-    # To the main thread itself: nothing else wakes it where it waits.
+            arguments.put(pipe.recv_bytes())
+    # Only a signal to the main thread interrupts its wait for arguments.
     signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
     time.sleep(GRACE_S / 2)
     os._exit(1)
 
 
-def _leave(number: int, frame: Any) -> None:
-    """Leave the task by an exception, so that it cleans up behind itself."""
+def _raise_exit(number: int, frame: Any) -> None:
+    """Raise SystemExit in the current task, so that its clean-up code runs."""
     raise SystemExit(128 + number)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from srs_twin.io.saved_state import Remembers, SavedState, names
+from srs_twin.io.saved_state import SavedState, Stateful
 from srs_twin.pneumatics.valves import LAYOUTS, Schedule
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
 
 
-class Controller(Remembers, ABC):
+class Controller(Stateful, ABC):
     """Maps what can be sensed to valve commands, once a tick.
 
     Controllers read `SnakeState.sensed` and what a camera would give, never `bend`.
@@ -29,7 +29,7 @@ class Controller(Remembers, ABC):
         finished: whether it has nothing more to do; a rollout ends after the tick in which this turns True.
     """
 
-    memory = names("finished")
+    state_attributes: ClassVar[tuple[str, ...]] = ("finished",)
 
     kind: str
     frequency: float | None = None
@@ -59,8 +59,8 @@ class Controller(Remembers, ABC):
         Raises:
             InputError: a controller that does not say what it remembers (`memory`).
         """
-        self.check_memory(Controller, f"controller '{self.kind}'")
-        return SavedState(self.identity(), self.remembered())
+        self.check_saveable(Controller, f"controller '{self.kind}'")
+        return SavedState(self.identity(), self.state_dict())
 
     def restore(self, state: SavedState) -> None:
         """Go on from a saved state: after `reset`, with its robot and tick, which only prepares here.
@@ -68,9 +68,9 @@ class Controller(Remembers, ABC):
         Raises:
             InputError: a state of another controller, or no `reset` before.
         """
-        self.check_memory(Controller, f"controller '{self.kind}'")
+        self.check_saveable(Controller, f"controller '{self.kind}'")
         state.check(f"controller '{self.kind}'", self.identity())
-        self.recall(state.content)
+        self.load_state_dict(state.content)
 
     def identity(self) -> dict[str, Any]:
         """Return what a saved state must share with the controller, JSON values."""
@@ -103,7 +103,7 @@ LARGEST_READING = 2 * math.pi
 """No segment bends further, rad: a reading beyond is a lost one."""
 
 
-class Readings(Remembers):
+class Readings(Stateful):
     """The sensed bends of a controller, tick by tick.
 
     A reading that is not finite, or larger than a full turn, is a lost one: the last good one stands for it
@@ -114,7 +114,7 @@ class Readings(Remembers):
         lost: whose last reading was lost, shape (segments,).
     """
 
-    memory = names("value", "lost")
+    state_attributes = ("value", "lost")
 
     def __init__(self, segments: int) -> None:
         """Make the readings of so many segments, none of them read yet."""

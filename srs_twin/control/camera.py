@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 from srs_twin.robot.world import Pose
 
 if TYPE_CHECKING:
@@ -38,10 +38,10 @@ class Camera:
     heading_noise: float = 0.0
 
 
-class CameraFrames(Remembers):
+class CameraFrames(Stateful):
     """The frames of one run."""
 
-    memory = names("_taken", "_noise")
+    state_attributes = ("_taken", "_noise")
 
     def __init__(self, camera: Camera, seed: int) -> None:
         self._camera = camera
@@ -76,7 +76,7 @@ class CameraFrames(Remembers):
         )
 
 
-class PeriodMean(Remembers):
+class PeriodMean(Stateful):
     """Running mean of poses over one period, exact for what is linear between frames.
 
     Attributes:
@@ -85,7 +85,7 @@ class PeriodMean(Remembers):
         whole: whether a whole period has been seen.
     """
 
-    memory = names("_sums", "_last", "middle", "pose", "whole")
+    state_attributes = ("_sums", "_last", "middle", "pose", "whole")
 
     def __init__(self, period: float) -> None:
         self._period = period

@@ -12,7 +12,7 @@ from srs_twin.control.base import Controller
 from srs_twin.control.gait import Gait
 from srs_twin.control.learning import ILC
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 from srs_twin.pneumatics import Pneumatics
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event
@@ -74,7 +74,7 @@ class GaitLimits:
         return GaitCommand(*(min(max(value, low), high) for value, (low, high) in parts))
 
 
-class CommandedGait(Remembers):
+class CommandedGait(Stateful):
     """A gait and its supply, both of which obey commands.
 
     Attributes:
@@ -82,7 +82,7 @@ class CommandedGait(Remembers):
         command: the one that holds.
     """
 
-    memory = names("gait", "command")
+    state_attributes = ("gait", "command")
 
     def __init__(self, spec: RobotSpec, tick: float, pneumatics: Pneumatics, command: GaitCommand) -> None:
         """Begin a gait.
@@ -128,7 +128,7 @@ class Steered(Controller):
         changes: (time in s, offset) of each change, in order of time.
     """
 
-    memory = names("_inner", "_done", "_events")
+    state_attributes = ("_inner", "_done", "_events")
 
     def __init__(self, controller: Gait | ILC, changes: Sequence[tuple[float, float]]) -> None:
         """Make the controller.

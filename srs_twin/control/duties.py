@@ -29,7 +29,7 @@ import math
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 from srs_twin.trajectory import Event
 
 LARGEST_OFFSET = 0.3
@@ -68,7 +68,7 @@ LEAST_READINGS = 8
 _ROUNDING = 1e-9  # of a period
 
 
-class Cycles(Remembers):
+class Cycles(Stateful):
     """Periods and peaks of the chambers of a snake in a travelling wave.
 
     Attributes:
@@ -82,7 +82,7 @@ class Cycles(Remembers):
         since: … and when it began, s.
     """
 
-    memory = names(
+    state_attributes = (
         *("begins", "number", "peak", "span", "lost", "since"),
         *("_most", "_least", "_seen", "_missed", "_next"),
     )
@@ -171,7 +171,7 @@ WITHIN = 0.05
 _DUTIES_ROUNDING = 1e-12
 
 
-class Duties(Remembers):
+class Duties(Stateful):
     """Duty of each chamber, and what is worth telling of how it was learnt.
 
     Attributes:
@@ -179,7 +179,7 @@ class Duties(Remembers):
         error: e of the last update, same shape, rad; NaN before the first.
     """
 
-    memory = names("value", "error", "_missed", "_bound", "_converged")
+    state_attributes = ("value", "error", "_missed", "_bound", "_converged")
 
     def __init__(self, segments: int, gain: float) -> None:
         """Make full duties that learn with k = `gain`, 1/rad."""

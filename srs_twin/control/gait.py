@@ -22,8 +22,7 @@ import numpy as np
 
 from srs_twin.compute.arrays import check_positive
 from srs_twin.control.base import Controller
-from srs_twin.errors import InputError, whole_steps
-from srs_twin.io.saved_state import names
+from srs_twin.errors import InputError, count_steps
 from srs_twin.plants.base import SnakeState
 from srs_twin.pneumatics.valves import SLOT_S, Schedule
 from srs_twin.robot.spec import RobotSpec
@@ -40,7 +39,7 @@ class Gait(Controller):
     """
 
     kind = "gait"
-    memory = names("frequency", "_offset", "lag")
+    state_attributes = ("frequency", "_offset", "lag")
     frequency: float
     lag: np.ndarray
     layouts = ("3/2", "in_out")
@@ -109,7 +108,7 @@ class Gait(Controller):
         """
         if len(self._phases) not in (0, spec.segments):
             raise InputError(f"{len(self._phases)} phases, but {spec.name} has {spec.segments} segments")
-        slots = whole_steps("tick", tick, "valve slot", SLOT_S) if tick > SLOT_S else 1
+        slots = count_steps("tick", tick, "valve slot", SLOT_S) if tick > SLOT_S else 1
         step = spec.phase_step if self._phase_step is None else self._phase_step
         self.lag = step * np.arange(spec.segments) - self.phase
         if self._phases:

@@ -25,7 +25,6 @@ from srs_twin.control.gait import Gait
 from srs_twin.control.module_faults import ModuleFaults
 from srs_twin.control.pwm import PulseWidth
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.io.saved_state import names
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event
 
@@ -63,7 +62,7 @@ class ILC(Controller):
     """
 
     kind = "ilc"
-    memory = names(
+    state_attributes = (
         *("_gait", "_pulses", "_cycles", "_readings", "duties", "faults", "amplitude"),
         *("_offset", "_peak", "_record", "_events", "_command", "_aim"),
     )

@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from srs_twin.control.duties import SIDES, Cycles
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 from srs_twin.trajectory import Event
 
 STILL_RAD = 0.02
@@ -37,7 +37,7 @@ BENT = 0.5
 """Share of the target from which on a vented segment is bent."""
 
 
-class ModuleFaults(Remembers):
+class ModuleFaults(Stateful):
     """Watches the segments of a snake, and names what is wrong with them.
 
     Attributes:
@@ -48,7 +48,7 @@ class ModuleFaults(Remembers):
         back: when each came back from its last test, shape (segments,), s.
     """
 
-    memory = names(
+    state_attributes = (
         *("named", "faulty", "tested", "testing", "back", "_weak", "_strong", "_cleared"),
         *("_since", "_bent", "_rest", "_looks", "_events"),
     )

@@ -7,12 +7,12 @@ import math
 import numpy as np
 
 from srs_twin.compute.arrays import check_positive
-from srs_twin.errors import InputError, whole_steps
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.errors import InputError, count_steps
+from srs_twin.io.saved_state import Stateful
 from srs_twin.pneumatics.valves import SLOT_S
 
 
-class PulseWidth(Remembers):
+class PulseWidth(Stateful):
     """Pulse-width modulation of 3/2 valves: each fills for a share of a carrier period, then vents.
 
     The + chamber's pulse begins its period and the − chamber's ends it, so that two duties that add up to 1
@@ -30,7 +30,7 @@ class PulseWidth(Remembers):
         duty: of the period that runs, shape (segments, 2).
     """
 
-    memory = names("_ticks", "_running", "duty")
+    state_attributes = ("_ticks", "_running", "duty")
 
     def __init__(
         self,
@@ -56,7 +56,7 @@ class PulseWidth(Remembers):
                 `long_ticks`.
         """
         check_positive("carrier_hz", carrier_hz)
-        self._slots = whole_steps("tick", tick, "valve slot", SLOT_S)
+        self._slots = count_steps("tick", tick, "valve slot", SLOT_S)
         self.period = 1 / carrier_hz
         if tick > self.period and not long_ticks:
             raise InputError(

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from srs_twin.control.base import Controller
-from srs_twin.errors import InputError, UnknownNameError, whole_steps
-from srs_twin.io.saved_state import names
+from srs_twin.errors import InputError, UnknownNameError, count_steps
 from srs_twin.plants.base import SnakeState
 from srs_twin.pneumatics.valves import LAYOUTS, SLOT_S, Schedule
 from srs_twin.robot.spec import RobotSpec
@@ -28,7 +27,7 @@ class Replay(Controller):
     """
 
     kind = "replay"
-    memory = names()
+    state_attributes = ()
 
     def __init__(self, schedule: Schedule, frequency: float | None = None) -> None:
         self.schedule, self.frequency = schedule, frequency
@@ -45,7 +44,7 @@ class Replay(Controller):
             raise InputError(
                 f"the recorded valves are of {segments} segments; {spec.name} has {spec.segments}"
             )
-        slots = whole_steps("tick", tick, "valve slot", SLOT_S) if tick > SLOT_S else 1
+        slots = count_steps("tick", tick, "valve slot", SLOT_S) if tick > SLOT_S else 1
         self._middle = tick * (np.arange(slots) + 0.5) / slots
 
     def step(self, state: SnakeState) -> np.ndarray:
@@ -81,7 +80,7 @@ class HoldValves(Controller):
     """
 
     kind = "hold_valves"
-    memory = names()
+    state_attributes = ()
 
     def __init__(self, plus: str = "fill", minus: str = "vent") -> None:
         """Make the controller.

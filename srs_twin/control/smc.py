@@ -55,7 +55,7 @@ from srs_twin.control.base import Controller, Readings
 from srs_twin.control.pwm import PulseWidth
 from srs_twin.control.reference import Reference
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event
 
@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
 
 
-class VelocityFilter(Remembers):
+class VelocityFilter(Stateful):
     """Second-order differentiating low-pass (module docstring).
 
     Attributes:
@@ -72,7 +72,7 @@ class VelocityFilter(Remembers):
         lag: √2/ω_c, s, by which both come late.
     """
 
-    memory = names("_last", "value", "rate")
+    state_attributes = ("_last", "value", "rate")
 
     def __init__(self, cutoff_hz: float | np.ndarray, tick: float) -> None:
         """Make a filter that has seen nothing yet.
@@ -129,7 +129,15 @@ class SlidingMode(Controller):
     """
 
     gains: ClassVar[tuple[str, ...]]
-    memory = names("_readings", "_reading", "_cut", "_wanted", "_error", "_sigma", "_events")
+    state_attributes: ClassVar[tuple[str, ...]] = (
+        "_readings",
+        "_reading",
+        "_cut",
+        "_wanted",
+        "_error",
+        "_sigma",
+        "_events",
+    )
 
     reference: Reference
 
@@ -199,7 +207,7 @@ class DirectSMC(SlidingMode):
     """
 
     kind = "direct_smc"
-    memory = names("_filter", "_rate")
+    state_attributes = ("_filter", "_rate")
     layouts = ("in_out",)
     gains = ("D", "epsilon", "cutoff_hz")
 
@@ -257,7 +265,7 @@ class IterativeSMC(SlidingMode):
     """
 
     kind = "iterative_smc"
-    memory = names("_pulses", "_mu", "_before", "_sum", "_count")
+    state_attributes = ("_pulses", "_mu", "_before", "_sum", "_count")
     layouts = ("3/2",)
     gains = ("K", "D")
 

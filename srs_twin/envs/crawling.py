@@ -23,10 +23,9 @@ from srs_twin.control.camera import Camera, CameraFrames
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
 from srs_twin.envs.task import Episode, Signal, Signals, Task, numbered
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import names
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
-from srs_twin.robot.drawn_worlds import strewn
+from srs_twin.robot.random_worlds import random_circles
 from srs_twin.robot.world import Bounds, Goal, World
 
 STEP_S = 0.1
@@ -131,7 +130,9 @@ class CrawlTask(Task):
         if self.place.strewn is None:
             return ()
         clear = ((0.0, 0.0, _CLEAR_M), (goal.x, goal.y, _CLEAR_M))
-        return strewn(self.place.obstacles, self.place.strewn, seed, radius=_RADII_M, gap=_GAP_M, clear=clear)
+        return random_circles(
+            self.place.obstacles, self.place.strewn, seed, radius=_RADII_M, gap=_GAP_M, clear=clear
+        )
 
 
 class CrawlEpisode(Episode):
@@ -141,7 +142,7 @@ class CrawlEpisode(Episode):
         world: obstacles, room and goal.
     """
 
-    memory = names("_gait", "_frames", "_readings", "_distance")
+    state_attributes = ("_gait", "_frames", "_readings", "_distance")
 
     def __init__(
         self, task: CrawlTask, twin: TwinSnake, world: World, heading: float, frames: CameraFrames, seed: int

@@ -11,11 +11,11 @@ from dm_env import specs
 
 from srs_twin.envs.task import Episode, Signal, StepResult, Task, check_seed, high, low
 from srs_twin.envs.tasks import make_task
-from srs_twin.io.saved_state import CopiedWhole
+from srs_twin.io.saved_state import DeepCopied
 from srs_twin.plants.twin.physics import dm as dm_mujoco
 
 
-class EpisodePhysics(CopiedWhole, control.Physics):
+class EpisodePhysics(DeepCopied, control.Physics):
     """Episodes of a task as dm_control steps them; one step is one of the task's.
 
     Attributes:
@@ -103,7 +103,7 @@ class DmTask(control.Task):
         return 1.0 if physics.result.truncated else None
 
 
-class SnakeEnvironment(CopiedWhole, control.Environment):
+class SnakeEnvironment(DeepCopied, control.Environment):
     """A dm_env environment whose copies share no state with it."""
 
 

@@ -24,8 +24,8 @@ from gymnasium.vector import SyncVectorEnv
 from srs_twin.compute.workers import Workers
 from srs_twin.envs.task import Episode, Signals, check_seed, checked_options, finite, high, low, shortened
 from srs_twin.envs.tasks import make_task
-from srs_twin.errors import EngineWarning, InputError, UnknownNameError, one_of
-from srs_twin.io.saved_state import CopiedWhole
+from srs_twin.errors import EngineWarning, InputError, UnknownNameError, check_choice
+from srs_twin.io.saved_state import DeepCopied
 from srs_twin.plants.twin.batch import ENGINES, warp_batch
 
 _GOAL_LINE = 0.003  # half of its width over the camera's distance
@@ -102,7 +102,7 @@ RENDER_MODES = ("rgb_array",)
 FPS = 10
 
 
-class SnakeEnv(CopiedWhole, gymnasium.Env[np.ndarray, np.ndarray]):
+class SnakeEnv(DeepCopied, gymnasium.Env[np.ndarray, np.ndarray]):
     """A task for one agent; `gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")` makes it.
 
     Actions and observations are boxes of float32, one number for each of the task's signals. The time limit
@@ -221,7 +221,7 @@ def space_of(signals: Signals) -> spaces.Box:
 StepTuple = tuple[np.ndarray, float, bool, bool, dict[str, Any]]
 
 
-class SnakeVectorEnv(CopiedWhole, SyncVectorEnv[np.ndarray, np.ndarray]):
+class SnakeVectorEnv(DeepCopied, SyncVectorEnv[np.ndarray, np.ndarray]):
     """Environments of one task: `gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=64)`.
 
     An environment whose episode has ended begins another with the next step, whatever its action
@@ -254,7 +254,7 @@ class SnakeVectorEnv(CopiedWhole, SyncVectorEnv[np.ndarray, np.ndarray]):
         if num_envs < 1:
             raise InputError(f"num_envs {num_envs} is not allowed; it must be 1 or more")
         super().__init__([partial(SnakeEnv, task, **settings)] * num_envs)
-        one_of("engine", engine, ENGINES)
+        check_choice("engine", engine, ENGINES)
         self._kind: Any = warp_batch() if engine == "warp" else None
         self._device = device
         self._batch: Any = None
@@ -283,7 +283,7 @@ class SnakeVectorEnv(CopiedWhole, SyncVectorEnv[np.ndarray, np.ndarray]):
             raise InputError(f"seed: {len(seeds)} were given for {self.num_envs} environments; give one each")
         for each in seeds:
             check_seed(each)
-        drawn = self._workers.each(self.num_envs, lambda k, _: self.envs[k].draw(seeds[k], options))
+        drawn = self._workers.run(self.num_envs, lambda k, _: self.envs[k].draw(seeds[k], options))
         begun = [env.take(seed, each) for env, seed, each in zip(self.envs, seeds, drawn, strict=True)]
         self._over = np.zeros(self.num_envs, dtype=bool)
         if self._kind is not None:
@@ -310,7 +310,7 @@ class SnakeVectorEnv(CopiedWhole, SyncVectorEnv[np.ndarray, np.ndarray]):
         if self._batch is not None:
             stepped = self._together(actions)
         else:
-            stepped = self._workers.each(self.num_envs, lambda k, _: self._stepped(k, actions[k]))
+            stepped = self._workers.run(self.num_envs, lambda k, _: self._stepped(k, actions[k]))
         *numbers, infos = zip(*stepped, strict=True)
         observations, rewards, terminated, truncated = map(np.array, numbers)
         self._over = terminated | truncated

@@ -20,7 +20,6 @@ from srs_twin.control.pwm import PulseWidth
 from srs_twin.control.smc import CARRIER_HZ
 from srs_twin.envs.task import Episode, Signal, Task
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import names
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics.chambers import largest_bend
 
@@ -85,7 +84,7 @@ class ModuleTask(Task):
 class ModuleEpisode(Episode):
     """One try to track."""
 
-    memory = names("_carrier", "_readings", "_duties", "_levels")
+    state_attributes = ("_carrier", "_readings", "_duties", "_levels")
 
     def __init__(self, task: ModuleTask, twin: TwinSnake, levels: np.ndarray, seed: int) -> None:
         """Begin with a straight module and empty chambers."""

@@ -18,14 +18,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from inspect import signature
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from srs_twin.errors import DivergedError, InputError, UnknownNameError, whole_steps
+from srs_twin.errors import DivergedError, InputError, UnknownNameError, count_steps
 from srs_twin.identification.fit_file import FitFile, load_fit
 from srs_twin.identification.unknowns import unknowns, with_values
-from srs_twin.io.saved_state import Remembers, SavedState, names
+from srs_twin.io.saved_state import SavedState, Stateful
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.file import RobotFile, load_robot_file
@@ -220,7 +220,7 @@ class Task(ABC):
             InputError: a robot, fit or range that cannot be, a time limit that is no multiple of the step.
         """
         variation = Variation.of(robot, fit, ranges)
-        whole_steps("limit_s", limit_s, "step", self.step_s)
+        count_steps("limit_s", limit_s, "step", self.step_s)
         allowed = set(signature(TwinSnake).parameters) - _TASKS_OWN
         for name in twin:
             if name not in allowed:
@@ -238,7 +238,7 @@ class Task(ABC):
         self, spec: RobotSpec, last: Episode | None, world: World | None = None, **own: Any
     ) -> TwinSnake:
         """Return a twin: that of an episode that is over, where it is the same and met no obstacles."""
-        solid = world is not None and world.solid
+        solid = world is not None and world.has_obstacles
         if last is not None and last.twin.spec == spec and not (solid or last.twin.touches):
             return last.twin
         return TwinSnake(spec, tick=self.step_s, world=world, **own, **self._settings)
@@ -256,7 +256,7 @@ class Task(ABC):
         """
 
 
-class Episode(Remembers, ABC):
+class Episode(Stateful, ABC):
     """One try; `save` and `go_on` branch it.
 
     Attributes:
@@ -267,7 +267,7 @@ class Episode(Remembers, ABC):
         first: what the agent gets before its first action.
     """
 
-    memory = names("twin", "state", "ending", "_steps", "_seen")
+    state_attributes: ClassVar[tuple[str, ...]] = ("twin", "state", "ending", "_steps", "_seen")
 
     ending = ""
     goal: Goal | None = None
@@ -277,12 +277,12 @@ class Episode(Remembers, ABC):
         self.twin, self.state = twin, state
         self._task = task
         self._bounds = low(task.observations), high(task.observations)
-        self._steps, self._most = 0, whole_steps("limit_s", task.limit_s, "step", task.step_s)
+        self._steps, self._most = 0, count_steps("limit_s", task.limit_s, "step", task.step_s)
         self.first = StepResult(self._observation(), 0.0, False, False, self._info())
 
     def save(self) -> SavedState:
         """Return all that decides what comes next but the agent, for `go_on`."""
-        return SavedState(self.identity(), self.remembered())
+        return SavedState(self.identity(), self.state_dict())
 
     def go_on(self, state: SavedState) -> None:
         """Go on from a state that an episode of the same draw was in; it is the first one of this episode.
@@ -291,7 +291,7 @@ class Episode(Remembers, ABC):
             InputError: the state of another task, robot or surroundings.
         """
         state.check(f"episode of {self._task.name}", self.identity())
-        self.recall(state.content)
+        self.load_state_dict(state.content)
         self.first = StepResult(self._seen.copy(), 0.0, False, False, self._info())
 
     def place(self, snake: SnakeState, yaw_rate: float = 0.0) -> None:

@@ -39,7 +39,7 @@ from srs_twin.identification.fitting import (
     print_table,
 )
 from srs_twin.identification.options import FilesArgument, FindOption, FitOptions, RobotOption, ValidateOption
-from srs_twin.io.files import shown
+from srs_twin.io.files import display_path
 from srs_twin.recordings.options import FrequencyOption, OffsetOption, ReadingOptions, ValvesOption
 
 if TYPE_CHECKING:
@@ -141,8 +141,8 @@ def design(
             raise InputError(f"--want {text}: must be NAME=PERCENT, as in friction.mu_t=5%") from None
     file, shares = load_robot_file(robot), (np.arange(64) + 0.5) / 64
     doubted = any(record.uncertain for record in file.records().values())
-    priors = Priors.of(file).each if doubted else ()
-    known = {prior.path: (prior.value, float(prior.at(shares).std())) for prior in priors}
+    priors = Priors.from_robot(file).parameters if doubted else ()
+    known = {prior.path: (prior.value, float(prior.quantile(shares).std())) for prior in priors}
     with interruptible("nothing was chosen"):
         found = designed(load_robot(robot), known, wanted)
     if as_json:
@@ -198,7 +198,7 @@ def actuator(
         place.finish(found, "static", f"Actuators of {spec.name} from held pressures", tables, others)
         if static:
             fits.write_static(one[0], path := place.path.with_suffix(".table.csv"))
-            say(f"{len(one[0].bend)} plateaus in {shown(path)}", quiet=fit.quiet)
+            say(f"{len(one[0].bend)} plateaus in {display_path(path)}", quiet=fit.quiet)
 
     if _alike([*files, *kept], fits.is_static, "tables of held pressures", "recordings"):
         _needless(valves, "--valves", "tables of held pressures have no log")
@@ -301,12 +301,14 @@ def robot(
         weak: Take what is only weakly identified as well.
     """
     from srs_twin.identification.fitted_robot import fitted_robot, write_robot
-    from srs_twin.io.files import open_folder
+    from srs_twin.io.files import check_output_folder
 
     path = Path(out) if out else Path("robots") / f"{name}.yaml"
-    open_folder(path.parent, (path.name,))
+    check_output_folder(path.parent, (path.name,))
     if os.path.lexists(path) and not overwrite:
-        raise InputError(f"{shown(path)}: exists already; --overwrite replaces it, --out leads elsewhere")
+        raise InputError(
+            f"{display_path(path)}: exists already; --overwrite replaces it, --out leads elsewhere"
+        )
     found = fitted_robot(fits, name, weak=weak)
     write_robot(found, path)
     if as_json:
@@ -407,7 +409,7 @@ def footprint(
     wanted = None if offsets is None else _numbers(offsets)
     from srs_twin.identification.footprint import Drive, footprint_file, header, refuse_other
     from srs_twin.identification.footprint import study as study_of
-    from srs_twin.io.files import open_folder
+    from srs_twin.io.files import check_output_folder
     from srs_twin.planning.footprint import save_footprint
     from srs_twin.robot.file import load_robot
     from srs_twin.scenario.provenance import versions
@@ -423,7 +425,7 @@ def footprint(
     path = Path(out) / f"{called}.yaml"
     if not overwrite:
         refuse_other(path, study, robot, called)
-    open_folder(path.parent, (path.name,))
+    check_output_folder(path.parent, (path.name,))
     with interruptible(NOTHING_WRITTEN), Counting(called, study.runs, quiet=quiet) as counting:
         measured = study.measure(threads=threads, progress=lambda done: counting(failed=False))
     file = footprint_file(measured, called)
@@ -432,7 +434,7 @@ def footprint(
     elif not quiet:
         _show(measured)
     save_footprint(file, path, header=header(study, robot, called, versions()))
-    say(f"footprint in {shown(path)}", quiet=quiet)
+    say(f"footprint in {display_path(path)}", quiet=quiet)
 
 
 @app.command()
@@ -458,20 +460,20 @@ def margin(
         out: Folder of the footprint's file.
     """
     from srs_twin.identification.excursions import excursions
-    from srs_twin.io.documents import Change
-    from srs_twin.io.files import find, open_folder, read_text
+    from srs_twin.io.documents import Override
+    from srs_twin.io.files import check_output_folder, find_file, read_text
     from srs_twin.planning.footprint import load_footprint_file, save_footprint
     from srs_twin.planning.margins import quantile
     from srs_twin.scenario.loading import load_scenario
 
     # Whatever margin the scenario wants, it is not what is measured.
-    none = Change("a margin to be measured", ("planner", "margin_probability"), None)
+    none = Override("a margin to be measured", ("planner", "margin_probability"), None)
     found = load_scenario(scenario, set=[*changes.changes(), none])
     chosen = plants_of(plants) or list(found.plants)
     assert found.file.section("planner") is not None, "a margin of it was set"
-    place = find("footprint", found.file.section("planner").footprint)
+    place = find_file("footprint", found.file.section("planner").footprint)
     path = Path(out) / f"{load_footprint_file(place).name}.yaml"
-    open_folder(path.parent, (path.name,))
+    check_output_folder(path.parent, (path.name,))
     with interruptible(NOTHING_WRITTEN), Counting(found.name, runs * len(chosen), quiet=quiet) as counting:
         measured = [
             excursions(found, plant, runs, workers=jobs, progress=lambda: counting(failed=False))
@@ -490,7 +492,7 @@ def margin(
             shares = [quantile(each.path_m, share) for share in (0.5, 0.9, 0.95)] + [each.path_m[-1]]
             table.add_row(each.conditions.plant, *(f"{1000 * value:.0f}" for value in shares))
         console().print(table)
-    say(f"excursions in {shown(path)}", quiet=quiet)
+    say(f"excursions in {display_path(path)}", quiet=quiet)
 
 
 def _numbers(text: str) -> list[float]:

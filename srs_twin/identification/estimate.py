@@ -40,7 +40,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.identification.unknowns import Unknown
-from srs_twin.trajectory import Shown
+from srs_twin.trajectory import HtmlResult
 
 IDENTIFIED = 0.1
 """Largest standard error in z of what is identified."""
@@ -170,7 +170,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Estimate(Shown):
+class Estimate(HtmlResult):
     """What a fit found.
 
     Attributes:

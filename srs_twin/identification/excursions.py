@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.compute.workers import each
+from srs_twin.compute.workers import run_tasks
 from srs_twin.errors import InputError
 from srs_twin.planning.follower import ENDINGS, Follower
 from srs_twin.planning.margins import LOST_M, ExcursionsFile
@@ -147,7 +147,7 @@ def excursions(
     }
     tried = [Tried(alone, conditions.run_up_m, plant, seed) for seed in range(runs)]
     found: list[tuple[float, float]] = []
-    for done in each(Tried.run, tried, workers=workers):
+    for done in run_tasks(Tried.run, tried, workers=workers):
         if done.result is None:
             raise InputError(f"{scenario.name}, seed {done.number}: {done.error}")
         found.append(done.result)

@@ -23,10 +23,10 @@ from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.identification.estimate import Estimate, Parameter, Role, Verdict
 from srs_twin.identification.unknowns import unit_of
 from srs_twin.io.documents import Loc, dump_yaml
-from srs_twin.io.files import existing, write_text
-from srs_twin.io.validation import Strict, load_model
-from srs_twin.robot.sourced import between
-from srs_twin.trajectory import Shown, Trajectory
+from srs_twin.io.files import require_file, write_text
+from srs_twin.io.validation import StrictModel, load_model
+from srs_twin.robot.sourced import bounded
+from srs_twin.trajectory import HtmlResult, Trajectory
 
 
 @dataclass(frozen=True)
@@ -128,20 +128,20 @@ def trajectory_hash(trajectory: Trajectory) -> str:
     return fingerprint(*(trajectory[name] for name in sorted(trajectory.columns)))
 
 
-Number = Annotated[float, between(-1e12, 1e12)]
-Count = Annotated[int, between(0, 10**9)]
+Number = Annotated[float, bounded(-1e12, 1e12)]
+Count = Annotated[int, bounded(0, 10**9)]
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 Long = Annotated[str, Field(max_length=1000)]
 Averages = Annotated[dict[str, Number], Field(max_length=20)]
-Share = Annotated[float, between(-1.0, 1.0)]
-Size = Annotated[float, between(0.0, 1e12)]
+Share = Annotated[float, bounded(-1.0, 1.0)]
+Size = Annotated[float, bounded(0.0, 1e12)]
 Method = Literal["pulls", "coasting", "actuator", "static", "locomotion", "offsets", "edges"]
 
 _DIGITS = 9
 _NUMBERS = ("value", "standard_error", "low", "high")
 
 
-class DataEntry(Strict):
+class DataEntry(StrictModel):
     """One set of data and what it was used for."""
 
     name: Text
@@ -166,7 +166,7 @@ class DataEntry(Strict):
         return DataSet(**self.model_dump(exclude={"measured", "predicted"}))
 
 
-class ParameterEntry(Strict):
+class ParameterEntry(StrictModel):
     """One number that was looked for."""
 
     name: Text
@@ -187,12 +187,12 @@ class ParameterEntry(Strict):
     """What the verdict rests on."""
 
 
-class QualityFile(Strict):
+class QualityFile(StrictModel):
     """How well the data were met."""
 
     samples: Count
     """Samples that were fitted."""
-    independent_samples: Annotated[float, between(0.0, 1e9)]
+    independent_samples: Annotated[float, bounded(0.0, 1e9)]
     """What they are worth."""
     rms: Size | None = None
     """Weighted residuals of the fit; 1 where they are as large as expected."""
@@ -204,7 +204,7 @@ class QualityFile(Strict):
     """What is left where the model does not explain the data (default: it does)."""
 
 
-class FitFile(Strict, Shown):
+class FitFile(StrictModel, HtmlResult):
     """What a fit found."""
 
     page: ClassVar[str] = "fit"
@@ -343,7 +343,7 @@ def load_fit(path: str | os.PathLike[str]) -> FitFile:
         InputError: not found or not readable.
         InputFileError: everything that is wrong with it.
     """
-    return load_model(FitFile, existing(Path(path)))
+    return load_model(FitFile, require_file(Path(path)))
 
 
 def _apart(data: Sequence[DataEntry]) -> Iterator[tuple[Loc, str]]:

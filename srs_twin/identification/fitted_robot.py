@@ -20,7 +20,7 @@ from srs_twin.identification.fit_file import FitFile, ParameterEntry, load_fit
 from srs_twin.identification.unknowns import known, unknowns, with_values
 from srs_twin.io.documents import Document, dump_yaml
 from srs_twin.io.files import write_text
-from srs_twin.robot.file import SPREADS, RobotFile, load_robot_file, resolve_robot
+from srs_twin.robot.file import SPREAD_KEYS, RobotFile, load_robot_file, resolve_robot
 from srs_twin.robot.sourced import split_unit
 from srs_twin.robot.spec import RobotSpec
 
@@ -73,7 +73,7 @@ def robot_override(fit: FitFile, *, weak: bool = True, over: RobotSpec | None = 
         block["correlated"] = pairs
     spread = file.modules
     for key in block.get("modules", {}) if spread else ():
-        drawn = SPREADS[key.removesuffix("_rad")]
+        drawn = SPREAD_KEYS[key.removesuffix("_rad")]
         if getattr(spread, drawn) is not None:
             raise InputError(
                 f"{fit.robot}: it draws modules.{key} at random ({drawn}), which a fit cannot stand "
@@ -217,7 +217,7 @@ def fitted_robot(fits: Sequence[str | os.PathLike[str]], name: str, *, weak: boo
     title = f"{block['base']}, fitted: {', '.join(Path(path).stem for path in fits)}"
     document = Document(name, block | {"name": name, "title": title[:200]})
     robot = resolve_robot(document, document.data, prefix=())
-    document.finish()
+    document.raise_problems()
     assert robot is not None, "a robot without a problem was resolved"
     return robot
 

@@ -173,9 +173,9 @@ class FitDestination:
         command = as_typed(context)
         if os.path.lexists(path) and not options.overwrite:
             _refuse_other(path, command)
-        from srs_twin.io.files import open_folder
+        from srs_twin.io.files import check_output_folder
 
-        open_folder(path.parent, (path.name, path.with_suffix(".html").name))
+        check_output_folder(path.parent, (path.name, path.with_suffix(".html").name))
         return cls(given, path, robot, command, options.quiet, options.as_json)
 
     @contextmanager
@@ -198,8 +198,8 @@ class FitDestination:
         """
         from srs_twin.identification.fit_file import data_sets, fit_file, write_fit
         from srs_twin.identification.fit_report import fit_report
-        from srs_twin.io.file_sets import replaced
-        from srs_twin.io.files import shown
+        from srs_twin.io.file_sets import replace_files
+        from srs_twin.io.files import display_path
         from srs_twin.scenario.provenance import versions
 
         fit = fit_file(
@@ -214,7 +214,7 @@ class FitDestination:
         )
         report = self.path.with_suffix(".html")
         text = fit_report(fit, estimate)
-        with replaced(self.path.parent, (self.path.name, report.name)) as fresh:
+        with replace_files(self.path.parent, (self.path.name, report.name)) as fresh:
             (fresh / report.name).write_text(text, "utf-8")
             write_fit(fit, fresh / self.path.name)
         if self.as_json:
@@ -222,21 +222,21 @@ class FitDestination:
         elif not self.quiet:
             show(estimate)
         if not self.quiet:
-            say(f"fit in {shown(self.path)}, residuals in {shown(report)}")
+            say(f"fit in {display_path(self.path)}, residuals in {display_path(report)}")
 
 
 def _refuse_other(path: Path, command: str) -> None:
     """Refuse a place where the fit of another command stands, or something else."""
     from srs_twin.identification.fit_file import load_fit
-    from srs_twin.io.files import shown
+    from srs_twin.io.files import display_path
 
     remedy = "--overwrite replaces it, --name and --out lead elsewhere"
     try:
         there: FitFile = load_fit(path)
     except InputError as error:
-        raise InputError(f"{shown(path)}: something stands there that is no fit; {remedy}") from error
+        raise InputError(f"{display_path(path)}: something stands there that is no fit; {remedy}") from error
     if there.command != command:
-        raise InputError(f"{shown(path)}: another fit stands there ({there.command}); {remedy}")
+        raise InputError(f"{display_path(path)}: another fit stands there ({there.command}); {remedy}")
 
 
 def as_typed(context: typer.Context) -> str:

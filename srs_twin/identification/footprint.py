@@ -23,7 +23,7 @@ from srs_twin.control.gait import Gait
 from srs_twin.control.learning import ILC, TARGETS
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
 from srs_twin.identification.paths import STEADY_PERIODS, Change, SteadyPath, mean_path, transient, widest
-from srs_twin.io.files import read_text, shown
+from srs_twin.io.files import display_path, read_text
 from srs_twin.planning.footprint import FootprintFile, Transient
 from srs_twin.plants.base import Plant
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings, as_contact
@@ -502,8 +502,8 @@ def refuse_other(path: Path, study: Study, robot: str, name: str) -> None:
     first = [line.removeprefix("# ") for line in read_text(path).splitlines()[:2]]
     if first != _identity(study, robot, name):
         raise InputError(
-            f"{shown(path)}: another footprint stands there; --overwrite replaces it, --name and --out lead "
-            "elsewhere"
+            f"{display_path(path)}: another footprint stands there; --overwrite replaces it, "
+            "--name and --out lead elsewhere"
         )
 
 

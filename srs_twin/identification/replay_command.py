@@ -111,7 +111,7 @@ def _robot(robot: str, fits: Sequence[str]) -> RobotFile:
         return load_robot_file(robot)
     document = Document("--fit", overrides_of(fits, base=robot))
     found = resolve_robot(document, document.data, prefix=())
-    document.finish()
+    document.raise_problems()
     assert found is not None, "a robot without a problem was resolved"
     return found
 
@@ -147,9 +147,9 @@ def _expectations(path: str) -> list[Any]:
     Raises:
         InputFileError: everything that is wrong with it.
     """
-    from srs_twin.io.files import existing
+    from srs_twin.io.files import require_file
     from srs_twin.io.validation import load_model
     from srs_twin.scenario.expectation import ExpectationsFile
 
-    file = load_model(ExpectationsFile, existing(Path(path)))
+    file = load_model(ExpectationsFile, require_file(Path(path)))
     return [each.model_dump(mode="json", exclude_none=True) for each in file.expect]

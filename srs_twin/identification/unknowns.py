@@ -195,7 +195,7 @@ def _module(attribute: str, side: int | None, unit: str, low: float, high: float
         modules = spec.modules
         arrays = {each.name: modules.array(each.name) for each in fields(Modules)}
         arrays[attribute][k if side is None else (k, side)] = value
-        return replace(spec, variation=Modules.of(**arrays))
+        return replace(spec, variation=Modules.from_arrays(**arrays))
 
     return _Field(unit, low, high, get, put, numbered="segment", **more)
 

@@ -1,1 +1,1 @@
-"""Files in and out: YAML with positions, Parquet, folders that are written whole, shipped data and names."""
+"""Input and output: YAML with positions, JSON, Parquet, saved states, atomic writes, shipped files."""

@@ -1,9 +1,9 @@
-"""YAML documents with positions: every value remembers its line and column, every problem names them.
+"""YAML documents with the line and column of every value, for error messages.
 
-YAML 1.2 (core schema): ``yes`` is text, ``012`` is twelve. The file is parsed once, event by event, so that
-bounds hold before anything is built; anchors, aliases, tags, directives, merge keys and several documents
-are refused. (ruamel's round-trip loader fails with internal errors on some misplaced comments, and its
-safe loader keeps no positions.)
+YAML 1.2 with the core schema: ``yes`` is text and ``012`` is twelve. A file is parsed once, event by event,
+so that limits apply before data are built. Anchors, aliases, tags, directives, merge keys and several
+documents are rejected. ruamel's own loaders are not suitable: the round-trip loader fails with internal
+errors on some misplaced comments, and the safe loader has no positions.
 """
 
 from __future__ import annotations
@@ -24,21 +24,28 @@ from ruamel.yaml.reader import ReaderError
 from ruamel.yaml.representer import SafeRepresenter
 
 from srs_twin.errors import InputError, InputFileError
-from srs_twin.io.files import MAX_BYTES, printable, read_text, shown
+from srs_twin.io.files import MAX_BYTES, display_path, escape_unprintable, read_text
 
 Loc = tuple[str | int, ...]
+"""Path of a value in nested data: keys and list indices."""
+
 Position = tuple[int, int]
+"""Line and column, from 1."""
 
 MAX_DEPTH = 16
-MAX_NODES = 10_000
+"""Largest depth of nested lists and mappings; the reader is recursive."""
 
+MAX_NODES = 10_000
+"""Largest number of keys and values in a document."""
+
+# Characters to escape on writing: controls, unusual blanks, surrogates and byte order marks.
 _UNUSUAL = re.compile("[^\x20-\x7e\xa1-\u1fff\u2030-\ud7ff\ue000-\ufefe\U00010000-\U0010ffff]")
 
-_CORE: tuple[tuple[re.Pattern[str], Callable[[str], Any]], ...] = (
+_CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], Any]], ...] = (
     (re.compile(r"~|null|Null|NULL|"), lambda text: None),
     (re.compile(r"true|True|TRUE"), lambda text: True),
     (re.compile(r"false|False|FALSE"), lambda text: False),
-    # Python refuses to read integers of thousands of digits; as floats they become infinite and are refused.
+    # Longer integers are read as floats, so that they become infinite and are rejected.
     (re.compile(r"[-+]?[0-9]{1,300}"), int),
     (re.compile(r"0o[0-7]{1,300}"), lambda text: int(text[2:], 8)),
     (re.compile(r"0x[0-9a-fA-F]{1,300}"), lambda text: int(text[2:], 16)),
@@ -48,44 +55,45 @@ _CORE: tuple[tuple[re.Pattern[str], Callable[[str], Any]], ...] = (
 
 
 @dataclass(frozen=True)
-class Change:
-    """A value that stands in no file.
+class Override:
+    """Value from the command line or a program that replaces one of a file.
 
     Attributes:
-        words: who set it, as messages show it: "--set controller.frequency_hz=1.5".
+        label: origin of the value in messages, such as "--set controller.frequency_hz=1.5".
         loc: path of the field.
         value: plain data.
     """
 
-    words: str
+    label: str
     loc: Loc
     value: Any
 
     @classmethod
-    def of(cls, words: str, field: str, value: str) -> Change:
-        """Return what a dotted field and a value in YAML say.
+    def parse(cls, label: str, field: str, value: str) -> Override:
+        """Return the override for a dotted field name and a value in YAML.
 
         Raises:
-            InputFileError: the value is no YAML.
-            InputError: there is no field.
+            InputFileError: the value is not YAML.
+            InputError: the field name is empty.
         """
-        if not (loc := path_of(field)):
-            raise InputError(f"{words}: must be FIELD=VALUE, as in controller.frequency_hz=1.5")
-        return cls(words, loc, parse_yaml(value, words).data)
+        if not (loc := parse_path(field)):
+            raise InputError(f"{label}: must be FIELD=VALUE, as in controller.frequency_hz=1.5")
+        return cls(label, loc, parse_yaml(value, label).data)
 
 
 @dataclass
 class Document:
-    """Plain data of one file, where each piece stands, and what is wrong with it.
+    """Data of one file with the positions of values, and the problems found so far.
 
     Attributes:
-        name: the file as messages show it.
+        name: name of the file in messages.
         data: plain dicts, lists, text, numbers, true, false, None.
-        values: path of a value → line and column (from 1) where it begins; empty for data made in memory.
+        values: path of a value → line and column of its first character; empty for data made in memory.
         keys: path of a value → line and column of its key.
-        problems: position and message of everything found so far.
-        refused: positions at which the YAML itself was refused; what follows from that is not reported.
-        changes: words of what was set besides the file; the position of what the k-th set is (−k, 0).
+        problems: position and message of each problem.
+        refused: positions of invalid YAML; further problems at these positions are not reported.
+        override_labels: labels of the applied overrides; values of the k-th override have the position
+            (−k, 0).
     """
 
     name: str
@@ -94,95 +102,97 @@ class Document:
     keys: dict[Loc, Position] = field(default_factory=dict)
     problems: list[tuple[Position, str]] = field(default_factory=list)
     refused: set[Position] = field(default_factory=set)
-    changes: list[str] = field(default_factory=list)
+    override_labels: list[str] = field(default_factory=list)
 
-    def change(self, change: Change) -> None:
-        """Put a value in the place of the file's; what a name stands for there becomes its `base`."""
-        self.changes.append(change.words)
-        here = (-len(self.changes), 0)
+    def apply(self, override: Override) -> None:
+        """Set the value of an override; a name on its path becomes the `base` of a mapping."""
+        self.override_labels.append(override.label)
+        position = (-len(self.override_labels), 0)
         self.data = self.data if isinstance(self.data, dict) else {}
         data: Any = self.data
-        for k, part in enumerate(change.loc):
-            place = change.loc[: k + 1]
-            if isinstance(data, list) and not has_child(data, part):
-                self.problems.append((here, f"{dotted(place)}: there are {len(data)} entries, from 0"))
+        for k, key in enumerate(override.loc):
+            loc = override.loc[: k + 1]
+            if isinstance(data, list) and not has_child(data, key):
+                message = f"{format_path(loc)}: there are {len(data)} entries, counted from 0"
+                self.problems.append((position, message))
                 return
-            if not has_child(data, part):
-                self.keys[place] = self.values[place] = here
-            if place == change.loc:
+            if not has_child(data, key):
+                self.keys[loc] = self.values[loc] = position
+            if loc == override.loc:
                 break
-            below = child(data, part)
-            if isinstance(below, str):
-                below = {"base": below}
-            data[part] = data = below if isinstance(below, dict | list) else {}
-        data[part] = change.value
-        self._placed(change.loc, change.value, here)
+            inner = child(data, key)
+            if isinstance(inner, str):
+                inner = {"base": inner}
+            data[key] = data = inner if isinstance(inner, dict | list) else {}
+        data[key] = override.value
+        self._set_positions(override.loc, override.value, position)
 
-    def _placed(self, loc: Loc, value: Any, here: Position) -> None:
-        self.keys[loc] = self.values[loc] = here
+    def _set_positions(self, loc: Loc, value: Any, position: Position) -> None:
+        """Set the position of a value and of all values inside it."""
+        self.keys[loc] = self.values[loc] = position
         if isinstance(value, dict | list):
-            for part in value if isinstance(value, dict) else range(len(value)):
-                self._placed((*loc, part), value[part], here)
+            for key in value if isinstance(value, dict) else range(len(value)):
+                self._set_positions((*loc, key), value[key], position)
 
-    def setter(self, loc: Loc) -> str:
-        """Say who set a value: "set by --set …", or "set in" this file."""
+    def origin(self, loc: Loc) -> str:
+        """Return the origin of a value: "set by --set …", or "set in" and the file."""
         line = self.values.get(loc, (0, 0))[0]
-        return f"set by {self.changes[-line - 1]}" if line < 0 else f"set in {self.name}"
+        return f"set by {self.override_labels[-line - 1]}" if line < 0 else f"set in {self.name}"
 
     def get(self, *loc: str | int) -> Any:
-        """Return the value at a path, or None where there is none."""
+        """Return the value at a path, or None if there is none."""
         value = self.data
-        for part in loc:
-            value = child(value, part)
+        for key in loc:
+            value = child(value, key)
         return value
 
-    def known(self, loc: Loc) -> Loc:
-        """Return the part of a path, from its beginning, that the data have."""
+    def existing_prefix(self, loc: Loc) -> Loc:
+        """Return the longest prefix of a path that exists in the data."""
         value = self.data
-        for i, part in enumerate(loc):
-            if not has_child(value, part):
+        for i, key in enumerate(loc):
+            if not has_child(value, key):
                 return loc[:i]
-            value = child(value, part)
+            value = child(value, key)
         return loc
 
-    def visible(self, prefix: Loc, loc: Loc) -> Loc:
-        """Return a path as a person sees it in a file that leaves parts of it to another.
+    def user_path(self, prefix: Loc, loc: Loc) -> Loc:
+        """Return the path of a merged value in the file that the user wrote.
 
-        A robot's override is checked merged into its base: what is wrong with ``stiffness.value`` is there
-        wrong with ``stiffness``. What stands wholly in the base keeps its path.
+        A robot override is validated after it is merged into its base. An error in ``stiffness.value`` of the
+        merged robot is an error in ``stiffness`` of the override. A value from the base keeps its path.
         """
-        known = self.known(prefix + loc)
-        return known if len(known) > len(prefix) + 1 or known == prefix + loc else prefix + loc
+        existing = self.existing_prefix(prefix + loc)
+        return existing if len(existing) > len(prefix) + 1 or existing == prefix + loc else prefix + loc
 
     def report(self, loc: Loc, message: str, *, at_key: bool = False) -> None:
-        """Note a problem with the value (or key) at a path; what is not in the file points to its parent."""
-        known = self.known(loc)
-        position = (self.keys if at_key and known == loc else self.values).get(known, (0, 0))
+        """Add a problem with the value or key at a path; a missing value has the position of its parent."""
+        existing = self.existing_prefix(loc)
+        position = (self.keys if at_key and existing == loc else self.values).get(existing, (0, 0))
         if position not in self.refused:
-            self.problems.append((position, f"{dotted(loc)}: {message}" if loc else message))
+            self.problems.append((position, f"{format_path(loc)}: {message}" if loc else message))
 
     @contextmanager
-    def reporting(self, *loc: str | int) -> Iterator[None]:
-        """Note an `InputError` of a block as a problem with the value at a path."""
+    def report_errors(self, *loc: str | int) -> Iterator[None]:
+        """Report an `InputError` of a `with` block as a problem with the value at a path."""
         try:
             yield
         except InputError as error:
             self.report(loc, str(error))
 
-    def finish(self, foreign: Iterable[str] = ()) -> None:
+    def raise_problems(self, other_files: Iterable[str] = ()) -> None:
         """Raise one error with all problems, in the order of the file.
 
         Args:
-            foreign: messages about other files, put first.
+            other_files: messages about other files, which come first.
 
         Raises:
             InputFileError: there is at least one problem.
         """
-        lines = list(foreign)
-        # Of a value that may be one of several things, each of them says the same.
+        lines = list(other_files)
+        # The alternatives of a union report equal messages: these are shown once.
         for (line, column), message in sorted(dict.fromkeys(self.problems), key=itemgetter(0)):
             place = f"{self.name}:{line}:{column}" if line > 0 else self.name
-            lines.append(f"{self.changes[-line - 1] if line < 0 else place}: {message}")
+            lines.append(f"{self.override_labels[-line - 1] if line < 0 else place}: {message}")
         if lines:
             raise InputFileError(lines)
 
@@ -191,25 +201,25 @@ def load_yaml(path: Path, *, limit: int = MAX_BYTES) -> Document:
     """Read and parse a YAML file; see `parse_yaml`.
 
     Args:
-        path: of the file.
-        limit: Largest size that is read, bytes.
+        path: path of the file.
+        limit: largest allowed size, bytes.
 
     Raises:
         InputError: the file cannot be read.
-        InputFileError: it is no YAML at all.
+        InputFileError: the file is not YAML.
     """
-    return parse_yaml(read_text(path, limit=limit), shown(path))
+    return parse_yaml(read_text(path, limit=limit), display_path(path))
 
 
 def parse_yaml(text: str, name: str) -> Document:
-    """Parse YAML text into a document, whose `problems` hold what is refused but does not stop the parser.
+    """Parse YAML text; rejected features that do not stop the parser are `problems` of the document.
 
     Args:
-        text: the file's text.
-        name: the file's name for messages.
+        text: text of the file.
+        name: name of the file in messages.
 
     Raises:
-        InputFileError: a syntax error, nesting or size beyond the bounds, a second document.
+        InputFileError: a syntax error, too deep or too much data, or a second document.
     """
     reader = _Reader(YAML(typ="safe", pure=True).parse(text), Document(name))
     try:
@@ -225,50 +235,50 @@ def parse_yaml(text: str, name: str) -> Document:
         line, column = before.count("\n") + 1, error.position - before.rfind("\n")
         reader.fail((line, column), f"not YAML: unusable character U+{ord(text[error.position]):04X}")
     except (YAMLError, ValueError, OverflowError) as error:
-        # ValueError and OverflowError: an escape such as "\\UFFFFFFFF" that is no character.
+        # ValueError and OverflowError: an escape such as "\\UFFFFFFFF", which is not a character.
         reader.fail(reader.last, f"not YAML: {error}")
     return reader.document
 
 
 def dump_yaml(data: Any, *, compact: bool = False) -> str:
-    """Return plain data as YAML text that `parse_yaml` reads back as equal data.
+    """Return plain data as YAML text; `parse_yaml` reads it back as equal data.
 
     Args:
         data: dicts, lists, text, numbers, true, false, None.
-        compact: write lists and dicts that hold numbers alone in one line, as people do.
+        compact: write lists and dicts that contain only numbers in one line.
     """
     yaml = YAML(typ="safe", pure=True)
     yaml.Representer = _CompactRepresenter if compact else _Representer
     yaml.default_flow_style = False
     yaml.allow_unicode = True
-    yaml.width = 150 if compact else 110  # a row stays a row
+    yaml.width = 150 if compact else 110  # wide enough for the rows of compact lists
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
     stream = io.StringIO()
     yaml.dump(data, stream)
     return stream.getvalue()
 
 
-def dotted(loc: Loc) -> str:
-    """Return a path as people read it: ``expect[1].metric``."""
-    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc)
+def format_path(loc: Loc) -> str:
+    """Return a path as dotted text: ``expect[1].metric``."""
+    text = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in loc)
     return text.removeprefix(".")
 
 
-def path_of(name: str) -> Loc:
-    """Return the path that a dotted field means: ``world.obstacles[0].x_m``."""
+def parse_path(name: str) -> Loc:
+    """Return the path of a dotted field name, such as ``world.obstacles[0].x_m``."""
     return tuple(int(text) if text.isdigit() else text for text in re.split(r"[.\[\]]+", name) if text)
 
 
-def has_child(value: Any, part: str | int) -> bool:
-    """Say whether a dict has this key or a list this index."""
+def has_child(value: Any, key: str | int) -> bool:
+    """Return whether a dict has a key, or a list an index."""
     if isinstance(value, Mapping):
-        return part in value
-    return isinstance(value, list) and isinstance(part, int) and 0 <= part < len(value)
+        return key in value
+    return isinstance(value, list) and isinstance(key, int) and 0 <= key < len(value)
 
 
-def child(value: Any, part: str | int) -> Any:
-    """Return an entry of a dict or list, None where there is none."""
-    return value[part] if has_child(value, part) else None
+def child(value: Any, key: str | int) -> Any:
+    """Return an entry of a dict or list, or None if there is none."""
+    return value[key] if has_child(value, key) else None
 
 
 def _position(mark: Any) -> Position:
@@ -276,7 +286,7 @@ def _position(mark: Any) -> Position:
 
 
 class _Reader:
-    """Reads a document from ruamel's parse events by recursive descent, within bounds."""
+    """Recursive reader of ruamel's parse events, with limits on depth and size."""
 
     def __init__(self, parsed: Iterator[Any], document: Document) -> None:
         self.document = document
@@ -285,18 +295,18 @@ class _Reader:
         self._nodes = 0
 
     def fail(self, position: Position, message: str) -> None:
-        """Stop with this problem and those found before."""
+        """Raise this problem and all earlier ones."""
         self.document.problems.append((position, message))
-        self.document.finish()
+        self.document.raise_problems()
 
     def read(self) -> None:
-        """Read the stream, which may hold one document."""
+        """Read the stream, which may contain one document."""
         documents = 0
         while not isinstance(event := self._next(), events.StreamEndEvent):
             if isinstance(event, events.DocumentStartEvent):
                 documents += 1
                 if documents > 1:
-                    self.fail(self.last, "a second document begins here; one file holds one")
+                    self.fail(self.last, "a second document begins here; a file may contain one")
                 if event.version or event.tags:
                     self._refuse("YAML directives are not allowed; remove the line that begins with %")
             elif isinstance(event, events.NodeEvent):
@@ -308,17 +318,17 @@ class _Reader:
         return event
 
     def _value(self, event: Any, loc: Loc) -> Any:
-        """Return the value at a path, which begins with an event; note where it stands."""
+        """Return the value that begins with an event, and record its position."""
         self._check(event)
         scalar = isinstance(event, events.ScalarEvent)
         if scalar and event.implicit[0] and not event.value and loc in self.document.keys:
-            # Nothing after the colon: the parser's mark is in the next line, the key's is of more use.
+            # Nothing follows the colon: the parser's mark is in the next line, so take that of the key.
             self.last = self.document.keys[loc]
         self.document.values[loc] = self.last
         if scalar:
-            # A value may have several lines; anything else that a terminal would obey is no text.
+            # A value may have several lines; other control characters could change a terminal.
             text = self._text(event, keep="\n\t")
-            return _plain(text) if event.implicit[0] else text
+            return _resolve_scalar(text) if event.implicit[0] else text
         if isinstance(event, events.AliasEvent):
             return None
         if len(loc) >= MAX_DEPTH:
@@ -331,24 +341,24 @@ class _Reader:
         return values
 
     def _mapping(self, loc: Loc) -> dict[str, Any]:
-        found: dict[str, Any] = {}
+        mapping: dict[str, Any] = {}
         while not isinstance(event := self._next(), events.CollectionEndEvent):
             self._check(event)
             if not isinstance(event, events.ScalarEvent):
                 self.fail(self.last, "a key must be plain text")
             key = self._text(event, keep="")
-            place = (*loc, key)
+            key_loc = (*loc, key)
             if key == "<<" and event.implicit[0]:
                 self._refuse("merge keys (<<) are not allowed; write the keys out")
-            elif key in found:
-                line = self.document.keys[place][0]
-                self._refuse(f"{dotted(place)}: given twice; the first is in line {line}")
-            self.document.keys[place] = self.last
-            found[key] = self._value(self._next(), place)
-        return found
+            elif key in mapping:
+                line = self.document.keys[key_loc][0]
+                self._refuse(f"{format_path(key_loc)}: given twice; the first is in line {line}")
+            self.document.keys[key_loc] = self.last
+            mapping[key] = self._value(self._next(), key_loc)
+        return mapping
 
     def _check(self, event: Any) -> None:
-        """Count a node; refuse what it must not have."""
+        """Count a node; report an alias, anchor or tag as a problem."""
         self._nodes += 1
         if self._nodes > MAX_NODES:
             self.fail(self.last, f"more than {MAX_NODES} keys and values")
@@ -361,40 +371,44 @@ class _Reader:
             self._refuse(f"tags ({event.tag}) are not allowed; write the plain value")
 
     def _text(self, event: Any, *, keep: str) -> str:
-        text = printable(event.value, keep=keep)
+        """Return the text of a scalar with escapes; report characters that are not allowed."""
+        text = escape_unprintable(event.value, keep=keep)
         if text != event.value:
             bad = event.value[len(os.path.commonprefix([text, event.value]))]
             surrogate = "\ud800" <= bad <= "\udfff"
-            what = "half a surrogate pair" if surrogate else f"the control character {printable(bad)}"
-            self._refuse(f"{what} is no character of a text")
+            what = (
+                "half a surrogate pair" if surrogate else f"the control character {escape_unprintable(bad)}"
+            )
+            self._refuse(f"{what} is not allowed in text")
         return text
 
     def _refuse(self, message: str) -> None:
+        """Report a problem at the current position and continue."""
         self.document.problems.append((self.last, message))
         self.document.refused.add(self.last)
 
 
 class _Representer(SafeRepresenter):
-    """Writes text with unusual characters in quotes, escaped: U+0085 would come back as a blank."""
+    """Writer of text that quotes and escapes unusual characters: plain U+0085 would be read as a blank."""
 
 
-def _text(representer: SafeRepresenter, text: str) -> Any:
+def _represent_text(representer: SafeRepresenter, text: str) -> Any:
     style = '"' if _UNUSUAL.search(text) else None
     return representer.represent_scalar("tag:yaml.org,2002:str", text, style=style)
 
 
-_Representer.add_representer(str, _text)
+_Representer.add_representer(str, _represent_text)
 
 
 class _CompactRepresenter(_Representer):
-    """Writes lists and dicts of numbers alone as rows."""
+    """Writer of lists and dicts that contain only numbers in one line each."""
 
     def represent_sequence(self, tag: Any, sequence: Any, flow_style: Any = None) -> Any:
-        """See ruamel."""
+        """Represent a list; see ruamel."""
         return super().represent_sequence(tag, sequence, _is_row(sequence))
 
     def represent_mapping(self, tag: Any, mapping: Any, flow_style: Any = None) -> Any:
-        """See ruamel."""
+        """Represent a dict; see ruamel."""
         return super().represent_mapping(tag, mapping, _is_row(mapping.values()))
 
 
@@ -402,9 +416,9 @@ def _is_row(values: Collection[Any]) -> bool:
     return bool(values) and all(isinstance(value, int | float) for value in values)
 
 
-def _plain(text: str) -> Any:
-    """Return what unquoted text means in YAML 1.2's core schema."""
-    for pattern, convert in _CORE:
+def _resolve_scalar(text: str) -> Any:
+    """Return the value of an unquoted scalar under the core schema of YAML 1.2."""
+    for pattern, convert in _CORE_SCHEMA:
         if pattern.fullmatch(text):
             return convert(text)
     return text

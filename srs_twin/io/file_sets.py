@@ -1,11 +1,11 @@
-"""Sets of files that belong together: a new set takes the place of the earlier one whole, or not at all.
+"""Atomic replacement of a set of files.
 
-A run writes into a hidden folder ``.part-…`` in the folder of its results. When all files are written, the
-folder is locked, the earlier files are moved into ``.part-…/.aside``, and the new files are moved to their
-places. The first product is the completion mark: it is the first to leave and the last to arrive.
+A run writes into a hidden staging folder ``.part-…`` in the folder of its results. When all files are
+written, the folder is locked, the earlier files are moved into ``.part-…/.aside``, and the new files are
+moved into the folder. The first product is the completion mark: it is moved away first and moved in last.
 
-A process that is killed leaves its hidden folder, and no lock. The next run in the folder restores the
-earlier set from there, unless all new files have arrived.
+A killed process leaves its staging folder, but no lock. The next run in the folder restores the earlier set
+from there, unless all new files were moved in.
 """
 
 from __future__ import annotations
@@ -21,49 +21,49 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import made_folder, refuse_folders, shown
+from srs_twin.io.files import check_not_folders, display_path, make_folder
 
-_FRESH = ".part-"
-_PRODUCTS = ".products"
-"""List of the products in a hidden folder, one per line."""
+_STAGING_PREFIX = ".part-"
+_PRODUCT_LIST = ".products"
+"""Names of the products in a staging folder, one per line."""
 
 _ASIDE = ".aside"
-"""Earlier files; no new file has arrived."""
+"""Subfolder of earlier files before any new file is moved in."""
 
-_EARLIER = ".earlier"
-"""All earlier files; new files may have arrived."""
+_SAVED = ".earlier"
+"""The same subfolder once it has all earlier files; new files may have been moved in."""
 
-_GONE = ".gone"
-"""Earlier files after a swap that has ended."""
+_OBSOLETE = ".gone"
+"""The same subfolder after a complete replacement."""
 
-_WAIT_S = 60.0
-"""A swap takes milliseconds: a lock that is held for longer belongs to a process that was stopped."""
+_LOCK_TIMEOUT_S = 60.0
+"""A replacement takes milliseconds; a lock that lasts this long belongs to a suspended process."""
 
-# Network drives such as NFS lock no folder.
-_NO_LOCKS = (errno.EBADF, errno.EINVAL, errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+# Errors of file systems without folder locks, such as some network drives.
+_LOCKS_UNSUPPORTED = (errno.EBADF, errno.EINVAL, errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 
 
 @contextmanager
-def replaced(folder: Path, products: Sequence[str]) -> Iterator[Path]:
+def replace_files(folder: Path, products: Sequence[str]) -> Iterator[Path]:
     """Yield an empty folder for a set of files, which replaces the earlier set when the block ends.
 
-    After an error or an interrupt the earlier set is restored. Other files in the folder stay. If several
-    processes finish at once, the set of the last one remains.
+    After an error or an interrupt the earlier set is restored. Other files in the folder are kept. If several
+    processes finish at the same time, the set of the last one remains.
 
     Args:
-        folder: where the files belong; made if missing.
-        products: names of all files that a run may leave there, or patterns such as ``best/*.yaml``. The
-            first is the completion mark: where it exists, the set is complete.
+        folder: folder of the set; created if missing.
+        products: names of all files of the set, or patterns such as ``best/*.yaml``. The first is the
+            completion mark: it exists only in a complete set.
 
     Raises:
-        InputError: the files cannot be written, for want of space or of permission.
+        InputError: the files cannot be written, for example because the disk is full.
     """
     try:
-        with made_folder(folder), _fresh(folder, products) as fresh:
-            with _named_as_in(folder, fresh):
-                yield fresh
-            with _locked(folder):
-                _swap(folder, fresh, products)
+        with make_folder(folder), _staging_folder(folder, products) as staging:
+            with _rename_in_errors(folder, staging):
+                yield staging
+            with _lock(folder):
+                _swap(folder, staging, products)
     except OSError as error:
         name = Path(os.fsdecode(error.filename or "")).name
         where = f"{name}: " if name in products else ""
@@ -71,62 +71,62 @@ def replaced(folder: Path, products: Sequence[str]) -> Iterator[Path]:
         if isinstance(error, BlockingIOError):
             reason = "another process holds the folder's lock"
         raise InputError(
-            f"{shown(folder)}: the run's files cannot be written there ({where}{reason}); "
-            "an earlier run's are as they were"
+            f"{display_path(folder)}: the run's files cannot be written there ({where}{reason}); "
+            "the files of an earlier run are unchanged"
         ) from error
 
 
-def unmark(mark: Path) -> None:
-    """Remove the completion mark of a set that no longer belongs to its folder.
+def remove_completion_mark(mark: Path) -> None:
+    """Remove the completion mark of a set that is out of date.
 
     Raises:
-        InputError: it cannot be removed.
+        InputError: the file cannot be removed.
     """
     try:
         mark.unlink(missing_ok=True)
     except OSError as error:
-        raise InputError(f"{shown(mark)}: cannot be replaced ({error.strerror})") from error
+        raise InputError(f"{display_path(mark)}: cannot be replaced ({error.strerror})") from error
 
 
 @contextmanager
-def _named_as_in(folder: Path, fresh: Path) -> Iterator[None]:
-    """Name files in error messages by their later places."""
+def _rename_in_errors(folder: Path, staging: Path) -> Iterator[None]:
+    """Replace the staging folder by the final folder in the messages of errors."""
     try:
         yield
     except InputError as error:
-        error.args = (str(error).replace(shown(fresh), shown(folder)),)
+        error.args = (str(error).replace(display_path(staging), display_path(folder)),)
         raise
 
 
-def _swap(folder: Path, fresh: Path, products: Sequence[str]) -> None:
-    """Replace the earlier set by the files in a hidden folder; restore it after an error.
+def _swap(folder: Path, staging: Path, products: Sequence[str]) -> None:
+    """Replace the earlier set by the files of a staging folder; restore it after an error.
 
     Raises:
-        InputError: a product is a folder, or the earlier set cannot be restored now.
+        InputError: a folder has the name of a product, or the earlier set cannot be restored now.
         OSError: a file cannot be moved.
     """
-    refuse_folders(folder, products)
+    check_not_folders(folder, products)
     try:
-        (fresh / _ASIDE).mkdir()
-        _move(_names(folder, products), folder, fresh / _ASIDE)
-        (fresh / _ASIDE).rename(fresh / _EARLIER)
-        _move(reversed(_names(fresh, products)), fresh, folder)
+        (staging / _ASIDE).mkdir()
+        _move(_existing_products(folder, products), folder, staging / _ASIDE)
+        (staging / _ASIDE).rename(staging / _SAVED)
+        _move(reversed(_existing_products(staging, products)), staging, folder)
         with suppress(OSError):
-            (fresh / _EARLIER).rename(fresh / _GONE)
+            (staging / _SAVED).rename(staging / _OBSOLETE)
     except BaseException:
         try:
-            _restore(folder, fresh)
+            _restore(folder, staging)
         except OSError as error:
             raise InputError(
-                f"{shown(folder)}: the run's files cannot be written there ({error.strerror}); earlier files "
-                f"are in {shown(fresh)}, and the next run restores them"
+                f"{display_path(folder)}: the run's files cannot be written there ({error.strerror}); "
+                f"earlier files are in {display_path(staging)}, and the next run restores them"
             ) from error
         raise
 
 
-def _names(place: Path, products: Iterable[str]) -> list[Path]:
-    """Return the products that a folder holds, relative to it, in the order of the products."""
-    return [path.relative_to(place) for each in products for path in sorted(place.glob(each))]
+def _existing_products(folder: Path, products: Iterable[str]) -> list[Path]:
+    """Return the products that exist in a folder, relative to it, in the order of `products`."""
+    return [path.relative_to(folder) for pattern in products for path in sorted(folder.glob(pattern))]
 
 
 def _move(names: Iterable[Path], source: Path, target: Path) -> None:
@@ -135,81 +135,81 @@ def _move(names: Iterable[Path], source: Path, target: Path) -> None:
         (source / name).rename(target / name)
 
 
-def _restore(folder: Path, fresh: Path) -> None:
-    """Restore the earlier set after a swap that did not end.
-
-    Wherever this is interrupted, it can be repeated.
+def _restore(folder: Path, staging: Path) -> None:
+    """Restore the earlier set after an incomplete replacement; can be repeated after any interruption.
 
     Raises:
         OSError: a file cannot be moved.
         ValueError: the list of products is damaged.
     """
-    mark, *others = (fresh / _PRODUCTS).read_text("utf-8").splitlines()
-    # With the mark in its place no file has left, or all have arrived.
+    mark, *others = (staging / _PRODUCT_LIST).read_text("utf-8").splitlines()
+    # If the mark exists, either no file was moved away or all new files were moved in.
     if not os.path.lexists(folder / mark):
-        if (fresh / _EARLIER).is_dir():
-            for name in _names(folder, others):
+        if (staging / _SAVED).is_dir():
+            for name in _existing_products(folder, others):
                 (folder / name).unlink()
-            (fresh / _EARLIER).rename(fresh / _ASIDE)
-        _move(reversed(_names(fresh / _ASIDE, (mark, *others))), fresh / _ASIDE, folder)
-    for each in (_ASIDE, _EARLIER):
-        shutil.rmtree(fresh / each, ignore_errors=True)
+            (staging / _SAVED).rename(staging / _ASIDE)
+        _move(reversed(_existing_products(staging / _ASIDE, (mark, *others))), staging / _ASIDE, folder)
+    for subfolder in (_ASIDE, _SAVED):
+        shutil.rmtree(staging / subfolder, ignore_errors=True)
 
 
 @contextmanager
-def _fresh(folder: Path, products: Sequence[str]) -> Iterator[Path]:
-    """Yield a hidden folder that this process has locked; first clean up after processes that were killed."""
-    with ExitStack() as held:
-        # While the folder is locked, no other process takes the new hidden folder for a killed one's.
-        with _locked(folder):
-            _clean(folder)
-            fresh = Path(tempfile.mkdtemp(prefix=_FRESH, dir=folder))
-            held.enter_context(_locked(fresh))
+def _staging_folder(folder: Path, products: Sequence[str]) -> Iterator[Path]:
+    """Yield a new locked staging folder; first clean up after killed processes."""
+    with ExitStack() as locks:
+        # The lock keeps other processes from removing the new staging folder as an abandoned one.
+        with _lock(folder):
+            _clean_up(folder)
+            staging = Path(tempfile.mkdtemp(prefix=_STAGING_PREFIX, dir=folder))
+            locks.enter_context(_lock(staging))
         try:
-            (fresh / _PRODUCTS).write_bytes("\n".join(products).encode())
-            yield fresh
+            (staging / _PRODUCT_LIST).write_bytes("\n".join(products).encode())
+            yield staging
         finally:
-            if not _unfinished(fresh):
-                shutil.rmtree(fresh, ignore_errors=True)
+            if not _has_saved_files(staging):
+                shutil.rmtree(staging, ignore_errors=True)
 
 
-def _unfinished(fresh: Path) -> bool:
-    """Return whether a hidden folder holds earlier files that may have to be restored."""
-    return any((fresh / each).is_dir() for each in (_ASIDE, _EARLIER))
+def _has_saved_files(staging: Path) -> bool:
+    """Return whether a staging folder contains earlier files that may have to be restored."""
+    return any((staging / name).is_dir() for name in (_ASIDE, _SAVED))
 
 
-def _clean(folder: Path) -> None:
-    """Restore what killed processes have set aside, and remove their hidden folders."""
-    for left in folder.glob(f"{_FRESH}*"):
-        with suppress(OSError, ValueError), _locked(left, wait_s=0.0) as sure:
-            if sure:
-                if _unfinished(left):
-                    _restore(folder, left)
-                shutil.rmtree(left)
+def _clean_up(folder: Path) -> None:
+    """Restore earlier files from the staging folders of killed processes, and remove these folders."""
+    for staging in folder.glob(f"{_STAGING_PREFIX}*"):
+        with suppress(OSError, ValueError), _lock(staging, timeout_s=0.0) as locked:
+            if locked:
+                if _has_saved_files(staging):
+                    _restore(folder, staging)
+                shutil.rmtree(staging)
 
 
 @contextmanager
-def _locked(folder: Path, wait_s: float = _WAIT_S) -> Iterator[bool]:
-    """Hold the lock of a folder, which ends with the process; yield False where folders have no locks.
+def _lock(folder: Path, timeout_s: float = _LOCK_TIMEOUT_S) -> Iterator[bool]:
+    """Lock a folder for a `with` block; yield False if the file system has no folder locks.
+
+    The operating system releases the lock when the process ends.
 
     Raises:
-        BlockingIOError: another process holds it for longer than `wait_s`.
+        BlockingIOError: another process holds the lock for longer than `timeout_s`.
     """
-    deadline, sure = time.monotonic() + wait_s, False
+    deadline, locked = time.monotonic() + timeout_s, False
     handle = os.open(folder, os.O_RDONLY)
     try:
-        while not sure:
+        while not locked:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                sure = True
+                locked = True
             except BlockingIOError:
                 if time.monotonic() >= deadline:
                     raise
                 time.sleep(0.002)
             except OSError as error:
-                if error.errno not in _NO_LOCKS:
+                if error.errno not in _LOCKS_UNSUPPORTED:
                     raise
                 break
-        yield sure
+        yield locked
     finally:
         os.close(handle)

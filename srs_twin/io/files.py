@@ -1,6 +1,6 @@
-"""Files: where the shipped data lie, how a name or path becomes text, how one file is written whole.
+"""Paths of shipped files, text of paths in messages, and atomic writes of single files.
 
-Folders of results: whether they can be written. `file_sets` replaces several files together.
+Output folders are checked before a run starts. `file_sets` replaces several files together.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 from srs_twin.errors import InputError, UnknownNameError, did_you_mean
 
 MAX_BYTES = 64 * 1024
-"""No file that a person writes is larger; what is, was not meant for us."""
+"""Largest size of a hand-written file, bytes; a larger file is probably the wrong one."""
 
 _FOLDERS = {
     "robot": "calibration/robots",
@@ -28,14 +28,14 @@ _FOLDERS = {
     "table": "calibration/published",
 }
 _SUFFIXES = (".yaml", ".yml")
-# C0, DEL and C1; halves of surrogate pairs, as which Python keeps bytes that are no UTF-8.
+# C0, DEL and C1 controls, and surrogates, which represent bytes that are not UTF-8 in Python's file names.
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 def data_root() -> Path:
-    """Return the folder that holds calibration/, models/ and scenarios/.
+    """Return the folder that contains calibration/, models/ and scenarios/.
 
-    In a wheel that is ``srs_twin/_data``; in an editable checkout, which has none, the checkout itself.
+    In an installed wheel this is ``srs_twin/_data``, in an editable checkout the checkout itself.
     """
     package = Path(__file__).resolve().parents[1]
     packed = package / "_data"
@@ -43,114 +43,118 @@ def data_root() -> Path:
 
 
 def shipped_folder(kind: str) -> Path:
-    """Return the folder in which names of this kind (as in `find`) are looked up."""
+    """Return the folder of the shipped files of a kind; see `find_file` for the kinds."""
     return data_root() / _FOLDERS[kind]
 
 
 def shipped_names(kind: str) -> list[str]:
-    """Return the names of this kind that come with the package, sorted."""
+    """Return the sorted names of the shipped files of a kind."""
     return sorted(path.stem for path in shipped_folder(kind).glob("*.yaml"))
 
 
-_LISTED = {kind: f"`srs-twin list {kind}s`" for kind in ("scenario", "robot", "sweep")} | {
+_LIST_COMMANDS = {kind: f"`srs-twin list {kind}s`" for kind in ("scenario", "robot", "sweep")} | {
     "study": "`srs-twin list studies`"
 }
 
 
-def find(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
-    """Return the file that a name or path means.
+def find_file(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
+    """Return the path of a file that is given by its path or by the name of a shipped file.
 
-    A path is what has a slash or ends in .yaml or .yml, and is taken as given (from the current folder);
-    anything else is a name, looked up in the shipped folder.
+    A text with a slash or with the suffix .yaml or .yml is a path, relative to the current folder. Any other
+    text is the name of a shipped file.
 
     Args:
         kind: "robot", "footprint", "scenario", "sweep", "study" or "table".
-        name_or_path: as a person wrote it.
+        name_or_path: name or path as the user wrote it.
 
     Raises:
-        InputError: no file is there, or something that is no file of this kind.
-        UnknownNameError: no shipped file has that name.
+        InputError: the path is not a file of this kind.
+        UnknownNameError: no shipped file has the name.
     """
-    given, names = os.fspath(name_or_path), shipped_names(kind)
-    if isinstance(name_or_path, os.PathLike) or "/" in given or os.sep in given or given.endswith(_SUFFIXES):
-        return existing(Path(given), names=names)
-    if given in names:
-        return shipped_folder(kind) / f"{given}.yaml"
-    if os.path.isfile(given):
-        raise InputError(f"{given}: a {kind} file ends in {' or '.join(_SUFFIXES)}")
-    if os.path.isdir(given):
-        existing(Path(given))
-    raise UnknownNameError(kind, given, names, _LISTED.get(kind) or str(shipped_folder(kind)))
+    text, names = os.fspath(name_or_path), shipped_names(kind)
+    if isinstance(name_or_path, os.PathLike) or "/" in text or os.sep in text or text.endswith(_SUFFIXES):
+        return require_file(Path(text), names=names)
+    if text in names:
+        return shipped_folder(kind) / f"{text}.yaml"
+    if os.path.isfile(text):
+        raise InputError(f"{text}: a {kind} file ends in {' or '.join(_SUFFIXES)}")
+    if os.path.isdir(text):
+        require_file(Path(text))
+    raise UnknownNameError(kind, text, names, _LIST_COMMANDS.get(kind) or str(shipped_folder(kind)))
 
 
 def results_name(path: Path) -> str:
-    """Return what the results of a file are called: its stem, fit for a folder and for a YAML key."""
+    """Return the name of the results of a file: its stem, changed to be valid as a folder and YAML key."""
     return re.sub(r"[^\w .+=-]", "_", path.stem).lstrip(". ") or "scenario"
 
 
-def printable(text: str, *, keep: str = "") -> str:
-    r"""Return text with escapes for control characters and for bytes that are no UTF-8.
+def escape_unprintable(text: str, *, keep: str = "") -> str:
+    r"""Return text with escapes for control characters and for bytes that are not UTF-8.
 
-    A terminal obeys them: a title with ``\x1b[31m`` colours whatever follows.
+    Terminals interpret control characters: a title with ``\x1b[31m`` would colour the text after it.
 
     Args:
-        text: from anywhere.
-        keep: control characters that stay, such as line ends.
+        text: text from any source.
+        keep: control characters to keep, such as line ends.
     """
-    return _UNPRINTABLE.sub(lambda found: found[0] if found[0] in keep else _escape(found[0]), text)
+    return _UNPRINTABLE.sub(lambda match: match[0] if match[0] in keep else _escape(match[0]), text)
 
 
 def _escape(character: str) -> str:
-    # What Python makes of a byte 0x80 to 0xff in a file name that is not UTF-8 (surrogateescape).
+    # Python decodes a byte 0x80 to 0xff that is not UTF-8 as U+DC80 to U+DCFF ("surrogateescape").
     byte = ord(character) - 0xDC00
     return f"\\x{byte:02x}" if 0x80 <= byte <= 0xFF else ascii(character)[1:-1]
 
 
-def refuse_unprintable(given: str | os.PathLike[str]) -> None:
-    """Refuse a path, or any word of a command: files of results name it, and they are UTF-8 YAML.
+def check_printable(argument: str | os.PathLike[str]) -> None:
+    """Check that a path or an argument of a command can be written to the result files, UTF-8 YAML.
 
     Raises:
         InputError: it is not UTF-8 or has control characters.
     """
-    text = os.fspath(given)
-    if found := _UNPRINTABLE.search(text):
-        reason = "not UTF-8" if found[0] >= "\ud800" else "a control character in it"
-        raise InputError(f"{printable(text)}: cannot be used ({reason}); rename it")
+    text = os.fspath(argument)
+    if match := _UNPRINTABLE.search(text):
+        reason = "not UTF-8" if match[0] >= "\ud800" else "a control character in it"
+        raise InputError(f"{escape_unprintable(text)}: cannot be used ({reason}); rename it")
 
 
-def shown(path: Path) -> str:
-    """Return a path as messages show it: relative to the current folder where it is inside it, printable."""
-    with suppress(OSError):  # of a current folder that was removed
+def display_path(path: Path) -> str:
+    """Return a path for messages: printable, and relative to the current folder if it is inside it."""
+    with suppress(OSError):  # the current folder may have been removed
         if path.is_absolute() and path.is_relative_to(here := Path.cwd()):
             path = path.relative_to(here)
-    return printable(str(path))
+    return escape_unprintable(str(path))
 
 
 def read_text(path: Path, *, limit: int = MAX_BYTES) -> str:
     """Return the text of a small UTF-8 file; a byte order mark is dropped.
 
     Args:
-        path: of the file.
-        limit: Largest size that is read, bytes.
+        path: path of the file.
+        limit: largest allowed size, bytes.
 
     Raises:
         InputError: missing, a folder, not readable, too large or not UTF-8.
     """
     try:
-        with existing(path).open("rb") as stream:
+        with require_file(path).open("rb") as stream:
             raw = stream.read(limit + 1)
     except OSError as error:
-        raise InputError(f"{shown(path)}: cannot be read ({error.strerror})") from error
+        raise InputError(f"{display_path(path)}: cannot be read ({error.strerror})") from error
     if len(raw) > limit:
-        raise InputError(f"{shown(path)}: larger than {limit // 1024} kB; no file of ours is")
-    return decoded(raw, shown(path))
+        raise InputError(f"{display_path(path)}: larger than {limit // 1024} kB, the largest allowed size")
+    return decode_text(raw, display_path(path))
 
 
-def decoded(raw: bytes, name: str) -> str:
-    """Return the text of a UTF-8 file, without a byte order mark; its name is for the message.
+def decode_text(raw: bytes, name: str) -> str:
+    """Return the text of UTF-8 bytes without a byte order mark.
+
+    Args:
+        raw: content of a file.
+        name: name of the file in messages.
 
     Raises:
-        InputError: it is not UTF-8.
+        InputError: the bytes are not UTF-8.
     """
     try:
         return raw.decode("utf-8").removeprefix("\ufeff")
@@ -159,80 +163,82 @@ def decoded(raw: bytes, name: str) -> str:
         raise InputError(f"{name}: not UTF-8 text ({byte}); save it as UTF-8") from error
 
 
-MAX_LEVELS = 100
-"""Folders are made one inside the other by recursion, whose stack is limited."""
+MAX_NEW_FOLDERS = 100
+"""Largest depth of new folders; `Path.mkdir` creates parents by recursion."""
 
 
 def missing_folders(folder: Path) -> list[Path]:
-    """Return a folder and its parents as far as they do not exist, the innermost first.
+    """Return a folder and its parents that do not exist, innermost first.
 
     Raises:
-        OSError: there are more than `MAX_LEVELS` of them.
+        OSError: there are more than `MAX_NEW_FOLDERS`.
     """
-    missing = [each for each in (folder, *folder.parents) if not os.path.lexists(each)]
-    if len(missing) > MAX_LEVELS:
-        raise OSError(errno.ENAMETOOLONG, f"{len(missing)} new folders deep; at most {MAX_LEVELS} are made")
+    missing = [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
+    if len(missing) > MAX_NEW_FOLDERS:
+        raise OSError(
+            errno.ENAMETOOLONG, f"{len(missing)} new folders deep; at most {MAX_NEW_FOLDERS} are made"
+        )
     return missing
 
 
-def remove_empty(folders: Iterable[Path]) -> None:
-    """Remove folders that hold nothing; somebody else may have begun to write to the others."""
+def remove_empty_folders(folders: Iterable[Path]) -> None:
+    """Remove the empty ones of some folders; another process may have written to the rest."""
     for folder in folders:
         with suppress(OSError):
             folder.rmdir()
 
 
 @contextmanager
-def made_folder(folder: Path) -> Iterator[None]:
-    """Make a folder and its parents for a block; after an error those that this made and are empty go again.
+def make_folder(folder: Path) -> Iterator[None]:
+    """Create a folder and its parents for a `with` block; after an error remove the new ones that are empty.
 
     Raises:
-        OSError: it cannot be made.
+        OSError: a folder cannot be created.
     """
     missing = missing_folders(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         yield
     except BaseException:
-        remove_empty(missing)
+        remove_empty_folders(missing)
         raise
 
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a path beside ``path`` to write to; it becomes ``path`` when the block ends without an error.
+    """Yield a temporary path that replaces ``path`` when the `with` block ends without an error.
 
-    Missing folders are made. Whoever looks at ``path`` sees the old file or the whole new one; after an
-    error nothing is left, no folder either.
+    Missing folders are created. Readers of ``path`` see either the old file or the complete new one. After an
+    error the temporary file and the new folders are removed.
 
     Raises:
-        InputError: the place cannot be written.
+        InputError: the file cannot be written.
     """
     target = Path(path)
-    # The suffix stays last: some writers choose their format by it.
-    part = target.with_name(f".{target.stem}.{secrets.token_hex(4)}.part{target.suffix}")
+    # The suffix stays at the end, because some writers choose their format by it.
+    temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}.part{target.suffix}")
     try:
-        with made_folder(target.parent):
+        with make_folder(target.parent):
             try:
-                yield part
-                part.replace(target)
+                yield temporary
+                temporary.replace(target)
             finally:
-                # Where the folder itself cannot be used there is nothing to remove: the first error counts.
+                # A further error in an unusable folder must not hide the first one.
                 with suppress(OSError):
-                    part.unlink(missing_ok=True)
+                    temporary.unlink(missing_ok=True)
     except OSError as error:
-        raise InputError(f"{shown(target)}: cannot be written ({error.strerror or error})") from error
+        raise InputError(f"{display_path(target)}: cannot be written ({error.strerror or error})") from error
 
 
-def new_numbered(folder: Path, name: str) -> Path:
-    """Make an empty file with the lowest free number in its name; no other process gets the same one.
+def create_numbered_file(folder: Path, name: str) -> Path:
+    """Create an empty file with the lowest free number in its name, without races between processes.
 
     Args:
-        folder: of the file; made where it is missing.
-        name: of the file with "{}" for the number, such as "journal-{}.mcap".
+        folder: folder of the file; created if missing.
+        name: name of the file with "{}" for the number, such as "journal-{}.mcap".
 
     Raises:
-        InputError: the folder cannot be written.
+        InputError: the file cannot be created.
     """
     number = 0
     while True:
@@ -243,90 +249,94 @@ def new_numbered(folder: Path, name: str) -> Path:
             path.open("xb").close()
         except FileExistsError:
             if not folder.is_dir():
-                raise InputError(f"{shown(folder)}: cannot be written (not a folder)") from None
+                raise InputError(f"{display_path(folder)}: cannot be written (not a folder)") from None
         except OSError as error:
-            raise InputError(f"{shown(path)}: cannot be written ({error.strerror})") from error
+            raise InputError(f"{display_path(path)}: cannot be written ({error.strerror})") from error
         else:
             return path
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a text file, whole or not at all.
+    """Write a text file atomically.
 
     Raises:
-        InputError: the place cannot be written.
+        InputError: the file cannot be written.
     """
-    with atomic_write(path) as part:
-        part.write_text(text, "utf-8")
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, "utf-8")
 
 
-def existing(path: Path, *, suffix: str = ".yaml", remedy: str = "", names: Iterable[str] = ()) -> Path:
-    """Return the path if it is a regular file: devices and pipes might never end.
+def require_file(path: Path, *, suffix: str = ".yaml", remedy: str = "", names: Iterable[str] = ()) -> Path:
+    """Return the path if it is a regular file; devices and pipes may never end.
 
     Args:
-        path: as a person gave it.
-        suffix: of the files that were perhaps meant.
-        remedy: what to say besides where there is none.
-        names: what can be given without a path, and was perhaps meant.
+        path: path as the user wrote it.
+        suffix: suffix of the files to suggest.
+        remedy: text for the message if no similar file exists.
+        names: names of shipped files to suggest.
 
     Raises:
-        InputError: it is something else, not there, or its name cannot be used.
+        InputError: not a regular file, missing, or a name that cannot be used.
     """
-    refuse_unprintable(path)
+    check_printable(path)
     try:
         if path.is_file():
             return path
         if path.is_dir():
             inside = sorted(p.name for p in path.glob(f"*{suffix}"))
-            hint = f", such as {shown(path / inside[0])}" if inside else f" ({suffix}; there is none in it)"
-            raise InputError(f"{shown(path)}: a folder; give one file{hint}")
+            hint = (
+                f", such as {display_path(path / inside[0])}"
+                if inside
+                else f" ({suffix}; there is none in it)"
+            )
+            raise InputError(f"{display_path(path)}: a folder; give one file{hint}")
         if path.exists():
-            raise InputError(f"{shown(path)}: not a regular file")
+            raise InputError(f"{display_path(path)}: not a regular file")
         if path.is_symlink():
-            raise InputError(f"{shown(path)}: a link that leads to no file")
+            raise InputError(f"{display_path(path)}: a broken link")
     except OSError as error:
-        # A name too long, a folder that may not be entered.
-        raise InputError(f"{shown(path)}: cannot be read ({error.strerror})") from error
+        # The name is too long, or a folder may not be entered.
+        raise InputError(f"{display_path(path)}: cannot be read ({error.strerror})") from error
     siblings = [str(path.with_name(p.name)) for p in path.parent.glob(f"*{suffix}")] if path.name else []
     hint = did_you_mean(str(path), siblings) or did_you_mean(str(path), names) or remedy
-    raise InputError(f"{shown(path)}: no such file{hint}")
+    raise InputError(f"{display_path(path)}: no such file{hint}")
 
 
-def open_folder(folder: Path, products: Sequence[str] = (), *, option: str = "--out") -> None:
-    """See that files can be written to a folder, which need not exist; leave nothing behind.
+def check_output_folder(folder: Path, products: Sequence[str] = (), *, option: str = "--out") -> None:
+    """Check that files can be written to a folder, which need not exist yet; leave it unchanged.
 
     Args:
-        folder: where the files belong.
-        products: their names.
-        option: of the command that names the place, for the message; empty: there is none.
+        folder: folder for the files.
+        products: names of the files.
+        option: command-line option that sets the folder, for the message; empty if there is none.
 
     Raises:
-        InputError: the folder cannot be made or written, or a folder stands where a file belongs.
+        InputError: the folder cannot be created or written, or a folder has the name of a file.
     """
-    refuse_unprintable(folder)
+    check_printable(folder)
     try:
-        place = Path(os.path.abspath(folder))
-        missing = missing_folders(place)
-        present = missing[-1].parent if missing else place
-        # Permission bits say nothing to root and little on network drives: try it, names included.
+        target = Path(os.path.abspath(folder))
+        missing = missing_folders(target)
+        present = missing[-1].parent if missing else target
+        # Write a trial file: permission bits do not apply to root and are unreliable on network drives.
         with tempfile.TemporaryDirectory(dir=present) as scratch:
-            trial = scratch / place.relative_to(present)
+            trial = scratch / target.relative_to(present)
             trial.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=trial):
                 pass
     except OSError as error:
         remedy = f"; give another folder with {option}" if option else ""
         reason = error.strerror or str(error)
-        raise InputError(f"{shown(folder)}: cannot write there ({reason}){remedy}") from error
-    refuse_folders(folder, products)
+        raise InputError(f"{display_path(folder)}: cannot write there ({reason}){remedy}") from error
+    check_not_folders(folder, products)
 
 
-def refuse_folders(folder: Path, products: Sequence[str]) -> None:
-    """Refuse a folder that has the name of a product.
+def check_not_folders(folder: Path, products: Sequence[str]) -> None:
+    """Check that no folder has the name of a product.
 
     Raises:
-        InputError: there is one; names it.
+        InputError: a folder has; the message names it.
     """
     for product in products:
         if (folder / product).is_dir():
-            raise InputError(f"{shown(folder / product)}: cannot be replaced (a folder)")
+            raise InputError(f"{display_path(folder / product)}: cannot be replaced (a folder)")

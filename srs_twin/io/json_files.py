@@ -1,7 +1,7 @@
-"""Strict and bounded reader of JSON from outside.
+"""Strict reader of untrusted JSON with limits on size and depth.
 
-Python's own reader accepts ``NaN`` and ``Infinity``, which are not JSON, takes ``1e999`` for infinity, keeps
-the last of two equal keys and exhausts its stack on deep nesting.
+The reader of the standard library accepts ``NaN`` and ``Infinity``, which are not JSON, reads ``1e999`` as
+infinity, keeps the last of two equal keys, and exhausts its stack on deep nesting.
 """
 
 from __future__ import annotations
@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import decoded, existing, shown
+from srs_twin.io.files import decode_text, display_path, require_file
 
 MAX_DEPTH = 64
-"""Results are nested less than ten deep."""
+"""Largest depth of nested lists and objects; results have fewer than ten levels."""
+
 MAX_JSON_BYTES = 64 << 20
-"""A reproduction of all claims has 1 MB."""
+"""Largest size of a file; a reproduction of all claims has 1 MB."""
 
 
 def read_json(path: Path) -> Any:
@@ -28,21 +29,21 @@ def read_json(path: Path) -> Any:
         InputError: missing, not a regular file, not readable, too large, or not JSON.
     """
     try:
-        with existing(path, suffix=".json").open("rb") as stream:
+        with require_file(path, suffix=".json").open("rb") as stream:
             raw = stream.read(MAX_JSON_BYTES + 1)
     except OSError as error:
-        raise InputError(f"{shown(path)}: cannot be read ({error.strerror})") from error
+        raise InputError(f"{display_path(path)}: cannot be read ({error.strerror})") from error
     if len(raw) > MAX_JSON_BYTES:
-        raise InputError(f"{shown(path)}: larger than {MAX_JSON_BYTES >> 20} MB")
-    return parse_json(decoded(raw, shown(path)), shown(path))
+        raise InputError(f"{display_path(path)}: larger than {MAX_JSON_BYTES >> 20} MB")
+    return parse_json(decode_text(raw, display_path(path)), display_path(path))
 
 
 def parse_json(text: str, name: str) -> Any:
     """Return the data of JSON text.
 
     Args:
-        text: of a file.
-        name: of the file, for messages.
+        text: text of a file.
+        name: name of the file in messages.
 
     Raises:
         InputError: not JSON, a number out of range, a key given twice, or nested too deep.
@@ -79,24 +80,24 @@ def _integer(text: str) -> int | float:
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    mapping = dict(pairs)
+    if len(mapping) < len(pairs):
         names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"key {twice[:80]!r} is given twice")
-    return found
+        duplicate = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"key {duplicate[:80]!r} is given twice")
+    return mapping
 
 
 def _depth(data: Any) -> int:
-    """Return how deep lists and objects are nested, at most one more than is allowed."""
+    """Return the depth of nested lists and objects, at most one more than is allowed."""
     layer, depth = [data], 0
     while layer and depth <= MAX_DEPTH:
-        layer = [inner for each in layer for inner in _inside(each)]
+        layer = [inner for value in layer for inner in _children(value)]
         depth += 1
     return depth
 
 
-def _inside(value: Any) -> Iterator[Any]:
+def _children(value: Any) -> Iterator[Any]:
     if isinstance(value, dict):
         yield from value.values()
     elif isinstance(value, list):

@@ -1,7 +1,7 @@
-"""Parquet that may come from anybody: its bounds are read and judged before its data.
+"""Reader of untrusted Parquet files that checks sizes in the footer before it reads data.
 
-A file of 200 kB can hold a hundred million rows, so what a file says of itself in its footer counts first.
-Pages are checked against their checksums where the writer left some, as ours do.
+A file of 200 kB can contain a hundred million rows. Pages are verified against their checksums if the writer
+stored them, as this package does.
 """
 
 from __future__ import annotations
@@ -13,49 +13,57 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import existing
+from srs_twin.io.files import require_file
 
 if TYPE_CHECKING:
     import pyarrow
 
 
 MAX_FILE_BYTES = 2 << 30
+"""Largest size of a file on disk."""
+
 MAX_VALUES = 1 << 27
-"""Rows times columns: a gigabyte of numbers."""
+"""Largest product of rows and columns: a gigabyte of float64."""
 
 MAX_COLUMNS = 4096
+"""Largest number of columns; trajectories have about twenty per segment."""
+
 MAX_CHUNKS = 100_000
+"""Largest number of column chunks, columns times row groups."""
+
 MAX_BYTES = 2 << 30
-"""Uncompressed, as the footer has it."""
+"""Largest size of the uncompressed data according to the footer."""
 
 MAX_METADATA_BYTES = 32 << 20
+"""Largest size of one text in the footer."""
+
 MAX_FOOTER_BYTES = 96 << 20
-"""It holds the metadata twice, the second time in base64."""
+"""Largest size of the footer, which contains the metadata twice, once in base64."""
 
 
 def read_table(
-    path: Any, what: str, check: Callable[[pyarrow.Schema], None] = lambda schema: None
+    path: Any, kind: str, check: Callable[[pyarrow.Schema], None] = lambda schema: None
 ) -> pyarrow.Table:
-    """Read a whole Parquet file within bounds.
+    """Read a Parquet file if its size is within the limits.
 
     Args:
-        path: a path, or a file-like object.
-        what: what the file should be, for the message: "a trajectory written by srs-twin".
-        check: raises TypeError or ValueError where the schema is of something else, before any data are read.
+        path: a path or a file-like object.
+        kind: expected kind of file for messages, such as "a trajectory written by srs-twin".
+        check: raises TypeError or ValueError for another schema, before any data are read.
 
     Raises:
-        InputError: missing, no regular file, no Parquet, damaged, or beyond a bound; names the column where
-            there is one.
+        InputError: missing, not a regular file, not Parquet, damaged, or larger than a limit; the message
+            names the damaged column.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     if isinstance(path, str | os.PathLike):
-        path = existing(Path(path), suffix=".parquet")
+        path = require_file(Path(path), suffix=".parquet")
     try:
         if isinstance(path, Path):
             _check_size(path)
-        # One file: pq.read_table would take a folder and join whatever lies in it.
+        # pq.read_table would also accept a folder and concatenate its files.
         with pq.ParquetFile(
             path,
             page_checksum_verification=True,
@@ -65,65 +73,69 @@ def read_table(
             _check_bounds(file)
             check(file.schema_arrow)
             table = _read(file)
-            # In a damaged file the schema of the table, which comes from the footer's other copy, can differ.
+            # The table's schema comes from the second copy in the footer, which may differ in a damaged file.
             check(table.schema)
             return table
-    # MemoryError: Arrow's word for a page that says it is larger than it can be.
+    # MemoryError: raised by Arrow for a page whose declared size is impossible.
     except (pa.ArrowException, OSError, KeyError, TypeError, ValueError, MemoryError) as error:
-        said = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: not {what} ({said})") from error
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: not {kind} ({reason})") from error
 
 
 def _check_size(path: Path) -> None:
-    """Refuse by the sizes of file and footer: Arrow would read a footer of gigabytes to find it too large.
+    """Check the sizes of file and footer, because Arrow would read a footer of gigabytes.
 
     Raises:
-        ValueError: one of them is beyond its bound.
+        ValueError: a size is above its limit.
     """
     size = path.stat().st_size
     with path.open("rb") as file:
         file.seek(max(0, size - 8))
         footer = int.from_bytes(file.read(4), "little")
-    for name, value, most in (("file", size, MAX_FILE_BYTES), ("footer", footer, MAX_FOOTER_BYTES)):
-        if value > most:
-            raise ValueError(f"a {name} of {value} bytes; at most {most} are read")
+    for name, value, limit in (("file", size, MAX_FILE_BYTES), ("footer", footer, MAX_FOOTER_BYTES)):
+        if value > limit:
+            raise ValueError(f"a {name} of {value} bytes; the limit is {limit}")
 
 
 def _check_bounds(file: Any) -> None:
-    """Refuse by the footer alone, which is all that has been read so far.
+    """Check the declared sizes in the footer; no data have been read yet.
 
     Raises:
-        ValueError: it is beyond a bound, or names a column twice.
+        ValueError: a size is above its limit, or two columns have one name.
     """
-    about = file.metadata
-    declared = sum(about.row_group(i).total_byte_size for i in range(about.num_row_groups))
-    for name, value, most in (
-        ("columns", about.num_columns, MAX_COLUMNS),
-        ("column chunks", about.num_columns * about.num_row_groups, MAX_CHUNKS),
-        ("values", about.num_rows * about.num_columns, MAX_VALUES),
-        ("bytes, uncompressed", declared, MAX_BYTES),
+    footer = file.metadata
+    declared_bytes = sum(footer.row_group(i).total_byte_size for i in range(footer.num_row_groups))
+    for name, value, limit in (
+        ("columns", footer.num_columns, MAX_COLUMNS),
+        ("column chunks", footer.num_columns * footer.num_row_groups, MAX_CHUNKS),
+        ("values", footer.num_rows * footer.num_columns, MAX_VALUES),
+        ("uncompressed bytes", declared_bytes, MAX_BYTES),
     ):
-        if not 0 <= value <= most:
-            raise ValueError(f"{value} {name}; at most {most} are read")
-    twice = [name for name, times in Counter(file.schema_arrow.names).items() if times > 1]
-    if twice:
-        raise ValueError(f"column {twice[0]}: given twice")
+        if not 0 <= value <= limit:
+            raise ValueError(f"{value} {name}; the limit is {limit}")
+    duplicates = [name for name, count in Counter(file.schema_arrow.names).items() if count > 1]
+    if duplicates:
+        raise ValueError(f"column {duplicates[0]}: given twice")
 
 
 def _read(file: Any) -> pyarrow.Table:
-    """Return the table, or say which column cannot be read."""
+    """Return the table.
+
+    Raises:
+        ValueError: a column cannot be read; the message names it.
+    """
     import pyarrow as pa
 
     try:
-        # One thread: one column at a time is unpacked, whatever its pages claim.
+        # One thread unpacks one column at a time, which limits the memory for pages of false sizes.
         table = file.read(use_threads=False)
         table.validate()
     except (pa.ArrowException, OSError) as error:
         for k in range(file.metadata.num_columns):
             try:
                 file.reader.read_all(column_indices=[k], use_threads=False)
-            except (pa.ArrowException, OSError) as first:
+            except (pa.ArrowException, OSError) as column_error:
                 name = file.metadata.schema.column(k).path
-                raise ValueError(f"column {name}: {first}") from error
+                raise ValueError(f"column {name}: {column_error}") from error
         raise
     return table

@@ -1,10 +1,11 @@
-"""What decides what comes next: taken from plants and controllers, given back, kept in files without pickles.
+"""Saved states of plants and controllers, stored in files without pickles.
 
-A class names the attributes that change while it runs (`memory`); those of its parts that remember are taken
-with them. What a constructor or `reset` settles is not memory: it must be the same where a state is restored.
+A class lists the attributes that change during a run in `state_attributes`; attributes that are `Stateful`
+themselves are saved recursively. Settings of the constructor and of `reset` are not part of a state: they
+must be the same in the object that restores it.
 
-A file is a NumPy archive: the arrays, and the rest as JSON, in which a named tuple or a dataclass of this
-package stands by its name.
+A file is a NumPy archive with the arrays, and with a JSON document of all other values. A named tuple or
+dataclass of this package is stored with the name of its class.
 
 >>> from srs_twin import AnalyticalSnake, Gait, load_robot, rollout
 >>> snake = AnalyticalSnake(load_robot("gen2"))
@@ -21,6 +22,7 @@ import copy
 import hashlib
 import importlib
 import json
+import warnings
 from collections import deque
 from collections.abc import Mapping
 from concurrent.futures import Executor, Future
@@ -34,25 +36,31 @@ from typing import Any, ClassVar, Self, cast
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import atomic_write, shown
+from srs_twin.io.files import atomic_write, display_path
 
-# Raised when the form of a state or the module of a class in it changes: such files are refused.
 VERSION = 2
-_TREE = "state"
-_MOST_BYTES = 256 << 20  # unpacked
+"""Version of the state format; increased when the format or the module of a saved class changes."""
+
+_DOCUMENT = "state"
+"""Name of the JSON document in the archive."""
+
+_MAX_UNPACKED_BYTES = 256 << 20
+"""Limit against archives that unpack to far more than their own size."""
+
 _PACKAGE = __name__.partition(".")[0] + "."
 
 
-def names(*given: str) -> tuple[str, ...]:
-    """Return the names of a class's `memory`."""
-    return given
+def names(*attributes: str) -> tuple[str, ...]:
+    """Return a tuple of names; deprecated, `state_attributes` is a plain tuple now."""
+    warnings.warn("names() is deprecated: write a tuple of names", DeprecationWarning, stacklevel=2)
+    return attributes
 
 
-class CopiedWhole:
-    """Base of classes whose objects share no state with their copies.
+class DeepCopied:
+    """Base class of objects that share no state with their copies.
 
-    `copy.copy` makes a deep copy: a shallow one would step the chambers and bodies of the original. A copy,
-    or an object that was pickled and loaded, continues with the same bits as the original.
+    `copy.copy` makes a deep copy: a shallow copy would advance the chambers and bodies of the original. A
+    copy or an unpickled object continues with the same bits as the original.
     """
 
     def __copy__(self) -> Self:
@@ -65,7 +73,7 @@ class CopiedWhole:
             InputError: an attribute can be neither copied nor pickled.
         """
         for name, value in vars(self).items():
-            if (kind := _unique(value)) is not None:
+            if (kind := _why_not_copyable(value)) is not None:
                 raise InputError(
                     f"{type(self).__name__} can be neither copied nor pickled, because its attribute "
                     f"'{name}' is {kind}; use save() and restore() instead"
@@ -73,15 +81,15 @@ class CopiedWhole:
         return super().__reduce_ex__(protocol)
 
 
-def _unique(value: Any) -> str | None:
-    """Return why a value can be neither copied nor pickled; None where no reason is known.
+def _why_not_copyable(value: Any) -> str | None:
+    """Return the reason that a value can be neither copied nor pickled, or None.
 
-    A copy of a function that is defined inside another one would share that one's variables.
+    A copy of a nested function would share the variables of the enclosing function.
     """
     if isinstance(value, partial):
-        return _unique(value.func)
+        return _why_not_copyable(value.func)
     if isinstance(value, MethodType):
-        return _unique(value.__self__)
+        return _why_not_copyable(value.__self__)
     if isinstance(value, FunctionType) and "<" in value.__qualname__:
         return "a function without a name in its module"
     if isinstance(value, GeneratorType):
@@ -89,142 +97,160 @@ def _unique(value: Any) -> str | None:
     return "a task of another thread" if isinstance(value, Future | Executor) else None
 
 
-class Remembers(CopiedWhole):
-    """What has a memory.
+class Stateful(DeepCopied):
+    """Base class of objects with a state that can be saved and restored.
 
     Attributes:
-        memory: names of the attributes that change while it runs; those of the classes above count as well.
+        state_attributes: names of the attributes that change during a run, in addition to those of the base
+            classes.
     """
 
-    memory: ClassVar[tuple[str, ...]] = names()
+    state_attributes: ClassVar[tuple[str, ...]] = ()
 
-    def remembered(self) -> dict[str, Any]:
-        """Return the memory, name → value; of parts that remember their memory, name → value."""
-        return {name: _taken(getattr(self, name)) for name in self._names()}
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if "memory" in vars(cls):
+            message = f"{cls.__name__}.memory is now {cls.__name__}.state_attributes, a tuple of names"
+            warnings.warn(message, DeprecationWarning, stacklevel=2)
+            cls.state_attributes = vars(cls)["memory"]
 
-    def recall(self, memory: Mapping[str, Any]) -> None:
-        """Take a memory that `remembered` returned, here or elsewhere.
+    def state_dict(self) -> dict[str, Any]:
+        """Return a copy of the state, attribute name → value or nested state."""
+        return {name: _copy_state(getattr(self, name)) for name in self._state_names()}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Set the state to one that `state_dict` returned for this or another object.
 
         Raises:
-            InputError: the memory is incomplete; nothing of it has been taken then.
+            InputError: an attribute is missing; the object is unchanged.
         """
-        missing = [name for name in self._names() if name not in memory]
+        missing = [name for name in self._state_names() if name not in state]
         if missing:
             raise InputError(
                 f"{type(self).__name__}: the state is incomplete; it has no {', '.join(missing)}"
             )
-        for name in self._names():
-            part = getattr(self, name, None)
-            if isinstance(part, Remembers):
-                part.recall(memory[name])
+        for name in self._state_names():
+            value = getattr(self, name, None)
+            if isinstance(value, Stateful):
+                value.load_state_dict(state[name])
             else:
-                setattr(self, name, copy.deepcopy(memory[name]))
+                setattr(self, name, copy.deepcopy(state[name]))
 
-    def check_memory(self, base: type, what: str) -> None:
-        """Refuse what does not say what it remembers, or has nothing yet.
+    def check_saveable(self, base: type, label: str) -> None:
+        """Check that the class defines its state and that the object has been reset.
 
         Args:
-            base: a class above, whose own memory does not count.
-            what: it is, for the message.
+            base: base class whose own `state_attributes` do not suffice.
+            label: name of the object in messages.
 
         Raises:
-            InputError: no class below `base` has a `memory`, or it was never reset.
+            InputError: no subclass of `base` has `state_attributes`, or the object was never reset.
         """
-        below = [each for each in type(self).__mro__ if issubclass(each, base) and each is not base]
-        if not any("memory" in vars(each) for each in below):
-            raise InputError(f"{what} does not say what it remembers (`memory`), so it cannot be saved")
-        if not all(hasattr(self, name) for name in self._names()):
-            raise InputError(f"{what} has no state before its first reset")
+        subclasses = [cls for cls in type(self).__mro__ if issubclass(cls, base) and cls is not base]
+        if not any("state_attributes" in vars(cls) for cls in subclasses):
+            raise InputError(f"{label} cannot be saved: its class has no `state_attributes`")
+        if not all(hasattr(self, name) for name in self._state_names()):
+            raise InputError(f"{label} has no state before its first reset")
 
     @classmethod
-    def _names(cls) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(name for each in cls.__mro__ for name in vars(each).get("memory", ())))
+    def _state_names(cls) -> tuple[str, ...]:
+        names = (name for base in cls.__mro__ for name in vars(base).get("state_attributes", ()))
+        return tuple(dict.fromkeys(names))
 
 
-def _taken(value: Any) -> Any:
-    return value.remembered() if isinstance(value, Remembers) else copy.deepcopy(value)
+def _copy_state(value: Any) -> Any:
+    return value.state_dict() if isinstance(value, Stateful) else copy.deepcopy(value)
 
 
 @dataclass(frozen=True, eq=False)
 class SavedState:
-    """All that decides what comes next of a plant or a controller; it can be pickled, and written to a file.
+    """State of a plant or a controller that determines its further evolution; it can be pickled and written.
 
     Attributes:
-        of: what it belongs to, JSON values: a state is restored only where they are the same.
-        content: its memory.
-        version: of the form of `content`.
+        owner: settings of the object that it belongs to, JSON values; only an object with equal settings can
+            restore it.
+        content: state attributes, name → value.
+        version: version of the format of `content`.
     """
 
-    of: Mapping[str, Any]
+    owner: Mapping[str, Any]
     content: Mapping[str, Any]
     version: int = VERSION
 
-    def check(self, what: str, own: Mapping[str, Any]) -> None:
-        """Refuse a state that belongs to something else.
+    @property
+    def of(self) -> Mapping[str, Any]:
+        """Deprecated name of `owner`."""
+        warnings.warn("SavedState.of is now SavedState.owner", DeprecationWarning, stacklevel=2)
+        return self.owner
+
+    def check(self, label: str, owner: Mapping[str, Any]) -> None:
+        """Check that an object can restore this state.
 
         Args:
-            what: is to be restored, for messages.
-            own: what it says of itself, as `of`.
+            label: name of the object in messages.
+            owner: settings of the object.
 
         Raises:
-            InputError: the states' settings differ, or another version.
+            InputError: the settings differ, or the state has another version.
         """
-        _check_version(what, self.version)
-        there, here = (json.loads(json.dumps(each)) for each in (self.of, own))
-        differ = [key for key in sorted(there.keys() | here.keys()) if there.get(key) != here.get(key)]
-        if differ:
-            said = ", ".join(f"{key} {there.get(key)!r} instead of {here.get(key)!r}" for key in differ[:3])
-            more = f", and {len(differ) - 3} more" if len(differ) > 3 else ""
-            raise InputError(f"{what}: the state belongs to something else: {said}{more}")
+        _check_version(label, self.version)
+        saved, current = (json.loads(json.dumps(settings)) for settings in (self.owner, owner))
+        keys = sorted(saved.keys() | current.keys())
+        differing = [key for key in keys if saved.get(key) != current.get(key)]
+        if differing:
+            listed = [f"{key} {saved.get(key)!r} instead of {current.get(key)!r}" for key in differing[:3]]
+            rest = f", and {len(differing) - 3} more" if len(differing) > 3 else ""
+            raise InputError(f"{label}: the saved state has other settings: {', '.join(listed)}{rest}")
 
     def write(self, path: Path) -> None:
-        """Write it to a file, whole or not at all.
+        """Write the state to a file atomically.
 
         Raises:
             InputError: the file cannot be written.
         """
         arrays: dict[str, np.ndarray] = {}
-        document = {"version": self.version, "of": self.of, "content": _encoded(self.content, arrays)}
-        tree = np.array(json.dumps(document))
-        with atomic_write(path) as part, part.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **{_TREE: tree}, **arrays)
+        document = {"version": self.version, "of": self.owner, "content": _encode(self.content, arrays)}
+        text = np.array(json.dumps(document))
+        with atomic_write(path) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **{_DOCUMENT: text}, **arrays)
 
     @staticmethod
     def read(path: Path) -> SavedState:
-        """Read a file.
+        """Read a state from a file.
 
         Raises:
-            InputError: it cannot be read, or holds no state.
+            InputError: the file cannot be read, or is not a saved state.
         """
         try:
             with np.load(path, allow_pickle=False) as archive:
-                unpacked = sum(each.file_size for each in archive.zip.infolist())
-                if unpacked > _MOST_BYTES:
-                    raise ValueError(f"{unpacked} bytes, unpacked; at most {_MOST_BYTES} are read")
-                document = json.loads(str(archive[_TREE]))
-                _check_version(shown(path), document["version"])
-                content = _decoded(document["content"], archive)
+                unpacked = sum(member.file_size for member in archive.zip.infolist())
+                if unpacked > _MAX_UNPACKED_BYTES:
+                    raise ValueError(f"{unpacked} bytes unpacked; the limit is {_MAX_UNPACKED_BYTES}")
+                document = json.loads(str(archive[_DOCUMENT]))
+                _check_version(display_path(path), document["version"])
+                content = _decode(document["content"], archive)
                 return SavedState(document["of"], content, document["version"])
         except InputError:
             raise
         except OSError as error:
-            raise InputError(f"{shown(path)}: cannot be read: {error.strerror or error}") from error
-        except Exception as error:  # whatever a damaged archive makes its readers raise
-            raise InputError(f"{shown(path)} holds no state: {type(error).__name__}: {error}") from error
+            raise InputError(f"{display_path(path)}: cannot be read: {error.strerror or error}") from error
+        except Exception as error:  # damaged archives raise errors of many kinds, zlib's among them
+            reason = f"{type(error).__name__}: {error}"
+            raise InputError(f"{display_path(path)}: not a saved state ({reason})") from error
 
 
-def _check_version(what: str, version: Any) -> None:
+def _check_version(label: str, version: Any) -> None:
     if version != VERSION:
-        raise InputError(f"{what}: saved state of version {version}; this program reads version {VERSION}")
+        raise InputError(f"{label}: saved state of version {version}; this program reads version {VERSION}")
 
 
-def fingerprint(*things: Any) -> str:
-    """Return a short digest of things by their `repr`."""
-    return hashlib.sha256(repr(things).encode()).hexdigest()[:16]
+def short_digest(*values: Any) -> str:
+    """Return the first 16 hexadecimal digits of the SHA-256 digest of the `repr` of values."""
+    return hashlib.sha256(repr(values).encode()).hexdigest()[:16]
 
 
-def _encoded(value: Any, arrays: dict[str, np.ndarray]) -> Any:
-    """Return a value as JSON; arrays are added to `arrays` and stand there by name."""
+def _encode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+    """Return a value as JSON data; arrays are added to `arrays` and replaced by their names."""
     if isinstance(value, np.ndarray):
         name = f"array_{len(arrays)}"
         arrays[name] = value
@@ -232,49 +258,49 @@ def _encoded(value: Any, arrays: dict[str, np.ndarray]) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, Enum):
-        return {"@": _named(type(value)), "value": value.value}
+        return {"@": _class_name(type(value)), "value": value.value}
     if is_dataclass(value):
-        parts = {each.name: getattr(value, each.name) for each in fields(value)}
-        return {"@": _named(type(value)), "parts": _encoded(parts, arrays)}
+        attributes = {field.name: getattr(value, field.name) for field in fields(value)}
+        return {"@": _class_name(type(value)), "parts": _encode(attributes, arrays)}
     if isinstance(value, Mapping):
-        return {"@": "dict", "items": [[str(key), _encoded(each, arrays)] for key, each in value.items()]}
+        return {"@": "dict", "items": [[str(key), _encode(item, arrays)] for key, item in value.items()]}
     if isinstance(value, tuple | list | deque):
-        kind = _named(type(value)) if hasattr(value, "_fields") else type(value).__name__
-        return {"@": kind, "items": [_encoded(each, arrays) for each in value]}
+        kind = _class_name(type(value)) if hasattr(value, "_fields") else type(value).__name__
+        return {"@": kind, "items": [_encode(item, arrays) for item in value]}
     if value is None or isinstance(value, bool | int | float | str):
         return value
-    raise TypeError(f"a {type(value).__name__} has no place in a file")
+    raise TypeError(f"a {type(value).__name__} cannot be written to a saved state")
 
 
-def _decoded(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
+def _decode(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     if not isinstance(value, dict):
         return value
     kind = value["@"]
     if kind == "array":
         return arrays[value["name"]]
     if kind == "dict":
-        return {key: _decoded(each, arrays) for key, each in value["items"]}
+        return {key: _decode(item, arrays) for key, item in value["items"]}
     if kind in ("tuple", "list", "deque"):
         return {"tuple": tuple, "list": list, "deque": deque}[kind](
-            _decoded(each, arrays) for each in value["items"]
+            _decode(item, arrays) for item in value["items"]
         )
-    known = _class(kind)
-    if issubclass(known, Enum):
-        return known(value["value"])
-    if is_dataclass(known):
-        return known(**_decoded(value["parts"], arrays))
-    return known(*(_decoded(each, arrays) for each in value["items"]))
+    cls = _find_class(kind)
+    if issubclass(cls, Enum):
+        return cls(value["value"])
+    if is_dataclass(cls):
+        return cls(**_decode(value["parts"], arrays))
+    return cls(*(_decode(item, arrays) for item in value["items"]))
 
 
-def _named(kind: type) -> str:
+def _class_name(kind: type) -> str:
     return f"{kind.__module__}:{kind.__qualname__}"
 
 
-def _class(name: str) -> type:
-    """Return a value's class: data of this package, nothing else."""
+def _find_class(name: str) -> type:
+    """Return a dataclass, named tuple or enum of this package by name; other classes could run code."""
     module, _, kind = name.partition(":")
-    found = getattr(importlib.import_module(module), kind) if module.startswith(_PACKAGE) else None
-    named = isinstance(found, type) and (issubclass(found, Enum) or hasattr(found, "_fields"))
-    if not (named or is_dataclass(found)):
-        raise ValueError(f"{name} is no data of this program")
-    return cast(type, found)
+    cls = getattr(importlib.import_module(module), kind) if module.startswith(_PACKAGE) else None
+    is_record = isinstance(cls, type) and (issubclass(cls, Enum) or hasattr(cls, "_fields"))
+    if not (is_record or is_dataclass(cls)):
+        raise ValueError(f"{name} is not a data class of this program")
+    return cast(type, cls)

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import RobotSpec
 
@@ -46,7 +46,7 @@ _DIFFERENCE_RAD = 1e-4
 """Step of the difference quotient by the bends."""
 
 
-class LocalConnection(Remembers):
+class LocalConnection(Stateful):
     """Local connection of one robot.
 
     Attributes:
@@ -54,7 +54,7 @@ class LocalConnection(Remembers):
             and turning (rad).
     """
 
-    memory = names("weights", "_gram", "_sums", "_noise", "_scatter", "_frames", "_block")
+    state_attributes = ("weights", "_gram", "_sums", "_noise", "_scatter", "_frames", "_block")
 
     def __init__(self, spec: RobotSpec, mass: np.ndarray) -> None:
         """Begin with W = 0.
@@ -139,9 +139,9 @@ class LocalConnection(Remembers):
         self._block = np.zeros(3)
         self.weights = np.asarray(np.linalg.solve(self._normal(), self._sums))
 
-    def recall(self, memory: Mapping[str, Any]) -> None:
+    def load_state_dict(self, memory: Mapping[str, Any]) -> None:
         """Restore saved values."""
-        super().recall(memory)
+        super().load_state_dict(memory)
         if self._frames >= _BLOCK:
             self._normal()
 

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 from srs_twin.live.fault_naming import FaultNaming, NamingSettings
 from srs_twin.live.hypotheses import (
     CHAMBERS,
@@ -110,7 +110,7 @@ class DetectorSettings:
     drift: float = 0.03
 
 
-class FaultDetector(Remembers):
+class FaultDetector(Stateful):
     """Interacting multiple model filters of all segments.
 
     Attributes:
@@ -123,7 +123,7 @@ class FaultDetector(Remembers):
         time: since the start, s.
     """
 
-    memory = names(
+    state_attributes = (
         "probability",
         "mean",
         "_covariance",

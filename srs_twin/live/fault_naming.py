@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 from srs_twin.live.hypotheses import HAS_NAME, INDISTINGUISHABLE, LEAK, NAMES, STARVED, WEAK
 
 _DOUBT = 0.5
@@ -34,7 +34,7 @@ class NamingSettings:
     start_s: float = 2.0
 
 
-class FaultNaming(Remembers):
+class FaultNaming(Stateful):
     """Detected faults of the segments and the supply.
 
     Attributes:
@@ -43,7 +43,7 @@ class FaultNaming(Remembers):
             supply.
     """
 
-    memory = names("pairs", "_since", "_either_since")
+    state_attributes = ("pairs", "_since", "_either_since")
 
     def __init__(self, segments: int, settings: NamingSettings) -> None:
         """Begin without a fault."""

@@ -14,8 +14,8 @@ from typing import IO, Any
 
 import numpy as np
 
-from srs_twin.errors import InputError, some
-from srs_twin.io.files import existing, shown
+from srs_twin.errors import InputError, format_names
+from srs_twin.io.files import display_path, require_file
 from srs_twin.live.links import Link, clock
 from srs_twin.live.messages import (
     CONTROL,
@@ -62,7 +62,7 @@ class Journal:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("wb")
         except OSError as error:
-            raise InputError(f"{shown(path)}: cannot be written: {error.strerror}") from error
+            raise InputError(f"{display_path(path)}: cannot be written: {error.strerror}") from error
         # Small chunks, so that a kill loses about a second.
         self._writer = Writer(self._file, chunk_size=16_384, compression=CompressionType.NONE)
         self._writer.start(profile="", library="srs_twin")
@@ -93,7 +93,7 @@ class Journal:
             step()
         except (OSError, OverflowError, ValueError, struct.error) as error:
             reason = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
-            self.trouble = f"{shown(self._path)}: ends early, it cannot be written ({reason})"
+            self.trouble = f"{display_path(self._path)}: ends early, it cannot be written ({reason})"
 
     def _write(self, message: Message) -> None:
         key = message.source, message.kind
@@ -171,14 +171,14 @@ def opened_journal(path: Path) -> IO[bytes]:
         InputError: no such file, or no MCAP.
     """
     try:
-        file = existing(path, suffix=".mcap").open("rb")
+        file = require_file(path, suffix=".mcap").open("rb")
         if file.read(len(MAGIC)) == MAGIC:
             file.seek(0)
             return file
     except OSError as error:
-        raise InputError(f"{shown(path)}: cannot be read ({error.strerror})") from error
+        raise InputError(f"{display_path(path)}: cannot be read ({error.strerror})") from error
     file.close()
-    raise InputError(f"{shown(path)}: not an MCAP file")
+    raise InputError(f"{display_path(path)}: not an MCAP file")
 
 
 def _message(topic: str, log_time: int, data: bytes, robot: str, segments: int) -> Message | None:
@@ -274,10 +274,10 @@ class McapLink(Link):
         if head and (head[-1].source == robot or not others):
             return itertools.chain(head, messages)
         bad = [f"{count} × {what.removeprefix('bad: ')}" for what, count in self.counts.items()]
-        instead = f"; it has messages of {some(sorted(others))} (--name)" if others else ""
+        instead = f"; it has messages of {format_names(sorted(others))} (--name)" if others else ""
         refused = f"; not readable: {', '.join(bad[:3])}" if bad else ""
         what = f"no message of '{robot}'" if others or bad else "no message at all"
-        raise InputError(f"{shown(path)}: holds {what}{instead}{refused}")
+        raise InputError(f"{display_path(path)}: holds {what}{instead}{refused}")
 
     def _play(self) -> None:
         try:

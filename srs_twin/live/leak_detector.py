@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from srs_twin.compute.compiled import compiled
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 from srs_twin.pneumatics.chambers import AMBIENT_PA, volume
 from srs_twin.pneumatics.flow import REFERENCE_PA, conductances, flow
 from srs_twin.pneumatics.orifice import CRITICAL_RATIO
@@ -116,14 +116,14 @@ class ChamberConstants(NamedTuple):
     shares: np.ndarray
 
 
-class LeakDetector(Remembers):
+class LeakDetector(Stateful):
     """Balances of air of all chambers.
 
     Attributes:
         strokes: statistics.
     """
 
-    memory = names("strokes")
+    state_attributes = ("strokes",)
 
     def __init__(self, spec: RobotSpec, *, supply_pa: float, variants: Sequence[tuple[float, float]]) -> None:
         """Begin with the values of the robot file.

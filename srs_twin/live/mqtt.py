@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import existing, shown
+from srs_twin.io.files import display_path, require_file
 from srs_twin.live.links import LOOPBACK, Link, clock
 from srs_twin.live.messages import KINDS, STATUS, BadMessageError, decode, encode, topic
 
@@ -131,11 +131,11 @@ def _trust(client: Any, ca: Path) -> None:
     Raises:
         InputError: the file is no certificate in PEM form.
     """
-    place = existing(ca, suffix=".pem")  # else a pipe would be waited for
+    place = require_file(ca, suffix=".pem")  # else a pipe would be waited for
     try:
         client.tls_set(str(place))
     except (OSError, ValueError) as error:
         raise InputError(
-            f"{shown(ca)}: not a certificate in PEM form; --ca needs that of the authority that signed the "
-            "broker's"
+            f"{display_path(ca)}: not a certificate in PEM form; --ca needs that of the authority that "
+            "signed the broker's"
         ) from error

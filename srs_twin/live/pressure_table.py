@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 
 BinIndex = tuple[np.ndarray, ...]
 """Index of the current bin of each chamber."""
 
 
-class ValveAges(Remembers):
+class ValveAges(Stateful):
     """Time since the valves of all chambers switched.
 
     Attributes:
@@ -22,7 +22,7 @@ class ValveAges(Remembers):
         age: time from its switching to the start of the last step, same shape, s.
     """
 
-    memory = names("filling", "age", "_dt")
+    state_attributes = ("filling", "age", "_dt")
 
     def __init__(self, segments: int, bins: int, width_s: float) -> None:
         """Begin with vented chambers; tables have a number of bins of a width (s)."""
@@ -109,14 +109,14 @@ class PressureRates:
         self._time_in_bin = np.where(measured, 0.0, times)
 
 
-class PressureLevels(Remembers):
+class PressureLevels(Stateful):
     """Means and variances of pressures less those of the first-order model, over the supply pressure.
 
     Attributes:
         ages: of the valves.
     """
 
-    memory = names("ages", "_count", "_mean", "_variance")
+    state_attributes = ("ages", "_count", "_mean", "_variance")
     _BINS, _WIDTH_S = 25, 0.02
     _MOST_COUNTED = 40
     """Number of pressures that a mean is taken over."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.io.file_sets import replaced
+from srs_twin.io.file_sets import replace_files
 from srs_twin.live.estimate import Estimate
 from srs_twin.live.links import Link
 from srs_twin.live.shadow import Shadow
@@ -95,7 +95,7 @@ def timing(ticks: Iterable[float], latency: Iterable[float]) -> dict[str, Any]:
 
 def write_results(folder: Path, found: Mapping[str, Any], table: EstimateTable) -> None:
     """Write summary and estimates to a folder."""
-    with replaced(folder, (SUMMARY, ESTIMATE)) as fresh:
+    with replace_files(folder, (SUMMARY, ESTIMATE)) as fresh:
         if len(table):
             table.trajectory().to_parquet(fresh / ESTIMATE)
         (fresh / SUMMARY).write_text(json.dumps(found, indent=1) + "\n", "utf-8")

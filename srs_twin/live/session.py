@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import InputError, SessionWarning
-from srs_twin.io.files import new_numbered, shown
+from srs_twin.io.files import create_numbered_file, display_path
 from srs_twin.io.saved_state import SavedState
 from srs_twin.live.estimate import Estimate
 from srs_twin.live.journal import Journal
@@ -127,9 +127,9 @@ class Session:
                     shadow.restore(SavedState.read(out / STATE))
                 except InputError as error:
                     raise InputError(
-                        f"{error}; another --out keeps them apart, or remove {shown(out / STATE)}"
+                        f"{error}; another --out keeps them apart, or remove {display_path(out / STATE)}"
                     ) from error
-            self._journal = Journal(new_numbered(out, JOURNALS))
+            self._journal = Journal(create_numbered_file(out, JOURNALS))
         self.estimate: Estimate | None = None
         self.faults: dict[tuple[str, str], float] = {}
         self.problems: list[str] = []

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import existing
+from srs_twin.io.files import require_file
 from srs_twin.io.validation import load_model
 from srs_twin.live import mqtt, natnet
 from srs_twin.live.links import address
@@ -115,7 +115,7 @@ def load_setup(path: Path) -> SetupFile:
         InputError: not readable.
         InputFileError: everything that is wrong with it, with line and column.
     """
-    return load_model(SetupFile, existing(path))
+    return load_model(SetupFile, require_file(path))
 
 
 def setup_json_schema() -> dict[str, Any]:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import Remembers, SavedState, fingerprint
+from srs_twin.io.saved_state import SavedState, Stateful, short_digest
 from srs_twin.live.clocks import ReorderBuffer
 from srs_twin.live.commands import KEPT_S, CommandHistory
 from srs_twin.live.ensemble import EnsembleFilter
@@ -162,7 +162,7 @@ class Shadow:
     def save(self) -> SavedState:
         """Return the learnt values and detected faults for `restore`; the pose is not saved."""
         content = {"gone": self._lost_markers} | {
-            name: part.remembered() for name, part in zip(_SAVED, self._saved_parts(), strict=True)
+            name: part.state_dict() for name, part in zip(_SAVED, self._saved_parts(), strict=True)
         }
         return SavedState(self._identity(), content)
 
@@ -174,16 +174,16 @@ class Shadow:
         """
         state.check("shadow", self._identity())
         for name, part in zip(_SAVED, self._saved_parts(), strict=True):
-            part.recall(state.content[name])
+            part.load_state_dict(state.content[name])
         self._lost_markers = np.array(state.content["gone"])
 
-    def _saved_parts(self) -> tuple[Remembers, ...]:
+    def _saved_parts(self) -> tuple[Stateful, ...]:
         return self.ensemble.connection, self.faults
 
     def _identity(self) -> dict[str, Any]:
         rows = len(self.ensemble.connection.weights)
         return {
-            "shadow": fingerprint(self.spec), "supply_pa": self._supply, "learns": _SAVED, "products": rows,
+            "shadow": short_digest(self.spec), "supply_pa": self._supply, "learns": _SAVED, "products": rows,
         }  # fmt: skip
 
     def _needed(self, message: Message) -> bool:

@@ -83,7 +83,7 @@ def shadow(
     """
     from threadpoolctl import threadpool_limits
 
-    from srs_twin.io.files import made_folder, open_folder
+    from srs_twin.io.files import check_output_folder, make_folder
     from srs_twin.live.results import KEPT
 
     if mcap is not None and (mqtt is not None or natnet is not None or follow is not None):
@@ -101,7 +101,7 @@ def shadow(
     if lab["robot"] is None:
         raise InputError("which robot? Give ROBOT, or a file with --setup")
     if out is not None:
-        open_folder(out, KEPT)
+        check_output_folder(out, KEPT)
     threadpool_limits(limits=1, user_api="blas")  # several threads wait for each other on a busy machine
     known = lab["name"] or Path(lab["robot"]).stem
     twin, steering = _twin(lab, follow, members, seed)
@@ -111,7 +111,7 @@ def shadow(
     play = None if mcap is None else (mcap, speed)
     with ExitStack() as stack:
         if out is not None:
-            stack.enter_context(made_folder(out))
+            stack.enter_context(make_folder(out))
         session, shown = _session(stack, lab, known, play, twin, steering, out, (window, web))
         if not quiet:
             keys = (
@@ -189,7 +189,7 @@ def _session(
         out: folder of the files.
         shows: whether the live view is shown in a window, and on a page.
     """
-    from srs_twin.io.files import new_numbered
+    from srs_twin.io.files import create_numbered_file
     from srs_twin.live import natnet as protocol
     from srs_twin.live.journal import McapLink
     from srs_twin.live.keys import typed_words
@@ -218,7 +218,7 @@ def _session(
     if window or web or out is not None:
         from srs_twin.viewing.rerun.live import live_view
 
-        keep = None if out is None else new_numbered(out, RECORDINGS)
+        keep = None if out is None else create_numbered_file(out, RECORDINGS)
         view, shown = stack.enter_context(live_view(spec, keep=keep, window=window, web=web))
         views.append(view)
     session = Session(twin, links, out=out, steering=steering, commands=commands, views=views, keys=keys)

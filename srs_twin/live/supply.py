@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 
 PRIOR_SD = 0.02
 """Standard deviation of the supply pressure at the start, share of the nominal one."""
@@ -42,7 +42,7 @@ _TAILS = 4.0  # degrees of freedom of Student's t
 _LOWEST = 0.02  # share of the nominal pressure
 
 
-class SupplyFilter(Remembers):
+class SupplyFilter(Stateful):
     """Kalman filter for the supply pressure (module docstring).
 
     Attributes:
@@ -51,7 +51,7 @@ class SupplyFilter(Remembers):
         variance: of the estimate, Pa².
     """
 
-    memory = names("pressure", "variance")
+    state_attributes = ("pressure", "variance")
 
     def __init__(self, nominal: float) -> None:
         """Begin with the nominal pressure (gauge, Pa)."""

@@ -23,7 +23,7 @@ from srs_twin.cli.options import (
     option,
 )
 from srs_twin.errors import InputError
-from srs_twin.io.files import shown
+from srs_twin.io.files import display_path
 
 if TYPE_CHECKING:
     from srs_twin.planning.plan import Plan
@@ -52,8 +52,8 @@ def plan(
         search: Also a picture and a recording of what the search explored and rejected.
     """
     from srs_twin.cli.table import WORDS
-    from srs_twin.io.file_sets import replaced
-    from srs_twin.io.files import open_folder
+    from srs_twin.io.file_sets import replace_files
+    from srs_twin.io.files import check_output_folder
     from srs_twin.planning.metrics import plan_metrics
     from srs_twin.scenario.expectation import verdict
     from srs_twin.scenario.loading import load_scenario
@@ -64,12 +64,12 @@ def plan(
         raise InputError(f"{scenario}: it has no planner; add planner, and controller.kind: follow")
     folder = Path(out) if out else RUNS / loaded.name
     files = (PLAN, PICTURE, *((SEARCH, RECORDING) if search else ()))
-    open_folder(folder, files)
+    check_output_folder(folder, files)
     with loaded.named_in_errors():
         found = loaded.planner.plan_anew(keep=True) if search else loaded.planner.plan()
     metrics = plan_metrics(found.found, found.segments, found.expanded)
     checked = _checked(loaded, metrics)
-    with replaced(folder, (PLAN, PICTURE, SEARCH, RECORDING)) as fresh:
+    with replace_files(folder, (PLAN, PICTURE, SEARCH, RECORDING)) as fresh:
         _write(fresh, loaded, loaded.planner.problem, found, metrics)
         if search:
             _write_search(fresh, loaded.title, found)
@@ -77,7 +77,7 @@ def plan(
         print((folder / PLAN).read_text("utf-8"), end="")
     elif not quiet:
         _show(loaded, found)
-    say(f"files in {shown(folder)}: {', '.join(files)}", quiet=quiet)
+    say(f"files in {display_path(folder)}: {', '.join(files)}", quiet=quiet)
     missed = [each for each in checked if verdict(each) == "missed"]
     for each in checked if not quiet else missed if check else ():
         (say if as_json else print)(

@@ -22,7 +22,6 @@ import numpy as np
 from srs_twin.control.base import Controller
 from srs_twin.control.camera import Camera, CameraFrames, PeriodMean
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import names
 from srs_twin.planning.collision import Checker
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.plan import Plan
@@ -129,7 +128,7 @@ class Follower(Controller):
     """
 
     kind = "follow"
-    memory = names(
+    state_attributes = (
         *("gait", "_frames", "_mean", "_predictor", "law", "plans", "ending", "_s", "_here", "_moving_at"),
         *("_pending", "_commanded", "_tries", "_not_before", "_running_up", "_renewal", "_events"),
     )
@@ -205,13 +204,13 @@ class Follower(Controller):
         """Plan anew at the next frame, as something has changed; else the old plan is followed on."""
         self._renewal = why
 
-    def recall(self, memory: Mapping[str, Any]) -> None:
+    def load_state_dict(self, memory: Mapping[str, Any]) -> None:
         """See `Remembers`; the law begins the last plan's path before it is told where it is on it."""
         segments = memory["plans"][-1][1].segments
         if segments:
             self._route = Route(segments)
             self.law.begin(self._route)
-        super().recall(memory)
+        super().load_state_dict(memory)
 
     def signals(self) -> dict[str, Any]:
         """Return those of the gait, and what the follower sees and commands; NaN before the first frame."""
@@ -298,7 +297,7 @@ class Follower(Controller):
 
     def _endangered(self, here: Pose, place: PathPoint) -> bool:
         """Say whether the body comes too near to something on its way back to the path."""
-        if not self.world.solid or self._reserve == 0:
+        if not self.world.has_obstacles or self._reserve == 0:
             return False
         slope = math.remainder(here.heading - place.heading, 2 * math.pi)
         piece = min(_HORIZON, max(self._route.length - place.s, 1e-3)) / _PIECES

@@ -26,11 +26,11 @@ from pydantic import Field
 
 from srs_twin.errors import InputError
 from srs_twin.io.documents import Document, dump_yaml, load_yaml
-from srs_twin.io.files import atomic_write, find
-from srs_twin.io.validation import Strict, validate
+from srs_twin.io.files import atomic_write, find_file
+from srs_twin.io.validation import StrictModel, validate
 from srs_twin.planning.margins import ExcursionsFile
 from srs_twin.plants.twin.mjcf.numerics import UNSTATED_CONTACT, ContactName
-from srs_twin.robot.sourced import Record, Status, between
+from srs_twin.robot.sourced import Record, Status, bounded
 
 MEASURED_ON_TWIN = "measured on the twin"
 """Beginning of the source of curvatures that were measured on a twin."""
@@ -297,19 +297,19 @@ def checked(footprint: Footprint) -> Footprint:
 
 
 Rows = Field(min_length=3, max_length=101)
-Offsets = Record[Annotated[list[Annotated[float, between(-1.0, 1.0)]], Rows], Literal["1"]]
-Curvatures = Record[Annotated[list[Annotated[float, between(-100.0, 100.0)]], Rows], Literal["1/m"]]
-Speeds = Record[Annotated[list[Annotated[float, between(1e-3, 10.0)]], Rows], Literal["m/s"]]
-Edges = Record[Annotated[list[Annotated[float, between(1e-3, 10.0)]], Rows], Literal["m"]]
-Reach = Record[Annotated[float, between(0.0, 10.0)], Literal["m"]]
+Offsets = Record[Annotated[list[Annotated[float, bounded(-1.0, 1.0)]], Rows], Literal["1"]]
+Curvatures = Record[Annotated[list[Annotated[float, bounded(-100.0, 100.0)]], Rows], Literal["1/m"]]
+Speeds = Record[Annotated[list[Annotated[float, bounded(1e-3, 10.0)]], Rows], Literal["m/s"]]
+Edges = Record[Annotated[list[Annotated[float, bounded(1e-3, 10.0)]], Rows], Literal["m"]]
+Reach = Record[Annotated[float, bounded(0.0, 10.0)], Literal["m"]]
 
-Offset = Annotated[float, between(-1.0, 1.0)]
-Metres = Annotated[float, between(0.0, 10.0)]
-Shift = Annotated[float, between(-10.0, 10.0)]
-Spreads = Annotated[list[Annotated[float, between(0.0, 100.0)]], Rows]
+Offset = Annotated[float, bounded(-1.0, 1.0)]
+Metres = Annotated[float, bounded(0.0, 10.0)]
+Shift = Annotated[float, bounded(-10.0, 10.0)]
+Spreads = Annotated[list[Annotated[float, bounded(0.0, 100.0)]], Rows]
 
 
-class TransientFile(Strict):
+class TransientFile(StrictModel):
     """How far the snake leaves the new arc after one change of offset."""
 
     from_offset: Offset = Field(description="Offset before, -1 to 1.")
@@ -319,7 +319,7 @@ class TransientFile(Strict):
     length_m: Metres = Field(description="Path over which that holds, m, 0 to 10.")
     dx_m: Shift = Field(0.0, description="Jump of the path along itself, m, -10 to 10 (default 0).")
     dy_m: Shift = Field(0.0, description="Jump of the path to its left, m, -10 to 10 (default 0).")
-    dheading_rad: Annotated[float, between(-3.15, 3.15)] = Field(
+    dheading_rad: Annotated[float, bounded(-3.15, 3.15)] = Field(
         0.0, description="Turn of the path to the left, rad, -3.15 to 3.15 (default 0)."
     )
 
@@ -328,7 +328,7 @@ class TransientFile(Strict):
         return Transient(*self.model_dump().values())
 
 
-class TransientsFile(Strict):
+class TransientsFile(StrictModel):
     """Changes of offset."""
 
     status: Status = Field(description="As of any number.")
@@ -338,7 +338,7 @@ class TransientsFile(Strict):
     )
 
 
-class SpreadFile(Strict):
+class SpreadFile(StrictModel):
     """By how much repeated measurements of the columns differ, one number an offset."""
 
     source: str = Field(min_length=1, max_length=1000, description="What was repeated, and what is given.")
@@ -348,7 +348,7 @@ class SpreadFile(Strict):
     right_m: Spreads = Field(description="Of the right edge, m, 0 to 100.")
 
 
-class FootprintFile(Strict):
+class FootprintFile(StrictModel):
     """A footprint file; the columns have one value an offset."""
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60, description="Short name.")
@@ -412,11 +412,11 @@ def load_footprint_file(name_or_path: str | os.PathLike[str]) -> FootprintFile:
         InputError: not found or not readable.
         InputFileError: everything that is wrong with it.
     """
-    document = load_yaml(find("footprint", name_or_path))
+    document = load_yaml(find_file("footprint", name_or_path))
     file = validate(FootprintFile, document, document.data)
     if file:
         _report(file, document)
-    document.finish()
+    document.raise_problems()
     assert file is not None, "no problem was reported"
     return file
 
@@ -444,7 +444,7 @@ def save_footprint(file: FootprintFile, path: str | os.PathLike[str], *, header:
     """
     document = Document(os.fspath(path))
     _report(file, document)
-    document.finish()
+    document.raise_problems()
     with atomic_write(path) as part:
         comment = "".join(f"# {line}\n" for line in header)
         text = dump_yaml(file.model_dump(mode="json", exclude_none=True), compact=True)

@@ -17,18 +17,18 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from srs_twin.errors import InputError
-from srs_twin.io.validation import Strict
+from srs_twin.io.validation import StrictModel
 from srs_twin.plants.twin.mjcf.numerics import UNSTATED_CONTACT, ContactName
-from srs_twin.robot.sourced import between
+from srs_twin.robot.sourced import bounded
 
-Share = Annotated[float, between(0.0, 1.0)]
-Excursion = Annotated[float, between(-10.0, 1e3)]
+Share = Annotated[float, bounded(0.0, 1.0)]
+Excursion = Annotated[float, bounded(-10.0, 1e3)]
 Runs = Annotated[list[Excursion], Field(min_length=1, max_length=10_000)]
 LOST_M = 1e3
 """Stands for the excursion of a run that never arrived, m."""
 
 
-class ConditionsFile(Strict):
+class ConditionsFile(StrictModel):
     """Under which a follower was tried."""
 
     plant: Literal["analytical", "twin"] = Field(description="What was run.")
@@ -41,10 +41,10 @@ class ConditionsFile(Strict):
     tau_spread: Share = Field(0.0, description="Of their lags, 0 to 1.")
     bias_spread_rad: Share = Field(0.0, description="Of their bends without pressure, rad, 0 to 1.")
     turn_share: Share = Field(description="Of the tightest turns, planned with, 0 to 1.")
-    delay_s: Annotated[float, between(0.0, 10.0)] = Field(description="Of commands, s, 0 to 10.")
+    delay_s: Annotated[float, bounded(0.0, 10.0)] = Field(description="Of commands, s, 0 to 10.")
     position_noise_m: Share = Field(description="Of the camera, m, 0 to 1.")
-    heading_noise_rad: Annotated[float, between(0.0, 3.0)] = Field(description="Of the camera, rad, 0 to 3.")
-    run_up_m: Annotated[float, between(0.0, 100.0)] = Field(description="Straight beginning, m, 0 to 100.")
+    heading_noise_rad: Annotated[float, bounded(0.0, 3.0)] = Field(description="Of the camera, rad, 0 to 3.")
+    run_up_m: Annotated[float, bounded(0.0, 100.0)] = Field(description="Straight beginning, m, 0 to 100.")
 
     @model_validator(mode="before")
     @classmethod
@@ -76,7 +76,7 @@ SPREADS = ("gain_spread", "tau_spread", "bias_spread_rad")
 _HARDER = (*SPREADS, "turn_share", "delay_s", "position_noise_m", "heading_noise_rad")
 
 
-class ExcursionsFile(Strict):
+class ExcursionsFile(StrictModel):
     """How far the body left its planned footprint, the largest of each run, m; 1000: it never arrived."""
 
     conditions: ConditionsFile = Field(description="Under which.")

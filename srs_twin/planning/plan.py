@@ -13,13 +13,13 @@ from srs_twin.planning.free_space import least_length
 from srs_twin.planning.problem import Outcome, Problem, Segment
 from srs_twin.planning.tree import Tree
 from srs_twin.robot.world import Pose
-from srs_twin.trajectory import Shown
+from srs_twin.trajectory import HtmlResult
 
 _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
-class Plan(Shown):
+class Plan(HtmlResult):
     """A planner's answer; equal for equal problems, whatever the machine.
 
     Attributes:

@@ -14,7 +14,7 @@ from pydantic import Field, PrivateAttr, model_validator
 from srs_twin.control.base import Controller
 from srs_twin.control.camera import Camera
 from srs_twin.errors import InputError
-from srs_twin.io.files import find
+from srs_twin.io.files import find_file
 from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.collision import Checker
 from srs_twin.planning.follower import Conditions, Follower
@@ -462,7 +462,7 @@ class FollowFile(ControllerSection):
 def _input_files(section: Mapping[str, Any]) -> Iterator[str]:
     if isinstance(name := section.get("footprint"), str):
         try:
-            yield str(find("footprint", name))
+            yield str(find_file("footprint", name))
         except InputError:
             yield name
 

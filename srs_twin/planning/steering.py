@@ -36,7 +36,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.route import PathPoint, Route
 from srs_twin.robot.world import Pose
@@ -61,7 +61,7 @@ _Moment = tuple[float, ...]  # time, x, y, heading; of the model also what it tu
 _time = itemgetter(0)
 
 
-class Predictor(Remembers):
+class Predictor(Stateful):
     """Model and measurement of one run.
 
     Attributes:
@@ -72,8 +72,16 @@ class Predictor(Remembers):
         moved: way of the means over the last period, m; None until a period has been seen twice.
     """
 
-    memory = names(
-        "speed", "disturbance", "gain", "curvature", "moved", "_doubt", "_learnt", "_model", "_means"
+    state_attributes = (
+        "speed",
+        "disturbance",
+        "gain",
+        "curvature",
+        "moved",
+        "_doubt",
+        "_learnt",
+        "_model",
+        "_means",
     )
 
     def __init__(self, footprint: Footprint, period: float, delay: float, settle: float) -> None:
@@ -213,7 +221,7 @@ class SteeringInput:
     gain: float = 1.0
 
 
-class Steering(Remembers, ABC):
+class Steering(Stateful, ABC):
     """A steering law; frozen settings make one for every run.
 
     Attributes:
@@ -221,7 +229,7 @@ class Steering(Remembers, ABC):
         node: number of the node that the snake heads for, or of the nodes that it has passed.
     """
 
-    memory = names("node")
+    state_attributes = ("node",)
 
     predicts: bool
     node: int = 0

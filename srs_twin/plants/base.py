@@ -12,13 +12,13 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from srs_twin.compute.arrays import LARGEST, implausible, joined, plausible
-from srs_twin.errors import DivergedError, InputError, exact, whole_steps
-from srs_twin.io.saved_state import Remembers, SavedState, fingerprint, names
+from srs_twin.compute.arrays import LARGEST_PLAUSIBLE, concatenate_records, first_implausible, is_plausible
+from srs_twin.errors import DivergedError, InputError, count_steps, format_exact
+from srs_twin.io.saved_state import SavedState, Stateful, short_digest
 from srs_twin.pneumatics import Pneumatics, Schedule, make_pneumatics
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.sensing import Sensor, make_sensor
@@ -89,7 +89,9 @@ class SnakeState:
     @staticmethod
     def history(states: Sequence[SnakeState]) -> SnakeState:
         """Return the concatenation of histories; a single state counts as one sample."""
-        return joined([state if np.ndim(state.time) else state._as_history() for state in states])
+        return concatenate_records(
+            [state if np.ndim(state.time) else state._as_history() for state in states]
+        )
 
     def _as_history(self) -> SnakeState:
         return SnakeState(*(np.asarray(getattr(self, name))[None] for name in _FIELDS))
@@ -101,7 +103,7 @@ _FIELDS = tuple(field.name for field in fields(SnakeState))  # cached: `fields` 
 _STRETCH_DEPRECATED = "Plant.stretch is deprecated; use Plant.max_chunk_s"
 
 
-class Plant(Remembers, ABC):
+class Plant(Stateful, ABC):
     """Abstract snake that follows valve commands.
 
     Attributes:
@@ -157,8 +159,8 @@ class Plant(Remembers, ABC):
         Raises:
             InputError: the class does not list its state attributes (`memory`).
         """
-        self.check_memory(Plant, f"plant '{self.name}'")
-        return PlantState(self.identity(), self.remembered())
+        self.check_saveable(Plant, f"plant '{self.name}'")
+        return PlantState(self.identity(), self.state_dict())
 
     def restore(self, state: PlantState) -> SnakeState:
         """Continue from a saved state, with the same bits as the original plant.
@@ -170,7 +172,7 @@ class Plant(Remembers, ABC):
             InputError: the saved state belongs to another plant or robot.
         """
         state.check(f"plant '{self.name}'", self.identity())
-        self.recall(state.content)
+        self.load_state_dict(state.content)
         return self.state
 
     def place(self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0) -> SnakeState:
@@ -189,7 +191,7 @@ class Plant(Remembers, ABC):
 
     def identity(self) -> dict[str, Any]:
         """Return the settings that a saved state and the plant must have in common (JSON values)."""
-        return {**self.describe(), "robot_digest": fingerprint(self.spec)}
+        return {**self.describe(), "robot_digest": short_digest(self.spec)}
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -230,7 +232,7 @@ class Plant(Remembers, ABC):
         if samples != 1:
             raise InputError(
                 f"plant '{self.name}' provides one sample per tick, not {samples}; "
-                f"record_hz must be {exact(1 / self.tick)} or a whole fraction of it"
+                f"record_hz must be {format_exact(1 / self.tick)} or a whole fraction of it"
             )
         return [self.step(valves)]
 
@@ -268,7 +270,7 @@ class PneumaticPlant(Plant):
         seed: random seed of the sensor noise.
     """
 
-    memory = names("_ticks", "seed", "pneumatics", "state")
+    state_attributes: ClassVar[tuple[str, ...]] = ("_ticks", "seed", "pneumatics", "state")
 
     pneumatics: Pneumatics
     sensor: Sensor
@@ -301,7 +303,7 @@ class PneumaticPlant(Plant):
     def play(self, schedule: Schedule, samples: int) -> SnakeState:
         """See `Plant.play`."""
         self.pneumatics.check(schedule.states)
-        ticks = whole_steps("schedule", schedule.span, "tick", self.tick)
+        ticks = count_steps("schedule", schedule.span, "tick", self.tick)
         history = self._simulate(schedule, ticks, samples)
         self.state = history.at(-1)
         return history
@@ -366,13 +368,15 @@ def check_plausible(plant: str, state: SnakeState) -> SnakeState:
     # The other fields follow from these. Scalars are compared in Python: NumPy takes as long as for an array.
     scalars: tuple[Any, ...] = (state.heading, state.work, state.air)
     single = not isinstance(state.time, np.ndarray)
-    scalars_plausible = all(abs(value) < LARGEST for value in scalars) if single else plausible(*scalars)
-    if scalars_plausible and plausible(state.com, state.bend, state.pressure):
+    scalars_plausible = (
+        all(abs(value) < LARGEST_PLAUSIBLE for value in scalars) if single else is_plausible(*scalars)
+    )
+    if scalars_plausible and is_plausible(state.com, state.bend, state.pressure):
         return state
     history = SnakeState.history([state])
     for k, time in enumerate(np.asarray(history.time)):
         for field in fields(history):
-            wrong = implausible(getattr(history, field.name)[k])
+            wrong = first_implausible(getattr(history, field.name)[k])
             if wrong is not None:
                 before = history.at(slice(k)) if k else None
                 reason = f"{field.name} is {wrong:g}, which no snake reaches"
@@ -391,8 +395,8 @@ def check_before_step(plant: str, time: float, *state: Any) -> None:
     Raises:
         DivergedError: it is not plausible.
     """
-    if not plausible(*state):
-        wrong = implausible(np.concatenate([np.ravel(values) for values in state]))
+    if not is_plausible(*state):
+        wrong = first_implausible(np.concatenate([np.ravel(values) for values in state]))
         reason = f"its state contains {wrong:g} before the step, which no snake reaches"
         raise DivergedError(plant, time, reason)
 

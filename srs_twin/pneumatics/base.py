@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import asdict
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.arrays import implausible, plausible
-from srs_twin.errors import DivergedError, InputError, one_of
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.compute.arrays import first_implausible, is_plausible
+from srs_twin.errors import DivergedError, InputError, check_choice
+from srs_twin.io.saved_state import Stateful
 from srs_twin.pneumatics.valves import LAYOUTS, Schedule, StuckValve
 from srs_twin.robot.spec import RobotSpec
 
@@ -50,7 +50,7 @@ class Trace(NamedTuple):
         return Trace(*(column.take(rows, axis=0) for column in self))
 
 
-class Pneumatics(Remembers, ABC):
+class Pneumatics(Stateful, ABC):
     """Valves and chambers of a robot, and the free bends of its segments.
 
     A subclass implements the physics in `_simulate`, to which valve commands arrive after the valve delay.
@@ -74,7 +74,16 @@ class Pneumatics(Remembers, ABC):
         rest_bend: rest bends, shape (segments,), rad.
     """
 
-    memory = names("pressure", "bend", "air", "_elapsed", "openings", "valves", "_pending", "stuck")
+    state_attributes: ClassVar[tuple[str, ...]] = (
+        "pressure",
+        "bend",
+        "air",
+        "_elapsed",
+        "openings",
+        "valves",
+        "_pending",
+        "stuck",
+    )
     kind = "own"
     stuck: tuple[StuckValve, ...] = ()
     depends_on_bend = False
@@ -84,7 +93,7 @@ class Pneumatics(Remembers, ABC):
     stiffness = 0.0
 
     def __init__(self, spec: RobotSpec, *, layout: str, valve_delay_s: float = 0.0) -> None:
-        one_of("valve layout", layout, LAYOUTS)
+        check_choice("valve layout", layout, LAYOUTS)
         check_not_negative(valve_delay_s=valve_delay_s)
         self.layout, self._delay = layout, valve_delay_s
         self._segments = spec.segments
@@ -212,10 +221,10 @@ class Pneumatics(Remembers, ABC):
 
     def _check_state(self) -> None:
         """Raise `DivergedError` if the current state is not plausible."""
-        if plausible(self.pressure, self.bend, self.air):
+        if is_plausible(self.pressure, self.bend, self.air):
             return
         for name, values in (("pressure", self.pressure), ("free bend", self.bend), ("air drawn", self.air)):
-            wrong = implausible(values)
+            wrong = first_implausible(values)
             if wrong is not None:
                 reason = f"{name} is {wrong:g}, which no chamber reaches"
                 raise DivergedError(f"pneumatics '{self.kind}'", self._elapsed, reason)

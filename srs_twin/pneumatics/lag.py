@@ -32,7 +32,6 @@ import numpy as np
 
 from srs_twin.compute.compiled import allocating, compiled
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import names
 from srs_twin.pneumatics.base import OptionalArray, Pneumatics, Trace, check_not_negative
 from srs_twin.pneumatics.chambers import (
     AMBIENT_PA,
@@ -128,7 +127,7 @@ class LagPneumatics(Pneumatics):
     """Chambers with a first-order lag (module docstring)."""
 
     kind = "lag"
-    memory = names("_linear", "_asymptote", "_energy_per_amount")
+    state_attributes = ("_linear", "_asymptote", "_energy_per_amount")
 
     def __init__(
         self,

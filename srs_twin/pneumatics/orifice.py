@@ -27,7 +27,6 @@ import numpy as np
 
 from srs_twin.compute.arrays import check_positive
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import names
 from srs_twin.pneumatics.base import OptionalArray, Pneumatics, Trace, check_not_negative
 from srs_twin.pneumatics.chambers import (
     AMBIENT_PA,
@@ -66,7 +65,7 @@ class OrificePneumatics(Pneumatics):
     """
 
     kind = "orifice"
-    memory = names("_state", "_amounts", "_plumbing", "_energy_per_amount")
+    state_attributes = ("_state", "_amounts", "_plumbing", "_energy_per_amount")
     depends_on_bend = True
     # The opposite chamber compresses a full chamber: gen 3 reaches a ratio of 1.6.
     max_pressure_ratio = 4.0

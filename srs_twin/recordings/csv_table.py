@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.io.files import decoded, existing, shown
+from srs_twin.io.files import decode_text, display_path, require_file
 from srs_twin.recordings.signals.units import TIMES, bracketed, clean, is_clock, symbol, unit_of
 
 CLOCK = {"time": TIMES}
@@ -325,8 +325,10 @@ def recording_file(path: str | os.PathLike[str]) -> Path:
     bags = sorted(each for each in inside if each.suffix in (".db3", ".mcap"))
     if len(bags) > 1:
         names = ", ".join(each.name for each in bags[:3])
-        raise InputError(f"{shown(place)}: a folder with {len(bags)} bags; give one of them ({names}, …)")
-    return existing(bags[0] if bags else place, suffix=".csv")
+        raise InputError(
+            f"{display_path(place)}: a folder with {len(bags)} bags; give one of them ({names}, …)"
+        )
+    return require_file(bags[0] if bags else place, suffix=".csv")
 
 
 def start_of(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> RecordedFile:
@@ -336,7 +338,7 @@ def start_of(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> Recor
         InputError: it is missing or cannot be read.
     """
     place = recording_file(path)
-    return laid_out(RecordedFile(shown(place), _bytes(place, _PEEK)), dialect)
+    return laid_out(RecordedFile(display_path(place), _bytes(place, _PEEK)), dialect)
 
 
 def read_bytes(path: str | os.PathLike[str]) -> RecordedFile:
@@ -346,7 +348,7 @@ def read_bytes(path: str | os.PathLike[str]) -> RecordedFile:
         InputError: missing, no regular file, not readable, empty, or too large.
     """
     place = recording_file(path)
-    file = RecordedFile(shown(place), _bytes(place, MAX_BYTES + 1))
+    file = RecordedFile(display_path(place), _bytes(place, MAX_BYTES + 1))
     if len(file.data) > MAX_BYTES:
         megabytes, most = place.stat().st_size / (1 << 20), MAX_BYTES >> 20
         raise file.error(f"{megabytes:.0f} MB; at most {most} MB are read (export a shorter take)")
@@ -361,7 +363,7 @@ def _bytes(place: Path, most: int) -> bytes:
         with place.open("rb") as stream:
             return stream.read(most)
     except OSError as error:
-        raise InputError(f"{shown(place)}: cannot be read ({error.strerror})") from error
+        raise InputError(f"{display_path(place)}: cannot be read ({error.strerror})") from error
 
 
 def read_file(path: str | os.PathLike[str]) -> RecordedFile:
@@ -376,7 +378,7 @@ def read_file(path: str | os.PathLike[str]) -> RecordedFile:
     if zero >= 0 and not file.data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise file.error(f"not text (byte {zero + 1} is 0x00); a CSV file is wanted")
     if not file.data.isascii():
-        decoded(file.data, file.name)
+        decode_text(file.data, file.name)
     return file
 
 

@@ -37,7 +37,7 @@ def export(
         out: File to write. [default: RUN/twin.csv, RUN/run.mcap]
     """
     from srs_twin.experiment import load_run
-    from srs_twin.io.files import open_folder, shown, write_text
+    from srs_twin.io.files import check_output_folder, display_path, write_text
 
     chosen = [name for name, wanted in zip(_FORMATS, (mcap, csv, npz), strict=True) if wanted]
     if len(chosen) != 1:
@@ -56,8 +56,8 @@ def export(
     beside = [path.with_suffix(".map.yaml"), path.with_suffix(".foxglove.json")] if kind == "mcap" else []
     for target in (path, *beside):
         if target.exists() and not overwrite:
-            raise InputError(f"{shown(target)} exists; --overwrite replaces it")
-    open_folder(path.parent, tuple(target.name for target in (path, *beside)))
+            raise InputError(f"{display_path(target)} exists; --overwrite replaces it")
+    check_output_folder(path.parent, tuple(target.name for target in (path, *beside)))
     from srs_twin.recordings import export as exporting
 
     if kind == "csv":
@@ -71,4 +71,4 @@ def export(
         with beside[0].open("w", encoding="utf-8") as file:
             YAML(typ="safe").dump(exporting.recording_map(first, runs[first]), file)
         write_text(beside[1], json.dumps(exporting.foxglove_layout(runs), indent=2) + "\n")
-    say(f"wrote {', '.join(shown(target) for target in (path, *beside))}", quiet=quiet)
+    say(f"wrote {', '.join(display_path(target) for target in (path, *beside))}", quiet=quiet)

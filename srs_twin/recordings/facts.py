@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter
 
-from srs_twin.io.validation import Strict
+from srs_twin.io.validation import StrictModel
 
 
 def _unit(unit: str) -> Any:
@@ -29,7 +29,7 @@ Seconds = Annotated[float, _unit("s")]
 Pair = Annotated[list[str], Field(min_length=2, max_length=2)]
 
 
-class _Facts(Strict):
+class _Facts(StrictModel):
     # NumPy's numbers become Python's.
     model_config = ConfigDict(strict=False)
 

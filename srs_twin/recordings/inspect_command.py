@@ -40,7 +40,7 @@ def inspect(
         picture: The markers from above; of several files NAME goes before it.
         write_map: Where a proposed map goes.
     """
-    from srs_twin.io.files import open_folder, printable, write_text
+    from srs_twin.io.files import check_output_folder, escape_unprintable, write_text
     from srs_twin.recordings.inspection import in_words, inspect_file, proposed_map
     from srs_twin.recordings.recording_map import given_map, read_map
     from srs_twin.robot.file import load_robot
@@ -51,7 +51,7 @@ def inspect(
     spec = None if robot is None else load_robot(robot)
     for name, target in (("--picture", picture), ("--write-map", write_map)):
         if target is not None:
-            open_folder(Path(target).parent, (Path(target).name,), option=name)
+            check_output_folder(Path(target).parent, (Path(target).name,), option=name)
     if write_map is not None and os.path.lexists(write_map) and not overwrite:
         raise InputError(f"{write_map}: exists; give --overwrite, or another name")
     found, failed = [], []
@@ -64,7 +64,7 @@ def inspect(
             continue
         found.append(facts)
         if not as_json:
-            print(printable(in_words(facts), keep="\n"))
+            print(escape_unprintable(in_words(facts), keep="\n"))
         if picture is not None and scene is not None:
             from srs_twin.recordings.pictures import markers_view
             from srs_twin.viewing.plots.picture_file import save

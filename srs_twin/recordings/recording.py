@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srs_twin.errors import InputError, UnknownNameError, one_of
+from srs_twin.errors import InputError, UnknownNameError, check_choice
 from srs_twin.recordings.body.floor import UPS, FloorPlane, on_floor, strangers
 from srs_twin.recordings.body.markers import (
     LAYOUTS,
@@ -116,8 +116,8 @@ def read_motion(
     """
     if not 0 <= longest_gap_s <= 10:
         raise InputError(f"longest_gap_s {longest_gap_s!r} is not allowed; it must be from 0 to 10 s")
-    one_of("up", up, UPS)
-    one_of("fill", fill, WAYS)
+    check_choice("up", up, UPS)
+    check_choice("fill", fill, WAYS)
     if layout not in LAYOUTS:
         raise UnknownNameError("layout", layout, LAYOUTS)
     table = read_markers(path, rate_hz=map.rate_hz, unit=map.units, scale_m=map.scale_m, dialect=map.dialect)

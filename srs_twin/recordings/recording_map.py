@@ -12,7 +12,7 @@ from pydantic import Field
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.documents import Document, load_yaml
-from srs_twin.io.validation import Strict, load_model, validate
+from srs_twin.io.validation import StrictModel, load_model, validate
 from srs_twin.recordings.csv_table import Dialect, Meaning
 from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.signals.units import ANGLES, PRESSURES, SHARES, TIMES, symbol
@@ -33,7 +33,7 @@ _SEPARATORS = {"tab": "\t", "space": " "}
 _PLACE = re.compile(r"(connector|middle) (\d{1,3})(?: (ahead|behind|left|right))?")
 
 
-class MarkerPlace(Strict):
+class MarkerPlace(StrictModel):
     """Where a marker or a rigid body is on the robot."""
 
     connector: Annotated[int, Field(ge=1, le=999)] | None = None
@@ -50,7 +50,7 @@ class MarkerPlace(Strict):
         return at, self.side or ""
 
 
-class LogColumn(Strict):
+class LogColumn(StrictModel):
     """A column of a log, or a signal, and its unit."""
 
     column: str
@@ -59,7 +59,7 @@ class LogColumn(Strict):
     """Unit, where the name states none: s, ms, kPa, bar, deg, …"""
 
 
-class RecordingMap(Strict):
+class RecordingMap(StrictModel):
     """What is what in the files of a recording (docs/logs.md#recording-map)."""
 
     units: Literal["m", "cm", "mm", "in", "ft", "px"] | None = None
@@ -222,6 +222,6 @@ def read_map(data: Mapping[str, Any]) -> RecordingMap:
     """
     document = Document("--map", dict(data))
     found = validate(RecordingMap, document, document.data)
-    document.finish()
+    document.raise_problems()
     assert found is not None, "a map without a problem was checked"
     return found

@@ -361,7 +361,7 @@ def load_claims(path: Path | None = None) -> tuple[Claim, ...]:
     for name, count in Counter(row.id for row in rows).items():
         if count > 1:
             document.report((), f"the row {name} is there {count} times")
-    document.finish()
+    document.raise_problems()
     return tuple(rows)
 
 

@@ -57,7 +57,7 @@ def reproduce(
     # First of all: it loads what workers need while this process loads what it needs itself.
     start_server("srs_twin.studies.sweep.warm")
     from srs_twin.errors import InputError
-    from srs_twin.io.files import shown
+    from srs_twin.io.files import display_path
     from srs_twin.reproduction.claims import chosen, load_claims
     from srs_twin.reproduction.runs import HTML, JSON, JUNIT, open_store
     from srs_twin.reproduction.verdicts import judge
@@ -77,7 +77,7 @@ def reproduce(
         print((out / JSON).read_text("utf-8"), end="")
     elif not quiet:
         _show(rows)
-    say(f"files in {shown(out)}: {HTML}, {JSON}, {JUNIT}", quiet=quiet)
+    say(f"files in {display_path(out)}: {HTML}, {JSON}, {JUNIT}", quiet=quiet)
     for line in changes:
         say(f"changed from the baseline: {line}")
     if changes:
@@ -141,7 +141,7 @@ def _figures(
 
 def _written(out: Path, rows: Sequence[Judged], figures: list[Any], *, write_baseline: bool) -> list[str]:
     """Write the files; return what has changed from the baseline."""
-    from srs_twin.io.file_sets import replaced
+    from srs_twin.io.file_sets import replace_files
     from srs_twin.reproduction.report import write_html, write_json
     from srs_twin.reproduction.runs import HTML, JSON, JUNIT
     from srs_twin.reproduction.verdicts import load_baseline
@@ -150,7 +150,7 @@ def _written(out: Path, rows: Sequence[Judged], figures: list[Any], *, write_bas
     if write_baseline:
         write(rows)
     changes = load_baseline().changes(rows)
-    with replaced(out, (JSON, HTML, JUNIT)) as fresh:
+    with replace_files(out, (JSON, HTML, JUNIT)) as fresh:
         write_report(fresh / JUNIT, "srs-twin reproduce", _suites(rows))
         write_html(fresh / HTML, rows, figures, changes)
         write_json(fresh / JSON, rows, changes)

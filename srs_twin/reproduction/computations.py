@@ -172,7 +172,7 @@ def planner_success(planner: str, draws: int) -> Numbers:
     from srs_twin.planning.footprint import load_footprint
     from srs_twin.planning.planner import plan
     from srs_twin.planning.problem import Problem
-    from srs_twin.robot.drawn_worlds import FIG54_GOAL, FIG54_SITES, FIG54_START, fig54_world
+    from srs_twin.robot.random_worlds import FIG54_GOAL, FIG54_SITES, FIG54_START, fig54_world
 
     body = load_footprint("gen2_section52")
     arcs = Primitives(21, math.pi / 3, 0.2) if planner == "greedy" else None

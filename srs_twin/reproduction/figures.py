@@ -70,7 +70,7 @@ def load_pictures(path: Path | None = None) -> tuple[Picture, ...]:
             runs.check_names(document, (i, "of", k))
         if picture.draw not in DRAWINGS:
             document.report((i, "draw"), str(UnknownNameError("picture", picture.draw, DRAWINGS)))
-    document.finish()
+    document.raise_problems()
     return tuple(picture for _, picture in pictures)
 
 

@@ -16,9 +16,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from srs_twin.compute.workers import each, start_server
+from srs_twin.compute.workers import run_tasks, start_server
 from srs_twin.errors import SrsError
-from srs_twin.io.files import open_folder, shipped_folder
+from srs_twin.io.files import check_output_folder, shipped_folder
 from srs_twin.reproduction.claims import COMPUTATIONS, Plain, RunRequest, Set
 from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.provenance import digest_of, run_key, source_digests, versions
@@ -111,7 +111,7 @@ def open_store(folder: Path, alter: Alter | None = None) -> Iterator[Store]:
     Raises:
         InputError: the folder cannot be written, is locked, or holds something else.
     """
-    open_folder(folder, (HTML, JSON, JUNIT))
+    check_output_folder(folder, (HTML, JSON, JUNIT))
     with RowStore(folder) as store:
         yield Store(store, alter)
 
@@ -182,7 +182,7 @@ class Store:
             return
         finished_row = started(len(due)) if started is not None else None
         start_server("srs_twin.studies.sweep.warm")
-        with closing(each(carry_out, due, workers=workers)) as finished:
+        with closing(run_tasks(carry_out, due, workers=workers)) as finished:
             for done in finished:
                 row = done.result or failed_row(due[done.number].key, done.error)
                 self._store.add(row)

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import BeforeValidator, PlainSerializer, SerializationInfo, TypeAdapter
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import data_root, shown, write_text
+from srs_twin.io.files import data_root, display_path, write_text
 from srs_twin.io.json_files import read_json
 from srs_twin.reproduction.claims import TRACES, Cause, Claim, Measure
 from srs_twin.reproduction.runs import Job, Started, Store
@@ -201,7 +201,7 @@ def load_baseline(path: Path | None = None) -> Baseline:
         given = read_json(place)
         return Baseline(_OUTCOMES.validate_python(given["rows"]), dict(given["versions"]))
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{shown(place)}: not a baseline; --write-baseline writes one") from error
+        raise InputError(f"{display_path(place)}: not a baseline; --write-baseline writes one") from error
 
 
 def write_baseline(rows: Sequence[Judged], path: Path | None = None) -> Path:

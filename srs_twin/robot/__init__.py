@@ -1,1 +1,1 @@
-"""One robot: every number with its unit, status and source, as a file and as a frozen RobotSpec."""
+"""Robots: files with the unit, status and source of every number, and the frozen `RobotSpec`."""

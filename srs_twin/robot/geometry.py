@@ -1,15 +1,14 @@
-r"""Constant-curvature geometry of a segment and of the whole body.
+r"""Constant-curvature geometry of a segment and of the body.
 
-A segment of length l bent by q is an arc whose chord lies along the mean heading of its two ends. With a
-rigid gap L_o, half of it straight at each end, the distance between its connectors stays along that
-direction and is
+A segment of length l with the bend q is an arc; its chord is parallel to the mean heading of its two ends. A
+rigid gap L_o, half of it at each end, does not change this direction. The distance between the connectors is
 
 $$ L(q) = l\,\frac{\sin(q/2)}{q/2} + L_o \cos(q/2). $$
 
-Signs: connectors head first, q_j = θ_j − θ_{j+1} > 0 bends the head end to the left (Eq. 2 and 3 with
-the signs of E9, E20; Eq. 7 for the chord). The functions are elementwise, so they serve arrays with any
-leading axes and, compiled, the kernels. `pair_heading`, `measured_bend` and `arc_between` are Algorithms 1
-and 2 of Section 3.4.1, which go from markers to curvature and shape.
+Signs: connectors are numbered from the head, and q_j = θ_j − θ_{j+1} > 0 turns the head end to the left
+(Eq. 2 and 3 with the signs of E9 and E20; Eq. 7 for the chord). The functions are elementwise, for arrays
+with any leading axes, and the kernels compile them. `pair_heading`, `measured_bend` and `arc_between` are
+Algorithms 1 and 2 of Section 3.4.1, which compute curvature and shape from markers.
 """
 
 from __future__ import annotations
@@ -17,21 +16,22 @@ from __future__ import annotations
 import numpy as np
 
 
-def half_turn(bend):  # type: ignore[no-untyped-def]  # noqa: D417
+def half_angle_terms(bend):  # type: ignore[no-untyped-def]  # noqa: D417
     r"""Return cos x, sin x, A = sin x/x, dA/dq and d²A/dq² for x = q/2, smooth through q = 0.
 
-    With a = (1 − A)/x² and b = (1 − cos x)/x², two even functions without a pole or a loss of digits,
+    With a = (1 − A)/x² and b = (1 − cos x)/x², two even functions without a pole or cancellation,
 
     $$ a(2x) = \tfrac14\,(a + A b), \qquad b(2x) = \tfrac12\,A^2, \qquad
        \tfrac{dA}{dx} = x\,(a - b), \qquad \tfrac{d^2A}{dx^2} = -A - 2\,(a - b). $$
 
-    Their series at a quarter of x, twice doubled, cost less than a sine, a cosine and the divisions. Exact to
-    rounding up to |q| = 2π, to 1e-11 up to 4π.
+    Their series at x/4 and two doublings are faster than a sine, a cosine and the divisions. The result is
+    exact to rounding for |q| ≤ 2π, and to 1e-11 for |q| ≤ 4π.
 
     Args:
-        bend: q, rad, any shape; a number when compiled.
+        bend: q, rad, any shape; a scalar when compiled.
     """
     x = bend / 2
+    # p = (x/4)²; the series have enough terms for |x/4| ≤ π/4.
     p = x * x / 16
     a = (1 - p / 20 * (1 - p / 42 * (1 - p / 72 * (1 - p / 110 * (1 - p / 156 * (1 - p / 210)))))) / 6
     b = (1 - p / 12 * (1 - p / 30 * (1 - p / 56 * (1 - p / 90 * (1 - p / 132 * (1 - p / 182)))))) / 2
@@ -44,15 +44,15 @@ def half_turn(bend):  # type: ignore[no-untyped-def]  # noqa: D417
     return 1 - p * b, x * arc, arc, x * (a - b) / 2, (b - a) / 2 - arc / 4
 
 
-def spans(turn, length, gap):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return L (m), dL/dq (m/rad) and d²L/dq² (m/rad²) from what `half_turn` returns.
+def chord_from_half_angle(terms, length, gap):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return L (m), dL/dq (m/rad) and d²L/dq² (m/rad²) from the result of `half_angle_terms`.
 
     Args:
-        turn: cos x, sin x, A, dA/dq, d²A/dq².
+        terms: cos x, sin x, A, dA/dq, d²A/dq².
         length: l, m.
         gap: L_o, m.
     """
-    cosine, sine, arc, slope, curvature = turn
+    cosine, sine, arc, slope, curvature = terms
     return (
         length * arc + gap * cosine,
         length * slope - gap / 2 * sine,
@@ -60,21 +60,27 @@ def spans(turn, length, gap):  # type: ignore[no-untyped-def]  # noqa: D417
     )
 
 
-def chords(bend, length, gap):  # type: ignore[no-untyped-def]
-    """Return what `spans` returns from the bend q, rad."""
-    return spans(half_turn(bend), length, gap)
+def chord_derivatives(bend, length, gap):  # type: ignore[no-untyped-def]
+    """Return L (m), dL/dq (m/rad) and d²L/dq² (m/rad²) for the bend q, rad.
+
+    Args:
+        bend: q, rad.
+        length: l, m.
+        gap: L_o, m.
+    """
+    return chord_from_half_angle(half_angle_terms(bend), length, gap)
 
 
 def chord(bend: np.ndarray, length: float, gap: float) -> np.ndarray:
-    """Return the distance between the connectors of a bent segment, m. Arguments as in `chords`."""
-    distance: np.ndarray = chords(bend, length, gap)[0]
+    """Return the distance between the connectors of a segment, m. Arguments as in `chord_derivatives`."""
+    distance: np.ndarray = chord_derivatives(bend, length, gap)[0]
     return distance
 
 
 def relative_headings(bend: np.ndarray) -> np.ndarray:
     """Return the connector headings about their mean, shape (…, N), rad, from bends (…, N − 1)."""
-    behind = np.concatenate([np.zeros_like(bend[..., :1]), -np.cumsum(bend, axis=-1)], axis=-1)
-    return behind - behind.mean(axis=-1, keepdims=True)
+    from_head = np.concatenate([np.zeros_like(bend[..., :1]), -np.cumsum(bend, axis=-1)], axis=-1)
+    return from_head - from_head.mean(axis=-1, keepdims=True)
 
 
 def body_shape(bend: np.ndarray, mass: np.ndarray, length: float, gap: float) -> np.ndarray:
@@ -98,17 +104,17 @@ def pair_heading(rear: np.ndarray, front: np.ndarray) -> np.ndarray:
     """Return the direction from one marker to another, shape (…), rad (Algorithm 1 with atan2, E10).
 
     Args:
-        rear: position of the one, shape (…, 2), m.
-        front: position of the other, same shape.
+        rear: position of the rear marker, shape (…, 2), m.
+        front: position of the front marker, same shape.
     """
-    along = front - rear
-    return np.asarray(np.arctan2(along[..., 1], along[..., 0]))
+    difference = front - rear
+    return np.asarray(np.arctan2(difference[..., 1], difference[..., 0]))
 
 
 def measured_bend(front: np.ndarray, rear: np.ndarray) -> np.ndarray:
-    """Return q = θ_A − θ_B in [−π, π) of segments whose ends' headings were measured (Algorithm 1, E9).
+    """Return the bends q = θ_A − θ_B in [−π, π) from measured headings (Algorithm 1, E9).
 
-    Over the segment's length l that is its curvature κ.
+    Divided by the length l of the segment, the bend is the curvature κ.
 
     Args:
         front: heading θ_A of the end towards the head, rad, any shape.
@@ -118,26 +124,25 @@ def measured_bend(front: np.ndarray, rear: np.ndarray) -> np.ndarray:
 
 
 def arc_between(front: np.ndarray, rear: np.ndarray, curvature: np.ndarray, points: int = 21) -> np.ndarray:
-    r"""Return points of the arc of a given curvature through two ends (Algorithm 2 with E10 and E23).
+    r"""Return points on the arc of a given curvature between two ends (Algorithm 2 with E10 and E23).
 
-    With the distance d of the ends and the direction α from the rear to the front one,
+    With the distance d of the ends and the direction α from the rear end to the front end,
 
     $$ \sin\beta = \kappa d / 2, \qquad
        P(s) = P_A - d\,s\,\frac{\operatorname{sinc} \beta s}{\operatorname{sinc} \beta}\,
        (\cos\gamma, \sin\gamma), \qquad \gamma = \alpha + \beta\,(1 - s), $$
 
-    which needs no centre and no case for κ = 0. Where noise has κ d / 2 beyond 1, which no arc has, β is a
-    right
-    angle: a half circle through both ends.
+    which needs no centre and no special case for κ = 0. If noise makes |κ d / 2| larger than 1, which is
+    impossible for an arc, β is a right angle and the arc a half circle.
 
     Args:
         front: P_A, shape (…, 2), m.
         rear: P_B, same shape.
-        curvature: κ, shape (…), 1/m; above 0 the head end turns to the left.
-        points: how many, ends included.
+        curvature: κ, shape (…), 1/m; positive if the head end turns to the left.
+        points: number of points, including both ends.
 
     Returns:
-        From front to rear, shape (…, points, 2), m.
+        Points from front to rear, shape (…, points, 2), m.
     """
     chord_vector = front - rear
     distance = np.hypot(chord_vector[..., 0], chord_vector[..., 1])

@@ -1,11 +1,11 @@
-r"""What is not known of a robot, as distributions that can be drawn from.
+r"""Prior distributions of the uncertain parameters of a robot, with correlations.
 
-A robot file says of a number how well it is known (`Uncertain`). Numbers are made from standard normal
-variables ζ with the file's correlations (a Gaussian copula), each by its own distribution function F:
+A robot file gives the distribution of a number in `Uncertain`. The numbers are functions of standard normal
+variables ζ with the correlations R of the file (a Gaussian copula), by their quantile functions:
 
 $$ x_i = F_i^{-1}(\Phi(\zeta_i)), \qquad \zeta = L z, \quad L L^T = R, \quad z_i = \Phi^{-1}(u_i), $$
 
-with u uniform and independent. Normal and lognormal distributions end where robot files do not allow more.
+with u uniform and independent. Normal and lognormal distributions are truncated at the bounds of robot files.
 """
 
 from __future__ import annotations
@@ -21,20 +21,21 @@ from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.sourced import Uncertain
 
-_EDGE = 1e-9  # of shares, which must stay inside of 0 to 1
+_MIN_PROBABILITY = 1e-9
+"""Distance of probabilities from 0 and 1, where the normal quantiles are infinite."""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of one number.
+    """Prior distribution of one parameter.
 
     Attributes:
-        path: of the number in a robot file.
-        value: what the file says it is.
-        unit: of that.
-        uncertain: its distribution.
-        bounds: what a robot file allows.
-        source: where the distribution comes from.
+        path: path of the parameter in a robot file.
+        value: value in the robot file.
+        unit: unit of the value.
+        uncertain: distribution.
+        bounds: lowest and highest value allowed in a robot file.
+        source: source of the distribution.
     """
 
     path: str
@@ -44,103 +45,106 @@ class Prior:
     bounds: tuple[float, float]
     source: str
 
-    def at(self, shares: np.ndarray) -> np.ndarray:
-        """Return the numbers below which these shares of the distribution lie."""
-        given = self.uncertain
-        if given.low is not None and given.high is not None:
-            return given.low + (given.high - given.low) * np.asarray(shares)
-        if given.factor is not None:
-            to_z = np.log(np.maximum(self.bounds, 1e-300) / self.value) / np.log(given.factor)
-            return np.asarray(self.value * given.factor ** _between(to_z, shares))
-        assert given.sd is not None, "checked by the file's model"
-        to_z = (np.array(self.bounds) - self.value) / given.sd
-        return np.asarray(self.value + given.sd * _between(to_z, shares))
+    def quantile(self, probabilities: np.ndarray) -> np.ndarray:
+        """Return the values of the parameter at cumulative probabilities."""
+        prior = self.uncertain
+        if prior.low is not None and prior.high is not None:
+            return prior.low + (prior.high - prior.low) * np.asarray(probabilities)
+        if prior.factor is not None:
+            # A bound of 0 has no logarithm; 1e-300 is far below any parameter.
+            ends = np.log(np.maximum(self.bounds, 1e-300) / self.value) / np.log(prior.factor)
+            return np.asarray(self.value * prior.factor ** _truncated_normal(ends, probabilities))
+        assert prior.sd is not None, "the model of the file requires it"
+        ends = (np.array(self.bounds) - self.value) / prior.sd
+        return np.asarray(self.value + prior.sd * _truncated_normal(ends, probabilities))
 
-    def shares_of(self, values: np.ndarray) -> np.ndarray:
-        """Return the shares at which these numbers lie, what is beyond the distribution at its ends."""
+    def cdf(self, values: np.ndarray) -> np.ndarray:
+        """Return the cumulative probabilities of values, interpolated; 0 or 1 outside the distribution."""
         table = np.linspace(0.0, 1.0, 4001)
-        return np.interp(values, self.at(table), table)
+        return np.interp(values, self.quantile(table), table)
 
-    def measured(self, value: float, sd: float) -> Prior:
-        """Return what is known after a measurement that says `value`, with this standard deviation."""
+    def with_measurement(self, value: float, sd: float) -> Prior:
+        """Return a normal distribution around a measured value with the standard deviation `sd`."""
         return replace(self, value=value, uncertain=Uncertain.model_validate({"kind": "normal", "sd": sd}))
 
 
-def _between(ends: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """Return standard normal numbers by shares of what lies between two ends."""
+def _truncated_normal(ends: np.ndarray, probabilities: np.ndarray) -> np.ndarray:
+    """Return quantiles of the standard normal distribution truncated at two ends."""
     low, high = ndtr(ends)
-    return np.asarray(ndtri(low + (high - low) * np.clip(shares, _EDGE, 1 - _EDGE)))
+    inside = np.clip(probabilities, _MIN_PROBABILITY, 1 - _MIN_PROBABILITY)
+    return np.asarray(ndtri(low + (high - low) * inside))
 
 
 @dataclass(frozen=True)
 class Priors:
-    """What is known of a robot's uncertain numbers, together.
+    """Joint prior distribution of the uncertain parameters of a robot.
 
     Attributes:
-        each: one for each number.
-        correlation: of the normal variables behind them, shape (d, d).
+        parameters: prior of each parameter.
+        correlation: correlation matrix R of the normal variables, shape (d, d).
     """
 
-    each: tuple[Prior, ...]
+    parameters: tuple[Prior, ...]
     correlation: np.ndarray
 
     @classmethod
-    def of(cls, robot: RobotFile, *, without: Collection[str] = ()) -> Priors:
-        """Return what a robot file says.
+    def from_robot(cls, robot: RobotFile, *, without: Collection[str] = ()) -> Priors:
+        """Return the prior distribution in a robot file.
 
         Args:
-            robot: the file.
-            without: paths of numbers that are taken as they are.
+            robot: the robot file.
+            without: paths of parameters to take as exact.
 
         Raises:
-            UnknownNameError: one of them is not uncertain.
-            InputError: nothing is uncertain, or the correlations contradict each other.
+            UnknownNameError: a path is not that of an uncertain parameter.
+            InputError: no parameter is uncertain, or the correlations contradict each other.
         """
-        found = {path: record for path, record in robot.records().items() if record.uncertain is not None}
+        records = {path: record for path, record in robot.records().items() if record.uncertain is not None}
         for path in without:
-            if path not in found:
-                raise UnknownNameError("uncertain number", path, found)
-        each = []
-        for path, record in found.items():
+            if path not in records:
+                raise UnknownNameError("uncertain number", path, records)
+        parameters = []
+        for path, record in records.items():
             if path not in without:
                 section, key = path.split(".")
                 bounds = getattr(robot, section).bounds[key]
-                given = record.uncertain
-                source = (given.source if given else None) or record.source
-                each.append(Prior(path, record.value, record.unit, given, bounds, source))  # type: ignore[arg-type]
-        if not each:
+                prior = record.uncertain
+                source = (prior.source if prior else None) or record.source
+                parameters.append(Prior(path, record.value, record.unit, prior, bounds, source))  # type: ignore[arg-type]
+        if not parameters:
             raise InputError(
-                f"robot {robot.name}: nothing is said to be uncertain; add `uncertain:` to its numbers "
+                f"robot {robot.name}: no number is uncertain; add `uncertain:` to its numbers "
                 "(docs/uncertainty.md)"
             )
-        place = {prior.path: i for i, prior in enumerate(each)}
-        correlation = np.eye(len(each))
+        index = {prior.path: i for i, prior in enumerate(parameters)}
+        correlation = np.eye(len(parameters))
         for pair in robot.correlated or ():
-            if all(path in place for path in pair.of):
-                i, j = (place[path] for path in pair.of)
+            if all(path in index for path in pair.of):
+                i, j = (index[path] for path in pair.of)
                 correlation[i, j] = correlation[j, i] = pair.r
         if np.linalg.eigvalsh(correlation)[0] <= 1e-9:
             raise InputError(f"robot {robot.name}: its correlations contradict each other")
-        return cls(tuple(each), correlation)
+        return cls(tuple(parameters), correlation)
 
     @property
     def paths(self) -> tuple[str, ...]:
-        """Of the numbers."""
-        return tuple(prior.path for prior in self.each)
+        """Paths of the parameters."""
+        return tuple(prior.path for prior in self.parameters)
 
     @property
     def independent(self) -> bool:
-        """Whether no two go together."""
-        return bool((self.correlation == np.eye(len(self.each))).all())
+        """Whether no two parameters are correlated."""
+        return bool((self.correlation == np.eye(len(self.parameters))).all())
 
-    def at(self, shares: np.ndarray) -> np.ndarray:
-        """Return the numbers that independent shares u stand for, shape (…, d)."""
-        normal = ndtri(np.clip(shares, _EDGE, 1 - _EDGE)) @ np.linalg.cholesky(self.correlation).T
-        columns = [prior.at(ndtr(normal[..., i])) for i, prior in enumerate(self.each)]
+    def quantile(self, probabilities: np.ndarray) -> np.ndarray:
+        """Return the parameters for independent uniform probabilities u, shape (…, d)."""
+        inside = np.clip(probabilities, _MIN_PROBABILITY, 1 - _MIN_PROBABILITY)
+        normal = ndtri(inside) @ np.linalg.cholesky(self.correlation).T
+        columns = [prior.quantile(ndtr(normal[..., i])) for i, prior in enumerate(self.parameters)]
         return np.stack(columns, axis=-1)
 
     def document(self) -> list[dict[str, Any]]:
-        """Return plain data of it, for digests and results."""
+        """Return plain data for digests and results."""
         rows = [
             {
                 "parameter": p.path,
@@ -149,7 +153,7 @@ class Priors:
                 **p.uncertain.model_dump(),
                 "source": p.source,
             }
-            for p in self.each
+            for p in self.parameters
         ]
         correlated = [] if self.independent else [{"correlation": self.correlation.tolist()}]
         return [*rows, *correlated]

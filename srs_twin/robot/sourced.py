@@ -1,8 +1,8 @@
-"""Numbers of files: the unit that a key names, and records with status and source.
+"""Units of keys in files, and records of numbers with unit, status and source.
 
-The unit of a number stands in its key and nowhere else: ``segment_length_m``, ``stiffness_nm_per_rad``. A
-`Record` repeats it beside the number, and the two are checked against each other, so that a number copied
-from a table with another unit is refused.
+Keys end in the unit of their number: ``segment_length_m``, ``stiffness_nm_per_rad``. A `Record` repeats the
+unit next to the number. The two must agree, so that a number copied from a table with another unit is
+rejected.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pydantic import (
     model_validator,
 )
 
-from srs_twin.io.validation import Strict, docstrings
+from srs_twin.io.validation import StrictModel, attribute_docstrings
 
 UNITS = {
     "_nm_per_rad": "N*m/rad",
@@ -45,11 +45,11 @@ UNITS = {
     "_s": "s",
     "_v": "V",
 }
-"""How a key ends → the unit of its number; longer ends first."""
+"""Suffix of a key → unit of its number; longer suffixes first."""
 
-# The SI unit, and one of the unit in it as a numerator and a denominator: 3.1 mm divided by 1000 are the
-# double 0.0031.
-_IN_SI = {
+# Unit → SI unit, numerator and denominator of the conversion. The division keeps decimal numbers exact:
+# 3.1 / 1000 is the double 0.0031, and 3.1 * 0.001 is not.
+_SI_CONVERSIONS = {
     "kPa": ("Pa", 1000, 1),
     "mm": ("m", 1, 1000),
     "ml": ("m³", 1, 1e6),
@@ -60,27 +60,27 @@ _IN_SI = {
 
 
 def split_unit(key: str) -> tuple[str, str]:
-    """Return a key without its unit, and the unit; "1" where it names none."""
-    # The n of μ_n is the normal to the heading.
-    ending = next((each for each in UNITS if key.endswith(each) and key != "mu_n"), "")
-    return key.removesuffix(ending), UNITS.get(ending, "1")
+    """Return a key without its unit suffix, and the unit, "1" if there is none."""
+    # The n of mu_n is the normal direction, not the unit newton.
+    suffix = next((suffix for suffix in UNITS if key.endswith(suffix) and key != "mu_n"), "")
+    return key.removesuffix(suffix), UNITS.get(suffix, "1")
 
 
 def si_unit(key: str) -> str:
-    """Return the SI unit of a key's value after `in_si`."""
+    """Return the SI unit of the value of a key, which `to_si` converts to."""
     unit = split_unit(key)[1]
-    return _IN_SI.get(unit, (unit, 1, 1))[0]
+    return _SI_CONVERSIONS.get(unit, (unit, 1, 1))[0]
 
 
-def in_si(key: str, value: Any) -> Any:
-    """Return a value of a key in SI."""
-    _, up, down = _IN_SI.get(split_unit(key)[1], ("", 1, 1))
+def to_si(key: str, value: Any) -> Any:
+    """Return the value of a key in SI units."""
+    _, up, down = _SI_CONVERSIONS.get(split_unit(key)[1], ("", 1, 1))
     return value if value is None or up == down else value * up / down
 
 
-def in_unit(key: str, value: Any) -> Any:
-    """Return a value in SI in the unit that a key names."""
-    _, up, down = _IN_SI.get(split_unit(key)[1], ("", 1, 1))
+def from_si(key: str, value: Any) -> Any:
+    """Return a value in SI units, converted to the unit of a key."""
+    _, up, down = _SI_CONVERSIONS.get(split_unit(key)[1], ("", 1, 1))
     return value if value is None or up == down else round(value * down / up, 6)
 
 
@@ -89,72 +89,73 @@ Value = TypeVar("Value")
 Unit = TypeVar("Unit")
 
 
-_SHAPES = {"normal": ("sd",), "lognormal": ("factor",), "uniform": ("low", "high")}
+_DISTRIBUTION_KEYS = {"normal": ("sd",), "lognormal": ("factor",), "uniform": ("low", "high")}
 
 
-class Uncertain(Strict):
-    """How well a number is known: a distribution."""
+class Uncertain(StrictModel):
+    """Prior distribution of an uncertain number."""
 
     kind: Literal["normal", "lognormal", "uniform"]
-    """normal: around the number; lognormal: its logarithm is, within a factor; uniform: a range."""
+    """normal: mean at the number; lognormal: median at the number; uniform: range low to high."""
     sd: float | None = Field(None, gt=0.0, le=1e9)
     """Standard deviation of a normal distribution, in the number's unit."""
     factor: float | None = Field(None, gt=1.0, le=100.0)
-    """Geometric standard deviation: two thirds lie between the number over and times this."""
+    """Geometric standard deviation: two thirds are between the number divided by and times this factor."""
     low: float | None = Field(None, ge=-1e9, le=1e9)
     """Lower end of the range, in the number's unit."""
     high: float | None = Field(None, ge=-1e9, le=1e9)
     """Upper end of the range."""
     source: str | None = Field(None, min_length=1, max_length=1000)
-    """Where the spread comes from, or why it was assumed."""
+    """Source of the distribution, or reason for the assumption."""
 
     @model_validator(mode="after")
-    def _has_its_numbers(self) -> Uncertain:
-        wanted = _SHAPES[self.kind]
-        given = tuple(name for name in ("sd", "factor", "low", "high") if getattr(self, name) is not None)
-        if given != wanted:
-            raise ValueError(f"{self.kind} takes {' and '.join(wanted)}, not {', '.join(given) or 'nothing'}")
+    def _check_keys(self) -> Uncertain:
+        required = _DISTRIBUTION_KEYS[self.kind]
+        present = tuple(name for name in ("sd", "factor", "low", "high") if getattr(self, name) is not None)
+        if present != required:
+            needs, has = " and ".join(required), ", ".join(present) or "nothing"
+            raise ValueError(f"{self.kind} takes {needs}, not {has}")
         if self.low is not None and self.high is not None and not self.low < self.high:
             raise ValueError(f"low {self.low:g} is not below high {self.high:g}")
         return self
 
     @model_serializer(mode="wrap")
-    def _what_is_given(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _without_missing(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
         return {key: value for key, value in inner(self).items() if value is not None}
 
 
-class Record(Strict, Generic[Value, Unit]):
-    """One number and where it comes from."""
+class Record(StrictModel, Generic[Value, Unit]):
+    """Number with unit, status and source."""
 
     value: Value
-    """The number, in the unit that the key names."""
+    """Number in the unit of the key."""
     unit: Unit
-    """The unit, the same as in the key; '1' for a pure number."""
+    """Unit, equal to that of the key; '1' for a dimensionless number."""
     status: Status
-    """measured: stated in the source as measured or set; calibrated: found by a fit to measurements;
-    estimated: our assumption."""
+    """measured: stated in the source as measured or set; calibrated: fitted to measurements; estimated:
+    assumption of this project."""
     source: str = Field(min_length=1, max_length=1000)
-    """Section, table, or how it was estimated."""
+    """Section, table, or method of the estimate."""
     uncertain: Uncertain | None = None
-    """How well it is known (default: taken as it is)."""
+    """Prior distribution (default: none, the number is taken as exact)."""
 
     @model_serializer(mode="wrap")
-    def _what_is_known(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _without_missing(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
         return {key: value for key, value in inner(self).items() if key != "uncertain" or value is not None}
 
     @classmethod
     def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
-        """Give the models of all records one readable name in JSON schemas."""
+        """Return one readable name for all types of records in JSON schemas."""
         return "Record"
 
 
-def between(low: float, high: float) -> Any:
-    """Return the bounds of a number."""
+def bounded(low: float, high: float) -> Any:
+    """Return a pydantic field for a number within bounds."""
     return Field(ge=low, le=high)
 
 
-class _Number(NamedTuple):
-    """What a section says of a record, before its key is known."""
+class _NumberField(NamedTuple):
+    """Arguments of `number_field`; `Records` completes them with the unit of the key."""
 
     low: float
     high: float
@@ -163,7 +164,7 @@ class _Number(NamedTuple):
     optional: bool
 
 
-def number(
+def number_field(
     low: float,
     high: float,
     kind: type = float,
@@ -173,58 +174,64 @@ def number(
     """Return the field of a `Record` in a `Records` section.
 
     Args:
-        low: the lowest allowed.
-        high: the highest allowed.
-        kind: of number, float or int.
-        shape: returns what a record may hold, given what a number may be; default one number.
-        optional: whether the file may leave it out.
+        low: lowest allowed number.
+        high: highest allowed number.
+        kind: type of the number, float or int.
+        shape: function from the type of one number to the type of the record's value (default: one number).
+        optional: whether the key may be missing.
     """
-    return _Number(low, high, kind, shape, optional)
+    return _NumberField(low, high, kind, shape, optional)
 
 
 def _describe(schema: dict[str, Any], cls: type[Records]) -> None:
-    """Say of each key what its docstring says; unit and range stand before a semicolon."""
-    for key, text in docstrings(cls).items():
-        shown = schema["properties"][key]
-        head, semicolon, more = text.rstrip(".").partition(";")
-        shown["description"] = f"{head}{shown.get('description', '')}{semicolon}{more}."
+    """Set the description of each key: its docstring with unit and range before the first semicolon."""
+    for key, text in attribute_docstrings(cls).items():
+        entry = schema["properties"][key]
+        head, semicolon, rest = text.rstrip(".").partition(";")
+        entry["description"] = f"{head}{entry.get('description', '')}{semicolon}{rest}."
 
 
-class Records(Strict):
-    """A section of a file whose numbers are records."""
+class Records(StrictModel):
+    """Section of a file whose numbers are records.
+
+    Attributes:
+        bounds: lowest and highest value of each number.
+    """
 
     model_config = ConfigDict(json_schema_extra=_describe)
-    bounds: ClassVar[dict[str, tuple[float, float]]]  # of each number
+    bounds: ClassVar[dict[str, tuple[float, float]]]
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         cls.bounds = {}
-        for key, given in list(vars(cls).items()):
-            if isinstance(given, _Number):
-                cls.bounds[key] = given.low, given.high
-                unit, value = split_unit(key)[1], Annotated[given.kind, between(given.low, given.high)]
-                record: Any = Record[given.shape(value), Literal[unit]]  # type: ignore[misc]
-                cls.__annotations__[key] = record | None if given.optional else record
-                words = f"{'' if unit == '1' else f', {unit}'}, {given.low:.10g} to {given.high:.10g}"
-                setattr(cls, key, Field(None if given.optional else ..., description=words))
+        for key, field in list(vars(cls).items()):
+            if isinstance(field, _NumberField):
+                cls.bounds[key] = field.low, field.high
+                unit, value = split_unit(key)[1], Annotated[field.kind, bounded(field.low, field.high)]
+                record: Any = Record[field.shape(value), Literal[unit]]  # type: ignore[misc]
+                cls.__annotations__[key] = record | None if field.optional else record
+                text = f"{'' if unit == '1' else f', {unit}'}, {field.low:.10g} to {field.high:.10g}"
+                setattr(cls, key, Field(None if field.optional else ..., description=text))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as plain data: pickle does not find the classes of the records by name."""
+        """Pickle as plain data, because pickle cannot find the parametrised record classes by name."""
         return type(self).model_validate, (self.model_dump(exclude_unset=True),)
 
-    def in_si(self) -> dict[str, Any]:
-        """Return the numbers by key without its unit, in SI."""
-        return {split_unit(key)[0]: in_si(key, each.value) for key, each in self if each is not None}
+    def to_si(self) -> dict[str, Any]:
+        """Return the numbers in SI units, by key without unit suffix."""
+        return {split_unit(key)[0]: to_si(key, record.value) for key, record in self if record is not None}
 
 
-def restated(before: Mapping[str, Any] | None, value: Any, unit: str | None, source: str) -> dict[str, Any]:
-    """Return plain data of a record whose number somebody sets: an estimate, and what it is.
+def replace_value(
+    before: Mapping[str, Any] | None, value: Any, unit: str | None, source: str
+) -> dict[str, Any]:
+    """Return plain data of a record with a new number, with status "estimated" and without uncertainty.
 
     Args:
-        before: plain data of the record so far, whose unit stays; None or empty: there is none yet.
+        before: plain data of the old record, whose unit is kept; None or empty for a new record.
         value: the number.
-        unit: of the key, for a record that is new.
-        source: who set it.
+        unit: unit of the key, for a new record.
+        source: origin of the number.
     """
-    kept = {key: each for key, each in (before or {"unit": unit}).items() if key != "uncertain"}
-    return {**kept, "value": value, "status": "estimated", "source": source}
+    record = {key: entry for key, entry in (before or {"unit": unit}).items() if key != "uncertain"}
+    return {**record, "value": value, "status": "estimated", "source": source}

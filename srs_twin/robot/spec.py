@@ -1,13 +1,11 @@
-"""RobotSpec: everything a plant needs to know of one snake, frozen, SI, validated.
+"""RobotSpec: validated parameters of one snake in SI units, frozen.
 
-Modules: by how much each module of a snake departs from the nominal one (Section 5.1).
+`Modules` are the differences between the modules of a snake (Section 5.1): moulded chambers differ in their
+gain and air flow, a body at rest is not perfectly straight, and sensors drift after their calibration.
 
-No two are cast alike: air pressure bends one chamber further than another, a body at rest is not quite
-straight, air flows faster here than there, a sensor has drifted since its calibration.
-
-Numbers come from ``calibration/robots/*.yaml``, where each carries its source and status; here they are
-plain floats. Signs and frames: connectors i = 1…N from head to tail, segment j between connectors j and
-j+1, bend q_j = θ_j − θ_{j+1} > 0 turns the head end to the left.
+The numbers come from ``calibration/robots/*.yaml``, where each has a source and a status; here they are plain
+floats. Signs and frames: connectors i = 1…N from head to tail; segment j between connectors j and j+1; a bend
+q_j = θ_j − θ_{j+1} > 0 turns the head end to the left.
 """
 
 from __future__ import annotations
@@ -24,20 +22,20 @@ from srs_twin.errors import InputError
 PerChamber = tuple[tuple[float, float], ...]
 
 PER_CHAMBER = ("gain", "tau_fill", "tau_vent")
-"""What each chamber of a module has of its own."""
+"""Names of the `Modules` attributes with one value per chamber."""
 
 
 @dataclass(frozen=True)
 class Modules:
-    """What is each module's own, segments head first, + chamber before −.
+    """Individual properties of the modules, segments from the head, + chamber before − chamber.
 
     Attributes:
-        gain: bend over pressure of each chamber as a multiple of the actuator's, shape (segments, 2).
-        bias: bend of each free segment without pressure, shape (segments,), rad.
-        tau_fill: τ₁ of filling as a multiple of the actuator's, shape (segments, 2).
-        tau_vent: τ₁ of venting as a multiple of the actuator's, shape (segments, 2).
-        sensor_gain: sensed over actual bend, shape (segments,).
-        sensor_bias: what a straight segment's sensor says, shape (segments,), rad.
+        gain: gain of each chamber as a multiple of the nominal gain, shape (segments, 2).
+        bias: rest bend of each segment, shape (segments,), rad.
+        tau_fill: fill time constant τ₁ as a multiple of the nominal one, shape (segments, 2).
+        tau_vent: vent time constant τ₁ as a multiple of the nominal one, shape (segments, 2).
+        sensor_gain: sensor reading over actual bend, shape (segments,).
+        sensor_bias: sensor reading of a straight segment, shape (segments,), rad.
     """
 
     gain: PerChamber
@@ -48,7 +46,7 @@ class Modules:
     sensor_bias: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        for name in (each.name for each in fields(self)):
+        for name in (field.name for field in fields(self)):
             values = np.asarray(getattr(self, name), dtype=float)
             shape = (len(self.gain), 2) if name in PER_CHAMBER else (len(self.gain),)
             low, high = (-math.pi, math.pi) if name.endswith("bias") else (0.01, 100.0)
@@ -59,15 +57,15 @@ class Modules:
                 raise InputError(f"modules.{name} {wrong:g} is not allowed; it must be {low:g} to {high:g}")
 
     @classmethod
-    def alike(cls, segments: int) -> Modules:
-        """Return modules that are all nominal."""
-        both, ones, none = ((1.0, 1.0),) * segments, (1.0,) * segments, (0.0,) * segments
-        return cls(both, none, both, both, ones, none)
+    def nominal(cls, segments: int) -> Modules:
+        """Return identical nominal modules."""
+        per_chamber, ones, zeros = ((1.0, 1.0),) * segments, (1.0,) * segments, (0.0,) * segments
+        return cls(per_chamber, zeros, per_chamber, per_chamber, ones, zeros)
 
     @classmethod
-    def of(cls, **arrays: np.ndarray) -> Modules:
-        """Return modules from arrays of the attributes' shapes."""
-        tuples: dict[str, Any] = {each.name: _tuples(arrays[each.name]) for each in fields(cls)}
+    def from_arrays(cls, **arrays: np.ndarray) -> Modules:
+        """Return modules from arrays with the shapes of the attributes."""
+        tuples: dict[str, Any] = {field.name: _tuples(arrays[field.name]) for field in fields(cls)}
         return cls(**tuples)
 
     def array(self, name: str) -> np.ndarray:
@@ -80,7 +78,7 @@ def _tuples(values: np.ndarray) -> tuple[Any, ...]:
 
 
 GRAVITY = 9.81
-"""m/s²; loads of the friction laws and weight in MuJoCo alike."""
+"""Gravitational acceleration of both plants, m/s²."""
 
 
 def _require(ok: bool, name: str, value: float, allowed: str) -> None:
@@ -102,16 +100,16 @@ def _not_negative(owner: object, *names: str) -> None:
 
 @dataclass(frozen=True)
 class Geometry:
-    """Lengths of the body.
+    """Dimensions of the body.
 
     Attributes:
-        connectors: N, number of connectors (the text's links), 2 or more.
-        segment_length: l, the pressurised part of a segment, which bends, m.
-        rigid_gap: L_o, the part of a segment that stays straight, half of it at each end, m (Fig. 35).
-        half_track: distance of each wheel's contact from the connector's centre line, m.
-        wheel_radius: m.
-        com_height: height of a connector's centre of mass above the floor, m.
-        width: width of the soft body, m (drawn and swept, no effect on the motion).
+        connectors: N, number of connectors ("links" in the dissertation), at least 2.
+        segment_length: l, length of the bending part of a segment, m.
+        rigid_gap: L_o, length of the straight part of a segment, half of it at each end, m (Fig. 35).
+        half_track: distance of each wheel contact from the centre line, m.
+        wheel_radius: radius of a wheel, m.
+        com_height: height of the centre of mass of a connector above the floor, m.
+        width: width of the soft body in pictures and collision checks, m; no effect on the motion.
     """
 
     connectors: int
@@ -134,28 +132,28 @@ class Geometry:
 
     @property
     def pitch(self) -> float:
-        """Length of a straight segment with its gap, l + L_o, m."""
+        """Distance between connectors of a straight snake, l + L_o, m."""
         return self.segment_length + self.rigid_gap
 
     @property
     def body_length(self) -> float:
-        """Distance from head to tail of the straight snake, gaps included, m."""
+        """Distance between the first and the last connector of a straight snake, m."""
         return self.segments * self.pitch
 
 
 WHEEL_SHARE = 0.9
-"""Most of a connector's mass that its two wheels may make up."""
+"""Largest fraction of the mass of a connector that its two wheels may have."""
 
 
 @dataclass(frozen=True)
 class Mass:
-    """Masses.
+    """Masses of connectors and wheels.
 
     Attributes:
-        connectors: mass at each connector with its wheels, head first, shape (N,), kg.
-        wheel: mass of one wheel, part of its connector's mass, kg.
-        connector_gyration: radius of gyration of a connector without its wheels, m; None: derived, see
-            `RobotSpec.connector_gyration`.
+        connectors: mass of each connector including its wheels, head first, shape (N,), kg.
+        wheel: mass of one wheel, included in that of its connector, kg.
+        connector_gyration: radius of gyration of a connector without its wheels, m; None for the value
+            derived in `RobotSpec.connector_gyration`.
     """
 
     connectors: tuple[float, ...]
@@ -175,19 +173,19 @@ class Mass:
         return sum(self.connectors)
 
     def array(self) -> np.ndarray:
-        """Connector masses as an array, shape (N,), kg."""
+        """Return the connector masses as an array, shape (N,), kg."""
         return np.array(self.connectors)
 
 
 @dataclass(frozen=True)
 class Friction:
-    """Coulomb coefficients of a connector's wheels on the floor (Eq. 17).
+    """Friction coefficients of the wheels on the floor (Eq. 17), and axial drag.
 
     Attributes:
-        mu_t: along the heading (axle drag of a rolling wheel).
-        mu_n: across it (a wheel that slides sideways).
-        drag: of tubes and belly, against the motion of the connectors along their headings, whatever their
-            loads; connectors share it equally, N.
+        mu_t: friction coefficient along the heading (axle drag of a rolling wheel).
+        mu_n: friction coefficient across the heading (a wheel that slides sideways).
+        drag: total axial drag of tubes and belly, N. Equal parts act on the connectors against their motion
+            along the heading, independent of the wheel loads.
     """
 
     mu_t: float
@@ -200,11 +198,12 @@ class Friction:
 
 @dataclass(frozen=True)
 class Bending:
-    """Compliance of one segment. Only dynamic bends (twin, `compliant`) feel it.
+    """Compliance of one segment, for compliant bends (twin and `compliant` model).
 
     Attributes:
         stiffness: k, bending stiffness about z, N·m/rad.
-        damping_time: c/k, s. With τ₂ of the actuator here, a free module obeys Eq. 14 exactly.
+        damping_time: c/k, damping over stiffness, s; if it equals τ₂ of the actuator, a free module obeys
+            Eq. 14 exactly.
         pitch_stiffness: stiffness against bending out of the floor plane, N·m/rad.
         roll_stiffness: stiffness against twisting, N·m/rad.
         out_of_plane_damping_time: damping over stiffness of pitch and roll, s.
@@ -231,14 +230,14 @@ class Actuator:
     """Pneumatic response of one module (Eq. 14–16 as corrected by E1 and E2).
 
     Attributes:
-        tau_fill: τ₁ of a filling chamber, s.
-        tau_vent: τ₁ of a venting chamber, s.
-        tau_mode: τ₂, valve and fast mechanical mode, s.
-        gain: free bend per differential chamber pressure, rad/Pa (C₀ over the pressure that gave it).
-        bend_limit: q_m, bend that no pressure exceeds, rad; infinite where there is none.
-        onset_share: s, share of the slope that is missing in the dead zone about no pressure; 0: none.
-        onset: d, linear bend up to which that zone reaches, rad.
-        onset_width: w, linear bend over which it ends, rad.
+        tau_fill: fill time constant τ₁, s.
+        tau_vent: vent time constant τ₁, s.
+        tau_mode: mode time constant τ₂, with which the free bend follows the pressures, s.
+        gain: free bend per pressure difference of the chambers, rad/Pa (C₀ over its pressure).
+        bend_limit: q_m, limit of the free bend at high pressure, rad; infinite for a linear gain.
+        onset_share: s, missing fraction of the gain in the dead zone around zero pressure.
+        onset: d, free bend of the linear law at the end of the dead zone, rad.
+        onset_width: w, width of the transition at the end of the dead zone, rad.
     """
 
     tau_fill: float
@@ -261,8 +260,9 @@ class Chamber:
     """Air space of one chamber of a segment: V(q) = dead_volume + displacement · max(0, ± q).
 
     Attributes:
-        dead_volume: of a straight segment's chamber with its tube, m³; it never gets smaller.
-        displacement: growth per angle by which the segment bends the chamber's own way, m³/rad.
+        dead_volume: volume of the chamber of a straight segment with its tube, m³; also the smallest volume.
+        displacement: increase of the volume per bend in the direction that pressure in the chamber causes,
+            m³/rad.
     """
 
     dead_volume: float
@@ -274,13 +274,13 @@ class Chamber:
 
 @dataclass(frozen=True)
 class Supply:
-    """Pressures, gauge.
+    """Gauge pressures of the supply and their limits.
 
     Attributes:
-        nominal: what a scenario gets that names no pressure, Pa.
-        continuous_limit: most that a chamber may hold, Pa.
-        pulsed_limit: most that may be supplied while chambers alternate (a gait, PWM), Pa.
-        limit_source: where the limits are stated, quoted in the refusal.
+        nominal: supply pressure of a scenario that gives none, Pa.
+        continuous_limit: highest pressure that a chamber may hold, Pa.
+        pulsed_limit: highest supply pressure while chambers alternate (gait, PWM), Pa.
+        limit_source: source of the limits, for messages.
     """
 
     nominal: float
@@ -294,13 +294,13 @@ class Supply:
 
 @dataclass(frozen=True)
 class Tail:
-    """A tail assembly on two axles: the last connector, with a second axle behind its own.
+    """Tail assembly on two axles: the last connector with a second axle behind its own.
 
     Attributes:
-        axle: from the last connector's axle back to the second, m.
-        com: from there back to the assembly's centre of mass, between the two, m.
-        com_height: of that above the floor, m.
-        gyration: the assembly's radius of gyration with its wheels, m.
+        axle: distance of the second axle behind the axle of the last connector, m.
+        com: distance of the centre of mass behind the axle of the last connector, m; at most `axle`.
+        com_height: height of the centre of mass above the floor, m.
+        gyration: radius of gyration of the assembly including its wheels, m.
     """
 
     axle: float
@@ -311,17 +311,17 @@ class Tail:
     def __post_init__(self) -> None:
         _positive(self, "axle", "com_height", "gyration")
         _require(
-            0 <= self.com <= self.axle, "com", self.com, f"it lies between the axles, 0 to {self.axle:g}"
+            0 <= self.com <= self.axle, "com", self.com, f"it must be between the axles, 0 to {self.axle:g}"
         )
 
 
 class Axle(NamedTuple):
-    """Two wheels.
+    """Axle with two wheels.
 
     Attributes:
-        connector: which they carry, 1 the head.
-        behind: its middle, m.
-        mass: that they carry of a snake at rest on a level floor, kg.
+        connector: number of the connector that it carries, from 1 at the head.
+        behind: distance behind the centre of the connector, m.
+        mass: mass that it carries at rest on a level floor, kg.
     """
 
     connector: int
@@ -331,21 +331,21 @@ class Axle(NamedTuple):
 
 @dataclass(frozen=True)
 class RobotSpec:
-    """One snake.
+    """Parameters of one snake.
 
     Attributes:
         name: short name, also the name of its MJCF model.
-        title: one line for people.
-        geometry: lengths and the number of connectors.
-        mass: of connectors and wheels.
-        friction: of the wheels on the floor.
+        title: description in one line.
+        geometry: dimensions and the number of connectors.
+        mass: masses of connectors and wheels.
+        friction: friction of the wheels on the floor.
         bending: compliance of a segment.
         actuator: response of a module to its valves.
-        chamber: air spaces.
+        chamber: air space of a chamber.
         supply: pressures and their limits.
-        phase_step: β, by which the gait of a segment lags the one before it, rad (E18).
-        variation: what is each module's own; None where all are nominal.
-        tail: None where the last connector is like the others.
+        phase_step: β, phase lag of the gait from one segment to the next, rad (E18).
+        variation: individual properties of the modules; None for identical nominal modules.
+        tail: tail assembly; None if the last connector has one axle.
     """
 
     name: str
@@ -362,12 +362,12 @@ class RobotSpec:
     tail: Tail | None = None
 
     def __post_init__(self) -> None:
-        given, wanted = len(self.mass.connectors), self.geometry.connectors
-        _require(given == wanted, "mass.connectors", given, f"the robot has {wanted} connectors")
+        count, connectors = len(self.mass.connectors), self.geometry.connectors
+        _require(count == connectors, "mass.connectors", count, f"the robot has {connectors} connectors")
         _require(math.isfinite(self.phase_step), "phase_step", self.phase_step, "it must be finite")
         if self.variation is not None:
-            given = len(self.variation.gain)
-            _require(given == self.segments, "modules", given, f"the robot has {self.segments}")
+            count = len(self.variation.gain)
+            _require(count == self.segments, "modules", count, f"the robot has {self.segments}")
 
     @property
     def segments(self) -> int:
@@ -376,33 +376,35 @@ class RobotSpec:
 
     @cached_property
     def modules(self) -> Modules:
-        """What is each module's own."""
-        return self.variation or Modules.alike(self.segments)
+        """Individual properties of the modules."""
+        return self.variation or Modules.nominal(self.segments)
 
     @cached_property
     def axles(self) -> tuple[Axle, ...]:
         """All axles, head first."""
-        each = [Axle(i, 0.0, mass) for i, mass in enumerate(self.mass.connectors, start=1)]
+        axles = [Axle(i, 0.0, mass) for i, mass in enumerate(self.mass.connectors, start=1)]
         if self.tail is not None:
-            last, share = each.pop(), self.tail.com / self.tail.axle
-            each += [last._replace(mass=(1 - share) * last.mass)]
-            each += [last._replace(mass=share * last.mass, behind=self.tail.axle)]
-        return tuple(each)
+            # Lever rule: each axle carries a share of the mass by its distance from the centre of mass.
+            last, share = axles.pop(), self.tail.com / self.tail.axle
+            axles.append(last._replace(mass=(1 - share) * last.mass))
+            axles.append(last._replace(mass=share * last.mass, behind=self.tail.axle))
+        return tuple(axles)
 
     @property
     def connector_gyration(self) -> float:
         """Radius of gyration of a connector without its wheels, m.
 
-        Where the robot file gives none, that of a uniform block as long as the rigid gap and as wide as the
-        track: √((L_o² + (2 w)²)/12).
+        The default is that of a uniform block with the length of the rigid gap and the width of the track,
+        2 w: √((L_o² + (2 w)²)/12).
         """
         g = self.geometry
         derived = math.hypot(g.rigid_gap, 2 * g.half_track) / math.sqrt(12)
         return derived if self.mass.connector_gyration is None else self.mass.connector_gyration
 
     def yaw_inertia(self) -> np.ndarray:
-        """Return each connector's moment of inertia about its own vertical, wheels included, (N,), kg·m²."""
+        """Return the yaw inertia of each connector about its centre, wheels included, (N,), kg·m²."""
         wheel, g = self.mass.wheel, self.geometry
+        # A wheel is a thin disc: r²/4 about a diameter, and the parallel-axis term of the half track.
         wheels = 2 * wheel * (g.half_track**2 + g.wheel_radius**2 / 4)
         inertia: np.ndarray = (self.mass.array() - 2 * wheel) * self.connector_gyration**2 + wheels
         return inertia

@@ -1,4 +1,4 @@
-"""World: what surrounds the snake on the floor. Planar, SI, world frame."""
+"""World around the snake: floor, obstacles, bounds and goal, in SI units and the world frame."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the centre of mass is, and the way ahead.
+    """Pose of the snake: position of the centre of mass and heading.
 
     Attributes:
-        x: m.
-        y: m.
-        heading: counter-clockwise from x, rad.
+        x: position, m.
+        y: position, m.
+        heading: angle from the x axis, counter-clockwise, rad.
     """
 
     x: float
@@ -28,12 +28,12 @@ class Pose:
 
 @dataclass(frozen=True)
 class Circle:
-    """A round obstacle.
+    """Round obstacle.
 
     Attributes:
-        x: of the centre, m.
-        y: of the centre, m.
-        radius: m.
+        x: centre, m.
+        y: centre, m.
+        radius: radius, m.
     """
 
     x: float
@@ -43,10 +43,10 @@ class Circle:
 
 @dataclass(frozen=True)
 class Polygon:
-    """An obstacle with straight sides that do not cross each other; either sense of rotation.
+    """Obstacle with straight sides that do not cross each other.
 
     Attributes:
-        corners: (x, y) of each, m, three at least; the last is joined to the first.
+        corners: (x, y) of three or more corners, m, in either sense of rotation; the polygon is closed.
     """
 
     corners: tuple[tuple[float, float], ...]
@@ -54,11 +54,11 @@ class Polygon:
 
 @dataclass(frozen=True)
 class Bounds:
-    """The rectangle that the snake is to stay in.
+    """Rectangle that the snake should not leave.
 
     Attributes:
-        x: lowest and highest, m.
-        y: lowest and highest, m.
+        x: minimum and maximum, m.
+        y: minimum and maximum, m.
     """
 
     x: tuple[float, float]
@@ -67,14 +67,14 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Goal:
-    """Where the centre of mass is to arrive.
+    """Goal of the centre of mass.
 
     Attributes:
-        x: m.
-        y: m.
-        heading: arrival heading, rad; None where any will do.
-        radius: how near is near enough, m.
-        heading_tolerance: how near the arrival heading is near enough, rad.
+        x: position, m.
+        y: position, m.
+        heading: heading at the goal, rad; None for any heading.
+        radius: largest distance from the goal position, m.
+        heading_tolerance: largest deviation from the heading, rad.
     """
 
     x: float
@@ -86,11 +86,11 @@ class Goal:
 
 @dataclass(frozen=True)
 class Floor:
-    """A plane that may slope; x and y are along it, z is off it.
+    """Plane floor with an optional slope; x and y are in the plane, z is normal to it.
 
     Attributes:
         tilt: angle of the slope, rad.
-        uphill: which way it rises, counter-clockwise from x, rad.
+        uphill: direction in which the floor rises, counter-clockwise from x, rad.
     """
 
     tilt: float = 0.0
@@ -98,18 +98,18 @@ class Floor:
 
     @property
     def down(self) -> tuple[float, float, float]:
-        """Which way things fall, a unit vector; exactly (0, 0, −1) on a level floor."""
+        """Unit vector of gravity; exactly (0, 0, −1) on a level floor."""
         slope = math.sin(self.tilt)
         return 0.0 - slope * math.cos(self.uphill), 0.0 - slope * math.sin(self.uphill), -math.cos(self.tilt)
 
 
 @dataclass(frozen=True)
 class Step:
-    """Where the floor rises or falls, along the whole line at x.
+    """Step of the floor along a line of constant x.
 
     Attributes:
-        x: m.
-        height: by how much it is higher beyond, m.
+        x: position of the step, m.
+        height: height of the floor beyond x over the floor before it, m; negative for a step down.
     """
 
     x: float
@@ -118,7 +118,16 @@ class Step:
 
 @dataclass(frozen=True)
 class World:
-    """Floor, obstacles, bounds and goal; all may be absent."""
+    """Floor, obstacles, bounds and goal, all optional.
+
+    Attributes:
+        obstacles: round obstacles.
+        bounds: allowed area, or None.
+        goal: goal of the planner, or None.
+        polygons: obstacles with straight sides.
+        floor: slope of the floor.
+        steps: steps of the floor.
+    """
 
     obstacles: tuple[Circle, ...] = ()
     bounds: Bounds | None = None
@@ -133,6 +142,6 @@ class World:
         return self.floor.tilt != 0.0 or bool(self.steps)
 
     @property
-    def solid(self) -> bool:
-        """Whether there is anything to run into."""
+    def has_obstacles(self) -> bool:
+        """Whether there are obstacles."""
         return bool(self.obstacles or self.polygons)

@@ -9,7 +9,7 @@ from typing import Any
 
 from srs_twin.comparison.metrics import MEASURED_UNITS
 from srs_twin.control.replay import HoldValves
-from srs_twin.errors import Clock, InputError, TimeStepError, nearest_rate, whole_steps
+from srs_twin.errors import InputError, SamplingGrid, TimeStepError, count_steps, nearest_rate
 from srs_twin.io.documents import Document
 from srs_twin.pneumatics.base import Pneumatics
 from srs_twin.pneumatics.chambers import largest_bend
@@ -75,7 +75,7 @@ def check_robot(document: Document, file: ScenarioFile, robot: RobotFile) -> Non
         if fault.segment > segments:
             text = f"{fault.segment} is not allowed; {robot.name} has {segments} segments"
             document.report(("faults", k, "segment"), text)
-    with document.reporting("sensor"):
+    with document.report_errors("sensor"):
         file.sensor.sensor(robot.spec())
     # The twin's integrator needs steps shorter than its segments' damping times (`mjcf.robot_mjcf`).
     bending, twin = robot.bending, file.plants.twin
@@ -105,7 +105,7 @@ def check_controller(
         why = "; 3/2 valves cannot hold" if layout == "3/2" else "; it has no use for valves that hold"
         text = f"{controller.kind} drives valves of layout {', '.join(possible)}, not {layout}{why}"
         document.report(("valves", "layout"), text)
-    with document.reporting("pneumatics"):
+    with document.report_errors("pneumatics"):
         _check_felt(document, file, file.pneumatics.chambers(spec, supply_pa, layout))
     for kind in file.plants.running:
         try:
@@ -137,25 +137,25 @@ def _check_times(document: Document, file: ScenarioFile) -> None:
         key: tuple[str, ...] = ("plants", kind, "tick_s")
         try:
             if isinstance(plant, TwinFile):
-                whole_steps("tick", tick, "time step", plant.timestep_s)
+                count_steps("tick", tick, "time step", plant.timestep_s)
             key = ("duration_s",)
-            whole_steps("duration", file.duration_s, named, tick)
+            count_steps("duration", file.duration_s, named, tick)
             key = ("record_hz",)
             if interval > tick:
-                whole_steps("recording interval", interval, named, tick)
+                count_steps("recording interval", interval, named, tick)
             else:
-                whole_steps(named, tick, "recording interval", interval)
+                count_steps(named, tick, "recording interval", interval)
                 if isinstance(plant, TwinFile):
-                    whole_steps("recording interval", interval, "the twin's time step", plant.timestep_s)
+                    count_steps("recording interval", interval, "the twin's time step", plant.timestep_s)
         except TimeStepError as error:
-            words = str(error) if key != ("record_hz",) else f"{error.fault}; {_rate_remedy(file)}"
+            words = str(error) if key != ("record_hz",) else f"{error.problem}; {_rate_remedy(file)}"
             document.report(key, words)
 
 
 def _rate_remedy(file: ScenarioFile) -> str:
     """Return the nearest recording rate that fits all plants, in words."""
     clocks = [
-        Clock(file.tick(kind), plant.timestep_s if isinstance(plant, TwinFile) else None)
+        SamplingGrid(file.tick(kind), plant.timestep_s if isinstance(plant, TwinFile) else None)
         for kind, plant in file.plants.running.items()
     ]
     rate = nearest_rate(file.record_hz, clocks, LEAST_RECORD_HZ, MOST_RECORD_HZ)

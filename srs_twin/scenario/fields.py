@@ -16,8 +16,8 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from srs_twin.io.validation import Strict, docstrings
-from srs_twin.robot.sourced import in_si, in_unit, split_unit
+from srs_twin.io.validation import StrictModel, attribute_docstrings
+from srs_twin.robot.sourced import from_si, split_unit, to_si
 
 Line = Annotated[str, Field(min_length=1, max_length=200)]
 PathOrName = Annotated[str, Field(min_length=1, max_length=4096)]
@@ -45,19 +45,19 @@ def constructor_default() -> Any:
 
 def _describe(schema: dict[str, Any], cls: type[Section]) -> None:
     """Say of each key what its docstring says; of a number also unit, range and default."""
-    for key, text in docstrings(cls).items():
+    for key, text in attribute_docstrings(cls).items():
         shown = schema["properties"][key]
         title = text.partition(";")[0].rstrip(".")
         for bounds in (shown, *shown.get("anyOf", ())):
             if "minimum" in bounds:
                 parameter, unit = cls.parameter(key), shown.setdefault("unit", split_unit(key)[1])
-                title = text.rstrip(".").format(default=in_unit(key, parameter and parameter.default))
+                title = text.rstrip(".").format(default=from_si(key, parameter and parameter.default))
                 low, high = bounds["minimum"], bounds["maximum"]
                 text = f"{title}{'' if unit == '1' else f' in {unit}'}, {low:.10g} to {high:.10g}."
         shown |= {"title": title, "description": text}
 
 
-class Section(Strict):
+class Section(StrictModel):
     """A block of keys of a file.
 
     Attributes:
@@ -110,7 +110,7 @@ class Section(Strict):
             if parameter is None or (of and parameter.name not in known):
                 continue
             if not (value is None and parameter.default is not parameter.empty):
-                found[parameter.name] = in_si(key, value)
+                found[parameter.name] = to_si(key, value)
         return found
 
     def build(self) -> Any:
@@ -120,4 +120,4 @@ class Section(Strict):
     def with_defaults(self, *keys: str) -> Self:
         """Return the section with the constructor's defaults for these keys where it says nothing."""
         missing = {key: self.parameter(key) for key in keys if getattr(self, key) is None}
-        return self.model_copy(update={k: in_unit(k, each.default) for k, each in missing.items() if each})
+        return self.model_copy(update={k: from_si(k, each.default) for k, each in missing.items() if each})

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from srs_twin.errors import InputError, InputFileError, did_you_mean
-from srs_twin.io.documents import Change, Document, dotted, load_yaml, path_of
-from srs_twin.io.files import find, results_name
+from srs_twin.io.documents import Document, Override, format_path, load_yaml, parse_path
+from srs_twin.io.files import find_file, results_name
 from srs_twin.io.validation import validate
-from srs_twin.robot.file import PA_PER_KPA, RobotFile, far_off, resolve_robot
-from srs_twin.robot.sourced import restated
+from srs_twin.robot.file import PA_PER_KPA, RobotFile, find_unit_mistakes, resolve_robot
+from srs_twin.robot.sourced import replace_value
 from srs_twin.robot.world import World
 from srs_twin.scenario.checks import (
     check,
@@ -31,7 +31,7 @@ from srs_twin.scenario.sections import Loading
 
 
 def load_scenario(
-    name_or_path: str | os.PathLike[str], *, set: Mapping[str, Any] | Sequence[Change] = ()
+    name_or_path: str | os.PathLike[str], *, set: Mapping[str, Any] | Sequence[Override] = ()
 ) -> Scenario:
     """Load a scenario: a shipped name (gen2_straight) or the path of a scenario file.
 
@@ -43,12 +43,12 @@ def load_scenario(
         InputError: not found or not readable.
         InputFileError: everything that is wrong with it, one line each.
     """
-    path = find("scenario", name_or_path)
+    path = find_file("scenario", name_or_path)
     return _scenario(load_yaml(path), results_name(path), set)
 
 
 def parse_scenario(
-    data: Mapping[str, Any], *, name: str = "scenario", set: Mapping[str, Any] | Sequence[Change] = ()
+    data: Mapping[str, Any], *, name: str = "scenario", set: Mapping[str, Any] | Sequence[Override] = ()
 ) -> Scenario:
     """Make a scenario of plain data, as `Scenario.document` holds them.
 
@@ -58,9 +58,9 @@ def parse_scenario(
     return _scenario(Document(name, copy.deepcopy(dict(data)) if set else data), name, set)
 
 
-def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequence[Change]) -> Scenario:
+def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequence[Override]) -> Scenario:
     if isinstance(changes, Mapping):
-        changes = [Change(f"set {key}={value!r}", path_of(key), value) for key, value in changes.items()]
+        changes = [Override(f"set {key}={value!r}", parse_path(key), value) for key, value in changes.items()]
     unmodified = copy.deepcopy(document.data) if changes else None
     for change in changes:
         _set(document, change)
@@ -68,11 +68,13 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
     robot, foreign = _robot(document)
     warnings = overpressure(document, robot) if robot else []
     if robot:
-        warnings += [f"robot.{dotted(loc)}: {text}" for loc, text in far_off(document.get("robot"))]
+        warnings += [
+            f"robot.{format_path(loc)}: {text}" for loc, text in find_unit_mistakes(document.get("robot"))
+        ]
     supply_pa, layout, world, begin = 0.0, "", World(), None
     products: dict[str, Any] = {}
     if file:
-        with document.reporting("world", "random"):
+        with document.report_errors("world", "random"):
             world = file.world.surroundings(file.start.build(), file.seed)
         check(document, file)
     if file and robot:
@@ -84,11 +86,11 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
             layout, more = check_controller(document, file, robot, supply_pa, products)
             warnings += more
         if not document.problems:
-            with document.reporting("start"):
+            with document.report_errors("start"):
                 begin = file.start.begin(robot.spec(file.seed).segments, supply_pa, file.plants.running)
         for key, section in file.sections().items():
             products[key] = products[key] or section.prepare(loading)
-    document.finish(foreign)
+    document.raise_problems(foreign)
     assert file is not None and robot is not None, "no problem was reported"
     uses_goal = any(section.uses_goal for section in file.sections().values())
     if not uses_goal and (world.goal or world.bounds):
@@ -123,15 +125,15 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
     )
 
 
-def _set(document: Document, change: Change) -> None:
+def _set(document: Document, change: Override) -> None:
     """Put a changed value into the document."""
     _check_field(change)
     before = document.get(*change.loc)
     if isinstance(before, Mapping) and "unit" in before and not isinstance(change.value, Mapping):
-        change = replace(change, value=restated(before, change.value, None, f"set by {change.words}"))
+        change = replace(change, value=replace_value(before, change.value, None, f"set by {change.label}"))
     if change.loc == PRESET and isinstance(twin := document.get(*PRESET[:-1]), Mapping):
         document.data["plants"]["twin"] = with_preset(twin, change.value)
-    document.change(change)
+    document.apply(change)
 
 
 def _resolved_or_raw(data: Any, products: Mapping[str, Any]) -> dict[str, Any]:
@@ -145,18 +147,18 @@ def _resolved_or_raw(data: Any, products: Mapping[str, Any]) -> dict[str, Any]:
     return _resolved(file, robot, "", layout, known)
 
 
-def _check_field(change: Change) -> None:
+def _check_field(change: Override) -> None:
     """Refuse a field whose beginning no scenario has, with those like it."""
     first, *more = change.loc
     if first == "changes":
-        raise InputError(f"{change.words}: srs_twin itself lists the changed fields; set the fields instead")
+        raise InputError(f"{change.label}: srs_twin itself lists the changed fields; set the fields instead")
     sections = {*RobotFile.model_fields, "base"}
     if first not in ScenarioFile.model_fields or (first == "robot" and more and more[0] not in sections):
         from srs_twin.scenario.schema import field_paths
 
-        field = dotted(change.loc)
+        field = format_path(change.loc)
         close = did_you_mean(field, field_paths()) or "; `srs-twin show SCENARIO` prints all"
-        raise InputError(f"{change.words}: there is no field {field}{close}")
+        raise InputError(f"{change.label}: there is no field {field}{close}")
 
 
 def _resolved(
@@ -200,7 +202,7 @@ def supply_kpa(file: ScenarioFile, robot: RobotFile) -> float:
 def _robot(document: Document) -> tuple[RobotFile | None, tuple[str, ...]]:
     """Return the robot, and what is wrong with a robot file of its own."""
     given = document.get("robot")
-    if given is None and document.known(("robot",)) == ():
+    if given is None and document.existing_prefix(("robot",)) == ():
         return None, ()
     try:
         return resolve_robot(document, given, prefix=("robot",)), ()

@@ -28,8 +28,8 @@ from pydantic import ConfigDict, Field, field_validator
 
 from srs_twin.errors import InputError
 from srs_twin.io.documents import load_yaml
-from srs_twin.io.files import existing, read_text, shown
-from srs_twin.io.validation import Strict, validate
+from srs_twin.io.files import display_path, read_text, require_file
+from srs_twin.io.validation import StrictModel, validate
 from srs_twin.robot.world import Circle, Polygon
 
 CIRCLE_COLUMNS = ("x_m", "y_m", "radius_m")
@@ -49,7 +49,7 @@ _BOOLEANS = dict.fromkeys(("0", "n", "no", "off", "false"), False)
 _BOOLEANS |= dict.fromkeys(("1", "y", "yes", "on", "true"), True)
 
 
-class MapFile(Strict):
+class MapFile(StrictModel):
     """YAML file of an occupancy map; other keys are ignored, as in ROS."""
 
     model_config = ConfigDict(extra="ignore")
@@ -109,9 +109,9 @@ def read_map(path: Path) -> tuple[Polygon, ...]:
     document = load_yaml(path)
     rectangles: list[list[int]] = []
     if given := validate(MapFile, document, document.data):
-        with document.reporting("image"):
+        with document.report_errors("image"):
             rectangles = _rectangles(given.blocked(*_picture(path.parent / given.image))[::-1])
-    document.finish()
+    document.raise_problems()
     assert given is not None, "a map without a problem was checked"
     size, (x, y, turn) = given.resolution, given.origin
     c, s = math.cos(turn), math.sin(turn)
@@ -137,7 +137,7 @@ def read_circles(path: Path) -> tuple[Circle, ...]:
     Raises:
         InputError: it cannot be read, lacks a column, or a row is no circle.
     """
-    name, rows = shown(path), csv.DictReader(read_text(path).splitlines())
+    name, rows = display_path(path), csv.DictReader(read_text(path).splitlines())
     missing = [column for column in CIRCLE_COLUMNS if column not in (rows.fieldnames or ())]
     if missing:
         raise InputError(f"{name}:1: columns {', '.join(CIRCLE_COLUMNS)} are needed; {missing[0]} is missing")
@@ -159,7 +159,7 @@ def _picture(path: Path) -> tuple[np.ndarray, np.ndarray | None, int]:
     Raises:
         InputError: it is not PNG or PGM, damaged or too large.
     """
-    name = shown(existing(path, suffix=".png" if path.suffix == ".png" else ".pgm"))
+    name = display_path(require_file(path, suffix=".png" if path.suffix == ".png" else ".pgm"))
     header = None
     try:
         with path.open("rb") as stream:

@@ -16,7 +16,7 @@ from typing import Any
 from pydantic import Field
 
 from srs_twin.comparison.gait import ENERGY_METRICS
-from srs_twin.io.documents import Loc, child, dotted, path_of
+from srs_twin.io.documents import Loc, child, format_path, parse_path
 from srs_twin.scenario.expectation import COMPARISON, Expectation
 from srs_twin.scenario.fields import Line, Section
 
@@ -71,9 +71,9 @@ def changed_fields(
         earlier: changes that `before` had already; a field that has its first value again is left out.
     """
     known = {each["field"]: each.get("from") for each in earlier}
-    paths = {field: path_of(field) for field in known if field != PLANTS}
+    paths = {field: parse_path(field) for field in known if field != PLANTS}
     for loc in locs:
-        paths |= {dotted(leaf): leaf for leaf in _leaves(loc, before, after)}
+        paths |= {format_path(leaf): leaf for leaf in _leaves(loc, before, after)}
     found = [each for each in map(dict, earlier) if each["field"] == PLANTS and PLANTS not in paths]
     for field, path in paths.items():
         was, now = known.get(field, _value(before, path)), _value(after, path)
@@ -165,7 +165,7 @@ def left_out_line(left_out: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _leaves(loc: Loc, before: Any, after: Any) -> Iterator[Loc]:
     """Yield the paths of different values at and below a path."""
-    if dotted(loc) in _NAMES:
+    if format_path(loc) in _NAMES:
         return
     if loc[:2] == ("robot", "base"):
         loc = ("robot",)

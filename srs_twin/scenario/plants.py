@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import field_validator, model_validator
 
-from srs_twin.errors import TimeStepError, whole_steps
+from srs_twin.errors import TimeStepError, count_steps
 from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.plants.twin.mjcf.numerics import (
     LAW_OF,
@@ -25,7 +25,7 @@ from srs_twin.plants.twin.mjcf.numerics import (
     Law as LawOnLoads,
 )
 from srs_twin.pneumatics.valves import SLOT_S
-from srs_twin.robot.friction import AT_TRACK, Law
+from srs_twin.robot.friction import TWO_POINT_LAWS, Law
 from srs_twin.scenario.fields import Section, constructor_default, quantity
 
 PLANTS = ("analytical", "twin")
@@ -52,7 +52,7 @@ class _PlantFile(Section):
     def _whole_slots(cls, tick: float | None) -> float | None:
         if tick is not None:
             try:
-                whole_steps("tick", tick, "valve slot", min(SLOT_S, tick))
+                count_steps("tick", tick, "valve slot", min(SLOT_S, tick))
             except TimeStepError as error:
                 raise ValueError(str(error)) from error
         return tick
@@ -87,7 +87,7 @@ class AnalyticalFile(_PlantFile):
     def _torque_is_there(self) -> AnalyticalFile:
         if not self.friction_torque and self.model != "simplified":
             raise ValueError(f"model {self.model} has a friction torque; only simplified goes without")
-        if self.load == "momentary" and self.friction not in AT_TRACK:
+        if self.load == "momentary" and self.friction not in TWO_POINT_LAWS:
             raise ValueError(
                 f"friction {self.friction} acts in one point a connector; momentary loads need two"
             )

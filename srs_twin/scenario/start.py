@@ -12,9 +12,9 @@ import numpy as np
 from pydantic import Field
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import shown
+from srs_twin.io.files import display_path
 from srs_twin.plants.base import Plant, SnakeState
-from srs_twin.robot.sourced import in_si
+from srs_twin.robot.sourced import to_si
 from srs_twin.robot.world import Pose
 from srs_twin.scenario.fields import FilePath, Section, quantity
 from srs_twin.trajectory import Trajectory
@@ -105,7 +105,7 @@ class StartFile(Section):
 
         def per_segment(name: str, *shape: int) -> np.ndarray:
             given = getattr(self, name)
-            return np.zeros((segments, *shape)) if given is None else in_si(name, np.array(given))
+            return np.zeros((segments, *shape)) if given is None else to_si(name, np.array(given))
 
         pressure = per_segment("pressure_kpa", 2)
         if pressure.max() > supply_pa * (1 + 1e-9):
@@ -156,14 +156,16 @@ def _recorded(folder: Path, plant: str, time: float, segments: int) -> _Moving:
     """Return what a plant's record says of a time; what moves by differences of its neighbours."""
     path = folder / f"{plant}.parquet"
     if not os.path.isfile(path):
-        raise InputError(f"{shown(folder)} holds no record of the {plant} plant ({path.name})")
+        raise InputError(f"{display_path(folder)} holds no record of the {plant} plant ({path.name})")
     record = Trajectory.from_parquet(path)
     times = record.time
     if len(times) < 2 or not times[0] - 1e-9 <= time <= times[-1] + 1e-9:
-        raise InputError(f"time_s {time:g} is outside of {shown(path)}, {times[0]:g} to {times[-1]:g} s")
+        raise InputError(
+            f"time_s {time:g} is outside of {display_path(path)}, {times[0]:g} to {times[-1]:g} s"
+        )
     bend = record.stack("bend")
     if bend.shape[1] != segments:
-        raise InputError(f"{shown(path)} is of {bend.shape[1]} segments; the robot has {segments}")
+        raise InputError(f"{display_path(path)} is of {bend.shape[1]} segments; the robot has {segments}")
     pressure = np.stack([record.stack("pressure_plus"), record.stack("pressure_minus")], axis=-1)
     columns = np.column_stack([record.com, record["heading"], bend, pressure.reshape(len(times), -1)])
     k = min(max(int(np.searchsorted(times, time - 1e-9)), 1), len(times) - 1)

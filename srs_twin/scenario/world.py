@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationInfo, field_validator
 
 from srs_twin.errors import InputError
-from srs_twin.robot.drawn_worlds import fig54_world, strewn
+from srs_twin.robot.random_worlds import fig54_world, random_circles
 from srs_twin.robot.world import Bounds, Circle, Floor, Goal, Polygon, Pose, Step, World
 from srs_twin.scenario.fields import FilePath, Section, constructor_default, quantity
 from srs_twin.scenario.map_file import read_circles, read_map
@@ -87,10 +87,10 @@ class GoalFile(Section):
 class RandomFile(Section):
     """Round obstacles drawn by a seed."""
 
-    constructors = (strewn,)
+    constructors = (random_circles,)
 
     kind: Literal["strewn", "fig54"] = "strewn"
-    """strewn: uniformly over a rectangle; fig54: of the 18 sites of planning.fields."""
+    """strewn: uniformly over a rectangle; fig54: of the 18 sites of robot.random_worlds."""
     count: int = quantity(0, 1000)
     """Number of circles."""
     seed: int | None = quantity(0, 2**32 - 1, None)
@@ -128,7 +128,7 @@ class RandomFile(Section):
         area = self.area or bounds
         clear = tuple((each.x, each.y, self.clear_m) for each in places)
         given = self.arguments() | {"seed": seed, "clear": clear}
-        return strewn(bounds=area.build(), **given) if area else ()
+        return random_circles(bounds=area.build(), **given) if area else ()
 
 
 class FloorFile(Section):

@@ -17,7 +17,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from srs_twin.errors import DivergedError, EngineWarning, InputError, whole_steps
+from srs_twin.errors import DivergedError, EngineWarning, InputError, count_steps
 from srs_twin.plants.base import Pose, SnakeState
 from srs_twin.plants.twin.friction_solve import ContactState
 from srs_twin.plants.twin.mjcf.numerics import LoadedContact
@@ -459,7 +459,7 @@ class WarpBatch:
         if not any(schedules):
             return [None] * len(self)
         span = max(schedule.span for schedule in schedules if schedule is not None)
-        ticks, slots = whole_steps("span", span, "tick", self.tick), self._steps * self._slots
+        ticks, slots = count_steps("span", span, "tick", self.tick), self._steps * self._slots
         if max(ticks, samples) % min(ticks, samples):
             raise InputError(
                 f"{samples} samples in {ticks} ticks are not possible with engine 'warp'; one number must "
@@ -487,7 +487,7 @@ class WarpBatch:
 
     def follow(self, duration: float, samples: int) -> list[SnakeState | None]:
         """Follow the gaits of `set_gaits`; the samples are equally spaced, the last one at the end."""
-        return self._run_observed(whole_steps("duration", duration, "time step", self._h), samples, gait=True)
+        return self._run_observed(count_steps("duration", duration, "time step", self._h), samples, gait=True)
 
     def arrays(self) -> dict[str, Any]:
         """Return arrays on the device with a leading axis of runs: qpos, qvel, pressure, valves.
@@ -512,7 +512,7 @@ class WarpBatch:
 
     def _run_observed(self, steps: int, samples: int, *, gait: bool) -> list[SnakeState | None]:
         """Make steps with equally spaced observations; return the history of each run that has not ended."""
-        interval = whole_steps("sample interval", steps * self._h / samples, "time step", self._h)
+        interval = count_steps("sample interval", steps * self._h / samples, "time step", self._h)
         rows, times, passed = [], np.empty(samples), np.empty(samples)
         for k in range(samples):
             self.run(interval, gait=gait)

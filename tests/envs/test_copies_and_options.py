@@ -105,7 +105,7 @@ OPTIONS = {
     "number": ({1: 1}, r"unknown option of reset '1'"),
     "state": ({"state": 1}, r"option state 1 is not allowed; give a SavedState, which episode"),
     "none": ({"state": None}, r"option state None is not allowed"),
-    "other": ({"state": BARE}, r"episode of GoTo: the state belongs to something else"),
+    "other": ({"state": BARE}, r"episode of GoTo: the saved state has other settings"),
     "snake": ({"snake": {"com": (0, 0)}}, r"option snake .* give a SnakeState, such as plant.state"),
     "yaw alone": ({"yaw_rate": 0.1}, r"option yaw_rate belongs to option snake; give both"),
     "yaw nan alone": ({"yaw_rate": float("nan")}, r"option yaw_rate belongs to option snake; give both"),
@@ -135,7 +135,10 @@ def refusals(env: SnakeEnv) -> dict[str, tuple[dict[str, Any], str]]:
     found["both"] = {"options": {"snake": snake, "state": env.episode.save()}}, "option state excludes"
     incomplete = replace(env.episode.save(), content={})
     found["incomplete"] = {"seed": 3, "options": {"state": incomplete}}, "the state is incomplete; it has no"
-    found["another seed"] = {"seed": 4, "options": {"state": env.episode.save()}}, "belongs to something else"
+    found["another seed"] = (
+        {"seed": 4, "options": {"state": env.episode.save()}},
+        "the saved state has other settings",
+    )
     return found | {
         name: ({"seed": seed}, "it must be an integer of 0 or more") for name, seed in SEEDS.items()
     }

@@ -250,7 +250,7 @@ def test_what_is_done_out_of_turn_is_refused():
     [
         ("GoTo", {"time_step": 0.002}, "unknown setting .*'time_step'; did you mean timestep"),
         ("Module", {"supply_pa": 1e3}, "unknown setting .*'supply_pa'"),
-        ("GoTo", {"limit_s": 0.25}, "limit_s 0.25 s is no multiple of step 0.1 s"),
+        ("GoTo", {"limit_s": 0.25}, "limit_s 0.25 s is not a multiple of step 0.1 s"),
         ("Module", {"limit_s": -1.0}, "limit_s -1.0 s is not allowed"),
         ("Obstacles", {"camera": Camera(5.0)}, "camera of 5 Hz is too slow .* 10 Hz or more"),
         ("GoTo", {"robot": "gen5"}, "unknown robot 'gen5'"),

@@ -1,8 +1,8 @@
-"""Every parser of files from outside, what must not get past it, and what it must read back.
+"""Parsers of untrusted files: types for their malformed and valid files, and checks that apply to all.
 
-A new parser joins with one `Parser` in `parsers.PARSERS`: the tests here and ``benchmarks/fuzz.py`` go over
-all of them. Three things are shown of each: every malformed file is refused with one `InputError` that
-names the file and the place, generated files raise nothing else, and what it writes it reads back.
+A new parser needs one `Parser` in `parsers.PARSERS`; the tests and ``benchmarks/fuzz.py`` then use it. They
+check three properties: every malformed file is rejected with an `InputError` that names file and position,
+generated files raise no other exception, and files written by this package are read back unchanged.
 """
 
 from __future__ import annotations
@@ -11,34 +11,35 @@ import os
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from operator import eq
 from pathlib import Path
 from typing import Any
 
 from hypothesis import strategies as st
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import shown
+from srs_twin.io.files import display_path
 
-Make = Callable[[Path], None]
-Generated = st.SearchStrategy[bytes]
+MakeFile = Callable[[Path], object]
+Contents = st.SearchStrategy[bytes]
 
 
 @dataclass(frozen=True)
 class Malformed:
-    """A file that has to be refused.
+    """File that must be rejected.
 
     Attributes:
-        name: what is wrong with it.
-        content: its bytes, or what makes it at a path (a pipe, a link, files beside it).
-        says: words of the message, with the place where the format has places.
+        name: defect of the file.
+        content: bytes of the file, or a function that creates it at a path (a pipe, a link, several files).
+        message: part of the expected message, with the position if the format has positions.
     """
 
     name: str
-    content: bytes | Make
-    says: str
+    content: bytes | MakeFile
+    message: str
 
     def write(self, path: Path) -> None:
-        """Put the file there."""
+        """Create the file."""
         if isinstance(self.content, bytes):
             path.write_bytes(self.content)
         else:
@@ -46,34 +47,34 @@ class Malformed:
 
 
 @dataclass(frozen=True)
-class Identity:
-    """What a parser reads back as it was.
+class RoundTrip:
+    """Objects that a parser must read back unchanged.
 
     Attributes:
-        things: what it may be given to write.
-        write: makes a file's bytes of one.
+        objects: strategy for the objects.
+        write: function from an object to the bytes of a file.
     """
 
-    things: st.SearchStrategy[Any]
+    objects: st.SearchStrategy[Any]
     write: Callable[[Any], bytes]
 
 
 @dataclass(frozen=True)
 class Parser:
-    """What reads one kind of file.
+    """Parser of one kind of file.
 
     Attributes:
-        name: of the kind.
-        suffix: of its files.
-        good: a file that it reads.
-        parse: reads a path; raises `InputError` for what it refuses, and nothing else.
-        malformed: files that it refuses, besides `PLACES`.
-        values: files of the right format with arbitrary values anywhere.
-        command: words of the command line that read it, {} for the file; None: no command does.
-        function: where there is no command, "module:name" of what reads a path.
-        quick: as `parse`, for thousands of generated files.
-        identity: what it reads back, where we write such files.
-        same: whether two of what it returns are the same.
+        name: kind of file.
+        suffix: suffix of the files.
+        good: content of a valid file.
+        parse: reads a path; raises only `InputError`.
+        malformed: files to reject, in addition to `SPECIAL_FILES`.
+        values: strategy for files of the right format with arbitrary values.
+        command: command line that reads the file, with {} for its path; empty if there is none.
+        function: "module:name" of the reading function if there is no command.
+        quick: faster version of `parse` for generated files.
+        round_trip: objects to write and read back, for kinds of files that this package writes.
+        same: comparison of two results of `parse`.
     """
 
     name: str
@@ -81,70 +82,76 @@ class Parser:
     good: bytes
     parse: Callable[[Path], Any]
     malformed: tuple[Malformed, ...]
-    values: Generated
-    command: tuple[str, ...] | None = None
+    values: Contents
+    command: str = ""
     function: str = ""
     quick: Callable[[Path], Any] | None = None
-    identity: Identity | None = None
-    same: Callable[[Any, Any], bool] = field(default=lambda one, other: bool(one == other))
+    round_trip: RoundTrip | None = None
+    same: Callable[[Any, Any], bool] = field(default=eq)
 
     @property
-    def refused(self) -> tuple[Malformed, ...]:
-        """All files that it has to refuse, wherever they come from."""
-        return PLACES + self.malformed
+    def all_malformed(self) -> tuple[Malformed, ...]:
+        """All files that the parser must reject."""
+        return SPECIAL_FILES + self.malformed
 
-    def words(self, path: Path) -> list[str]:
-        """Return the command line that reads a path."""
-        return [word.format(path) for word in self.command or ()]
+    @property
+    def generated(self) -> dict[str, Contents]:
+        """Strategies for random files, by name."""
+        return {"damaged": damaged(self.good), "values": self.values, "bytes": st.binary(max_size=400)}
 
-    def survives(self, content: bytes, path: Path) -> str | None:
-        """Let it read bytes; return the message with which it refuses them, None where it does not.
+    def path_in(self, folder: Path) -> Path:
+        """Return a path for a file of this kind."""
+        return folder / f"x{self.suffix}"
 
-        Whatever is raised besides `InputError` goes through.
-        """
+    def arguments(self, path: Path) -> list[str]:
+        """Return the arguments of the command that reads a path."""
+        return [word.format(path) for word in self.command.split()]
+
+    def read_or_reject(self, content: bytes, path: Path) -> str | None:
+        """Parse bytes; return None, or the message of an `InputError`. Other exceptions are not caught."""
         path.write_bytes(content)
         try:
             (self.quick or self.parse)(path)
         except InputError as error:
-            said = str(error)
-            assert error.exit_code == 2 and said and "Traceback" not in said
-            assert path.name in said, f"{said!r} does not name the file"
-            return said
+            message = str(error)
+            assert error.exit_code == 2 and message and "Traceback" not in message
+            assert path.name in message, f"{message!r} does not name the file"
+            return message
         return None
 
-    @property
-    def generated(self) -> dict[str, Generated]:
-        """Ways to make files nobody thought of."""
-        return {"damaged": damaged(self.good), "values": self.values, "bytes": st.binary(max_size=400)}
 
-
-def refusal(parser: Parser, path: Path) -> str:
-    """Return the message with which a path is refused.
+def rejection(parser: Parser, path: Path) -> str:
+    """Return the message with which a path is rejected.
 
     Raises:
-        AssertionError: it is not refused, or the message does not begin with the file.
+        AssertionError: it is accepted, or a line of the message does not begin with the file.
     """
     try:
         parser.parse(path)
     except InputError as error:
-        said = str(error)
+        message = str(error)
         assert error.exit_code == 2
-        assert all(line.lstrip("'").startswith(shown(path)) for line in said.splitlines()), said
-        return said
+        check_lines(message, display_path(path))
+        return message
     raise AssertionError(f"{path.name} was read")
 
 
-def damaged(good: bytes) -> Generated:
-    """Return a good file with pieces cut out, put in, doubled, moved and bits turned."""
-    places = st.integers(0, len(good))
+def check_lines(message: str, name: str) -> None:
+    """Check that every line of a message begins with the name of a file."""
+    assert all(line.lstrip("'").startswith(name) for line in message.splitlines()), message
+
+
+def damaged(good: bytes) -> Contents:
+    """Return a strategy for a valid file with deletions, insertions, copies and changed bytes."""
+    offset = st.integers(0, len(good))
     text = st.text("\t\n :#-?{}[],&*!|>'\"%@`<=~/.0123456789aexyn_\\", max_size=5).map(str.encode)
     edit = st.one_of(
-        st.tuples(places, st.integers(0, 6), text | st.binary(max_size=5)),
-        st.tuples(places, st.integers(0, 200), st.sampled_from([b"", b"\0", b"1e999", b"-1", b"\xff\xfe"])),
+        st.tuples(offset, st.integers(0, 6), text | st.binary(max_size=5)),
+        st.tuples(offset, st.integers(0, 200), st.sampled_from([b"", b"\0", b"1e999", b"-1", b"\xff\xfe"])),
         st.tuples(
-            places, st.just(0), st.tuples(places, places).map(lambda ends: good[min(ends) : max(ends)])
+            offset, st.just(0), st.tuples(offset, offset).map(lambda ends: good[min(ends) : max(ends)])
         ),
-        st.tuples(places, st.just(1), st.integers(0, 255).map(lambda byte: bytes([byte]))),
+        st.tuples(offset, st.just(1), st.integers(0, 255).map(lambda byte: bytes([byte]))),
     )
 
     def apply(edits: list[tuple[int, int, bytes]]) -> bytes:
@@ -156,7 +163,8 @@ def damaged(good: bytes) -> Generated:
     return st.lists(edit, max_size=4).map(apply)
 
 
-def _link(target: str) -> Make:
+def link(target: str) -> MakeFile:
+    """Return a function that creates a symbolic link."""
     return lambda path: path.symlink_to(target)
 
 
@@ -165,21 +173,21 @@ def _sparse(path: Path) -> None:
         stream.truncate(8 << 30)
 
 
-# A pipe that nobody writes to, and devices that never end, must not even be opened.
-PLACES: tuple[Malformed, ...] = (
+# Pipes without a writer and endless devices must not be opened.
+SPECIAL_FILES: tuple[Malformed, ...] = (
     Malformed("missing", lambda path: None, "no such file"),
     Malformed("folder", Path.mkdir, "a folder; give one file"),
     Malformed("pipe", os.mkfifo, "not a regular file"),
-    Malformed("endless zeros", _link("/dev/zero"), "not a regular file"),
-    Malformed("endless noise", _link("/dev/urandom"), "not a regular file"),
-    Malformed("terminal", _link("/dev/tty"), "not a regular file"),
-    Malformed("link to itself", lambda path: path.symlink_to(path.name), "a link that leads to no file"),
-    Malformed("link to nothing", _link("nowhere"), "a link that leads to no file"),
-    Malformed("link to a folder", _link("/etc"), "a folder; give one file"),
+    Malformed("endless zeros", link("/dev/zero"), "not a regular file"),
+    Malformed("endless noise", link("/dev/urandom"), "not a regular file"),
+    Malformed("terminal", link("/dev/tty"), "not a regular file"),
+    Malformed("link to itself", lambda path: path.symlink_to(path.name), "a broken link"),
+    Malformed("link to a missing file", link("nowhere"), "a broken link"),
+    Malformed("link to a folder", link("/etc"), "a folder; give one file"),
     Malformed("empty", b"", ""),
     Malformed("one zero byte", b"\0", ""),
-    Malformed("eight gigabytes of holes", _sparse, ""),
+    Malformed("sparse file of 8 GB", _sparse, ""),
     Malformed("noise", random.Random(0).randbytes(4096), ""),
-    Malformed("a picture", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + bytes(64), ""),
-    Malformed("a zip file", b"PK\x03\x04" + bytes(64), ""),
-)  # fmt: skip
+    Malformed("PNG file", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + bytes(64), ""),
+    Malformed("ZIP file", b"PK\x03\x04" + bytes(64), ""),
+)

@@ -1,10 +1,18 @@
-"""Typical mistakes of a first day: every message names the place and a remedy, and none a wrong word."""
+"""Typical mistakes in commands and scenario files: every message names the place and a remedy."""
 
+# ruff: noqa: E501 - one mistake per line, as a table
 from __future__ import annotations
 
-import pytest
+import os
 
-GOOD = """title: Mine
+import pytest
+from malformed_scenarios import SCENARIO
+
+from srs_twin.errors import InputError
+from srs_twin.scenario.loading import load_scenario
+
+GOOD = SCENARIO.decode()
+MINE = """title: Mine
 robot: gen2
 duration_s: 2
 supply: {pressure_kpa: 48.3}
@@ -12,7 +20,8 @@ controller: {kind: gait, frequency_hz: 2.0, offset: 0.0}
 plants: {analytical: {}, twin: {}}
 """
 
-TYPED = [
+# Command line, and part of the message.
+COMMANDS = [
     ("run gen2straight", "unknown scenario 'gen2straight'; did you mean gen2_straight?"),
     ("run scenario/gen2_straight.yaml", "no such file; did you mean gen2_straight?"),
     ("run mine.yml", "mine.yml: no such file"),
@@ -23,15 +32,12 @@ TYPED = [
     ("compare gen2_straight --set friction.mu_t=0.2", "did you mean robot.friction.mu_t?"),
     ("compare gen2_straight --set supply.pressure_kpa", "must be FIELD=VALUE"),
     ("compare gen2_straight --duration=-1", "--duration -1: duration_s: must be a number from 0.001"),
-    ("compare gen2_straight --duration 3s", "write the number alone, its unit stands in the key"),
+    ("compare gen2_straight --duration 3s", "write the number without a unit, which the key names"),
     ("run gen2_straight --seed 1.5", "--seed 1.5: seed: must be a whole number from 0"),
     ("run gen2_straight --plants both", "--plants: 'both' is unknown; allowed: analytical, twin"),
     ("show gen5", "unknown scenario or robot 'gen5'; did you mean gen"),
     ("list robot", "unknown kind 'robot'; did you mean robots?"),
-    (
-        "sweep gen2_straight",
-        "unknown sweep 'gen2_straight' (available: 16 names; `srs-twin list sweeps` lists them)",
-    ),
+    ("sweep gen2_straight", "unknown sweep 'gen2_straight' (available: 16 names; `srs-twin list sweeps` lists them)"),
     ("plan gen2_straight", "it has no planner; add planner, and controller.kind: follow"),
     ("view gen2_straight", "no recording there"),
     ("render gen2_straight", "give one of --video FILE.mp4"),
@@ -45,65 +51,152 @@ TYPED = [
     ("reproduce --only XY", "docs/reproduction.md lists them"),
     ("schema robots", "(available: inspect, scenario, setup, study, sweep)"),
     ("replay walk.csv --robot gen2", "walk.csv: no such file"),
-]
+]  # fmt: skip
 
-WRITTEN = [
+# Text of MINE, its replacement, and part of the message of `srs-twin run`.
+SCENARIO_EDITS = [
     ("robot: gen2", "robot: gen 2", "2:8: robot: unknown robot 'gen 2'; did you mean gen2?"),
     ("title: Mine", "title: Mine\nbending: {k: 1}", "2:1: bending: unknown key; did you mean robot.bending?"),
     ("frequency_hz: 2.0", "frequency: 2.0", "controller.frequency: unknown key; did you mean frequency_hz?"),
-    ("frequency_hz: 2.0", "frequency_hz: 2,0", "unknown key; a number has a decimal point, no comma"),
-    ("frequency_hz: 2.0", "frequency_hz: 2 Hz", "not text '2 Hz'; write the number alone"),
+    ("frequency_hz: 2.0", "frequency_hz: 2,0", "unknown key; write a decimal point, not a comma"),
+    ("frequency_hz: 2.0", "frequency_hz: 2 Hz", "not text '2 Hz'; write the number without a unit"),
     ("pressure_kpa: 48.3", "pressure_psi: 7", "supply.pressure_psi: unknown key; did you mean pressure_kpa?"),
     ("pressure_kpa: 48.3", "pressure_kpa: 483", "lower it, or set allow_overpressure: true"),
     ("pressure_kpa: 48.3", "pressure_kpa: 48300", "not 48300; did you mean 48.3?"),
     ("kind: gait", "kind: sine", "controller.kind: must be one of gait, ilc,"),
     ("kind: gait, ", "", "controller.kind: missing"),
-    ("duration_s: 2", "duration_s: 2.005", "no multiple of the analytical plant's tick 0.02 s; 2 s"),
+    ("duration_s: 2", "duration_s: 2.005", "not a multiple of the analytical plant's tick 0.02 s; use 2 s"),
     ("duration_s: 2", "duration: 2", "3:1: duration: unknown key; did you mean duration_s?"),
     ("duration_s: 2", "duration_s: 2\n\tseed: 1", "YAML is indented with spaces, not tabs"),
     ("twin: {}", "twin: {wheels: skis}", "one of rolling, skid, not text 'skis'; did you mean skid?"),
     ("twin: {}", "twin: {timestep_ms: 1}", "plants.twin.timestep_ms: unknown key; did you mean timestep_s?"),
-    (
-        "twin: {}",
-        "twin: {contact: preloaded, friction: wheel}",
-        "plants.twin: friction needs contact: loaded",
-    ),
+    ("twin: {}", "twin: {contact: preloaded, friction: wheel}", "plants.twin: friction needs contact: loaded"),
     ("analytical: {}", "analytical: {model: compliance}", "did you mean compliant?"),
-    (
-        "twin: {}}",
-        "twin: {contact: preloaded}}\nworld: {floor: {tilt_deg: 3}}",
-        "7:16: world.floor: a twin on a floor like this needs contact: loaded (plants.twin)",
-    ),
-    ("title: Mine", "title: Mine\nworld: {obstacles: [{x: 1}]}", "known here: x_m, y_m, radius_m"),
-    (
-        "title: Mine",
-        "title: Mine\nexpect: [{metric: speed, plant: twin, below: 1}]",
-        "did you mean com_speed_m_s",
-    ),
-    (
-        "title: Mine",
-        "title: Mine\nexpect: [{metric: com_speed_m_s, plant: twin, near: 1}]",
-        "either rel or abs",
-    ),
+    ("twin: {}}", "twin: {contact: preloaded}}\nworld: {floor: {tilt_deg: 3}}", "7:16: world.floor: a twin on a floor like this needs contact: loaded (plants.twin)"),
+    ("title: Mine", "title: Mine\nworld: {obstacles: [{x: 1}]}", "allowed: x_m, y_m, radius_m"),
+    ("title: Mine", "title: Mine\nexpect: [{metric: speed, plant: twin, below: 1}]", "did you mean com_speed_m_s"),
+    ("title: Mine", "title: Mine\nexpect: [{metric: com_speed_m_s, plant: twin, near: 1}]", "either rel or abs"),
     ("robot: gen2", "robot: {base: gen2, geometry: {segment_length_m: 37}}", "not 37; did you mean 0.037?"),
     ("supply: {pressure_kpa: 48.3}", "supply: 48.3", "4:9: supply: must be a block of keys (pressure_kpa,"),
     ("controller:", "controllers:", "5:1: controllers: unknown key; did you mean controller?"),
-]
+]  # fmt: skip
+
+# Text of GOOD, its replacement, and the message of `load_scenario`.
+POSITIONS = [
+    ("2.0", "2,0", "5:42: controller.0: unknown key"),
+    ("2.0", "", "5:26: controller.frequency_hz: must be a number from 0.01 to 50, not nothing"),
+    ("frequency_hz", "frequency", "5:26: controller.frequency: unknown key; did you mean frequency_hz?"),
+    ("offset: 0.0", "offset: 1", "5:53: controller.offset: must be a number from -0.95 to 0.95, not 1"),
+    ("duration_s: 1", "duration_s: 1e9", "3:13: duration_s: must be a number from 0.001 to 3600, not 10000"),
+    ("duration_s: 1", "duration: 1", "3:1: duration: unknown key; did you mean duration_s?"),
+    ("world: {}", "world: []", "6:8: world: must be a block of keys (obstacles, circles, map, polygons, random, floor, steps, bounds, goal), "),
+    ("world: {}", "world: {floor: {tilt_deg: 90}}", "6:27: world.floor.tilt_deg: must be a number from 0 to 60, not 90"),
+    ("world: {}", "world: {steps: [{x_m: 0.5, height_m: 0.002}]}", "6:16: world.steps: the analytical model's floor is a plane; only the twin climbs"),
+    ("friction: axis", "load: momentary", "8:15: plants.analytical: friction axis acts in one point a"),
+    ("twin: {wheels: rolling}", "twin:", "8:3: plants: twin has nothing after it; write 'twin: {}' for"),
+    ("kind: gait", "kind: smc", "5:20: controller.kind: must be one of gait, ilc, direct_smc, "),
+    ("48.3", "96.5", "4:24: supply.pressure_kpa: 96.5 kPa is above the 68.9476 kPa that gen2 may be given in"),
+    ("48.3", "48kPa", "4:24: supply.pressure_kpa: must be a number from 0.1 to 2000, not text '48kPa'"),
+    ("48.3}", "96, allow_overpressure: yes}", "4:48: supply.allow_overpressure: must be true or false, not t"),
+    ("friction: axis", "tick_s: 0.02005", "8:41: plants.analytical.tick_s: tick 0.02005 s is not a multiple of"),
+    ("wheels: rolling", "wheels: ski", "9:18: plants.twin.wheels: must be one of rolling, skid, not text 'ski'; did you mean sk"),
+    ("gen2\n", "{base: gen2, mass: {wheel_kg: -1}}\n", "2:38: robot.mass.wheel_kg: must be a number from 1e-06"),
+    ("gen2\n", "gen2\nrobot: gen3\n", "3:1: robot: given twice; the first is in line 2"),
+    ("gen2\n", "&r gen2\n", "2:8: anchors (&r) are not allowed"),
+    ("gen2\n", "!!python/name:os.system\n", "2:8: tags (tag:yaml.org,2002:python/name:os.system) are not"),
+    ("gen2\n", "../../../etc/passwd\n", "2:8: robot: ../../../etc/passwd: no such file"),
+    ("world: {}", "world: {goal: {x_m: 1}}", "6:15: world.goal.y_m: missing; it must be a number from -1000 to"),
+    ("world: {}", "\tworld: {}", "6:1: not YAML: while scanning for the next token: found character '\\t'"),
+    ("world: {}", "world: {}}", "6:10: not YAML: "),
+    ("title: G", "---\ntitle: x\n---\ntitle: G", "3:1: a second document begins here"),
+    ("title: G", "\x07title: G", "1:1: not YAML: unusable character U+0007"),
+    ("title: G", "on: G", "1:1: on: unknown key; allowed: "),
+]  # fmt: skip
+
+# Text in place of a number, and its description in the message.
+NUMBERS = [
+    ("0", "0"), ("-2", "-2"), ("1e3", "1000"), (".nan", "NaN"), (".inf", "infinity"), ("1e999", "infinity"),
+    ("9" * 5000, "infinity"), ("NaN", "text 'NaN'"), ("2Hz", "text '2Hz'; write the number without a unit, which the key names"),
+    ("'2.0'", "text '2.0'"), ("true", "true"), ("[2]", "a list of 1"), ("{a: 1}", "a block of keys"), ("~", "nothing"),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(("typed", "said"), TYPED)
-def test_what_was_typed(srs_twin, tmp_path, typed, said):
-    done = srs_twin(*typed.split(), cwd=tmp_path)
+@pytest.mark.parametrize(("command", "message"), COMMANDS)
+def test_mistyped_command_is_rejected_with_a_remedy(srs_twin, tmp_path, command, message):
+    done = srs_twin(*command.split(), cwd=tmp_path)
     assert done.returncode == 2
-    assert said in done.stderr
+    assert message in done.stderr
     assert not done.stdout and not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(("good", "bad", "said"), WRITTEN)
-def test_what_was_written(srs_twin, tmp_path, good, bad, said):
-    assert good in GOOD
-    (tmp_path / "mine.yaml").write_text(GOOD.replace(good, bad))
+@pytest.mark.parametrize(("old", "new", "message"), SCENARIO_EDITS)
+def test_mistake_in_a_scenario_is_rejected_with_a_remedy(srs_twin, tmp_path, old, new, message):
+    assert old in MINE
+    (tmp_path / "mine.yaml").write_text(MINE.replace(old, new))
     done = srs_twin("run", "mine.yaml", cwd=tmp_path)
     assert done.returncode == 2
-    assert any(line.startswith("mine.yaml:") and said in line for line in done.stderr.splitlines())
-    assert [each.name for each in tmp_path.iterdir()] == ["mine.yaml"]
+    assert any(line.startswith("mine.yaml:") and message in line for line in done.stderr.splitlines())
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.yaml"]
+
+
+@pytest.fixture
+def rejected(tmp_path, monkeypatch):
+    """Return a function from the text of a scenario file to the message with which it is rejected."""
+    monkeypatch.chdir(tmp_path)
+
+    def rejected(text: str) -> str:
+        with open("x.yaml", "wb") as stream:
+            stream.write(text.encode())
+        with pytest.raises(InputError) as error:
+            load_scenario("x.yaml")
+        assert error.value.exit_code == 2
+        assert os.listdir() == ["x.yaml"], "a file was written"
+        return str(error.value)
+
+    return rejected
+
+
+@pytest.mark.fast
+def test_byte_order_mark_and_windows_line_ends_are_accepted(tmp_path):
+    (tmp_path / "x.yaml").write_text("\ufeff" + GOOD.replace("\n", "\r\n"), newline="")
+    assert load_scenario(tmp_path / "x.yaml").warnings == ()
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(("written", "description"), NUMBERS)
+def test_invalid_frequency_is_described(rejected, written, description):
+    expected = f"x.yaml:5:40: controller.frequency_hz: must be a number from 0.01 to 50, not {description}"
+    assert rejected(GOOD.replace("frequency_hz: 2.0", f"frequency_hz: {written}")) == expected
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(("old", "new", "message"), POSITIONS)
+def test_mistake_is_reported_with_line_and_column(rejected, old, new, message):
+    assert old in GOOD
+    text = rejected(GOOD.replace(old, new, 1))
+    assert any(line.startswith(f"x.yaml:{message}") for line in text.splitlines()), text
+    assert "Traceback" not in text and "pydantic" not in text
+
+
+@pytest.mark.fast
+def test_all_mistakes_are_reported_in_the_order_of_the_file(rejected):
+    text = GOOD.replace("title", "titel").replace("gen2", "gen22").replace("48.3", "x").replace("2.0", "0")
+    text = text.replace("rolling", "&a rolling").replace("near: 0.214, ", "")
+    assert [line.split(": ")[:2] for line in rejected(text).splitlines()] == [
+        ["x.yaml:1:1", "titel"],
+        ["x.yaml:2:8", "robot"],
+        ["x.yaml:4:24", "supply.pressure_kpa"],
+        ["x.yaml:5:40", "controller.frequency_hz"],
+        ["x.yaml:9:18", "anchors (&a) are not allowed; write each value out"],
+        ["x.yaml:11:5", "expect[0]"],
+    ]
+
+
+@pytest.mark.fast
+def test_missing_file_folder_and_unknown_name_are_rejected(tmp_path):
+    with pytest.raises(InputError, match=r"nope\.yaml: no such file"):
+        load_scenario(tmp_path / "nope.yaml")
+    with pytest.raises(InputError, match="a folder; give one file"):
+        load_scenario(tmp_path)
+    with pytest.raises(InputError, match=r"unknown scenario 'gen2_strait'; did you mean gen2_straight\?"):
+        load_scenario("gen2_strait")

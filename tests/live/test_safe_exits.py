@@ -15,7 +15,7 @@ import pytest
 
 from srs_twin import InputError, load_robot, load_scenario
 from srs_twin.errors import SessionWarning
-from srs_twin.io.files import new_numbered
+from srs_twin.io.files import create_numbered_file
 from srs_twin.io.saved_state import SavedState
 from srs_twin.live import session as sessions
 from srs_twin.live import steering as steering_module
@@ -210,11 +210,11 @@ def test_a_forecast_does_not_see_what_is_learnt_meanwhile():
 
 def test_numbers_of_journals_are_taken_atomically(tmp_path):
     with ThreadPoolExecutor(8) as pool:
-        paths = list(pool.map(lambda _: new_numbered(tmp_path / "lab", "journal-{}.mcap"), range(40)))
+        paths = list(pool.map(lambda _: create_numbered_file(tmp_path / "lab", "journal-{}.mcap"), range(40)))
     assert sorted(int(path.stem.partition("-")[2]) for path in paths) == list(range(1, 41))
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="file: cannot be written"):
-        new_numbered(tmp_path / "file", "journal-{}.mcap")
+        create_numbered_file(tmp_path / "file", "journal-{}.mcap")
 
 
 def test_two_sessions_in_one_folder_keep_journals_of_their_own(tmp_path):

@@ -152,7 +152,7 @@ def test_what_was_learnt_survives_a_restart(tmp_path):
     weights = (each.ensemble.connection.weights for each in (new, shadow))
     assert np.array_equal(*weights) and shadow.ensemble.connection.weights.any()
     assert new.faults.parameters()["gain"][0] == pytest.approx(shadow.faults.parameters()["gain"][0])
-    with pytest.raises(InputError, match="belongs to something else"):
+    with pytest.raises(InputError, match="the saved state has other settings"):
         Shadow(load_robot("gen2"), members=8).restore(SavedState.read(tmp_path / "state.npz"))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from srs_twin.compute.workers import Done
+from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.files import shipped_names
 from srs_twin.scenario.loading import load_scenario, parse_scenario
@@ -77,13 +77,13 @@ class Engine:
                 point.changes.get(f"controller.{name}", 1.0) for name in ("frequency_hz", "phase_step_rad")
             )
             if f > 2.9:
-                yield Done(number, Row(point.key, FAILED, {}, 0.0, "diverged", 3), None)
+                yield TaskResult(number, Row(point.key, FAILED, {}, 0.0, "diverged", 3), None)
                 continue
             values = {
                 f"{plant}.com_speed_m_s": self._speed(f, p, part),
                 f"{plant}.cost_of_transport": cost(f, p, part),
             }
-            yield Done(number, Row(point.key, DONE, values), None)
+            yield TaskResult(number, Row(point.key, DONE, values), None)
 
 
 def answered(asked, folder, engine=None):
@@ -204,7 +204,7 @@ def test_a_twin_that_never_succeeds_is_said_to_be_at_fault(tmp_path):
                 yield from super().__call__(experiment, points)
                 return
             for number, point in enumerate(points):
-                yield Done(number, Row(point.key, FAILED, {}, 0.0, "it diverged", 3), None)
+                yield TaskResult(number, Row(point.key, FAILED, {}, 0.0, "it diverged", 3), None)
 
     with pytest.raises(InputError, match="no run of the twin has a result: it diverged"):
         answered(study(tmp_path), tmp_path / "out", Broken())

@@ -17,7 +17,7 @@ from srs_twin.planning.footprint import Footprint, load_footprint
 from srs_twin.planning.greedy import arc_to, mirrored
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Outcome, Problem
-from srs_twin.robot.drawn_worlds import FIG54_GOAL, FIG54_START, fig54_world
+from srs_twin.robot.random_worlds import FIG54_GOAL, FIG54_START, fig54_world
 from srs_twin.robot.world import Circle, Goal, Pose, World
 
 TEXT = load_footprint("gen2_section52")

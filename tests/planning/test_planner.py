@@ -22,7 +22,7 @@ from srs_twin.planning.free_space import disconnected
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Outcome, Problem, Settings
 from srs_twin.planning.tree import moves_of, target_of
-from srs_twin.robot.drawn_worlds import FIG54_BOUNDS, FIG54_GOAL, FIG54_START, fig54_world, strewn
+from srs_twin.robot.random_worlds import FIG54_BOUNDS, FIG54_GOAL, FIG54_START, fig54_world, random_circles
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 TEXT = load_footprint("gen2_section52")
@@ -240,7 +240,7 @@ def test_disconnected_is_never_said_of_a_world_with_a_plan(seed):
     rng = np.random.default_rng(seed)
     bounds = Bounds((-0.3, 1.6), (-0.4, 0.8))
     try:
-        circles = strewn(
+        circles = random_circles(
             int(rng.integers(5, 25)), bounds, seed, radius=(0.05, 0.12), gap=0.02, clear=((0, 0, 0.06),)
         )
     except InputError:
@@ -300,14 +300,14 @@ def test_unknown_planners_and_idle_settings_are_refused():
 def test_fields_are_drawn_alike_from_one_seed_and_keep_their_gaps():
     assert fig54_world(7, 3) == fig54_world(7, 3) != fig54_world(7, 4)
     assert len(fig54_world(18, 0).obstacles) == 18
-    circles = strewn(12, FIG54_BOUNDS, 5, gap=0.1, clear=((0, 0, 0.2),))
-    assert circles == strewn(12, FIG54_BOUNDS, 5, gap=0.1, clear=((0, 0, 0.2),))
+    circles = random_circles(12, FIG54_BOUNDS, 5, gap=0.1, clear=((0, 0, 0.2),))
+    assert circles == random_circles(12, FIG54_BOUNDS, 5, gap=0.1, clear=((0, 0, 0.2),))
     gaps = [
         math.hypot(a.x - b.x, a.y - b.y) - a.radius - b.radius for a in circles for b in circles if a is not b
     ]
     assert min(gaps) >= 0.1 and min(math.hypot(c.x, c.y) - c.radius for c in circles) >= 0.2
     with pytest.raises(InputError, match="do not fit with gaps of 0.5 m"):
-        strewn(30, FIG54_BOUNDS, 0, gap=0.5)
+        random_circles(30, FIG54_BOUNDS, 0, gap=0.5)
     with pytest.raises(InputError, match="19 obstacles cannot be drawn from 18 sites"):
         fig54_world(19, 0)
 

@@ -283,11 +283,12 @@ def test_jobs_after_a_failed_one_end_early():
 def test_shared_plants_and_controllers_are_refused():
     gait, snake = Gait(2.0), AnalyticalSnake(SPEC)
     with pytest.raises(
-        InputError, match="jobs 1 and 3 share one controller, a Gait; give each its own, or what makes one"
+        InputError,
+        match="jobs 1 and 3 share one controller, a Gait; give each job its own, or a function",
     ):
         run_many([Job(_snake, gait, 1.0), Job(_snake, Gait(2.0), 1.0), Job(_snake, gait, 1.0)])
     with pytest.raises(
-        InputError, match="jobs 1 and 2 share one plant, a AnalyticalSnake; give each its own"
+        InputError, match="jobs 1 and 2 share one plant, a AnalyticalSnake; give each job its own"
     ):
         run_many([Job(snake, Gait(2.0), 1.0), Job(snake, Gait(2.0), 1.0)])
 
@@ -301,7 +302,7 @@ def test_fewer_than_one_thread_is_refused(threads):
 @pytest.mark.parametrize(
     ("job", "words"),
     [
-        (Job(_snake, Gait(2.0), 0.03), "job 2 of 2: duration 0.03 s is no multiple of tick 0.02 s"),
+        (Job(_snake, Gait(2.0), 0.03), "job 2 of 2: duration 0.03 s is not a multiple of tick 0.02 s"),
         (Job(_snake, Gait(2.0), 1.0, record_hz=70), "job 2 of 2: record_hz 70 does not fit the tick 0.02 s"),
     ],
 )
@@ -364,9 +365,9 @@ def test_lowest_error_is_raised_and_later_jobs_do_not_start():
         return k
 
     with pytest.raises(ValueError, match="task 3"):
-        Workers(2).each(50, task)
+        Workers(2).run(50, task)
     assert len(begun) < 20
-    assert Workers(2).each(3, lambda k, _: k * k) == [0, 1, 4]
+    assert Workers(2).run(3, lambda k, _: k * k) == [0, 1, 4]
 
 
 # TwinBatch

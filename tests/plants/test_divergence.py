@@ -31,7 +31,7 @@ from srs_twin import (
     run_batch,
     run_many,
 )
-from srs_twin.compute.arrays import LARGEST, implausible, plausible
+from srs_twin.compute.arrays import LARGEST_PLAUSIBLE, first_implausible, is_plausible
 from srs_twin.plants.analytical import kernels
 from srs_twin.plants.analytical.compliant_kernels import BENDS
 from srs_twin.plants.base import check_plausible
@@ -133,7 +133,7 @@ def assert_kept(error: DivergedError, until: float) -> None:
     assert isinstance(kept, Trajectory)
     assert kept.time[-1] >= until - 1e-9
     for name, column in kept.columns.items():
-        assert (np.abs(column) < LARGEST).all(), name
+        assert (np.abs(column) < LARGEST_PLAUSIBLE).all(), name
 
 
 @pytest.mark.parametrize(
@@ -337,10 +337,10 @@ def test_history_ends_before_its_first_implausible_sample():
 
 @pytest.mark.parametrize("count", [1, 10**6])
 def test_plausibility_is_independent_of_array_size(count):
-    large = np.full(count, 0.99 * LARGEST)
-    assert plausible(large) and implausible(large) is None
-    large[-1] = LARGEST
-    assert not plausible(large) and implausible(large) == LARGEST
+    large = np.full(count, 0.99 * LARGEST_PLAUSIBLE)
+    assert is_plausible(large) and first_implausible(large) is None
+    large[-1] = LARGEST_PLAUSIBLE
+    assert not is_plausible(large) and first_implausible(large) == LARGEST_PLAUSIBLE
 
 
 SCENARIO = """\

@@ -44,7 +44,7 @@ def unlike(
 ) -> RobotSpec:
     """Return a generation 4 with unequal modules and a bend limit (rad)."""
     rng, spec = np.random.default_rng(seed), load_robot("gen4")
-    modules = Modules.of(
+    modules = Modules.from_arrays(
         gain=rng.uniform(0.7, 1.3, (4, 2)), tau_fill=rng.uniform(0.7, 1.3, (4, 2)),
         tau_vent=rng.uniform(0.7, 1.3, (4, 2)), bias=rng.uniform(-bias, bias, 4),
         sensor_gain=1 + rng.uniform(-sensors, sensors, 4), sensor_bias=rng.uniform(-sensors, sensors, 4),
@@ -57,7 +57,7 @@ def mirrored(spec: RobotSpec) -> RobotSpec:
     modules = spec.modules
     turned = {name: modules.array(name)[:, ::-1] for name in ("gain", "tau_fill", "tau_vent")}
     other = {"bias": -modules.array("bias"), "sensor_bias": -modules.array("sensor_bias")}
-    variation = Modules.of(**turned, **other, sensor_gain=modules.array("sensor_gain"))
+    variation = Modules.from_arrays(**turned, **other, sensor_gain=modules.array("sensor_gain"))
     return replace(spec, variation=variation)
 
 
@@ -195,7 +195,7 @@ def test_larger_time_constant_means_smaller_conductance():
     spec = load_robot("gen4")
     slow = np.ones((4, 2))
     slow[2, 1] = 2.0
-    modules = replace(Modules.alike(4), tau_fill=tuple(map(tuple, slow.tolist())))
+    modules = replace(Modules.nominal(4), tau_fill=tuple(map(tuple, slow.tolist())))
     fill, vent = OrificePneumatics(replace(spec, variation=modules), supply_pa=SUPPLY).conductances
     even_fill, even_vent = OrificePneumatics(spec, supply_pa=SUPPLY).conductances
     assert vent == pytest.approx(even_vent, rel=1e-12)
@@ -240,7 +240,7 @@ def test_snake_at_rest_has_the_rest_bends(kind):
 )  # fmt: skip
 def test_static_bend_follows_the_module_gains(kind, side, share, supply, chambers):
     """On a bench, where only the air bends the segment; the formula is repeated here."""
-    spec = replace(load_robot("gen4_module"), variation=Modules.of(
+    spec = replace(load_robot("gen4_module"), variation=Modules.from_arrays(
         gain=np.array([[1.2, 0.8]]), tau_fill=np.ones((1, 2)), tau_vent=np.ones((1, 2)),
         bias=np.array([0.15]), sensor_gain=np.array([1.1]), sensor_bias=np.array([-0.05]),
     ))  # fmt: skip
@@ -363,12 +363,12 @@ def test_listed_and_random_module_values_combine():
 )
 def test_invalid_modules_raise(changed, words):
     with pytest.raises(InputError, match=words):
-        replace(Modules.alike(4), **changed)
+        replace(Modules.nominal(4), **changed)
 
 
 def test_modules_of_another_length_raise():
     with pytest.raises(InputError, match="modules: 3 is not allowed; the robot has 4"):
-        replace(load_robot("gen4"), variation=Modules.alike(3))
+        replace(load_robot("gen4"), variation=Modules.nominal(3))
 
 
 # Files

@@ -12,7 +12,7 @@ from snakes import chain, robot
 
 from srs_twin import AnalyticalSnake, Gait, RobotSpec, rollout
 from srs_twin.plants.base import SnakeState
-from srs_twin.robot.friction import AT_TRACK, wheel
+from srs_twin.robot.friction import TWO_POINT_LAWS, wheel
 
 MASSES = (0.03, 0.05, 0.02, 0.04, 0.1)
 STEP = 1e-4
@@ -93,7 +93,7 @@ def test_torques_satisfy_newtons_law(model, law, mu, inertia):
         pneumatics=Wave(spec, amplitude=0.8, bias=0.2),
     )  # fmt: skip
     h = bent(plant, 0.8, STEP)
-    yaw = yaw_of_two_wheels(h, spec, slip) if law in AT_TRACK else np.zeros_like(h.theta)
+    yaw = yaw_of_two_wheels(h, spec, slip) if law in TWO_POINT_LAWS else np.zeros_like(h.theta)
     lumped = spec.mass.array() * np.array([1, 2, 2, 2, 1]) * spec.geometry.pitch**2 / 3
     own = {"point": np.zeros(5), "connector": spec.yaw_inertia(), "lumped": lumped}[inertia]
     # From 0.2 s on, where bends are large enough to divide by them.

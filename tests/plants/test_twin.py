@@ -203,7 +203,7 @@ def test_both_plants_have_the_same_pressures():
 def test_invalid_settings_raise():
     with pytest.raises(InputError, match="wheels 'round' is unknown; allowed: rolling, skid"):
         TwinSnake(SPEC, contact=PreloadedContact("round"))
-    with pytest.raises(InputError, match=r"tick 0.02 s is no multiple of time step 0.0015 s"):
+    with pytest.raises(InputError, match=r"tick 0.02 s is not a multiple of time step 0.0015 s"):
         TwinSnake(SPEC, timestep=0.0015)
     with pytest.raises(InputError, match="hinges_per_segment: 0 is not allowed"):
         TwinSnake(SPEC, hinges_per_segment=0)

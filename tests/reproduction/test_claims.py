@@ -8,7 +8,7 @@ import re
 import pytest
 from conftest import ROOT
 
-from srs_twin.attribution import Ladder
+from srs_twin.attribution import PlantVariants
 from srs_twin.errors import InputFileError, UnknownNameError
 from srs_twin.reproduction.claims import chosen, load_claims
 from srs_twin.scenario.loading import load_scenario
@@ -101,7 +101,7 @@ def slugs(page):
 
 
 def test_causes_name_sections_and_switches_that_there_are():
-    switches = {switch.name for switch in Ladder(load_scenario("gen3_straight"))._all_switches()}
+    switches = {switch.name for switch in PlantVariants(load_scenario("gen3_straight"))._all_switches()}
     causes = [cause for row in CLAIMS for cause in row.cause]
     # What both plants assume alike is no switch between them.
     assert {cause.switch for cause in causes if cause.switch} <= switches | {"supply flow"}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from srs_twin.compute.workers import Done
+from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import DivergedError
 from srs_twin.io.documents import parse_yaml
 from srs_twin.studies.sweep.execution import open_sweep
@@ -21,13 +21,13 @@ vary:
 def here(experiment, points):
     """Run points one after the other."""
     for number, point in enumerate(points):
-        yield Done(number, run_point(experiment, point), None)
+        yield TaskResult(number, run_point(experiment, point), None)
 
 
 def diverges(experiment, points):
     """Fail every second point."""
     for done in here(experiment, points):
-        yield Done(done.number, None, DivergedError("twin", 1.0, "boom")) if done.number % 2 else done
+        yield TaskResult(done.number, None, DivergedError("twin", 1.0, "boom")) if done.number % 2 else done
 
 
 def execute(sweep, folder, engine=here, *, points=None, changed=False, **options):

@@ -11,7 +11,7 @@ from small import SMALL, diverges, execute, here, write
 
 from srs_twin import Trajectory, rollout
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.compute.workers import Done
+from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import InputError, WorkerDiedError
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.studies.sweep.execution import open_sweep
@@ -81,7 +81,7 @@ def test_failed_runs_are_rows_with_their_reason(sweep, tmp_path):
 def test_a_dead_worker_costs_its_point(sweep, tmp_path):
     def dies(experiment, points):
         for done in here(experiment, points):
-            yield Done(done.number, None, WorkerDiedError(-9, 3)) if done.number == 5 else done
+            yield TaskResult(done.number, None, WorkerDiedError(-9, 3)) if done.number == 5 else done
 
     _, summary = execute(sweep, tmp_path / "out", dies)
     ((reason, count),) = summary.reasons.items()

@@ -86,7 +86,7 @@ def test_an_element_of_a_list(tmp_path):
         ("gen2_straight", "gen2_strait", "1:11: scenario: unknown scenario 'gen2_strait'; did you mean gen2"),
         ("gen2_straight", "''", "1:11: scenario: must be text of 1 to 4096 characters"),
         ("frequency_hz", "frequency", "5:3: vary.controller.frequency: unknown key; did you mean frequency_"),
-        ("controller.frequency_hz", "frequency_hz", "5:3: vary.frequency_hz: unknown key; known here: "),
+        ("controller.frequency_hz", "frequency_hz", "5:3: vary.frequency_hz: unknown key; allowed: "),
         ("[2, 2.5]", "[2, 99]", "5:32: vary.controller.frequency_hz[1]: must be a number from 0.01 to 50, n"),
         ("[2, 2.5]", "[]", "5:28: vary.controller.frequency_hz: must be a list"),
         ("[2, 2.5]", "2", "5:28: vary.controller.frequency_hz: must be a list"),

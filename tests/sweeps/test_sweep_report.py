@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from small import SMALL, diverges, execute, here, write
 
-from srs_twin.compute.workers import Done
+from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import DivergedError
 from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.report import MOST_RUNS, means, run_tables
@@ -109,7 +109,7 @@ def test_failures_and_what_is_missing_are_said(tmp_path):
 
 def test_a_sweep_that_only_fails_leaves_its_files(tmp_path):
     def fails(experiment, points):
-        yield from (Done(i, None, DivergedError("twin", 1.0, "boom")) for i, _ in enumerate(points))
+        yield from (TaskResult(i, None, DivergedError("twin", 1.0, "boom")) for i, _ in enumerate(points))
 
     page, _, summary = left(tmp_path, SMALL + PICTURE + BESIDE, fails)
     assert (summary.failed, len(page.images)) == (8, 1) and (tmp_path / "out" / "sweep.json").exists()

@@ -15,7 +15,7 @@ import pytest
 
 import srs_twin.envs  # noqa: F401
 from srs_twin import Gait, InputError, TwinBatch, TwinSnake, load_robot, run_scripts
-from srs_twin.compute.workers import Done
+from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import EngineWarning
 from srs_twin.plants.twin.stick_slip import rolling_friction, stick_slip_friction
 from srs_twin.pneumatics.chambers import equivalent_linear_pressure
@@ -352,7 +352,7 @@ def test_unsupported_sweep_points_run_once_on_the_cpu(tmp_path, monkeypatch, tog
         raise InputError("it cannot")
 
     def here(workers):
-        return lambda experiment, points: (Done(k, each.changes, None) for k, each in enumerate(points))
+        return lambda experiment, points: (TaskResult(k, each.changes, None) for k, each in enumerate(points))
 
     kind = SimpleNamespace(accelerated=lambda: True, check=refuse)
     for name, value in {"warp_batch": lambda: kind, "local": here, "TOGETHER": together}.items():

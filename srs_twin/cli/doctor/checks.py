@@ -21,8 +21,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
-from srs_twin.errors import InputError, ending
-from srs_twin.io.files import open_folder, shown
+from srs_twin.errors import InputError, describe_exit
+from srs_twin.io.files import check_output_folder, display_path
 
 INSTALLATION, MACHINE, EXTRAS = "installation", "machine", "extras"
 Status = Literal["ok", "missing", "broken", "undecided"]
@@ -68,7 +68,7 @@ def ended(code: int) -> Answer:
     if code in (-signal.SIGALRM, -signal.SIGKILL):  # SIGKILL: by a system short of memory
         remedy = "this machine is busy, or very slow: run `srs-twin doctor` again when it is not"
         return Answer("undecided", "slow: no answer in time", remedy)
-    return Answer("broken", ending(code))
+    return Answer("broken", describe_exit(code))
 
 
 def failing(checks: Iterable[Check]) -> list[Check]:
@@ -286,11 +286,11 @@ def _room_check(name: str, free: int, least: int, remedy: str) -> Check:
 def output_check(folder: Path) -> Check:
     """Judge whether results can be written to a folder, by writing there; leave nothing behind."""
     try:
-        open_folder(folder)
+        check_output_folder(folder)
     except InputError as error:
         reason, _, remedy = str(error).partition("; ")
         return Check(MACHINE, "results", "broken", reason, remedy, necessary=True)
-    return Check(MACHINE, "results", "ok", f"{shown(folder)} can be written", necessary=True)
+    return Check(MACHINE, "results", "ok", f"{display_path(folder)} can be written", necessary=True)
 
 
 def disk_check(folder: Path, free: int | None = None) -> Check:

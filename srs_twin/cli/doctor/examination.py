@@ -16,7 +16,7 @@ from srs_twin import __version__
 from srs_twin.cli.doctor import checks, probes
 from srs_twin.cli.doctor.checks import Answer, Check, ended
 from srs_twin.cli.doctor.probes import LIBRARIES, PROBES
-from srs_twin.compute.workers import processors
+from srs_twin.compute.workers import processor_count
 from srs_twin.errors import InputError
 from srs_twin.io.files import data_root
 from srs_twin.viewing.rerun.viewer import rerun_executable
@@ -79,7 +79,7 @@ def examine(folder: Path, *, budget_s: float = BUDGET_S) -> list[Check]:
         *(check for check in tried if check.topic in (checks.INSTALLATION, SIMULATION)),
         checks.output_check(folder),
         checks.disk_check(folder),
-        checks.processors_check(processors(), checks.processor_share()),
+        checks.processors_check(processor_count(), checks.processor_share()),
         checks.memory_check(checks.free_memory()),
         *(check for check in tried if check.topic in (RENDERING, VIEWERS)),
         *checks.extra_checks(about.get_all("Provides-Extra") or [], wanted, checkout=checkout),

@@ -19,14 +19,14 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.arrays import check_positive, joined
+from srs_twin.compute.arrays import check_positive, concatenate_records
 from srs_twin.compute.compiled import allocating
-from srs_twin.errors import DivergedError, InputError, one_of
-from srs_twin.io.saved_state import Remembers, fingerprint, names
+from srs_twin.errors import DivergedError, InputError, check_choice
+from srs_twin.io.saved_state import Stateful, short_digest
 from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
 from srs_twin.plants.analytical.kernels import inverse_dynamics
@@ -43,7 +43,7 @@ from srs_twin.plants.base import (
 )
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import air_bend
-from srs_twin.robot.friction import AT_TRACK, LAWS
+from srs_twin.robot.friction import LAWS, TWO_POINT_LAWS
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor
@@ -68,7 +68,7 @@ class Motion(NamedTuple):
     torque: np.ndarray
 
 
-class Body(Remembers, ABC):
+class Body(Stateful, ABC):
     """Abstract mechanics of an analytical model, driven by the chambers.
 
     Attributes:
@@ -78,7 +78,7 @@ class Body(Remembers, ABC):
         floor: floor for the kernels.
     """
 
-    memory = names("state", "velocity")
+    state_attributes: ClassVar[tuple[str, ...]] = ("state", "velocity")
 
     state: np.ndarray
     velocity: np.ndarray
@@ -149,7 +149,7 @@ class Body(Remembers, ABC):
 class PrescribedBends(Body):
     """Body of `complete` and `simplified`: the bends are the free bends of Eq. 14, regardless of load."""
 
-    memory = names("_state_rate")
+    state_attributes = ("_state_rate",)
 
     def __init__(
         self, solid: BodyParameters, floor: FloorFriction, *, friction_torque: bool, tolerance: float
@@ -181,7 +181,7 @@ class PrescribedBends(Body):
 class ClampedBends(Body):
     """Chain that is held at its head in the air (module docstring)."""
 
-    memory = names("_head_pose")
+    state_attributes = ("_head_pose",)
 
     def __init__(self, solid: BodyParameters, floor: FloorFriction) -> None:
         # In the air: no friction.
@@ -366,11 +366,11 @@ def _check_options(
     base: str,
 ) -> None:
     """Check names and combinations of the options of `AnalyticalSnake`."""
-    one_of("model", model, MODELS)
-    one_of("friction law", friction, LAWS)
-    one_of("load", load, LOADS)
-    one_of("inertia", inertia, INERTIAS)
-    if load == "momentary" and friction not in AT_TRACK:
+    check_choice("model", model, MODELS)
+    check_choice("friction law", friction, LAWS)
+    check_choice("load", load, LOADS)
+    check_choice("inertia", inertia, INERTIAS)
+    if load == "momentary" and friction not in TWO_POINT_LAWS:
         raise InputError(
             f"friction '{friction}' has one contact per connector; momentary loads need two: use 'wheel' "
             "or 'ellipse'"
@@ -381,7 +381,7 @@ def _check_options(
         raise InputError(
             "the analytical model has one axle per connector; use the twin for a tail on two axles"
         )
-    one_of("base", base, BASES)
+    check_choice("base", base, BASES)
     if not friction_torque and model != "simplified":
         raise InputError(f"model '{model}' has a friction torque; use 'simplified' to leave it out")
     if base == "clamped" and model == "compliant":
@@ -401,7 +401,7 @@ class AnalyticalSnake(PneumaticPlant):
     """
 
     name = "analytical"
-    memory = names("_body")
+    state_attributes = ("_body",)
     max_chunk_s = 10.0
 
     def __init__(
@@ -469,7 +469,7 @@ class AnalyticalSnake(PneumaticPlant):
         self._model, self._inertia, self._friction_torque = model, inertia, friction_torque
         self.base = base
         if track is None:
-            track = spec.geometry.half_track if friction in AT_TRACK else 0.0
+            track = spec.geometry.half_track if friction in TWO_POINT_LAWS else 0.0
         mu = spec.friction
         self._tolerance = tolerance
         self.load = load
@@ -545,7 +545,7 @@ class AnalyticalSnake(PneumaticPlant):
             done += completed
             if completed < len(chunk.lengths):
                 break
-        return done, joined(motions), joined(traces)
+        return done, concatenate_records(motions), concatenate_records(traces)
 
     def _chunks(self, schedule: Schedule, steps: Steps) -> Iterator[tuple[Schedule, Steps]]:
         if not self._coupled:
@@ -574,7 +574,7 @@ class AnalyticalSnake(PneumaticPlant):
 
     def identity(self) -> dict[str, Any]:
         """See `Plant.identity`."""
-        return super().identity() | {"floor": fingerprint(self._floor_plane)}
+        return super().identity() | {"floor": short_digest(self._floor_plane)}
 
     def _make_body(self) -> Body:
         g = self.spec.geometry

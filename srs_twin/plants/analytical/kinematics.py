@@ -24,8 +24,8 @@ VX = 5  # velocity, m/s
 VY = 6
 ROWS = 7
 
-_half_turn = compiled(geometry.half_turn)
-_spans = compiled(geometry.spans)
+_half_turn = compiled(geometry.half_angle_terms)
+_spans = compiled(geometry.chord_from_half_angle)
 
 
 class BodyParameters(NamedTuple):

@@ -33,8 +33,8 @@ import numpy as np
 
 from srs_twin import extensions
 from srs_twin.compute.workers import Workers
-from srs_twin.errors import DivergedError, InputError, one_of
-from srs_twin.io.saved_state import CopiedWhole
+from srs_twin.errors import DivergedError, InputError, check_choice
+from srs_twin.io.saved_state import DeepCopied
 from srs_twin.plants.base import Pose, SnakeState, check_commands
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics import Pneumatics, Schedule
@@ -43,7 +43,7 @@ from srs_twin.robot.spec import RobotSpec
 ENGINES = ("cpu", "warp")
 
 
-class TwinBatch(CopiedWhole):
+class TwinBatch(DeepCopied):
     """Many twins with the same number of connectors and the same tick, stepped in parallel by threads.
 
     Each run gives the same bits as a `TwinSnake` of its spec alone.
@@ -73,7 +73,7 @@ class TwinBatch(CopiedWhole):
             InputError: MuJoCo Warp is not installed, or does not support the settings.
             UnknownNameError: the engine is unknown.
         """
-        one_of("engine", engine, ENGINES)
+        check_choice("engine", engine, ENGINES)
         return super().__new__(cls) if engine == "cpu" else on_warp(*arguments, device=device, **settings)
 
     def __init__(
@@ -125,7 +125,7 @@ class TwinBatch(CopiedWhole):
         if len(places) != len(self):
             raise InputError(f"poses: {len(places)} were given for {len(self)} runs; give one per run")
         self.errors = [None] * len(self)
-        resting = self._workers.each(len(self), lambda k, _: self.twins[k].reset(pose=places[k], seed=seed))
+        resting = self._workers.run(len(self), lambda k, _: self.twins[k].reset(pose=places[k], seed=seed))
         self.state = SnakeState.history(resting)
         return self.state
 
@@ -179,7 +179,7 @@ class TwinBatch(CopiedWhole):
         """
         if len(schedules) != len(self):
             raise InputError(f"schedules: {len(schedules)} were given for {len(self)} runs; give one per run")
-        histories = self._workers.each(len(self), lambda k, _: self._play(k, schedules[k], samples))
+        histories = self._workers.run(len(self), lambda k, _: self._play(k, schedules[k], samples))
         last = [
             self.state.at(k) if history is None else history.at(-1) for k, history in enumerate(histories)
         ]
@@ -262,7 +262,7 @@ def _twins(
     keys = [repr(pair) if once else str(k) for k, pair in enumerate(zip(specs, supplies, strict=True))]
     first_run = {key: k for k, key in reversed(list(enumerate(keys)))}
     distinct = sorted(first_run.values())
-    built = workers.each(
+    built = workers.run(
         len(distinct), lambda n, _: TwinSnake(specs[distinct[n]], supply_pa=supplies[distinct[n]], **settings)
     )
     twin_of_run = dict(zip(distinct, built, strict=True))

@@ -48,9 +48,9 @@ import scipy.linalg
 from numba import types
 
 from srs_twin.compute.arrays import one_blas_thread
-from srs_twin.compute.compiled import compiled, inside
+from srs_twin.compute.compiled import compiled, kernel_only
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 from srs_twin.plants.twin.friction_solve import (
     Contacts,
     ContactState,
@@ -85,14 +85,14 @@ class StepInputs(NamedTuple):
     qacc_warmstart: np.ndarray
 
 
-class LoadedStepper(Remembers):
+class LoadedStepper(Stateful):
     """Time steps of one twin with loaded contact.
 
     Attributes:
         contact_state: friction, rim speeds and loads that the contacts keep from step to step.
     """
 
-    memory = names("contact_state")
+    state_attributes = ("contact_state",)
 
     def __init__(
         self,
@@ -358,7 +358,7 @@ def _end_step(inputs, engine, contacts, sparsity, state, work, h, step, out):  #
     return True
 
 
-@inside
+@kernel_only
 def _copy(source, target):  # type: ignore[no-untyped-def]
     # A loop: numba takes seconds to compile an assignment to a slice, for its error message.
     for k in range(source.shape[0]):

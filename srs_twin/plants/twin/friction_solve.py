@@ -36,7 +36,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from srs_twin.compute.compiled import inside
+from srs_twin.compute.compiled import kernel_only
 from srs_twin.plants.twin.mjcf import surroundings
 from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS, LOADS
 from srs_twin.plants.twin.stick_slip import rolling_friction, stick_slip_friction
@@ -232,21 +232,21 @@ class Workspace(NamedTuple):
     direction: np.ndarray
 
 
-@inside
+@kernel_only
 def apply_stored_friction(engine, contacts, sparsity, state, work):  # type: ignore[no-untyped-def]
     """Locate the wheels and apply the friction of the previous step as `qfrc_applied`."""
     _locate_wheels(engine, contacts, work)
     _generalised_forces(engine.cdof, contacts, sparsity, state.force, work, engine.qfrc_applied)
 
 
-@inside
+@kernel_only
 def set_mid_velocity(engine, work):  # type: ignore[no-untyped-def]
     """Set `qvel` to the velocity at mid-step without δ, (v₋ + v̂)/2."""
     for i in range(work.v_start.shape[0]):
         engine.qvel[i] = 0.5 * (work.v_start[i] + work.v_predicted[i])
 
 
-@inside
+@kernel_only
 def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
     """Solve for the friction of a step and set `qvel` to the velocity at its end.
 
@@ -271,7 +271,7 @@ def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[
         engine.qvel[i] = work.v_predicted[i] + work.v_change[i]
 
 
-@inside
+@kernel_only
 def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def]
     """Store the friction for the next step and return its power.
 
@@ -308,14 +308,14 @@ def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def
     return power
 
 
-@inside
+@kernel_only
 def _clear(array):  # type: ignore[no-untyped-def]
     for i in range(array.shape[0]):
         for k in range(array.shape[1]):
             array[i, k] = 0.0
 
 
-@inside
+@kernel_only
 def _add_product(sparsity, matrix, x, out):  # type: ignore[no-untyped-def]
     """Add the product of a symmetric matrix and the vector x to `out`."""
     for i in range(x.shape[0]):
@@ -326,13 +326,13 @@ def _add_product(sparsity, matrix, x, out):  # type: ignore[no-untyped-def]
         out[i] += matrix[last] * x[i]
 
 
-@inside
+@kernel_only
 def dot(a, b):  # type: ignore[no-untyped-def]
     """Return the product of two spatial vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5]
 
 
-@inside
+@kernel_only
 def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
     """Fill Jacobian and heading of each wheel's contact, which is straight below the wheel's centre."""
     com = engine.subtree_com[1]
@@ -358,7 +358,7 @@ def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
         hub[1] = hub[1] + contacts.wheel_radius * c
 
 
-@inside
+@kernel_only
 def point_jacobian(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
     """Fill the spatial vector that gives the velocity of the point (x, y, z) along the axis e."""
     row[0] = y * ez - z * ey
@@ -369,7 +369,7 @@ def point_jacobian(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
     row[5] = ez
 
 
-@inside
+@kernel_only
 def _read_normal_forces(engine, contacts, work):  # type: ignore[no-untyped-def]
     """Read the normal forces from the sensors; locate contacts with obstacles, which have upright faces."""
     com, sensors = engine.subtree_com[1], engine.sensordata
@@ -390,7 +390,7 @@ def _read_normal_forces(engine, contacts, work):  # type: ignore[no-untyped-def]
             point_jacobian(work.jacobian[w, _ACROSS], x, y, z, 0.0, 0.0, 1.0)
 
 
-@inside
+@kernel_only
 def _spatial_velocities(cdof, sparsity, velocity, motion):  # type: ignore[no-untyped-def]
     """Fill the spatial velocity beyond each degree of freedom, from the root to the ends."""
     for i in range(velocity.shape[0]):
@@ -401,7 +401,7 @@ def _spatial_velocities(cdof, sparsity, velocity, motion):  # type: ignore[no-un
                 motion[i, k] += motion[p, k]
 
 
-@inside
+@kernel_only
 def _project(cdof, sparsity, force, out):  # type: ignore[no-untyped-def]
     """Sum spatial forces toward the root, in place, and fill the generalised forces `out`, shape (nv,)."""
     for i in range(out.shape[0] - 1, -1, -1):
@@ -412,7 +412,7 @@ def _project(cdof, sparsity, force, out):  # type: ignore[no-untyped-def]
                 force[p, k] += force[i, k]
 
 
-@inside
+@kernel_only
 def _generalised_forces(cdof, contacts, sparsity, force, work, out):  # type: ignore[no-untyped-def]
     """Fill the generalised forces of given friction forces, shape (nv,)."""
     _clear(work.motion)
@@ -424,7 +424,7 @@ def _generalised_forces(cdof, contacts, sparsity, force, work, out):  # type: ig
     _project(cdof, sparsity, work.motion, out)
 
 
-@inside
+@kernel_only
 def _contact_velocity(contacts, work, w, theta):  # type: ignore[no-untyped-def]
     """Return u of a contact along and across at the fraction θ of the step, m/s; `motion` holds δ."""
     last = contacts.last_dof[w]
@@ -437,7 +437,7 @@ def _contact_velocity(contacts, work, w, theta):  # type: ignore[no-untyped-def]
     )
 
 
-@inside
+@kernel_only
 def _friction_load(contacts, work, w):  # type: ignore[no-untyped-def]
     """Return the load that the friction of a contact takes (`numerics.LOADS`), N."""
     normal = max(work.normal_force[w] - work.response[w, _UNLOADING], 0.0)
@@ -451,7 +451,7 @@ def _friction_load(contacts, work, w):  # type: ignore[no-untyped-def]
     return static
 
 
-@inside
+@kernel_only
 def _evaluation_fraction(x):  # type: ignore[no-untyped-def]
     """Return the fraction θ of a step at which friction is evaluated, for slip that decays by e^(−x).
 
@@ -462,7 +462,7 @@ def _evaluation_fraction(x):  # type: ignore[no-untyped-def]
     return 0.5 + x / 12.0 - x * x * x / 720.0
 
 
-@inside
+@kernel_only
 def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ignore[no-untyped-def]  # noqa: D417
     """Evaluate the friction law of a contact.
 
@@ -497,7 +497,7 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
     return f_t - inertia * (along - rim), f_n, tt - inertia, 0.0, nn, along
 
 
-@inside
+@kernel_only
 def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
     """Solve r(δ) = 0 by Newton's method with a line search."""
     change, direction = work.v_change, work.direction
@@ -529,7 +529,7 @@ def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-unty
                 work.residual[i] = work.trial_residual[i]
 
 
-@inside
+@kernel_only
 def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
     """Move along Newton's direction until the residual is nearly normal to it; return its square.
 
@@ -564,7 +564,7 @@ def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no
     return square
 
 
-@inside
+@kernel_only
 def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type: ignore[no-untyped-def]
     """Fill r(δ) (kg·m/s or kg·m²/s) and the response of the friction law; return the square of r."""
     change, motion, jacobian, response = work.v_change, work.motion, work.jacobian, work.response
@@ -612,7 +612,7 @@ def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type
     return total
 
 
-@inside
+@kernel_only
 def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
     """Fill Newton's matrix: A, the regularised normal forces, and the slopes of friction."""
     matrix, jacobian, response, slope = work.newton_matrix, work.jacobian, work.response, work.slope
@@ -647,14 +647,14 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
                     slope[p, a, b] += composite[a, b]
 
 
-@inside
+@kernel_only
 def _solve_direction(engine, sparsity, work):  # type: ignore[no-untyped-def]
     """Solve for Newton's direction with the engine's own factorisation; numba only."""
     mj_factorM(engine.model, engine.data)
     mj_solveM(engine.model, engine.data, work.direction.ctypes.data, work.residual.ctypes.data, np.int32(1))
 
 
-@inside
+@kernel_only
 def solve_direction_portably(engine, sparsity, work):  # type: ignore[no-untyped-def]
     """Solve for Newton's direction without the engine's factorisation, as Warp needs it."""
     for i in range(work.direction.shape[0]):
@@ -663,7 +663,7 @@ def solve_direction_portably(engine, sparsity, work):  # type: ignore[no-untyped
     _substitute(work.newton_matrix, sparsity, work.direction)
 
 
-@inside
+@kernel_only
 def _factor(matrix, sparsity):  # type: ignore[no-untyped-def]
     """Factor a matrix with the pattern of M into LᵀDL, in place and without fill-in."""
     for k in range(sparsity.row_length.shape[0] - 1, -1, -1):
@@ -676,7 +676,7 @@ def _factor(matrix, sparsity):  # type: ignore[no-untyped-def]
             matrix[row + a] = factor
 
 
-@inside
+@kernel_only
 def _substitute(matrix, sparsity, x):  # type: ignore[no-untyped-def]
     """Solve LᵀDL x = b in place, with b in `x`."""
     for i in range(x.shape[0] - 1, -1, -1):

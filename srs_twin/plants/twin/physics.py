@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import Remembers, names
+from srs_twin.io.saved_state import Stateful
 from srs_twin.plants.base import Pose
 from srs_twin.plants.twin.contact_loaded import LoadedStepper
 from srs_twin.plants.twin.internal_joints import InternalJoints
@@ -126,7 +126,7 @@ _ROLLOUT_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _SAVED_STATE = mujoco.mjtState.mjSTATE_INTEGRATION  # with the warm start, so that steps continue bit for bit
 
 
-class SnakePhysics(dm.Physics, Remembers):
+class SnakePhysics(dm.Physics, Stateful):
     """dm_control physics of a snake; `step` advances the chambers, then the bodies.
 
     The control is a valve command, whose slots divide the next `step` equally.
@@ -137,7 +137,7 @@ class SnakePhysics(dm.Physics, Remembers):
         stepper: time steps under loaded contact; None under a preloaded contact or without a floor.
     """
 
-    memory = names("_floor_force", "_last_force", "_schedule", "stepper")
+    state_attributes = ("_floor_force", "_last_force", "_schedule", "stepper")
 
     @classmethod
     def build(
@@ -158,7 +158,7 @@ class SnakePhysics(dm.Physics, Remembers):
             world: obstacles and floor; None for a level floor without obstacles.
         """
         # A world without obstacles, slope or steps does not affect the scene: share the compiled model.
-        relevant = world if world and (world.solid or world.uneven) else None
+        relevant = world if world and (world.has_obstacles or world.uneven) else None
         # A copy, so that changes of one twin's model do not affect other twins.
         model = copy.copy(_compile_scene(spec, settings, supply_pa, relevant))
         return cls._from_scene(model, spec, settings, chambers)
@@ -179,14 +179,14 @@ class SnakePhysics(dm.Physics, Remembers):
         kinds = np.ndarray | InternalJoints
         constants = {name: value for name, value in vars(self).items() if isinstance(value, kinds)}
         contact = None if self.stepper is None else self.stepper.constants
-        return type(self)._from_scene, arguments, (self.remembered(), constants, contact)
+        return type(self)._from_scene, arguments, (self.state_dict(), constants, contact)
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         memory, constants, contact = state
         self.__dict__.update(constants)
         if self.stepper is not None:
             self.stepper.constants = contact
-        self.recall(memory)
+        self.load_state_dict(memory)
 
     def copy(self, share_model: bool = False) -> SnakePhysics:
         """Return a copy with its own chambers and model.
@@ -345,11 +345,11 @@ class SnakePhysics(dm.Physics, Remembers):
         """Return the saved state; the engine's part is MuJoCo's integration state."""
         engine = np.empty(mujoco.mj_stateSize(self.model.ptr, _SAVED_STATE))
         mujoco.mj_getState(self.model.ptr, self.data.ptr, engine, _SAVED_STATE)
-        return super().remembered() | {"engine": engine}
+        return super().state_dict() | {"engine": engine}
 
-    def recall(self, memory: Mapping[str, Any]) -> None:
+    def load_state_dict(self, memory: Mapping[str, Any]) -> None:
         """Restore a saved state."""
-        super().recall(memory)
+        super().load_state_dict(memory)
         mujoco.mj_setState(self.model.ptr, self.data.ptr, memory["engine"], _SAVED_STATE)
         self.refresh()
 

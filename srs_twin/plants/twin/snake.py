@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.compute.arrays import joined
-from srs_twin.errors import DivergedError, InputError, one_of, whole_steps
-from srs_twin.io.saved_state import fingerprint, names
+from srs_twin.compute.arrays import concatenate_records
+from srs_twin.errors import DivergedError, InputError, check_choice, count_steps
+from srs_twin.io.saved_state import short_digest
 from srs_twin.plants.base import (
     BASES,
     PneumaticPlant,
@@ -66,7 +66,7 @@ class TwinSnake(PneumaticPlant):
     """
 
     name = "twin"
-    memory = names("physics", "_energy_loss", "_internal_loss", "_theta", "_start_height_energy")
+    state_attributes = ("physics", "_energy_loss", "_internal_loss", "_theta", "_start_height_energy")
     max_chunk_s = 1.0
     has_internal_loss = True
 
@@ -112,10 +112,10 @@ class TwinSnake(PneumaticPlant):
         contact = as_contact(contact)
         if deprecated:
             contact, numerics = _apply_deprecated(contact, numerics, deprecated)
-        one_of("base", base, BASES)
+        check_choice("base", base, BASES)
         if world is not None and world.uneven and isinstance(contact, PreloadedContact):
             raise InputError("a floor that slopes or has steps needs contact 'loaded'")
-        whole_steps("tick", tick, "time step", timestep)
+        count_steps("tick", tick, "time step", timestep)
         self.spec, self.tick, self.timestep, self.contact = spec, tick, timestep, contact
         supply = self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
         self._settings = ModelSettings(timestep, hinges_per_segment, contact, base, numerics)
@@ -125,10 +125,13 @@ class TwinSnake(PneumaticPlant):
                 f"time step {timestep:g} s is too long for chambers whose pressures depend on the bends; it "
                 f"must be {self.pneumatics.coupling_step_s:g} s or less (timestep_s in a scenario)"
             )
-        self.touches, self.uneven = world is not None and world.solid, world is not None and world.uneven
+        self.touches, self.uneven = (
+            world is not None and world.has_obstacles,
+            world is not None and world.uneven,
+        )
         self._first_step_x = min((step.x for step in world.steps), default=math.inf) if world else math.inf
         largest = supply * self.pneumatics.max_pressure_ratio
-        self._world = fingerprint(world)
+        self._world = short_digest(world)
         self.physics = SnakePhysics.build(spec, self._settings, self.pneumatics, largest, world)
         self.reset()
 
@@ -185,7 +188,7 @@ class TwinSnake(PneumaticPlant):
     def _simulate(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
         """Follow a schedule in chunks, see `PneumaticPlant._simulate`."""
         interval = schedule.span / samples
-        steps = whole_steps("sample interval", interval, "time step", self.timestep)
+        steps = count_steps("sample interval", interval, "time step", self.timestep)
         chunk_samples = max(1, math.floor(self.max_chunk_s / interval))
         begun, histories = self._ticks * self.tick, []
         for first in range(0, samples, chunk_samples):
@@ -254,7 +257,9 @@ class TwinSnake(PneumaticPlant):
             trace = self.physics.advance_chambers(piece, last - first)
             results.append(self.physics.advance_bodies(trace.pressure))
             traces.append(trace.at(np.arange(1, last - first + 1)))
-        return joined(traces), self.physics.evaluate(*map(np.concatenate, zip(*results, strict=True)))
+        return concatenate_records(traces), self.physics.evaluate(
+            *map(np.concatenate, zip(*results, strict=True))
+        )
 
     def _chunk_history(self, times: np.ndarray, trace: Trace, batch: StepBatch, steps: int) -> SnakeState:
         """Return the history at `times`, each at the end of a number of steps."""
@@ -367,7 +372,7 @@ def _apply_deprecated(
     if isinstance(contact, LoadedContact):
         wheels, law = options.pop("wheels", None), options.pop("friction", None)
         if wheels is not None:
-            one_of("wheels", wheels, WHEELS)
+            check_choice("wheels", wheels, WHEELS)
             law = law or LAW_OF[wheels]
         options |= {"law": law} if law else {}
         # A loaded twin always ignored these.

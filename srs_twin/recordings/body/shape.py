@@ -38,10 +38,10 @@ from math import comb
 
 import numpy as np
 
-from srs_twin.compute.workers import processors
+from srs_twin.compute.workers import processor_count
 from srs_twin.errors import InputError
 from srs_twin.recordings.body.tracking import some_frames
-from srs_twin.robot.geometry import half_turn
+from srs_twin.robot.geometry import half_angle_terms
 from srs_twin.robot.spec import Geometry
 
 SIDES = {"": 0, "ahead": 1, "behind": -1, "left": 1j, "right": -1j}
@@ -122,7 +122,7 @@ class Marks:
 
 def _mean_direction(turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return E and dE/dφ of an arc that turns by φ, rad."""
-    cosine, sine, arc, slope, _ = half_turn(turn)
+    cosine, sine, arc, slope, _ = half_angle_terms(turn)
     back = cosine - 1j * sine
     return arc * back, (slope - 0.5j * arc) * back
 
@@ -252,7 +252,7 @@ def fit_shape(time: np.ndarray, points: np.ndarray, missing: np.ndarray, marks: 
             state[rows], error[rows], away[rows] = fitted.state, fitted.error(bends), fitted.away
             return fitted.chi
 
-        with ThreadPoolExecutor(processors()) as pool:
+        with ThreadPoolExecutor(processor_count()) as pool:
             return np.sum([*pool.map(work, np.split(frames, range(_CHUNK, len(frames), _CHUNK)))], axis=0)
 
     chi, redundant = explain(

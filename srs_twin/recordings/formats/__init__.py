@@ -14,7 +14,7 @@ from pathlib import Path
 from types import ModuleType
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import printable
+from srs_twin.io.files import escape_unprintable
 from srs_twin.recordings.csv_table import AS_FOUND, Dialect, read_bytes, read_file, start_of
 from srs_twin.recordings.formats import (
     c3d,
@@ -125,7 +125,7 @@ def _format(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> Module
         else f"its first line is '{start.first_line[:40]}'"
     )
     listed = f"formats: {', '.join(FORMATS)} (first line time,x_1,y_1,x_2,y_2,…)"
-    raise InputError(printable(f"{name}:1: no motion recording that is read: {looks}; {listed}"))
+    raise InputError(escape_unprintable(f"{name}:1: no motion recording that is read: {looks}; {listed}"))
 
 
 def read_topics(path: str | os.PathLike[str]) -> RecordedTopics | None:

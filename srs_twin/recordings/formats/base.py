@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from srs_twin.errors import InputError, did_you_mean
-from srs_twin.io.files import printable
+from srs_twin.io.files import escape_unprintable
 from srs_twin.recordings.csv_table import AS_FOUND, Dialect, RecordedFile
 from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.signals.units import LENGTHS, bracketed, clean, symbol
@@ -92,7 +92,7 @@ def length_unit(file: RecordedFile, text: str, line: int | None = None, column: 
     """
     if not (found := symbol(text, LENGTHS)):
         hint, allowed = did_you_mean(text, LENGTHS), ", ".join(LENGTHS)
-        what = printable(f"unit of length '{text[:20]}' is not known")
+        what = escape_unprintable(f"unit of length '{text[:20]}' is not known")
         raise file.error(f"{what}{hint}; allowed: {allowed}", line, column)
     return found
 
@@ -214,7 +214,7 @@ def marker_table(
     if (turns := more.get("rotations")) is not None:
         unseen = np.isnan(points[..., :1] + turns.sum(axis=-1, keepdims=True))
         more["rotations"] = np.where(unseen, np.nan, turns)
-    labels = tuple(printable(name) or f"point {k}" for k, name in enumerate(names, start=1))
+    labels = tuple(escape_unprintable(name) or f"point {k}" for k, name in enumerate(names, start=1))
     more["unit"] = ", ".join(sorted({*units}))
     return MarkerTable(file.name, file.sha256, kind, time, points, labels, tuple(notes), **more)
 
@@ -244,6 +244,6 @@ def decoding(file: RecordedFile, kind: str) -> Iterator[None]:
         how = "`uv sync --extra recordings`, or `pip install 'srs-twin[recordings]'`"
         raise file.error(f"{kind} needs the package {error.name}, which is an extra: {how}") from error
     except Exception as error:  # libraries raise whatever their first wrong byte leads to
-        said = printable(" ".join(str(error).split()))[:120]
+        said = escape_unprintable(" ".join(str(error).split()))[:120]
         reason = f" ({said})" if isinstance(error, ValueError) else ""
         raise file.error(f"a damaged {kind} file{reason}; record or export it anew") from error

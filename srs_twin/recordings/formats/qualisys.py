@@ -8,7 +8,7 @@ from itertools import takewhile
 
 import numpy as np
 
-from srs_twin.io.files import printable
+from srs_twin.io.files import escape_unprintable
 from srs_twin.recordings.csv_table import MAX_HEADER_BYTES, RecordedFile
 from srs_twin.recordings.formats.base import (
     Unstated,
@@ -48,7 +48,7 @@ def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
     if not about.keys().isdisjoint({"NO_OF_BODIES", "BODY_NAMES"}):
         kind = "6D"
     if kind != "3D":
-        what = printable(f"a {kind[:20]} export of Qualisys")
+        what = escape_unprintable(f"a {kind[:20]} export of Qualisys")
         raise file.error(f"{what}; 3D is read (File, Export, To TSV, 3D data)")
     names = list(takewhile(bool, about.get("MARKER_NAMES", [])))
     if not names or len(row) < 3:

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import printable
+from srs_twin.io.files import escape_unprintable
 from srs_twin.recordings.csv_table import MAX_BYTES, MAX_COLUMNS, MAX_VALUES, RecordedFile
 from srs_twin.recordings.formats.base import decoding, marker_table
 from srs_twin.recordings.marker_table import MarkerTable
@@ -200,13 +200,13 @@ class _Topics:
         elif kind in _BODIES:
             for label, stamped, pose in _BODIES[kind](topic, decode(bytes(message.data))):
                 if label != topic and hasattr(stamped, "child_frame_id"):
-                    label = printable(label[:200])
+                    label = escape_unprintable(label[:200])
                     self.parents[label] = stamped.header.frame_id
                 self._append(self.bodies.setdefault(topic, {}), label, stamped, message, _numbers(pose))
         elif self.with_signals:
             said = decode(bytes(message.data))
             for name, value in _joints(said) if kind.endswith("JointState") else _leaves("", said):
-                self._append(self.signals, f"{topic}{printable(name)}", said, message, (value,))
+                self._append(self.signals, f"{topic}{escape_unprintable(name)}", said, message, (value,))
 
     def _append(self, series: _Series, label: str, said: Any, message: Message, values: _Numbers) -> None:
         """Add a row, at the stamp of its header or else at its log time."""
@@ -214,7 +214,7 @@ class _Topics:
         whole, part = getattr(stamp, "sec", None), getattr(stamp, "nanosec", None)
         if isinstance(whole, int) and isinstance(part, int) and (whole or part):
             time = whole * 10**9 + part
-            self.apart.setdefault(printable(message.topic.name), abs(time - message.log_time) / 1e9)
+            self.apart.setdefault(escape_unprintable(message.topic.name), abs(time - message.log_time) / 1e9)
         series.setdefault(label, array("d")).extend((time - self.origin, *values))
         self.numbers += 1 + len(values)
         if self.numbers > MAX_VALUES or len(series) > MAX_COLUMNS:
@@ -260,7 +260,7 @@ class _Topics:
         epoch: int | None = self.origin if self.origin > _SINCE_1970 else None
         if abs(time[0]) > _OTHER_CLOCK:  # stamps of a simulated clock
             time, epoch = time - time[0], None
-        notes = [*self.notes, *map(printable, notes)]
+        notes = [*self.notes, *map(escape_unprintable, notes)]
         return marker_table(
             self.file, self.kind, time, poses[..., :3], names, notes, rotations=rotations, epoch_ns=epoch
         )
@@ -331,7 +331,11 @@ _BODIES: dict[str, Callable[[str, Any], list[tuple[str, Any, Any]]]] = {
 @lru_cache(1000)
 def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Any] | None]:
     """Return name and kind of a topic, and what decodes its messages; None where that is not known."""
-    kind = printable(topic.kind[:80]).replace("/msg/", "/").replace("tf/tfMessage", "tf2_msgs/TFMessage")
+    kind = (
+        escape_unprintable(topic.kind[:80])
+        .replace("/msg/", "/")
+        .replace("tf/tfMessage", "tf2_msgs/TFMessage")
+    )
     decode: Callable[[bytes], Any] | None = None
     if topic.encoding == "json":
         decode = partial(json.loads, object_hook=lambda each: SimpleNamespace(**each))
@@ -341,7 +345,7 @@ def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Any] | None]:
             store.deserialize_cdr if topic.encoding == "cdr" else store.deserialize_ros1,
             typename=kind.replace("/", "/msg/"),
         )
-    return printable(topic.name[:200]), kind, decode
+    return escape_unprintable(topic.name[:200]), kind, decode
 
 
 @cache

@@ -209,11 +209,13 @@ def _robots(study: Study, count: int) -> list[Changes]:
 
     robot = RobotFile.model_validate(study.experiments["twin"].base["robot"])
     chosen = [name.removeprefix("robot.") for name in study.space.changes(np.full(study.space.size, 0.5))]
-    priors = Priors.of(robot, without=[each for each in Priors.of(robot).paths if each in chosen])
+    priors = Priors.from_robot(
+        robot, without=[each for each in Priors.from_robot(robot).paths if each in chosen]
+    )
     shares = qmc.Sobol(len(priors.paths), rng=study.file.seed).random_base2(max(count - 1, 1).bit_length())
     return [
         {f"robot.{path}": float(value) for path, value in zip(priors.paths, row, strict=True)}
-        for row in priors.at(shares[:count])
+        for row in priors.quantile(shares[:count])
     ]
 
 

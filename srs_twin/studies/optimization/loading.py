@@ -12,8 +12,8 @@ import numpy as np
 
 from srs_twin.comparison.metrics import METRIC_UNITS, METRICS_LISTED
 from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean
-from srs_twin.io.documents import Change, Document, Loc, dotted, load_yaml
-from srs_twin.io.files import find, results_name
+from srs_twin.io.documents import Document, Loc, Override, format_path, load_yaml
+from srs_twin.io.files import find_file, results_name
 from srs_twin.io.validation import validate
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.scenario.modified import Changes, changed_fields, marked
@@ -52,7 +52,7 @@ class Study:
         return marked(self.file.title or self.name, self.changes)
 
 
-def load_study(name_or_path: str | os.PathLike[str], *, set: Sequence[Change] = ()) -> Study:
+def load_study(name_or_path: str | os.PathLike[str], *, set: Sequence[Override] = ()) -> Study:
     """Load a study: a shipped name (gen2_speed) or the path of a study file.
 
     Args:
@@ -63,17 +63,17 @@ def load_study(name_or_path: str | os.PathLike[str], *, set: Sequence[Change] = 
         InputError: not found or not readable.
         InputFileError: everything that is wrong with it, one line each.
     """
-    path = find("study", name_or_path)
+    path = find_file("study", name_or_path)
     document = load_yaml(path)
     written = copy.deepcopy(document.data)
     for change in set:
-        whose = change.loc if change.loc == ("seed",) else ("fixed", dotted(change.loc))
-        document.change(replace(change, loc=whose))
+        whose = change.loc if change.loc == ("seed",) else ("fixed", format_path(change.loc))
+        document.apply(replace(change, loc=whose))
     file = validate(StudyFile, document, document.data)
     scenario: Scenario | None = None
     foreign: tuple[str, ...] = ()
     if file is not None:
-        with document.reporting("scenario"):
+        with document.report_errors("scenario"):
             try:
                 scenario = load_scenario(file.scenario)
             except InputFileError as error:
@@ -83,7 +83,7 @@ def load_study(name_or_path: str | os.PathLike[str], *, set: Sequence[Change] = 
         _check_metrics(document, file)
         study = _study(results_name(path), document, file, scenario)
         _check_ends(document, study)
-    document.finish(foreign)
+    document.raise_problems(foreign)
     assert study is not None, "no problem was reported"
     return replace(study, changes=_changes(study, written, [change.loc for change in set]))
 

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from srs_twin.io.documents import dump_yaml
-from srs_twin.io.file_sets import replaced
+from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import write_text
 from srs_twin.studies.optimization.answer import EVALUATIONS, PRODUCTS, RESULT, Answer
 from srs_twin.studies.optimization.plots import draw_convergence, draw_front, draw_parallel
@@ -29,7 +29,7 @@ def write_answer(answer: Answer, folder: Path) -> tuple[str, ...]:
     Raises:
         InputError: a file cannot be written; those of an earlier search are as they were.
     """
-    with replaced(folder, PRODUCTS) as fresh:
+    with replace_files(folder, PRODUCTS) as fresh:
         return _write(answer, fresh)
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import open_folder, shown
+from srs_twin.io.files import check_output_folder, display_path
 from srs_twin.scenario.provenance import run_key, source_digests, versions
 from srs_twin.studies.optimization.loading import Study
 from srs_twin.studies.sweep.execution import Engine
@@ -81,7 +81,7 @@ class Runs(AbstractContextManager["Runs"]):
         self.asked: list[Run] = []
         self._known: dict[str, Row] = {}
         self._seen: dict[str, Run] = {}
-        open_folder(folder, ())
+        check_output_folder(folder, ())
         with ExitStack() as opened:
             self._stores = {part: opened.enter_context(RowStore(folder / part)) for part in study.experiments}
             for part, store in self._stores.items():
@@ -135,7 +135,7 @@ class Runs(AbstractContextManager["Runs"]):
         before = store.identity()
         if before is not None and before != now and not changed:
             raise InputError(
-                f"{shown(folder)}: its runs are of another study, or of another version of the program; give "
-                "--changed to keep those that still belong, or another --out"
+                f"{display_path(folder)}: its runs are of another study, or of another version of the "
+                "program; give --changed to keep those that still belong, or another --out"
             )
         store.keep_identity(now)

@@ -22,7 +22,7 @@ from srs_twin.cli.options import (
 )
 from srs_twin.cli.progress import Counting
 from srs_twin.errors import InputError
-from srs_twin.io.files import shown
+from srs_twin.io.files import display_path
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -165,7 +165,7 @@ def _show(summary: Summary, title: str | None) -> None:
         terminal.print(_published(summary.published))
     print(f"{summary.done} of {summary.points} runs done, {summary.failed} failed")
     print(f"results sha256 {summary.sha256}")
-    print(f"report {shown(summary.folder / 'report.html')}")
+    print(f"report {display_path(summary.folder / 'report.html')}")
 
 
 def _published(found: TextTable) -> Table:

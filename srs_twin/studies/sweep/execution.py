@@ -15,11 +15,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from srs_twin.compute.workers import Done, each, start_server
+from srs_twin.compute.workers import TaskResult, run_tasks, start_server
 from srs_twin.errors import InputError
 from srs_twin.io.documents import dump_yaml
-from srs_twin.io.file_sets import replaced
-from srs_twin.io.files import open_folder, shown
+from srs_twin.io.file_sets import replace_files
+from srs_twin.io.files import check_output_folder, display_path
 from srs_twin.scenario.provenance import file_digests, source_digests
 from srs_twin.studies.sweep.points import RUNNER, Experiment, Point, Sweep
 from srs_twin.studies.sweep.report import REPORT, Summary, write_report
@@ -46,7 +46,7 @@ _RAY_SETTINGS = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_UV_RUN_RUNTIME_ENV"
 # A Ray of our own serves nobody else. Under this name Ray keeps to the loopback address, on Linux as well.
 _LOOPBACK_ONLY = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
 
-Engine = Callable[[Experiment, Sequence[Point]], Iterator[Done[Row]]]
+Engine = Callable[[Experiment, Sequence[Point]], Iterator[TaskResult[Row]]]
 
 
 def local(workers: int | None = None) -> Engine:
@@ -59,9 +59,9 @@ def local(workers: int | None = None) -> Engine:
         workers: how many processes; default one a processor.
     """
 
-    def run(experiment: Experiment, points: Sequence[Point]) -> Iterator[Done[Row]]:
+    def run(experiment: Experiment, points: Sequence[Point]) -> Iterator[TaskResult[Row]]:
         start_server("srs_twin.studies.sweep.warm")
-        return each(partial(run_point, experiment), points, workers=workers)
+        return run_tasks(partial(run_point, experiment), points, workers=workers)
 
     return run
 
@@ -85,7 +85,7 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
     if address is not None and workers is not None:
         raise InputError("--workers belongs to a Ray of this machine's own; a cluster has the workers it has")
 
-    def run(experiment: Experiment, points: Sequence[Point]) -> Iterator[Done[Row]]:
+    def run(experiment: Experiment, points: Sequence[Point]) -> Iterator[TaskResult[Row]]:
         try:
             own: dict[str, Any] = {} if address else {"num_cpus": workers, "include_dashboard": False}
             ray.init(address, log_to_driver=False, logging_level=logging.ERROR, **own)
@@ -99,7 +99,7 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
     return run
 
 
-def _shared_out(experiment: Experiment, points: Sequence[Point]) -> Iterator[Done[Row]]:
+def _shared_out(experiment: Experiment, points: Sequence[Point]) -> Iterator[TaskResult[Row]]:
     """Keep two points a processor under way; yield as they finish."""
     import ray
 
@@ -116,9 +116,9 @@ def _shared_out(experiment: Experiment, points: Sequence[Point]) -> Iterator[Don
         for finished in ray.wait(list(under_way), num_returns=1)[0]:
             number = under_way.pop(finished)
             try:
-                yield Done(number, ray.get(finished), None)
+                yield TaskResult(number, ray.get(finished), None)
             except ray.exceptions.RayError as error:
-                yield Done(number, None, error)
+                yield TaskResult(number, None, error)
 
 
 ENGINES = ("local", "ray", "warp")
@@ -142,7 +142,7 @@ def open_sweep(sweep: Sweep, folder: Path, *, changed: bool = False) -> Iterator
     Raises:
         InputError: the folder cannot be written, is locked, or belongs to another version of the sweep.
     """
-    open_folder(folder, _PRODUCTS)
+    check_output_folder(folder, _PRODUCTS)
     with RowStore(folder) as store:
         yield OpenSweep(sweep, folder, store, changed=changed)
 
@@ -187,7 +187,7 @@ class OpenSweep:
         Raises:
             InputError: a file cannot be written; those of an earlier start are as they were.
         """
-        with replaced(self.folder, _PRODUCTS) as fresh:
+        with replace_files(self.folder, _PRODUCTS) as fresh:
             return self._write(fresh)
 
     def _write(self, fresh: Path) -> Summary:
@@ -256,7 +256,7 @@ class OpenSweep:
         if before is not None and before.keys != now.keys:
             if not changed:
                 raise InputError(
-                    f"{shown(self.folder)}: its rows are of another version of this sweep "
+                    f"{display_path(self.folder)}: its rows are of another version of this sweep "
                     f"({_difference(before, now)}); give --changed to keep the rows that still belong and "
                     f"run the others, or another --out"
                 )

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS, METRICS_LISTED
-from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean, some
-from srs_twin.io.documents import Change, Document, Loc, dotted, load_yaml, path_of
-from srs_twin.io.files import find, results_name
+from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean, format_names
+from srs_twin.io.documents import Document, Loc, Override, format_path, load_yaml, parse_path
+from srs_twin.io.files import find_file, results_name
 from srs_twin.io.validation import validate
 from srs_twin.planning.metrics import PLANNING_UNITS
 from srs_twin.robot.file import load_robot_file
@@ -40,7 +40,7 @@ def check_beside(document: Document, file: SweepFile, given: Published) -> None:
         if field in file.vary:
             _check_values(document, file, field, values)
         else:
-            hint = did_you_mean(field, file.vary) or f"; varied: {some(list(file.vary))}"
+            hint = did_you_mean(field, file.vary) or f"; varied: {format_names(list(file.vary))}"
             document.report(("beside", "at", field), f"is not varied{hint}", at_key=True)
     columns = list(METRIC_UNITS) if file.metrics is None else [m for m in file.metrics if m in METRIC_UNITS]
     for metric in given.metrics:
@@ -104,7 +104,7 @@ def _is_number(value: Any) -> bool:
 def load_sweep(
     name_or_path: str | os.PathLike[str],
     *,
-    set: Sequence[Change] = (),
+    set: Sequence[Override] = (),
     plants: Sequence[str] | None = None,
 ) -> Sweep:
     """Load a sweep: a shipped name (fig31) or the path of a sweep file.
@@ -118,19 +118,19 @@ def load_sweep(
         InputError: not found or not readable.
         InputFileError: everything that is wrong with it, one line each.
     """
-    path = find("sweep", name_or_path)
+    path = find_file("sweep", name_or_path)
     document, name = load_yaml(path), results_name(path)
     written = copy.deepcopy(document.data)
     for change in set:
-        document.change(replace(change, loc=("fixed", dotted(change.loc))))
+        document.apply(replace(change, loc=("fixed", format_path(change.loc))))
     if plants is not None:
-        document.change(Change(f"--plants {','.join(plants)}", ("plants",), list(plants)))
+        document.apply(Override(f"--plants {','.join(plants)}", ("plants",), list(plants)))
     file = validate(SweepFile, document, document.data)
     scenario, foreign = _scenario(document)
     sweep = None
     if file is not None and scenario is not None:
         sweep = _Loading(document, file, scenario).sweep(name)
-    document.finish(foreign)
+    document.raise_problems(foreign)
     assert sweep is not None and scenario is not None, "no problem was reported"
     return _modified(sweep, scenario, written, [change.loc for change in set])
 
@@ -177,7 +177,7 @@ def _scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]:
     given = document.get("scenario")
     if not isinstance(given, str):
         return None, ()
-    with document.reporting("scenario"):
+    with document.report_errors("scenario"):
         try:
             return load_scenario(given), ()
         except InputFileError as error:
@@ -216,14 +216,14 @@ class _Loading:
         if file.beside is not None:
             check_beside(self._document, file, file.beside)
         values, robots = None, self._robots()
-        with self._document.reporting("vary"):
+        with self._document.report_errors("vary"):
             values = sample(file.vary, file.sampling)
         if values is None or len(self._document.problems) > before:
             return None
         experiment = Experiment(self._scenario, self._plants, file.periods, robots, file.trajectories)
         base = experiment.with_fixed(file.fixed)
         if changes := changed_fields(
-            self._scenario, base, map(path_of, file.fixed), self._scenario.get("changes", ())
+            self._scenario, base, map(parse_path, file.fixed), self._scenario.get("changes", ())
         ):
             base["changes"] = changes
         sweep = Sweep(
@@ -255,7 +255,7 @@ class _Loading:
                     self._report(section, field, "periods says how long a run is; take one of them out")
                 elif section == "fixed" and field in self._file.vary:
                     self._report(section, field, "is varied as well; take one of them out")
-                first, *path = path_of(field)
+                first, *path = parse_path(field)
                 if first == "plants" and idle.intersection(path[:1]):
                     self._report(section, field, f"{path[0]} does not run here; add it to plants")
 
@@ -282,7 +282,9 @@ class _Loading:
                 field = getattr(plot, key)
                 if field is None or field in self._file.vary or (plot.kind == "scatter" and field in drawn):
                     continue
-                hint = did_you_mean(field, self._file.vary) or f"; varied: {some(list(self._file.vary))}"
+                hint = (
+                    did_you_mean(field, self._file.vary) or f"; varied: {format_names(list(self._file.vary))}"
+                )
                 self._document.report(("plots", i, key), f"'{field}' is not varied{hint}")
 
     def _check_metric(self, loc: tuple[str | int, ...], metric: str, known: list[str]) -> None:

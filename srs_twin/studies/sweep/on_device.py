@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from srs_twin.compute.workers import Done
+from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import EngineWarning, InputError, SrsError
 from srs_twin.plants.twin.batch import warp_batch
 from srs_twin.rollout import run_scripts
@@ -37,7 +37,7 @@ def on_device(device: str | None = None, workers: int | None = None) -> Engine:
         warnings.warn(told, EngineWarning, stacklevel=1)
         return local(workers)
 
-    def run(experiment: Experiment, points: Sequence[Point]) -> Iterator[Done[Row]]:
+    def run(experiment: Experiment, points: Sequence[Point]) -> Iterator[TaskResult[Row]]:
         left: dict[int, str] = {}
         for first in range(0, len(points), TOGETHER):
             chunk = range(first, min(first + TOGETHER, len(points)))
@@ -57,14 +57,14 @@ def on_device(device: str | None = None, workers: int | None = None) -> Engine:
                     left |= dict.fromkeys([k for k, _, _ in group], str(error))
                     continue
                 for (k, _, _), done in zip(group, ran, strict=True):
-                    yield Done(k, run_point(experiment, points[k], {"twin": done}), None)
+                    yield TaskResult(k, run_point(experiment, points[k], {"twin": done}), None)
         if left:
             why = next(iter(left.values()))
             told = f"{len(left)} of {len(points)} points run on the processor: {why}"
             warnings.warn(told, EngineWarning, stacklevel=1)
             numbers = list(left)
             for row in local(workers)(experiment, [points[k] for k in numbers]):
-                yield Done(numbers[row.number], row.result, row.error)
+                yield TaskResult(numbers[row.number], row.result, row.error)
 
     return run
 

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.documents import Loc, path_of
+from srs_twin.io.documents import Loc, parse_path
 from srs_twin.planning.scenario import PLANNER_FILES
-from srs_twin.robot.file import units_of
-from srs_twin.robot.sourced import restated
+from srs_twin.robot.file import section_units
+from srs_twin.robot.sourced import replace_value
 from srs_twin.scenario.plants import PRESET, with_preset
 from srs_twin.scenario.provenance import run_key
 from srs_twin.studies.sweep.file import MAX_POINTS, RangeFile, SamplingFile
@@ -85,7 +85,7 @@ class Experiment:
     def with_change(self, document: Any, name: str, value: Value | list[Value]) -> Any:
         """Return plain data of a scenario with one field changed; a robot's name stands for its file."""
         whole: Any = self.robots.get(str(value), value) if name == "robot" else value
-        where = path_of(name)
+        where = parse_path(name)
         if name == "planner.kind":
             document = _planned_by(document, value)
         if where == PRESET:
@@ -93,9 +93,9 @@ class Experiment:
             return {**document, "plants": {**document["plants"], "twin": twin}}
         if len(where) == 3 and where[0] == "robot" and not isinstance(whole, Mapping):
             # A number that the robot does not have yet has no record either.
-            unit = units_of(str(where[1])).get(str(where[2]))
+            unit = section_units(str(where[1])).get(str(where[2]))
             if unit is not None:
-                whole = restated(None, value, unit, BY_A_SWEEP)
+                whole = replace_value(None, value, unit, BY_A_SWEEP)
         return changed(document, where, whole)
 
 
@@ -158,7 +158,7 @@ def changed(data: Any, loc: Loc, value: Value | list[Value]) -> Any:
     """
     if not loc:
         if isinstance(data, Mapping) and {"value", "unit"} <= data.keys() and not isinstance(value, Mapping):
-            return restated(data, value, None, BY_A_SWEEP)
+            return replace_value(data, value, None, BY_A_SWEEP)
         return value
     first, rest = loc[0], loc[1:]
     if isinstance(data, list) and isinstance(first, int) and first < len(data):

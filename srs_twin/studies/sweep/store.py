@@ -22,7 +22,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from srs_twin.comparison.metrics import COMPARISON_UNITS
 from srs_twin.errors import InputError
-from srs_twin.io.files import atomic_write, missing_folders, remove_empty, shown
+from srs_twin.io.files import atomic_write, display_path, missing_folders, remove_empty_folders
 from srs_twin.studies.sweep.points import Sweep
 from srs_twin.studies.sweep.task import FAILED, PLAN, PLAN_TIME, Row
 
@@ -98,7 +98,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             self._missing = missing_folders(folder)
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(f"{shown(folder)}: cannot be made ({error.strerror})") from error
+            raise InputError(f"{display_path(folder)}: cannot be made ({error.strerror})") from error
         try:
             self._base = sqlite3.connect(self._path, timeout=0, isolation_level=None)
             self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST_BYTES)
@@ -115,7 +115,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             self._base.close()
             if empty:
                 self._path.unlink()
-        remove_empty(self._missing)
+        remove_empty_folders(self._missing)
 
     def identity(self) -> SweepIdentity | None:
         """Return what `keep_identity` kept, None where it never did.
@@ -171,7 +171,9 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         try:
             return kind.validate_json(content)
         except ValidationError as error:
-            raise InputError(f"{shown(self._path)}: not the rows of a sweep; give another --out") from error
+            raise InputError(
+                f"{display_path(self._path)}: not the rows of a sweep; give another --out"
+            ) from error
 
     def _read(self, query: str, *arguments: Any) -> list[Any]:
         with self._guarded():
@@ -191,7 +193,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
     def _refusal(self, error: Exception) -> InputError:
         code = getattr(error, "sqlite_errorcode", 0) & 0xFF
         text = _REFUSALS.get(code, "cannot be used ({}); give another --out")
-        return InputError(f"{shown(self._path)}: {text.format(error)}")
+        return InputError(f"{display_path(self._path)}: {text.format(error)}")
 
 
 RESULTS = "results.parquet"

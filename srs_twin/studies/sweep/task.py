@@ -12,7 +12,7 @@ from typing import Any
 from srs_twin.comparison.compare import MeasuredDifference, compare
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import InputError, SrsError
-from srs_twin.io.files import printable
+from srs_twin.io.files import escape_unprintable
 from srs_twin.planning.metrics import plan_metrics
 from srs_twin.rollout import rollout
 from srs_twin.scenario.loading import parse_scenario
@@ -99,7 +99,7 @@ def run_point(
 def failed_row(key: str, error: Exception | None, wall_s: float = 0.0) -> Row:
     """Return the row of what an error ended, or a worker that went down."""
     code = error.exit_code if isinstance(error, SrsError) else SrsError.exit_code
-    return Row(key, FAILED, {}, wall_s, printable(" ".join(str(error).split())), code)
+    return Row(key, FAILED, {}, wall_s, escape_unprintable(" ".join(str(error).split())), code)
 
 
 def _planned(scenario: Scenario) -> dict[str, Any]:

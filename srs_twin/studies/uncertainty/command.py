@@ -68,7 +68,7 @@ def uncertainty(
 
     runner = chosen_engine(engine, workers, None)
     from srs_twin.experiment import INTERVALS
-    from srs_twin.io.files import open_folder
+    from srs_twin.io.files import check_output_folder
     from srs_twin.robot.file import RobotFile
     from srs_twin.robot.priors import Priors
     from srs_twin.scenario.loading import load_scenario
@@ -79,7 +79,7 @@ def uncertainty(
     if write and found.left_out:
         fields = ", ".join(dict.fromkeys(field for each in found.left_out for field in each["because"]))
         raise InputError(f"--write keeps intervals of unmodified scenarios, but {fields} was changed")
-    priors = Priors.of(RobotFile.model_validate(found.document["robot"]), without=without or ())
+    priors = Priors.from_robot(RobotFile.model_validate(found.document["robot"]), without=without or ())
     chosen = tuple(plants_of(plants) or found.plants)
     study = Study(
         found,
@@ -92,7 +92,7 @@ def uncertainty(
     )
     folder = Path(out) if out else STUDIES / found.name
     if write:
-        open_folder(INTERVALS, (f"{found.name}.json",), option="")
+        check_output_folder(INTERVALS, (f"{found.name}.json",), option="")
 
     @contextmanager
     def counting(part: str, count: int) -> Iterator[Callable[[Row], Any]]:
@@ -113,12 +113,14 @@ def uncertainty(
 
 
 def _forms(given: Sequence[str]) -> dict[str, tuple[Any, ...]]:
-    from srs_twin.io.documents import Change
+    from srs_twin.io.documents import Override
 
     found = {}
     for text in given:
         name, _, values = text.partition("=")
-        found[name] = tuple(Change.of(f"--form {text}", name, value).value for value in values.split(","))
+        found[name] = tuple(
+            Override.parse(f"--form {text}", name, value).value for value in values.split(",")
+        )
     return found
 
 
@@ -171,7 +173,7 @@ def _show(result: Propagation) -> None:
     if marks:
         print("* outside its 50 % interval, ** outside its 95 % interval")
     runs = ", ".join(f"{count} runs of {part}" for part, count in study.parts.items())
-    print(f"{len(study.priors.each)} uncertain numbers of {study.scenario.robot.name}; {runs}")
+    print(f"{len(study.priors.parameters)} uncertain numbers of {study.scenario.robot.name}; {runs}")
     lost = {part: count for part, count in result.failed.items() if count}
     if lost:
         print("without a result: " + ", ".join(f"{count} of {part}" for part, count in lost.items()))

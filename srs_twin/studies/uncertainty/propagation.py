@@ -20,7 +20,7 @@ import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.experiment import INTERVALS, twin_contact
-from srs_twin.io.file_sets import replaced, unmark
+from srs_twin.io.file_sets import remove_completion_mark, replace_files
 from srs_twin.io.files import write_text
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import judged_digest
@@ -141,12 +141,12 @@ class Propagation:
         fresh = self.study.draw(_FORETOLD, self.study.seed + 1)
         rest = np.random.default_rng(self.study.seed).choice(chaos.rest[:, 0], _FORETOLD)
         found = []
-        for i, prior in enumerate(priors.each):
+        for i, prior in enumerate(priors.parameters):
             lows, highs = [], []
-            for centre in prior.at(np.array(_CENTRES)):
-                after = prior.measured(float(centre), _MEASURED_TO / 1.96 * abs(float(centre)))
+            for centre in prior.quantile(np.array(_CENTRES)):
+                after = prior.with_measurement(float(centre), _MEASURED_TO / 1.96 * abs(float(centre)))
                 moved = fresh.copy()
-                moved[:, i] = prior.shares_of(after.at(fresh[:, i]))
+                moved[:, i] = prior.cdf(after.quantile(fresh[:, i]))
                 low, high = np.quantile(chaos.at(moved)[:, 0] + rest, RANGES["interval_95"])
                 lows.append(low)
                 highs.append(high)
@@ -247,7 +247,7 @@ class Propagation:
         from srs_twin.studies.uncertainty.plots import draw_intervals
         from srs_twin.viewing.plots.picture_file import save
 
-        drawn = self.study.priors.at(self.study.shares[:, : len(self.study.priors.each)])
+        drawn = self.study.priors.quantile(self.study.shares[:, : len(self.study.priors.parameters)])
         columns = dict(zip(self.study.priors.paths, drawn.T, strict=True))
         columns |= {
             f"{plant}.{name}": s.samples for plant, each in self.plants.items() for name, s in each.items()
@@ -255,7 +255,7 @@ class Propagation:
         samples = pa.table({name: pa.array(each, from_pandas=True) for name, each in columns.items()})
         document = self.document()
         picture = draw_intervals(self.study.scenario.title, document)
-        with replaced(folder, (RESULT, SAMPLES, PICTURE)) as fresh:
+        with replace_files(folder, (RESULT, SAMPLES, PICTURE)) as fresh:
             write(fresh / SAMPLES, samples)
             save(picture, fresh / PICTURE)
             (fresh / RESULT).write_text(json.dumps(document, indent=2) + "\n", "utf-8")
@@ -326,7 +326,7 @@ def propagate(
             with progress(part, len(missing)) if progress and missing else nullcontext() as finished:
                 opened.run(engine, missing, finished)
             if missing or changed:  # an earlier result does not belong to these rows
-                unmark(folder / RESULT)
+                remove_completion_mark(folder / RESULT)
             opened.finish()
         rows[part] = _columns(folder / part / "results.parquet", sweep)
     return Propagation(study, rows)

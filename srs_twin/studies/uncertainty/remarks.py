@@ -187,12 +187,12 @@ class Remarks:
     def _skewed(self) -> str:
         """Return the numbers whose values in the file are far from their medians, largest cause first."""
         weights = np.ones(len(self.names)) if self.spread.total is None else self.spread.total
-        order = np.argsort(-weights[: len(self.priors.each)], kind="stable")
+        order = np.argsort(-weights[: len(self.priors.parameters)], kind="stable")
         found = []
-        for prior in (self.priors.each[i] for i in order):
-            share = float(prior.shares_of(np.array([prior.value]))[0])
+        for prior in (self.priors.parameters[i] for i in order):
+            share = float(prior.cdf(np.array([prior.value]))[0])
             if not _MIDDLE[0] <= share <= _MIDDLE[1]:
-                median = float(prior.at(np.array([0.5]))[0])
+                median = float(prior.quantile(np.array([0.5]))[0])
                 found.append(f"{prior.path} {prior.value:.3g} instead of {median:.3g}")
         return f" ({', '.join(found[:_LISTED])}{', …' if len(found) > _LISTED else ''})" if found else ""
 

@@ -57,7 +57,7 @@ class Study:
     def settled(self, shares: np.ndarray) -> np.ndarray:
         """Return shares with those of the forms in the middles of their values' parts."""
         settled = shares.copy()
-        for i, values in enumerate(self.forms.values(), start=len(self.priors.each)):
+        for i, values in enumerate(self.forms.values(), start=len(self.priors.parameters)):
             settled[:, i] = (np.floor(shares[:, i] * len(values)) + 0.5) / len(values)
         return settled
 
@@ -86,7 +86,7 @@ class Study:
     @property
     def medians(self) -> np.ndarray:
         """Medians of the robot's uncertain numbers."""
-        return self.priors.at(np.full(len(self.priors.each), 0.5))
+        return self.priors.quantile(np.full(len(self.priors.parameters), 0.5))
 
     def sweep(self, part: str) -> Sweep:
         """Return the runs of a part: the samples, then the `OWN_ROWS`."""
@@ -96,12 +96,12 @@ class Study:
         step = f"plants.{plant}.timestep_s"
         fields = (*(f"robot.{path}" for path in self.priors.paths), *self.forms, step)
         h = float(document["plants"][plant]["timestep_s"])
-        shares, count = self.shares[: self.parts[part]], len(self.priors.each)
-        columns: list[list[Value]] = self.priors.at(shares[:, :count]).T.tolist()
+        shares, count = self.shares[: self.parts[part]], len(self.priors.parameters)
+        columns: list[list[Value]] = self.priors.quantile(shares[:, :count]).T.tolist()
         for share, values in zip(shares[:, count:].T, self.forms.values(), strict=True):
             columns.append([values[int(each * len(values))] for each in share])
         own = [_at(document, name) for name in self.forms]
-        nominal = [*(prior.value for prior in self.priors.each), *own]
+        nominal = [*(prior.value for prior in self.priors.parameters), *own]
         medians = [*self.medians.tolist(), *own]
         rows = [
             *([*row, h] for row in zip(*columns, strict=True)),

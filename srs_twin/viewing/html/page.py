@@ -14,7 +14,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from srs_twin.comparison.metrics import VALIDATION
-from srs_twin.io.files import printable
+from srs_twin.io.files import escape_unprintable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -64,7 +64,7 @@ def piece(words: str, table: Table, shown: Picture | None = None) -> str:
     """Return a part of a page, as a notebook shows it: a line, a table, a picture."""
     parts: Any = _environment().get_template("viewing/html/parts.html").module
     pictures = parts.pictures([shown]) if shown else ""
-    return str(Markup("<p><b>{}</b></p>{}{}").format(printable(words), parts.table(table), pictures))
+    return str(Markup("<p><b>{}</b></p>{}{}").format(escape_unprintable(words), parts.table(table), pictures))
 
 
 @cache
@@ -77,7 +77,7 @@ def _environment() -> Environment:
 
 def _clean(value: Any) -> Any:
     # No control characters: HTML may not hold them, and a terminal that prints the file obeys them.
-    return value if isinstance(value, Markup) else printable(str(value), keep="\t\n")
+    return value if isinstance(value, Markup) else escape_unprintable(str(value), keep="\t\n")
 
 
 def colored(text: str, color: str) -> Markup:

@@ -21,7 +21,7 @@ from srs_twin.comparison.metrics import (
     result_rows,
     tidy,
 )
-from srs_twin.robot.file import RobotFile, units_of
+from srs_twin.robot.file import RobotFile, section_units
 from srs_twin.robot.sourced import si_unit, split_unit
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.expectation import tally, verdict
@@ -244,7 +244,7 @@ def _robot_units() -> dict[str, str]:
     found = {"actuator.gain": "rad/Pa", "chamber.displacement": "m³/rad"}
     for section in RobotFile.model_fields:
         inside = {"modules": "variation.", "gait": ""}.get(section, f"{section}.")
-        found |= {f"{inside}{split_unit(key)[0]}": si_unit(key) for key in units_of(section)}
+        found |= {f"{inside}{split_unit(key)[0]}": si_unit(key) for key in section_units(section)}
     return {name: unit.replace("*", "·") for name, unit in found.items()}
 
 

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import atomic_write, shown
+from srs_twin.io.files import atomic_write, display_path
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.mujoco.canvas import Canvas
@@ -72,7 +72,7 @@ def film(path: Path, *, width: int, height: int, fps: int) -> Iterator[AddPictur
                 yield add
                 container.mux(stream.encode(None))
         except av.FFmpegError as error:
-            raise InputError(f"{shown(path)}: the video cannot be written ({error})") from error
+            raise InputError(f"{display_path(path)}: the video cannot be written ({error})") from error
 
 
 _STEADY_S = 0.5  # a mean over this much where there is no gait period

@@ -30,7 +30,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from srs_twin.io.files import existing
+from srs_twin.io.files import require_file
 
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
 
@@ -362,7 +362,7 @@ def check_mjcf(path: Path, *, time_limit_s: int = TIME_LIMIT_S) -> ModelReport:
     """
     remedy = "; give an MJCF or URDF file, or the name of a shipped robot"
     suffix = path.suffix if path.suffix in MODEL_SUFFIXES else ".xml"
-    model = existing(path, suffix=suffix, remedy=remedy).resolve()
+    model = require_file(path, suffix=suffix, remedy=remedy).resolve()
     faults = scan_mjcf(model)
     if faults:
         return ModelReport(tuple(faults))

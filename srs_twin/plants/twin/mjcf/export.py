@@ -12,7 +12,7 @@ from xml.dom import minidom
 
 import mujoco
 
-from srs_twin.io.file_sets import replaced
+from srs_twin.io.file_sets import replace_files
 from srs_twin.plants.twin.mjcf.model import robot_mjcf, scene_mjcf
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings, PreloadedContact
 from srs_twin.robot.spec import RobotSpec
@@ -31,7 +31,7 @@ def export_robot(spec: RobotSpec, folder: Path) -> list[Path]:
         InputError: the folder cannot be written.
     """
     files = robot_files(spec)
-    with replaced(folder, tuple(reversed(files))) as temporary:
+    with replace_files(folder, tuple(reversed(files))) as temporary:
         for name, text in files.items():
             (temporary / name).write_text(text, "utf-8")
     return [folder / name for name in files]

@@ -106,10 +106,10 @@ def scene_mjcf(
         world: floor and obstacles; None for a level floor without obstacles.
     """
     world = world or World()
-    mj = robot_mjcf(spec, settings, supply_pa=supply_pa, hull=world.solid)
+    mj = robot_mjcf(spec, settings, supply_pa=supply_pa, hull=world.has_obstacles)
     mj.option.gravity = [GRAVITY * share for share in world.floor.down]
     add_surroundings(mj, spec.geometry.body_length)
-    if world.solid:
+    if world.has_obstacles:
         add_obstacles(mj, spec, world)
     levels = add_steps(mj, world.steps, spec.geometry.body_length)
     if settings.base == "free":

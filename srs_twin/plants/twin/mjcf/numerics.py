@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
-from srs_twin.errors import InputError, one_of
+from srs_twin.errors import InputError, check_choice
 
 WALL_M = 0.001
 """Radius of the capsules along the sides of a polygon, by which it is larger than drawn, m."""
@@ -61,8 +61,8 @@ class LoadedContact:
     slip_speed: float = 0.001
 
     def __post_init__(self) -> None:
-        one_of("law", self.law, LAWS_ON_LOADS)
-        one_of("load", self.load, LOADS)
+        check_choice("law", self.law, LAWS_ON_LOADS)
+        check_choice("load", self.load, LOADS)
         _check_positive(self, "slip_speed")
 
 
@@ -90,7 +90,7 @@ class PreloadedContact:
     slip_speed: float = 0.001
 
     def __post_init__(self) -> None:
-        one_of("wheels", self.wheels, WHEELS)
+        check_choice("wheels", self.wheels, WHEELS)
         _check_positive(self, "slip_time", "axle_time", "slip_speed")
         if not 0.0 <= self.preload_ratio < math.inf:
             raise InputError(f"preload {self.preload} is not allowed; it must be finite and 0 or more")
@@ -137,7 +137,7 @@ def as_contact(contact: Contact | str) -> Contact:
     kinds: dict[str, type[LoadedContact] | type[PreloadedContact]] = {
         kind.name: kind for kind in (LoadedContact, PreloadedContact)
     }
-    one_of("contact", str(contact), kinds)
+    check_choice("contact", str(contact), kinds)
     return kinds[contact]()
 
 

@@ -1,4 +1,4 @@
-"""Saved and restored: what goes on elsewhere goes on with the same bits; placed: as asked."""
+"""Saved states: a restored run continues bit for bit; a placed plant has the given state."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from subsets import first_by_default
 
 from srs_twin import AnalyticalSnake, Gait, InputError, TwinSnake, load_robot, rollout
 from srs_twin.control.base import Controller
-from srs_twin.io.saved_state import SavedState
+from srs_twin.io.saved_state import SavedState, names
 from srs_twin.plants.base import Plant, SnakeState
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.scenario.loading import parse_scenario
@@ -54,11 +54,11 @@ CONTROLLERS = {
         "camera": {"position_noise_m": 0.002, "heading_noise_rad": 0.01},
     },
 }  # fmt: skip
-ON_A_BENCH = {"direct_smc", "iterative_smc"}
+BENCH_CONTROLLERS = {"direct_smc", "iterative_smc"}
 
 
 def scenario(plant: str, chambers: str, controller: str, sensor: str) -> Scenario:
-    bench = controller in ON_A_BENCH
+    bench = controller in BENCH_CONTROLLERS
     name, own = PLANTS[plant] if not bench else (PLANTS[plant][0], {})
     starved = {"timestep_s": 0.00025} if name == "twin" and chambers == "orifice" else {}
     document = {
@@ -77,7 +77,7 @@ def started(asked: Scenario, seed: int) -> tuple[Plant, Controller]:
     return plant, controller
 
 
-def go_on(plant: Plant, controller: Controller, ticks: int) -> list[SnakeState]:
+def simulate(plant: Plant, controller: Controller, ticks: int) -> list[SnakeState]:
     seen = []
     for _ in range(ticks):
         seen.append(plant.step(controller.step(plant.state)))
@@ -85,44 +85,44 @@ def go_on(plant: Plant, controller: Controller, ticks: int) -> list[SnakeState]:
 
 
 def same(one: SnakeState, other: SnakeState) -> bool:
-    pairs = ((getattr(one, each.name), getattr(other, each.name)) for each in fields(SnakeState))
+    pairs = ((getattr(one, field.name), getattr(other, field.name)) for field in fields(SnakeState))
     return all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
 
 
 def cases() -> list[tuple[str, str, str, str]]:
-    found = []
+    combinations = []
     for plant in PLANTS:
         for chambers in CHAMBERS:
             for controller in CONTROLLERS:
-                if controller in ON_A_BENCH and plant not in ("complete", "loaded"):
+                if controller in BENCH_CONTROLLERS and plant not in ("complete", "loaded"):
                     continue
-                found.append((plant, chambers, controller, list(SENSORS)[len(found) % 2]))
-    return found
+                combinations.append((plant, chambers, controller, list(SENSORS)[len(combinations) % 2]))
+    return combinations
 
 
 def thirds(values: list[Any]) -> list[Any]:
-    """Return the values in an order whose first third has some of each plant."""
+    """Return the values in an order in which the first third has cases of each plant."""
     return values[::3] + values[1::3] + values[2::3]
 
 
-def carried(state: SavedState, tmp_path: Path) -> SavedState:
+def written_and_read(state: SavedState, tmp_path: Path) -> SavedState:
     state.write(tmp_path / "state.npz")
     return SavedState.read(tmp_path / "state.npz")
 
 
 @pytest.mark.parametrize("case", first_by_default(15, map(pytest.param, thirds(cases()))), ids="-".join)
-def test_restored_it_goes_on_with_the_same_bits(case, tmp_path):
+def test_restored_run_continues_bit_for_bit(case, tmp_path):
     asked = scenario(*case)
     rng = np.random.default_rng(sum(map(ord, "".join(case))))
     before, after = rng.integers(3, 40), 12
     plant, controller = started(asked, seed=5)
-    go_on(plant, controller, int(before))
-    kept, steering = (carried(each.save(), tmp_path) for each in (plant, controller))
+    simulate(plant, controller, int(before))
+    kept, steering = (written_and_read(original.save(), tmp_path) for original in (plant, controller))
     there, wheel = started(asked, seed=99)
-    go_on(there, wheel, 5)  # what it did before must not matter
+    simulate(there, wheel, 5)  # its earlier run must not matter
     assert same(there.restore(kept), plant.state)
     wheel.restore(steering)
-    one, other = go_on(plant, controller, after), go_on(there, wheel, after)
+    one, other = simulate(plant, controller, after), simulate(there, wheel, after)
     assert all(same(a, b) for a, b in zip(one, other, strict=True))
     assert repr(controller.signals()) == repr(wheel.signals())
     assert controller.events() == wheel.events()
@@ -130,28 +130,28 @@ def test_restored_it_goes_on_with_the_same_bits(case, tmp_path):
 
 @settings(max_examples=12)
 @given(before=st.integers(0, 300), data=st.data())
-def test_at_any_time_and_twice(before, data):
+def test_state_can_be_restored_twice_at_any_time(before, data):
     asked = scenario(*data.draw(st.sampled_from(cases())))
     plant, controller = started(asked, seed=1)
-    go_on(plant, controller, before % 60)
+    simulate(plant, controller, before % 60)
     first = pickle.loads(pickle.dumps(plant.save())), controller.save()
-    seen = go_on(plant, controller, 5)
+    seen = simulate(plant, controller, 5)
     for _ in range(2):
         plant.restore(first[0])
         controller.restore(first[1])
-        assert all(same(a, b) for a, b in zip(seen, go_on(plant, controller, 5), strict=True))
+        assert all(same(a, b) for a, b in zip(seen, simulate(plant, controller, 5), strict=True))
 
 
 ELSEWHERE = """
 import sys
 from pathlib import Path
-sys.path[:0] = [{tests!r}]
-from test_memory import go_on, scenario, started
+sys.path[:0] = {folders!r}
+from test_saved_state import simulate, scenario, started
 from srs_twin.io.saved_state import SavedState
 plant, controller = started(scenario(*{case!r}), seed=7)
 plant.restore(SavedState.read(Path("plant.npz")))
 controller.restore(SavedState.read(Path("controller.npz")))
-print(go_on(plant, controller, 10)[-1].position.tobytes().hex())
+print(simulate(plant, controller, 10)[-1].position.tobytes().hex())
 """
 
 
@@ -159,32 +159,48 @@ print(go_on(plant, controller, 10)[-1].position.tobytes().hex())
 @pytest.mark.parametrize(
     "case", [("loaded", "lag", "follow", "hall"), ("compliant", "orifice", "ilc", "hall")], ids="-".join
 )
-def test_in_another_process(case, tmp_path):
+def test_state_restores_in_another_process(case, tmp_path):
     plant, controller = started(scenario(*case), seed=5)
-    go_on(plant, controller, 25)
+    simulate(plant, controller, 25)
     plant.save().write(tmp_path / "plant.npz")
     controller.save().write(tmp_path / "controller.npz")
-    here = go_on(plant, controller, 10)[-1].position.tobytes().hex()
-    script = ELSEWHERE.format(tests=str(Path(__file__).parent), case=case)
+    here = simulate(plant, controller, 10)[-1].position.tobytes().hex()
+    folders = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
+    script = ELSEWHERE.format(folders=folders, case=case)
     done = subprocess.run(
         [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == here
 
 
-def test_three_differences_are_named_and_further_ones_counted():
-    of = dict.fromkeys("abcd", 1)
-    named = "plant: the state belongs to something else: a 1 instead of 2, b 1 instead of 2, c 1 instead of 2"
-    for changed, further in (("abc", ""), ("abcd", ", and 1 more")):
+def test_three_differences_are_named_and_the_rest_counted():
+    owner = dict.fromkeys("abcd", 1)
+    named = "plant: the saved state has other settings: a 1 instead of 2, b 1 instead of 2, c 1 instead of 2"
+    for changed, rest in (("abc", ""), ("abcd", ", and 1 more")):
         with pytest.raises(InputError) as error:
-            SavedState(of, {}).check("plant", of | dict.fromkeys(changed, 2))
-        assert str(error.value) == named + further
+            SavedState(owner, {}).check("plant", owner | dict.fromkeys(changed, 2))
+        assert str(error.value) == named + rest
 
 
-def test_of_another_plant_or_robot_it_is_refused():
+def test_old_declaration_of_the_state_is_deprecated():
+    with pytest.warns(DeprecationWarning, match="tuple of names"):
+
+        class Old(Gait):
+            memory = names("count")
+
+    assert Old.state_attributes == ("count",)
+
+
+def test_old_name_of_the_owner_is_deprecated():
+    state = SavedState({"plant": "twin"}, {})
+    with pytest.warns(DeprecationWarning, match="SavedState.owner"):
+        assert state.of is state.owner
+
+
+def test_state_of_another_plant_or_robot_is_rejected():
     gen2 = load_robot("gen2")
     state = AnalyticalSnake(gen2).save()
-    with pytest.raises(InputError, match="belongs to something else"):
+    with pytest.raises(InputError, match="the saved state has other settings"):
         TwinSnake(gen2).restore(state)
     with pytest.raises(InputError, match="model 'complete' instead of 'simplified'"):
         AnalyticalSnake(gen2, model="simplified").restore(state)
@@ -197,7 +213,7 @@ def test_of_another_plant_or_robot_it_is_refused():
         AnalyticalSnake(gen2, pneumatics="orifice").restore(state)
 
 
-def test_what_does_not_say_what_it_remembers_is_not_saved():
+def test_class_without_state_attributes_is_not_saved():
     class Own(Gait):
         pass
 
@@ -214,12 +230,14 @@ def test_what_does_not_say_what_it_remembers_is_not_saved():
     with pytest.raises(InputError, match="no state before its first reset"):
         own.save()
     own.reset(load_robot("gen2"), 0.02)
-    own.save()  # all it has is a gait's
-    with pytest.raises(InputError, match="controller 'other' does not say what it remembers"):
+    own.save()  # it has the state attributes of a gait
+    with pytest.raises(
+        InputError, match="controller 'other' cannot be saved: its class has no `state_attributes`"
+    ):
         Other().save()
 
 
-def test_a_valve_that_sticks_comes_back_with_the_state():
+def test_stuck_valve_is_restored():
     gen2 = load_robot("gen2")
     stuck = AnalyticalSnake(gen2)
     stuck.pneumatics.stuck = (StuckValve(1, 0, 1, 0.0),)
@@ -229,15 +247,17 @@ def test_a_valve_that_sticks_comes_back_with_the_state():
 
 
 @pytest.mark.slow
-def test_a_state_that_unpacks_to_far_more_is_refused(tmp_path):
+def test_state_that_unpacks_to_a_large_size_is_rejected(tmp_path):
     np.savez_compressed(tmp_path / "state.npz", state="{}", zeros=np.zeros(1 << 26))
     assert (tmp_path / "state.npz").stat().st_size < 1 << 20
-    with pytest.raises(InputError, match=r"holds no state: ValueError: 536871\d+ bytes, unpacked; at most"):
+    with pytest.raises(
+        InputError, match=r"not a saved state \(ValueError: 536871\d+ bytes unpacked; the limit is"
+    ):
         SavedState.read(tmp_path / "state.npz")
 
 
-def test_a_file_of_another_version_is_refused_by_its_version(tmp_path):
-    """Version 1 named classes by the modules of that time."""
+def test_file_of_another_version_is_rejected(tmp_path):
+    """Files of version 1 contain module names that no longer exist."""
     tree = '{"version": 1, "of": {}, "content": {"@": "srs_twin.plants.loaded:Memory", "parts": {}}}'
     np.savez(tmp_path / "state.npz", state=np.array(tree))
     with pytest.raises(
@@ -247,7 +267,7 @@ def test_a_file_of_another_version_is_refused_by_its_version(tmp_path):
 
 
 @pytest.mark.parametrize("damage", ["empty", "text", "half", "no state", "code", "object"])
-def test_a_damaged_file_says_so(damage, tmp_path):
+def test_damaged_file_is_rejected(damage, tmp_path):
     path = tmp_path / "state.npz"
     AnalyticalSnake(load_robot("gen2")).save().write(path)
     raw = path.read_bytes()
@@ -265,7 +285,7 @@ def test_a_damaged_file_says_so(damage, tmp_path):
 
 
 def physical(segments: int, seed: int) -> tuple[SnakeState, float]:
-    """Return a state to begin from, drawn, and a yaw rate."""
+    """Return a random initial state and a yaw rate."""
     rng = np.random.default_rng(seed)
     resting = AnalyticalSnake(load_robot("gen2")).state
     bend = rng.uniform(-0.7, 0.7, segments)
@@ -287,27 +307,27 @@ MOVING = {
 
 @pytest.mark.parametrize("name", MOVING)
 @pytest.mark.parametrize("seed", range(3))
-def test_placed_it_is_as_asked(name, seed):
+def test_placed_plant_has_the_given_state(name, seed):
     plant = MOVING[name]()
     asked, yaw = physical(plant.spec.segments, seed)
-    found = plant.place(asked, yaw_rate=yaw)
-    given = ["com", "com_velocity", "heading", "bend", "pressure"]
-    given += [] if name == "complete" else ["bend_rate"]
-    for field in given:
-        assert getattr(found, field) == pytest.approx(getattr(asked, field), abs=1e-8), field
-    assert found.theta.mean() == pytest.approx(asked.heading, abs=1e-6)
-    assert -np.diff(found.theta) == pytest.approx(asked.bend, abs=1e-5)
-    assert found.time == 0
-    # The places follow from a first short step, whatever the forces.
+    placed = plant.place(asked, yaw_rate=yaw)
+    attributes = ["com", "com_velocity", "heading", "bend", "pressure"]
+    attributes += [] if name == "complete" else ["bend_rate"]
+    for field in attributes:
+        assert getattr(placed, field) == pytest.approx(getattr(asked, field), abs=1e-8), field
+    assert placed.theta.mean() == pytest.approx(asked.heading, abs=1e-6)
+    assert -np.diff(placed.theta) == pytest.approx(asked.bend, abs=1e-5)
+    assert placed.time == 0
+    # The velocities show in a short first step, whose length limits the effect of forces.
     h = plant.timestep / 2 if name in ("complete", "compliant") else plant.timestep
     plant.tick = h
     later = plant.step(np.full((plant.spec.segments, 2), -1, dtype=np.int8))
     reach = 40 * h**2 + 1e-9  # 80 m/s² or rad/s² of friction and air
-    assert later.com == pytest.approx(found.com + h * found.com_velocity, abs=reach)
+    assert later.com == pytest.approx(placed.com + h * placed.com_velocity, abs=reach)
 
 
-def test_a_snake_goes_on_from_its_physical_state():
-    """`compliant` on chambers with a lag has no other memory: it goes on as it was, to rounding."""
+def test_compliant_model_continues_from_a_physical_state():
+    """The `compliant` model with first-order chambers has no further state: equal to rounding."""
     snake = MOVING["compliant"]()
     gait = Gait(2.0, 0.1)
     rollout(snake, gait, 1.38, pose=(0.1, 0.2, 0.4))
@@ -321,8 +341,8 @@ def test_a_snake_goes_on_from_its_physical_state():
 
 
 @pytest.mark.parametrize("contact", ["loaded", "preloaded"])
-def test_a_twin_goes_on_near_its_physical_state(contact):
-    """Its hinges, its wheels and how deep it stands are told by no physical state: millimetres a second."""
+def test_twin_continues_near_a_physical_state(contact):
+    """Hinge angles, wheel speeds and penetration are not in a physical state: deviations of mm/s."""
     make = partial(TwinSnake, load_robot("gen2"), contact=contact)
     twin, gait = make(), Gait(2.0)
     rollout(twin, gait, 1.38)
@@ -337,7 +357,7 @@ def test_a_twin_goes_on_near_its_physical_state(contact):
     assert np.abs(two.bend - one.bend).max() < 0.002
 
 
-def test_a_state_that_no_plant_can_be_in_is_refused():
+def test_impossible_initial_state_is_rejected():
     asked, _ = physical(4, 0)
     snake = AnalyticalSnake(load_robot("gen2"))
     asked = replace(asked, bend=asked.bend[: snake.spec.segments])
@@ -348,7 +368,7 @@ def test_a_state_that_no_plant_can_be_in_is_refused():
 
 
 @pytest.mark.parametrize("task", ["GoTo", "Obstacles", "Module"])
-def test_an_episode_is_branched(task):
+def test_episode_continues_bit_for_bit_from_a_saved_state(task):
     gymnasium = pytest.importorskip("gymnasium")
     env, other = (gymnasium.make(f"srs_twin.envs:SRSTwin/{task}-v0").unwrapped for _ in range(2))
     env.reset(seed=4)
@@ -362,13 +382,13 @@ def test_an_episode_is_branched(task):
     there = [other.step(action) for action in actions[10:]]
     for one, two in zip(here, there, strict=True):
         assert (one[0] == two[0]).all() and one[1:4] == two[1:4]
-    with pytest.raises(InputError, match="belongs to something else"):
-        other.reset(seed=5, options={"state": replace(kept, of={**kept.of, "task": "other"})})
+    with pytest.raises(InputError, match="the saved state has other settings"):
+        other.reset(seed=5, options={"state": replace(kept, owner={**kept.owner, "task": "other"})})
     with pytest.raises(InputError, match="option of reset"):
         other.reset(seed=4, options={"stat": kept})
 
 
-def test_an_episode_begins_in_a_physical_state():
+def test_episode_starts_in_a_physical_state():
     gymnasium = pytest.importorskip("gymnasium")
     env = gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0").unwrapped
     snake, yaw = physical(env.task.robot.segments, 1)

@@ -1,4 +1,4 @@
-"""A full disk: one clear message, nothing half-written, what an earlier run left as it was."""
+"""A full disk gives one clear message and no partial file, and keeps the files of an earlier run."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from subsets import first_by_default
 from srs_twin import Trajectory, load_scenario
 from srs_twin.errors import InputError
 from srs_twin.experiment import PRODUCTS, prepare
-from srs_twin.io.file_sets import replaced
-from srs_twin.io.files import open_folder
+from srs_twin.io.file_sets import replace_files
+from srs_twin.io.files import check_output_folder
 
 SCENARIO = """\
 title: Brief
@@ -31,7 +31,7 @@ FILES = len(PRODUCTS) - 1  # one plant
 
 
 def contents(folder):
-    """Return path → bytes of all that lies in a folder."""
+    """Return path → bytes of all files in a folder."""
     return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
@@ -46,7 +46,7 @@ def room(tmp_path):
 
 @contextmanager
 def largest_file(size):
-    """Let no file grow beyond a size (bytes), as a quota does; Python would keep bytecode that is cut off."""
+    """Limit the size of files (bytes), as a quota does, without writing truncated bytecode."""
     bytecode, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
@@ -58,13 +58,14 @@ def largest_file(size):
 
 
 @pytest.mark.parametrize("size", [0, 4_000, 8_000, 60_000])
-def test_real_writers_against_a_limit(room, size):
+def test_file_size_limit_keeps_the_earlier_run(room, size):
     before = contents(room)
     job = prepare(load_scenario(room / "brief.yaml"), room / "out")
     with largest_file(size), pytest.raises(InputError) as refused:
         job.execute()
     assert str(refused.value).endswith(
-        "/out: the run's files cannot be written there (File too large); an earlier run's are as they were"
+        "/out: the run's files cannot be written there (File too large); "
+        "the files of an earlier run are unchanged"
     )
     assert contents(room) == before
     assert sorted(path.name for path in (room / "out").iterdir()) == [
@@ -74,7 +75,7 @@ def test_real_writers_against_a_limit(room, size):
 
 @pytest.fixture
 def full_at(monkeypatch):
-    """Make the disk full at the n-th file that a run writes; half of it fits. Pictures are left out."""
+    """Return a function that fills the disk in the middle of the n-th file of a run without pictures."""
     written = []
 
     def fake(at):
@@ -100,7 +101,7 @@ def full_at(monkeypatch):
 
 
 @pytest.mark.parametrize("at", range(1, FILES + 1))
-def test_full_at_any_write(room, full_at, at):
+def test_full_disk_at_any_write_keeps_the_earlier_run(room, full_at, at):
     before = contents(room)
     job = prepare(load_scenario(room / "brief.yaml"), room / "out")
     written = full_at(at)
@@ -110,16 +111,16 @@ def test_full_at_any_write(room, full_at, at):
     assert contents(room) == before
 
 
-def test_with_room_again_the_new_run_takes_the_place_of_the_old(room, full_at):
+def test_complete_run_replaces_the_earlier_run(room, full_at):
     written = full_at(FILES + 1)
     prepare(load_scenario(room / "brief.yaml"), room / "out").execute()
     assert len(written) == FILES
-    found = {path.name for path in (room / "out").iterdir()}
-    assert found == {*PRODUCTS, "notes.txt"} - {"twin.parquet"}
+    written_names = {path.name for path in (room / "out").iterdir()}
+    assert written_names == {*PRODUCTS, "notes.txt"} - {"twin.parquet"}
     assert (room / "out/metrics.json").read_text() != "metrics.json of before"
 
 
-def test_what_a_killed_run_left_half_written_goes_with_the_next(room, full_at):
+def test_next_run_removes_files_of_a_killed_run(room, full_at):
     (room / "out/.part-killed").mkdir()
     (room / "out/.part-killed/report.html").write_text("hal")
     full_at(0)
@@ -128,7 +129,7 @@ def test_what_a_killed_run_left_half_written_goes_with_the_next(room, full_at):
 
 
 @pytest.mark.slow
-def test_the_command_says_it_in_one_line_and_exits_with_2(room):
+def test_command_reports_a_full_disk_in_one_line(room):
     script = Path(sys.executable).with_name("srs-twin")
     before = contents(room / "out")
     done = subprocess.run(
@@ -140,18 +141,21 @@ def test_the_command_says_it_in_one_line_and_exits_with_2(room):
         timeout=300,
     )
     assert (done.returncode, done.stdout) == (2, "")
-    # Where kernels are compiled here for the first time, their machine code finds no room either.
-    (said,) = [line for line in done.stderr.splitlines() if "machine code cannot be kept" not in line]
-    assert said == (
-        "out: the run's files cannot be written there (File too large); an earlier run's are as they were"
+    # The limit may also keep kernels from being cached.
+    (message,) = [
+        line for line in done.stderr.splitlines() if "compiled kernels cannot be cached" not in line
+    ]
+    assert message == (
+        "out: the run's files cannot be written there (File too large); "
+        "the files of an earlier run are unchanged"
     )
     assert contents(room / "out") == before
 
 
-def test_two_runs_in_one_folder_do_not_disturb_each_other(tmp_path):
+def test_two_sets_in_one_folder_are_independent(tmp_path):
     for name in ("first", "second"):
         (tmp_path / name).write_text("from before")
-    with replaced(tmp_path, ("first",)) as one, replaced(tmp_path, ("second",)) as two:
+    with replace_files(tmp_path, ("first",)) as one, replace_files(tmp_path, ("second",)) as two:
         (one / "first").write_text("of one")
         (two / "second").write_text("of two")
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
@@ -162,7 +166,7 @@ def test_two_runs_in_one_folder_do_not_disturb_each_other(tmp_path):
 
 @pytest.mark.parametrize("words", first_by_default(1, [["schema"], ["--version"], ["--help"]]))
 @pytest.mark.parametrize("buffered", first_by_default(1, ["", "1"]))
-def test_a_full_disk_behind_stdout_is_no_fault_of_ours(words, buffered, tmp_path):
+def test_full_disk_behind_stdout_is_an_input_error(words, buffered, tmp_path):
     script = Path(sys.executable).with_name("srs-twin")
     with open("/dev/full", "wb") as full:
         done = subprocess.run(
@@ -170,12 +174,12 @@ def test_a_full_disk_behind_stdout_is_no_fault_of_ours(words, buffered, tmp_path
             stdout=full, stderr=subprocess.PIPE, text=True, timeout=300,
             env=os.environ | {"PYTHONUNBUFFERED": buffered},
         )  # fmt: skip
-    said = "stdout: cannot be written (No space left on device)\n"
-    assert (done.returncode, done.stderr) == (2, said)
+    message = "stdout: cannot be written (No space left on device)\n"
+    assert (done.returncode, done.stderr) == (2, message)
 
 
 @pytest.mark.slow
-def test_what_was_computed_stays_though_it_cannot_be_printed(room):
+def test_results_are_kept_if_stdout_is_full(room):
     script = Path(sys.executable).with_name("srs-twin")
     with open("/dev/full", "wb") as full:
         done = subprocess.run(
@@ -187,21 +191,21 @@ def test_what_was_computed_stays_though_it_cannot_be_printed(room):
     assert {path.name for path in (room / "new").iterdir()} == {*PRODUCTS} - {"twin.parquet"}
 
 
-def test_looking_whether_a_folder_can_be_written_leaves_nothing(tmp_path):
+def test_check_of_an_output_folder_leaves_no_files(tmp_path):
     (tmp_path / "old").mkdir()
     (tmp_path / "file").write_text("")
     (tmp_path / "link").symlink_to("nowhere")
     before = sorted(tmp_path.rglob("*"))
     for good in ("old", "new/er/est", "no/../../old", "old/new"):
-        open_folder(tmp_path / good)
+        check_output_folder(tmp_path / good)
     for bad in ("file", "file/x", "link", "link/x", f"new/{'x' * 400}", "new/\udcff", "new/\x1b"):
         with pytest.raises(InputError):
-            open_folder(tmp_path / bad)
+            check_output_folder(tmp_path / bad)
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_a_set_of_files_that_fails_leaves_no_folder(tmp_path):
-    with pytest.raises(ZeroDivisionError), replaced(tmp_path / "new/folder", ("first",)) as fresh:
+def test_failed_set_of_files_removes_its_folders(tmp_path):
+    with pytest.raises(ZeroDivisionError), replace_files(tmp_path / "new/folder", ("first",)) as fresh:
         (fresh / "first").write_text("half")
         raise ZeroDivisionError
     assert not list(tmp_path.iterdir())

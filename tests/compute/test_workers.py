@@ -1,4 +1,4 @@
-"""Worker processes: results as a plain loop would give them, whatever happens to the workers."""
+"""Worker processes: results are those of a loop, even if workers die."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 from conftest import exists, wait_until
 
-from srs_twin.compute.workers import METHOD, each
+from srs_twin.compute.workers import START_METHOD, run_tasks
 from srs_twin.errors import DivergedError, InputError, SrsError, TaskFailedError, WorkerDiedError
 from srs_twin.io.files import atomic_write
 
-# Tasks: a worker imports them from here.
+# Tasks, which workers import from this module.
 PREPARED: list[str] = []
 
 
@@ -30,15 +30,15 @@ def pid(_):
     return os.getpid()
 
 
-def suicide_of(bad, how, x):
-    """Kill the worker at some arguments, with all it has; return the others' squares."""
+def kill_at(bad, how, x):
+    """Kill the worker at some arguments; return the square of all other arguments."""
     if x in bad:
         os.kill(os.getpid(), how)
     return square(x)
 
 
-def suicide_at_first(folder, x):
-    """Kill the worker at every argument's first attempt; return the attempt and the square."""
+def kill_at_first_attempt(folder, x):
+    """Kill the worker at the first attempt of every argument; return attempt number and square."""
     with (folder / str(x)).open("a") as seen:
         seen.write(f"{os.getpid()}\n")
     tries = (folder / str(x)).read_text().splitlines()
@@ -47,8 +47,8 @@ def suicide_at_first(folder, x):
     return len(tries), square(x)
 
 
-def end_the_server_at_first(folder, x):
-    """Kill what this worker came from, the first time that anybody gets here."""
+def kill_server_once(folder, x):
+    """Kill the fork server in the first call."""
     try:
         (folder / "killed").touch(exist_ok=False)
     except FileExistsError:
@@ -72,7 +72,7 @@ def fail(x):
     if x == 1:
         raise DivergedError("twin", 1.5, "qpos is not finite", history=[x])
     if x == 2:
-        return lambda: "nobody can send this"
+        return lambda: "cannot be pickled"
     return 1 / (x - 3)
 
 
@@ -97,16 +97,16 @@ def refuse():
 
 
 def write_slowly(folder, _):
-    """Stay in the middle of a file for longer than any test takes."""
-    with atomic_write(folder / "result") as part:
-        part.write_text("half")
+    """Hold a half-written file for longer than any test takes."""
+    with atomic_write(folder / "result") as temporary:
+        temporary.write_text("half")
         (folder / "pid").write_text(str(os.getpid()))
         time.sleep(600)
 
 
 def results(done):
-    assert [each.error for each in done] == [None] * len(done)
-    return [each.result for each in sorted(done, key=lambda each: each.number)]
+    assert [task.error for task in done] == [None] * len(done)
+    return [task.result for task in sorted(done, key=lambda task: task.number)]
 
 
 @pytest.fixture(autouse=True)
@@ -116,32 +116,32 @@ def nothing_left_behind():
 
 
 @pytest.mark.parametrize("workers", [1, 3])
-def test_every_argument_once_and_its_own_result(workers):
+def test_every_argument_has_one_result(workers):
     arguments = list(range(50))
-    assert results(list(each(square, arguments, workers=workers))) == [x * x for x in arguments]
+    assert results(list(run_tasks(square, arguments, workers=workers))) == [x * x for x in arguments]
 
 
-def test_no_more_workers_than_tasks_and_none_for_none():
-    assert len(set(results(list(each(pid, [0, 1], workers=8))))) <= 2
-    assert list(each(pid, [], workers=8)) == []
+def test_there_are_at_most_as_many_workers_as_tasks():
+    assert len(set(results(list(run_tasks(pid, [0, 1], workers=8))))) <= 2
+    assert list(run_tasks(pid, [], workers=8)) == []
 
 
-@pytest.mark.parametrize("given", [{"workers": 0}, {"workers": -1}, {"attempts": 0}])
-def test_fewer_than_one_is_refused_at_once(given):
+@pytest.mark.parametrize("options", [{"workers": 0}, {"workers": -1}, {"attempts": 0}])
+def test_fewer_than_one_worker_or_attempt_is_rejected(options):
     with pytest.raises(InputError, match=r"(workers|attempts): -?\d is not allowed; it must be 1 or more"):
-        each(square, [1], **given)
+        run_tasks(square, [1], **options)
 
 
-def test_a_killed_worker_costs_an_attempt_of_the_task_it_was_at(tmp_path):
-    done = results(list(each(partial(suicide_at_first, tmp_path), range(4), workers=2)))
-    # Two attempts each, no more: nobody is blamed for what a neighbour did.
+def test_killed_worker_counts_as_an_attempt_of_its_own_task(tmp_path):
+    done = results(list(run_tasks(partial(kill_at_first_attempt, tmp_path), range(4), workers=2)))
+    # Two attempts each: deaths do not count for tasks of other workers.
     assert done == [(2, x * x) for x in range(4)]
 
 
 @pytest.mark.parametrize(("how", "words"), [(signal.SIGKILL, "SIGKILL"), (signal.SIGSEGV, "SIGSEGV")])
-def test_a_task_that_kills_every_worker_fails_alone(how, words):
+def test_task_that_kills_every_worker_fails_alone(how, words):
     arguments = list(range(30))
-    done = {d.number: d for d in each(partial(suicide_of, {7}, how), arguments, workers=2, attempts=2)}
+    done = {d.number: d for d in run_tasks(partial(kill_at, {7}, how), arguments, workers=2, attempts=2)}
     assert sorted(done) == arguments
     assert isinstance(done[7].error, WorkerDiedError)
     assert f"killed by {words}, 2 times in a row" in str(done[7].error)
@@ -151,28 +151,28 @@ def test_a_task_that_kills_every_worker_fails_alone(how, words):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("attempts", [1, 2])
-def test_a_task_that_kills_its_workers_is_tried_as_often_as_allowed(attempts, tmp_path):
-    (done,) = each(partial(count_and_die, tmp_path), [0], workers=1, attempts=attempts)
+def test_task_that_kills_its_workers_is_repeated_as_often_as_allowed(attempts, tmp_path):
+    (done,) = run_tasks(partial(count_and_die, tmp_path), [0], workers=1, attempts=attempts)
     assert isinstance(done.error, WorkerDiedError)
     assert len(list(tmp_path.iterdir())) == attempts
 
 
-def test_a_task_that_leaves_the_interpreter_counts_as_a_death():
-    (done,) = each(leave, [5], attempts=1)
+def test_task_that_exits_counts_as_a_death():
+    (done,) = run_tasks(leave, [5], attempts=1)
     assert isinstance(done.error, WorkerDiedError)
     assert "ended with exit code 5; " in str(done.error)
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(METHOD != "forkserver", reason="workers of this system come from no server")
-def test_the_end_of_the_server_costs_an_attempt_and_another_takes_its_place(tmp_path):
-    task = partial(end_the_server_at_first, tmp_path)
-    assert results(list(each(task, range(20), workers=4))) == [x * x for x in range(20)]
+@pytest.mark.skipif(START_METHOD != "forkserver", reason="this system has no fork server")
+def test_killed_fork_server_is_replaced(tmp_path):
+    task = partial(kill_server_once, tmp_path)
+    assert results(list(run_tasks(task, range(20), workers=4))) == [x * x for x in range(20)]
     assert (tmp_path / "killed").exists()
 
 
-def test_what_tasks_raise_comes_back_and_the_others_go_on():
-    done = {d.number: d for d in each(fail, range(6), workers=1)}
+def test_errors_of_tasks_are_returned_and_other_tasks_continue():
+    done = {d.number: d for d in run_tasks(fail, range(6), workers=1)}
     assert [d.result for d in done.values()] == [None, None, None, None, 1.0, 0.5]
     assert isinstance(done[0].error, InputError)
     assert str(done[0].error) == "zero is not allowed"
@@ -182,12 +182,12 @@ def test_what_tasks_raise_comes_back_and_the_others_go_on():
     assert isinstance(done[2].error, TaskFailedError)
     assert "pickle" in str(done[2].error)
     assert isinstance(done[3].error, TaskFailedError)
-    assert "ZeroDivisionError: division by zero (test_processes.py:" in str(done[3].error)
+    assert "ZeroDivisionError: division by zero (test_workers.py:" in str(done[3].error)
     assert "return 1 / (x - 3)" in "".join(done[3].error.__notes__)
 
 
-def test_prepare_runs_once_in_every_worker():
-    assert results(list(each(prepared, range(3), workers=1, prepare=partial(note, "x")))) == [["x"]] * 3
+def test_prepare_runs_once_per_worker():
+    assert results(list(run_tasks(prepared, range(3), workers=1, prepare=partial(note, "x")))) == [["x"]] * 3
 
 
 @pytest.mark.slow
@@ -195,17 +195,17 @@ def test_prepare_runs_once_in_every_worker():
     ("prepare", "kind", "words"),
     [(refuse, InputError, "^no such robot"), (kill_self, WorkerDiedError, "SIGKILL, 2 times in a row")],
 )
-def test_what_stops_every_worker_stops_the_whole(prepare, kind, words):
+def test_failing_prepare_stops_the_run(prepare, kind, words):
     with pytest.raises(kind, match=words):
-        list(each(square, [1, 2], workers=2, attempts=2, prepare=prepare))
+        list(run_tasks(square, [1, 2], workers=2, attempts=2, prepare=prepare))
 
 
-OF_THE_SCRIPT = """
+MAIN_PROGRAM = """
 from dataclasses import dataclass
 from functools import partial
 from srs_twin.errors import InputError
-from srs_twin.compute.workers import each
-from test_processes import square
+from srs_twin.compute.workers import run_tasks
+from test_workers import square
 
 def mine(x):
     return x
@@ -216,43 +216,44 @@ class Mine:
 
 for task, arguments in ((mine, [1]), (partial(max, key=mine), [1]), (lambda x: x, [1]), (square, [Mine(1)])):
     try:
-        print(*each(task, arguments, workers=1))
+        print(*run_tasks(task, arguments, workers=1))
     except InputError as error:
         print(error)
 """
 
 
 def script(folder, text, *words, **further):
-    """Write a script that can import the modules of tests; return the arguments for `subprocess`."""
+    """Write a script that can import test modules; return the arguments of `subprocess.run`."""
     (folder / "script.py").write_text(text)
-    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    tests = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(tests)}
     return {"args": [sys.executable, folder / "script.py", *words], "env": env, "text": True, **further}
 
 
-def test_what_only_the_script_defines_is_refused(tmp_path):
-    run = subprocess.run(**script(tmp_path, OF_THE_SCRIPT, capture_output=True))
+def test_objects_of_the_main_program_are_rejected(tmp_path):
+    run = subprocess.run(**script(tmp_path, MAIN_PROGRAM, capture_output=True))
     assert run.stderr == ""
     lines = run.stdout.splitlines()
     assert len(lines) == 4
     for line, name in zip(lines, ("mine", "mine", "<lambda>", "Mine"), strict=True):
-        assert line.startswith("worker processes cannot be given this: ") and name in line
-        assert line.endswith("but not the program that is run: define them in a module and import that")
+        assert line.startswith("cannot be sent to worker processes: ") and name in line
+        assert line.endswith("but not from the main program: define them in a module and import it")
 
 
 PARENT = """
 import sys
 from functools import partial
 from pathlib import Path
-from test_processes import write_slowly
-from srs_twin.compute.workers import each
+from test_workers import write_slowly
+from srs_twin.compute.workers import run_tasks
 
-list(each(partial(write_slowly, Path(sys.argv[1])), [0, 1], workers=1))
+list(run_tasks(partial(write_slowly, Path(sys.argv[1])), [0, 1], workers=1))
 """
 
 
 @pytest.fixture
 def parent(tmp_path, interruptible):
-    """A process whose worker is in the middle of writing a file: (it, folder, the worker's id)."""
+    """Yield a process whose worker holds a half-written file, the folder, and the worker's process id."""
     folder = tmp_path / "results"
     folder.mkdir()
     with subprocess.Popen(
@@ -263,18 +264,18 @@ def parent(tmp_path, interruptible):
         process.kill()
 
 
-def test_ctrl_c_is_the_parents_and_the_workers_clean_up(parent):
+def test_ctrl_c_interrupts_the_parent_and_workers_clean_up(parent):
     process, folder, worker = parent
-    # As the terminal does it: to the worker, too.
+    # To the process group, as a terminal does.
     os.killpg(process.pid, signal.SIGINT)
-    said = process.stderr.read()
+    output = process.stderr.read()
     assert process.wait(timeout=300) == -signal.SIGINT
-    assert said.count("Traceback") == 1
+    assert output.count("Traceback") == 1
     assert not exists(worker)
     assert [path.name for path in folder.iterdir()] == ["pid"]
 
 
-def test_workers_do_not_outlive_a_parent_that_was_killed(parent):
+def test_workers_end_when_their_parent_is_killed(parent):
     process, folder, worker = parent
     process.kill()
     process.wait()
@@ -285,37 +286,37 @@ def test_workers_do_not_outlive_a_parent_that_was_killed(parent):
 PRELOADING = """
 import sys
 from functools import partial
-from test_processes import loaded
+from test_workers import loaded
 from srs_twin.compute.workers import start_server
-from srs_twin.compute.workers import each
+from srs_twin.compute.workers import run_tasks
 
 start_server("srs_twin.studies.sweep.warm")
 names = ("srs_twin.studies.sweep.warm", "srs_twin.plants.analytical", "mujoco")
-print(*(done.result for name in names for done in each(partial(loaded, name), [0], workers=1)))
+print(*(done.result for name in names for done in run_tasks(partial(loaded, name), [0], workers=1)))
 """
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(METHOD != "forkserver", reason="workers of this system load everything themselves")
-def test_workers_begin_with_what_the_server_has_loaded_from_no_folder_of_the_users(tmp_path):
-    # multiprocessing keeps silent about a module that cannot be imported: this is where it would be seen.
+@pytest.mark.skipif(START_METHOD != "forkserver", reason="this system has no fork server")
+def test_workers_have_the_preloaded_modules_and_ignore_the_current_folder(tmp_path):
+    # multiprocessing ignores modules that cannot be imported; the output below would show it.
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     for name in ("numpy", "numba", "srs_twin", "random"):
-        (elsewhere / f"{name}.py").write_text("raise SystemExit('of the folder that we stand in')")
+        (elsewhere / f"{name}.py").write_text("raise SystemExit('imported from the current folder')")
     run = subprocess.run(**script(tmp_path, PRELOADING, cwd=elsewhere, capture_output=True))
     assert (run.stdout, run.stderr) == ("True True False\n", "")
 
 
-def test_closing_ends_the_workers():
-    done = each(square, range(1000), workers=2)
+def test_closing_the_generator_ends_the_workers():
+    done = run_tasks(square, range(1000), workers=2)
     next(done)
     assert len(active_children()) == 2
     done.close()
     assert active_children() == []
 
 
-def test_errors_are_of_one_family():
+def test_errors_of_workers_are_srs_errors():
     assert issubclass(WorkerDiedError, SrsError)
     assert issubclass(TaskFailedError, SrsError)
     assert (WorkerDiedError.exit_code, TaskFailedError.exit_code) == (4, 4)

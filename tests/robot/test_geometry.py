@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from srs_twin.robot.geometry import body_shape, chord, chords, relative_headings
+from srs_twin.robot.geometry import body_shape, chord, chord_derivatives, relative_headings
 
 pytestmark = pytest.mark.fast
 
@@ -17,8 +17,8 @@ LENGTH = st.floats(0.01, 0.2)
 GAP = st.floats(0.0, 0.1)
 
 
-def walk(bend: float, length: float, gap: float) -> complex:
-    """Return the way through a segment that starts along x, as x + iy: half a gap, an arc, half a gap."""
+def segment_end(bend: float, length: float, gap: float) -> complex:
+    """Return the end of a segment that starts along x, as x + iy: half a gap, an arc, half a gap."""
     arc = complex(
         quad(lambda s: np.cos(bend * s / length), 0, length, epsabs=1e-14)[0],
         quad(lambda s: np.sin(bend * s / length), 0, length, epsabs=1e-14)[0],
@@ -27,57 +27,59 @@ def walk(bend: float, length: float, gap: float) -> complex:
 
 
 @given(BEND, LENGTH, GAP)
-def test_chord_spans_the_arc_and_its_gaps_along_the_mean_heading(bend, length, gap):
-    way = walk(bend, length, gap)
-    # Signed: with long gaps a strongly bent segment never folds through itself within ±3 rad.
-    assert way * np.exp(-1j * bend / 2) == pytest.approx(complex(chord(bend, length, gap), 0), abs=1e-12)
+def test_chord_connects_the_ends_along_the_mean_heading(bend, length, gap):
+    end = segment_end(bend, length, gap)
+    # The chord is positive for bends within ±3 rad, even with long gaps.
+    assert end * np.exp(-1j * bend / 2) == pytest.approx(complex(chord(bend, length, gap), 0), abs=1e-12)
 
 
 @given(BEND, LENGTH, GAP)
-def test_chord_slope_is_the_derivative(bend, length, gap):
+def test_first_derivative_of_the_chord_matches_finite_differences(bend, length, gap):
     h = 1e-5
     expected = (chord(bend + h, length, gap) - chord(bend - h, length, gap)) / (2 * h)
-    assert chords(bend, length, gap)[1] == pytest.approx(expected, abs=1e-10)
+    assert chord_derivatives(bend, length, gap)[1] == pytest.approx(expected, abs=1e-10)
 
 
 @pytest.mark.parametrize("bend", [-2.0, -0.1001, -0.0999, -1e-3, 0.0, 0.05, 0.3, 6.0])
-def test_curvature_is_the_slope_of_the_slope(bend):
-    h, slopes = 1e-2, [chords(bend + k * 1e-2, 0.04, 0.02)[1] for k in range(-3, 4)]
+def test_second_derivative_of_the_chord_matches_finite_differences(bend):
+    h, slopes = 1e-2, [chord_derivatives(bend + k * 1e-2, 0.04, 0.02)[1] for k in range(-3, 4)]
     sixth_order = -slopes[0] + 9 * slopes[1] - 45 * slopes[2] + 45 * slopes[4] - 9 * slopes[5] + slopes[6]
-    assert chords(bend, 0.04, 0.02)[2] == pytest.approx(sixth_order / (60 * h), abs=1e-12)
+    assert chord_derivatives(bend, 0.04, 0.02)[2] == pytest.approx(sixth_order / (60 * h), abs=1e-12)
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-300, 1e-9, -1e-6, 1e-3, 9.999e-3, 1.0001e-2, -2e-2, 0.0999])
 def test_geometry_is_smooth_through_zero_bend(bend):
-    """Against the series to the eighth order: L = l (1 − q²/24 + q⁴/1920 − …), no division by zero."""
+    """Compare with the series to eighth order, L = l (1 − q²/24 + q⁴/1920 − …)."""
     q, length = bend, 0.05
     series = 1 - q**2 / 24 + q**4 / 1920 - q**6 / 322560
     slope = -q / 12 + q**3 / 480 - q**5 / 53760 + q**7 / 11612160
     assert chord(q, length, 0.0) == pytest.approx(length * series, rel=1e-14)
-    assert chords(q, length, 0.0)[1] == pytest.approx(length * slope, rel=1e-10, abs=1e-300)
+    assert chord_derivatives(q, length, 0.0)[1] == pytest.approx(length * slope, rel=1e-10, abs=1e-300)
 
 
-def test_slope_is_odd_and_chord_even():
+def test_chord_is_even_and_its_derivative_odd():
     q = np.linspace(-3, 3, 61)
     assert chord(q, 0.04, 0.02) == pytest.approx(chord(-q, 0.04, 0.02), rel=1e-15)
-    assert chords(q, 0.04, 0.02)[1] == pytest.approx(-chords(-q, 0.04, 0.02)[1], abs=1e-15)
+    assert chord_derivatives(q, 0.04, 0.02)[1] == pytest.approx(
+        -chord_derivatives(-q, 0.04, 0.02)[1], abs=1e-15
+    )
 
 
 def integrated_body(bends: np.ndarray, length: float, gap: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return connectors (x + iy) and headings of a body whose tail lies at 0 along x, head first."""
-    places, headings = [0j], [0.0]
+    """Return connectors (x + iy) and headings, head first, of a body with its tail at 0 along x."""
+    positions, headings = [0j], [0.0]
     for bend in bends[::-1]:
-        places.append(places[-1] + walk(bend, length, gap) * np.exp(1j * headings[-1]))
+        positions.append(positions[-1] + segment_end(bend, length, gap) * np.exp(1j * headings[-1]))
         headings.append(headings[-1] + bend)
-    return np.array(places[::-1]), np.array(headings[::-1])
+    return np.array(positions[::-1]), np.array(headings[::-1])
 
 
 @given(st.lists(st.floats(-2, 2), min_size=1, max_size=6), st.integers(0, 1000))
 def test_body_shape_is_the_integrated_centre_line(bends, seed):
     mass = np.random.default_rng(seed).uniform(0.01, 0.3, size=len(bends) + 1)
-    places, headings = integrated_body(np.array(bends), 0.037, 0.018)
+    positions, headings = integrated_body(np.array(bends), 0.037, 0.018)
     mean = headings.mean()
-    expected = (places - (mass @ places) / mass.sum()) * np.exp(-1j * mean)
+    expected = (positions - (mass @ positions) / mass.sum()) * np.exp(-1j * mean)
     position = body_shape(np.array(bends), mass, 0.037, 0.018)
     assert position == pytest.approx(np.stack([expected.real, expected.imag], axis=-1), abs=1e-12)
     assert relative_headings(np.array(bends)) == pytest.approx(headings - mean, abs=1e-12)
@@ -92,7 +94,7 @@ def test_positive_bend_turns_the_head_end_left():
     assert head[0] > middle[0] > tail[0]
 
 
-def test_shapes_take_leading_axes():
+def test_body_shape_supports_leading_axes():
     bends = np.random.default_rng(1).uniform(-1, 1, size=(4, 3, 5))
     whole = body_shape(bends, np.ones(6), 0.04, 0.01)
     assert whole.shape == (4, 3, 6, 2)

@@ -1,4 +1,4 @@
-"""Machine code of kernels is kept where it can be; where not, they run all the same, with one warning."""
+"""Kernels are cached on disk; without a usable cache folder they run as well, with one warning."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from srs_twin.compute import compiled as module
 from srs_twin.compute.compiled import compiled
 from srs_twin.errors import CacheWarning
 
-# numba's own way to be left without any folder: the one kind it may look for is not given.
-NOWHERE = {"NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator", "NUMBA_CACHE_DIR": ""}
-SAID = "machine code cannot be kept, every start compiles anew"
+# Numba finds no cache folder: the only allowed locator is not configured.
+NO_FOLDER = {"NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator", "NUMBA_CACHE_DIR": ""}
+WARNING = "compiled kernels cannot be cached, so every start compiles them again"
 
 
 def add(a, b):
@@ -27,13 +27,13 @@ def add(a, b):
 
 @pytest.fixture
 def kernel(tmp_path, monkeypatch):
-    """A kernel that nobody has called, its machine code in a folder of its own."""
+    """Return an uncompiled kernel with its own cache folder."""
     monkeypatch.setattr(module, "_warned", False)
     monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path))
     return compiled(add)
 
 
-def test_what_one_kernel_kept_the_next_loads(kernel):
+def test_second_kernel_loads_the_cache_of_the_first(kernel):
     again = compiled(add)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -41,15 +41,15 @@ def test_what_one_kernel_kept_the_next_loads(kernel):
     assert (again.stats.cache_hits.total(), again.stats.cache_misses.total()) == (1, 0)
 
 
-def full(*_):
+def raise_full(*_):
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def test_a_full_disk_costs_the_machine_code_and_nothing_else(kernel, monkeypatch):
-    monkeypatch.setattr(IndexDataCacheFile, "_save_data", full)
-    with pytest.warns(CacheWarning, match=f"{SAID} .*No space left on device") as heard:
+def test_full_disk_disables_only_the_cache(kernel, monkeypatch):
+    monkeypatch.setattr(IndexDataCacheFile, "_save_data", raise_full)
+    with pytest.warns(CacheWarning, match=f"{WARNING} .*No space left on device") as warned:
         assert (kernel(1, 2), kernel(1.0, 2.0), compiled(add)(1, 2)) == (3, 3.0, 3)
-    assert len(heard) == 1
+    assert len(warned) == 1
 
 
 def writable(folder):
@@ -61,7 +61,7 @@ def foreign(folder):
 
 
 @pytest.mark.parametrize(
-    ("where", "change", "words"),
+    ("place", "change", "reason"),
     [
         ("folder", writable, "can be written by all users"),
         ("folder", lambda folder: folder.chmod(0o1777), "can be written by all users"),
@@ -69,22 +69,24 @@ def foreign(folder):
         ("folder", foreign, "belongs to another user"),
     ],
 )
-def test_machine_code_of_a_folder_that_others_can_write_is_not_loaded(kernel, where, change, words, tmp_path):
-    """The pickle there would create a file."""
+def test_cache_folder_that_others_can_write_is_not_used(kernel, place, change, reason, tmp_path):
+    """The pickle in the folder would create a file."""
     cache = kernel._cache
     folder, index = Path(cache.cache_path), Path(cache._cache_file._index_path)
     folder.mkdir(exist_ok=True)
     index.write_bytes(b"cposix\nsystem\n(S'touch " + os.fsencode(tmp_path / "executed") + b"'\ntR.")
     if change is foreign and os.getuid() != 0:
         pytest.skip("only root can give a folder away")
-    change(folder if where == "folder" else folder.parent)
-    with pytest.warns(CacheWarning, match=f"{SAID} .*{words}.*NUMBA_CACHE_DIR.* only you can write") as heard:
+    change(folder if place == "folder" else folder.parent)
+    with pytest.warns(
+        CacheWarning, match=f"{WARNING} .*{reason}.*NUMBA_CACHE_DIR.* only you can write to"
+    ) as warned:
         assert (kernel(1, 2), kernel(1.0, 2.0)) == (3, 3.0)
-    assert len(heard) == 1 and not (tmp_path / "executed").exists()
+    assert len(warned) == 1 and not (tmp_path / "executed").exists()
     assert list(folder.iterdir()) == [index]
 
 
-def test_a_private_folder_within_tmp_is_used(kernel, tmp_path):
+def test_private_folder_in_a_sticky_folder_is_used(kernel, tmp_path):
     Path(kernel._cache.cache_path).parent.chmod(0o1777)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -93,13 +95,13 @@ def test_a_private_folder_within_tmp_is_used(kernel, tmp_path):
 
 
 @pytest.mark.parametrize("damage", [Path.mkdir, Path.touch, lambda path: path.write_bytes(b"junk")])
-def test_an_index_that_cannot_be_read_is_done_without(kernel, damage):
+def test_unreadable_index_disables_the_cache(kernel, damage):
     index = Path(kernel._cache._cache_file._index_path)
     index.parent.mkdir(exist_ok=True)
     damage(index)
-    with pytest.warns(CacheWarning, match=SAID) as heard:
+    with pytest.warns(CacheWarning, match=WARNING) as warned:
         assert kernel(1, 2) == 3
-    assert len(heard) == 1
+    assert len(warned) == 1
 
 
 LAW = """
@@ -121,11 +123,11 @@ print(twice(1.0), twice.stats.cache_hits.total())
 
 
 @pytest.mark.slow
-def test_what_a_kernel_inlines_decides_and_a_comment_does_not(tmp_path):
+def test_inlined_code_invalidates_the_cache_and_comments_do_not(tmp_path):
     def answer(law):
         (tmp_path / "law.py").write_text(law)
         (tmp_path / "caller.py").write_text(CALLER)
-        env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "kept"), "PYTHONDONTWRITEBYTECODE": "1"}
+        env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
         done = subprocess.run(
             [sys.executable, "caller.py"], cwd=tmp_path, env=env, capture_output=True, text=True, check=True
         )
@@ -133,7 +135,7 @@ def test_what_a_kernel_inlines_decides_and_a_comment_does_not(tmp_path):
 
     assert answer(LAW) == (4.0, 0.0)
     assert answer(LAW) == (4.0, 1.0)
-    assert answer(LAW + "# a comment, and a function that no kernel knows\ndef other(): return 1\n") == (
+    assert answer(LAW + "# a comment, and a function that no kernel calls\ndef other(): return 1\n") == (
         4.0,
         1.0,
     )
@@ -142,15 +144,15 @@ def test_what_a_kernel_inlines_decides_and_a_comment_does_not(tmp_path):
 
 
 PROGRAM = """
-from srs_twin.compute.workers import each
+from srs_twin.compute.workers import run_tasks
 from test_compiled import in_a_worker
 import srs_twin.planning.best_first, srs_twin.pneumatics.orifice_kernels
-print(sorted(done.result for done in each(in_a_worker, [1, 2, 3], workers=2)))
+print(sorted(done.result for done in run_tasks(in_a_worker, [1, 2, 3], workers=2)))
 """
 
 
 def in_a_worker(number):
-    """A task that loads kernels."""
+    """Task that loads kernels."""
     import srs_twin.pneumatics.orifice_kernels as kernels
 
     assert kernels
@@ -158,21 +160,21 @@ def in_a_worker(number):
 
 
 @pytest.mark.slow
-def test_without_a_folder_one_process_says_it_once_and_workers_do_not(tmp_path):
+def test_missing_cache_folder_is_warned_about_once(tmp_path):
     (tmp_path / "program.py").write_text(PROGRAM)
     done = subprocess.run(
         [sys.executable, "program.py"],
-        cwd=tmp_path, env=os.environ | NOWHERE | {"PYTHONPATH": str(Path(__file__).parent)},
+        cwd=tmp_path, env=os.environ | NO_FOLDER | {"PYTHONPATH": str(Path(__file__).parent)},
         capture_output=True, text=True, timeout=600,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (0, "[1, 2, 3]\n"), done.stderr
-    assert done.stderr.count(SAID) == 1 and "Error" not in done.stderr
+    assert done.stderr.count(WARNING) == 1 and "Error" not in done.stderr
 
 
 @pytest.mark.slow
-def test_a_command_goes_on_and_says_it_in_a_line(tmp_path, srs_twin_process):
-    """As far as one gets without compiling anything, which takes half a minute."""
-    done = srs_twin_process("sweep", "fig41", "-q", "--out", "/dev/null/x", cwd=tmp_path, **NOWHERE)
+def test_command_continues_without_a_cache_folder(tmp_path, srs_twin_process):
+    """The command fails before it compiles all kernels, which would take half a minute."""
+    done = srs_twin_process("sweep", "fig41", "-q", "--out", "/dev/null/x", cwd=tmp_path, **NO_FOLDER)
     first, second = done.stderr.splitlines()
-    assert first.startswith(f"warning: {SAID} (no folder for it can be written); set NUMBA_CACHE_DIR to")
+    assert first.startswith(f"warning: {WARNING} (no cache folder is writable); set NUMBA_CACHE_DIR to")
     assert (done.returncode, second.partition(" (")[0]) == (2, "/dev/null/x: cannot write there")

@@ -1,4 +1,4 @@
-"""Robots: the published ones against the text, and what a robot file is refused for."""
+"""Robots: shipped robots against the dissertation, and rejected robot files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROBOTS = ["gen1", "gen2", "gen3", "gen4"]
 
 @pytest.fixture
 def write(tmp_path):
-    """Write a changed copy of gen2: write({"friction.mu_t": {...}}) returns the path."""
+    """Return a function that writes a copy of gen2 with changes, path → value, and returns its file."""
 
     def write(changes):
         data = load_robot_file("gen2").model_dump()
@@ -62,14 +62,14 @@ def test_published_robots_load(name):
         ("gen4", 0.30, 8, 0.8366, 19),
     ],
 )
-def test_numbers_of_the_text(name, length, psi_for, bend, limit_psi):
+def test_robots_have_the_published_dimensions_gains_and_limits(name, length, psi_for, bend, limit_psi):
     robot = load_robot(name)
     assert robot.geometry.body_length == pytest.approx(length)
     assert robot.actuator.gain * psi_for * PSI == pytest.approx(bend)
     assert robot.supply.pulsed_limit == pytest.approx(limit_psi * PSI)
 
 
-def test_the_identified_actuator_has_the_printed_coefficients():
+def test_gen4_actuator_has_the_published_coefficients():
     """Eq. 15's a, b and c of Fig. 20 follow from the two time constants (E1, E2)."""
     actuator = load_robot("gen4").actuator
     fill, mode = actuator.tau_fill, actuator.tau_mode
@@ -87,12 +87,12 @@ def test_the_identified_actuator_has_the_printed_coefficients():
         ("gen4", 9 * PSI, 70e-6),
     ],
 )
-def test_stiffness_is_half_of_the_work_bound(name, pressure, volume):
+def test_stiffness_is_half_of_its_energy_bound(name, pressure, volume):
     bound = pressure * volume / (math.pi / 2) ** 2
     assert load_robot(name).bending.stiffness == pytest.approx(bound / 2, rel=0.02)
 
 
-def test_gen3_carries_its_compressor_in_the_tail():
+def test_gen3_has_its_compressor_in_the_tail():
     assert load_robot("gen3").mass.connectors == (0.0525, 0.0525, 0.0525, 0.0525, 0.2676)
 
 
@@ -102,9 +102,9 @@ def test_phase_steps_differ_by_generation():
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_every_number_says_where_it_is_from(name):
+def test_every_number_has_a_source(name):
     sources = robot_sources(name)
-    assert len(sources) == 27 + (name in ("gen1", "gen2"))  # those that hoses may drag
+    assert len(sources) == 27 + (name in ("gen1", "gen2"))  # robots with axial drag
     for path, record in sources.items():
         words = record.source.lower()
         cited = any(w in words for w in ("table", "section", "fig"))
@@ -113,23 +113,23 @@ def test_every_number_says_where_it_is_from(name):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_a_written_robot_is_the_same_robot(name, tmp_path):
+def test_written_robot_is_read_back_unchanged(name, tmp_path):
     path = tmp_path / "again.yaml"
     path.write_text(dump_yaml(load_robot_file(name).model_dump()))
     assert load_robot(path) == load_robot(name)
 
 
-def test_one_mass_for_all_is_the_list_of_it(write):
+def test_one_mass_applies_to_all_connectors(write):
     record = load_robot_file("gen2").mass.connectors_kg.model_dump(exclude={"uncertain"})
     assert load_robot(write({"mass.connectors_kg": record | {"value": [0.03] * 5}})) == load_robot("gen2")
 
 
-def test_the_unit_must_be_that_of_the_key(write):
+def test_unit_must_match_the_key(write):
     (line,) = refusal(write({"geometry.rigid_gap_m.unit": "mm"}))
     assert line.endswith("geometry.rigid_gap_m.unit: must be m, not text 'mm'")
 
 
-def test_everything_wrong_with_a_robot_comes_at_once(write):
+def test_all_problems_of_a_robot_are_reported_at_once(write):
     path = write(
         {
             "friction.mu_t.value": -0.1,
@@ -148,9 +148,9 @@ def test_everything_wrong_with_a_robot_comes_at_once(write):
         "supply.nominal_kpa: must be a block of keys (value, unit, status, source, uncertain), not 48.3",
         "gait.phase_step_rad.value: must be a number from -6.3 to 6.3, not NaN",
     ]
-    found = refusal(path)
-    assert [line.split(": ", 1)[1] for line in found] == words
-    assert found[0].startswith("mine.yaml:5:12: ")
+    problems = refusal(path)
+    assert [line.split(": ", 1)[1] for line in problems] == words
+    assert problems[0].startswith("mine.yaml:5:12: ")
 
 
 METRES = {"unit": "m", "status": "estimated", "source": "for a test"}
@@ -175,13 +175,13 @@ TAIL = {"axle_m": 0.06, "com_m": 0.07, "com_height_m": 0.02, "gyration_m": 0.02}
         ({"supply.nominal_kpa.value": 80.0}, "80 kPa is above pulsed_limit_kpa, 68.9476 kPa"),
     ],
 )
-def test_numbers_that_do_not_fit_together(write, changes, words):
+def test_contradicting_numbers_are_rejected(write, changes, words):
     (line,) = refusal(write(changes))
     assert line.endswith(words)
 
 
 @pytest.mark.parametrize("count", [2, 3, 64])
-def test_any_number_of_connectors(write, count):
+def test_number_of_connectors_is_free(write, count):
     robot = load_robot(write({"geometry.connectors.value": count}))
     assert robot.segments == count - 1 == len(robot.mass.connectors) - 1
 
@@ -206,7 +206,7 @@ def test_any_number_of_connectors(write, count):
         ("mass", {"connectors": (0.03, 0.03)}, "the robot has 5 connectors"),
     ],
 )
-def test_specs_made_in_code_are_checked_too(part, changes, words):
+def test_invalid_parameters_of_a_spec_are_rejected(part, changes, words):
     robot = load_robot("gen2")
     with pytest.raises(InputError, match=words):
         dataclasses.replace(robot, **{part: dataclasses.replace(getattr(robot, part), **changes)})
@@ -221,15 +221,15 @@ def test_derived_quantities():
     assert robot.friction == Friction(mu_t=0.043, mu_n=0.57)
 
 
-def test_a_connector_turns_like_a_block_unless_its_gyration_is_given():
+def test_default_gyration_of_a_connector_is_that_of_a_block():
     spec = load_robot("gen2")
     g = spec.geometry
     assert spec.connector_gyration == pytest.approx(math.sqrt((g.rigid_gap**2 + 4 * g.half_track**2) / 12))
-    given = dataclasses.replace(spec, mass=dataclasses.replace(spec.mass, connector_gyration=0.005))
-    assert given.connector_gyration == 0.005
-    assert (given.yaw_inertia() < spec.yaw_inertia()).all()
+    measured = dataclasses.replace(spec, mass=dataclasses.replace(spec.mass, connector_gyration=0.005))
+    assert measured.connector_gyration == 0.005
+    assert (measured.yaw_inertia() < spec.yaw_inertia()).all()
 
 
-def test_a_robot_file_may_give_the_connectors_gyration(write):
+def test_robot_file_may_give_the_gyration_of_connectors(write):
     number = {"value": 0.007, "unit": "m", "status": "measured", "source": "a swing"}
     assert load_robot(write({"mass.connector_gyration_m": number})).connector_gyration == 0.007

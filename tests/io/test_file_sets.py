@@ -1,4 +1,4 @@
-"""Sets of files: an earlier set is replaced whole or not at all, at whichever point the process ends."""
+"""Sets of files are replaced atomically, even if the process ends at any line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 
 from srs_twin.errors import InputError
 from srs_twin.io import file_sets
-from srs_twin.io.file_sets import replaced
+from srs_twin.io.file_sets import replace_files
 
 pytestmark = pytest.mark.fast
 
@@ -22,7 +22,7 @@ MARK = "mark.json"
 PRODUCTS = (MARK, "page.html", "old.csv", "new.csv", "best/*.yaml")
 OLD = {name: "old" for name in (MARK, "page.html", "old.csv", "best/1.yaml", "best/2.yaml")}
 NEW = {name: "new" for name in (MARK, "page.html", "new.csv", "best/1.yaml")}
-NOTES = {"notes.txt": "a person's", "best/notes.txt": "a person's"}
+NOTES = {"notes.txt": "of a user", "best/notes.txt": "of a user"}
 
 
 def without_mark(files):
@@ -31,13 +31,13 @@ def without_mark(files):
 
 PAIRS = {
     "both complete": (OLD, NEW),
-    "the new one ended early": (OLD, without_mark(NEW)),
-    "the old one ended early": (without_mark(OLD), NEW),
-    "neither is complete": (without_mark(OLD), without_mark(NEW)),
-    "the first": ({}, NEW),
+    "new set without mark": (OLD, without_mark(NEW)),
+    "old set without mark": (without_mark(OLD), NEW),
+    "both without mark": (without_mark(OLD), without_mark(NEW)),
+    "no old set": ({}, NEW),
 }
-LOOKS = ("_names", "_locked", "_unfinished")
-"""Functions that change nothing."""
+READ_ONLY = ("_existing_products", "_lock", "_has_saved_files")
+"""Functions that change no file."""
 
 
 def put(folder, files):
@@ -47,36 +47,36 @@ def put(folder, files):
 
 
 def contents(folder):
-    """Return name → text of all files, those in hidden folders as well."""
+    """Return name → text of all files, including those in hidden folders."""
     return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
 
 
 def finish(folder, files):
-    with replaced(folder, PRODUCTS) as fresh:
-        put(fresh, files)
+    with replace_files(folder, PRODUCTS) as staging:
+        put(staging, files)
 
 
 @pytest.fixture
 def room(tmp_path):
-    """Make a folder with a set of files and a person's notes."""
+    """Return a function that creates a folder with a set of files and notes of a user."""
 
-    def make(name, old):
+    def create(name, old):
         put(tmp_path / str(name), old | NOTES)
         return tmp_path / str(name)
 
-    return make
+    return create
 
 
 def traced(number, action, call):
-    """Make a call; act before the n-th line of `file_sets` that may change something."""
-    left = [number]
+    """Make a call, and act before the n-th line of `file_sets` that may change a file."""
+    remaining = [number]
 
     def trace(frame, event, argument):
-        if frame.f_code.co_filename != file_sets.__file__ or frame.f_code.co_name in LOOKS:
+        if frame.f_code.co_filename != file_sets.__file__ or frame.f_code.co_name in READ_ONLY:
             return None
         if event == "line":
-            left[0] -= 1
-            if left[0] == 0:
+            remaining[0] -= 1
+            if remaining[0] == 0:
                 action()
         return trace
 
@@ -97,8 +97,8 @@ def kill():
     "pair",
     [name if name == "both complete" else pytest.param(name, marks=pytest.mark.slow) for name in PAIRS],
 )
-def test_a_process_that_ends_at_any_line_leaves_one_whole_set_or_no_mark(room, pair, end):
-    """The next run, which fails, restores the earlier set where the new one had not arrived."""
+def test_process_killed_at_any_line_leaves_one_complete_set_or_no_mark(room, pair, end):
+    """A failing next run restores the earlier set unless the new one is complete."""
     old, new = PAIRS[pair]
     for line in range(1, 200):
         folder = room(line, old)
@@ -108,7 +108,7 @@ def test_a_process_that_ends_at_any_line_leaves_one_whole_set_or_no_mark(room, p
         visible = {name: text for name, text in contents(folder).items() if not name.startswith(".part-")}
         if MARK in visible:
             assert visible in (old | NOTES, new | NOTES), line
-        with pytest.raises(ZeroDivisionError), replaced(folder, PRODUCTS):
+        with pytest.raises(ZeroDivisionError), replace_files(folder, PRODUCTS):
             raise ZeroDivisionError
         assert contents(folder) in (old | NOTES, new | NOTES), line
         assert not list(folder.glob(".part-*"))
@@ -129,8 +129,8 @@ def in_a_fork(call):
 
 
 @pytest.mark.parametrize("pair", PAIRS)
-def test_a_file_that_cannot_be_moved_leaves_the_earlier_set(room, monkeypatch, pair):
-    """As an immutable file, a mount point or a full disk does, at each move of a swap."""
+def test_earlier_set_is_restored_if_a_file_cannot_be_moved(room, monkeypatch, pair):
+    """Every move fails once, as with an immutable file, a mount point or a full disk."""
     old, new = PAIRS[pair]
     moved, rename = [], Path.rename
 
@@ -142,24 +142,22 @@ def test_a_file_that_cannot_be_moved_leaves_the_earlier_set(room, monkeypatch, p
 
     monkeypatch.setattr(Path, "rename", refuse)
     number = 0
-    finish(room("unhindered", old), new)
-    *moves, _ = moved  # after the last, the swap has ended
+    finish(room("complete", old), new)
+    *moves, _ = moved  # the replacement is complete before the last move
     assert len(moves) == len(old) + 1 + len(new)
     for number in range(1, len(moves) + 1):
         moved.clear()
         folder = room(number, old)
-        said = (
-            r"the run's files cannot be written there \((\S+: )?Operation not permitted\); an earlier run's"
-        )
-        with pytest.raises(InputError, match=said):
+        message = r"the run's files cannot be written there \((\S+: )?Operation not permitted\); the files"
+        with pytest.raises(InputError, match=message):
             finish(folder, new)
         assert contents(folder) == old | NOTES
 
 
-def test_an_immutable_file_leaves_the_earlier_set_and_is_named(room):
+def test_immutable_file_is_named_and_the_earlier_set_kept(room):
     folder = room("here", OLD)
     if os.system(f"chattr +i {folder}/page.html 2>/dev/null"):
-        pytest.skip("no file can be made immutable here")
+        pytest.skip("immutable files are not possible on this machine")
     try:
         with pytest.raises(
             InputError, match=r"cannot be written there \(page.html: Operation not permitted\)"
@@ -170,7 +168,7 @@ def test_an_immutable_file_leaves_the_earlier_set_and_is_named(room):
     assert contents(folder) == OLD | NOTES
 
 
-def test_files_that_cannot_be_moved_back_are_restored_by_the_next_run(room, monkeypatch):
+def test_next_run_restores_files_that_could_not_be_moved_back(room, monkeypatch):
     folder, rename = room("here", OLD), Path.rename
 
     def refuse(path, target):
@@ -189,7 +187,7 @@ def test_files_that_cannot_be_moved_back_are_restored_by_the_next_run(room, monk
         finish(folder, NEW)
     assert MARK not in contents(folder)
     monkeypatch.setattr(Path, "rename", rename)
-    with pytest.raises(ZeroDivisionError), replaced(folder, PRODUCTS):
+    with pytest.raises(ZeroDivisionError), replace_files(folder, PRODUCTS):
         raise ZeroDivisionError
     assert contents(folder) == OLD | NOTES
 
@@ -200,44 +198,42 @@ def finishes(folder, who, count, gate):
         finish(folder, dict.fromkeys(NEW, f"{who} {number}"))
 
 
-def test_processes_that_finish_at_once_never_leave_a_mixed_set(tmp_path):
+def test_simultaneous_processes_never_leave_a_mixed_set(tmp_path):
     fork, count = get_context("fork"), 40
     gate = fork.Barrier(3)
     workers = [fork.Process(target=finishes, args=(tmp_path, who, count, gate)) for who in range(2)]
-    for each in workers:
-        each.start()
+    for worker in workers:
+        worker.start()
     for _ in range(count):
         gate.wait(60)
-    for each in workers:
-        each.join()
-        assert each.exitcode == 0
-    left = contents(tmp_path)
-    assert left.keys() == NEW.keys() and len(set(left.values())) == 1
+    for worker in workers:
+        worker.join()
+        assert worker.exitcode == 0
+    remaining = contents(tmp_path)
+    assert remaining.keys() == NEW.keys() and len(set(remaining.values())) == 1
 
 
-def test_a_lock_that_is_held_for_long_is_an_error_of_one_line(room, monkeypatch):
+def test_lock_timeout_is_an_input_error(room, monkeypatch):
     folder = room("here", OLD)
-    monkeypatch.setattr(file_sets._locked.__wrapped__, "__defaults__", (0.0,))
+    monkeypatch.setattr(file_sets._lock.__wrapped__, "__defaults__", (0.0,))
     handle = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)
-        with pytest.raises(
-            InputError, match=r"\(another process holds the folder's lock\); an earlier run's"
-        ):
+        with pytest.raises(InputError, match=r"\(another process holds the folder's lock\); the files"):
             finish(folder, NEW)
     finally:
         os.close(handle)
     assert contents(folder) == OLD | NOTES
 
 
-def test_a_drive_without_locks_will_do(room, monkeypatch):
-    """A hidden folder may then belong to another run: it stays."""
+def test_file_system_without_locks_is_supported(room, monkeypatch):
+    """A staging folder may then belong to another run and is kept."""
     folder = room("here", OLD)
 
     def refuse(handle, operation):
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
     monkeypatch.setattr(fcntl, "flock", refuse)
-    put(folder, {".part-other/page.html": "of another"})
+    put(folder, {".part-other/page.html": "of another run"})
     finish(folder, NEW)
-    assert contents(folder) == NEW | NOTES | {".part-other/page.html": "of another"}
+    assert contents(folder) == NEW | NOTES | {".part-other/page.html": "of another run"}

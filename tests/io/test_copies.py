@@ -1,4 +1,4 @@
-"""Copies and pickles of plants, controllers and batches continue with the same bits, or are refused."""
+"""Copies and pickles of plants, controllers and batches continue bit for bit or are rejected."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ import numpy as np
 import pytest
 from snakes import chain
 from subsets import first_by_default
-from test_memory import go_on, same, scenario, started
+from test_saved_state import same, scenario, simulate, started
 
 from srs_twin import Gait, InputError, TwinBatch, TwinSnake, load_robot
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.robot.file import RobotFile, load_robot_file
 
-WAYS = {
-    "pickle": lambda thing: pickle.loads(pickle.dumps(thing)),
+METHODS = {
+    "pickle": lambda original: pickle.loads(pickle.dumps(original)),
     "deepcopy": copy.deepcopy,
     "copy": copy.copy,
 }
-# Every plant, chamber, controller and sensor at least once.
+# Each plant, chamber model, controller and sensor at least once.
 CASES = [
     ("complete", "lag", "gait", "ideal"),
     ("complete", "lag", "direct_smc", "hall"),
@@ -40,19 +40,19 @@ CASES = [
 LONG = chain((0.05,) * 11)
 
 
-def copies(thing: Any) -> dict[str, Any]:
-    return {name: way(thing) for name, way in WAYS.items()}
+def copies(original: Any) -> dict[str, Any]:
+    return {name: method(original) for name, method in METHODS.items()}
 
 
 @pytest.mark.parametrize("case", first_by_default(4, map(pytest.param, CASES)), ids="-".join)
-def test_copies_made_during_a_run_continue_with_the_bits_of_the_original(case):
+def test_copies_during_a_run_continue_bit_for_bit(case):
     plant, controller = started(scenario(*case), seed=5)
-    go_on(plant, controller, 11)
+    simulate(plant, controller, 11)
     pairs = copies((plant, controller)) | {"alone": (copy.copy(plant), copy.copy(controller))}
-    pairs.pop("copy")  # of a tuple it is the tuple
-    # The copies move first, so that state which they share with the original has changed when it moves.
-    moved = {name: go_on(*pair, 9) for name, pair in pairs.items()}
-    here = go_on(plant, controller, 9)
+    pairs.pop("copy")  # a shallow copy of a tuple is the tuple
+    # The copies run first, so that state shared with the original would change before it runs.
+    moved = {name: simulate(*pair, 9) for name, pair in pairs.items()}
+    here = simulate(plant, controller, 9)
     for name, (other, steering) in pairs.items():
         assert all(map(same, here, moved[name])), name
         assert repr(steering.signals()) == repr(controller.signals()), name
@@ -62,7 +62,7 @@ def test_copies_made_during_a_run_continue_with_the_bits_of_the_original(case):
 
 
 @pytest.mark.parametrize("contact", ["loaded", "preloaded"])
-def test_copies_of_a_twin_keep_what_was_changed_in_its_model(contact):
+def test_copies_of_a_twin_keep_changes_of_its_model(contact):
     twin = TwinSnake(LONG, contact=contact)
     model = twin.physics.model.ptr
     model.body_mass[-1] *= 1.5
@@ -70,43 +70,43 @@ def test_copies_of_a_twin_keep_what_was_changed_in_its_model(contact):
     twin.pneumatics.stuck = (StuckValve(1, 0, 1, 0.0),)
     gait = Gait(2.0, 0.2)
     gait.reset(twin.spec, twin.tick)
-    go_on(twin, gait, 3)
+    simulate(twin, gait, 3)
     others = copies(twin)
     for other in others.values():
         assert other.physics.model.ptr is not model
         assert other.pneumatics is other.physics._pneumatics is not twin.pneumatics
-    moved = {name: go_on(other, gait, 3) for name, other in others.items()}
-    here = go_on(twin, gait, 3)
-    assert all(all(map(same, here, each)) for each in moved.values())
-    assert not same(here[-1], go_on(restarted := TwinSnake(LONG, contact=contact), gait, 6)[-1])
+    moved = {name: simulate(other, gait, 3) for name, other in others.items()}
+    here = simulate(twin, gait, 3)
+    assert all(all(map(same, here, states)) for states in moved.values())
+    assert not same(here[-1], simulate(restarted := TwinSnake(LONG, contact=contact), gait, 6)[-1])
     assert restarted.physics.model.ptr.body_mass[-1] != model.body_mass[-1]
 
 
-def test_a_copied_physics_is_one_that_steps_and_contacts_alone_are_refused():
+def test_copied_physics_steps_and_contacts_alone_are_rejected():
     twin = TwinSnake(load_robot("gen2"), contact="loaded")
     physics = twin.physics.copy()
-    for each in (physics, twin.physics):
-        each.set_control(np.ones((4, 2)))
-        each.step(20)
+    for stepped in (physics, twin.physics):
+        stepped.set_control(np.ones((4, 2)))
+        stepped.step(20)
     assert (physics.data.qpos == twin.physics.data.qpos).all() and np.any(physics.data.qvel)
     with pytest.raises(InputError, match="leave out share_model"):
         physics.copy(share_model=True)
-    for way in WAYS.values():
+    for method in METHODS.values():
         with pytest.raises(InputError, match=r"contacts .* neither copied nor pickled alone; .*save\(\)"):
-            way(twin.physics.stepper)
+            method(twin.physics.loaded)
 
 
-def test_a_copied_batch_continues_with_the_bits_of_the_original():
+def test_copied_batch_continues_bit_for_bit():
     gen2 = load_robot("gen2")
     rough = replace(gen2, friction=replace(gen2.friction, mu_t=0.2))
     batch = TwinBatch([gen2, rough], threads=2)
     valves = np.random.default_rng(0).integers(0, 2, (8, 2, 4, 2)) * 2 - 1
-    for each in valves[:4]:
-        batch.step(each)
+    for commands in valves[:4]:
+        batch.step(commands)
     others = copies(batch)
-    moved = {name: [other.step(each) for each in valves[4:]] for name, other in others.items()}
-    here = [batch.step(each) for each in valves[4:]]
-    assert all(all(map(same, here, each)) for each in moved.values())
+    moved = {name: [other.step(commands) for commands in valves[4:]] for name, other in others.items()}
+    here = [batch.step(commands) for commands in valves[4:]]
+    assert all(all(map(same, here, states)) for states in moved.values())
 
 
 ELSEWHERE = """
@@ -121,57 +121,57 @@ for name in sys.argv[1:]:
 
 
 @pytest.mark.slow
-def test_pickles_continue_with_the_same_bits_in_another_process(tmp_path):
+def test_pickles_continue_bit_for_bit_in_another_process(tmp_path):
     expected, names = [], []
     for case in (("loaded", "lag", "follow", "hall"), ("preloaded", "lag", "gait", "ideal")):
         plant, controller = started(scenario(*case), seed=5)
-        go_on(plant, controller, 6)
+        simulate(plant, controller, 6)
         names.append(case[0])
         (tmp_path / case[0]).write_bytes(pickle.dumps((plant, controller)))
-        go_on(plant, controller, 5)
+        simulate(plant, controller, 5)
         expected.append(plant.state.position.tobytes().hex())
-    words = [sys.executable, "-c", ELSEWHERE, *names]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True)
+    command = [sys.executable, "-c", ELSEWHERE, *names]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.split() == expected
 
 
 class Steered(Gait):
     """A user's gait with one more attribute."""
 
-    def __init__(self, own: Any) -> None:
+    def __init__(self, extra: Any) -> None:
         super().__init__(2.0)
-        self.own = own
+        self.extra = extra
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
-    ("own", "words"),
+    ("extra", "message"),
     [
         (lambda time: 0.1, "a function without a name in its module"),
-        ((each for each in ()), "a generator"),
+        ((item for item in ()), "a generator"),
         (ThreadPoolExecutor(1).submit, "a task of another thread"),
     ],
     ids=["function", "generator", "thread"],
 )
-def test_a_controller_with_what_cannot_be_copied_is_refused_and_the_remedy_named(way, own, words):
-    with pytest.raises(InputError, match=rf"attribute 'own' is {words}; use save\(\) and restore\(\)"):
-        WAYS[way](Steered(own))
+def test_controller_with_an_attribute_that_cannot_be_copied_is_rejected(method, extra, message):
+    with pytest.raises(InputError, match=rf"attribute 'extra' is {message}; use save\(\) and restore\(\)"):
+        METHODS[method](Steered(extra))
 
 
-def test_an_incomplete_state_is_refused_and_nothing_of_it_taken():
+def test_incomplete_state_is_rejected_and_changes_nothing():
     twin = TwinSnake(load_robot("gen2"))
     state = twin.save()
     twin.step(np.ones((4, 2)))
-    there = twin.state
+    before = twin.state
     for name in state.content:
-        less = {key: value for key, value in state.content.items() if key != name}
+        incomplete = {key: value for key, value in state.content.items() if key != name}
         with pytest.raises(InputError, match=f"TwinSnake: the state is incomplete; it has no {name}"):
-            twin.restore(replace(state, content=less))
-    assert twin.state is there
+            twin.restore(replace(state, content=incomplete))
+    assert twin.state is before
 
 
 @pytest.mark.parametrize("name", ["gen2", "gen4"])
-def test_pickled_robot_files_draw_the_same_robots(name):
+def test_pickled_robot_file_draws_the_same_robots(name):
     plain = load_robot_file(name).model_dump(exclude_unset=True)
     spread = {"value": 0.1, "unit": "1", "status": "estimated", "source": "a test"}
     file = RobotFile.model_validate(plain | {"modules": {"gain_spread": spread}})

@@ -1,4 +1,4 @@
-"""Friction laws: slopes, dissipation, cones, limits, and the wheel law against a wheel that spins."""
+"""Friction laws: derivatives, dissipation, cones, limits, and the wheel law against a simulated wheel."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def forces(law, v_t, v_n, mu_t, mu_n, slip=1e-3):
 
 @EACH_LAW
 @given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
-def test_slopes_are_those_of_the_forces(law, v_t, v_n, mu_t, mu_n, slip):
-    # The wheel law has a kink where it passes from rolling to skidding, and sgn one at 0.
+def test_derivatives_match_finite_differences(law, v_t, v_n, mu_t, mu_n, slip):
+    # The wheel law has kinks at the transition from rolling to skidding and at v_t = 0.
     share = mu_n * abs(v_t) / math.sqrt(v_t**2 + v_n**2 + slip**2)
     assume(law is not friction.wheel or (abs(share - mu_t) > 1e-3 and (share < mu_t or abs(v_t) > 1e-3)))
     h = 1e-5 * slip
@@ -37,18 +37,18 @@ def test_slopes_are_those_of_the_forces(law, v_t, v_n, mu_t, mu_n, slip):
     ahead, behind = forces(law, v_t + h, v_n, mu_t, mu_n, slip), forces(law, v_t - h, v_n, mu_t, mu_n, slip)
     left, right = forces(law, v_t, v_n + h, mu_t, mu_n, slip), forces(law, v_t, v_n - h, mu_t, mu_n, slip)
     steepest = LOAD * max(mu_t, mu_n) / slip
-    found = [
+    differences = [
         (ahead[0] - behind[0]) / (2 * h),
         (left[0] - right[0]) / (2 * h),
         (ahead[1] - behind[1]) / (2 * h),
         (left[1] - right[1]) / (2 * h),
     ]
-    assert slopes == pytest.approx(found, abs=1e-5 * steepest + 1e-7)
+    assert slopes == pytest.approx(differences, abs=1e-5 * steepest + 1e-7)
 
 
 @EACH_LAW
 @given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
-def test_friction_never_drives(law, v_t, v_n, mu_t, mu_n, slip):
+def test_friction_never_does_positive_work(law, v_t, v_n, mu_t, mu_n, slip):
     f_t, f_n = forces(law, v_t, v_n, mu_t, mu_n, slip)
     assert f_t * v_t <= 0
     assert f_n * v_n <= 0
@@ -72,14 +72,14 @@ def test_axis_law_stays_in_its_box_and_wheel_law_in_its_cone(v_t, v_n, mu_t, mu_
 
 
 @given(SPEED, SPEED, MU, SLIP, st.floats(1, 3))
-def test_wheel_whose_axle_holds_slides_isotropically(v_t, v_n, mu_n, slip, excess):
+def test_wheel_with_a_locked_axle_slides_isotropically(v_t, v_n, mu_n, slip, excess):
     f_t, f_n = forces(friction.wheel, v_t, v_n, mu_n * excess, mu_n, slip)
     speed = math.sqrt(v_t**2 + v_n**2 + slip**2)
     assert (f_t, f_n) == pytest.approx((-LOAD * mu_n * v_t / speed, -LOAD * mu_n * v_n / speed), abs=1e-12)
 
 
 @given(st.floats(0.05, 1), MU)
-def test_wheel_that_rolls_straight_feels_its_axle_only(v_t, mu_n):
+def test_straight_rolling_wheel_has_only_axle_drag(v_t, mu_n):
     mu_t = 0.5 * mu_n
     assert forces(friction.wheel, v_t, 0.0, mu_t, mu_n) == pytest.approx((-LOAD * mu_t, 0))
     assert forces(friction.wheel, 0.0, v_t, mu_t, mu_n, 1e-6) == pytest.approx((0, -LOAD * mu_n))
@@ -97,8 +97,8 @@ def test_wheel_law_is_continuous_where_rolling_begins():
 def spinning_wheel(v_t: float, v_n: float, mu_t: float, mu_n: float) -> tuple[float, float]:
     """Return the steady floor force on a wheel towed at v_t along and v_n across, N.
 
-    The wheel spins freely but for Coulomb drag in its axle; its contact slides isotropically. Its spin is
-    integrated from rest until it no longer changes.
+    The wheel spins with Coulomb friction in its axle, and its contact slides isotropically. The spin is
+    integrated from rest to its steady state.
     """
     radius, inertia, step, tiny = 0.01, 2e-7, 2e-5, 1e-3
     rim = 0.0  # ω R
@@ -106,7 +106,7 @@ def spinning_wheel(v_t: float, v_n: float, mu_t: float, mu_n: float) -> tuple[fl
         creep = v_t - rim
         slide = math.sqrt(creep**2 + v_n**2 + tiny**2)
         f_t, f_n = -mu_n * LOAD * creep / slide, -mu_n * LOAD * v_n / slide
-        # Forward force of the floor slows the wheel; the axle drags against its spin, or holds it.
+        # The floor force changes the spin; the axle friction opposes the spin or locks the wheel.
         turning = rim - step * f_t * radius**2 / inertia
         drag = step * mu_t * LOAD * radius**2 / inertia
         after = math.copysign(max(abs(turning) - drag, 0.0), turning)
@@ -120,21 +120,21 @@ def spinning_wheel(v_t: float, v_n: float, mu_t: float, mu_n: float) -> tuple[fl
 @pytest.mark.parametrize(
     ("v_t", "v_n"), [(0.3, 0.0), (0.3, 0.1), (0.1, 0.3), (-0.1, 0.3), (0.01, 0.3), (0.05, -0.05), (0.2, 0.01)]
 )
-def test_wheel_law_is_the_steady_creep_of_a_spinning_wheel(v_t, v_n, mu_t):
+def test_wheel_law_equals_a_simulated_spinning_wheel(v_t, v_n, mu_t):
     mu_n = 0.57
     expected = spinning_wheel(v_t, v_n, mu_t, mu_n)
-    found = forces(friction.wheel, v_t, v_n, mu_t, mu_n, 1e-4)
-    assert found == pytest.approx(expected, abs=0.005 * LOAD * mu_n)
+    force = forces(friction.wheel, v_t, v_n, mu_t, mu_n, 1e-4)
+    assert force == pytest.approx(expected, abs=0.005 * LOAD * mu_n)
 
 
 def at_slip(law, degrees: float, mu_t: float, mu_n: float) -> tuple[float, float]:
-    """Return the force at 0.1 m/s, `degrees` off the heading."""
+    """Return the force at 0.1 m/s in a direction at an angle to the heading."""
     angle = math.radians(degrees)
     return forces(law, 0.1 * math.cos(angle), 0.1 * math.sin(angle), mu_t, mu_n, 1e-6)
 
 
 @given(SPEED, SPEED, st.floats(0.01, 1.2), st.floats(0.01, 1.2), SLIP)
-def test_ellipse_law_stays_in_its_ellipse_and_reaches_its_rim(v_t, v_n, mu_t, mu_n, slip):
+def test_ellipse_law_stays_in_its_ellipse_and_reaches_its_boundary(v_t, v_n, mu_t, mu_n, slip):
     def filled(v_t, v_n):
         f_t, f_n = forces(friction.ellipse, v_t, v_n, mu_t, mu_n, slip)
         return math.hypot(f_t / mu_t, f_n / mu_n) / LOAD
@@ -145,7 +145,7 @@ def test_ellipse_law_stays_in_its_ellipse_and_reaches_its_rim(v_t, v_n, mu_t, mu
 
 
 @given(st.floats(-3.2, 3.2), st.floats(0.02, 1.2), st.floats(0.02, 1.2))
-def test_no_force_in_the_ellipse_takes_more_power(angle, mu_t, mu_n):
+def test_ellipse_law_has_maximum_dissipation(angle, mu_t, mu_n):
     v = 0.3 * np.array([math.cos(angle), math.sin(angle)])
     taken = -np.dot(forces(friction.ellipse, *v, mu_t, mu_n, 1e-8), v)
     turn = np.linspace(0, 2 * np.pi, 721)
@@ -159,15 +159,15 @@ def test_ellipse_law_along_one_direction_is_the_axis_law(v, greater, share, slip
     lesser = share * greater
     for mu_t, mu_n in ((greater, lesser), (lesser, greater)):
         along, across = forces(friction.ellipse, v, 0.0, mu_t, mu_n, slip), (0.0, v)
-        # The slip speed is that of the greater coefficient; towards the other one v has to be well above it.
+        # The slip speed applies to the larger coefficient; in the other direction v must be well above it.
         if mu_t == greater:
             assert along == pytest.approx(forces(friction.axis, v, 0.0, mu_t, mu_n, slip), abs=1e-12)
         else:
-            found = forces(friction.ellipse, *across, mu_t, mu_n, slip)
-            assert found == pytest.approx(forces(friction.axis, *across, mu_t, mu_n, slip), abs=1e-12)
+            force = forces(friction.ellipse, *across, mu_t, mu_n, slip)
+            assert force == pytest.approx(forces(friction.axis, *across, mu_t, mu_n, slip), abs=1e-12)
     assume(abs(v) > 0.1 and share > 0.1)
-    found = forces(friction.ellipse, v, 0.0, lesser, greater, 1e-6)
-    assert found == pytest.approx(forces(friction.axis, v, 0.0, lesser, greater, 1e-6), rel=1e-6)
+    force = forces(friction.ellipse, v, 0.0, lesser, greater, 1e-6)
+    assert force == pytest.approx(forces(friction.axis, v, 0.0, lesser, greater, 1e-6), rel=1e-6)
 
 
 def test_ellipse_law_with_equal_coefficients_is_the_isotropic_cone_of_a_locked_wheel():
@@ -181,7 +181,7 @@ def test_ellipse_law_with_equal_coefficients_is_the_isotropic_cone_of_a_locked_w
     [(0.043, 0.57, 3.69), (0.0966, 0.68, 2.13)],
     ids=["gen2", "gen1, measured"],
 )
-def test_at_15_degrees_of_slip_a_skid_drags_along_several_times_less_than_a_wheel(mu_t, mu_n, times):
+def test_skid_has_less_axial_drag_than_the_axis_law_at_15_degrees_of_slip(mu_t, mu_n, times):
     axis, ellipse = (at_slip(law, 15, mu_t, mu_n) for law in (friction.axis, friction.ellipse))
     assert axis[0] / ellipse[0] == pytest.approx(times, abs=0.01)
     assert times == pytest.approx(math.hypot(1, mu_n / mu_t * math.tan(math.radians(15))), abs=0.01)
@@ -189,31 +189,31 @@ def test_at_15_degrees_of_slip_a_skid_drags_along_several_times_less_than_a_whee
 
 
 @EACH_LAW
-def test_no_coefficient_no_force(law):
+def test_zero_coefficients_give_zero_force(law):
     for v in ((0.1, -0.2), (0.0, 0.0)):
         assert list(law(*v, LOAD, 0.0, 0.0, 1e-3)) == pytest.approx([0] * 6, abs=1e-15)
-        found = law(*v, LOAD, 0.0, 0.5, 1e-3)
-        assert np.isfinite(found).all() and found[0] == pytest.approx(0, abs=1e-15)
+        force = law(*v, LOAD, 0.0, 0.5, 1e-3)
+        assert np.isfinite(force).all() and force[0] == pytest.approx(0, abs=1e-15)
 
 
 @EACH_LAW
 @given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
-def test_slopes_are_symmetric(law, v_t, v_n, mu_t, mu_n, slip):
-    """Every law is steepest descent of a potential; the kernels carry one of the two mixed slopes only."""
+def test_mixed_derivatives_are_equal(law, v_t, v_n, mu_t, mu_n, slip):
+    """Every law has a potential; the kernels store only one of the two mixed derivatives."""
     _, _, _, t_by_n, n_by_t, _ = law(v_t, v_n, LOAD, mu_t, mu_n, slip)
     assert t_by_n == pytest.approx(n_by_t, rel=1e-12, abs=1e-15)
 
 
 @EACH_LAW
-def test_compiled_scalars_give_what_arrays_give(law):
+def test_compiled_scalars_equal_arrays(law):
     v_t, v_n = np.random.default_rng(1).uniform(-0.1, 0.1, size=(2, 20))
     whole, scalar = law(v_t, v_n, LOAD, 0.1, 0.5, 1e-2), njit(law)
     for k in range(20):
         assert [part[k] for part in whole] == pytest.approx(scalar(v_t[k], v_n[k], LOAD, 0.1, 0.5, 1e-2))
 
 
-def test_laws_at_the_track_are_laws():
-    assert set(friction.AT_TRACK) == {"wheel", "ellipse"} <= set(friction.LAWS)
+def test_two_point_laws_are_laws():
+    assert set(friction.TWO_POINT_LAWS) == {"wheel", "ellipse"} <= set(friction.LAWS)
 
 
 def test_laws_are_elementwise():

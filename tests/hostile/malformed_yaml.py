@@ -1,16 +1,20 @@
-"""YAML that nobody may write, whatever the file is for: structure, size, characters, numbers."""
+"""YAML files that no parser may accept, and tools that derive files from a valid one."""
 
-# ruff: noqa: E501 - one malformed file a line, as a table
+# ruff: noqa: E501 - one malformed file per line, as a table
 from __future__ import annotations
 
+import copy
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Iterable, Iterator
+from typing import Any
 
 from harness import Malformed
 from hypothesis import strategies as st
 
-# U+2028 and U+0085 end lines in YAML 1.1 only.
+from srs_twin.io.documents import Loc, child, has_child, parse_yaml
+
+# Characters that look like other characters or are invisible.
 CONFUSABLES = {
     "cyrillic o in robot": ("r\u043ebot", "unknown key"),
     "full-width colon": ("robot\uff1a gen2", ""),
@@ -21,7 +25,7 @@ CONFUSABLES = {
 
 
 def laughs() -> bytes:
-    """Ten levels of lists that each name the one before nine times: a billion entries."""
+    """Return ten levels of lists, each with nine aliases of the level before: a billion entries."""
     lines = ["a0: &a0 [lol]"]
     lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 10)]
     return "\n".join(lines).encode()
@@ -42,8 +46,8 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed("Latin-1", "title: größe\n".encode("latin-1"), ": not UTF-8 text (byte 10 is 0xf6); save it as UTF-8"),
     Malformed("overlong UTF-8", b"title: \xc0\xaf\n", ": not UTF-8 text (byte 8 is 0xc0)"),
     Malformed("surrogate in UTF-8", b"title: \xed\xa0\x80\n", ": not UTF-8 text (byte 8 is 0xed)"),
-    Malformed("half a surrogate pair", b'title: "\\uD800"\n', ":1:8: half a surrogate pair is no character"),
-    Malformed("no character at all", b'title: "\\UFFFFFFFF"\n', ":1:1: not YAML:"),
+    Malformed("half a surrogate pair", b'title: "\\uD800"\n', ":1:8: half a surrogate pair is not allowed"),
+    Malformed("escape that is no character", b'title: "\\UFFFFFFFF"\n', ":1:1: not YAML:"),
     Malformed("unknown escape", b'title: "\\q"\n', ":1:10: not YAML:"),
     Malformed("a byte order mark inside", "title: x\n\ufefftitle: y\n".encode(), ":2:1: "),
     Malformed("two byte order marks", "\ufeff\ufefftitle: x\n".encode(), ":1:"),
@@ -54,22 +58,22 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed("not a character", "title: \ufffe\n".encode(), ":1:8: not YAML: unusable character U+FFFE"),
     Malformed("more than 64 kB", b"a: " + b"x" * 70_000, ": larger than 64 kB"),
     Malformed("64 kB of comments", b"#\n" * 40_000, ": larger than 64 kB"),
-    Malformed("64 kB of blanks", b" " * 65_000, ": must be a block of keys ("),
+    Malformed("64 kB of spaces", b" " * 65_000, ": must be a block of keys ("),
     Malformed("64 kB of line ends", b"\r\n" * 32_000, ": must be a block of keys ("),
     Malformed("64 kB of quotes", b"title: " + b'"' * 65_000, ":1:"),
     Malformed("64 kB of escapes", b'title: "' + b"\\n" * 32_000, ":1:64009: not YAML:"),
     Malformed("60 kB key", b"x" * 60_000 + b": 1\n", ":1:60001: not YAML"),
     Malformed("60 kB scalar", b"title: " + b"x" * 60_000, ":1:8: title: "),
-    Malformed("brackets without end", b"a: " + b"[" * 60_000, ":1:19: nested more than 16 deep"),
-    Malformed("braces without end", b"a: " + b"{a: " * 10_000, ":1:64: nested more than 16 deep"),
-    Malformed("dashes without end", b"- " * 30_000, ":1:33: nested more than 16 deep"),
-    Malformed("question marks without end", b"? " * 30_000, ":1:"),
-    Malformed("indentation without end", b"".join(b" " * k + b"a:\n" for k in range(300)), ":17:17: nested more than 16"),
+    Malformed("unclosed brackets", b"a: " + b"[" * 60_000, ":1:19: nested more than 16 deep"),
+    Malformed("unclosed braces", b"a: " + b"{a: " * 10_000, ":1:64: nested more than 16 deep"),
+    Malformed("nested dashes", b"- " * 30_000, ":1:33: nested more than 16 deep"),
+    Malformed("nested question marks", b"? " * 30_000, ":1:"),
+    Malformed("deep indentation", b"".join(b" " * k + b"a:\n" for k in range(300)), ":17:17: nested more than 16"),
     Malformed("10,000 keys", b"".join(b"k%d:\n" % i for i in range(5_500)), ":5001:1: more than 10000 keys and values"),
     Malformed("10,000 entries", b"a: [" + b"1," * 20_000 + b"]", ":1:19999: more than 10000 keys and values"),
     Malformed("a billion laughs", laughs(), ":1:5: anchors (&a0) are not allowed"),
-    Malformed("a list that holds itself", b"a: &a [*a]\n", ":1:4: anchors (&a) are not allowed"),
-    Malformed("an alias of nothing", b"title: *nowhere\n", ":1:8: aliases (*nowhere) are not allowed"),
+    Malformed("a list that contains itself", b"a: &a [*a]\n", ":1:4: anchors (&a) are not allowed"),
+    Malformed("an undefined alias", b"title: *nowhere\n", ":1:8: aliases (*nowhere) are not allowed"),
     Malformed("anchor on a key", b"&k title: x\n", ":1:1: anchors (&k) are not allowed"),
     Malformed("Python tag", b"title: !!python/object/apply:os.system [id]\n", ":1:8: tags (tag:yaml.org,2002:python/object/"),
     Malformed("binary tag", b"title: !!binary aGk=\n", ":1:8: tags (tag:yaml.org,2002:binary) are not allowed"),
@@ -88,22 +92,19 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed("tab as indentation", b"a:\n\tb: 1\n", ":2:1: not YAML:"),
     Malformed("brace too many", b"title: x\nworld: {}}\n", ":2:10: not YAML:"),
     Malformed("bracket of the wrong kind", b"a: [1, 2}\n", ":1:9: not YAML:"),
-    Malformed("quote without end", b"title: 'x\n", ":2:1: not YAML:"),
+    Malformed("unclosed quote", b"title: 'x\n", ":2:1: not YAML:"),
     Malformed("two colons", b"a: b: c\n", ":1:5: not YAML:"),
-    Malformed("carriage returns only", b"title: x\rtitle: y\r", ":2:1: title: given twice"),
-    Malformed("line ends of all kinds", b"title: x\r\n\r\n\rtitle: y\n\r", ":4:1: title: given twice"),
-    Malformed("on is a key, not true", b"on: x\n", ":1:1: on: unknown key"),
+    Malformed("carriage returns as line ends", b"title: x\rtitle: y\r", ":2:1: title: given twice"),
+    Malformed("mixed line ends", b"title: x\r\n\r\n\rtitle: y\n\r", ":4:1: title: given twice"),
+    Malformed("on as key", b"on: x\n", ":1:1: on: unknown key"),
     Malformed("a number as key", b"1: x\n", ":1:1: 1: unknown key"),
-    Malformed("nothing as key", b": x\n", ":1:1: "),
+    Malformed("empty key", b": x\n", ":1:1: "),
     Malformed("__class__", b"__class__: x\n", ":1:1: __class__: unknown key"),
-    *(
-        Malformed(name, f"{key}: x\n".encode(), words)
-        for name, (key, words) in CONFUSABLES.items()
-    ),
+    *(Malformed(name, f"{key}: x\n".encode(), message) for name, (key, message) in CONFUSABLES.items()),
 )  # fmt: skip
 
-# What a person or a fuzzer writes where a number belongs → how the message calls it.
-NO_NUMBERS: dict[str, str] = {
+# Text in place of a number → its description in the message.
+NOT_NUMBERS: dict[str, str] = {
     ".nan": "NaN", ".inf": "infinity", "-.inf": "infinity", "1e999": "infinity", "-1e999": "infinity",
     "9" * 5000: "infinity", "0x" + "f" * 300: "infinity", "1." + "0" * 3000 + "e400": "infinity",
     "NaN": "text 'NaN'", "inf": "text 'inf'", "0b1": "text '0b1'", "1_000": "text '1_000'", "1,5": "",
@@ -114,86 +115,104 @@ NO_NUMBERS: dict[str, str] = {
 }  # fmt: skip
 
 
-def no_numbers(good: bytes, key: str, loc: str) -> tuple[Malformed, ...]:
-    """Return files in which the number of a key is none.
+def not_numbers(good: bytes, key: str, loc: str) -> tuple[Malformed, ...]:
+    """Return files with other text in place of a number.
 
     Args:
-        good: a good file.
-        key: as it stands in the file, once, with a plain number after it.
-        loc: the key's path in messages.
+        good: a valid file.
+        key: regular expression of the key, which occurs once with a plain number after it.
+        loc: path of the key in messages.
     """
     text = good.decode()
-    found = re.search(rf"\b{key}: ([-+.0-9e]+)", text)
-    assert found, key
-    line = text.count("\n", 0, found.start(1)) + 1
+    match = re.search(rf"\b{key}: ([-+.0-9e]+)", text)
+    assert match, key
+    line = text.count("\n", 0, match.start(1)) + 1
     return tuple(
         Malformed(
             f"{key}: {written[:20] or 'nothing'}",
-            (text[: found.start(1)] + written + text[found.end(1) :]).encode(),
-            f":{line}:" if not said else f"{loc}: must be a ",
+            (text[: match.start(1)] + written + text[match.end(1) :]).encode(),
+            f"{loc}: must be a " if description else f":{line}:",
         )
-        for written, said in NO_NUMBERS.items()
+        for written, description in NOT_NUMBERS.items()
     )
 
 
-def edited(good: bytes, edits: dict[str, tuple[str, str, str]]) -> tuple[Malformed, ...]:
-    """Return files with one thing changed each: name → (old, new, words of the message)."""
+def edited(good: bytes, edits: list[tuple[str, str, str]]) -> tuple[Malformed, ...]:
+    """Return files with one edit each, from a table of old text, new text and part of the message."""
     text = good.decode()
-    for old, _, _ in edits.values():
-        assert old in text, old
+    assert all(old in text for old, _, _ in edits)
     return tuple(
-        Malformed(name, text.replace(old, new, 1).encode("utf-8", "surrogatepass"), words)
-        for name, (old, new, words) in edits.items()
+        Malformed(f"{old} → {new}", text.replace(old, new, 1).encode("utf-8", "surrogatepass"), message)
+        for old, new, message in edits
     )
 
 
-plain = st.recursive(
+def plain_data(text: bytes) -> dict[str, Any]:
+    """Return the data of a valid YAML file."""
+    data: dict[str, Any] = parse_yaml(text.decode(), "good").data
+    return data
+
+
+def varied(good: bytes, values: dict[str, Any]) -> st.SearchStrategy[dict[str, Any]]:
+    """Return a strategy for the data of a valid file with other values.
+
+    Args:
+        good: a valid file.
+        values: dotted path → strategy or constant; a value of None removes the key.
+    """
+    strategies = {k: v if isinstance(v, st.SearchStrategy) else st.just(v) for k, v in values.items()}
+
+    def build(drawn: dict[str, Any]) -> dict[str, Any]:
+        data = plain_data(good)
+        for path, value in drawn.items():
+            *sections, key = path.split(".")
+            target = data
+            for section in sections:
+                target = target[section]
+            target[key] = value
+            if value is None:
+                del target[key]
+        return data
+
+    return st.fixed_dictionaries(strategies).map(build)
+
+
+any_data = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
     max_leaves=5,
 )
 
 
-def anything_anywhere(data: dict[str, object], keys: Callable[[], list[str]]) -> st.SearchStrategy[bytes]:
-    """Return files in which values anywhere, at any depth, are arbitrary.
+def arbitrary_values(good: bytes, keys: Iterable[str]) -> st.SearchStrategy[bytes]:
+    """Return a strategy for versions of a valid file with arbitrary values at any depth.
 
     Args:
-        data: of a good file.
-        keys: names that may be put in besides.
+        good: a valid file.
+        keys: names of keys that may be added.
     """
+    data = plain_data(good)
     paths = list(_paths(data))
 
-    def put(changes: list[tuple[tuple[str | int, ...], object]], extra: dict[str, object]) -> bytes:
-        changed = _copy(data)
+    def build(changes: list[tuple[Loc, object]], extra: dict[str, object]) -> bytes:
+        changed = copy.deepcopy(data)
         for path, value in changes:
-            target = changed
-            for part in path[:-1]:
-                target = target[part] if _has(target, part) else None
-            if target is not None and _has(target, path[-1]):
+            target: Any = changed
+            for key in path[:-1]:
+                target = child(target, key)
+            if has_child(target, path[-1]):
                 target[path[-1]] = value
-        # JSON is YAML, but for numbers that it does not have, and written ten times as fast.
+        # JSON is YAML except for some numbers, and is written ten times as fast.
         text = json.dumps({**changed, **extra}, indent=1)
         return text.replace("NaN", ".nan").replace("Infinity", ".inf").encode()
 
-    changes = st.lists(st.tuples(st.sampled_from(paths), plain), max_size=3)
-    extra = st.dictionaries(st.sampled_from(keys()) | st.text(max_size=8), plain, max_size=2)
-    return st.builds(put, changes, extra)
+    changes = st.lists(st.tuples(st.sampled_from(paths), any_data), max_size=3)
+    extra = st.dictionaries(st.sampled_from(list(keys)) | st.text(max_size=8), any_data, max_size=2)
+    return st.builds(build, changes, extra)
 
 
-def _has(value: object, part: object) -> bool:
-    if isinstance(value, dict):
-        return part in value
-    return isinstance(value, list) and isinstance(part, int) and part < len(value)
-
-
-def _copy(value):
-    if isinstance(value, dict):
-        return {key: _copy(each) for key, each in value.items()}
-    return [_copy(each) for each in value] if isinstance(value, list) else value
-
-
-def _paths(value, here=()):
-    parts = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for part, each in parts:
-        yield (*here, part)
-        yield from _paths(each, (*here, part))
+def _paths(value: object, path: Loc = ()) -> Iterator[Loc]:
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in items:
+        yield (*path, key)
+        yield from _paths(inner, (*path, key))

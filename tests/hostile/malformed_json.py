@@ -1,4 +1,4 @@
-"""JSON that Python's own reader takes or fails at, and ours refuses."""
+"""JSON files that the standard library accepts or fails at, and that `read_json` must reject."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MALFORMED = (
     Malformed("100,000 lists deep", b"[" * 100_000 + b"]" * 100_000, "nested more than 64 deep"),
     Malformed("100,000 lists deep, cut off", b"[" * 100_000, "nested more than 64 deep"),
     Malformed("900 objects deep", b'{"a":' * 900 + b"1" + b"}" * 900, "nested more than 64 deep"),
-    Malformed("a key twice", GOOD.replace(b'"comparison"', b'"plants"'), "key 'plants' is given twice"),
+    Malformed("duplicate key", GOOD.replace(b'"comparison"', b'"plants"'), "key 'plants' is given twice"),
     Malformed("JSON cut off", GOOD[:60], ":2:"),
     Malformed("UTF-16", GOOD.decode().encode("utf-16"), "not UTF-8 text"),
     Malformed("two documents", GOOD + GOOD, "not JSON: Extra data"),

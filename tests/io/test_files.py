@@ -1,4 +1,4 @@
-"""Names and paths, YAML with positions, whole files."""
+"""Names and paths of files, YAML with positions, and atomic writes."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from srs_twin.io.documents import MAX_DEPTH, dump_yaml, parse_yaml
 from srs_twin.io.files import (
     MAX_BYTES,
     atomic_write,
-    find,
-    printable,
+    display_path,
+    escape_unprintable,
+    find_file,
     read_text,
     shipped_names,
-    shown,
 )
 from srs_twin.viewing.html.page import Table, render
 
@@ -30,96 +30,96 @@ ROBOTS = ["gen1", "gen2", "gen3", "gen4"]
 
 
 def lines(text: str, name: str = "f.yaml") -> tuple[str, ...]:
-    """Return what is refused in YAML text."""
+    """Return the problems of YAML text."""
     with pytest.raises(InputFileError) as error:
-        parse_yaml(text, name).finish()
+        parse_yaml(text, name).raise_problems()
     return error.value.lines
 
 
-def test_shipped_names():
+def test_shipped_names_are_sorted():
     assert shipped_names("robot") == [*ROBOTS, "gen4_module"]
     assert "gen2_straight" in shipped_names("scenario")
 
 
-def test_a_name_is_looked_up_from_any_folder(tmp_path, monkeypatch, root):
+def test_shipped_file_is_found_from_any_folder(tmp_path, monkeypatch, root):
     monkeypatch.chdir(tmp_path)
-    assert find("robot", "gen2") == root / "calibration/robots/gen2.yaml"
+    assert find_file("robot", "gen2") == root / "calibration/robots/gen2.yaml"
 
 
-def test_what_has_a_slash_or_a_suffix_is_a_path(tmp_path, monkeypatch):
+def test_text_with_slash_or_suffix_is_a_path(tmp_path, monkeypatch):
     (tmp_path / "gen2.yaml").write_text("")
     monkeypatch.chdir(tmp_path)
-    assert find("robot", "gen2.yaml") == Path("gen2.yaml")
-    assert find("robot", "./gen2.yaml") == Path("gen2.yaml")
+    assert find_file("robot", "gen2.yaml") == Path("gen2.yaml")
+    assert find_file("robot", "./gen2.yaml") == Path("gen2.yaml")
     with pytest.raises(InputError, match=r"^x/gen2: no such file; did you mean gen2\?$"):
-        find("robot", "x/gen2")
+        find_file("robot", "x/gen2")
 
 
-def test_an_unknown_name_says_what_was_meant():
+def test_unknown_name_has_a_suggestion():
     with pytest.raises(
         UnknownNameError, match=r"unknown robot 'gen22'; did you mean gen2\? \(available: gen1, "
     ):
-        find("robot", "gen22")
+        find_file("robot", "gen22")
 
 
-def test_a_long_list_of_names_is_never_said():
+def test_long_list_of_names_is_not_printed():
     with pytest.raises(UnknownNameError) as close:
-        find("scenario", "gen2_strait")
+        find_file("scenario", "gen2_strait")
     assert str(close.value) == "unknown scenario 'gen2_strait'; did you mean gen2_straight?"
     with pytest.raises(UnknownNameError) as far:
-        find("scenario", "zzz")
+        find_file("scenario", "zzz")
     listed = f"{len(shipped_names('scenario'))} names; `srs-twin list scenarios` lists them"
     assert str(far.value) == f"unknown scenario 'zzz' (available: {listed})"
 
 
-def test_what_is_there_is_not_called_an_unknown_name(tmp_path, monkeypatch):
+def test_existing_file_is_not_called_an_unknown_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "notes.txt").write_text("title: x")
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match=r"^notes\.txt: a scenario file ends in \.yaml or \.yml$"):
-        find("scenario", "notes.txt")
+        find_file("scenario", "notes.txt")
     with pytest.raises(InputError, match=r"^empty: a folder; give one file \(\.yaml; there is none in it\)$"):
-        find("scenario", "empty")
+        find_file("scenario", "empty")
 
 
-def test_a_missing_file_says_which_one_was_meant(tmp_path):
+def test_missing_file_has_a_suggestion(tmp_path):
     (tmp_path / "straight.yaml").write_text("")
     with pytest.raises(InputError, match=r"strait\.yaml: no such file; did you mean .*straight\.yaml\?"):
-        find("scenario", tmp_path / "strait.yaml")
+        find_file("scenario", tmp_path / "strait.yaml")
 
 
-def test_a_folder_is_no_file(tmp_path):
+def test_folder_is_rejected_with_an_example(tmp_path):
     (tmp_path / "straight.yaml").write_text("")
     with pytest.raises(InputError, match=r"a folder; give one file, such as .*straight\.yaml"):
-        find("scenario", f"{tmp_path}/")
+        find_file("scenario", f"{tmp_path}/")
 
 
 @pytest.mark.parametrize("name", ["a\0b.yaml", "x" * 5000 + ".yaml", "/dev/null/x.yaml", "a\0b", "x" * 5000])
-def test_impossible_paths(name):
+def test_impossible_path_is_rejected(name):
     with pytest.raises(InputError, match=r"cannot be (read|used)|no such file|unknown scenario"):
-        find("scenario", name)
+        find_file("scenario", name)
 
 
-def test_devices_and_pipes_are_not_read(tmp_path):
+def test_pipe_is_not_read(tmp_path):
     os.mkfifo(tmp_path / "pipe.yaml")
     with pytest.raises(InputError, match="not a regular file"):
         read_text(tmp_path / "pipe.yaml")
 
 
-def test_text_that_is_not_utf8(tmp_path):
+def test_text_that_is_not_utf8_is_rejected(tmp_path):
     path = tmp_path / "x.yaml"
     path.write_bytes("title: größe".encode("latin-1"))
     with pytest.raises(InputError, match=r"x\.yaml: not UTF-8 text \(byte 10 is 0xf6\); save it as UTF-8"):
         read_text(path)
 
 
-def test_a_byte_order_mark_is_dropped(tmp_path):
+def test_byte_order_mark_is_removed(tmp_path):
     path = tmp_path / "x.yaml"
     path.write_bytes(b"\xef\xbb\xbfa: 1\n")
     assert parse_yaml(read_text(path), "x").data == {"a": 1}
 
 
-def test_size_is_bounded(tmp_path):
+def test_file_size_is_limited(tmp_path):
     path = tmp_path / "x.yaml"
     path.write_bytes(b"#" * MAX_BYTES)
     assert len(read_text(path)) == MAX_BYTES
@@ -136,7 +136,7 @@ def test_size_is_bounded(tmp_path):
         ("'1'", "1"), ("2020-01-01", "2020-01-01"), ("12:30", "12:30"), ("9" * 5000, float("inf")),
     ],
 )  # fmt: skip
-def test_scalars_are_those_of_yaml_1_2(text, value):
+def test_scalars_follow_the_core_schema_of_yaml_1_2(text, value):
     assert parse_yaml(f"a: {text}\n", "x").data == {"a": value}
 
 
@@ -148,7 +148,7 @@ def test_positions_count_from_one():
     assert document.values["empty",] == (4, 1)
 
 
-def test_what_is_refused_comes_all_at_once():
+def test_all_rejected_features_are_reported_at_once():
     text = "a: &x 1\nb: *x\nc: !!str 2\na: 3\nd: {<<: {e: 1}}\n"
     assert lines(text) == (
         "f.yaml:1:4: anchors (&x) are not allowed; write each value out",
@@ -160,59 +160,59 @@ def test_what_is_refused_comes_all_at_once():
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
-        ("a: 1\n---\nb: 2\n", "f.yaml:2:1: a second document begins here; one file holds one"),
+        ("a: 1\n---\nb: 2\n", "f.yaml:2:1: a second document begins here; a file may contain one"),
         ("%YAML 1.1\n---\na: 1\n", "f.yaml:2:1: YAML directives are not allowed"),
         ("a: 1\n\tb: 2\n", "f.yaml:2:1: not YAML: .*spaces, not tabs"),
         ("a: 'x\n", "f.yaml:2:1: not YAML: while scanning a quoted scalar: found unexpected end"),
         ("a: b: c\n", "f.yaml:1:5: not YAML: mapping values are not allowed here"),
         ("a: 1\nb: \x00\n", r"f.yaml:2:4: not YAML: unusable character U\+0000"),
         ('a: "\\UFFFFFFFF"\n', r"f.yaml:1:\d: not YAML: Python int too large|f.yaml:1:\d: not YAML: chr"),
-        ('a: "x\\e[31m"\n', r"f.yaml:1:4: the control character \\x1b is no character of a text"),
-        ('a: "\\x9b1m"\n', r"f.yaml:1:4: the control character \\x9b is no character of a text"),
-        ('a: "\\x7f"\n', r"f.yaml:1:4: the control character \\x7f is no character of a text"),
-        ('a: "\\r"\n', r"f.yaml:1:4: the control character \\r is no character of a text"),
-        ('"b\\e[0m": 1\n', r"f.yaml:1:1: the control character \\x1b is no character of a text"),
-        ('"b\\nc": 1\n', r"f.yaml:1:1: the control character \\n is no character of a text"),
-        ('a: "\\ud800"\n', "f.yaml:1:4: half a surrogate pair is no character"),
+        ('a: "x\\e[31m"\n', r"f.yaml:1:4: the control character \\x1b is not allowed in text"),
+        ('a: "\\x9b1m"\n', r"f.yaml:1:4: the control character \\x9b is not allowed in text"),
+        ('a: "\\x7f"\n', r"f.yaml:1:4: the control character \\x7f is not allowed in text"),
+        ('a: "\\r"\n', r"f.yaml:1:4: the control character \\r is not allowed in text"),
+        ('"b\\e[0m": 1\n', r"f.yaml:1:1: the control character \\x1b is not allowed in text"),
+        ('"b\\nc": 1\n', r"f.yaml:1:1: the control character \\n is not allowed in text"),
+        ('a: "\\ud800"\n', "f.yaml:1:4: half a surrogate pair is not allowed"),
         ("? [1]\n: 2\n", "f.yaml:1:3: a key must be plain text"),
         ("[" * (MAX_DEPTH + 1), f"f.yaml:1:17: nested more than {MAX_DEPTH} deep"),
         ("[" + "1," * 10_000 + "1]", "f.yaml:1:20000: more than 10000 keys and values"),
     ],
 )
-def test_what_stops_the_parser(text, words):
+def test_syntax_error_is_reported_with_its_position(text, message):
     (line,) = lines(text)
-    assert re.search(words, line), line
+    assert re.search(message, line), line
 
 
-def test_values_may_have_several_lines():
+def test_text_may_have_several_lines():
     document = parse_yaml('a: |\n  one\n  \ttwo\nb: "three\\n\\tfour"\n', "x")
-    document.finish()
+    document.raise_problems()
     assert document.data == {"a": "one\n\ttwo\n", "b": "three\n\tfour"}
 
 
 @given(st.text(st.characters()), st.sampled_from(["", "\n\t"]))
-def test_nothing_that_a_terminal_obeys_is_printed(text, keep):
-    said = printable(text, keep=keep)
-    assert not any(unicodedata.category(c) in ("Cc", "Cs") and c not in keep for c in said)
-    assert printable(said, keep=keep) == said
+def test_no_control_character_is_printed(text, keep):
+    escaped = escape_unprintable(text, keep=keep)
+    assert not any(unicodedata.category(c) in ("Cc", "Cs") and c not in keep for c in escaped)
+    assert escape_unprintable(escaped, keep=keep) == escaped
     clean = all(unicodedata.category(c) not in ("Cc", "Cs") or c in keep for c in text)
-    assert (said == text) == clean
+    assert (escaped == text) == clean
 
 
-def test_names_are_shown_as_a_shell_could_write_them():
-    assert shown(Path(os.fsdecode(b"runs/\xff\x1b[31m\n"))) == r"runs/\xff\x1b[31m\n"
+def test_path_is_displayed_with_escapes():
+    assert display_path(Path(os.fsdecode(b"runs/\xff\x1b[31m\n"))) == r"runs/\xff\x1b[31m\n"
 
 
-def test_pages_hold_no_control_characters():
+def test_html_page_contains_no_control_characters():
     content = {"changes": ["b\x9b1m\nc"], "sections": {}, "figures": [], "versions": Table((), ())}
     text = render("reproduction/report.html", title="a\x1b[31m", subtitle="<d\x07>", **content)
     assert r"<title>a\x1b[31m</title>" in text
     assert r'<p class="sub">&lt;d\x07&gt;</p>' in text and "<p>b\\x9b1m\nc</p>" in text
 
 
-def test_an_alias_bomb_costs_nothing():
+def test_nested_aliases_are_not_expanded():
     text = "a: &a [x, x]\n" + "".join(
         f"{b}: &{b} [*{a}, *{a}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
     )
@@ -229,37 +229,37 @@ plain = st.recursive(
 
 
 @given(plain)
-def test_what_is_dumped_is_read_back(data):
+def test_dumped_data_is_read_back_unchanged(data):
     document = parse_yaml(dump_yaml({"data": data}), "x")
-    document.finish()
+    document.raise_problems()
     assert document.data == {"data": data}
 
 
-def test_atomic_write_leaves_the_whole_file_or_the_old_one(tmp_path):
+def test_atomic_write_is_complete_or_keeps_the_old_file(tmp_path):
     target = tmp_path / "new" / "out.json"
-    with atomic_write(target) as part:
-        part.write_text("one")
-        assert part.suffix == ".json" and not target.exists()
+    with atomic_write(target) as temporary:
+        temporary.write_text("one")
+        assert temporary.suffix == ".json" and not target.exists()
     assert target.read_text() == "one"
-    with pytest.raises(KeyboardInterrupt), atomic_write(target) as part:
-        part.write_text("half")
+    with pytest.raises(KeyboardInterrupt), atomic_write(target) as temporary:
+        temporary.write_text("half")
         raise KeyboardInterrupt
     assert target.read_text() == "one"
     assert os.listdir(target.parent) == ["out.json"]
 
 
-def test_atomic_write_says_where_it_cannot_write(tmp_path):
+def test_atomic_write_to_an_unusable_path_is_rejected(tmp_path):
     (tmp_path / "file").write_text("")
     (tmp_path / "folder").mkdir()
     for target in (tmp_path / "file" / "out.txt", tmp_path / "folder"):
-        with pytest.raises(InputError, match=r": cannot be written \("), atomic_write(target) as part:
-            part.write_text("x")
+        with pytest.raises(InputError, match=r": cannot be written \("), atomic_write(target) as temporary:
+            temporary.write_text("x")
     assert sorted(os.listdir(tmp_path)) == ["file", "folder"]
 
 
-def test_atomic_write_leaves_no_folder_behind_either(tmp_path):
+def test_failed_atomic_write_removes_its_folders(tmp_path):
     (tmp_path / "old").mkdir()
     for folder in ("new/er", "old/new", "x" * 400, f"new/{'x' * 400}"):
-        with pytest.raises(InputError), atomic_write(tmp_path / folder / "x" / ("y" * 400)) as part:
-            part.write_text("x")
+        with pytest.raises(InputError), atomic_write(tmp_path / folder / "x" / ("y" * 400)) as temporary:
+            temporary.write_text("x")
         assert os.listdir(tmp_path) == ["old"] and not os.listdir(tmp_path / "old")

@@ -1,4 +1,4 @@
-"""`check_mjcf` thousands of times: every file still gets a process of its own, forked from a warm one."""
+"""Fast `check_mjcf` for thousands of files: each gets its own process, forked from one with MuJoCo loaded."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from functools import cache
 from pathlib import Path
 
 from srs_twin.errors import InputError, InputFileError
-from srs_twin.io.files import existing, shown
-from srs_twin.plants.twin.mjcf.check import ModelReport, parse_report, scan_mjcf
+from srs_twin.io.files import display_path, require_file
+from srs_twin.plants.twin.mjcf.check import ModelReport, scan_mjcf, verdict
 
 LIMIT_S = 10
+"""Time limit of one check, s."""
 
 SERVER = """
 import json, os, select, signal, sys, tempfile, time
@@ -34,17 +35,17 @@ for line in sys.stdin:
         sys.stdout.flush()
         os._exit(0)
     os.close(sink)
-    said, until = b"", time.monotonic() + limit
-    while select.select([source], [], [], max(0.0, until - time.monotonic()))[0]:
-        piece = os.read(source, 65536)
-        if not piece:
+    output, deadline = b"", time.monotonic() + limit
+    while select.select([source], [], [], max(0.0, deadline - time.monotonic()))[0]:
+        data = os.read(source, 65536)
+        if not data:
             break
-        said += piece
+        output += data
     else:
         os.kill(child, signal.SIGKILL)
     os.close(source)
     _, status = os.waitpid(child, 0)
-    print(json.dumps([said.decode(), f"exit status {os.waitstatus_to_exitcode(status)}"]), flush=True)
+    print(json.dumps([output.decode(), f"exit status {os.waitstatus_to_exitcode(status)}"]), flush=True)
 """
 
 
@@ -58,8 +59,8 @@ def _server() -> subprocess.Popen[str]:
 
 
 def check(path: Path) -> ModelReport:
-    """Return what `check_mjcf` would."""
-    model = existing(path, suffix=".xml").resolve()
+    """Return the report of `check_mjcf`."""
+    model = require_file(path, suffix=".xml").resolve()
     faults = scan_mjcf(model)
     if faults:
         return ModelReport(tuple(faults))
@@ -67,17 +68,17 @@ def check(path: Path) -> ModelReport:
     assert server.stdin is not None and server.stdout is not None
     server.stdin.write(json.dumps([str(model), LIMIT_S]) + "\n")
     server.stdin.flush()
-    return parse_report(*json.loads(server.stdout.readline()), LIMIT_S)
+    return verdict(*json.loads(server.stdout.readline()), LIMIT_S)
 
 
-def refused(path: Path, report: ModelReport) -> ModelReport:
+def raise_faults(path: Path, report: ModelReport) -> ModelReport:
     """Return a report without faults.
 
     Raises:
-        InputError: there are faults, said as the command line says them.
+        InputError: there are faults; the message is that of the command line.
     """
     if report.faults:
-        raise InputFileError([f"{shown(path)}: {fault}" for fault in report.faults])
+        raise InputFileError([f"{display_path(path)}: {fault}" for fault in report.faults])
     if not report.sizes:
-        raise InputError(f"{shown(path)}: measured nothing")
+        raise InputError(f"{display_path(path)}: measured nothing")
     return report
