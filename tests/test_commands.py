@@ -25,11 +25,11 @@ FREQUENCIES = st.floats(0.3, 4.0)
 def test_another_frequency_goes_on_from_the_same_angle_at_its_own_rate(before, after, time, later):
     gait = Gait(before)
     gait.reset(SPEC, 0.02)
-    angle, lags = gait.angle(time), np.diff(gait.lag)
+    angle, lags = gait.angle(time), np.diff(gait.phase_lag)
     gait.change_frequency(after, time)
     assert gait.angle(time) == pytest.approx(angle, abs=1e-9)
     assert gait.angle(time + later) - angle == pytest.approx(2 * math.pi * after * later, abs=1e-9)
-    assert np.diff(gait.lag) == pytest.approx(lags, abs=1e-9)
+    assert np.diff(gait.phase_lag) == pytest.approx(lags, abs=1e-9)
 
 
 def test_a_frequency_that_is_none_is_refused_and_changes_nothing():
@@ -93,11 +93,11 @@ def test_a_command_takes_effect_on_gait_and_supply():
 
 
 def test_limits_are_the_texts_and_hold_each_part():
-    limits = GaitLimits.of(SPEC)
+    limits = GaitLimits.for_robot(SPEC)
     assert limits.offset == (-0.4, 0.4) and limits.frequency == (1.0, 2.0)
     # Section 3.4.2: 41 to 55 kPa.
     assert limits.pressure == (pytest.approx(41e3, rel=0.01), pytest.approx(55e3, rel=0.01))
     assert limits.clipped(GaitCommand(-1.0, 9.0, 0.0)) == GaitCommand(-0.4, 2.0, limits.pressure[0])
     for name in ("gen1", "gen3", "gen4"):
         spec = robot(name)
-        assert GaitLimits.of(spec).pressure[1] <= spec.supply.pulsed_limit
+        assert GaitLimits.for_robot(spec).pressure[1] <= spec.supply.pulsed_limit

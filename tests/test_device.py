@@ -97,7 +97,9 @@ def waves(gaits, slot, slots, steps):
     ported = {name: record(each) for name, each in records.items()}
     spec = SimpleNamespace(h=slots * slot, slot=slot, slots=slots, tick=1, middle=False)
     kernel, found = kernels(ported, spec).wave, []
-    given = stacked(ported["wave"], [Wave(g.frequency, g.offset, g.rest, g.lag) for g in gaits], "cpu")
+    given = stacked(
+        ported["wave"], [Wave(g.frequency, g.offset, g.rest_level, g.phase_lag) for g in gaits], "cpu"
+    )
     out = wp.zeros((len(gaits), slots, GEN2.segments, 2), dtype=int, device="cpu")
     for step in range(steps):
         count = wp.full(1, step, dtype=int, device="cpu")

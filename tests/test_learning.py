@@ -358,7 +358,7 @@ def test_refuses_offsets_without_targets(offset):
         ({"target": "largest"}, "target 'largest'"),
         ({"k": -0.3}, "ilc k -0.3 is not allowed"),
         ({"carrier_hz": math.inf}, "ilc carrier_hz inf is not allowed"),
-        ({"carrier_hz": 7.0}, "carrier_hz 7 gives a fill at 1 Hz fewer than 4 pulses; 8 Hz or more would do"),
+        ({"carrier_hz": 7.0}, "carrier_hz 7 gives fewer than 4 pulses per fill at 1 Hz; use 8 Hz or more"),
         ({"free_periods": 0}, "ilc free_periods 0 is not allowed; it must be 1 or more"),
         ({"on_fault": "pause"}, "on_fault 'pause'"),
         ({"clock": "wall"}, "clock 'wall'"),
@@ -373,7 +373,7 @@ def test_refuses_what_makes_no_sense(arguments, words):
 def test_refuses_ticks_that_see_too_little_of_a_period():
     controller = ILC(7.0, carrier_hz=60.0)
     words = (
-        "a gait of 7 Hz has fewer than 8 readings a period with the tick 0.02 s; a tick of 0.01786 s or less"
+        "a gait of 7 Hz has fewer than 8 readings per period at a tick of 0.02 s; use at most 0.01786 s, or"
     )
     with pytest.raises(InputError, match=words):
         controller.reset(load_robot("gen4"), 0.02)

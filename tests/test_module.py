@@ -90,7 +90,7 @@ def test_gains_given_and_gains_found():
 
 def test_a_reference_beyond_the_range_is_refused_or_cut_and_said():
     controller = {"kind": "direct_smc", "reference": {"kind": "step", "bend_rad": 1.2}}
-    with pytest.raises(InputFileError, match=r"asks for 68.75°.*41.97°.*beyond_range: saturate"):
+    with pytest.raises(InputFileError, match=r"reaches 68.75°.*41.97°.*beyond_range: saturate"):
         module(controller=controller)
     scenario = module(controller=controller | {"beyond_range": "saturate"})
     (warning,) = scenario.warnings
@@ -117,7 +117,7 @@ def test_what_a_sensor_cannot_be_is_refused():
 
 def test_pulses_too_fast_for_a_tick_are_refused_before_anything_runs():
     with pytest.raises(
-        InputFileError, match="controller: on the twin plant: .*carrier of 600 Hz does not fit"
+        InputFileError, match="controller: on the twin plant: .*carrier of 600 Hz is too fast"
     ):
         module(
             controller={

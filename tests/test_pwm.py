@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from srs_twin.control.pwm import PulseWidth
+from srs_twin.control.pwm import PulseWidthModulator
 from srs_twin.errors import InputError
 
 SLOT = 1e-4
@@ -20,7 +20,7 @@ duties = st.floats(0, 1) | st.sampled_from([0.0, 1.0, 0.5])
 
 def played(duty: np.ndarray, seconds: float, *, carrier: float = 60.0, tick: float = 1e-3) -> np.ndarray:
     """Return whether chambers fill, slot by slot, shape (slots, segments, 2), at one duty (segments, 2)."""
-    pulses = PulseWidth(carrier, tick, len(duty))
+    pulses = PulseWidthModulator(carrier, tick, len(duty))
     parts = [pulses.step(duty) for _ in range(round(seconds / tick))]
     states = np.concatenate(parts)
     assert states.dtype == np.int8 and set(np.unique(states)) <= {-1, 1}
@@ -78,7 +78,7 @@ def test_ticks_do_not_matter(duty, ticks):
 
 
 def test_new_duties_are_heeded_where_a_period_begins():
-    pulses = PulseWidth(60.0, 1e-3, 1)
+    pulses = PulseWidthModulator(60.0, 1e-3, 1)
     begun = []
     for k in range(50):
         if pulses.due():
@@ -90,7 +90,7 @@ def test_new_duties_are_heeded_where_a_period_begins():
 
 
 def test_a_new_duty_does_not_touch_the_period_that_runs():
-    pulses = PulseWidth(60.0, 1e-3, 1)
+    pulses = PulseWidthModulator(60.0, 1e-3, 1)
     parts = [pulses.step(np.full((1, 2), 0.25 if k < 5 else 1.0)) for k in range(40)]
     filling = np.concatenate(parts)[:, 0, 0] == 1
     first, rest = filling[:167], filling[167:]
@@ -100,32 +100,32 @@ def test_a_new_duty_does_not_touch_the_period_that_runs():
 @pytest.mark.parametrize("bad", [-1e-9, 1 + 1e-9, math.nan, math.inf])
 def test_refuses_duties_outside_0_to_1(bad):
     with pytest.raises(InputError, match=r"duty .* is not allowed; it must lie between 0 and 1"):
-        PulseWidth(60.0, 1e-3, 1).step(np.array([[0.5, bad]]))
+        PulseWidthModulator(60.0, 1e-3, 1).step(np.array([[0.5, bad]]))
 
 
 def test_refuses_duties_of_another_shape():
     with pytest.raises(InputError, match=r"duties have shape \(2, 2\); allowed: \(1, 2\)"):
-        PulseWidth(60.0, 1e-3, 1).step(np.zeros((2, 2)))
+        PulseWidthModulator(60.0, 1e-3, 1).step(np.zeros((2, 2)))
 
 
 @pytest.mark.parametrize("carrier", [0.0, -60.0, math.nan, math.inf])
 def test_refuses_carriers_that_are_none(carrier):
     with pytest.raises(InputError, match="carrier_hz"):
-        PulseWidth(carrier, 1e-3, 1)
+        PulseWidthModulator(carrier, 1e-3, 1)
 
 
 def test_refuses_ticks_that_do_not_fit():
-    with pytest.raises(InputError, match=r"60 Hz does not fit the tick 0.02 s; 50 Hz or less"):
-        PulseWidth(60.0, 0.02, 1)
+    with pytest.raises(InputError, match=r"60 Hz is too fast for the tick of 0.02 s; use 50 Hz or less"):
+        PulseWidthModulator(60.0, 0.02, 1)
     with pytest.raises(InputError, match=r"tick 0.00105 s is no multiple of valve slot 0.0001 s"):
-        PulseWidth(60.0, 0.00105, 1)
+        PulseWidthModulator(60.0, 0.00105, 1)
 
 
 @some
 @given(arrays(float, (4, 2), elements=duties))
 def test_pulses_may_begin_together_and_then_neither_chamber_is_special(duty):
     def together(given: np.ndarray) -> np.ndarray:
-        pulses = PulseWidth(60.0, 1e-3, 4, together=True)
+        pulses = PulseWidthModulator(60.0, 1e-3, 4, aligned=True)
         return np.concatenate([pulses.step(given) for _ in range(100)])
 
     plus = played(np.stack([duty[:, 0], np.zeros(4)], axis=-1), 0.1)[..., 0]
@@ -139,6 +139,6 @@ def test_pulses_may_begin_together_and_then_neither_chamber_is_special(duty):
 def test_long_ticks_play_the_same_pulses(duty):
     parts = []
     for tick in (1e-3, 0.05):
-        pulses = PulseWidth(60.0, tick, 4, long_ticks=True)
+        pulses = PulseWidthModulator(60.0, tick, 4, allow_long_ticks=True)
         parts.append(np.concatenate([pulses.step(duty) for _ in range(round(0.2 / tick))]))
     assert (parts[0] == parts[1]).all()

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from srs_twin.control.reference import Constant, Reference, Saturated, Sine, Square, Staircase, Step
+from srs_twin.control.reference import ClippedReference, Constant, Reference, Sine, Square, Staircase, Step
 from srs_twin.errors import InputError, UnknownNameError
 
 bends = st.floats(-1.5, 1.5)
@@ -34,7 +34,7 @@ def test_never_beyond_the_peak(reference):
 
 @given(references, st.floats(0, 3))
 def test_a_number_gives_a_number_and_the_same_as_an_array(reference, time):
-    for law in (reference.value, reference.rate, reference.beyond):
+    for law in (reference.value, reference.rate, reference.is_clipped):
         assert np.ndim(law(time)) == 0
         assert law(np.array([time]))[0] == law(time)
 
@@ -42,8 +42,8 @@ def test_a_number_gives_a_number_and_the_same_as_an_array(reference, time):
 @given(references, st.floats(0.1, 0.9))
 def test_saturated_is_cut_and_beyond_exactly_where_it_is(reference, share):
     limit = max(share * reference.peak, 1e-3)
-    cut = reference.within(limit, "saturate")
-    wanted, values, beyond = reference.value(times), cut.value(times), cut.beyond(times)
+    cut = reference.limited(limit, "saturate")
+    wanted, values, beyond = reference.value(times), cut.value(times), cut.is_clipped(times)
     assert np.abs(values).max() <= limit == pytest.approx(cut.peak) or cut is reference
     assert (values == wanted)[~beyond].all()
     assert (np.abs(values[beyond]) == limit).all() and (np.abs(wanted[beyond]) > limit).all()
@@ -91,28 +91,28 @@ def test_square_has_the_sign_of_its_sine():
 
 def test_within_the_range_nothing_changes():
     sine = Sine(0.6, 6.0)
-    assert sine.within(0.6) is sine
-    assert not sine.beyond(times).any()
+    assert sine.limited(0.6) is sine
+    assert not sine.is_clipped(times).any()
 
 
 def test_beyond_the_range_is_refused_with_both_angles():
-    with pytest.raises(InputError, match=r"asks for 45°, but the module bends at most 41.97°.*saturate"):
-        Step(math.radians(45)).within(math.radians(41.97))
+    with pytest.raises(InputError, match=r"reaches 45°, but the module bends at most 41.97°.*saturate"):
+        Step(math.radians(45)).limited(math.radians(41.97))
 
 
 def test_saturating_says_so_by_type():
-    assert isinstance(Constant(1.0).within(0.5, "saturate"), Saturated)
+    assert isinstance(Constant(1.0).limited(0.5, "saturate"), ClippedReference)
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, math.nan, math.inf])
 def test_range_must_be_one(limit):
     with pytest.raises(InputError, match=r"range limit .* rad is not allowed"):
-        Constant(0.1).within(limit)
+        Constant(0.1).limited(limit)
 
 
 def test_unknown_policy_is_told_the_known_ones():
     with pytest.raises(UnknownNameError, match=r"'refused'; did you mean refuse\?"):
-        Constant(0.1).within(1.0, "refused")  # type: ignore[arg-type]
+        Constant(0.1).limited(1.0, "refused")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

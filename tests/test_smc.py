@@ -216,7 +216,7 @@ def test_a_lost_reading_is_the_last_good_one(kind, lost):
 
 @pytest.mark.parametrize("kind", BOTH)
 def test_a_saturated_reference_says_so_once(kind):
-    controller = ready(kind(Sine(0.6, 2.0).within(0.5, "saturate")))
+    controller = ready(kind(Sine(0.6, 2.0).limited(0.5, "saturate")))
     fed(controller, np.zeros((1000, 1)))
     (event,) = controller.events()
     first = math.asin(0.5 / 0.6) / (2 * math.pi * 2.0)
@@ -289,7 +289,7 @@ def test_refuses_gains_that_are_none(kind, name, bad):
 def test_refuses_gains_for_other_segments():
     controller = DirectSMC(Constant(0.1), D=np.array([1.0, 2.0]))
     with pytest.raises(
-        InputError, match=r"direct_smc: D has shape \(2,\); give one number, or one for each of"
+        InputError, match=r"direct_smc: D has shape \(2,\); give one number, or one per segment"
     ):
         controller.reset(robot(3), TICK)
 

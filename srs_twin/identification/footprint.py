@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from srs_twin.comparison.gait import GaitWindow
-from srs_twin.control.commands import Steered
+from srs_twin.control.commands import ScheduledOffset
 from srs_twin.control.gait import Gait
 from srs_twin.control.learning import ILC, TARGETS
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
@@ -162,8 +162,8 @@ class Drive:
         """
         before, after = change
 
-        def controller() -> Steered:
-            return Steered(self.make(before), [(time, after)])
+        def controller() -> ScheduledOffset:
+            return ScheduledOffset(self.make(before), [(time, after)])
 
         duration = ticks(time + (self.lasting + periods) * self.period)
         return Job(maker, controller, duration, record_hz=RECORD_HZ)

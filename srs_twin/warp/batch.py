@@ -276,7 +276,7 @@ class WarpBatch:
             raise InputError(f"gaits: {len(gaits)} were given for {len(self)} runs; give one a run")
         for gait, twin in zip(gaits, self.twins, strict=True):
             gait.reset(twin.spec, self.tick)
-        waves = [Wave(g.frequency, g.offset, g.rest, g.lag) for g in gaits]
+        waves = [Wave(g.frequency, g.offset, g.rest_level, g.phase_lag) for g in gaits]
         fresh = stacked(record(waves[0]), waves, self.device)
         for name in Wave._fields:
             wp.copy(getattr(self._own["wave"], name), getattr(fresh, name))

@@ -66,7 +66,7 @@ MALFORMED = edited(GOOD, {
     "a key of another reference": (
         "frequency_hz: 2", "frequency_hz: 2, hold_s: 1", "controller.reference.hold_s: unknown key"),
     "a reference beyond the range": (
-        "amplitude_rad: 0.6", "amplitude_rad: 0.9", ":8:56: controller.reference: the reference asks for 5"),
+        "amplitude_rad: 0.6", "amplitude_rad: 0.9", ":8:56: controller.reference: the reference reaches 5"),
     "a right angle and more": (
         "amplitude_rad: 0.6", "amplitude_rad: 1.6", "must be a number from 0.001 to 1.5708, not 1.6"),
     "neither refused nor saturated": (
