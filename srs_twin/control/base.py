@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 class Controller(Remembers, ABC):
     """Function of sensor readings and poses that returns the valve commands of one control tick.
 
-    Controllers read `SnakeState.sensed` and poses from a camera, never the true `bend`, and are not told
-    which plant they drive.
+    Controllers read `SnakeState.sensed` and poses from a camera, never the true `bend`. They do not know
+    which plant they control.
 
     Attributes:
         kind: name of the controller in scenario files.

@@ -134,8 +134,7 @@ class ChamberPeriods(Remembers):
         """Shift the fill starts to those of a wave with an offset φ (Eq. 13).
 
         Args:
-            shift: asin φ, rad: phase by which fills of + chambers begin earlier, and those of − chambers
-                later.
+            shift: asin φ, rad: phase lead of the fills of + chambers, and phase lag of those of − chambers.
         """
         if not self._common:
             self.fill_starts = self._unsteered + shift / (2 * math.pi) * self.period * np.array([-1, 1])

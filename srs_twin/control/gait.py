@@ -3,9 +3,8 @@ r"""Lateral undulation: a square wave of valve states that travels from head to 
 $$ S_j = \operatorname{sign}\bigl(\sin(2\pi f t - \beta (j-1) + \psi) + \varphi\bigr) $$
 
 S_j = +1 fills the + chamber of segment j and vents the − chamber, −1 does the reverse; sign(0) = +1. The wave
-travels from head to tail and propels the snake forward (E12: as printed, Eq. 13
-travels in the opposite direction). φ > 0 turns left. The mirror image of a gait has the offset −φ and its
-phase ψ shifted by π.
+travels from head to tail and propels the snake forward (E12: as printed, Eq. 13 travels in the opposite
+direction). φ > 0 turns left. The mirror image of a gait has the offset −φ and its phase ψ shifted by π.
 
 Two extensions are not part of the dissertation: each segment may have an additional phase lag α_j, and both
 chambers may vent for a fraction r of the period, centred at the sign changes of the wave,

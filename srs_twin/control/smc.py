@@ -31,8 +31,8 @@ that is fast enough (E6).
 
 $$ \mu \leftarrow \operatorname{clip}\bigl(\mu + K (\dot e + D e),\, -1,\, 1\bigr), $$
 
-and the chambers get the duties (1 + μ)/2 and (1 − μ)/2. This is the proportional-integral law
-μ = (K/T) e + (K D/T) ∫e dt, clipped without wind-up: μ leaves its bound at the first σ of the other sign.
+and the chambers get the duties (1 + μ)/2 and (1 − μ)/2. This is the proportional-integral law μ = (K/T) e +
+(K D/T) ∫e dt, clipped without wind-up: μ leaves its bound at the first σ of the other sign.
 
 Both e and ė are means over the last period; the mean of ė is the difference of e between the ends of the
 period, divided by T. A mean over a whole period does not contain the ripple that the valves cause. A single
