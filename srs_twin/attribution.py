@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from srs_twin.comparison.compare import MEASURES, Attribution, Share, gap_between
+from srs_twin.comparison.compare import MEASURES, AssumptionShare, Attribution, gap_between
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.plants.base import Plant
@@ -388,9 +388,11 @@ def _run_all(
     return found
 
 
-def _share(name: str, title: str, how: str, found: Contribution) -> Share:
+def _share(name: str, title: str, how: str, found: Contribution) -> AssumptionShare:
     """Return a share; what a switch takes off the gap is its share of it."""
-    return Share(name, title, _numbers(-found.value), _numbers(-found.high), _numbers(-found.low), how)
+    return AssumptionShare(
+        name, title, _numbers(-found.value), _numbers(-found.high), _numbers(-found.low), how
+    )
 
 
 def _numbers(values: Sequence[float] | np.ndarray) -> tuple[float, ...]:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from srs_twin import Numerics, rollout
 from srs_twin.attribution import Ladder, contributions, explain, subsets
-from srs_twin.comparison.compare import MEASURES, Attribution, Share, gap_between
+from srs_twin.comparison.compare import MEASURES, AssumptionShare, Attribution, gap_between
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.experiment import prepare
 from srs_twin.scenario import parse_scenario
@@ -55,7 +55,7 @@ def test_what_changes_nothing_has_no_share_and_twins_share_alike():
 def test_the_picture_has_bars_from_zero_largest_first_that_add_up():
     small, large = np.array([0.001, 0.1, 0.0, 0.0]), np.array([-0.004, 0.7, 0.05, 0.002])
     shares = [
-        Share(name, name, tuple(v), tuple(v - 1e-3), tuple(v + 1e-3), "averaged")
+        AssumptionShare(name, name, tuple(v), tuple(v - 1e-3), tuple(v + 1e-3), "averaged")
         for name, v in (("small", small), ("large", large))
     ]
     rest = np.full(4, 0.001)

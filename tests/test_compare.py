@@ -170,7 +170,7 @@ def test_other_robots_with_as_many_connectors_may_be_compared():
         ),
         (
             with_columns(Snake().trajectory("twin"), **numbered("x", np.zeros((601, 6)))),
-            "twin: 6 columns x_1…, 5 y_1… and 4 bend_1…; a snake of N connectors has N, N and N − 1",
+            "twin: 6 columns x_1…, 5 y_1… and 4 bend_1…; a snake with N connectors has N, N and N − 1",
         ),
         (
             with_columns(Snake().trajectory("twin"), time=np.arange(601) / 100 + 9),

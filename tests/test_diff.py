@@ -147,7 +147,7 @@ def test_names_of_foreign_results_cannot_paint_the_terminal(capsys, tmp_path, op
     ("words", "said"),
     [
         (("nowhere", "a"), "nowhere: no such file"),
-        (("empty", "a"), "empty: holds no results (metrics.json, results.parquet, reproduce.json)"),
+        (("empty", "a"), "empty: the folder has no results (metrics.json, results.parquet, reproduce.json)"),
         (("a/walk/analytical.parquet", "a"), "analytical.parquet: not the results of a run"),
         (("junk.json", "a"), "junk.json:1:13: not JSON"),
         (("list.json", "a"), "list.json: not the results of a run"),
@@ -218,12 +218,20 @@ def test_documented_tolerances_load(tmp_path):
     _, _, rest = page.partition("```yaml tolerances\n")
     (tmp_path / "tolerances.yaml").write_text(rest.partition("```")[0])
     allowed = load_tolerances(tmp_path / "tolerances.yaml")
-    assert allowed.of("analytical.com_speed_m_s").rel == allowed.of("twin.com_speed_m_s").rel == 0.01
-    assert allowed.of("twin.yaw_rate_rad_s").abs == 0.005 != allowed.of("analytical.yaw_rate_rad_s").abs
+    assert (
+        allowed.for_metric("analytical.com_speed_m_s").rel
+        == allowed.for_metric("twin.com_speed_m_s").rel
+        == 0.01
+    )
+    assert (
+        allowed.for_metric("twin.yaw_rate_rad_s").abs
+        == 0.005
+        != allowed.for_metric("analytical.yaw_rate_rad_s").abs
+    )
 
 
 def test_results_that_are_none_of_ours(tmp_path):
-    with pytest.raises(InputError, match="holds no results"):
+    with pytest.raises(InputError, match="the folder has no results"):
         read_results(tmp_path)
 
 
@@ -233,7 +241,8 @@ def sweep_of(path, value: float):
     import pyarrow.parquet as pq
 
     row = {"key": ["k"], "seed": [1], "status": ["done"], "exit_code": [0], "twin.com_speed_m_s": [value]}
-    pq.write_table(pa.table(row).replace_schema_metadata({"srs_twin.studies.sweep": '{"versions": {}}'}), path)
+    metadata = {"srs_twin.studies.sweep": '{"versions": {}}'}
+    pq.write_table(pa.table(row).replace_schema_metadata(metadata), path)
     return str(path)
 
 
@@ -277,4 +286,4 @@ def test_results_are_looked_for_however_deep(capsys, tmp_path, monkeypatch):
         for _ in range(levels):  # pytest's own removal recurses
             os.chdir("..")
             os.rmdir("a")
-    assert code == 2 and "a: holds no results" in err
+    assert code == 2 and "a: the folder has no results" in err

@@ -10,7 +10,12 @@ import pytest
 from synthetic import Snake, mirrored, moved, numbered, with_columns, with_metadata
 
 from srs_twin import AnalyticalSnake, InputError, Trajectory, load_robot, rollout
-from srs_twin.comparison.learning import LEARNING_LIST_UNITS, LEARNING_UNITS, ChamberPeriods, learning_metrics
+from srs_twin.comparison.learning import (
+    LEARNING_LIST_UNITS,
+    LEARNING_UNITS,
+    PeriodAmplitudes,
+    learning_metrics,
+)
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.learning import ILC
 from srs_twin.studies.sweep.task import flat_metrics
@@ -209,7 +214,7 @@ def test_of_a_real_run_everything_is_known(real):
     assert found["periods_to_converge"] <= 12
     assert found["path_radius_m"] == pytest.approx(1 / found["path_curvature_per_m"], rel=1e-6)
     assert found["box_left_m"] < 0 < found["box_right_m"]
-    controller = ChamberPeriods.of(real)
+    controller = PeriodAmplitudes.from_trajectory(real)
     assert controller.amplitude[-1, :, 0] == pytest.approx(real.stack("amplitude_plus")[-1], abs=0.02)
 
 
@@ -224,9 +229,9 @@ def test_too_short_a_run_has_no_path():
 
 
 @pytest.mark.parametrize("begins", [None, [[0.0, 0.25]], "now", [[math.nan, 0.0]] * 4])
-def test_refuses_runs_that_do_not_tell_the_clocks(begins):
+def test_runs_without_fill_starts_are_refused(begins):
     run = with_metadata(learnt(RUN, amplitudes(FADING)), control={"fill_begins_s": begins})
-    with pytest.raises(InputError, match="metadata gait_frequency_hz and control.fill_begins_s are needed"):
+    with pytest.raises(InputError, match="metadata need gait_frequency_hz and control.fill_begins_s"):
         learning_metrics(run)
 
 

@@ -181,16 +181,16 @@ def test_the_first_two_periods_do_not_count():
 @pytest.mark.parametrize("shift", [0.0, 3.7])
 def test_the_window_holds_all_whole_periods_after_the_warm_up(shift):
     run = Snake(frequency=1.7, duration=5.0).trajectory()
-    window = GaitWindow.of(with_columns(run, time=run.time + shift))
+    window = GaitWindow.from_trajectory(with_columns(run, time=run.time + shift))
     assert window.start == pytest.approx(shift + 2 / 1.7)
     assert window.periods == 6
     assert window.end == pytest.approx(shift + 8 / 1.7)
 
 
 def test_three_whole_periods_are_enough_and_fewer_are_not():
-    assert GaitWindow.of(Snake(frequency=0.5, duration=5.9).trajectory()) is None
+    assert GaitWindow.from_trajectory(Snake(frequency=0.5, duration=5.9).trajectory()) is None
     exactly = Snake(frequency=0.5, duration=6.0, speed=0.03).trajectory()
-    assert GaitWindow.of(exactly).periods == 2
+    assert GaitWindow.from_trajectory(exactly).periods == 2
     assert plant_metrics(exactly)["com_speed_m_s"] == pytest.approx(0.03, rel=1e-6)
 
 
@@ -250,7 +250,7 @@ def spoiled(name: str, index: int, value: float) -> Trajectory:
         (spoiled("com_y", 7, math.nan), "analytical: column 'com_y' is not finite at sample 7"),
         (spoiled("bend_2", 30, math.inf), "column 'bend' is not finite at sample 30"),
         (spoiled("time", 5, 0.0), "time must increase from sample to sample"),
-        (sampled(Snake().trajectory(), slice(0)), "holds no samples"),
+        (sampled(Snake().trajectory(), slice(0)), "has no samples"),
         (Trajectory({"time": np.arange(3.0)}), "trajectory: no column 'com_x'"),
         (with_metadata(Snake().trajectory(), body_length_m=None), "body_length_m is missing"),
         (

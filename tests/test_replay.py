@@ -133,7 +133,7 @@ def test_the_robot_itself_leaves_no_residual(perfect, log):
         scenario.build_plant("analytical"), scenario.build_controller(), 2.9, pose=scenario.pose,
         record_hz=scenario.record_hz,
     )  # fmt: skip
-    found = MeasuredDifference.of(scenario.measured, run)
+    found = MeasuredDifference.between(scenario.measured, run)
     # The centre of mass went 0.5 m; sliding friction amplifies what is left of rounding.
     assert found.metrics["measured_path_rms_m"] < 2e-3
     assert found.metrics["measured_shape_rms_m"] < 1e-5
@@ -141,7 +141,7 @@ def test_the_robot_itself_leaves_no_residual(perfect, log):
     assert found.metrics["measured_heading_rms_rad"] < 0.02
     heavier = scenario.build_plant("analytical", robot=with_values(SPEC, {"friction.mu_n": 0.3}))
     other = rollout(heavier, scenario.build_controller(), 2.9, pose=scenario.pose)
-    worse = MeasuredDifference.of(scenario.measured, other)
+    worse = MeasuredDifference.between(scenario.measured, other)
     assert worse.metrics["measured_path_rms_m"] > 5 * found.metrics["measured_path_rms_m"]
     told = found.document()
     assert told["rms"]["path_m"] == pytest.approx(found.metrics["measured_path_rms_m"])

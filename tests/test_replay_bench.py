@@ -80,7 +80,7 @@ def replayed(folder, motion="sensor.csv", valves="sensor.valves.csv", **changes)
 def driven(scenario, kind, robot=None):
     plant = scenario.build_plant(kind, robot=robot)
     run = rollout(plant, scenario.build_controller(), scenario.duration, record_hz=scenario.record_hz)
-    return MeasuredDifference.of(scenario.measured, run)
+    return MeasuredDifference.between(scenario.measured, run)
 
 
 @pytest.mark.parametrize(

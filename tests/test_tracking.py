@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from srs_twin.comparison.tracking import TRACKING_UNITS, fit_sine, frequency_of, tracking_metrics
+from srs_twin.comparison.tracking import TRACKING_UNITS, fit_sine, sine_frequency, tracking_metrics
 from srs_twin.errors import InputError
 from srs_twin.trajectory import Trajectory
 
@@ -140,17 +140,19 @@ def test_amplitude_and_lag_of_a_sine_are_recovered(f, asked, phase, share, lag, 
 def test_the_lowest_frequency_of_the_experiments_is_found_exactly():
     time = TICK * np.arange(16001)
     for f in (0.25, 0.5, 1, 2, 4, 6, 123.0):
-        assert frequency_of(time, 0.3 + 0.6 * np.sin(2 * np.pi * f * time + 1)) == pytest.approx(f, rel=1e-9)
+        assert sine_frequency(time, 0.3 + 0.6 * np.sin(2 * np.pi * f * time + 1)) == pytest.approx(
+            f, rel=1e-9
+        )
 
 
 def test_only_pure_sines_count_as_sines():
     time = TICK * np.arange(4001)
     sine = np.sin(2 * np.pi * 2 * time)
-    assert frequency_of(time, np.sign(sine)) is None
-    assert frequency_of(time, np.clip(sine, -0.95, 0.95)) is None
-    assert frequency_of(time, sine + 0.01 * np.sin(2 * np.pi * 7 * time)) is None
-    assert frequency_of(time, time) is None
-    assert frequency_of(time, np.full_like(time, 0.2)) is None
+    assert sine_frequency(time, np.sign(sine)) is None
+    assert sine_frequency(time, np.clip(sine, -0.95, 0.95)) is None
+    assert sine_frequency(time, sine + 0.01 * np.sin(2 * np.pi * 7 * time)) is None
+    assert sine_frequency(time, time) is None
+    assert sine_frequency(time, np.full_like(time, 0.2)) is None
 
 
 def test_spread_and_residual_tell_noise_from_a_clean_sine():

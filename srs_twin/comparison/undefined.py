@@ -1,8 +1,8 @@
-"""Reasons why a run leaves a metric undefined.
+"""Reasons for undefined metrics of a run.
 
-A metric without a value has one of two causes. The run lacks the material of the metric, such as whole gait
-periods, a reference or a recording; then nothing can be judged. Or the missing value is the outcome: a path
-without a turning radius is straight, a plan without a length was not found.
+A metric without a value has one of two causes. Either the run lacks the data for the metric, such as whole
+gait periods, a reference or a recording; the metric cannot be judged then. Or the missing value is the
+result: a path without a turning radius is straight, and a plan without a length was not found.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ _OPENINGS = {"inlet_openings", "outlet_openings"}
 
 @dataclass(frozen=True)
 class Undefined:
-    """A metric that a run leaves undefined.
+    """Undefined metric of a run.
 
     Attributes:
-        reason: in words.
-        beyond: the value is larger than this, in the unit of the metric: a bend that has not settled by the
-            end of a run may settle later. -inf where nothing is known of the value.
+        reason: text.
+        beyond: lower bound of the value, in the unit of the metric: a bend that has not settled by the end of
+            a run may settle later. -inf if nothing is known about the value.
     """
 
     reason: str
@@ -55,16 +55,16 @@ class Undefined:
 def why_undefined(
     metric: str, subject: str, metrics: Mapping[str, Any], runs: Mapping[str, Trajectory]
 ) -> Undefined | None:
-    """Return the reason why a run leaves a metric without a value.
+    """Return why a metric of a run has no value.
 
     Args:
         metric: name of the metric.
         subject: "analytical", "twin" or "comparison".
-        metrics: as in metrics.json: "plants" → plant → metric, "comparison" → metric.
-        runs: plant → trajectory, and "measured" → the recording that is replayed.
+        metrics: contents of metrics.json: "plants" → plant → metric, "comparison" → metric.
+        runs: plant → trajectory, and "measured" → the replayed recording.
 
     Returns:
-        None of a metric that has a value, and where the missing value is the outcome of the run.
+        None if the metric has a value, or if the missing value is the result of the run.
     """
     found = (metrics["comparison"] if subject == "comparison" else metrics["plants"].get(subject)) or {}
     if found.get(metric) is not None:
@@ -90,9 +90,9 @@ def _of(reason: str) -> Undefined | None:
 
 
 def _no_gait(metric: str, runs: Iterable[Trajectory]) -> str:
-    """Return the reason why one of the runs has no gait metrics; empty of a run that ended early."""
+    """Return the reason why one of the runs has no gait metrics; empty for a run that ended early."""
     for run in runs:
-        if reason := GaitWindow.lacking(run):
+        if reason := GaitWindow.missing_reason(run):
             return "" if run.metadata.get("ended_by") else reason
         if (column := _ENERGY.get(metric)) and not run.has(column):
             return f"the run does not record {column}"
@@ -100,7 +100,7 @@ def _no_gait(metric: str, runs: Iterable[Trajectory]) -> str:
 
 
 def _not_measured(metric: str, runs: Mapping[str, Trajectory]) -> str:
-    """Return the reason why a plant has no difference from the recording; empty of other metrics."""
+    """Return the reason why a plant cannot be compared with the recording; empty for other metrics."""
     if metric not in MEASURED_UNITS:
         return ""
     if (measured := runs.get("measured")) is None:
@@ -144,7 +144,7 @@ def _learning(metric: str, found: Mapping[str, Any], run: Trajectory) -> Undefin
 
 
 def _other(metric: str, run: Trajectory) -> str:
-    """Return the reason for the metrics of plans, sensors and benches; empty where there is none."""
+    """Return the reason for the metrics of plans, sensors and benches; empty if there is none."""
     about = following(run)
     if metric in FOLLOWING_UNITS:
         if about is None:
@@ -154,7 +154,7 @@ def _other(metric: str, run: Trajectory) -> str:
         obstacles = metric in ("contacts", "contact_time_s", "clearance_m")
         return "the world has no obstacles" if obstacles else ""
     if metric in READING_UNITS:
-        if ReadingCurve.of(run) is None:
+        if ReadingCurve.from_trajectory(run) is None:
             return "the run has no sensor, or an ideal one"
         return "the sensor has no Hall element" if metric == "reading_range_t" else ""
     return "the run is not on a bench without a reference" if metric == "final_bend_rad" else ""

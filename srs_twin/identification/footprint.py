@@ -349,7 +349,7 @@ def steady_path(drive: Drive, run: Trajectory, periods: int) -> SteadyPath:
     Raises:
         InputError: the run is too short, or the snake gets nowhere.
     """
-    window = GaitWindow.last(run, drive.period, float(run.time[-1]), periods)
+    window = GaitWindow.ending_at(run, drive.period, float(run.time[-1]), periods)
     if window is None:
         raise InputError(f"the run is shorter than {periods} gait periods")
     return SteadyPath.of(run, drive.spec.geometry, window)
