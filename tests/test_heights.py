@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from synthetic_takes import Take, markers
 
 from srs_twin.identification import read_motion
-from srs_twin.recordings.body.floor import on_floor
+from srs_twin.recordings.body.floor import map_to_floor
 from srs_twin.recordings.inspection import in_words, inspect_file
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 
@@ -67,7 +67,7 @@ def test_tilted_floor_is_levelled_with_markers_on_masts(seed):
     tilt = random.uniform(3.1, 20) if seed % 4 else 0.0
     tilted = Rotation.from_rotvec(np.radians(tilt) * np.array([np.cos(axis), np.sin(axis), 0]))
     points = raised(heights, seed, layout) @ Rotation.from_euler("z", turn).as_matrix().T
-    found = on_floor(points @ tilted.as_matrix().T + [0, 0, 1], "auto", "z")
+    found = map_to_floor(points @ tilted.as_matrix().T + [0, 0, 1], "auto", "z")
     assert found.up == "z" and any("levelled" in each for each in found.corrections) == (tilt > 0)
     x, y, z = np.moveaxis(found.points, -1, 0)
     plane = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)])

@@ -102,7 +102,7 @@ def test_unit_in_header_survives_the_map(tmp_path, header, unit, key):
     expected = PASCALS[unit] * scale * RAW
     assert found.values[:, 0, 0] == pytest.approx(expected, rel=1e-6)
     default = {"kpa": 1e3, "psi": 6894.757}.get(key.split("_")[1], PASCALS[unit])
-    assert any("as its name says" in note for note in found.corrections) == (PASCALS[unit] != default)
+    assert any("according to its name" in note for note in found.corrections) == (PASCALS[unit] != default)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from synthetic_takes import Take, motive_csv, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, InputError, Trajectory, rollout
 from srs_twin.identification import read_motion
-from srs_twin.recordings.body.floor import MAPS, on_floor
+from srs_twin.recordings.body.floor import MAPS, map_to_floor
 
 LAYOUTS = ("single", "head", "pair")
 
@@ -154,7 +154,7 @@ def test_floor_is_levelled_beyond_three_degrees(degrees, levelled):
     flat = np.random.default_rng(0).uniform(-1, 1, (300, 4, 3)) * [1.0, 1.0, 1e-4] + [0.0, 0.0, 0.02]
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     tilted = flat @ np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
-    found = on_floor(tilted, "auto", "z")
+    found = map_to_floor(tilted, "auto", "z")
     assert found.up == "z" and any("levelled" in each for each in found.corrections) == levelled
     assert (np.ptp(found.points[..., 2]) < 0.01) == levelled
 

@@ -64,7 +64,7 @@ def test_a_gait_without_its_start_is_refused_with_the_candidates(tmp_path, captu
     inside = replace(captured, trajectory=replace(captured.trajectory, columns=middle))
     text = valve_csv(motion(), 0.8, 4.0, 0.0)
     with pytest.raises(
-        InputError, match=r"offset of its clock is ambiguous, \d+ fit .* a gait repeats itself"
+        InputError, match=r"offset of its clock is ambiguous, \d+ fit .* because the gait is periodic"
     ):
         join(inside, log(tmp_path, text), SPEC)
     given_one = join(inside, log(tmp_path, text), SPEC, offset=0.0)
