@@ -89,7 +89,7 @@ def test_lamps_and_people_are_left_out_by_their_motion(tmp_path):
     found = read_motion(path, SPEC)
     for said in (facts["notes"], found.summary.corrections):
         out = [each for each in said if "left out" in each]
-        assert "marker 'lamp' left out: 1500 mm high, does not move with the others" in out
+        assert "marker 'lamp' left out: 1500 mm high, does not move with the other markers" in out
         assert any("'cap' left out: 170" in each and "its height varies by" in each for each in out)
         assert any("'cart' left out: 400 mm high" in each for each in out) and len(out) == 3
     assert found.summary.markers.samples_other == 3 * len(time) and bend_error(found) < 0.04

@@ -45,7 +45,9 @@ def test_a_marker_stays_the_robots_while_its_neighbour_is_hidden():
 
 def test_body_is_recovered_while_a_marker_is_hidden():
     count, time = GEOMETRY.connectors - 1, np.arange(200) / 100
-    marks = MarkerPlacement(np.repeat(2 * np.arange(count + 1), 2), np.tile([0.02j, -0.02j], count + 1), GEOMETRY)
+    marks = MarkerPlacement(
+        np.repeat(2 * np.arange(count + 1), 2), np.tile([0.02j, -0.02j], count + 1), GEOMETRY
+    )
     phase = 2 * np.pi * time[:, None] + np.arange(count)
     state = np.column_stack(
         [0.1 * time, 0.02 * np.sin(time), 0.3 * np.sin(5 * time), 0.5 * np.sin(phase)]

@@ -81,7 +81,7 @@ def test_lengths_in_another_unit_than_assumed_are_asked_for(tmp_path):
 
 def test_columns_that_change_places_are_said(tmp_path):
     facts, _ = inspected(tmp_path, Take(swaps=20, seed=2))
-    assert any("columns change places" in each for each in facts["notes"])
+    assert any("markers change their columns" in each for each in facts["notes"])
 
 
 def test_a_log(tmp_path):
@@ -203,5 +203,5 @@ def test_numpy_numbers_do_not_reach_json(capsys):
 def test_files_that_are_nothing(tmp_path):
     path = tmp_path / "x.csv"
     path.write_text("hello\nworld\n")
-    with pytest.raises(InputError, match="no motion recording that is read"):
+    with pytest.raises(InputError, match="not a known motion recording"):
         inspect_file(path, NO_MAP, None)

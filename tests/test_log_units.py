@@ -124,7 +124,7 @@ def test_unit_in_header_survives_the_map(tmp_path, header, unit, key):
 )
 def test_unknown_and_ambiguous_units_are_refused(tmp_path, header):
     path = log(tmp_path, f"time,{header},P2")
-    with pytest.raises(InputError, match="the unit of column .* is not known .*say it in the map"):
+    with pytest.raises(InputError, match="the unit of column .* is not known .*give it in the map"):
         read_valves(path, MODULE, mapped(pressure_kpa_plus_1=header, pressure_kpa_minus_1="P2"))
     given = mapped(pressure_kpa_plus_1={"column": header, "unit": "mbar"}, pressure_kpa_minus_1="P2")
     assert read_valves(path, MODULE, given).values[2, 0, 0] == 100.0
@@ -160,10 +160,13 @@ def test_header_and_map_in_conflict_name_both(tmp_path):
     ):
         read_valves(path, MODULE, given)
     path.write_text("x_1 (cm),y_1 (cm),time\n" + "1,2,0\n" * 3)
-    with pytest.raises(InputError, match=r"'x_1 \(cm\)' is in cm by its name, in mm by the map or --units"):
+    with pytest.raises(
+        InputError,
+        match=r"'x_1 \(cm\)' is in cm according to its name, but in mm according to the map or --units",
+    ):
         read_markers(path, unit="mm")
     path.write_text("tip_x [cm],tip_y [cm],time\n" + "1,2,0\n" * 3)
-    with pytest.raises(InputError, match="is in cm by its name, in mm"):
+    with pytest.raises(InputError, match="is in cm according to its name, but in mm"):
         read_markers(path, unit="mm")
     assert read_markers(path, unit="cm").points[0, 0].tolist() == [0.01, 0.02]
 
@@ -183,7 +186,7 @@ def test_chambers_called_pa_and_pb_have_no_unit(tmp_path):
         ({"pressure_mpa_plus_1": "P1"}, "unit 'mpa' is not known"),
         ({"valve_bar_plus_1": "P1"}, "unit 'bar' is not known; allowed: none"),
         ({"time": {"column": "t", "unit": "kPa"}}, "unit 'kPa' is not known; allowed: s, ms"),
-        ({"ambient_kpa": "P1"}, "a number is wanted"),
+        ({"ambient_kpa": "P1"}, "the value must be a number"),
         ({"pressure_plus_1": {"column": "P1", "units": "bar"}}, "units"),
     ],
 )
@@ -331,7 +334,7 @@ def test_absolute_pressures_are_said_and_subtracted(tmp_path):
     path = log(tmp_path, "time,pressure_plus_1_kpa,P2 (kPa)", 101.3 + 30 * RAW)
     path.write_text(path.read_text().replace(",0\n", ",101.3\n"))
     keys = {"pressure_minus_1": "P2 (kPa)"}
-    hint = r"pressures of 101.3 kPa and more: they look absolute: .*ambient_kpa: 101.3"
+    hint = r"the smallest pressure is 101.3 kPa: they look absolute: .*ambient_kpa: 101.3"
     assert any(hint[:30] in note for note in read_valves(path, MODULE, mapped(**keys)).corrections)
     found = read_valves(path, MODULE, mapped(**keys, ambient_kpa=101.3))
     assert found.values[:, 0, 0] == pytest.approx(3e4 * RAW, abs=1e-6)
@@ -379,7 +382,7 @@ def test_signals_of_a_bag_take_the_unit_of_the_map(tmp_path):
         given = mapped(**{f"pressure_{key}plus_1": plus, f"pressure_{key}minus_1": "/p.data[1]"})
         found = read_valves(path, spec, given)
         assert found.values[:, 0, 0] == pytest.approx(factor * RAW)
-        assert ("pressures without a unit taken as Pa" in found.corrections) == (not key)
+        assert ("pressures without a unit are assumed to be in Pa" in found.corrections) == (not key)
 
 
 @pytest.mark.parametrize("names", ["P{} (bar)", "pressure_{}_1_bar"])

@@ -201,7 +201,7 @@ def test_a_snake_that_does_not_crawl_has_no_head(tmp_path):
     still = replace(
         motion(), columns={n: c if n == "time" else c[:1].repeat(401) for n, c in motion().columns.items()}
     )
-    with pytest.raises(InputError, match="which end is the head cannot be told"):
+    with pytest.raises(InputError, match="the head cannot be determined"):
         recorded(tmp_path, Take(), still)
 
 
@@ -254,9 +254,11 @@ def test_rows_may_be_shuffled_doubled_and_missing(tmp_path):
     path.write_text("\n".join([*header, *(rows[k] for k in order), ""]))
     found = read_motion(path, SPEC)
     said = "; ".join(found.summary.corrections)
-    assert "sorted" in said and "2 rows repeat the time" in said and "3 frames missing in the file" in said
+    assert (
+        "sorted" in said and "2 rows repeat the time" in said and "3 frames are missing in the file" in said
+    )
     assert found.summary.markers.frames_missing == 3 and found.summary.markers.header_frames == len(rows)
-    assert "where the header says 401" in found.summary.text()
+    assert "(401 according to the header)" in found.summary.text()
     place, _, _, measured = errors(found, motion())
     assert len(found.trajectory) == len(rows) and place[measured].max() < 1e-6
     assert np.flatnonzero(~measured.all(axis=1)).tolist() == [100, 101, 250]
@@ -287,7 +289,7 @@ def test_plain_csv_in_another_unit_than_it_says(tmp_path):
     path = tmp_path / "plain.csv"
     path.write_text(plain_csv(motion(), "m", 1e3).replace("_m", ""))
     with pytest.raises(
-        InputError, match=r"plain.csv: markers lie 5.* mm apart, .* 55 mm; were lengths in mm\?"
+        InputError, match=r"plain.csv: markers are 5.* mm apart, .* 55 mm; are the lengths in mm\?"
     ):
         read_motion(path, SPEC)
 
@@ -308,7 +310,7 @@ def test_segments_that_are_longer_than_the_robot_file_says_are_measured(tmp_path
     path.write_text(plain_csv(motion()))
     found = read_motion(path, replace(SPEC, geometry=geometry))
     assert any(
-        each.startswith("segments are longer than gen2's by +2.") for each in found.summary.corrections
+        each.startswith("segments are longer than those of gen2 by +2.") for each in found.summary.corrections
     )
     assert np.sqrt(((found.trajectory.stack("bend") - motion().stack("bend")) ** 2).mean()) < 0.05
 

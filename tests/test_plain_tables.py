@@ -167,17 +167,23 @@ def test_layouts_are_found_or_given(tmp_path, content, dialect):
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        (text(header=False), ":1: 16 numbers and no names of columns: give --columns time,x_1,y_1,…"),
-        (text(";", ",", header=False), ":1: 16 numbers and no names of columns: give --columns"),
-        (text(comments="# a\n", header=False), ":2: 16 numbers and no names"),
-        (text(",", ","), ":2: 32 cells where the header has 16"),
-        (text(";", ".").replace("0.030000", "1,030.5"), "may be decimal or of thousands: give --decimal"),
-        ("time;x_1;y_1\n" + "1,500;2,250;3,125\n" * 20, "may be decimal or of thousands: give --decimal"),
-        ("time,x_1,y_1\n1,5;2,5;3,5\n", ":2: 4 cells where the header has 3"),
+        (text(header=False), ":1: 16 numbers but no names of columns; give --columns time,x_1,y_1,…"),
+        (text(";", ",", header=False), ":1: 16 numbers but no names of columns; give --columns"),
+        (text(comments="# a\n", header=False), ":2: 16 numbers but no names"),
+        (text(",", ","), ":2: 32 cells, but the header has 16"),
+        (
+            text(";", ".").replace("0.030000", "1,030.5"),
+            "may be decimal marks or separate thousands: give --decimal",
+        ),
+        (
+            "time;x_1;y_1\n" + "1,500;2,250;3,125\n" * 20,
+            "may be decimal marks or separate thousands: give --decimal",
+        ),
+        ("time,x_1,y_1\n1,5;2,5;3,5\n", ":2: 4 cells, but the header has 3"),
         (text().replace("c2_x", "c1_x"), "c1_x: two columns have this name"),
         (
             text().replace("0.030000", '"0,030000"'),
-            "is no number; a number or nothing is wanted, --decimal ',' for",
+            "is not a number; give a number or leave the cell empty, or use --decimal ',' for",
         ),
     ],
     ids=range(9),
@@ -210,7 +216,9 @@ def test_names_apply_to_files_without_names_only(tmp_path):
     path.write_text("time,valve_plus_1,valve_minus_1\n0,1,0\n1,0,1\n")
     found = read_valves(path, MODULE, read_map({"columns": ["time", "x_1", "y_1"]}))
     assert found.values[0, 0].tolist() == [1, -1]
-    assert "columns are named by the file: those of --columns or the map are not used" in found.corrections
+    assert (
+        "the file names its columns: the names of --columns or of the map are not used" in found.corrections
+    )
     path.write_text("0;1;0\n1,5;0;1\n")
     found = read_valves(path, MODULE, read_map({"columns": ["time", "valve_plus_1", "valve_minus_1"]}))
     assert found.time.tolist() == [0.0, 1.5]
@@ -323,7 +331,7 @@ def test_times_since_1970_in_both_files_give_the_offset(tmp_path, captured):
     path.write_text(since_1970(0.0, 4.0, 1_700_003_600))
     joined = join(body, read_valves(path, SPEC), SPEC)
     assert joined.trajectory.metadata["valve_log"]["offset_estimated"]
-    assert any("3600 s away: these are not used" in each for each in joined.summary.corrections)
+    assert any("differ by 3600 s" in each for each in joined.summary.corrections)
 
 
 def test_epoch_of_a_motion_is_kept(tmp_path):

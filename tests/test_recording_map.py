@@ -54,7 +54,7 @@ def test_markers_by_anybodys_names(tmp_path):
     assert 0.93 < (np.abs(error) < 1.96 * stated).mean() < 0.97
     assert np.abs(found.trajectory.stack("length") - truth.stack("length")).mean() < 1e-3
     assert any("segments stretch" in each for each in found.summary.corrections)
-    assert "1 markers ignored, as the map asks" in found.summary.corrections
+    assert "1 markers ignored according to the map" in found.summary.corrections
 
 
 @pytest.mark.parametrize("layout", ["head", "pair", "middles", "head_middles"])
@@ -93,7 +93,8 @@ def test_places_that_do_not_determine_the_shape_are_refused_and_the_remedy_works
     path = written(tmp_path / "x.csv", [f"m{k}" for k in range(6)], every)
     some = {f"m{k}": {"connector": k} for k in (1, 2, 3, 5)}
     with pytest.raises(
-        InputError, match="do not tell how 4 segments bend; a marker at each connector and a second"
+        InputError,
+        match="do not determine the bends of 4 segments; use a marker at each connector and a second",
     ):
         read_motion(path, SPEC, map=read_map({"markers": some}))
     whole = some | {"m4": {"connector": 4}, "m0": {"connector": 1, "side": "ahead"}}
@@ -101,12 +102,12 @@ def test_places_that_do_not_determine_the_shape_are_refused_and_the_remedy_works
 
 
 @pytest.mark.parametrize(("data", "said"), [
-    ({"markers": {"m0": {"connector": 1, "middle": 1}}}, "markers.m0: either connector or middle is wanted"),
-    ({"markers": {"m0": {}}}, "either connector or middle is wanted"),
+    ({"markers": {"m0": {"connector": 1, "middle": 1}}}, "markers.m0: give either connector or middle"),
+    ({"markers": {"m0": {}}}, "give either connector or middle"),
     ({"markers": {"m0": {"connector": 0}}}, "markers.m0"),
     ({"units": "inch"}, "units: must be one of m, cm, mm, in, ft, px, not text 'inch'"),
-    ({"log": {"valve_1": "a"}}, "log.valve_1: a log has time, carrier_hz, valve_plus_1"),
-    ({"log": {"carrier_hz": "30"}}, "log.carrier_hz: a number is wanted"),
+    ({"log": {"valve_1": "a"}}, "log.valve_1: this is not a key of a log; allowed: time, carrier_hz"),
+    ({"log": {"carrier_hz": "30"}}, "log.carrier_hz: the value must be a number"),
     ({"marker": {}}, "marker: unknown key; did you mean markers?"),
 ])  # fmt: skip
 def test_what_is_wrong_with_a_map_and_where(data, said):
@@ -130,7 +131,7 @@ def test_options_for_one_recording_go_before_the_file(tmp_path):
     assert found.units == "cm" and found.rate_hz is None
     assert found.markers["base"].station == (0, "ahead") and found.markers["tip"].station == (8, "")
     assert found.markers["lamp"] == "ignore"
-    with pytest.raises(InputError, match="--marker: 'base:1' is not allowed; NAME=connector 1"):
+    with pytest.raises(InputError, match="--marker: 'base:1' is not allowed; use NAME=connector 1"):
         given_map(None, {}, ["base:1"])
     assert given_map(None, {"units": None}, []) is None
 
@@ -154,14 +155,14 @@ def test_logs_with_columns_of_another_name(tmp_path):
     found = read_valves(path, SPEC, RecordingMap(log=log))
     assert found.kind == "pressure" and found.time == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
     assert found.values[2, 1] == pytest.approx([22e3, 23e3])
-    assert "set-points taken as the chambers' pressures" in found.corrections
+    assert "set points are assumed to be the chamber pressures" in found.corrections
 
 
 def test_duties_become_valves_that_fill_for_their_share(tmp_path):
     names = [f"duty_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus")]
     duty = np.random.default_rng(1).uniform(0, 1, (11, 8)).round(3)
     path = log_file(tmp_path / "x.csv", ["time", *names], np.column_stack([0.2 * np.arange(11), duty]))
-    with pytest.raises(InputError, match="duties need the frequency of their carrier"):
+    with pytest.raises(InputError, match="duties need their carrier frequency"):
         read_valves(path, SPEC)
     found = read_valves(path, SPEC, RecordingMap(log={"carrier_hz": 50.0}))
     assert found.kind == "valve"

@@ -163,7 +163,7 @@ def test_gaps_of_a_sensor_are_filled_as_far_as_allowed(bench, tmp_path):
         ("time,bend_1,bend_2\n0,0,0\n", "x.csv:1:3: bend_2: gen4_module has 1 segments"),
         ("time,bend_1_turns\n0,0\n", "unit 'turns' is not known; allowed: rad, deg"),
         ("time,bend_1\n0,0\n0.1,47.9\n", r"x.csv:3:2: bend_1: a bend of 47.9 rad is not allowed.*bend_1_deg"),
-        ("time,bend_1\n0,0\n,1\n", "x.csv:3:1: a row without a time"),
+        ("time,bend_1\n0,0\n,1\n", "x.csv:3:1: the row has no time"),
         ("time,bend_1\n0,0\n1,1\n", "x.csv: 2 frames"),
     ],
 )

@@ -64,7 +64,7 @@ def test_a_gait_without_its_start_is_refused_with_the_candidates(tmp_path, captu
     inside = replace(captured, trajectory=replace(captured.trajectory, columns=middle))
     text = valve_csv(motion(), 0.8, 4.0, 0.0)
     with pytest.raises(
-        InputError, match=r"offset of its clock is ambiguous, \d+ fit .* because the gait is periodic"
+        InputError, match=r"offset of its clock is ambiguous: \d+ offsets fit .* because the gait is periodic"
     ):
         join(inside, log(tmp_path, text), SPEC)
     given_one = join(inside, log(tmp_path, text), SPEC, offset=0.0)
@@ -83,7 +83,7 @@ def test_a_log_of_another_run_is_refused(tmp_path, captured):
 def test_frames_that_the_log_does_not_cover_are_left_out_and_said(tmp_path, captured):
     joined = join(captured, log(tmp_path, valve_csv(motion(), 1.0, 2.0, 0.0)), SPEC, offset=0.0)
     assert (joined.trajectory.time[0], joined.trajectory.time[-1]) == (1.0, 2.0)
-    assert any("frames that the log does not cover" in each for each in joined.summary.corrections)
+    assert any("frames outside the log" in each for each in joined.summary.corrections)
     with pytest.raises(InputError, match="0 frames in common"):
         join(captured, log(tmp_path, valve_csv(motion(), 1.0, 2.0, 0.0)), SPEC, offset=100.0)
 
@@ -169,7 +169,7 @@ def test_duties_fill_for_their_share_of_each_carrier_period(tmp_path, full):
 def test_open_and_closed_are_filling_and_venting(tmp_path):
     found = log(tmp_path, "\n".join([HEAD, "0" + ",0" * 8, "1" + ",1,0" * 4, ""]))
     assert found.values[:, 0].tolist() == [[-1, -1], [1, -1]]
-    assert any("0 taken as venting" in each for each in found.corrections)
+    assert any("0 is read as venting" in each for each in found.corrections)
 
 
 @pytest.mark.parametrize(
@@ -180,12 +180,12 @@ def test_open_and_closed_are_filling_and_venting(tmp_path):
         ("time", "clock", "valves.csv:1: no column 'time'"),
         ("valve_plus_2", "valve_plus_1", "valves.csv:1:4: valve_plus_1: the same as column"),
         ("valve_plus_1", "valve_plus_1_kpa", "valves.csv:1:2: valve_plus_1_kpa: unit 'kpa' is not known"),
-        ("valve_plus_1", "pressure_plus_1", "is wanted (other names: --map); pressure, valve given"),
-        ("1.0,", "1.0,2,", "valves.csv:3: 10 cells where the header has 9"),
-        ("1.0,-1", "1.0,2", ":3:2: valve_plus_1: 2 is not allowed; -1 (vent), 0 (hold) or 1 (fill)"),
-        ("1.0,-1", "1.0,", "valves.csv:3:2: valve_plus_1: nothing is not allowed"),
-        ("1.0,", ",", "valves.csv:3:1: a row without a time"),
-        ("1.0,", "one,", "valves.csv:3:1: 'one' is no number"),
+        ("valve_plus_1", "pressure_plus_1", "this file has pressure, valve; give other"),
+        ("1.0,", "1.0,2,", "valves.csv:3: 10 cells, but the header has 9"),
+        ("1.0,-1", "1.0,2", ":3:2: valve_plus_1: 2 is not allowed; it must be -1 (vent), 0 (hold) or 1 (fill)"),
+        ("1.0,-1", "1.0,", "valves.csv:3:2: valve_plus_1: the value is missing"),
+        ("1.0,", ",", "valves.csv:3:1: the row has no time"),
+        ("1.0,", "one,", "valves.csv:3:1: 'one' is not a number"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_named_with_its_place(tmp_path, monkeypatch, old, new, says):

@@ -424,7 +424,9 @@ def laid_out(file: RecordedFile, dialect: Dialect = AS_FOUND) -> RecordedFile:
     if not dialect.decimal and separator != "," and file.raw.find(b",", rows) >= 0:
         decimal = ","
         if not _DECIMAL_COMMA.search(file.raw, rows):
-            problem = problem or "commas in numbers are decimal or of thousands: give --decimal ',' or '.'"
+            problem = problem or (
+                "commas in numbers may be decimal marks or separate thousands: give --decimal ',' or '.'"
+            )
     if separator == decimal and '"' not in row:
         problem = f"'{decimal}' cannot separate cells and decimals: give another --separator"
     if separator + decimal != ",.":

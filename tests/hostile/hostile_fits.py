@@ -77,7 +77,7 @@ TABLE_MALFORMED: tuple[Malformed, ...] = (
     Malformed("no bends", TABLE.replace(b"bend_1", b"bent_1"), ":1: no column 'bend_1'"),
     Malformed("a segment too many", TABLE.replace(b"bend_1", b"bend_2"), ":1:3: bend_2_deg: gen4_module has segments 1 to 1"),
     Malformed("an unknown unit", TABLE.replace(b"kpa", b"ata", 1), ":1:1: pressure_plus_1_ata: unit 'ata' is not known"),
-    Malformed("a word", TABLE.replace(b"10,0", b"ten,0"), ":4:1: 'ten' is no number"),
+    Malformed("a word", TABLE.replace(b"10,0", b"ten,0"), ":4:1: 'ten' is not a number"),
     Malformed("a row without pressure", TABLE.replace(b"10,0", b",0"), ": pressures from -2e+06 to 2e+06 Pa are wanted, in every row"),
     Malformed("degrees as radians", TABLE.replace(b"_deg", b""), ": bends up to 6.28 rad are wanted; is the unit right (bend_1_deg)?"),
     Malformed("a header only", TABLE.split(b"\n")[0] + b"\n", ""),

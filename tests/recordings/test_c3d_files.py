@@ -202,7 +202,7 @@ def test_units_of_points(tmp_path):
     expected = points * [[1e-3], [1e-2], [1.0]]
     assert np.abs(read_markers(tmp_path / "mixed.c3d").points - expected).max() < 1e-4
     (tmp_path / "none.c3d").write_bytes(by_hand(points, 84, units=""))
-    assert "POINT:UNITS is not given: mm taken" in same(tmp_path / "none.c3d", points).corrections
+    assert "POINT:UNITS is missing: mm assumed" in same(tmp_path / "none.c3d", points).corrections
     by_ezc3d(tmp_path / "odd.c3d", points, units=("furlong",))
     with pytest.raises(InputError, match="odd.c3d: unit of length 'furlong' is not known"):
         read_markers(tmp_path / "odd.c3d")
@@ -227,7 +227,7 @@ def test_angles_are_no_markers(tmp_path):
     by_ezc3d(tmp_path / "a.c3d", walk(20, 4), kinds=["m1"])
     found = read_markers(tmp_path / "a.c3d")
     assert found.labels == ("m0", "m2", "m3")
-    assert "1 points that are angles, forces or the like skipped" in found.corrections
+    assert "1 points with angles, forces or similar quantities skipped" in found.corrections
 
 
 def test_damaged_bytes_are_read_or_refused_within_bounds(tmp_path):

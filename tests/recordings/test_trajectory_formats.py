@@ -70,7 +70,7 @@ def test_trc_of_a_part_of_a_take_and_of_a_rate_that_is_rounded(tmp_path):
     [
         ("\tmm\t", "\tfurlong\t", ":3: unit of length 'furlong' is not known"),
         ("Frame#\tTime", "Frames\tTime", ":4: the header is cut"),
-        ("m2", "m2\t\t\tm3", ":7: 11 cells for 4 markers; 14 are wanted"),
+        ("m2", "m2\t\t\tm3", ":7: 11 cells for 4 markers; rows must have 14 cells"),
         ("100\t100", "0\t0", "frame rate '0' is not allowed"),
     ],
 )
@@ -97,7 +97,7 @@ def test_tum(tmp_path, head, origin, space):
 
 def test_eight_numbers_that_are_no_pose_are_refused(tmp_path):
     (tmp_path / "a.txt").write_text("0.1 1 2 3 4 5 6 7\n" * 5)
-    with pytest.raises(InputError, match="eight numbers a line are read as .* a quaternion"):
+    with pytest.raises(InputError, match="eight numbers per line are read as .* a quaternion"):
         read_markers(tmp_path / "a.txt")
     (tmp_path / "b.txt").write_text("0.1" + " " * 200_000 + "1 2 3 0 0 0 1\n0.2 1 2 3 0 0 0 1\n")
     began = time.perf_counter()
@@ -110,7 +110,7 @@ def test_tum_that_is_damaged(tmp_path):
     rows = ["0.1 1 2 3 0 0 0 1"] * 5
     rows[3] = "0.1 1 a 3 0 0 0 1"
     (tmp_path / "a.tum").write_text("# t x y z\n" + "\n".join(rows) + "\n")
-    with pytest.raises(InputError, match="a.tum:5:3: 'a' is no number"):
+    with pytest.raises(InputError, match="a.tum:5:3: 'a' is not a number"):
         read_markers(tmp_path / "a.tum")
 
 

@@ -67,7 +67,7 @@ _MAX_PRESSURE = 2e6
 """Largest gauge pressure of a chamber, Pa."""
 _MIN_PRESSURE = -1.1e5
 """Smallest gauge pressure, Pa: below the one of a vacuum."""
-_ALLOWED = f"allowed are gauge pressures from {_MIN_PRESSURE:g} to {_MAX_PRESSURE:g} Pa"
+_ALLOWED = f"it must be a gauge pressure from {_MIN_PRESSURE:g} to {_MAX_PRESSURE:g} Pa"
 _BEND = re.compile(r"bend_(?:[a-z]+_)?1(?!\d)")
 _MAX_TIME = 1e9
 """Largest time, s: larger ones are in a wrong unit."""
@@ -276,7 +276,7 @@ def _log(
         if not all(units):
             notes.append("pressures without a unit are assumed to be in Pa")
         values = values - map.ambient
-    allowed, words, unit = np.isin(values, (-1, 0, 1)), "allowed are -1 (vent), 0 (hold) and 1 (fill)", ""
+    allowed, words, unit = np.isin(values, (-1, 0, 1)), "it must be -1 (vent), 0 (hold) or 1 (fill)", ""
     if kind in AIR:
         allowed = (values >= _MIN_PRESSURE) & (values <= _MAX_PRESSURE)
         words, unit = _ALLOWED, " Pa"
