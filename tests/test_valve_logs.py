@@ -182,7 +182,7 @@ def test_open_and_closed_are_filling_and_venting(tmp_path):
         ("valve_plus_1", "valve_plus_1_kpa", "valves.csv:1:2: valve_plus_1_kpa: unit 'kpa' is not known"),
         ("valve_plus_1", "pressure_plus_1", "this file has pressure, valve; give other"),
         ("1.0,", "1.0,2,", "valves.csv:3: 10 cells, but the header has 9"),
-        ("1.0,-1", "1.0,2", ":3:2: valve_plus_1: 2 is not allowed; it must be -1 (vent), 0 (hold) or 1 (fill)"),
+        ("1.0,-1", "1.0,2", ":3:2: valve_plus_1: 2 is not allowed; it must be -1 (vent), 0 (hold)"),
         ("1.0,-1", "1.0,", "valves.csv:3:2: valve_plus_1: the value is missing"),
         ("1.0,", ",", "valves.csv:3:1: the row has no time"),
         ("1.0,", "one,", "valves.csv:3:1: 'one' is not a number"),

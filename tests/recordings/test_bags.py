@@ -208,5 +208,5 @@ def test_databases_that_are_no_bags(tmp_path):
         base.execute("CREATE TABLE topics (id INTEGER PRIMARY KEY, name, type, serialization_format)")
         endless = "WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n) SELECT x FROM n"
         base.execute(f"CREATE VIEW messages (topic_id) AS {endless}")
-    with pytest.raises(InputError, match="no ROS 2 bag"):
+    with pytest.raises(InputError, match="not a ROS 2 bag"):
         read_markers(tmp_path / "c.db3")

@@ -278,7 +278,7 @@ class _Tracker:
         return np.asarray(np.where(distance > reach, _FORBIDDEN_COST, distance + _RANGE_COST * violation))
 
     def _range_violation(self, track: int, frame: int, starts: np.ndarray) -> np.ndarray:
-        """Return by how much distances to other markers leave their past range, summed, (tracklets,), m."""
+        """Return the sum of the excesses of distances over their past ranges, shape (tracklets,), m."""
         others = np.flatnonzero(self.slots[frame] >= 0)
         past = np.flatnonzero(self.slots[: self._end[track] + 1, track] >= 0)
         past = past[:: len(past) // _PAST_SAMPLES + 1][:, None]
