@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from srs_twin.robot.file import RobotFile
-from srs_twin.scenario import load_scenario
+from srs_twin.robot.priors import Priors
+from srs_twin.scenario.loading import load_scenario
 from srs_twin.studies.sweep.execution import local
-from srs_twin.studies.uncertainty import Priors, Study, propagate
-from srs_twin.studies.uncertainty.propagation import OWN_ROWS
+from srs_twin.studies.uncertainty.propagation import OWN_ROWS, propagate
 from srs_twin.studies.uncertainty.spreads import predicted, sampling_errors
+from srs_twin.studies.uncertainty.study import Study
 
 FEW, SETS = 64, 10
 ENDS = [0.025, 0.975]

@@ -241,7 +241,7 @@ def sweep_of(path, value: float):
     import pyarrow.parquet as pq
 
     row = {"key": ["k"], "seed": [1], "status": ["done"], "exit_code": [0], "twin.com_speed_m_s": [value]}
-    metadata = {"srs_twin.studies.sweep": '{"versions": {}}'}
+    metadata = {"srs_twin.sweep": '{"versions": {}}'}
     pq.write_table(pa.table(row).replace_schema_metadata(metadata), path)
     return str(path)
 

@@ -8,11 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from srs_twin.robot.priors import Prior, Priors
 from srs_twin.robot.sourced import Uncertain
-from srs_twin.scenario import load_scenario
-from srs_twin.studies.uncertainty import Prior, Priors, Propagation, Spread, Study
+from srs_twin.scenario.loading import load_scenario
 from srs_twin.studies.uncertainty.plots import draw_intervals
-from srs_twin.studies.uncertainty.spreads import BOUNDING, predicted, sampling_errors
+from srs_twin.studies.uncertainty.propagation import Propagation
+from srs_twin.studies.uncertainty.spreads import BOUNDING, Spread, predicted, sampling_errors
+from srs_twin.studies.uncertainty.study import Study
 
 SPEED = "com_speed_m_s"
 Law = Callable[[np.ndarray], np.ndarray]

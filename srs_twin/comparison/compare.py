@@ -9,7 +9,7 @@ they differ.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -42,6 +42,8 @@ class Comparison(Shown):
         bend_error: candidate − reference, (T, segments), rad.
         heading_error: candidate − reference, without the whole turns between their first headings, (T,), rad.
     """
+
+    page: ClassVar[str] = "comparison"
 
     metrics: dict[str, float | None]
     time: np.ndarray

@@ -280,14 +280,14 @@ def _leaves(value: Any, name: str) -> Iterator[tuple[str, Leaf]]:
 
 def _read_sweep(path: Path) -> tuple[list[tuple[ValueKey, Leaf]], dict[str, str]]:
     def check(schema: Any) -> None:
-        if b"srs_twin.studies.sweep" not in (schema.metadata or {}):
+        if b"srs_twin.sweep" not in (schema.metadata or {}):
             raise ValueError("the Parquet file is not the result of a sweep")
 
     try:
         table = read_table(path, "the results of a sweep", check)
     except InputError as error:
         raise ValueError("the file is not the result of a sweep") from error
-    metadata = parse_json(table.schema.metadata[b"srs_twin.studies.sweep"].decode(), shown(path))
+    metadata = parse_json(table.schema.metadata[b"srs_twin.sweep"].decode(), shown(path))
     names = table.column_names
     fields = names[1 : names.index("status")]
     metrics = ["status", *names[names.index("exit_code") + 1 :]]

@@ -24,9 +24,9 @@ from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
 from srs_twin.envs.task import Episode, Signal, Signals, Task, numbered
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import names
-from srs_twin.planning.fields import strewn
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
+from srs_twin.robot.drawn_worlds import strewn
 from srs_twin.robot.world import Bounds, Goal, World
 
 STEP_S = 0.1
@@ -226,8 +226,10 @@ def gait_signals(limits: GaitLimits) -> Signals:
     low, high = (pressure / _PA_PER_KPA for pressure in limits.pressure)
     return (
         Signal("offset", "1", *limits.offset, "steering offset φ of the gait, positive to the left"),
-        Signal("frequency_hz", "Hz", *limits.frequency, "of the gait; the wave goes on without a jump"),
-        Signal("pressure_kpa", "kPa", low, high, "of the air supply"),
+        Signal(
+            "frequency_hz", "Hz", *limits.frequency, "frequency of the gait, whose phase stays continuous"
+        ),
+        Signal("pressure_kpa", "kPa", low, high, "gauge pressure of the air supply"),
     )
 
 
@@ -235,22 +237,34 @@ def _observations(place: Field, segments: int, actions: Sequence[Signal]) -> Sig
     (left, right), (bottom, top) = place.room.x, place.room.y
     across = math.hypot(right - left, top - bottom) + 1.0
     found = [
-        Signal("x_m", "m", left - 0.5, right + 0.5, "centre of mass, by the camera"),
-        Signal("y_m", "m", bottom - 0.5, top + 0.5, "centre of mass, by the camera"),
-        Signal("heading_cos", "1", -1.0, 1.0, "cosine of the mean heading, by the camera"),
-        Signal("heading_sin", "1", -1.0, 1.0, "its sine"),
-        Signal("goal_ahead_m", "m", -across, across, "where the goal lies from there, along the heading"),
-        Signal("goal_left_m", "m", -across, across, "and to the left of it"),
-        Signal("gait_cos", "1", -1.0, 1.0, "cosine of the gait's angle at the first segment"),
-        Signal("gait_sin", "1", -1.0, 1.0, "its sine"),
+        Signal("x_m", "m", left - 0.5, right + 0.5, "centre of mass, from the camera"),
+        Signal("y_m", "m", bottom - 0.5, top + 0.5, "centre of mass, from the camera"),
+        Signal("heading_cos", "1", -1.0, 1.0, "cosine of the heading, from the camera"),
+        Signal("heading_sin", "1", -1.0, 1.0, "sine of the heading, from the camera"),
+        Signal("goal_ahead_m", "m", -across, across, "goal relative to the snake, along the heading"),
+        Signal("goal_left_m", "m", -across, across, "goal relative to the snake, to the left"),
+        Signal("gait_cos", "1", -1.0, 1.0, "cosine of the gait phase at the first segment"),
+        Signal("gait_sin", "1", -1.0, 1.0, "sine of the gait phase at the first segment"),
     ]
     reach = MAX_READING_RAD
-    found += numbered(segments, "bend_#_rad", "rad", -reach, reach, "bend of a segment, as sensed")
-    found += [Signal(each.name, each.unit, each.low, each.high, "as commanded last") for each in actions]
+    found += numbered(segments, "bend_#_rad", "rad", -reach, reach, "sensor reading of a segment")
+    found += [Signal(each.name, each.unit, each.low, each.high, "last command") for each in actions]
     for k in range(1, place.obstacles + 1):
         found += [
-            Signal(f"obstacle_{k}_ahead_m", "m", -across, across, "centre of a circle, along the heading"),
-            Signal(f"obstacle_{k}_left_m", "m", -across, across, "and to the left of it"),
-            Signal(f"obstacle_{k}_radius_m", "m", *_RADII_M, "its radius"),
+            Signal(
+                f"obstacle_{k}_ahead_m",
+                "m",
+                -across,
+                across,
+                "centre of a circle relative to the snake, along the heading",
+            ),
+            Signal(
+                f"obstacle_{k}_left_m",
+                "m",
+                -across,
+                across,
+                "centre of a circle relative to the snake, to the left",
+            ),
+            Signal(f"obstacle_{k}_radius_m", "m", *_RADII_M, "radius of the circle"),
         ]
     return tuple(found)

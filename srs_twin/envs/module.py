@@ -59,19 +59,19 @@ class ModuleTask(Task):
         if spec.segments != 1:
             raise InputError(f"robot '{spec.name}' has {spec.segments} segments; this task is for one module")
         self.reach = REACH_SHARE * largest_bend(spec, spec.supply.nominal)
-        fills = f"share of time in which the + chamber fills, {CARRIER_HZ:g} Hz"
-        same = "the same of the − chamber; + bends to the left, − to the right"
+        fills = f"duty of the + chamber, carrier {CARRIER_HZ:g} Hz; bends to the left"
+        same = "duty of the − chamber; bends to the right"
         self.actions = (
             Signal("duty_plus", "1", 0.0, 1.0, fills),
             Signal("duty_minus", "1", 0.0, 1.0, same),
         )
         largest = MAX_READING_RAD
         self.observations = (
-            Signal("bend_rad", "rad", -largest, largest, "bend, as sensed"),
-            Signal("bend_before_rad", "rad", -largest, largest, "the same a step ago"),
-            Signal("reference_rad", "rad", -self.reach, self.reach, "the angle asked for in the coming step"),
-            Signal("duty_plus", "1", 0.0, 1.0, "as commanded last"),
-            Signal("duty_minus", "1", 0.0, 1.0, "as commanded last"),
+            Signal("bend_rad", "rad", -largest, largest, "sensor reading"),
+            Signal("bend_before_rad", "rad", -largest, largest, "sensor reading of the previous step"),
+            Signal("reference_rad", "rad", -self.reach, self.reach, "reference angle of the next step"),
+            Signal("duty_plus", "1", 0.0, 1.0, "last command"),
+            Signal("duty_minus", "1", 0.0, 1.0, "last command"),
         )
 
     def begin(self, rng: np.random.Generator, last: Episode | None = None) -> ModuleEpisode:

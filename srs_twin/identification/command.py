@@ -14,23 +14,14 @@ from srs_twin.cli.console import console, interruptible, new_table, say
 from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,
-    FilesArgument,
-    FindOption,
-    FitOptions,
     FloorOption,
-    FrequencyOption,
     JobsOption,
     JsonOption,
-    OffsetOption,
     OverwriteOption,
     PressureOption,
     QuietOption,
-    ReadingOptions,
     RobotArgument,
-    RobotOption,
     ScenarioArgument,
-    ValidateOption,
-    ValvesOption,
     argument,
     at_once,
     option,
@@ -47,7 +38,9 @@ from srs_twin.identification.fitting import (
     names_in,
     print_table,
 )
+from srs_twin.identification.options import FilesArgument, FindOption, FitOptions, RobotOption, ValidateOption
 from srs_twin.io.files import shown
+from srs_twin.recordings.options import FrequencyOption, OffsetOption, ReadingOptions, ValvesOption
 
 if TYPE_CHECKING:
     from srs_twin.identification.footprint import Measured
@@ -137,7 +130,7 @@ def design(
     from srs_twin.cli.console import console, new_table
     from srs_twin.identification.design import design as designed
     from srs_twin.robot.file import load_robot, load_robot_file
-    from srs_twin.studies.uncertainty import Priors
+    from srs_twin.robot.priors import Priors
 
     wanted = {}
     for text in want.split(","):
@@ -258,8 +251,9 @@ def locomotion(
     """
     place = FitDestination.of(context, "locomotion", robot, fit)
     from srs_twin.identification.locomotion import PlantModel, fit_locomotion
+    from srs_twin.identification.recorded_runs import gait_run, measured_length
     from srs_twin.identification.unknowns import with_values
-    from srs_twin.recordings.takes import gait_run, measured_length, starts_at_rest
+    from srs_twin.recordings.takes import starts_at_rest
     from srs_twin.robot.file import load_robot
 
     spec, kept, names = load_robot(robot), validate or [], names_in(find) or []
@@ -463,19 +457,19 @@ def margin(
         plants: analytical, twin or both. [default: the scenario's]
         out: Folder of the footprint's file.
     """
+    from srs_twin.identification.excursions import excursions
     from srs_twin.io.documents import Change
     from srs_twin.io.files import find, open_folder, read_text
     from srs_twin.planning.footprint import load_footprint_file, save_footprint
     from srs_twin.planning.margins import quantile
-    from srs_twin.scenario import load_scenario
-    from srs_twin.studies.uncertainty.excursions import excursions
+    from srs_twin.scenario.loading import load_scenario
 
     # Whatever margin the scenario wants, it is not what is measured.
     none = Change("a margin to be measured", ("planner", "margin_probability"), None)
     found = load_scenario(scenario, set=[*changes.changes(), none])
     chosen = plants_of(plants) or list(found.plants)
-    assert found.file.planner is not None, "a margin of it was set"
-    place = find("footprint", found.file.planner.footprint)
+    assert found.file.section("planner") is not None, "a margin of it was set"
+    place = find("footprint", found.file.section("planner").footprint)
     path = Path(out) / f"{load_footprint_file(place).name}.yaml"
     open_folder(path.parent, (path.name,))
     with interruptible(NOTHING_WRITTEN), Counting(found.name, runs * len(chosen), quiet=quiet) as counting:

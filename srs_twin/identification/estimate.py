@@ -34,7 +34,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -185,6 +185,8 @@ class Estimate(Shown):
         held: what was taken as known and the values refer to, by name.
         converged: whether the search came to an end.
     """
+
+    page: ClassVar[str] = "fit"
 
     parameters: tuple[Parameter, ...]
     correlation: np.ndarray

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srs_twin.viewing.html.page import Picture, Table, picture, render
+from srs_twin.viewing.html.page import Picture, Table, picture, piece, render
 from srs_twin.viewing.plots.style import finish, panels
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def fit_report(fit: FitFile, estimate: Estimate) -> str:
     )
     data = [[each.role, each.name, str(each.samples), each.sha256[:16] + "…"] for each in fit.data]
     return render(
-        "viewing/html/fit.html",
+        "identification/fit.html",
         title=fit.title,
         subtitle=f"fit {fit.name}, {fit.method}, of robot {fit.robot}",
         parameters=parameter_table(fit.parameters),
@@ -50,6 +50,11 @@ def fit_report(fit: FitFile, estimate: Estimate) -> str:
         data=Table(["used for", "data", "samples", "SHA-256"], data, numbers=[2]),
         details=_details(fit),
     )
+
+
+def fit_page(fit: Estimate | FitFile) -> str:
+    """Return a fit as HTML for a notebook."""
+    return piece(getattr(fit, "title", "Fit"), parameter_table(fit.parameters))
 
 
 def residual_plot(residuals: Sequence[Residual]) -> Figure:

@@ -61,7 +61,7 @@ class LogColumn(Strict):
 
 
 class RecordingMap(Strict):
-    """Meanings of columns and markers in the files of a recording (docs/logs.md#a-map)."""
+    """Meanings of columns and markers in the files of a recording (docs/logs.md#recording-map)."""
 
     units: Literal["m", "cm", "mm", "in", "ft", "px"] | None = None
     """Unit of length, for files that do not state it."""

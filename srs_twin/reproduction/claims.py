@@ -129,7 +129,7 @@ class Measure(RunRequest):
 
 
 class Cause(Section):
-    """Why a row is missed: shown by a switch or by a section of the documents, or supposed without either."""
+    """Cause of a miss: shown by a switch or by a section of the documentation, or presumed without either."""
 
     says: Name
     """In words."""
@@ -145,7 +145,7 @@ class Cause(Section):
     @model_validator(mode="after")
     def _one_proof(self) -> Cause:
         if (self.docs and self.switch) or bool(self.set) != (self.switch is not None):
-            raise ValueError("give docs, or switch with set, or neither where the cause is only supposed")
+            raise ValueError("give docs, or switch with set, or neither for a presumed cause")
         return self
 
 

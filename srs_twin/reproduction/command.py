@@ -15,8 +15,9 @@ from srs_twin.cli.options import JobsOption, JsonOption, QuietOption, option
 from srs_twin.cli.progress import Counting
 
 if TYPE_CHECKING:
-    from srs_twin.reproduction import Judged, Store
     from srs_twin.reproduction.claims import Claim
+    from srs_twin.reproduction.runs import Store
+    from srs_twin.reproduction.verdicts import Judged
     from srs_twin.studies.sweep.task import Row
 
 
@@ -57,9 +58,9 @@ def reproduce(
     start_server("srs_twin.studies.sweep.warm")
     from srs_twin.errors import InputError
     from srs_twin.io.files import shown
-    from srs_twin.reproduction import judge, load_claims, open_store
-    from srs_twin.reproduction.claims import chosen
-    from srs_twin.reproduction.runs import HTML, JSON, JUNIT
+    from srs_twin.reproduction.claims import chosen, load_claims
+    from srs_twin.reproduction.runs import HTML, JSON, JUNIT, open_store
+    from srs_twin.reproduction.verdicts import judge
 
     if write_baseline and (only or quick):
         raise InputError("--write-baseline needs all rows; leave --only and --quick out")
@@ -90,9 +91,10 @@ def _show_scorecard(*, as_json: bool) -> None:
 
     from srs_twin.cli.options import print_json
     from srs_twin.identification.fitting import print_table
-    from srs_twin.reproduction import load_baseline, load_claims
+    from srs_twin.reproduction.claims import load_claims
     from srs_twin.reproduction.scorecard import FACTORS, UNVALIDATED
     from srs_twin.reproduction.scorecard import scorecard as graded
+    from srs_twin.reproduction.verdicts import load_baseline
 
     found = graded(load_claims(), load_baseline())
     if as_json:
@@ -140,9 +142,9 @@ def _figures(
 def _written(out: Path, rows: Sequence[Judged], figures: list[Any], *, write_baseline: bool) -> list[str]:
     """Write the files; return what has changed from the baseline."""
     from srs_twin.io.file_sets import replaced
-    from srs_twin.reproduction import load_baseline
     from srs_twin.reproduction.report import write_html, write_json
     from srs_twin.reproduction.runs import HTML, JSON, JUNIT
+    from srs_twin.reproduction.verdicts import load_baseline
     from srs_twin.reproduction.verdicts import write_baseline as write
 
     if write_baseline:

@@ -263,7 +263,7 @@ def _to_be_shown(row: Judged) -> list[Cause]:
 
 
 def _explained(store: Store, claim: Claim, column: str, outcome: Outcome) -> Outcome:
-    """Return a missed outcome with the first cause that is shown, or with what was thought to be one."""
+    """Return a missed outcome with the first cause that is shown, or with the presumed cause."""
     causes = [cause for cause in claim.cause if column in cause.columns]
     if outcome.verdict == MET or not causes:
         return outcome
@@ -271,9 +271,10 @@ def _explained(store: Store, claim: Claim, column: str, outcome: Outcome) -> Out
         if cause.docs is not None:
             return replace(outcome, verdict=EXPLAINED, why=f"{cause.says} ({cause.docs})")
         if cause.switch is None:
-            return replace(outcome, why=f"supposed: {cause.says}")
+            return replace(outcome, why=f"presumed cause: {cause.says}")
         switched = judged(store, claim.switched(cause), column)
         if switched.verdict == MET:
-            return replace(outcome, verdict=EXPLAINED, why=f"{cause.switch}: {cause.says}; met without it")
+            why = f"{cause.switch}: {cause.says}; met with this assumption switched"
+            return replace(outcome, verdict=EXPLAINED, why=why)
     tried = ", ".join(f"{cause.switch}" for cause in causes)
     return replace(outcome, why=outcome.why or f"not met either with {tried} switched")

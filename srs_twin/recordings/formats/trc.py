@@ -1,4 +1,4 @@
-"""TRC: marker positions over time from OpenSim, Cortex or other programs (tab-separated, five header lines)."""
+"""TRC: marker positions over time, tab-separated with five header lines (OpenSim, Cortex)."""
 
 from __future__ import annotations
 

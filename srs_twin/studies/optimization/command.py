@@ -53,10 +53,10 @@ def optimize(
     from srs_twin.studies.sweep.command import chosen_engine
 
     runner = chosen_engine(engine, workers, address)
-    from srs_twin.studies.optimization import load_study, search
     from srs_twin.studies.optimization.answer import Answer
+    from srs_twin.studies.optimization.loading import load_study
     from srs_twin.studies.optimization.runs import Runs
-    from srs_twin.studies.optimization.search import TOLD
+    from srs_twin.studies.optimization.search import TOLD, search
 
     study = load_study(given, set=changed_fields.changes())
     folder = Path(out) if out else STUDIES / study.name

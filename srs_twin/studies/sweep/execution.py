@@ -220,7 +220,8 @@ class OpenSweep:
         if not self.sweep.plots:
             return {}
         # matplotlib takes longer to import than a sweep without pictures has to wait.
-        from srs_twin.studies.sweep.plots import draw, save
+        from srs_twin.studies.sweep.plots import draw
+        from srs_twin.viewing.plots.picture_file import save
 
         titles = {}
         for number, plot in enumerate(self.sweep.plots, start=1):

@@ -11,11 +11,10 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib import colormaps, rc_context
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.cm import ScalarMappable
@@ -25,8 +24,6 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import TriAnalyzer, Triangulation
 
-from srs_twin.errors import InputError
-from srs_twin.io.files import atomic_write
 from srs_twin.studies.sweep.table import (
     COMPARISON,
     PLAN,
@@ -42,7 +39,6 @@ from srs_twin.viewing.plots.style import PUBLISHED_COLOR, finish, side_by_side, 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-FORMATS = (".png", ".svg")
 _MOST_LINES = 12
 _MOST_ROWS = 6  # of contours
 _LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False}
@@ -79,20 +75,6 @@ def draw(
     figure = _contour(plot, rows, owners) if contour else _plane(plot, rows, owners, published)
     figure.suptitle(_title(plot, rows, owners), x=0.01, ha="left", fontsize=10)
     return figure
-
-
-def save(figure: Figure, path: str | Path) -> None:
-    """Write a picture as PNG or SVG, by the suffix, whole or not at all; equal ones give equal bytes.
-
-    Raises:
-        InputError: another suffix, or the place cannot be written.
-    """
-    target = Path(path)
-    if target.suffix not in FORMATS:
-        raise InputError(f"{target.name}: pictures are written as {' or '.join(FORMATS)}")
-    about = {"Software": None} if target.suffix == ".png" else {"Date": None}
-    with atomic_write(target) as part, rc_context({"svg.hashsalt": "srs-twin", "svg.fonttype": "none"}):
-        figure.savefig(part, format=target.suffix[1:], dpi=130, metadata=about)
 
 
 def _apart(plot: Plot, rows: SweepTable) -> list[str]:

@@ -225,7 +225,7 @@ def table(sweep: Sweep, rows: Sequence[Row]) -> pa.Table:
     for metric in _metrics(sweep, rows):
         columns[metric] = pa.array([row.values.get(metric) for row in rows], pa.float64())
     columns["wall_s"] = pa.array([row.wall_s for row in rows], pa.float64())
-    about = {"srs_twin.studies.sweep": json.dumps({"title": sweep.title, "versions": dict(sweep.versions)})}
+    about = {"srs_twin.sweep": json.dumps({"title": sweep.title, "versions": dict(sweep.versions)})}
     return pa.table(columns).replace_schema_metadata(about)
 
 

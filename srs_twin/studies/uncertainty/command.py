@@ -24,7 +24,8 @@ from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
     from srs_twin.studies.sweep.task import Row
-    from srs_twin.studies.uncertainty import Propagation, Spread
+    from srs_twin.studies.uncertainty.propagation import Propagation
+    from srs_twin.studies.uncertainty.spreads import Spread
 
 STUDIES = Path("runs/uncertainty")
 _NEXT = 3
@@ -69,8 +70,10 @@ def uncertainty(
     from srs_twin.experiment import INTERVALS
     from srs_twin.io.files import open_folder
     from srs_twin.robot.file import RobotFile
-    from srs_twin.scenario import load_scenario
-    from srs_twin.studies.uncertainty import Priors, Study, propagate
+    from srs_twin.robot.priors import Priors
+    from srs_twin.scenario.loading import load_scenario
+    from srs_twin.studies.uncertainty.propagation import propagate
+    from srs_twin.studies.uncertainty.study import Study
 
     found = load_scenario(scenario, set=changes.changes())
     if write and found.left_out:

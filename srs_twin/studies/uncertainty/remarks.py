@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.studies.uncertainty.priors import Priors
+from srs_twin.robot.priors import Priors
 from srs_twin.studies.uncertainty.spreads import BOUNDING, RANGES, Spread
 from srs_twin.studies.uncertainty.surrogates import quadratic_samples
 
