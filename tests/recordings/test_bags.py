@@ -72,7 +72,7 @@ BODIES = {"/a": 0, "/b": 1, "/odom": 2, "d": 0, "e": 1, "f": 2, "/path": 0, "/po
 
 
 @pytest.mark.parametrize("container", CONTAINERS)
-def test_every_kind_of_message_of_every_container(tmp_path, container):
+def test_all_message_types_of_all_containers_are_read(tmp_path, container):
     found = read_topics(written(tmp_path, container, everything))
     table, shift = found.markers, -0.004
     assert table.labels == tuple(BODIES)
@@ -107,7 +107,7 @@ def only(kind):
         "geometry_msgs/TransformStamped", "tf2_msgs/TFMessage", "nav_msgs/Path", "geometry_msgs/PointStamped",
     ],
 )  # fmt: skip
-def test_bags_of_one_kind(tmp_path, container, kind):
+def test_bags_with_one_message_type_are_read(tmp_path, container, kind):
     table = read_markers(written(tmp_path, container, only(kind)))
     label = table.labels[0]
     assert len(table.time) == FRAMES and np.abs(np.diff(table.time) - 1 / RATE).max() < 1e-6
@@ -122,7 +122,7 @@ def test_the_folder_of_a_bag_is_read(tmp_path):
         identify(path.parent)
 
 
-def test_bodies_with_stamps_of_their_own_and_gaps(tmp_path):
+def test_bodies_with_different_stamps_and_gaps_are_aligned(tmp_path):
     """Each transform in a message of its own, a little later; the first body is lost for a while."""
 
     def messages(make):
@@ -143,7 +143,7 @@ def test_bodies_with_stamps_of_their_own_and_gaps(tmp_path):
     assert np.nanmax(np.abs(table.points - expected)) < 1e-9
 
 
-def test_transforms_that_start_from_another_body_are_composed(tmp_path):
+def test_transforms_relative_to_another_body_are_composed(tmp_path):
     def messages(make):
         static = make("tf2_msgs/TFMessage", transforms=[make.transform(0, [1.0, 0.0, 0.0], "tip", "base")])
         yield "/tf_static", "tf2_msgs/TFMessage", ns(0), static
@@ -171,7 +171,7 @@ def test_a_bag_without_positions_is_a_log(tmp_path, container, capsys):
 
 
 @pytest.mark.parametrize("container", ["bag lz4", "mcap"])
-def test_bags_that_were_cut_are_read_up_to_there(tmp_path, container):
+def test_truncated_bags_are_read_up_to_the_cut(tmp_path, container):
     path = written(tmp_path, container, lambda make: (row for _ in range(20) for row in everything(make)))
     content = path.read_bytes()
     path.write_bytes(content[: int(0.6 * len(content))])
@@ -179,7 +179,7 @@ def test_bags_that_were_cut_are_read_up_to_there(tmp_path, container):
     assert "the file is cut: read up to the cut" in found.notes and len(found.markers.time) > 0
 
 
-def test_a_bag_of_repeated_bytes_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
+def test_a_compression_bomb_in_a_bag_is_refused_before_unpacking(tmp_path, monkeypatch):
     def messages(make):
         for k in range(60):
             yield "/word", "std_msgs/String", ns(k), make("std_msgs/String", data=" " * (1 << 20))
@@ -192,7 +192,7 @@ def test_a_bag_of_repeated_bytes_is_refused_before_it_is_unpacked(tmp_path, monk
         read_markers(path)
 
 
-def test_databases_that_are_no_bags(tmp_path):
+def test_foreign_databases_are_refused(tmp_path):
     with sqlite3.connect(tmp_path / "a.db3") as base:
         base.execute("CREATE TABLE notes (text)")
     with pytest.raises(InputError, match=r"not a ROS 2 bag \(it lacks the tables topics and messages\)"):

@@ -131,7 +131,7 @@ def same(path, points, *, step=None, first=0.0, unit=1e-3):
 @pytest.mark.parametrize("analog", [0, 3])
 @pytest.mark.parametrize("first", [0, 1, 250])
 @pytest.mark.parametrize("units", [("mm",), ("mm",) * 4])
-def test_files_of_ezc3d(tmp_path, analog, first, units):
+def test_files_written_by_ezc3d_are_read(tmp_path, analog, first, units):
     points = walk()
     points[5:9, 1] = np.nan
     by_ezc3d(tmp_path / "a.c3d", points, first=first, units=units, analog=analog)
@@ -141,7 +141,7 @@ def test_files_of_ezc3d(tmp_path, analog, first, units):
 @pytest.mark.parametrize("analog", [0, 3])
 @pytest.mark.parametrize("step", [None, 0.05])
 @pytest.mark.parametrize("first", [0, 1, 250])
-def test_files_of_c3d(tmp_path, analog, step, first):
+def test_files_written_by_c3d_are_read(tmp_path, analog, step, first):
     points = walk()
     by_c3d(tmp_path / "a.c3d", points, first=first, step=step, analog=analog)
     same(tmp_path / "a.c3d", points, step=step and 1.001 * step, first=max(first - 1, 0) / RATE)
@@ -158,14 +158,14 @@ def test_processors_and_analog_channels_without_parameters(tmp_path, processor, 
 
 
 @pytest.mark.parametrize("count", [65534, 65535, 65536, 70001])
-def test_takes_of_65535_frames_and_more(tmp_path, count):
+def test_files_with_65535_frames_and_more_are_read(tmp_path, count):
     points = walk(count, 1)
     by_ezc3d(tmp_path / "a.c3d", points)
     same(tmp_path / "a.c3d", points)
 
 
 @pytest.mark.parametrize(("processor", "key"), [(84, "TRIAL"), (86, "LONG_FRAMES")])
-def test_conventions_of_long_takes(tmp_path, processor, key):
+def test_conventions_for_long_files_are_read(tmp_path, processor, key):
     """The header wraps round at 65,536; the parameters have the frames."""
     points = walk(66000, 1)
     more = {
@@ -179,7 +179,7 @@ def test_conventions_of_long_takes(tmp_path, processor, key):
     same(tmp_path / "a.c3d", points)
 
 
-def test_parameters_that_contradict_the_file_are_not_believed(tmp_path):
+def test_parameters_in_conflict_with_the_file_are_ignored(tmp_path):
     points = walk()
     stale = [(2, "ACTUAL_END_FIELD", 2, [2], lambda number, word: word(5000) + word(0))]
     (tmp_path / "a.c3d").write_bytes(by_hand(points, 84, more=stale))
@@ -187,14 +187,14 @@ def test_parameters_that_contradict_the_file_are_not_believed(tmp_path):
 
 
 @pytest.mark.parametrize(("first", "begins"), [(0, 0.0), (1, 0.0), (2, 0.01), (9000, 89.99)])
-def test_frames_before_the_first(tmp_path, first, begins):
+def test_first_frame_sets_the_start_time(tmp_path, first, begins):
     """Frame 1 is at 0 s; programs that count from 0 mean the same."""
     points = walk()
     (tmp_path / "a.c3d").write_bytes(by_hand(points, 84, first=first))
     same(tmp_path / "a.c3d", points, first=begins)
 
 
-def test_units_of_points(tmp_path):
+def test_units_of_points_are_converted(tmp_path):
     points = walk(20, 3)
     by_ezc3d(tmp_path / "m.c3d", points / 1e3, units=("m",))
     same(tmp_path / "m.c3d", points / 1e3, unit=1.0)
@@ -208,7 +208,7 @@ def test_units_of_points(tmp_path):
         read_markers(tmp_path / "odd.c3d")
 
 
-def test_a_scale_of_analog_channels_that_are_not_there(tmp_path, capsys):
+def test_missing_analog_scales_are_ignored(tmp_path, capsys):
     """The library c3d cannot go through such files; `inspect --json` prints what is in them."""
     points = walk(50, 3)
     by_ezc3d(tmp_path / "a.c3d", points)
@@ -223,7 +223,7 @@ def test_a_scale_of_analog_channels_that_are_not_there(tmp_path, capsys):
     assert len(facts["markers"]) == 3 and facts["rate_hz"] == pytest.approx(RATE)
 
 
-def test_angles_are_no_markers(tmp_path):
+def test_angles_are_skipped(tmp_path):
     by_ezc3d(tmp_path / "a.c3d", walk(20, 4), kinds=["m1"])
     found = read_markers(tmp_path / "a.c3d")
     assert found.labels == ("m0", "m2", "m3")

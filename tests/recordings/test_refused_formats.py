@@ -91,14 +91,14 @@ def test_inspect_and_replay_refuse_with_the_same_message(tmp_path, monkeypatch, 
     assert said(["replay", name, "--robot", "gen2"], capsys) == seen
 
 
-def test_a_missing_log_is_reported_where_the_recording_is_in_order(tmp_path, monkeypatch, capsys, root):
+def test_a_missing_log_is_reported_for_a_valid_recording(tmp_path, monkeypatch, capsys, root):
     monkeypatch.chdir(tmp_path)
     take = root / "calibration/examples/my_snake/walk_straight.csv"
     (tmp_path / "take.csv").write_bytes(take.read_bytes())
     assert "take.valves.csv: no such file" in said(["replay", "take.csv", "--robot", "gen2"], capsys)
 
 
-def test_each_of_several_files_is_named(tmp_path, monkeypatch, capsys):
+def test_errors_name_each_file(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name in ("one.csv", "two.csv"):
         rows = "".join(f"{k / 100},{k},0.1,{k},0.2\n" for k in range(30))

@@ -89,12 +89,12 @@ def test_amplitudes_and_duties_by_period():
         ([0.06, 0.0, 0.06, 0.0] * 2 + [0] * 3, 8.0),
     ],
 )
-def test_converged_is_to_stay(errors, period):
+def test_convergence_requires_staying_within_the_tolerance(errors, period):
     errors = [0.06 * (e > 0.05) if e != 1.0 else e for e in errors]
     assert learning_metrics(learnt(RUN, amplitudes(errors)))["periods_to_converge"] == period
 
 
-def test_one_chamber_that_misses_is_enough_and_one_without_a_target_does_not_count():
+def test_every_chamber_with_a_target_must_converge():
     missed = amplitudes(FADING)
     missed[:, 1, 0] = 2.0
     run = learnt(RUN, missed)
@@ -106,7 +106,7 @@ def test_one_chamber_that_misses_is_enough_and_one_without_a_target_does_not_cou
     assert found["periods_to_converge"] == 7.0 and found["amplitude_error_rad"][5][1] == [None, None]
 
 
-def test_readings_that_are_lost_are_no_amplitudes():
+def test_lost_readings_are_ignored():
     run = learnt(RUN, amplitudes(FADING))
     gone = with_columns(run, sensed_3=np.where(run.time > 3.0, math.nan, run["sensed_3"]))
     found = learning_metrics(gone)
@@ -117,7 +117,7 @@ def test_readings_that_are_lost_are_no_amplitudes():
 @pytest.mark.parametrize(
     ("speed", "yaw_rate"), [(0.12, 0.3), (0.12, -0.3), (0.15, 0.08), (-0.1, 0.2), (0.1, 0.0)]
 )
-def test_the_path_is_the_prescribed_circle(speed, yaw_rate):
+def test_path_metrics_recover_the_prescribed_circle(speed, yaw_rate):
     found = learning_metrics(learnt(Snake(speed=speed, yaw_rate=yaw_rate), amplitudes(FADING)))
     assert found["path_curvature_per_m"] == pytest.approx(
         yaw_rate / speed, abs=2e-3 * abs(yaw_rate / speed) + 1e-6
@@ -139,7 +139,7 @@ def test_the_path_is_the_prescribed_circle(speed, yaw_rate):
 
 @pytest.mark.parametrize("yaw_rate", [0.4, -0.4, 0.0])
 @pytest.mark.parametrize("width", [None, 0.05])
-def test_box_edges_are_those_of_a_body_on_its_circle(yaw_rate, width):
+def test_box_edges_of_a_body_on_a_circle(yaw_rate, width):
     """An arc of the path itself, prescribed without a wave: it sweeps nothing besides its width."""
     time = np.arange(601) / 100
     speed, bend = 0.12, 0.25
@@ -181,7 +181,7 @@ def real() -> Trajectory:
     return rollout(snake, ILC(1.0, 0.3, target=0.7), 14.0)
 
 
-def test_a_mirror_exchanges_the_sides(real):
+def test_mirroring_swaps_the_sides(real):
     columns = dict(real.columns)
     for name in ("duty", "target"):
         for j in range(1, 5):
@@ -206,7 +206,7 @@ def test_a_mirror_exchanges_the_sides(real):
     assert theirs["box_left_m"] == pytest.approx(-ours["box_right_m"], abs=1e-9)
 
 
-def test_of_a_real_run_everything_is_known(real):
+def test_a_real_run_has_all_metrics(real):
     found = plant_metrics(real)
     # Equal modules go straight beforehand: nothing is left of a curl that was not there.
     assert {name for name in LEARNING_UNITS if found[name] is None} <= {"path_bend_left_rel"}
@@ -218,12 +218,12 @@ def test_of_a_real_run_everything_is_known(real):
     assert controller.amplitude[-1, :, 0] == pytest.approx(real.stack("amplitude_plus")[-1], abs=0.02)
 
 
-def test_a_gait_has_none_of_it():
+def test_an_open_loop_gait_has_no_learning_metrics():
     found = plant_metrics(RUN.trajectory())
     assert all(found[name] is None for name in (*LEARNING_UNITS, *LEARNING_LIST_UNITS))
 
 
-def test_too_short_a_run_has_no_path():
+def test_a_short_run_has_no_path_metrics():
     found = learning_metrics(learnt(Snake(duration=1.0), amplitudes([0.0])))
     assert found["path_radius_m"] is None and found["path_curvature_before_per_m"] is None
 
@@ -245,6 +245,6 @@ def test_a_sweep_has_a_column_for_every_number(real):
     assert all(value is None or isinstance(value, float) for value in flat.values())
 
 
-def test_growth_is_that_of_the_periods_before_a_duty_changes():
+def test_growth_uses_the_periods_before_the_first_update():
     rising = amplitudes([0.0, 0.2, 0.5, 0.1, 0.0, 0.0])
     assert learning_metrics(learnt(RUN, rising))["amplitude_growth_rel"] == pytest.approx(1.5, rel=1e-6)

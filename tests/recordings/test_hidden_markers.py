@@ -12,7 +12,7 @@ from srs_twin.recordings.body.tracking import track_markers
 GEOMETRY = load_robot("gen2").geometry
 
 
-def test_markers_that_pass_each_other_unseen_keep_their_identity():
+def test_hidden_markers_that_pass_each_other_keep_their_identity():
     """Each reappears where the other vanished, so that only the velocities distinguish them."""
     frames = np.arange(60)
     ways = np.stack([0.01 * (frames - 30.0), -0.01 * (frames - 30.0)], axis=1)
@@ -31,7 +31,7 @@ def test_markers_that_pass_each_other_unseen_keep_their_identity():
         assert len(set(origin[seen[:, k], k])) == 1
 
 
-def test_a_marker_stays_the_robots_while_its_neighbour_is_hidden():
+def test_a_marker_with_a_hidden_neighbour_belongs_to_the_robot():
     """The next one on a body that bends a little is almost two segments away."""
     pitch, count = GEOMETRY.pitch, GEOMETRY.connectors
     heading = 0.6 * np.arange(count)  # two straight steps of length 1 that turn by 0.6 span 2 cos(0.3) = 1.91

@@ -71,7 +71,7 @@ CLOCKS = {
     ("separator", "decimal"), [(",", "."), (";", ","), (";", "."), ("\t", ","), ("\t", "."), ("|", ".")]
 )
 @pytest.mark.parametrize("index", [True, False])
-def test_files_of_pandas(tmp_path, clock, separator, decimal, index):
+def test_tables_of_pandas_are_read(tmp_path, clock, separator, decimal, index):
     name, time = CLOCKS[clock]
     table = frame()
     table.insert(0, name, time)
@@ -156,7 +156,7 @@ COLUMNS = ("time", *NAMES)
     ],
     ids=range(21),
 )
-def test_layouts_are_found_or_given(tmp_path, content, dialect):
+def test_layouts_are_detected_or_given(tmp_path, content, dialect):
     path = tmp_path / "x.csv"
     path.write_text(content, encoding="utf-8", newline="")
     check(path, 6, dialect=Dialect(**dialect))
@@ -190,7 +190,7 @@ def test_layouts_are_found_or_given(tmp_path, content, dialect):
     ],
     ids=range(9),
 )
-def test_what_is_ambiguous_is_refused_with_the_remedy(tmp_path, content, says):
+def test_ambiguous_tables_are_refused_with_a_remedy(tmp_path, content, says):
     path = tmp_path / "x.csv"
     path.write_text(content)
     with pytest.raises(InputError) as refused:
@@ -198,7 +198,7 @@ def test_what_is_ambiguous_is_refused_with_the_remedy(tmp_path, content, says):
     assert says in str(refused.value)
 
 
-def test_options_of_the_command(tmp_path, monkeypatch, capsys):
+def test_layout_options_of_the_command(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "x.csv").write_text(text(";", ",", header=False))
     words = ["inspect", "x.csv", "--columns", ",".join(COLUMNS), "--separator", ";", "--decimal", ","]
@@ -213,7 +213,7 @@ def test_options_of_the_command(tmp_path, monkeypatch, capsys):
     assert left.value.code == 0 and "60 frames, 100 Hz" in capsys.readouterr().out
 
 
-def test_names_apply_to_files_without_names_only(tmp_path):
+def test_given_names_apply_only_to_files_without_names(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("time,valve_plus_1,valve_minus_1\n0,1,0\n1,0,1\n")
     found = read_valves(path, MODULE, read_map({"columns": ["time", "x_1", "y_1"]}))
@@ -249,7 +249,7 @@ def test_names_apply_to_files_without_names_only(tmp_path):
         "c9_{}_err",
     ],
 )
-def test_rotations_and_rates_are_no_markers(tmp_path, names):
+def test_rotations_and_rates_are_not_markers(tmp_path, names):
     more = [names.format(axis) for axis in "xyz"] + ["roll"]
     assert not axis_columns(more)
     table = frame()
@@ -263,7 +263,7 @@ def test_rotations_and_rates_are_no_markers(tmp_path, names):
     assert f"4 columns not used: {', '.join(more)}" in found.corrections
 
 
-def test_markers_called_like_none_stay_markers():
+def test_markers_with_unusual_names_are_kept():
     names = [f"{name}_{axis}" for name in ("Motor", "rotor", "accu") for axis in "xy"]
     names += ["x_arm", "y_arm", "c1_xmm", "c1_ymm", "c2 X [cm]", "c2 Y [cm]", "c3[x] (mm)", "c3[y] (mm)"]
     found = axis_columns(names)
@@ -278,7 +278,7 @@ VALVES = "time,valve_plus_1,valve_minus_1\n"
     ("unit", "name"),
     [(1, "time"), (1e3, "time"), (1e6, "t"), (1e9, "timestamp"), (1e3, "time_ms"), (1e9, "stamp [ns]")],
 )
-def test_logs_with_times_since_1970(tmp_path, unit, name):
+def test_logs_with_times_since_1970_are_read(tmp_path, unit, name):
     path = tmp_path / "log.csv"
     rows = [
         f"{round((1_700_000_000 + 0.5 * k) * unit) if unit > 1 else 1.7e9 + 0.5 * k},{k % 2},0\n"
@@ -299,7 +299,7 @@ def test_logs_with_times_since_1970(tmp_path, unit, name):
         [5e9 + k for k in range(20)],
     ],
 )
-def test_counters_are_not_taken_as_times_since_1970(tmp_path, times):
+def test_counters_are_not_times_since_1970(tmp_path, times):
     path = tmp_path / "log.csv"
     path.write_text(VALVES + "".join(f"{t:.0f},1,0\n" for t in times))
     with pytest.raises(InputError, match="is the unit right"):
@@ -348,7 +348,7 @@ def test_epoch_of_a_motion_is_kept(tmp_path):
     assert found.trajectory.time[0] == pytest.approx(0)
 
 
-def test_positions_in_pixels_are_scaled_or_their_scale_is_asked_for(tmp_path):
+def test_positions_in_pixels_need_a_scale(tmp_path):
     path = tmp_path / "video.csv"
     rows = "".join(f"{k / 50},{10 + k},20,{110 + k},20\n" for k in range(50))
     path.write_text("time,a_x,a_y,b_x,b_y\n" + rows)

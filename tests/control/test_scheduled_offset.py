@@ -18,7 +18,7 @@ def run(controller, duration=1.0):
 
 
 @pytest.mark.parametrize("make", [lambda: Gait(2.0, 0.2), lambda: ILC(2.0, 0.2, target=0.5)])
-def test_without_changes_it_is_the_controller_itself(make):
+def test_without_changes_the_run_is_that_of_the_controller(make):
     plain, steered = run(make()), run(ScheduledOffset(make(), []))
     assert plain.columns.keys() == steered.columns.keys()
     for name in plain.columns:
@@ -26,7 +26,7 @@ def test_without_changes_it_is_the_controller_itself(make):
     assert steered.metadata["gait_frequency_hz"] == 2.0
 
 
-def test_the_offset_changes_at_its_time_and_again_in_the_next_run():
+def test_the_offset_changes_at_its_time_in_every_run():
     controller = ScheduledOffset(Gait(2.0, -0.2), [(0.3, 0.1), (0.603, 0.4)])
     for _ in range(2):
         found = run(controller)
@@ -42,7 +42,7 @@ def test_the_offset_changes_at_its_time_and_again_in_the_next_run():
     assert found.metadata["control"]["changes"] == [[0.3, 0.1], [0.603, 0.4]]
 
 
-def test_up_to_its_change_it_is_the_same_run_and_then_another():
+def test_the_runs_are_equal_until_the_change():
     straight, turning = run(ScheduledOffset(Gait(2.0), [])), run(ScheduledOffset(Gait(2.0), [(0.5, 0.4)]))
     before = straight.time <= 0.5
     assert np.array_equal(straight["heading"][before], turning["heading"][before])
@@ -50,11 +50,11 @@ def test_up_to_its_change_it_is_the_same_run_and_then_another():
 
 
 @pytest.mark.parametrize("times", [(0.0,), (-1.0,), (0.5, 0.5), (0.5, 0.2), (float("nan"),)])
-def test_times_that_do_not_rise_are_refused(times):
+def test_times_that_do_not_increase_are_refused(times):
     with pytest.raises(InputError, match="they must be above 0 and increasing"):
         ScheduledOffset(Gait(2.0), [(time, 0.1) for time in times])
 
 
-def test_an_offset_that_there_is_not_is_refused_when_it_comes():
+def test_an_invalid_offset_is_refused_at_its_time():
     with pytest.raises(InputError, match="gait offset 2.0 is not allowed"):
         run(ScheduledOffset(Gait(2.0), [(0.1, 2.0)]))

@@ -37,7 +37,7 @@ def recorded_of(spec, schedule, times, step) -> tuple[np.ndarray, RecordedPressu
     return bends, RecordedPressures(spec, log, logged.pressure, supply_pa=SUPPLY)
 
 
-def test_recorded_pressures_bend_as_the_valves_that_made_them_did():
+def test_recorded_pressures_give_the_bends_of_their_valves():
     """With pressures of their own the lag τ₂ alone is left; the error falls with the sampling."""
     spec = with_values(
         SPEC, {"modules.gain_plus_2": 1.2, "modules.bias_rad_3": 0.1, "actuator.tau_mode_s": 0.02}
@@ -62,7 +62,7 @@ def test_recorded_pressures_bend_as_the_valves_that_made_them_did():
     assert (first.air == 0).all()
 
 
-def test_recorded_pressures_that_cannot_be():
+def test_invalid_recorded_pressures_are_refused():
     time = np.array([0.0, 1.0])
     with pytest.raises(InputError, match=r"shape \(2, 1, 2\); gen2 needs \(2, 4, 2\)"):
         RecordedPressures(SPEC, time, np.zeros((2, 1, 2)), supply_pa=SUPPLY)
@@ -70,7 +70,7 @@ def test_recorded_pressures_that_cannot_be():
         RecordedPressures(SPEC, time[::-1], np.zeros((2, 4, 2)), supply_pa=SUPPLY)
 
 
-def test_both_plants_obey_recorded_pressures():
+def test_both_plants_follow_recorded_pressures():
     """The run that the valves gave comes back from its pressures alone, on either plant."""
     for plant in (AnalyticalSnake, TwinSnake):
         truth = rollout(
@@ -122,7 +122,7 @@ def replayed(folder, **changes):
 
 
 @pytest.mark.parametrize("log", ["take.valves.csv", "pressures.csv"])
-def test_the_robot_itself_leaves_no_residual(perfect, log):
+def test_replay_of_a_simulated_run_has_no_residual(perfect, log):
     scenario = replayed(
         perfect,
         recording={"motion": str(perfect / "take.csv"), "valves": str(perfect / log), "offset_s": -5.0},
@@ -150,7 +150,7 @@ def test_the_robot_itself_leaves_no_residual(perfect, log):
     assert len(parts) == len(told["over_time"]["time_s"]) == 50
 
 
-def test_a_sweep_says_of_pressures_what_a_run_says(perfect):
+def test_sweep_and_run_agree_on_recorded_pressures(perfect):
     """Rows hold the differences from the measured robot, and no costs that nobody knows."""
     recording = {
         "motion": str(perfect / "take.csv"), "valves": str(perfect / "pressures.csv"), "offset_s": -5.0,
@@ -176,7 +176,7 @@ def test_a_sweep_says_of_pressures_what_a_run_says(perfect):
         ({"valves": {"layout": "in_out"}}, None),
     ],
 )
-def test_what_a_replay_needs(perfect, changes, message):
+def test_missing_sections_of_a_replay_are_reported(perfect, changes, message):
     changes = {key: value for key, value in changes.items() if value is not None}
     if message is None:
         assert replayed(perfect, **changes).layout == "in_out"
@@ -198,7 +198,7 @@ def test_what_a_replay_needs(perfect, changes, message):
         ("  head: tip", "8:9: recording.head: "),
     ],
 )
-def test_errors_of_a_recording_stand_at_their_keys(perfect, tmp_path, line, place):
+def test_errors_of_a_recording_name_their_keys(perfect, tmp_path, line, place):
     take, log = perfect / "take.csv", perfect / "take.valves.csv"
     lines = {"motion": f"  motion: {take}", "valves": f"  valves: {log}", "offset_s": "  offset_s: -5"}
     lines |= {"head": "  up: auto"}
@@ -215,7 +215,7 @@ def test_errors_of_a_recording_stand_at_their_keys(perfect, tmp_path, line, plac
     assert f"r.yaml:{place}" in str(found.value)
 
 
-def test_chambers_cannot_be_asked_for_where_pressures_are_recorded(perfect):
+def test_chamber_models_are_refused_with_recorded_pressures(perfect):
     recording = {
         "motion": str(perfect / "take.csv"), "valves": str(perfect / "pressures.csv"), "offset_s": -5.0,
     }  # fmt: skip
@@ -233,7 +233,7 @@ def test_a_measured_metric_needs_a_recording():
 
 
 @pytest.mark.parametrize("log", ["take.valves.csv", "pressures.csv"])
-def test_the_resolved_scenario_is_the_same_from_any_folder(perfect, log, monkeypatch, tmp_path):
+def test_resolved_scenario_does_not_depend_on_the_folder(perfect, log, monkeypatch, tmp_path):
     monkeypatch.chdir(perfect)
     scenario = replayed(perfect, recording={"motion": "take.csv", "valves": log, "offset_s": -5.0})
     monkeypatch.chdir(tmp_path)
@@ -244,7 +244,7 @@ def test_the_resolved_scenario_is_the_same_from_any_folder(perfect, log, monkeyp
 
 
 @pytest.mark.slow
-def test_replay_from_the_command_line(tmp_path, srs_twin):
+def test_replay_command(tmp_path, srs_twin):
     expect = tmp_path / "expect.yaml"
     text = "expect:\n  - {metric: measured_shape_rms_m, plant: analytical, below: LIMIT}\n"
     expect.write_text(text.replace("LIMIT", "0.02"))
@@ -280,7 +280,7 @@ def test_replay_from_the_command_line(tmp_path, srs_twin):
 
 
 @pytest.mark.slow
-def test_a_replay_of_pressures_can_be_run_again_from_another_folder(perfect, tmp_path, monkeypatch):
+def test_a_replay_of_pressures_can_be_repeated_from_another_folder(perfect, tmp_path, monkeypatch):
     def ran(folder, *words):
         monkeypatch.chdir(folder)
         with pytest.raises(SystemExit) as end:
@@ -310,7 +310,7 @@ def test_a_replay_of_pressures_can_be_run_again_from_another_folder(perfect, tmp
         (["w.csv", "--up", "w"], "up 'w' is unknown"),
     ],
 )
-def test_replays_that_cannot_be(tmp_path, monkeypatch, capsys, words, message):
+def test_invalid_replays_are_refused(tmp_path, monkeypatch, capsys, words, message):
     for name in ("walk_check.csv", "walk_check.valves.csv"):
         (tmp_path / name.replace("walk_check", "w")).write_bytes((EXAMPLE / name).read_bytes())
     (tmp_path / "e.yaml").write_text("expect: [{metric: speed, plant: twin, below: 1}]\n")

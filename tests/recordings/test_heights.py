@@ -75,7 +75,7 @@ def test_tilted_floor_is_levelled_with_markers_on_masts(seed):
     assert np.degrees(np.hypot(*slope[:2])) < 0.05
 
 
-def test_lamps_and_people_are_left_out_by_their_motion(tmp_path):
+def test_markers_on_lamps_people_and_carts_are_left_out(tmp_path):
     """A lamp over the path stands still, a cap on a head bobs, a cart drives past."""
     time = motion().time
     middle = motion().position[:, 2]
@@ -95,7 +95,7 @@ def test_lamps_and_people_are_left_out_by_their_motion(tmp_path):
     assert found.summary.markers.samples_other == 3 * len(time) and bend_error(found) < 0.04
 
 
-def test_markers_that_a_map_names_are_the_robots(tmp_path):
+def test_markers_in_a_map_belong_to_the_robot(tmp_path):
     """A named marker is used at any height, and swaps of names between heights are followed."""
     points = raised((0.03, 0.03, 0.25, 0.03, 0.03))
     points[250:, [1, 2]] = points[250:, [2, 1]]

@@ -36,7 +36,7 @@ def captured(tmp_path_factory):
 
 
 @pytest.mark.parametrize("shift", [0.0, 3.217, -20.1])
-def test_offset_is_found_from_the_start(tmp_path, captured, shift):
+def test_offset_is_estimated_from_the_start_of_a_gait(tmp_path, captured, shift):
     """The log says every 10 ms how the valves stood before: on average 5 ms late, which nobody can see."""
     joined = join(captured, log(tmp_path, valve_csv(motion(), 0.0, 4.0, shift)), SPEC)
     about = joined.trajectory.metadata["valve_log"]
@@ -58,7 +58,7 @@ def test_pressures_drive_the_bends_without_delay(tmp_path, captured):
     assert np.abs(joined.trajectory["pressure_plus_2"] - truth["pressure_plus_2"][rows]).max() < 2e3
 
 
-def test_a_gait_without_its_start_is_refused_with_the_candidates(tmp_path, captured):
+def test_a_gait_without_its_start_is_ambiguous(tmp_path, captured):
     middle = {name: column[100:300] for name, column in captured.trajectory.columns.items()}
     inside = replace(captured, trajectory=replace(captured.trajectory, columns=middle))
     text = valve_csv(motion(), 0.8, 4.0, 0.0)
@@ -79,7 +79,7 @@ def test_a_log_of_another_run_is_refused(tmp_path, captured):
         join(captured, log(tmp_path, other), SPEC)
 
 
-def test_frames_that_the_log_does_not_cover_are_left_out_and_said(tmp_path, captured):
+def test_frames_outside_the_log_are_left_out_with_a_note(tmp_path, captured):
     joined = join(captured, log(tmp_path, valve_csv(motion(), 1.0, 2.0, 0.0)), SPEC, offset=0.0)
     assert (joined.trajectory.time[0], joined.trajectory.time[-1]) == (1.0, 2.0)
     assert any("frames outside the log" in each for each in joined.summary.corrections)
@@ -89,7 +89,7 @@ def test_frames_that_the_log_does_not_cover_are_left_out_and_said(tmp_path, capt
 
 @settings(max_examples=20)
 @given(st.floats(-5, 5), st.floats(0.2, 3), st.integers(0, 2**31))
-def test_standard_error_covers_what_noise_does(true, gain, seed):
+def test_errors_of_the_offset_are_within_its_standard_error(true, gain, seed):
     """A step response, once, with white noise: the offset lies within five standard errors."""
     random = np.random.default_rng(seed)
     time = np.arange(0, 8, 0.01)
@@ -104,7 +104,7 @@ def test_standard_error_covers_what_noise_does(true, gain, seed):
     assert found.error < 0.02 / gain
 
 
-def test_standard_error_of_the_offset_is_the_scatter_over_noise():
+def test_standard_error_equals_the_scatter_over_noise():
     """Errors of 200 offsets over their standard errors; a spread of 200 numbers is known within 5 %.
 
     Resampling at half of a frame's time smooths white noise, which makes the standard errors a little large.
@@ -126,7 +126,7 @@ def test_standard_error_of_the_offset_is_the_scatter_over_noise():
 
 
 @pytest.mark.parametrize(("fill", "vent"), [(0.05, 0.4), (0.4, 0.05)])
-def test_bends_of_a_log_begin_once_its_first_pressures_are_forgotten(fill, vent):
+def test_modelled_bends_begin_when_initial_pressures_have_settled(fill, vent):
     """A log from the middle of a run gives the bends of the whole log, within exp(-5) of their largest."""
     spec = replace(SPEC, actuator=replace(SPEC.actuator, tau_fill=fill, tau_vent=vent))
     time = np.arange(0.0, 6.0, 0.1)
@@ -141,7 +141,7 @@ def test_bends_of_a_log_begin_once_its_first_pressures_are_forgotten(fill, vent)
     assert np.abs(bends - same).max() < np.exp(-5) * np.abs(all_bends).max()
 
 
-def test_valves_hold_and_become_a_schedule(tmp_path):
+def test_valve_states_hold_until_the_next_row(tmp_path):
     rows = ["0.0" + ",-1" * 8, "0.5,1" + ",-1" * 7, "0.5,1,-1,1" + ",-1" * 5, "2.0" + ",-1" * 8]
     found = log(tmp_path, "\n".join([HEAD, rows[3], *rows[:3], ""]))
     assert found.time.tolist() == [0.0, 0.5, 2.0]
@@ -153,7 +153,7 @@ def test_valves_hold_and_become_a_schedule(tmp_path):
 
 
 @pytest.mark.parametrize("full", [1.0, 100.0], ids=["shares", "percent"])
-def test_duties_fill_for_their_share_of_each_carrier_period(tmp_path, full):
+def test_valves_fill_for_the_duty_of_each_carrier_period(tmp_path, full):
     duty = np.array([0.0, 0.1, 0.25, 0.3, 0.5, 0.8, 0.95, 1.0])
     rows = [",".join(f"{each:g}" for each in (time, *(full * duty))) for time in (0.0, 2.0)]
     path = tmp_path / "duties.csv"
@@ -165,7 +165,7 @@ def test_duties_fill_for_their_share_of_each_carrier_period(tmp_path, full):
         assert (np.diff(period.astype(int), axis=0) <= 0).all()  # filling comes first
 
 
-def test_open_and_closed_are_filling_and_venting(tmp_path):
+def test_states_0_and_1_mean_venting_and_filling(tmp_path):
     found = log(tmp_path, "\n".join([HEAD, "0" + ",0" * 8, "1" + ",1,0" * 4, ""]))
     assert found.values[:, 0].tolist() == [[-1, -1], [1, -1]]
     assert any("0 is read as venting" in each for each in found.corrections)
@@ -187,7 +187,7 @@ def test_open_and_closed_are_filling_and_venting(tmp_path):
         ("1.0,", "one,", "valves.csv:3:1: 'one' is not a number"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_named_with_its_place(tmp_path, monkeypatch, old, new, says):
+def test_errors_of_a_log_name_their_place(tmp_path, monkeypatch, old, new, says):
     monkeypatch.chdir(tmp_path)
     good = f"{HEAD}\n0.0{',-1' * 8}\n1.0{',-1' * 8}\n"
     bad = good.replace(old, new, 1)

@@ -94,7 +94,7 @@ def driven(scenario, kind, robot=None):
         ("two.csv", "air.csv", {"offset_s": -7.0}),  # the second marker tells the head
     ],
 )
-def test_the_module_itself_leaves_no_residual(bench, motion, valves, recording):
+def test_bench_replay_of_a_simulated_module_has_no_residual(bench, motion, valves, recording):
     scenario = replayed(bench, motion, valves, recording=recording)
     found = {kind: driven(scenario, kind) for kind in ("analytical", "twin")}
     amplitude = np.ptp(scenario.measured["bend_1"])
@@ -118,7 +118,7 @@ def test_the_module_itself_leaves_no_residual(bench, motion, valves, recording):
     assert found["analytical"].comparison.metrics["path_rms_m"] < 1e-4
 
 
-def test_a_sensor_log_where_the_chain_is_longer_has_the_geometry_of_the_plant(tmp_path):
+def test_bend_log_of_a_chain_has_the_geometry_of_the_plant(tmp_path):
     """Bends, and where the head is held, give the places that the plant has."""
     chain = load_robot("gen2")
     states = np.full((1, chain.segments, 2), -1, dtype=np.int8)
@@ -135,7 +135,7 @@ def test_a_sensor_log_where_the_chain_is_longer_has_the_geometry_of_the_plant(tm
     assert np.abs(found.stack("theta") - truth.stack("theta")).max() < 1e-6
 
 
-def test_a_sensor_log_fits_actuators_too(bench):
+def test_a_bend_log_can_be_used_for_actuator_fits(bench):
     motion, log = str(bench / "sensor.csv"), str(bench / "sensor.valves.csv")
     take = RecordingReader(offset_s=0.0).take(motion, log, MODULE)
     response = Response.of_recording(take, "sensor", SUPPLY)
@@ -144,7 +144,7 @@ def test_a_sensor_log_fits_actuators_too(bench):
         gait_run(take, "sensor", SUPPLY)
 
 
-def test_gaps_of_a_sensor_are_filled_as_far_as_allowed(bench, tmp_path):
+def test_short_gaps_of_a_sensor_are_filled(bench, tmp_path):
     lines = (bench / "sensor.csv").read_text().splitlines()
     for k in (500, 501, *range(1700, 1999)):
         lines[k] = lines[k].partition(",")[0] + ","
@@ -168,13 +168,13 @@ def test_gaps_of_a_sensor_are_filled_as_far_as_allowed(bench, tmp_path):
         ("time,bend_1\n0,0\n1,1\n", "x.csv: 2 frames"),
     ],
 )
-def test_sensor_logs_that_cannot_be(tmp_path, text, message):
+def test_invalid_bend_logs_are_refused(tmp_path, text, message):
     (tmp_path / "x.csv").write_text(text)
     with pytest.raises(InputError, match=message):
         RecordingReader().body(str(tmp_path / "x.csv"), MODULE)
 
 
-def test_a_bench_has_a_head_that_is_held(bench):
+def test_a_moving_head_is_refused_on_a_bench(bench):
     """Held at the other end, or not at all, it is another experiment."""
     with pytest.raises(
         InputFileError, match=r"recording.motion: .*markers.csv: the head moves by [\d.]+ mm and turns by 40°"
@@ -212,13 +212,13 @@ def test_bench_velocities_are_the_slopes_of_the_positions(bench):
         ),
     ],
 )
-def test_what_a_replay_on_a_bench_refuses_and_where(bench, changes, message):
+def test_invalid_bench_replays_name_their_place(bench, changes, message):
     with pytest.raises(InputFileError, match=message):
         replayed(bench, **changes)
 
 
 @pytest.mark.slow
-def test_a_bench_from_the_command_line(bench, srs_twin, tmp_path):
+def test_bench_replay_command(bench, srs_twin, tmp_path):
     expect = tmp_path / "expect.yaml"
     expect.write_text(
         "expect:\n  - {metric: measured_bend_rms_rad, plant: analytical, below: 0.001}\n"
@@ -244,7 +244,7 @@ def test_a_bench_from_the_command_line(bench, srs_twin, tmp_path):
     assert floor.returncode == 2 and "bends alone do not tell" in floor.stderr
 
 
-def test_the_clamps_of_both_plants_are_one_place():
+def test_both_plants_are_clamped_at_the_same_point():
     """So a recording is moved to where either of them is held."""
     chain = load_robot("gen2")
     heads = [

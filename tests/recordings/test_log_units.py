@@ -91,7 +91,7 @@ HEADERS = {
 
 @pytest.mark.parametrize(("header", "unit"), HEADERS.items())
 @pytest.mark.parametrize("key", ["pressure_plus_1", "pressure_kpa_plus_1", "setpoint_psi_plus_1"])
-def test_unit_in_header_survives_the_map(tmp_path, header, unit, key):
+def test_unit_in_the_header_has_precedence_over_the_key(tmp_path, header, unit, key):
     unit = unit or "bar"
     quoted = f'"{header}"' if "," in header else header
     scale = min(1.0, 1e6 / PASCALS[unit])
@@ -143,7 +143,7 @@ def test_unknown_and_ambiguous_units_are_refused(tmp_path, header):
         ("", "pressure_MPa_plus_1", 1e6),
     ],
 )
-def test_map_states_the_unit_where_the_header_has_none(tmp_path, unit, key, factor):
+def test_map_gives_the_unit_that_the_header_lacks(tmp_path, unit, key, factor):
     column = {"column": "P1", "unit": unit} if unit else "P1"
     found = read_valves(
         log(tmp_path, "time,P1,P2"), MODULE, mapped(**{key: column, "pressure_minus_1": "P2"})
@@ -151,7 +151,7 @@ def test_map_states_the_unit_where_the_header_has_none(tmp_path, unit, key, fact
     assert found.values[:, 0, 0] == pytest.approx(factor * RAW)
 
 
-def test_header_and_map_in_conflict_name_both(tmp_path):
+def test_conflict_of_header_and_map_names_both_units(tmp_path):
     path = log(tmp_path, "time,P1 (bar),P2")
     given = mapped(pressure_plus_1={"column": "P1 (bar)", "unit": "kpa"}, pressure_minus_1="P2")
     with pytest.raises(
@@ -229,7 +229,7 @@ def test_unit_of_the_time(tmp_path, name, factor, by_map):
     assert found.time == pytest.approx(factor * np.array([0, 1, 2, 4]), rel=1e-12)
 
 
-def test_unit_of_the_time_by_a_map(tmp_path):
+def test_unit_of_the_time_in_a_map(tmp_path):
     header = "clk,pressure_plus_1_kpa,pressure_minus_1_kpa"
     path = log(tmp_path, header, time=np.array([0.0, 10, 20, 30]))
     found = read_valves(path, MODULE, mapped(time={"column": "clk", "unit": "ms"}))
@@ -288,11 +288,11 @@ def test_unit_of_bends(tmp_path, unit, factor, way):
         ("P1 (Kilopascals)", PRESSURES, "kPa"),
     ],
 )
-def test_units_in_names(name, units, unit):
+def test_units_in_column_names(name, units, unit):
     assert stated_unit(name, units) == unit
 
 
-def test_clocks_by_name():
+def test_names_of_time_columns():
     for name in (*SECONDS, "field.header.stamp", "#timestamp [ns]", "timeStamp"):
         assert is_clock(name.lstrip("#")), name
     for name in ("clock", "time_to_contact", "t1", "x", "s", "min", "bend_1", "P1 (ms)", "timer", "rate"):
@@ -323,13 +323,13 @@ def facts_of(path, text, **known):
         ("pressure", [0.0, 0.3], "pressure, bar by its range"),
     ],
 )
-def test_inspect_takes_units_of_the_header_first(tmp_path, column, values, said):
+def test_inspect_prefers_units_in_the_header(tmp_path, column, values, said):
     rows = "".join(f"{k},{value}\n" for k, value in enumerate((*values, values[0])))
     facts = facts_of(tmp_path / "log.csv", f"time,{column}\n{rows}")
     assert facts["signals"][0]["looks_like"].startswith(said)
 
 
-def test_absolute_pressures_are_said_and_subtracted(tmp_path):
+def test_absolute_pressures_are_noted_and_converted(tmp_path):
     path = log(tmp_path, "time,pressure_plus_1_kpa,P2 (kPa)", 101.3 + 30 * RAW)
     path.write_text(path.read_text().replace(",0\n", ",101.3\n"))
     keys = {"pressure_minus_1": "P2 (kPa)"}
@@ -352,13 +352,13 @@ def test_log_of_a_microcontroller(tmp_path):
     assert read_valves(path, MODULE, given).time[-1] == pytest.approx(3.99)
 
 
-def test_duties_in_per_cent_by_name(tmp_path):
+def test_duties_in_per_cent_are_recognised_by_name(tmp_path):
     path = log(tmp_path, "time,duty_plus_1 (%),duty_minus_1 (%)", np.array([0.0, 0.5, 1.0, 0.0]))
     found = read_valves(path, MODULE, read_map({"log": {"carrier_hz": 10.0}}))
     assert (found.at(np.arange(0.1005, 0.2, 0.001))[:, 0, 0] == 1).sum() <= 1  # half a per cent
 
 
-def test_signals_of_a_bag_take_the_unit_of_the_map(tmp_path):
+def test_signals_of_a_bag_have_the_unit_of_the_map(tmp_path):
     from mcap.writer import Writer
 
     path = tmp_path / "log.mcap"
@@ -385,7 +385,7 @@ def test_signals_of_a_bag_take_the_unit_of_the_map(tmp_path):
 
 
 @pytest.mark.parametrize("names", ["P{} (bar)", "pressure_{}_1_bar"])
-def test_bench_log_in_bar_holds_30_kpa(tmp_path, names):
+def test_bench_log_in_bar_contains_30_kpa(tmp_path, names):
     header = [names.format(side) for side in ((1, 2) if "P{}" in names else ("plus", "minus"))]
     time = 0.01 * np.arange(200)
     rows = [f"{t:.2f},{10 * np.sin(6 * t):.4f},{0.3 * (t > 0.5):.3f},0\n" for t in time]

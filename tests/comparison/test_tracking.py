@@ -57,7 +57,7 @@ def named(metrics: dict[str, float | None]) -> set[str]:
 
 @settings(max_examples=25)
 @given(st.floats(0.2, 0.8), st.floats(15, 60), st.sampled_from([0.436, -0.6, 0.05]))
-def test_second_order_step_has_its_textbook_overshoot_and_rise(zeta, omega, after):
+def test_overshoot_and_rise_time_of_a_second_order_system(zeta, omega, after):
     found = tracking_metrics(run(step_to(after), second_order(after, zeta, omega, 0.5)))
     overshoot = math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2))
     assert found["overshoot_rel"] == pytest.approx(overshoot, abs=1e-3)
@@ -93,7 +93,7 @@ def test_a_constant_reference_is_a_step_from_where_the_bend_starts():
     assert named(held) == REST | {"error_rms_rad"}
 
 
-def test_what_is_never_reached_is_none():
+def test_levels_that_are_not_reached_are_none():
     short = tracking_metrics(run(step_to(0.4), lambda t: 0.2 * (t > 0.6)))
     assert short["rise_time_s"] is None and short["settling_5_s"] is None and short["settling_2_s"] is None
     assert short["overshoot_rel"] == 0.0
@@ -101,7 +101,7 @@ def test_what_is_never_reached_is_none():
     assert near["settling_2_s"] is None and near["settling_5_s"] == pytest.approx(0.1, abs=2 * TICK)
 
 
-def test_rest_is_the_second_half_after_the_step():
+def test_steady_state_is_the_second_half_after_the_step():
     """A ripple of whole periods about an offset, drowned before by something wild."""
 
     def bend(t: np.ndarray) -> np.ndarray:
@@ -137,7 +137,7 @@ def test_amplitude_and_lag_of_a_sine_are_recovered(f, asked, phase, share, lag, 
     assert named(found) >= SINE and not named(found) & (STEP | REST)
 
 
-def test_the_lowest_frequency_of_the_experiments_is_found_exactly():
+def test_frequency_of_a_short_sine_is_exact():
     time = TICK * np.arange(16001)
     for f in (0.25, 0.5, 1, 2, 4, 6, 123.0):
         assert sine_frequency(time, 0.3 + 0.6 * np.sin(2 * np.pi * f * time + 1)) == pytest.approx(
@@ -155,7 +155,7 @@ def test_only_pure_sines_count_as_sines():
     assert sine_frequency(time, np.full_like(time, 0.2)) is None
 
 
-def test_spread_and_residual_tell_noise_from_a_clean_sine():
+def test_spread_and_residual_measure_noise():
     rng = np.random.default_rng(1)
     clean = lambda t: 0.6 * np.sin(2 * np.pi * 2 * t)  # noqa: E731
     noisy = tracking_metrics(run(clean, lambda t: clean(t) + 0.02 * rng.standard_normal(len(t)), duration=40))
@@ -173,7 +173,7 @@ def test_warm_up_is_left_out():
     assert found["amplitude_rel"] == pytest.approx(1.0, abs=1e-9)
 
 
-def test_fewer_than_two_periods_have_no_fit_and_two_no_spread():
+def test_a_fit_needs_two_periods_and_a_spread_three():
     sine = lambda t: 0.6 * np.sin(2 * np.pi * t)  # noqa: E731
     assert not named(tracking_metrics(run(sine, sine, duration=1.9))) & SINE
     two = tracking_metrics(run(sine, sine, duration=2.0))
@@ -181,14 +181,14 @@ def test_fewer_than_two_periods_have_no_fit_and_two_no_spread():
     assert two["amplitude_spread_rel"] is None and two["phase_lag_spread_rad"] is None
 
 
-def test_a_square_has_its_error_and_openings_only():
+def test_a_square_wave_has_only_error_and_openings():
     square = lambda t: 0.6 * np.sign(np.sin(2 * np.pi * 2 * t + 1e-6))  # noqa: E731
     found = tracking_metrics(run(square, lambda t: 0.0, valve_switches=[[20, 22]]))
     assert named(found) == {"error_rms_rad", "inlet_openings"}
     assert found["error_rms_rad"] == pytest.approx(0.6) and found["inlet_openings"] == 21
 
 
-def test_outlets_are_counted_of_valves_that_hold_at_every_tick():
+def test_outlet_openings_need_hold_states_in_every_tick():
     trajectory = run(lambda t: 0.4, lambda t: 0.4, duration=0.01, tick_s=TICK, valve_switches=[[2, 0]])
     plus = np.array([-1, 1, 1, 0, -1, -1, 0, -1, 1, 0, 0], dtype=float)
     minus = np.array([-1, -1, 0, 0, -1, -1, 0, 0, 0, 0, -1], dtype=float)
@@ -214,7 +214,7 @@ def test_missing_columns_are_named(missing):
         tracking_metrics(Trajectory(columns))
 
 
-def test_fit_of_a_sine_is_the_least_squares_one():
+def test_sine_fit_minimises_the_squares():
     """Nothing near it leaves less."""
     rng = np.random.default_rng(0)
     time = np.sort(rng.uniform(0, 3, 400))

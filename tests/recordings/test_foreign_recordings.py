@@ -114,7 +114,7 @@ def replayed(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", ["take", "walk", "leds"])
-def test_the_body_is_the_motion_and_its_errors_hold(replayed, name):
+def test_the_motion_is_recovered_within_its_errors(replayed, name):
     found = Trajectory.from_parquet(replayed / f"runs/{name}/measured.parquet")
     rows = np.rint((found.time - found.time[0]) * RATE).astype(int)
     truth = motion().stack("bend")
@@ -125,7 +125,7 @@ def test_the_body_is_the_motion_and_its_errors_hold(replayed, name):
 
 
 @pytest.mark.parametrize("name", ["walk", "leds"])
-def test_plants_beside_it_are_as_near_as_beside_a_motive_export(replayed, name):
+def test_plants_differ_as_little_as_from_a_motive_export(replayed, name):
     known, found = (
         json.loads((replayed / f"runs/{each}/metrics.json").read_text())["plants"] for each in ("take", name)
     )
@@ -143,7 +143,7 @@ def test_a_replay_of_foreign_files_runs_again_from_its_scenario(replayed, monkey
     assert one["plants"]["twin"]["com_speed_m_s"] == two["plants"]["twin"]["com_speed_m_s"]
 
 
-def test_a_bag_is_fitted(replayed, monkeypatch, capsys):
+def test_a_bag_can_be_fitted(replayed, monkeypatch, capsys):
     monkeypatch.chdir(replayed)
     words = [
         "--robot",
