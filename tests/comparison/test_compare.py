@@ -1,3 +1,5 @@
+"""Comparison of two runs: invariance, known differences, and refused runs."""
+
 import re
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""`srs-twin diff`: what moved between two sets of results."""
+"""`srs-twin diff`: changed values between two sets of results."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def call(capsys, *words):
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    """Return a folder with two runs of one scenario, and one of another offset."""
+    """Return a folder with two runs of one scenario, and a run with another offset."""
     folder = tmp_path_factory.mktemp("runs")
     for name, offset in (("a", 0.0), ("b", 0.0), ("c", 0.001)):
         (folder / "walk.yaml").write_text(SCENARIO.format(offset=offset))
@@ -79,7 +79,7 @@ def test_a_different_offset_changes_the_yaw_rate(runs, capsys, tmp_path):
     assert "analytical.wall_s" not in moved and "expectations[0].met" not in moved
     (case,) = ElementTree.parse(report).iter("testcase")
     assert "analytical.yaw_rate_rad_s: " in case.find("failure").text
-    # The difference is small: wide tolerances, of all or of one metric, take it in.
+    # Wide tolerances, for all metrics or for one, allow the small difference.
     assert call(capsys, "diff", a, c, "--rel", "1", "--abs", "10")[0] == 0
     (tmp_path / "wide.yaml").write_text("metrics: {yaw_rate_rad_s: {abs: 10}}\n")
     _, out, _ = call(capsys, "diff", a, c, "--tolerances", str(tmp_path / "wide.yaml"), "--json")
@@ -96,7 +96,7 @@ def test_a_missing_scenario_is_a_change(runs, capsys, tmp_path):
 
 
 def test_sweeps_are_paired_by_their_fields(capsys, tmp_path, monkeypatch):
-    """Keys may differ: another target or another commit has other keys."""
+    """Row keys may differ, because they depend on the target and the commit."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sweep.yaml").write_text(SWEEP + "plants: [analytical]\n")
     (tmp_path / "turned.yaml").write_text(SWEEP.replace("[41, 55]", "[55, 41]") + "plants: [analytical]\n")
@@ -198,7 +198,7 @@ def test_tolerance_follows_its_definition(a, rel):
 
 @pytest.mark.slow
 def test_default_tolerances_allow_another_arithmetic(tmp_path):
-    """The C library's other variants of sin and exp: last digits differ, no metric moves."""
+    """Other variants of sin and exp in the C library change the last digits, but no metric."""
     (tmp_path / "sweep.yaml").write_text(SWEEP)
     results = {}
     for name, tunables in (("own", ""), ("other", "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4")):

@@ -1,4 +1,4 @@
-"""Metrics of iterative learning on runs that were prescribed, and of real ones seen in a mirror."""
+"""Metrics of iterative learning for prescribed runs, and for simulated runs and their mirror images."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def learnt(
                 own = (run.time > begin - 1e-6) & (run.time <= begin + 0.5 + 1e-6)
                 middle = np.abs(run.time - begin - 0.25) < 0.02
                 sensed[middle, j] = peak if side == 0 else -peak
-                # A sample shows what its tick was given, so those of a period begin after its begin.
+                # A sample is taken at the end of its tick, so the samples of a period begin after its start.
                 duty[own, j, side] = 1.0 if n < 3 else 0.5 + 0.01 * n
     columns = {
         **numbered("sensed", sensed),
@@ -140,7 +140,7 @@ def test_path_metrics_recover_the_prescribed_circle(speed, yaw_rate):
 @pytest.mark.parametrize("yaw_rate", [0.4, -0.4, 0.0])
 @pytest.mark.parametrize("width", [None, 0.05])
 def test_box_edges_of_a_body_on_a_circle(yaw_rate, width):
-    """An arc of the path itself, prescribed without a wave: it sweeps nothing besides its width."""
+    """A path prescribed without a wave covers only the width of the body."""
     time = np.arange(601) / 100
     speed, bend = 0.12, 0.25
     lag = np.linspace(0.11, -0.11, 5) / speed
@@ -153,7 +153,7 @@ def test_box_edges_of_a_body_on_a_circle(yaw_rate, width):
     else:
         position = np.stack([speed * (time[:, None] + lag), np.zeros(angle.shape)], axis=-1)
         com = np.stack([speed * time, np.zeros(len(time))], axis=-1)
-    # One connector stands beside the path, to its left: that is the left edge.
+    # One connector is to the left of the path and determines the left edge.
     aside = np.stack([-np.sin(angle[:, 2]), np.cos(angle[:, 2])], axis=-1)
     position[:, 2] += 0.03 * aside
     run = learnt(Snake(speed=speed, yaw_rate=yaw_rate), amplitudes(FADING), width=width)
@@ -208,7 +208,7 @@ def test_mirroring_swaps_the_sides(real):
 
 def test_a_real_run_has_all_metrics(real):
     found = plant_metrics(real)
-    # Equal modules go straight beforehand: nothing is left of a curl that was not there.
+    # Equal modules have a straight path before learning, so no ratio of curvatures is defined.
     assert {name for name in LEARNING_UNITS if found[name] is None} <= {"path_bend_left_rel"}
     assert found["path_bend_per_m"] == abs(found["path_curvature_per_m"])
     assert found["periods_to_converge"] <= 12

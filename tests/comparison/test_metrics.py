@@ -1,3 +1,5 @@
+"""Metrics of a gait, compared with runs of prescribed speed, radius and bends."""
+
 import json
 import math
 import re
@@ -27,7 +29,7 @@ GAIT_METRICS = {
 }  # fmt: skip
 
 some = settings(deadline=None, max_examples=25)
-# Frequencies whose period is no multiple of 10 ms, with the awkward as likely as the round.
+# Frequencies whose period is not a multiple of 10 ms are as likely as the others.
 frequencies = st.floats(0.8, 4.0).map(lambda f: round(f, 4))
 speeds = st.floats(0.02, 0.4)
 
@@ -49,7 +51,7 @@ def assert_metrics_close(
 def test_speed_of_a_straight_run_is_recovered(speed, frequency, phase, angle):
     run = moved(Snake(speed=speed, frequency=frequency, phase=phase).trajectory(), 1.0, -2.0, angle)
     found = plant_metrics(run)
-    # The error is that of the spline through the sway, 3e-8 m/s at 4 Hz whatever the speed.
+    # The error is that of the spline through the lateral oscillation, 3e-8 m/s at 4 Hz for any speed.
     assert found["com_speed_m_s"] == pytest.approx(speed, rel=0, abs=1e-7)
     assert found["yaw_rate_rad_s"] == pytest.approx(0, abs=1e-6)
     assert found["turning_radius_m"] is None
@@ -74,7 +76,7 @@ def test_radius_and_yaw_rate_of_a_circle_are_recovered(radius, yaw_rate, frequen
     found = plant_metrics(run)
     assert found["yaw_rate_rad_s"] == pytest.approx(side * yaw_rate, rel=1e-6, abs=1e-7)
     assert found["turning_radius_m"] == pytest.approx(side * radius, rel=1e-5)
-    # The averaged path runs inside the circle by the mean of a chord over its arc.
+    # The averaged path is inside the circle.
     inside = np.sinc(yaw_rate / frequency / 2 / np.pi)
     assert found["com_speed_m_s"] == pytest.approx(speed * inside, rel=1e-6)
 
@@ -127,7 +129,8 @@ def test_a_reversed_wave_has_negative_speed():
     found = plant_metrics(run)
     assert found["com_speed_m_s"] == pytest.approx(-0.1, rel=1e-3)
     assert found["yaw_rate_rad_s"] == pytest.approx(0.2, rel=1e-6)
-    # Its head is on the left of its path's tangent; the centre of the circle lies on the body's right.
+    # The head is to the left of the tangent of the path, and the centre of the circle to the right of the
+    # body.
     assert found["turning_radius_m"] == pytest.approx(-0.5, rel=1e-5)
 
 

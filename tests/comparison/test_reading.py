@@ -1,4 +1,4 @@
-"""Metrics of a sensor's reading, against readings known in closed form and against the sensor's own law."""
+"""Metrics of a sensor reading, compared with closed-form readings and with the law of the sensor."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_depth_and_position_of_a_fold_are_recovered(press, scale, place):
 
     crest = scale * math.acosh(math.sqrt(press))
     found = reading_metrics(run(bend, law(bend)))
-    # Means over bins round the crest and the trough off: by less than a bin's share of the steepest slope.
+    # Bins smooth the extrema by less than the steepest slope times the bin width.
     assert found["reading_backstep_rad"] == pytest.approx(
         law(place - crest) - law(place + crest), abs=press * BIN_RAD**2 / scale + 1e-3
     )
@@ -63,9 +63,9 @@ def test_every_bend_counts_once_regardless_of_its_duration():
     dwelling = np.concatenate([bend, np.full(50_000, 1.0), np.full(100, -1.0)])
     quick, slow = (reading_metrics(run(q, q**3 + q)) for q in (bend, dwelling))
     assert slow["reading_r_squared"] == pytest.approx(quick["reading_r_squared"], abs=2e-3)
-    # The last bin's mean bend moves to where the run dwelt.
+    # The mean bend of the last bin moves to the bend that lasted longest.
     assert slow["reading_error_rad"] == pytest.approx(quick["reading_error_rad"], abs=3 * BIN_RAD)
-    # By time nearly all of it would be one bend.
+    # Weighted by time, nearly all samples would be one bend.
     q = dwelling
     assert np.corrcoef(q, q**3 + q)[0, 1] ** 2 != pytest.approx(quick["reading_r_squared"], abs=0.01)
 
@@ -119,7 +119,7 @@ def test_range_does_not_depend_on_the_electronics(orientation, distance, drift):
         gain_error=drift, rails=(-50.0, 50.0), converter_range=(-50.0, 50.0), offset=0.0,
     )  # fmt: skip
     bend = there_and_back(1.2)
-    # Sensors describe themselves in a run's metadata.
+    # The metadata of a run describe its sensor.
     found = reading_metrics(run(bend, sensor.read(bend[:, None], 0.0, 0)[:, 0], sensor.describe()))
     ends = field(np.array([bend.min(), bend.max()]), sensor.hall.strip)
     assert found["reading_range_t"] == pytest.approx(abs(np.diff(ends)[0]), rel=0.01)
@@ -135,7 +135,7 @@ def test_readings_depend_on_the_bend_only():
         run = rollout(scenario.build_plant(plant), scenario.build_controller(), 4.0, record_hz=1000)
         found.append(plant_metrics(run))
     assert found[0]["reading_r_squared"] == pytest.approx(found[1]["reading_r_squared"], abs=1e-3)
-    # Held valves bend it to one side only: half the range, and a metric all the same.
+    # Constant valves bend it to one side only, which is half the range.
     assert found[2]["reading_range_t"] == pytest.approx(found[0]["reading_range_t"] / 2, rel=0.1)
 
 

@@ -1,4 +1,4 @@
-"""Metrics of following a reference, against responses known in closed form."""
+"""Metrics of tracking a reference, compared with closed-form responses."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SINE = {
 
 
 def run(reference: Any, bend: Any, *, duration: float = 4.0, **metadata: Any) -> Trajectory:
-    """Return a trajectory from two laws of time."""
+    """Return a trajectory from functions of time for the reference and the bend."""
     time = TICK * np.arange(round(duration / TICK) + 1)
     columns = {"time": time, "reference_1": reference(time) + 0 * time, "bend_1": bend(time) + 0 * time}
     return Trajectory(columns, metadata=metadata)
@@ -34,7 +34,7 @@ def step_to(after: float, *, at: float = 0.5, before: float = 0.0) -> Any:
 
 
 def second_order(after: float, zeta: float, omega: float, at: float) -> Any:
-    """Return the response of an underdamped second order law to a step from 0."""
+    """Return the step response of an underdamped second-order system."""
     damped = omega * math.sqrt(1 - zeta**2)
 
     def response(t: np.ndarray) -> np.ndarray:
@@ -46,7 +46,7 @@ def second_order(after: float, zeta: float, omega: float, at: float) -> Any:
 
 
 def first_at(level: float, time: np.ndarray, values: np.ndarray) -> float:
-    """Return when values first reach a level, s, between samples: a raster of 10 µs would be too coarse."""
+    """Return the first time at which values reach a level, s, interpolated between samples."""
     k = int(np.argmax(values >= level))
     return float(np.interp(level, values[k - 1 : k + 1], time[k - 1 : k + 1]))
 
@@ -68,7 +68,7 @@ def test_overshoot_and_rise_time_of_a_second_order_system(zeta, omega, after):
     assert found["rise_time_s"] == pytest.approx(rise, abs=2e-5)
     for name, band in (("settling_2_s", 0.02), ("settling_5_s", 0.05)):
         left = fine[np.flatnonzero(np.abs(share - 1) > band)[-1]]
-        # A swing that only touches the band may fall between two samples.
+        # The response may touch the band between two samples.
         peaks = np.exp(-zeta / math.sqrt(1 - zeta**2) * math.pi * np.arange(1, 30))
         if np.abs(peaks - band).min() > 1e-3:
             assert found[name] == pytest.approx(left, abs=1e-4)
@@ -102,7 +102,7 @@ def test_levels_that_are_not_reached_are_none():
 
 
 def test_steady_state_is_the_second_half_after_the_step():
-    """A ripple of whole periods about an offset, drowned before by something wild."""
+    """A ripple of whole periods about an offset, after a large disturbance in the first half."""
 
     def bend(t: np.ndarray) -> np.ndarray:
         calm = 0.4 + 0.01 + 0.02 * np.sin(2 * np.pi * 10 * t)
@@ -125,7 +125,7 @@ def test_steady_state_is_the_second_half_after_the_step():
     st.floats(-0.5, 0.5),
 )  # fmt: skip
 def test_amplitude_and_lag_of_a_sine_are_recovered(f, asked, phase, share, lag, offset):
-    """Periods are no multiple of the samples', the bend has its own offset, lags go all the way round."""
+    """Periods are not multiples of the sample period, the bend has an offset, lags cover a full circle."""
     reference = lambda t: 0.1 + asked * np.sin(2 * np.pi * f * t + phase)  # noqa: E731
     bend = lambda t: offset + share * asked * np.sin(2 * np.pi * f * t + phase - lag)  # noqa: E731
     found = tracking_metrics(run(reference, bend, duration=round(5 / f + 0.1, 3)))
@@ -167,7 +167,7 @@ def test_spread_and_residual_measure_noise():
 
 
 def test_warm_up_is_left_out():
-    """Two periods at half the amplitude before five at the full one."""
+    """Two periods have half the amplitude of the following five."""
     sine = lambda t: 0.6 * np.sin(2 * np.pi * t)  # noqa: E731
     found = tracking_metrics(run(sine, lambda t: sine(t) * np.where(t < 2, 0.5, 1.0), duration=7.0))
     assert found["amplitude_rel"] == pytest.approx(1.0, abs=1e-9)
@@ -215,7 +215,7 @@ def test_missing_columns_are_named(missing):
 
 
 def test_sine_fit_minimises_the_squares():
-    """Nothing near it leaves less."""
+    """No sine with similar parameters has a smaller residual."""
     rng = np.random.default_rng(0)
     time = np.sort(rng.uniform(0, 3, 400))
     values = 0.2 + np.sin(7 * time) + 0.3 * rng.standard_normal(400)

@@ -257,7 +257,7 @@ def test_an_undecided_value_names_its_distance_from_the_nearest_end():
 @pytest.mark.parametrize("high", [0.25, 0.2])
 @pytest.mark.parametrize("digits", [1e-9, -1e-9, 4e-6])
 def test_rounding_differences_keep_the_interval_valid(high, digits):
-    # Those of another processor, and those that are not stored; of an interval without width, too.
+    # Rounding of another processor and of the stored digits, also for an interval of zero width.
     row = within(0.2 * (1 + digits), interval_95=[high - 0.05 * (high > 0.2), high], published=high)
     assert row["state"] == "met"
 
@@ -291,7 +291,7 @@ def test_a_parameter_is_named_only_if_it_stands_out_from_the_error_of_its_index(
 
 @pytest.mark.parametrize("name", sorted(shipped_names("scenario")))
 def test_shipped_intervals_are_for_the_shipped_scenarios(name):
-    """None of them is unjudged; `tests/scenarios` sees it in the runs."""
+    """None is unjudged; `tests/scenarios` checks this in the runs."""
     scenario = load_scenario(name)
     if any(each.within for each in scenario.expect):
         kept = kept_intervals(scenario)

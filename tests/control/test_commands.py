@@ -1,4 +1,4 @@
-"""What steers a snake from outside: the wave goes on without a jump, the supply follows, limits hold."""
+"""Commanded gaits: continuous phase, regulated supply, and limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The gait: Eq. 13 with the wave from head to tail, edges where they belong, and what is refused."""
+"""Open-loop gait: wave of Eq. 13 from head to tail, times of its edges, and refused arguments."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def played(
 
 
 def commanded(gait: Gait, time: float) -> np.ndarray:
-    """Return the valves of the tick that begins at a time; a gait reads nothing else of the state."""
+    """Return the valves of the tick that begins at a time; a gait depends on no other state."""
     state: Any = SimpleNamespace(time=time)
     return gait.step(state)
 
 
 def crossings(f: float, offset: float, lag: float, duration: float) -> list[float]:
-    """Return when sin(2π f t − lag) + offset changes its sign within the duration, in order, s."""
+    """Return the times at which sin(2π f t − lag) + offset changes its sign, ascending, s."""
     up, down = -math.asin(offset), math.pi + math.asin(offset)
     times = [
         (angle + lag + 2 * math.pi * n) / (2 * math.pi * f) for angle in (up, down) for n in range(-5, 200)
@@ -69,7 +69,7 @@ def test_edges_are_at_the_zeros_of_the_sine_within_a_slot(f, offset, phase, j):
 @pytest.mark.parametrize("offset", [-0.4, 0.0, 0.25, 0.7])
 @pytest.mark.parametrize("f", [0.33, 1.7, 2.0])
 def test_duty_follows_the_offset(f, offset):
-    """Share of + over whole periods: (π + 2 asin φ)/2π."""
+    """The fraction of + over whole periods is (π + 2 asin φ)/2π."""
     periods = 1 if f == 0.33 else 17
     duration = round(periods / f / TICK) * TICK
     time, signs = played(Gait(f, offset), duration)
@@ -80,7 +80,7 @@ def test_duty_follows_the_offset(f, offset):
 
 @pytest.mark.parametrize("connectors", [2, 5, 9])
 def test_wave_travels_from_head_to_tail(connectors):
-    """Segment j + 1 does what segment j did a lag β/(2π f) before."""
+    """Segment j + 1 repeats segment j with a delay of β/(2π f)."""
     spec, f, step = chain((0.03,) * connectors), 2.0, 2 * math.pi / 8
     _, signs = played(Gait(f, 0.2, phase_step=step), 2.0, spec=spec)
     delay = round(step / (2 * math.pi * f) / 1e-4)
@@ -89,7 +89,7 @@ def test_wave_travels_from_head_to_tail(connectors):
 
 
 def test_wave_is_positive_at_its_zeros():
-    # A tick of one slot is judged at its middle: shift the phase so that the sine is exactly 0 there.
+    # A tick of one slot is evaluated at its centre: the phase makes the sine exactly 0 there.
     gait = Gait(2.0, phase=-2 * math.pi * 2.0 * 0.5e-4)
     gait.reset(robot(), 1e-4)
     valves = commanded(gait, 0.0)
@@ -110,14 +110,14 @@ def test_ticks_without_an_edge_have_no_slots():
     gait = Gait(2.0)
     gait.reset(robot(), TICK)
     shapes = [commanded(gait, k * TICK).shape for k in range(100)]
-    # 2 Hz and lags of a quarter: 16 edges every 125 ms, every fourth at a tick's end.
+    # With 2 Hz and phase steps of a quarter period, there are edges every 125 ms.
     assert set(shapes) == {(4, 2), (200, 4, 2)}
     assert sum(len(shape) == 3 for shape in shapes) == 16 - 4
     assert commanded(gait, 0.0).dtype == np.int8
 
 
 def test_pulses_shorter_than_a_tick_are_kept():
-    """At an offset near 1 the − phase is shorter than a tick and would hide between its ends."""
+    """At an offset near 1, the − phase is shorter than a tick and not visible at its ends."""
     gait, tick = Gait(2.0, 0.999), 0.1
     _, signs = played(gait, 2.0, tick=tick)
     expected = (math.pi - 2 * math.asin(0.999)) / (4 * math.pi)
@@ -167,7 +167,7 @@ def test_ticks_that_are_no_multiple_of_a_slot_are_refused():
 )
 @settings(max_examples=50)
 def test_script_equals_the_valves_of_the_ticks(rest, offset, shifts):
-    """The wave of a tick, slot by slot, is what the script has there."""
+    """The slots of every tick equal those of the script."""
     spec = load_robot("gen2")
     gait = Gait(2.0, offset, phases=shifts, rest_share=rest)
     gait.reset(spec, 0.02)

@@ -1,4 +1,4 @@
-"""Iterative learning (Eq. 32) on perfect modules, on broken ones, and on the analytical plant."""
+"""Iterative learning (Eq. 32) with perfect modules, with faulty ones, and on the analytical plant."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_the_smallest_amplitude_becomes_the_target(gain):
     (text,) = run.told("target")
     weakest = gain.min(axis=1).argmin() + 1
     assert text == f"target {gain.min():.4g} rad, the smallest amplitude recorded (segment {weakest})"
-    # Two free periods, the third recorded: nothing changes before 3.5 periods are over.
+    # Two periods are free and the third is recorded, so nothing changes in the first 3.5 periods.
     assert (np.array(run.duty)[: round(3.49 / TICK)] == 1).all()
 
 
@@ -102,7 +102,7 @@ def gait_valves(offset: float, ticks: range) -> list[np.ndarray]:
 def test_full_duties_give_the_valves_of_eq_13_with_and_without_offset(before, after):
     for steering, seen in (("targets_and_wave", (before, after)), ("targets", (0.0, 0.0))):
         controller = ILC(1.0, before, target=0.7, steering=steering, free_periods=50)
-        # As sensors at work read: others would be found dead, and their modules vented.
+        # Readings must vary; otherwise the sensors are detected as dead and the modules are vented.
         rows = np.tile(0.7 * np.sin(2 * np.pi * TICK * np.arange(300))[:, None], SEGMENTS)
         valves = valves_of(controller, rows[:150])
         controller.offset = after
@@ -198,7 +198,8 @@ def test_a_saturated_duty_leaves_its_bound_immediately(periods):
     assert run.told("fault") == [] and run.told("converged") == []
     run.modules.gain[1] = 1.0
     run.go(3)
-    # The first whole period with the new gain is 0.3 rad too wide, however long the duty was at its bound.
+    # The amplitude of the first period with the new gain is 0.3 rad too large, regardless of the time in
+    # saturation.
     assert run.duty[-1][1].max() <= 1 - 0.3 * 0.3 + SLOTS
     assert "segment 2, + chamber: duty no longer saturated" in run.told("saturation")
 
@@ -259,7 +260,7 @@ def test_learning_continues_with_some_lost_readings():
 
 
 def test_a_loaded_segment_is_not_reported_as_a_stuck_valve():
-    """A swing that the segment's own chambers do not cause is found to rest straight, and work goes on."""
+    """A segment that is moved by its load rests straight in the test and continues to work."""
     run = Run(ILC(1.0, target=0.3), 1.2)
     run.sensor = lambda time, bend: bend - [0.0, 0.6 * math.sin(2 * math.pi * time), 0.0, 0.0]
     run.go(25)
@@ -282,7 +283,7 @@ def test_option_stop_ends_the_run_at_a_detected_fault():
 
 
 class StuckValve(LagPneumatics):
-    """One valve that stays as it is, whatever is commanded."""
+    """Valve that keeps its state for any command."""
 
     def effective(self, schedule: Schedule) -> Schedule:
         states = schedule.states.copy()
@@ -293,7 +294,7 @@ class StuckValve(LagPneumatics):
 
 
 class DeadSensor(Sensor):
-    """Says 0.2 rad of the second segment for ever."""
+    """Sensor whose reading of the second segment is always 0.2 rad."""
 
     kind = "dead"
 
@@ -326,7 +327,7 @@ def test_the_plant_continues_without_a_module_with_a_dead_sensor():
 
 @pytest.mark.parametrize("frequency", [1.0, 1.7])
 def test_full_duties_equal_the_open_loop_gait(frequency):
-    """Nothing that is out of reach changes a duty; then the runs are equal to the last bit."""
+    """An unreachable target keeps all duties at 1, and the runs are equal to the last bit."""
     ilc = rollout(AnalyticalSnake(load_robot("gen4")), ILC(frequency, target=1.5), 6.0)
     # `until` keeps the gait from running as one script.
     gait = rollout(AnalyticalSnake(load_robot("gen4")), Gait(frequency), 6.0, until=lambda _: False)

@@ -1,4 +1,4 @@
-"""Pulse-width modulation: duties are kept exactly, over ticks that no carrier period fits."""
+"""Pulse-width modulation: exact mean duties for carrier periods that are not multiples of the tick."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ duties = st.floats(0, 1) | st.sampled_from([0.0, 1.0, 0.5])
 
 
 def played(duty: np.ndarray, seconds: float, *, carrier: float = 60.0, tick: float = 1e-3) -> np.ndarray:
-    """Return whether chambers fill, slot by slot, shape (slots, segments, 2), at one duty (segments, 2)."""
+    """Return which chambers fill in each slot, shape (slots, segments, 2), for duties (segments, 2)."""
     pulses = PulseWidthModulator(carrier, tick, len(duty))
     parts = [pulses.step(duty) for _ in range(round(seconds / tick))]
     states = np.concatenate(parts)
@@ -28,7 +28,7 @@ def played(duty: np.ndarray, seconds: float, *, carrier: float = 60.0, tick: flo
 
 
 def openings(filling: np.ndarray) -> np.ndarray:
-    """Return how often each goes from closed to open, closed before the first slot."""
+    """Return the number of openings of each valve, which is closed before the first slot."""
     closed_before = np.concatenate([np.zeros_like(filling[:1]), filling[:-1]])
     return (filling & ~closed_before).sum(axis=0)
 
@@ -37,7 +37,7 @@ def openings(filling: np.ndarray) -> np.ndarray:
 @given(arrays(float, (20, 2), elements=duties), st.sampled_from([13.0, 50.0, 60.0, 61.7, 240.0]))
 def test_duty_is_exact_over_many_periods(duty, carrier):
     filling = played(duty, 1.0, carrier=carrier)
-    # Every pulse is off by a slot at most, and the last period may be unfinished.
+    # The error of a pulse is at most one slot, and the last period may be incomplete.
     assert np.abs(filling.mean(axis=0) - duty).max() <= carrier * SLOT + 1 / carrier
     if carrier in (50.0, 60.0):  # three periods are a whole number of slots, so that nothing is unfinished
         whole = filling[: round(30 * 1e4 / carrier)]

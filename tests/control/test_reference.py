@@ -1,4 +1,4 @@
-"""References: what they ask for, their rates, where they jump, and the module's range."""
+"""References: values, rates, steps, and the range of the module."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_rate_of_a_sine_equals_its_difference_quotient(sine):
 
 
 def test_steps_occur_at_their_tick_despite_rounding():
-    """Ticks added up miss 0.3 s by rounding, to either side."""
+    """The sum of ticks differs from 0.3 s by rounding, in either direction."""
     ticks = list(accumulate(repeat(0.001, 2000), initial=0.0))
     assert ticks[300] != 0.3
     for k in (300, 600, 900):

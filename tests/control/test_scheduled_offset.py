@@ -1,4 +1,4 @@
-"""ScheduledOffset: a controller whose offset changes at given times."""
+"""Controllers whose offset changes at given times."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SPEC = load_robot("gen2")
 
 
 def run(controller, duration=1.0):
-    # Somebody looks on, so that a plain gait meets the plant every tick, as a steered one does.
+    # The callback makes an open-loop gait run tick by tick, as a steered one does.
     return rollout(AnalyticalSnake(SPEC, tick=0.005), controller, duration, observers=[lambda state: None])
 
 
@@ -31,7 +31,7 @@ def test_the_offset_changes_at_its_time_in_every_run():
     for _ in range(2):
         found = run(controller)
         offset, time = found["offset"], found.time
-        # A sample shows what its tick was given.
+        # A sample is taken at the end of its tick.
         assert np.all(offset[time <= 0.3 + 1e-9] == -0.2)
         assert np.all(offset[(time > 0.305) & (time <= 0.6)] == 0.1)
         assert np.all(offset[time > 0.615] == 0.4) and controller.offset == 0.4

@@ -1,4 +1,4 @@
-"""The sliding mode controllers of Chapter 4 against mock plants that share no code with the project's."""
+"""Sliding mode controllers of Chapter 4 with mock plants that share no code with the package."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from srs_twin.pneumatics.valves import LAYOUTS
 TICK = 1e-3
 DEGREE = math.pi / 180
 BOTH = [DirectSMC, IterativeSMC]
-# What a broken sensor may say, with what a good one says more often.
+# Readings of a faulty sensor, and more often those of a working one.
 readings = st.floats(-1.5, 1.5) | st.floats(allow_nan=True, allow_infinity=True)
 MODULES, EXAMPLES = 200, 25  # 2 controllers × 25 × 200 = 10,000 histories
 
@@ -36,7 +36,7 @@ def robot(segments: int) -> RobotSpec:
 
 
 def state(time: float, sensed: Any) -> Any:
-    """Return a state that holds nothing else: reading anything true would fail."""
+    """Return a state without true values, so that reading one would fail."""
     return SimpleNamespace(time=time, sensed=np.atleast_1d(np.asarray(sensed, dtype=float)))
 
 
@@ -66,7 +66,7 @@ def signals(controller: Controller) -> dict[str, np.ndarray]:
     st.sampled_from([Constant(0.3), Sine(0.6, 6.0), Square(0.6, 2.0), Step(0.4, -0.4, 0.01)]),
 )
 def test_any_readings_give_valid_valves_and_no_wind_up(kind, rows, hold, reference):
-    """Each row lasts some ticks; then the bend stands 0.1 rad short, and the controller must push upwards."""
+    """Each row lasts some ticks. Then the bend is 0.1 rad too small, and the controller must increase it."""
     controller = ready(kind(reference), MODULES)
     history = np.repeat(rows, hold, axis=0)
     for k, row in enumerate(history):
@@ -80,7 +80,7 @@ def test_any_readings_give_valid_valves_and_no_wind_up(kind, rows, hold, referen
             assert (np.abs(now["mu"]) <= 1).all()
             assert ((now["duty_plus"] >= 0) & (now["duty_plus"] <= 1)).all()
             assert now["duty_plus"] + now["duty_minus"] == pytest.approx(1.0)
-    # Δμ is K D e an update and the way no longer than 2; the filter forgets within some of its lags.
+    # Δμ is K D e per update over a range of 2; the filter settles within a few of its lags.
     updates = math.ceil(2 / (0.042 * 16 * 0.1)) + 3
     ticks = math.ceil(updates / 60 / TICK) if kind is IterativeSMC else 150
     for k in range(len(history), len(history) + ticks):
@@ -114,7 +114,7 @@ def test_iterative_controller_leaves_saturation_immediately():
 
 
 def integrator(controller: SlidingMode, seconds: float, speed: float) -> np.ndarray:
-    """Return the bend of a perfect module: it turns at one speed or stands still, at once."""
+    """Return the bend of a perfect module, which moves at a constant speed or not at all."""
     bend = [0.0]
     for k in range(round(seconds / TICK)):
         bend.append(bend[-1] + TICK * speed * controller.step(state(TICK * k, bend[-1]))[0, 0])
@@ -127,7 +127,7 @@ def test_direct_controller_follows_within_its_dead_zone(reference):
     time = TICK * np.arange(len(bend))
     jump = getattr(reference, "time", 0.0)
     late = (time > 0.4) & ((time < jump) | (time > jump + 0.4))
-    # ε/D, what the filter sees late of one tick's push, and the bend's curvature over the filter's lag.
+    # ε/D, the filter delay of one tick of motion, and the second derivative of the bend over the filter lag.
     lag = VelocityFilter(16.0, TICK).lag
     bend_over = 0.4 * (2 * math.pi * (reference.frequency_hz or 0)) ** 2 * lag**2
     allowed = 84 * DEGREE / 58 + 3 * TICK * 6.0 + bend_over
@@ -252,7 +252,7 @@ def test_both_forms_are_equivalent():
 
 
 def test_mu_is_proportional_and_integral():
-    """μ = (K/T) e + (K D/T) ∫ e dt for an error that grows straight, T the carrier period."""
+    """μ = (K/T) e + (K D/T) ∫ e dt for a linearly growing error and the carrier period T."""
     gain, slope, rise = 0.002, 5.0, 0.5
     controller = ready(IterativeSMC(Constant(0.0), K=gain, D=slope))
     ticks = 500
@@ -313,7 +313,7 @@ def filtered(cutoff: float, values: np.ndarray, tick: float = TICK) -> tuple[np.
 
 @pytest.mark.parametrize("cutoff", [5.0, 16.0, 80.0, 400.0])
 def test_filter_equals_the_analog_butterworth_filter_for_linear_readings(cutoff):
-    """scipy integrates the same transfer function by matrix exponentials, its input straight in between."""
+    """SciPy integrates the same transfer function by matrix exponentials, for a linear input."""
     time = TICK * np.arange(800)
     values = np.cumsum(np.random.default_rng(5).standard_normal(800)) * 0.01
     values -= values[0]
@@ -332,7 +332,7 @@ def test_filter_noise_is_as_stated(cutoff):
         law.step(row)
         if k > 200:
             rates.append(law.rate.copy())
-    # What one reading adds to all rates after it: scipy's response to a triangle two ticks wide.
+    # Response of the rate to one reading: that of SciPy's filter to a triangle two ticks wide.
     triangle = np.zeros(400)
     triangle[1] = 1.0
     numerator, denominator = signal.butter(2, 2 * math.pi * cutoff, analog=True)

@@ -1,4 +1,4 @@
-"""Modules that differ under learning, on both plants: straight, along a curve, and with one that broke."""
+"""Iterative learning with unequal modules on both plants: straight, along a curve, and with a fault."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _RUNS: dict[str, Trajectory] = {}
 def run(
     plant: str, *, seed: int = 3, seconds: float = 18, faults: tuple[Any, ...] = (), **more: Any
 ) -> Trajectory:
-    """Return a run at 1 Hz and 131 kPa with gains that spread by 15 %, a carrier of 120 Hz unless told."""
+    """Return a run at 1 Hz and 131 kPa with gains that vary by 15 %, by default with a carrier of 120 Hz."""
     control = {"kind": "ilc", "frequency_hz": 1.0, "target_rad": 0.7, "carrier_hz": 120.0} | more.pop(
         "control", {}
     )
@@ -56,12 +56,12 @@ def test_a_steered_snake_with_unequal_modules_has_a_constant_curvature(plant):
 @pytest.mark.slow
 @both
 def test_curvature_error_is_that_of_the_drifted_sensors(plant):
-    """What is learnt is what the sensors say: all are content, and the path bends by their error."""
+    """Amplitudes converge for the sensor readings, and the error of the sensors curves the path."""
     found = plant_metrics(
         run(plant, modules={"gain_spread": 0.0, "sensor_bias_rad": [0.05, 0.05, 0.05, 0.05]})
     )
     assert found["periods_to_converge"] <= 12
-    # Bends that lie 0.05 rad to the right of where they are thought: 0.2 rad over a body of 0.3 m.
+    # Bends are 0.05 rad to the right of their readings: 0.2 rad over a body of 0.3 m.
     assert -1.0 < found["path_curvature_per_m"] < -0.2
 
 

@@ -1,4 +1,4 @@
-"""Bags of ROS 1 and ROS 2 as rosbags and mcap write them: every kind of message, every container."""
+"""Bags of ROS 1 and ROS 2 written by rosbags and mcap: all message types, all containers."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CONTAINERS = (
 
 
 def everything(make):
-    """Yield a message of each kind on each frame; bodies at three places."""
+    """Yield a message of each type on each frame, for bodies at three positions."""
     for k, (a, b, c) in enumerate(PLACE):
         at, header = ns(k) + 4_000_000, make.header(k)
         yield (
@@ -95,7 +95,7 @@ def test_all_message_types_of_all_containers_are_read(tmp_path, container):
 
 
 def only(kind):
-    """Yield the messages of one kind."""
+    """Yield the messages of one type."""
     return lambda make: (row for row in everything(make) if row[1] == kind)
 
 
@@ -123,7 +123,7 @@ def test_the_folder_of_a_bag_is_read(tmp_path):
 
 
 def test_bodies_with_different_stamps_and_gaps_are_aligned(tmp_path):
-    """Each transform in a message of its own, a little later; the first body is lost for a while."""
+    """Each transform has its own, slightly later message; the first body is missing for some time."""
 
     def messages(make):
         for k, places in enumerate(PLACE):

@@ -1,4 +1,4 @@
-"""C3D files as other programs write them: positions, rate and frames come back."""
+"""C3D files written by other programs: positions, rate and frames are recovered."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def by_ezc3d(path, points, *, first=0, units=("mm",), analog=0, kinds=None, rate
 
 
 def by_c3d(path, points, *, first=1, step=None, analog=0):
-    """Write with the library c3d; step: of integers, mm."""
+    """Write a file with the library c3d; `step` is the resolution of integers, mm."""
     count = points.shape[1]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -55,7 +55,7 @@ def by_c3d(path, points, *, first=1, step=None, analog=0):
         if analog:
             writer.set_analog_labels([f"a{k}" for k in range(analog)])
         channels = np.zeros((analog, 10)) if analog else np.zeros((0, 0))
-        # The library cuts off where it should round.
+        # The library truncates where it should round.
         shift = np.sign(points) * step / 2 if step else 0.0
         rows = np.concatenate([points + shift, np.zeros((*points.shape[:2], 2))], axis=-1).astype(np.float32)
         writer.add_frames([(row, channels) for row in rows])
@@ -66,7 +66,7 @@ def by_c3d(path, points, *, first=1, step=None, analog=0):
 
 
 def by_hand(points, processor, *, step=None, first=1, analog=0, units="mm", more=(), counted=None):
-    """Return a file of a processor: 84 Intel, 85 DEC, 86 MIPS."""
+    """Return a file in the number format of a processor: 84 Intel, 85 DEC, 86 MIPS."""
     order = ">" if processor == 86 else "<"
     frames, count, _ = points.shape
 
@@ -117,7 +117,7 @@ def by_hand(points, processor, *, step=None, first=1, analog=0, units="mm", more
 
 
 def same(path, points, *, step=None, first=0.0, unit=1e-3):
-    """Compare with positions in the file's unit; half the format's resolution is allowed."""
+    """Compare a file with positions in its unit, with a tolerance of half the resolution of the format."""
     found = read_markers(path)
     assert found.points.shape == points.shape and found.labels[-1].strip() == f"m{points.shape[1] - 1}"
     assert (np.isnan(found.points) == np.isnan(points)).all()
@@ -166,7 +166,7 @@ def test_files_with_65535_frames_and_more_are_read(tmp_path, count):
 
 @pytest.mark.parametrize(("processor", "key"), [(84, "TRIAL"), (86, "LONG_FRAMES")])
 def test_conventions_for_long_files_are_read(tmp_path, processor, key):
-    """The header wraps round at 65,536; the parameters have the frames."""
+    """The header overflows at 65,536 frames; the parameters contain the number."""
     points = walk(66000, 1)
     more = {
         "TRIAL": [
@@ -188,7 +188,7 @@ def test_parameters_in_conflict_with_the_file_are_ignored(tmp_path):
 
 @pytest.mark.parametrize(("first", "begins"), [(0, 0.0), (1, 0.0), (2, 0.01), (9000, 89.99)])
 def test_first_frame_sets_the_start_time(tmp_path, first, begins):
-    """Frame 1 is at 0 s; programs that count from 0 mean the same."""
+    """Frame 1 is at 0 s, and so is frame 0 of programs that count from 0."""
     points = walk()
     (tmp_path / "a.c3d").write_bytes(by_hand(points, 84, first=first))
     same(tmp_path / "a.c3d", points, first=begins)
@@ -209,7 +209,7 @@ def test_units_of_points_are_converted(tmp_path):
 
 
 def test_missing_analog_scales_are_ignored(tmp_path, capsys):
-    """The library c3d cannot go through such files; `inspect --json` prints what is in them."""
+    """The library c3d cannot read such files; `inspect --json` prints their contents."""
     points = walk(50, 3)
     by_ezc3d(tmp_path / "a.c3d", points)
     file = ezc3d.c3d(str(tmp_path / "a.c3d"))

@@ -1,4 +1,4 @@
-"""Formats of recordings: what was written comes back; what is damaged or unknown is said in one line."""
+"""Formats of recordings: written data are recovered, and damaged or unknown files give one message."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def motive(*, version="1.23", bodies=True, parent=False):
 
 
 def c3d_file(points=TRUTH, *, unit="mm", scale=1e3, whole=None, names=NAMES):
-    """Write with the library; whole: mm of a step of integers."""
+    """Write a file with the library; `whole` is the resolution of integers, mm."""
     writer = c3d.Writer(point_rate=RATE, point_scale=whole or -1.0, point_units=unit)
     label = "".join(name.ljust(8) for name in names[:255])
     writer.point_group.add_str("LABELS", "", label, 8, len(names[:255]))
@@ -207,7 +207,7 @@ def stamped(nanoseconds):
 
 
 def mcap_file(compression=CompressionType.ZSTD, *, signals=True, checked=True):
-    """Two stamped bodies, an array at half the rate, points; a joystick, joints, valves, JSON, text."""
+    """Write two stamped bodies, a slower array, points, a joystick, joints, valves, JSON and text."""
     turns = quaternions()
     stream = io.BytesIO()
     writer = RosWriter(stream, chunk_size=4096, compression=compression, enable_crcs=checked)
@@ -252,7 +252,7 @@ def mcap_file(compression=CompressionType.ZSTD, *, signals=True, checked=True):
 
 
 def bag(kind):
-    """Return a bag of rosbags with the bodies of `TRUTH` as points of a topic each."""
+    """Return a bag of rosbags with one topic of points for each body of `TRUTH`."""
 
     def messages(make):
         for k, places in enumerate(TRUTH):
@@ -474,7 +474,7 @@ def test_mcap_without_positions_and_with_two_clocks(tmp_path):
 
 
 def test_declared_sizes_allocate_no_memory(tmp_path):
-    """A chunk and a frame count that claim far more than the file has."""
+    """A chunk and a frame count declare far more than the file contains."""
     content = mcap_file()
     at = content.index(b"zstd") - 4 - 4 - 8
     with pytest.raises(InputError, match="unpack to 4398046511104 MB; at most 16 MB are read"):
@@ -490,7 +490,7 @@ def test_declared_sizes_allocate_no_memory(tmp_path):
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
 @pytest.mark.parametrize("kind", ["one large message", "many small messages"])
 def test_compression_bombs_are_refused_before_unpacking(tmp_path, monkeypatch, compression, kind):
-    """A few hundred kB at most, which would unpack to more than a recording of that size can hold."""
+    """Files of a few hundred kB would unpack to more than a recording of that size contains."""
     size, count = {"one large message": (1 << 22, 50), "many small messages": (1000, 50_000)}[kind]
     stream = io.BytesIO()
     writer = McapWriter(stream, compression=compression, chunk_size=8 << 20)
@@ -625,7 +625,7 @@ def test_unknown_formats_are_named(tmp_path, name, content, words):
 
 
 def test_a_missing_column_is_reported_at_the_header(tmp_path):
-    """The same rows are read once the column is there."""
+    """The same rows can be read with the column."""
     names, rows = "time,a_x,a_y,b_x,b_y,b_z", "0,1,2,3,4,5\n0.1,1,2,3,4,5\n"
     with pytest.raises(InputError, match=r"m\.csv:1: a_z is missing, although other markers have one"):
         read_markers(written(tmp_path, f"{names}\n{rows}".encode(), "m.csv"))

@@ -23,7 +23,7 @@ def test_duration_of_a_gap_is_measured_between_its_neighbours(missing):
 @pytest.mark.parametrize("place", [0.0, 10.0])
 @pytest.mark.parametrize("hidden", [False, True], ids=["seen", "between gaps"])
 def test_outliers_are_detected_at_any_position(place, hidden):
-    """A cubic track has none; 5 mm in any direction is one, also where only its neighbours are seen."""
+    """A cubic track has none; a jump of 5 mm in any direction is one, also with few visible neighbours."""
     s = np.linspace(-1, 1, 200)
     track = place + np.column_stack([s**3 - 0.2 * s, 0.3 * s**2 + s])
     points = np.stack([track, track[::-1]], axis=1)
@@ -37,7 +37,7 @@ def test_outliers_are_detected_at_any_position(place, hidden):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_only_the_outlier_among_missing_samples_is_detected(seed):
-    """Whichever samples are missing around it; near the ends there are too few to judge."""
+    """Any samples around it may be missing; near the ends there are too few of them."""
     random, s = np.random.default_rng(seed), np.linspace(-1, 1, 200)
     points = np.column_stack([s**3 - 0.2 * s, 0.3 * s**2 + s])[:, None].copy()
     points[random.random(200) < 0.25] = np.nan

@@ -1,4 +1,4 @@
-"""Heights of markers: masts, a tilted floor, lamps over the robot and people beside it."""
+"""Heights of markers: masts, a tilted floor, lamps above the robot and people next to it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def raised(heights, seed=0, layout="single"):
 
 
 def written(path, points, names=None):
-    """Write markers as a plain CSV file, empty cells where they are not seen."""
+    """Write markers as a plain CSV file, with empty cells for hidden ones."""
     names = names or [f"c{k + 1}" for k in range(points.shape[1])]
     head = ",".join(["time", *(f"{name}_{axis}" for name in names for axis in "xyz")])
     rows = np.column_stack([motion().time, points.reshape(len(points), -1)])
@@ -56,7 +56,7 @@ def test_markers_on_masts_are_detected_and_used(tmp_path, heights):
 
 @pytest.mark.parametrize("seed", range(12))
 def test_tilted_floor_is_levelled_with_markers_on_masts(seed):
-    """Up to half of the markers on masts, 0 to 20° of tilt in any direction: within 0.1°."""
+    """Up to half of the markers are on masts and the tilt is 0 to 20°; the error is below 0.1°."""
     random = np.random.default_rng(seed)
     layout = ("single", "head", "pair")[seed % 3]
     count = markers(motion(), Take(layout=layout)).shape[1]
@@ -76,7 +76,7 @@ def test_tilted_floor_is_levelled_with_markers_on_masts(seed):
 
 
 def test_markers_on_lamps_people_and_carts_are_left_out(tmp_path):
-    """A lamp over the path stands still, a cap on a head bobs, a cart drives past."""
+    """A lamp above the path does not move, a cap on a head moves up and down, and a cart passes."""
     time = motion().time
     middle = motion().position[:, 2]
     lamp = np.column_stack([np.tile(middle[200], (len(time), 1)), np.full(len(time), 1.5)])
@@ -96,7 +96,7 @@ def test_markers_on_lamps_people_and_carts_are_left_out(tmp_path):
 
 
 def test_markers_in_a_map_belong_to_the_robot(tmp_path):
-    """A named marker is used at any height, and swaps of names between heights are followed."""
+    """A named marker is used at any height, and swaps of names between heights are tracked."""
     points = raised((0.03, 0.03, 0.25, 0.03, 0.03))
     points[250:, [1, 2]] = points[250:, [2, 1]]
     path = written(tmp_path / "x.csv", points)

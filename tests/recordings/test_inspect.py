@@ -1,4 +1,4 @@
-"""What `srs-twin inspect` says of recordings is so, and the map that it proposes reads them."""
+"""Facts of `srs-twin inspect` are correct, and recordings can be read with the proposed map."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def test_inspect_command(tmp_path, monkeypatch, capsys):
 
 
 def typed(schema):
-    """Yield every part of a schema that has a type of its own."""
+    """Yield every part of a schema that has a type."""
     if isinstance(schema, dict):
         yield from [schema] * (schema.get("type") in ("number", "integer"))
         schema = list(schema.values())
@@ -167,7 +167,7 @@ def typed(schema):
 
 
 def test_json_matches_its_schema(tmp_path, monkeypatch, capsys):
-    """Markers, bodies with signals, logs, files that cannot be read; and every number has a unit."""
+    """It includes markers, bodies with signals, logs and unreadable files; every number has a unit."""
     monkeypatch.chdir(tmp_path)
     run(["schema", "inspect"])
     schema = json.loads(capsys.readouterr().out)

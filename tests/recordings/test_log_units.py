@@ -1,4 +1,4 @@
-"""Units of logs and markers through headers and maps: each is right or refused, none is silently wrong."""
+"""Units of logs and markers in headers and maps: each is read correctly or refused."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def mapped(**keys):
     return read_map({"log": keys})
 
 
-# Independent of the package's table: NIST SP 811.
+# NIST SP 811, independent of the table in the package.
 PASCALS = {
     "Pa": 1,
     "hPa": 1e2,

@@ -1,4 +1,4 @@
-"""Recordings of a motion: what was true comes back, identity is kept, what was done is said."""
+"""Recordings of a motion: true values are recovered, identities are kept, changes are noted."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ LAYOUTS = ("single", "head", "pair")
 
 
 def near(one, other, most):
-    """Of large arrays pytest would print for minutes how they differ."""
+    """Compare large arrays without the slow difference report of pytest."""
     assert np.abs(np.asarray(one) - other).max() < most
 
 
 def errors(recording, truth):
-    """Return errors of places (m), bends and headings (rad) and which samples were measured throughout."""
+    """Return errors of positions (m), bends and headings (rad), and which samples were measured."""
     trajectory = recording.trajectory
     true = true_at(trajectory, truth)
     place = np.linalg.norm(trajectory.position - true.position, axis=-1)
@@ -39,7 +39,7 @@ def errors(recording, truth):
 
 @pytest.mark.parametrize(("layout", "most"), [("single", 0.03), ("head", 0.002), ("pair", 1e-4)])
 def test_motion_without_noise_is_recovered(tmp_path, layout, most):
-    """Of one marker a connector the straight start leaves 20 mrad open."""
+    """With one marker per connector, the straight start leaves an error of 20 mrad."""
     found = recorded(tmp_path, Take(layout=layout, noise=0.0))
     place, bend, heading, measured = errors(found, motion())
     assert measured.all() and len(found.trajectory) == len(motion())
@@ -51,7 +51,7 @@ def test_motion_without_noise_is_recovered(tmp_path, layout, most):
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_error_of_the_motion_is_that_of_the_noise(tmp_path, layout):
-    """0.2 mm over a lever of 20 mm is 14 mrad a heading; over segments of 55 mm less, but added up."""
+    """0.2 mm over 20 mm is 14 mrad per heading; over segments of 55 mm it is less, but accumulates."""
     place, bend, heading, _ = errors(recorded(tmp_path, Take(layout=layout)), motion())
     assert np.sqrt((place**2).mean()) < 1.5 * NOISE
     assert np.sqrt((bend**2).mean()) < 0.04
@@ -61,7 +61,7 @@ def test_error_of_the_motion_is_that_of_the_noise(tmp_path, layout):
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("seed", first_by_default(1, range(4)))
 def test_identity_is_kept_through_swaps_gaps_and_spikes(tmp_path, layout, seed):
-    """Every sample that was measured is its own marker's; what is filled is flagged."""
+    """Every measured sample belongs to its marker, and interpolated ones are flagged."""
     take = Take(layout=layout, swaps=30, lost=0.05, spikes=4, seed=seed)
     found = recorded(tmp_path, take)
     place, _, _, measured = errors(found, motion())
@@ -83,7 +83,7 @@ def test_markers_that_come_back_in_other_columns_are_tracked(tmp_path, layout, s
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_markers_in_shuffled_columns_are_tracked(tmp_path, layout):
-    """On every frame the markers stand in another order, some of them hidden."""
+    """The markers are in another order on every frame, and some are hidden."""
     truth = motion(8.0)
     found = recorded(tmp_path, Take(layout=layout, shuffled=True, lost=0.03), truth)
     place, _, _, measured = errors(found, truth)
@@ -93,7 +93,7 @@ def test_markers_in_shuffled_columns_are_tracked(tmp_path, layout):
 
 @pytest.mark.parametrize("layout", ["head", "pair"])
 def test_curvature_is_continuous(tmp_path, layout):
-    """From frame to frame no bend changes by more than it truly does and noise allows, also where filled."""
+    """No bend changes by more than the motion and the noise between frames, also in filled gaps."""
     found = recorded(tmp_path, Take(layout=layout, swaps=30, lost=0.05, gap_frames=2, noise=1e-4, seed=1))
     fastest = np.abs(np.diff(motion().stack("bend"), axis=0)).max()
     assert np.abs(np.diff(found.trajectory.stack("bend"), axis=0)).max() < 1.5 * fastest + 0.1
@@ -112,7 +112,7 @@ def test_motion_is_recovered_at_any_frame_rate(tmp_path, rate):
 @pytest.mark.parametrize("up", MAPS)
 @pytest.mark.parametrize("unit", first_by_default(1, ["mm", "cm", "m", "in", "ft"]))
 def test_axes_and_units_do_not_change_the_motion(tmp_path, up, unit):
-    """Found, not given: every map is a rotation, so no bend changes its sign."""
+    """The axis is determined, not given; every map is a rotation, so no bend changes its sign."""
     found = recorded(tmp_path, Take(layout="head", noise=0.0, digits=9, up=up, unit=unit))
     place, bend, _, _ = errors(found, motion())
     assert found.summary.markers.up == up
@@ -122,7 +122,7 @@ def test_axes_and_units_do_not_change_the_motion(tmp_path, up, unit):
 
 
 def test_reversed_vertical_axis_mirrors_the_motion(tmp_path):
-    """Whoever exports with mirrored axes gives up with the other sign, and has left and right again."""
+    """The opposite sign of the vertical axis corrects an export with mirrored axes."""
     right = recorded(tmp_path, Take(layout="head", noise=0.0)).trajectory
     mirrored = recorded(tmp_path, Take(layout="head", noise=0.0), up="-y").trajectory
     near(mirrored.stack("bend"), -right.stack("bend"), 1e-9)
@@ -182,7 +182,7 @@ def test_pairs_along_and_across_the_body_are_read(tmp_path, across):
 
 
 def test_the_given_head_is_used(tmp_path):
-    """A snake that crawls tail first: the motion alone would take its tail for the head."""
+    """For a snake that crawls tail first, the motion alone would give the wrong end."""
     take = Take(labeled=True, noise=0.0)
     backwards = replace(
         motion(), columns={n: c if n == "time" else c[::-1] for n, c in motion().columns.items()}
@@ -304,7 +304,7 @@ def test_another_robot_is_refused(tmp_path):
 
 
 def test_lengths_of_longer_segments_are_measured(tmp_path):
-    """The bends of one marker a connector hang on the lengths; they are estimated along."""
+    """With one marker per connector, the bends depend on the lengths, which are estimated with them."""
     geometry = replace(SPEC.geometry, rigid_gap=SPEC.geometry.rigid_gap - 0.003)
     path = tmp_path / "plain.csv"
     path.write_text(plain_csv(motion()))
@@ -359,7 +359,7 @@ def test_gait_metrics_of_a_recording_are_those_of_the_motion(tmp_path):
 
 
 def test_velocities_of_a_recording_are_slopes_of_its_positions(tmp_path):
-    """Averaged over gait periods, within which the moving line damps them."""
+    """They agree in the mean over gait periods; within a period the moving line attenuates them."""
     found = recorded(tmp_path, Take(layout="pair"), gait_frequency_hz=2.0).trajectory
     period = round(RATE / 2.0)
     for rate, place in (("com_velocity_x", "com_x"), ("com_velocity_y", "com_y"), ("yaw_rate", "heading")):
@@ -369,7 +369,7 @@ def test_velocities_of_a_recording_are_slopes_of_its_positions(tmp_path):
 
 
 def test_summary_counts_every_sample(tmp_path):
-    """What was seen is kept, or rejected, or of another marker, or outside the frames that are kept."""
+    """Every visible sample is kept, rejected, of another marker, or outside the kept frames."""
     found = recorded(tmp_path, Take(layout="single", lost=0.05, spikes=6, swaps=5, seed=5)).summary
     kept = found.frames_kept * 5 - found.samples_filled
     gone = found.markers.samples_rejected + found.markers.samples_other

@@ -1,4 +1,4 @@
-"""Algorithms 1 and 2 and the moving line, against geometry and calculus."""
+"""Algorithms 1 and 2 and the moving line, compared with geometry and calculus."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.fast
 
 @given(st.floats(-3.1, 3.1), st.floats(-3.1, 3.1), st.floats(0.01, 0.1), st.floats(-1, 1), st.floats(-1, 1))
 def test_arc_is_recovered_from_its_ends(turn, bend, length, x, y):
-    """The tangent integrated along the length is the arc; its ends and its curvature give it back."""
+    """The arc is the integral of its tangent; its ends and its curvature recover it."""
     s = np.linspace(0, 1, 201)
     tangent = np.exp(1j * (turn - bend * s))
     path = x + 1j * y - length * (cumulative_simpson(tangent.real, x=s, initial=0)

@@ -1,4 +1,4 @@
-"""Plain tables of other programs: separators, decimal marks, comments, no names, times since 1970."""
+"""Plain tables of other programs: separators, decimal marks, comments, missing names, times since 1970."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def frame():
 
 
 def check(path, digits, scale=1.0, **given):
-    """Compare a file with the motion: rate, duration, count, positions to half the last digit."""
+    """Compare a file with the motion: rate, duration, count, and positions to half the last digit."""
     table = read_markers(path, **given)
     grid = frame_grid(table.time)
     assert len(table.time) == FRAMES and table.time[0] == 0
@@ -96,7 +96,7 @@ def test_tables_of_pandas_are_read(tmp_path, clock, separator, decimal, index):
 
 @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
 def test_times_since_1970_keep_their_resolution(tmp_path, unit):
-    """Steps of one unit in the last digit at 1.7e9 s come back exactly."""
+    """Steps of one unit in the last digit at 1.7e9 s are recovered exactly."""
     factor = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[unit]
     steps_ns = np.cumsum(np.random.default_rng(1).integers(9_900_000, 10_100_000, FRAMES))
     lines = []
@@ -312,7 +312,7 @@ def captured(tmp_path_factory):
 
 
 def since_1970(start, end, origin):
-    """Return a log of the motion's valves on a clock that counts from 1970."""
+    """Return a log of the valves of the motion with times since 1970."""
     head, *rows = valve_csv(motion(), start, end, 0.0).splitlines()
     cut = [row.split(",", 1) for row in rows]
     return "\n".join([head, *(f"{origin + float(time):.3f},{rest}" for time, rest in cut), ""])
@@ -329,7 +329,7 @@ def test_times_since_1970_in_both_files_give_the_offset(tmp_path, captured):
         about = joined.trajectory.metadata["valve_log"]
         assert about["offset_s"] == pytest.approx(expected, abs=1e-6) and not about["offset_estimated"]
         assert any("from times since 1970 in both files" in each for each in joined.summary.corrections)
-    # Clocks that are an hour apart: the bends tell.
+    # The clocks differ by an hour, so the bends determine the offset.
     path.write_text(since_1970(0.0, 4.0, 1_700_003_600))
     joined = join(body, read_valves(path, SPEC), SPEC)
     assert joined.trajectory.metadata["valve_log"]["offset_estimated"]

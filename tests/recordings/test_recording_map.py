@@ -1,4 +1,4 @@
-"""Recordings of anybody: names, units and places said in a map; rigid bodies; bodies of few segments."""
+"""Recording maps: names, units and places; rigid bodies; bodies with few segments."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from srs_twin.recordings.signals.logs import read_valves
 
 
 def written(path, names, points, *, time=True, scale=1.0):
-    """Write a CSV file with a column NAME_x and NAME_y of each marker."""
+    """Write a CSV file with the columns NAME_x and NAME_y for each marker."""
     columns = [",".join(f"{name}_{axis}" for axis in "xy") for name in names]
     rows = points.reshape(len(points), -1) * scale
     if time:
@@ -31,7 +31,7 @@ def noisy(points, seed=0, noise=2e-4):
 
 
 def test_markers_are_assigned_by_a_map(tmp_path):
-    """Names, unit and rate from the map; a mix of connectors and middles that no layout has."""
+    """The map gives names, unit and rate, for a mix of connectors and middles that is no layout."""
     truth = stretched(motion(), 0.2)
     every = markers(truth, Take(layout="head_middles"))
     chosen = [0, 1, 2, 4, 5, 6, 7, 8, 9]  # without the first connector's successor
@@ -173,7 +173,7 @@ def test_duties_are_converted_to_valve_states(tmp_path):
 
 
 def test_a_rigid_body_gives_a_heading(tmp_path):
-    """A pose at each connector, mounted at any angle: bends to the noise of its rotation."""
+    """With a pose at each connector, at any angle, the error of the bends is that of the rotations."""
     from srs_twin.recordings.marker_table import MarkerTable
     from srs_twin.recordings.recording import bodies_as_pairs
 

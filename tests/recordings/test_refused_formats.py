@@ -111,7 +111,7 @@ def test_errors_name_each_file(tmp_path, monkeypatch, capsys):
 
 
 def test_remedies_in_messages_are_options_or_keys_that_exist(root):
-    """Words like `give up=z` name nothing that a command takes."""
+    """Text such as `give up=z` would not be an option of a command."""
     options = {"--up", "--layout", "--head", "--longest-gap", "--offset", "--units", "--rate"}
     for path in (root / "srs_twin/recordings").rglob("*.py"):
         for found in re.finditer(r"[;(?] ?[Gg]ive (\S+)", path.read_text("utf-8")):

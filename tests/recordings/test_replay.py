@@ -1,4 +1,4 @@
-"""Replays: recorded valves or pressures drive the plants, which are held against what was measured."""
+"""Replays: recorded valves or pressures drive the plants, which are compared with the measurement."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PRESSURES = [f"pressure_{side}_{j}" for j in range(1, 5) for side in ("plus", "m
 
 
 def recorded_of(spec, schedule, times, step) -> tuple[np.ndarray, RecordedPressures]:
-    """Return the bends that valves give, and chambers with the pressures that they gave every `step` s."""
+    """Return the bends for valve states, and chambers with the resulting pressures every `step` s."""
     valves = LagPneumatics(spec, supply_pa=SUPPLY)
     log = np.arange(0.0, schedule.span + step / 2, step)
     logged = LagPneumatics(spec, supply_pa=SUPPLY).advance(schedule, np.minimum(log, schedule.span))
@@ -38,7 +38,7 @@ def recorded_of(spec, schedule, times, step) -> tuple[np.ndarray, RecordedPressu
 
 
 def test_recorded_pressures_give_the_bends_of_their_valves():
-    """With pressures of their own the lag τ₂ alone is left; the error falls with the sampling."""
+    """With recorded pressures only the lag τ₂ remains; the error decreases with the sample period."""
     spec = with_values(
         SPEC, {"modules.gain_plus_2": 1.2, "modules.bias_rad_3": 0.1, "actuator.tau_mode_s": 0.02}
     )
@@ -50,7 +50,7 @@ def test_recorded_pressures_give_the_bends_of_their_valves():
         bends, chambers = recorded_of(spec, schedule, times, step)
         off.append(np.abs(chambers.advance(schedule, times).bend - bends).max())
     assert off[-1] < 2e-3 and off[0] > 1.8 * off[1] > 1.8 * 1.8 * off[2] * 0.9
-    # Rates are the derivatives of bends, also across stretches and where bends flatten.
+    # Rates are the derivatives of bends, also between chunks and at the bend limit.
     spec = with_values(spec, {"actuator.bend_limit_rad": 1.2})
     _, chambers = recorded_of(spec, schedule, times, 0.002)
     first = chambers.advance(schedule.part(0.0, 0.9), np.linspace(0.0, 0.9, 9001))
@@ -71,7 +71,7 @@ def test_invalid_recorded_pressures_are_refused():
 
 
 def test_both_plants_follow_recorded_pressures():
-    """The run that the valves gave comes back from its pressures alone, on either plant."""
+    """The run with valve states is recovered from its pressures alone, on either plant."""
     for plant in (AnalyticalSnake, TwinSnake):
         truth = rollout(
             plant(SPEC, supply_pa=SUPPLY), Gait(2.0), 1.0, record_hz=500 if plant is AnalyticalSnake else 1000
@@ -89,14 +89,14 @@ def test_both_plants_follow_recorded_pressures():
 
 @pytest.fixture(scope="module")
 def perfect(tmp_path_factory):
-    """A folder with a recording without noise of the analytical plant, that lay elsewhere, and its logs."""
+    """Return a folder with a noise-free recording of the analytical plant at another pose, and its logs."""
     folder = tmp_path_factory.mktemp("perfect")
     plant = AnalyticalSnake(SPEC, supply_pa=48.3e3, friction="wheel")
     rest = Schedule(0.4, np.zeros(1), np.full((1, 4, 2), -1, dtype=np.int8))
     gait = Gait(2.0, 0.1)
     gait.reset(SPEC, 0.02)
     whole = rest.then(gait.script(2.6))
-    # What pressures do between the samples of a log is a straight line: at 100 Hz that costs 2 % of the way.
+    # Pressures are linear between the samples of a log, which at 100 Hz changes the distance by 2 %.
     truth = rollout(plant, Replay(whole), 3.0, pose=(1.0, -2.0, 2.5), record_hz=1000)
     write_motive(truth, Take(layout="pair", noise=0.0, digits=4, rate_hz=100), folder / "take.csv")
     head = ",".join(["time", *(f"valve_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus"))])
@@ -134,7 +134,7 @@ def test_replay_of_a_simulated_run_has_no_residual(perfect, log):
         record_hz=scenario.record_hz,
     )  # fmt: skip
     found = MeasuredDifference.between(scenario.measured, run)
-    # The centre of mass went 0.5 m; sliding friction amplifies what is left of rounding.
+    # The centre of mass moves 0.5 m, and sliding friction amplifies rounding errors.
     assert found.metrics["measured_path_rms_m"] < 2e-3
     assert found.metrics["measured_shape_rms_m"] < 1e-5
     assert found.metrics["measured_bend_rms_rad"] < 1e-4
@@ -151,7 +151,7 @@ def test_replay_of_a_simulated_run_has_no_residual(perfect, log):
 
 
 def test_sweep_and_run_agree_on_recorded_pressures(perfect):
-    """Rows hold the differences from the measured robot, and no costs that nobody knows."""
+    """Rows contain the differences from the measured robot, but no costs, which are unknown."""
     recording = {
         "motion": str(perfect / "take.csv"), "valves": str(perfect / "pressures.csv"), "offset_s": -5.0,
         "gait_frequency_hz": 2.0,
@@ -268,7 +268,7 @@ def test_replay_command(tmp_path, srs_twin):
     assert b"world/measured/connectors" in (run / "recording.rrd").read_bytes()
     assert "measured.parquet" in {path.name for path in run.iterdir()}
 
-    # The folder's scenario is the same replay; a limit that is missed decides the exit code.
+    # The scenario in the folder is the same replay; a missed limit determines the exit code.
     resolved = run / "scenario.resolved.yaml"
     document = YAML(typ="safe").load(resolved)
     assert document["controller"] == {"kind": "replay"} and document["recording"]["longest_gap_s"] == 0.3

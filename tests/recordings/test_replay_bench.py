@@ -1,4 +1,4 @@
-"""Replays of a bench: one module that is held at its head, valves or pressures, a sensor's log or markers."""
+"""Replays on a bench: one module clamped at its head, with valves or pressures, and a bend log or markers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ HEAD = "snake:1a"
 
 
 def staircase() -> Schedule:
-    """Return valves of one module: at rest, bent to the left, held, bent to the right, vented."""
+    """Return valve states of one module: at rest, bent to the left, held, bent to the right, vented."""
     states = [[-1, -1], [1, -1], [0, -1], [-1, 1], [-1, -1]]
     return Schedule(
         SECONDS, np.array([0.0, 0.3, 0.42, 0.9, 1.4]), np.array(states, dtype=np.int8)[:, None, :]
@@ -43,7 +43,7 @@ def csv(columns: dict[str, np.ndarray]) -> str:
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
-    """A folder with takes without noise of a module that hangs elsewhere, and its logs."""
+    """Return a folder with noise-free recordings of a module at another pose, and its logs."""
     folder = tmp_path_factory.mktemp("bench")
     plant = AnalyticalSnake(MODULE, base="clamped", tick=0.001, layout="in_out", supply_pa=SUPPLY)
     truth = rollout(plant, Replay(staircase()), SECONDS, pose=(0.3, -0.2, 2.1), record_hz=1000)
@@ -99,7 +99,7 @@ def test_bench_replay_of_a_simulated_module_has_no_residual(bench, motion, valve
     found = {kind: driven(scenario, kind) for kind in ("analytical", "twin")}
     amplitude = np.ptp(scenario.measured["bend_1"])
     assert amplitude > 0.8
-    # The chord of two single markers tells the bend; its error is that of five digits.
+    # The chord between two single markers determines the bend, with the error of five digits.
     assert found["analytical"].metrics["measured_bend_rms_rad"] < 1e-3 * amplitude
     assert found["twin"].metrics["measured_bend_rms_rad"] < 0.02 * amplitude
     stronger = with_values(MODULE, {"modules.gain_plus_1": 1.1})
@@ -109,17 +109,17 @@ def test_bench_replay_of_a_simulated_module_has_no_residual(bench, motion, valve
         told = each.metrics
         assert told["measured_com_speed_rel"] is None and told["measured_yaw_rate_abs"] is None
         if motion in ("sensor.csv", "logger.csv"):
-            # Where the body is was not measured.
+            # The position of the body was not measured.
             assert [name for name, value in told.items() if value is not None] == ["measured_bend_rms_rad"]
             assert set(each.document()["rms"]) == {"bend_1_rad"}
         else:
-            # Both are held at the same place: the clamp is the frame.
+            # Both are clamped at the same point, which is the origin.
             assert told["measured_path_rms_m"] < 2e-3 and told["measured_shape_rms_m"] < 2e-3
     assert found["analytical"].comparison.metrics["path_rms_m"] < 1e-4
 
 
 def test_bend_log_of_a_chain_has_the_geometry_of_the_plant(tmp_path):
-    """Bends, and where the head is held, give the places that the plant has."""
+    """The bends and the pose of the clamp give the positions of the plant."""
     chain = load_robot("gen2")
     states = np.full((1, chain.segments, 2), -1, dtype=np.int8)
     states[0, :, 0] = [1, -1, 1, 1]
@@ -175,7 +175,7 @@ def test_invalid_bend_logs_are_refused(tmp_path, text, message):
 
 
 def test_a_moving_head_is_refused_on_a_bench(bench):
-    """Held at the other end, or not at all, it is another experiment."""
+    """A module that is clamped at its other end, or free, is another experiment."""
     with pytest.raises(
         InputFileError, match=r"recording.motion: .*markers.csv: the head moves by [\d.]+ mm and turns by 40°"
     ):
@@ -192,7 +192,7 @@ def test_bench_velocities_are_the_slopes_of_the_positions(bench):
     for axis in "xy":
         slope = np.gradient(found[f"com_{axis}"], found.time)
         speed = found[f"com_velocity_{axis}"]
-        # Velocities are slopes of moving lines, so the fastest changes are smoothed.
+        # Velocities are slopes of moving lines, which smooth the fastest changes.
         assert speed.std() == pytest.approx(slope.std(), rel=0.2)
         assert np.corrcoef(speed, slope)[0, 1] > 0.95
 
@@ -245,7 +245,7 @@ def test_bench_replay_command(bench, srs_twin, tmp_path):
 
 
 def test_both_plants_are_clamped_at_the_same_point():
-    """So a recording is moved to where either of them is held."""
+    """A recording is therefore transformed to the clamp of either plant."""
     chain = load_robot("gen2")
     heads = [
         rollout(plant(chain, base="clamped"), Replay(Schedule(0.1, np.zeros(1), _vented(chain))), 0.1)

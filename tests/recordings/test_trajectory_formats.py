@@ -115,7 +115,7 @@ def test_damaged_tum_is_refused(tmp_path):
 
 
 def tracker(points, turns, unit, angle):
-    """Return a Tracker export; angle: rad or deg (rotation vectors), or quaternions."""
+    """Return a Tracker export; `angle` is rad or deg (rotation vectors), or a quaternion."""
     names, axes, units, rows = ["", ""], ["Frame", "Sub Frame"], ["", ""], []
     if angle == "quaternion":
         rotation, own, said = turns.as_quat().reshape(FRAMES, -1, 4), ["RX", "RY", "RZ", "RW"], [""] * 4

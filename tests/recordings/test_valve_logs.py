@@ -1,4 +1,4 @@
-"""Valve and pressure logs: what they hold, and on whose clock."""
+"""Valve and pressure logs: their values, and their clocks."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def captured(tmp_path_factory):
 
 @pytest.mark.parametrize("shift", [0.0, 3.217, -20.1])
 def test_offset_is_estimated_from_the_start_of_a_gait(tmp_path, captured, shift):
-    """The log says every 10 ms how the valves stood before: on average 5 ms late, which nobody can see."""
+    """The log has previous valve states every 10 ms, so its unobservable mean delay is 5 ms."""
     joined = join(captured, log(tmp_path, valve_csv(motion(), 0.0, 4.0, shift)), SPEC)
     about = joined.trajectory.metadata["valve_log"]
     assert about["offset_s"] == pytest.approx(-shift - 0.005, abs=0.003)
@@ -90,7 +90,7 @@ def test_frames_outside_the_log_are_left_out_with_a_note(tmp_path, captured):
 @settings(max_examples=20)
 @given(st.floats(-5, 5), st.floats(0.2, 3), st.integers(0, 2**31))
 def test_errors_of_the_offset_are_within_its_standard_error(true, gain, seed):
-    """A step response, once, with white noise: the offset lies within five standard errors."""
+    """For a step response with white noise, the offset is within five standard errors."""
     random = np.random.default_rng(seed)
     time = np.arange(0, 8, 0.01)
 
@@ -105,7 +105,8 @@ def test_errors_of_the_offset_are_within_its_standard_error(true, gain, seed):
 
 
 def test_standard_error_equals_the_scatter_over_noise():
-    """Errors of 200 offsets over their standard errors; a spread of 200 numbers is known within 5 %.
+    """Errors of 200 offsets divided by their standard errors; the standard deviation of 200 values is known
+    within 5 %.
 
     Resampling at half of a frame's time smooths white noise, which makes the standard errors a little large.
     """
@@ -127,7 +128,7 @@ def test_standard_error_equals_the_scatter_over_noise():
 
 @pytest.mark.parametrize(("fill", "vent"), [(0.05, 0.4), (0.4, 0.05)])
 def test_modelled_bends_begin_when_initial_pressures_have_settled(fill, vent):
-    """A log from the middle of a run gives the bends of the whole log, within exp(-5) of their largest."""
+    """A log from the middle of a run gives the bends of the whole log, up to exp(-5) of the largest."""
     spec = replace(SPEC, actuator=replace(SPEC.actuator, tau_fill=fill, tau_vent=vent))
     time = np.arange(0.0, 6.0, 0.1)
     states = np.random.default_rng(1).choice([-1.0, 1.0], (len(time), spec.segments, 2))
@@ -202,7 +203,7 @@ def test_errors_of_a_log_name_their_place(tmp_path, monkeypatch, old, new, says)
 
 
 def test_set_points_hold_until_the_next_row(tmp_path):
-    """A regulator keeps its set-point; measured pressures are interpolated."""
+    """A regulator holds its set point, while measured pressures are interpolated."""
     path = tmp_path / "air.csv"
     for kind, between in (("setpoint", 10e3), ("pressure", 15e3)):
         head = HEAD.replace("valve", kind).replace(",", "_kpa,").replace("time_kpa", "time") + "_kpa"
