@@ -172,7 +172,7 @@ def test_sweep_and_run_agree_on_recorded_pressures(perfect):
         ({"duration_s": 3.2}, r"duration_s: 3.2 s is longer than the recording's"),
         ({"recording": {"motion": "none.csv"}}, r"recording.motion: none.csv: no such file"),
         ({"robot": "gen4_module"}, r"recording.valves: .*gen4_module has 1 segments"),
-        ({"bench": True, "plants": {"analytical": {}}}, "recording.motion: .*on a bench it is held"),
+        ({"bench": True, "plants": {"analytical": {}}}, "recording.motion: .*it must be clamped on a bench"),
         ({"valves": {"layout": "in_out"}}, None),
     ],
 )
