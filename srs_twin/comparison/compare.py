@@ -77,7 +77,7 @@ def compare(reference: Trajectory, candidate: Trajectory, *, gap_factor: bool = 
         _sampled(run, time) for run in (reference, candidate)
     )
 
-    # Unwrapped headings may begin whole turns apart although the snakes point in the same direction.
+    # Unwrapped headings may differ by whole turns although the snakes point in the same direction.
     heading_error = heading - reference_heading
     heading_error -= 2 * np.pi * np.round(heading_error[0] / (2 * np.pi))
     shape = in_body_frame(position, com, heading)

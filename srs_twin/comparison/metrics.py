@@ -54,28 +54,30 @@ def difference(metrics: Mapping[str, Any], metric: str) -> str:
     Returns:
         For example "-11.5 %" or "+0.0432"; empty if one of the values is missing.
     """
-    ours, theirs = (metrics["plants"].get(plant, {}).get(metric) for plant in ("analytical", "twin"))
-    if metric in _NOT_COMPARED or not isinstance(ours, int | float) or not isinstance(theirs, int | float):
+    model, twin = (metrics["plants"].get(plant, {}).get(metric) for plant in ("analytical", "twin"))
+    if metric in _NOT_COMPARED or not isinstance(model, int | float) or not isinstance(twin, int | float):
         return ""
     if metric == "com_speed_m_s":
-        ours *= (metrics.get("comparison") or {}).get("gap_factor") or 1.0
-    return relative_difference(ours, theirs) if metric in RELATIVE else _apart(ours, theirs)
+        model *= (metrics.get("comparison") or {}).get("gap_factor") or 1.0
+    return relative_difference(model, twin) if metric in RELATIVE else _absolute_difference(model, twin)
 
 
-def relative_difference(of: float, value: float) -> str:
-    """Return value − of in per cent of `of`, as "-11.5 %"; in their unit if the signs differ."""
+def relative_difference(reference: float, value: float) -> str:
+    """Return value − reference in per cent of the reference, as "-11.5 %", or in its unit if signs differ."""
     # A ratio to zero, or between opposite directions, has no meaning.
-    return f"{100 * (value - of) / of:+.1f} %" if of * value > 0 else _apart(of, value)
+    if reference * value <= 0:
+        return _absolute_difference(reference, value)
+    return f"{100 * (value - reference) / reference:+.1f} %"
 
 
-def _apart(of: float, value: float) -> str:
-    return "0" if abs(value - of) <= _ROUNDING * abs(of) else f"{value - of:+.3g}"
+def _absolute_difference(reference: float, value: float) -> str:
+    return "0" if abs(value - reference) <= _ROUNDING * abs(reference) else f"{value - reference:+.3g}"
 
 
 def published(expectations: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, str]]:
     """Return metric → published value and its source, for the expectations that contain both."""
     stated = [e for e in expectations if e.get("near") is not None and e.get("source")]
-    return {each["metric"]: (each["near"], each["source"]) for each in stated}
+    return {row["metric"]: (row["near"], row["source"]) for row in stated}
 
 
 MEASURED_UNITS = units_of("""
@@ -238,22 +240,22 @@ _MIN_CAUSE_RATIO = 0.25
 
 
 def headline(metrics: Mapping[str, Any]) -> str:
-    """Return a sentence that summarises a run, and a second one on a preset other than the default.
+    """Return a one-sentence summary of the results, and a second sentence on a preset other than the default.
 
     Args:
         metrics: contents of metrics.json.
     """
-    said, preset = _said(metrics), metrics.get("preset")
-    return f"{said} {_PRESET.format(preset)}" if preset else said
+    text, preset = _summary(metrics), metrics.get("preset")
+    return f"{text} {_PRESET.format(preset)}" if preset else text
 
 
-def _said(metrics: Mapping[str, Any]) -> str:
+def _summary(metrics: Mapping[str, Any]) -> str:
     plants = metrics["plants"]
-    ours, theirs = plants.get("analytical"), plants.get("twin")
-    one = ours or theirs or {}
-    if ours and theirs:
-        return _of_both(metrics, ours, theirs)
-    name = "twin" if theirs else "model"
+    model, twin = plants.get("analytical"), plants.get("twin")
+    one = model or twin or {}
+    if model and twin:
+        return _summary_of_both(metrics, model, twin)
+    name = "twin" if twin else "model"
     if one.get("com_speed_m_s") is not None:
         turn = one.get("yaw_rate_rad_s") or 0.0
         how = "straight on" if abs(turn) < _STRAIGHT_RAD_S else f"turning by {turn:.3g} rad/s"
@@ -265,40 +267,40 @@ def _said(metrics: Mapping[str, Any]) -> str:
     return f"The {name} moves by {one.get('path_length_m') or 0.0:.3g} m."
 
 
-def _of_both(metrics: Mapping[str, Any], ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> str:
-    if ours.get("goal_reached") is not None and theirs.get("goal_reached") is not None:
-        return f"The twin {_arrives(theirs)}; the model {_arrives(ours)}."
-    if ours.get("error_rms_rad") is not None and theirs.get("error_rms_rad") is not None:
-        errors = f"{theirs['error_rms_rad']:.2g} rad RMS, the model within {ours['error_rms_rad']:.2g}"
+def _summary_of_both(metrics: Mapping[str, Any], model: Mapping[str, Any], twin: Mapping[str, Any]) -> str:
+    if model.get("goal_reached") is not None and twin.get("goal_reached") is not None:
+        return f"The twin {_arrives(twin)}; the model {_arrives(model)}."
+    if model.get("error_rms_rad") is not None and twin.get("error_rms_rad") is not None:
+        errors = f"{twin['error_rms_rad']:.2g} rad RMS, the model within {model['error_rms_rad']:.2g}"
         return f"The twin follows its reference within {errors}."
-    if ours.get("com_speed_m_s") is None or theirs.get("com_speed_m_s") is None:
-        apart = (metrics.get("comparison") or {}).get("bend_rms_rad") or 0.0
-        return f"The bends of twin and model differ by {apart:.2g} rad RMS."
+    if model.get("com_speed_m_s") is None or twin.get("com_speed_m_s") is None:
+        bend_rms = (metrics.get("comparison") or {}).get("bend_rms_rad") or 0.0
+        return f"The bends of twin and model differ by {bend_rms:.2g} rad RMS."
     text = f"The twin crawls {_compared(metrics, 'com_speed_m_s', 'slower', 'faster', 'm/s')}"
-    if max(abs(each.get("yaw_rate_rad_s") or 0.0) for each in (ours, theirs)) >= _STRAIGHT_RAD_S:
+    if max(abs(run.get("yaw_rate_rad_s") or 0.0) for run in (model, twin)) >= _STRAIGHT_RAD_S:
         text += f", and turns {_compared(metrics, 'yaw_rate_rad_s', 'slower', 'faster', 'rad/s')}"
     return f"{text}."
 
 
 def _arrives(plant: Mapping[str, Any]) -> str:
     reached = "reaches its goal" if plant["goal_reached"] else "does not reach its goal"
-    off = plant.get("cross_track_rms_m")
-    return reached if off is None else f"{reached}, {1e3 * off:.0f} mm RMS from its path"
+    cross_track = plant.get("cross_track_rms_m")
+    return reached if cross_track is None else f"{reached}, {1e3 * cross_track:.0f} mm RMS from its path"
 
 
 def _compared(metrics: Mapping[str, Any], metric: str, less: str, more: str, unit: str) -> str:
-    of, value = (metrics["plants"][plant][metric] for plant in ("analytical", "twin"))
-    both = f"{value:.3g} against {of:.3g} {unit}"
-    if of * value <= 0:
-        return f"otherwise than the model ({both})"
-    share = value / of - 1
+    reference, value = (metrics["plants"][plant][metric] for plant in ("analytical", "twin"))
+    both = f"{value:.3g} against {reference:.3g} {unit}"
+    if reference * value <= 0:
+        return f"unlike the model ({both})"
+    share = value / reference - 1
     if abs(share) < _SAME_RATIO:
         return f"like the model ({both})"
-    why = _main_cause(metrics, metric, of, share)
+    why = _main_cause(metrics, metric, reference, share)
     return f"{abs(100 * share):.0f} % {less if share < 0 else more} than the model ({both}{why})"
 
 
-def _main_cause(metrics: Mapping[str, Any], metric: str, of: float, share: float) -> str:
+def _main_cause(metrics: Mapping[str, Any], metric: str, reference: float, share: float) -> str:
     """Return the main cause of a relative difference as text, in whole per cents that add up to it.
 
     The text of a cause that was switched alone says that it "would" have the effect. The contributions of an
@@ -307,8 +309,8 @@ def _main_cause(metrics: Mapping[str, Any], metric: str, of: float, share: float
     """
     whole = round(100 * share)
     for name, change in _causes(metrics, metric):
-        effect = round(100 * change / of)
-        if effect * share <= 0 or abs(change / of) <= _MIN_CAUSE_RATIO * abs(share):
+        effect = round(100 * change / reference)
+        if effect * share <= 0 or abs(change / reference) <= _MIN_CAUSE_RATIO * abs(share):
             continue
         alone, rest = "attribution" not in metrics, whole - effect
         verb = ("slow" if share < 0 else "speed") + ("" if alone else "s")
@@ -324,11 +326,11 @@ def _causes(metrics: Mapping[str, Any], metric: str) -> list[tuple[str, float]]:
     """Return assumptions and their effects on a metric, the largest effect first."""
     if (attribution := metrics.get("attribution")) is not None:
         k = list(attribution["measures"]).index(metric)
-        found = [(share["name"], share["value"][k]) for share in attribution["shares"]]
+        effects = [(share["name"], share["value"][k]) for share in attribution["shares"]]
     else:
         cause = metrics.get("cause") or {}
-        found = [(cause["name"], cause[metric])] if cause else []
-    return sorted(found, key=lambda each: -abs(each[1]))
+        effects = [(cause["name"], cause[metric])] if cause else []
+    return sorted(effects, key=lambda effect: -abs(effect[1]))
 
 
 _MEASURED = "measured_shape_rms_m measured_path_rms_m measured_bend_rms_rad measured_heading_rms_rad"
@@ -350,7 +352,7 @@ def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
     """Return the metrics of a short table, depending on whether the plants follow a plan or a reference."""
 
     def measured(*names: str) -> bool:
-        return any(each.get(name) is not None for each in plants.values() for name in names)
+        return any(plant.get(name) is not None for plant in plants.values() for name in names)
 
     for group in metric_groups():
         if measured(group.main):

@@ -66,8 +66,8 @@ def why_undefined(
     Returns:
         None if the metric has a value, or if the missing value is the result of the run.
     """
-    found = (metrics["comparison"] if subject == "comparison" else metrics["plants"].get(subject)) or {}
-    if found.get(metric) is not None:
+    values = (metrics["comparison"] if subject == "comparison" else metrics["plants"].get(subject)) or {}
+    if values.get(metric) is not None:
         return None
     if metric in _OF_TWO_GAITS | _OF_A_GAIT:
         others = {"comparison": ("analytical", "twin")}.get(
@@ -79,9 +79,9 @@ def why_undefined(
     if run is None:
         return None
     if metric in TRACKING_UNITS:
-        return _tracking(metric, found, run)
+        return _tracking(metric, values, run)
     if metric in LEARNING_UNITS:
-        return _learning(metric, found, run)
+        return _learning(metric, values, run)
     return _of(_not_measured(metric, runs) or _other(metric, run))
 
 
@@ -111,10 +111,10 @@ def _not_measured(metric: str, runs: Mapping[str, Trajectory]) -> str:
     return "the robot was clamped at its head" if clamped and metric in _OF_TWO_GAITS else ""
 
 
-def _tracking(metric: str, found: Mapping[str, Any], run: Trajectory) -> Undefined | None:
-    if found.get("error_rms_rad") is None:
+def _tracking(metric: str, values: Mapping[str, Any], run: Trajectory) -> Undefined | None:
+    if values.get("error_rms_rad") is None:
         return Undefined("the run follows no reference")
-    if metric in _REACHED and found.get("overshoot_rel") is not None:
+    if metric in _REACHED and values.get("overshoot_rel") is not None:
         changes = np.flatnonzero(np.diff(run["reference_1"])) + 1
         passed = float(run.time[-1] - run.time[changes[0] if len(changes) else 0])
         return Undefined(f"it is not reached within the {passed:.4g} s after the step", passed)
@@ -122,23 +122,23 @@ def _tracking(metric: str, found: Mapping[str, Any], run: Trajectory) -> Undefin
         return Undefined("the run does not hold enough whole periods of a sine reference")
     if metric in _OPENINGS:
         return Undefined("the run does not record these openings")
-    if metric == "sensed_ripple_pp_rad" and found.get("ripple_pp_rad") is not None:
+    if metric == "sensed_ripple_pp_rad" and values.get("ripple_pp_rad") is not None:
         return Undefined("the run has no sensor")
     return Undefined("the reference is not a single step")
 
 
-def _learning(metric: str, found: Mapping[str, Any], run: Trajectory) -> Undefined | None:
+def _learning(metric: str, values: Mapping[str, Any], run: Trajectory) -> Undefined | None:
     if not is_learning(run):
         return Undefined("the run has no iterative learning")
-    periods = len(found.get("duty") or ())
-    still = found.get("heading_drift_rad") is not None and found.get("path_curvature_per_m") is None
-    if metric == "periods_to_converge" and found.get("amplitude_error_end_rad") is not None:
+    periods = len(values.get("duty") or ())
+    still = values.get("heading_drift_rad") is not None and values.get("path_curvature_per_m") is None
+    if metric == "periods_to_converge" and values.get("amplitude_error_end_rad") is not None:
         return Undefined(f"the amplitudes have not converged within {periods} periods", periods)
     if not metric.startswith(("path_", "box_", "heading_")):
         return Undefined(f"it is not defined by the learning periods of the run ({periods})")
-    if still or (metric.startswith("path_radius") and found.get("path_curvature_per_m") is not None):
+    if still or (metric.startswith("path_radius") and values.get("path_curvature_per_m") is not None):
         return None
-    if found.get("heading_drift_rad") is None:
+    if values.get("heading_drift_rad") is None:
         return Undefined(f"the run has fewer than {LAST_PERIODS} whole periods")
     return Undefined("no two whole periods before the duties change have a curved path")
 

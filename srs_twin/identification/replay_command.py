@@ -61,11 +61,15 @@ def replay(
     as a scenario, for `srs-twin run`.
 
     Options:
-        motion: What cameras saw, or bends on a bench. robot: A shipped robot or a file. valves: Valves or
-        pressures. [default: NAME.valves.csv beside it] fit: A fit of this robot; repeatable. expect:
-        Expectations, as a scenario has them: `expect: …`. bench: It hung in air, held at its head; also one
-        module. plants: analytical, twin or both. model: Of the analytical plant. out: Folder for the files.
-        [default: runs/MOTION]
+        motion: What cameras saw, or bends on a bench.
+        robot: A shipped robot or a file.
+        valves: Valves or pressures. [default: NAME.valves.csv beside it]
+        fit: A fit of this robot; repeatable.
+        expect: Expectations, as a scenario has them: `expect: …`.
+        bench: It hung in air, held at its head; also one module.
+        plants: analytical, twin or both.
+        model: Of the analytical plant.
+        out: Folder for the files. [default: runs/MOTION]
     """
     from srs_twin.io.files import results_name
     from srs_twin.scenario.loading import parse_scenario

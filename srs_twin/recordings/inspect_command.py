@@ -30,12 +30,15 @@ def inspect(
     No robot and no log are needed; with a robot, also whether they read as its recording.
 
     Options:
-        robot: Shipped, or a file: whether it may be of this robot. map: What is known of the files
-        (docs/logs.md). units: Of lengths, where the file does not say: m, cm, mm, in, ft. rate: Frames a
-        second, where the file has no time. columns: Names of the columns of a plain file that has none, as
-        time,x_1,y_1. separator: Separator of the cells of a plain file: , ; | tab or space, where it is not
-        found. decimal: Decimal mark of a plain file, where it is not found. picture: The markers from above;
-        of several files NAME goes before it. write_map: Where a proposed map goes.
+        robot: Shipped, or a file: whether it may be of this robot.
+        map: What is known of the files (docs/logs.md).
+        units: Of lengths, where the file does not say: m, cm, mm, in, ft.
+        rate: Frames a second, where the file has no time.
+        columns: Names of the columns of a plain file that has none, as time,x_1,y_1.
+        separator: Separator of the cells of a plain file: , ; | tab or space, where it is not found.
+        decimal: Decimal mark of a plain file, where it is not found.
+        picture: The markers from above; of several files NAME goes before it.
+        write_map: Where a proposed map goes.
     """
     from srs_twin.io.files import open_folder, printable, write_text
     from srs_twin.recordings.inspection import in_words, inspect_file, proposed_map

@@ -1,20 +1,17 @@
 r"""Tracking of markers through swaps and gaps.
 
 1. *Slots*: if markers disappear and come back, a file has a column for each appearance. Columns that never
-contain
-   markers on the same frame are joined into one slot.
+   contain markers on the same frame are joined into one slot.
 2. *Tracklets*: intervals of one slot in which only one marker can have been visible. The expected position of
-a marker
-   on the next frame is
+   a marker on the next frame is
 
    $$ \hat p_k = p_a + (k - a)(p_a - p_{a-1}), $$
 
    and a link is certain if the sample is within the gate of it, and twice as close to it as any other sample.
 3. *Tracks*: in the order of time, the new tracklets on a frame are assigned to the markers that were lost
-before it,
-   such that the sum of the distances to their expected positions is smallest (Hungarian method). Over a few
-   frames, a marker is expected to continue at its velocity. Over more frames, it is expected to be either at
-   its last position or to have moved with the markers around it, whichever is closer.
+   before it, such that the sum of the distances to their expected positions is smallest (Hungarian method).
+   Over a few frames, a marker is expected to continue at its velocity. Over more frames, it is expected to be
+   either at its last position or to have moved with the markers around it, whichever is closer.
 
 Tracking is necessary: of 65 synthetic recordings with swaps, gaps and markers that come back in new columns,
 16 can be read if each column is taken as a marker, and all 65 if markers are tracked.

@@ -55,7 +55,7 @@ def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, tuple[int, str]]]:
     rotations, velocities, accelerations and forces (``c1_rot_x``), and columns in a unit that is not a
     length.
     """
-    found: dict[str, dict[str, tuple[int, str]]] = {}
+    markers: dict[str, dict[str, tuple[int, str]]] = {}
     for index, cell in enumerate(cells):
         bare, bracket = bracketed(clean(cell.strip(' "')))
         unit = symbol(bracket, LENGTHS)
@@ -67,10 +67,10 @@ def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, tuple[int, str]]]:
         if match and not _NOT_A_POSITION & {
             word.lower() for word in re.findall(r"[A-Z]*[a-z]+|[A-Z]+", match["name"])
         }:
-            found.setdefault(match["name"].strip(" _.:-") or "marker", {}).setdefault(
+            markers.setdefault(match["name"].strip(" _.:-") or "marker", {}).setdefault(
                 match["axis"].lower(), (index, unit or symbol(match["unit"] or "", LENGTHS))
             )
-    return {name: axes for name, axes in found.items() if {"x", "y"} <= axes.keys()}
+    return {name: axes for name, axes in markers.items() if {"x", "y"} <= axes.keys()}
 
 
 def counted_times(frame: np.ndarray, time: np.ndarray, rate: float) -> np.ndarray:

@@ -35,7 +35,7 @@ def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
     """
     from scipy.spatial.transform import Rotation
 
-    sections = [(found[1].decode(), found.start()) for found in _SECTION.finditer(file.raw)]
+    sections = [(title[1].decode(), title.start()) for title in _SECTION.finditer(file.raw)]
     start_of_section = dict(reversed(sections))
     axes_of_section = {"Trajectories": ["X", "Y", "Z"], "Objects": ["TX", "TY", "TZ"]}
     section = next((title for title in axes_of_section if title in start_of_section), None)

@@ -223,17 +223,17 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
                 "and are not used"
             )
             difference = None
-    found = Offset((difference or 0.0) + (offset or 0.0), 0.0, 1.0, False)
+    estimate = Offset((difference or 0.0) + (offset or 0.0), 0.0, 1.0, False)
     if difference is None and offset is None:
         clock, driven = driven_bends(log, spec)
         with named_in_errors(log.source):
-            found = estimate_offset(trajectory.time, trajectory.stack("bend"), clock, driven)
-    moved = log.shifted(found.seconds)
+            estimate = estimate_offset(trajectory.time, trajectory.stack("bend"), clock, driven)
+    moved = log.shifted(estimate.seconds)
     time = trajectory.time
     covered = (time >= moved.time[0] - 1e-9) & (time <= moved.time[-1] + 1e-9)
     if covered.sum() < MIN_FRAMES:
         raise InputError(
-            f"{log.source}: with an offset of {found.seconds:g} s it covers {moved.time[0]:g} to "
+            f"{log.source}: with an offset of {estimate.seconds:g} s it covers {moved.time[0]:g} to "
             f"{moved.time[-1]:g} s and the motion {time[0]:g} to {time[-1]:g} s, with {int(covered.sum())} "
             "frames in common"
         )
@@ -242,12 +242,12 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
     for k, side in enumerate(SIDES):
         columns |= numbered_columns(f"{log.kind}_{side}", values[..., k])
     start, end = (float(columns["time"][k]) for k in (0, -1))
-    metadata = {**trajectory.metadata, "duration_s": end - start, "valve_log": _metadata(log, found)}
+    metadata = {**trajectory.metadata, "duration_s": end - start, "valve_log": _metadata(log, estimate)}
     joined = replace(trajectory, columns=columns, metadata=metadata)
-    how = f"± {1e3 * found.error:.2g} ms, estimated" if found.estimated else "as given"
+    how = f"± {1e3 * estimate.error:.2g} ms, estimated" if estimate.estimated else "as given"
     if difference is not None:
         how = "from times since 1970 in both files" + (f", plus {offset:g} s as given" if offset else "")
-    notes += [f"{log.source}: {len(log.time)} rows of {log.kind}s; offset {found.seconds:.4f} s ({how})"]
+    notes += [f"{log.source}: {len(log.time)} rows of {log.kind}s; offset {estimate.seconds:.4f} s ({how})"]
     if not covered.all():
         notes.append(f"{int((~covered).sum())} frames outside the log left out")
     notes += [f"{log.source}: {text}" for text in log.corrections]
@@ -282,14 +282,14 @@ def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray
     return log.time[0] + clock[known], trace.bend[known]
 
 
-def _metadata(log: ValveLog, found: Offset) -> dict[str, object]:
+def _metadata(log: ValveLog, estimate: Offset) -> dict[str, object]:
     return {
         "file": log.source.replace("\\", "/").rpartition("/")[2],
         "sha256": log.sha256,
         "kind": log.kind,
-        "offset_s": found.seconds,
-        "offset_error_s": found.error if np.isfinite(found.error) else None,
-        "offset_estimated": found.estimated,
-        "bends_explained": found.explained,
+        "offset_s": estimate.seconds,
+        "offset_error_s": estimate.error if np.isfinite(estimate.error) else None,
+        "offset_estimated": estimate.estimated,
+        "bends_explained": estimate.explained,
         "corrections": list(log.corrections),
     }

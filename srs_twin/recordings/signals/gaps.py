@@ -124,12 +124,12 @@ def outliers(points: np.ndarray, min_jump: float) -> np.ndarray:
     Returns:
         Shape (frames, tracks).
     """
-    found = np.zeros(points.shape[:2], dtype=bool)
+    result = np.zeros(points.shape[:2], dtype=bool)
     for track in range(points.shape[1]):
         frames = np.flatnonzero(~np.isnan(points[:, track, 0]))
         if len(frames) > 2 * len(_NEIGHBOURS):
-            found[frames, track] = _track_outliers(frames, points[frames, track], min_jump)
-    return found
+            result[frames, track] = _track_outliers(frames, points[frames, track], min_jump)
+    return result
 
 
 def _track_outliers(frames: np.ndarray, points: np.ndarray, min_jump: float) -> np.ndarray:

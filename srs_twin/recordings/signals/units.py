@@ -71,8 +71,8 @@ def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
     words: list[str] = _WORD.findall(bare)
     if [word.lower() for word in words] == ["pa"]:
         return ""  # the name of a chamber or port, next to pb
-    found = {unit for word in words if (unit := _unit_in_word(word, units)) != ""}
-    return None if len(found) > 1 or None in found else next(iter(found), "")
+    stated = {unit for word in words if (unit := _unit_in_word(word, units)) != ""}
+    return None if len(stated) > 1 or None in stated else next(iter(stated), "")
 
 
 def _unit_in_word(word: str, units: Mapping[str, float]) -> str | None:
@@ -143,4 +143,4 @@ def looks_absolute(pressures: np.ndarray) -> bool:
 
 
 ABSOLUTE = "they look absolute: subtract the ambient pressure (log: {ambient_kpa: 101.3} in a map)"
-"""Hint for pressures of which `looks_absolute` is true."""
+"""Hint for pressures that look absolute."""
