@@ -17,7 +17,7 @@ from srs_twin.trajectory import Trajectory
 
 
 def centre_lines(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -> np.ndarray:
-    """Return the centre line of every segment, shape (samples, segments, divisions + 3, 2), m, front first.
+    """Return the centre line of every segment, front first.
 
     The points are the front connector, the arc with both ends, and the rear connector. The twin bends in a
     few hinges and not in an exact arc. The resulting distance between the end of the line and the recorded
@@ -27,6 +27,9 @@ def centre_lines(trajectory: Trajectory, geometry: Geometry, divisions: int = 8)
         trajectory: trajectory with `x_1…`, `y_1…`, `theta_1…`.
         geometry: geometry of the recorded robot.
         divisions: number of straight lines that approximate an arc, 1 or more.
+
+    Returns:
+        Shape (samples, segments, divisions + 3, 2), m.
     """
     theta = trajectory.stack("theta")
     front, rear = trajectory.position[:, :-1], trajectory.position[:, 1:]

@@ -1,4 +1,4 @@
-"""Comparison of two sets of results, value by value, for example between commits, machines or settings.
+"""Comparison of two sets of results, for example of two commits, machines or settings.
 
 A number has changed if |a − b| > max(abs, rel · max(|a|, |b|)). Any other value (a verdict, a status, a
 number that only one side has) has changed if it is not equal. Two single runs are compared even if their

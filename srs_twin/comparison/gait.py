@@ -206,7 +206,7 @@ These 0.06° are of the size that contact creep causes in a snake that does not 
 
 
 def turning_radius(speed: float, yaw_rate: float, period: float, length: float) -> float | None:
-    """Return the signed turning radius (m), positive if its centre is on the left; None for a straight path.
+    """Return the signed turning radius, m, positive to the left; None for a straight path.
 
     In one period the body moves along a chord of length speed · period and turns by yaw_rate · period, which
     determines the radius of the circle. Speed divided by yaw rate would be the radius of the averaged path,

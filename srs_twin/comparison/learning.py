@@ -146,7 +146,7 @@ class PathFit:
 
 
 def box_edges(trajectory: Trajectory, window: GaitWindow, path: PathFit) -> tuple[float, float]:
-    """Return the left and the right edge of the area that the body covers in a window, m; left is negative.
+    """Return the left (negative) and right edge of the area that the body covers in a window, m.
 
     Each connector has half the body width on both sides, across its own heading, if the metadata contain a
     width (``body_width_m``).
@@ -258,7 +258,7 @@ def _amplitudes(by_period: PeriodAmplitudes) -> dict[str, float | None]:
 
 
 def _growth(by_period: PeriodAmplitudes) -> float | None:
-    """Return the relative growth of the mean amplitude while no duty changes."""
+    """Return the mean amplitude of the last period before a duty changes, divided by the first one."""
     if not len(by_period.duty):
         return None
     unchanged = (by_period.duty == by_period.duty[0]).all(axis=(1, 2))

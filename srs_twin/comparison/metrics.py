@@ -240,7 +240,7 @@ _MIN_CAUSE_RATIO = 0.25
 
 
 def headline(metrics: Mapping[str, Any]) -> str:
-    """Return a one-sentence summary of the results, and a second sentence on a preset other than the default.
+    """Return a one-sentence summary, and a second sentence on a preset other than the default.
 
     Args:
         metrics: contents of metrics.json.

@@ -152,7 +152,7 @@ _MIN_STEP = 1e-3
 
 
 def tracking_metrics(trajectory: Trajectory) -> dict[str, float | None]:
-    """Compute the metrics of the first segment's tracking of a reference; None for those that do not apply.
+    """Compute the tracking metrics of the first segment; None for those that do not apply.
 
     Metrics of a step, which is a reference that changes once, or a constant one from which the initial bend
     differs:

@@ -1,4 +1,4 @@
-"""Recorded CSV files: size limits, headers with units, rows of numbers, and errors with line and column.
+"""Recorded CSV files: headers with units, rows of numbers, and errors with line and column.
 
 A plain table names its columns in the first line: ``x_1``, ``x_1_mm``, ``pressure_plus_2 (kPa)``,
 ``time_ms``. Columns without a unit are in SI. Arrow reads the numbers. Comments, separator and decimal mark

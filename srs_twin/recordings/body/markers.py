@@ -1,4 +1,4 @@
-"""Assignment of tracked markers to the body: layout, order along the body, and the end that is the head.
+"""Assignment of tracked markers to the body: layout, order along the body, and head.
 
 Layouts: ``single`` has one marker per connector; ``head`` has one more ahead of the head, which gives its
 heading; ``pair`` has two per connector, along or across the body, as the first and third robot of the

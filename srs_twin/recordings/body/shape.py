@@ -1,4 +1,4 @@
-r"""Least-squares shape of the body from markers: headings, bends and segment lengths, with standard errors.
+r"""Least-squares shape of the body from markers: bends and segment lengths, with standard errors.
 
 **Model.** A *station* is a point along the body: 0, 2, 4, … are the connectors, head first, and 1, 3, … are
 the middles of the segments between them. A marker m at station k has the position

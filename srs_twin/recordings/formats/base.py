@@ -222,7 +222,7 @@ def marker_table(
 
 
 def in_unit(table: MarkerTable, given: str | None) -> MarkerTable:
-    """Return a table if its unit of length is the given one, or if none is given.
+    """Return a table after checking its unit of length against the given one, if there is one.
 
     Raises:
         InputError: the file states another unit.

@@ -1,4 +1,4 @@
-"""Plain CSV with ``time`` and ``x_1,y_1…`` (head first) in the first line, or with columns of other names.
+"""Plain CSV with the columns ``time`` and ``x_1,y_1…`` (head first), or with other names.
 
 The unit is in the name: ``time_ms``, ``x_1_mm`` or ``x_1 (mm)``; without a unit it is s or m. ``z_1`` is
 optional. Two markers on a connector are ``x_1a,y_1a,x_1b,y_1b``.

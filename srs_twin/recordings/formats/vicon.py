@@ -1,4 +1,4 @@
-"""Vicon: section Trajectories of a Nexus CSV export, or Objects of a Tracker export; frame 1 is at 0 s."""
+"""Vicon: Trajectories of a Nexus CSV export, or Objects of a Tracker export; frame 1 is at 0 s."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def recognizes(start: RecordedFile) -> bool:
 
 
 def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
-    """Read the section Trajectories of a Nexus export, or Objects of a Tracker export with their rotations.
+    """Read Trajectories of a Nexus export, or Objects of a Tracker export with their rotations.
 
     Raises:
         InputError: the file cannot be read; the message names file, line, column and what is allowed.

@@ -212,22 +212,7 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
         )
     if offset is not None and not np.isfinite(offset):
         raise InputError(f"offset {offset!r} is not allowed; it must be finite")
-    notes: list[str] = []
-    difference = None
-    if recording.epoch_ns is not None and log.epoch_ns is not None:
-        difference = (log.epoch_ns - recording.epoch_ns) / 1e9
-        begin, end = log.time[[0, -1]] + difference
-        if offset is None and min(end, trajectory.time[-1]) - max(begin, trajectory.time[0]) <= 0:
-            notes.append(
-                f"{log.source}: its times since 1970 differ by {difference:.6g} s from those of the motion "
-                "and are not used"
-            )
-            difference = None
-    estimate = Offset((difference or 0.0) + (offset or 0.0), 0.0, 1.0, False)
-    if difference is None and offset is None:
-        clock, driven = driven_bends(log, spec)
-        with named_in_errors(log.source):
-            estimate = estimate_offset(trajectory.time, trajectory.stack("bend"), clock, driven)
+    estimate, how, notes = _find_offset(recording, log, spec, offset)
     moved = log.shifted(estimate.seconds)
     time = trajectory.time
     covered = (time >= moved.time[0] - 1e-9) & (time <= moved.time[-1] + 1e-9)
@@ -244,9 +229,6 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
     start, end = (float(columns["time"][k]) for k in (0, -1))
     metadata = {**trajectory.metadata, "duration_s": end - start, "valve_log": _metadata(log, estimate)}
     joined = replace(trajectory, columns=columns, metadata=metadata)
-    how = f"± {1e3 * estimate.error:.2g} ms, estimated" if estimate.estimated else "as given"
-    if difference is not None:
-        how = "from times since 1970 in both files" + (f", plus {offset:g} s as given" if offset else "")
     notes += [f"{log.source}: {len(log.time)} rows of {log.kind}s; offset {estimate.seconds:.4f} s ({how})"]
     if not covered.all():
         notes.append(f"{int((~covered).sum())} frames outside the log left out")
@@ -256,6 +238,31 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
         recording.summary, frames_kept=len(joined), start=start, end=end, corrections=corrections
     )
     return Recording(joined, summary, moved, recording.epoch_ns)
+
+
+def _find_offset(
+    recording: Recording, log: ValveLog, spec: RobotSpec, offset: float | None
+) -> tuple[Offset, str, list[str]]:
+    """Return the offset of a log, a text on its origin, and notes; the arguments are those of `join`."""
+    trajectory = recording.trajectory
+    if recording.epoch_ns is not None and log.epoch_ns is not None:
+        difference = (log.epoch_ns - recording.epoch_ns) / 1e9
+        begin, end = log.time[[0, -1]] + difference
+        if offset is not None or min(end, trajectory.time[-1]) - max(begin, trajectory.time[0]) > 0:
+            how = "from times since 1970 in both files" + (f", plus {offset:g} s as given" if offset else "")
+            return Offset(difference + (offset or 0.0), 0.0, 1.0, False), how, []
+        notes = [
+            f"{log.source}: its times since 1970 differ by {difference:.6g} s from those of the motion "
+            "and are not used"
+        ]
+    else:
+        notes = []
+    if offset is not None:
+        return Offset(offset or 0.0, 0.0, 1.0, False), "as given", notes
+    clock, driven = driven_bends(log, spec)
+    with named_in_errors(log.source):
+        estimate = estimate_offset(trajectory.time, trajectory.stack("bend"), clock, driven)
+    return estimate, f"± {1e3 * estimate.error:.2g} ms, estimated", notes
 
 
 def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray]:

@@ -213,7 +213,7 @@ def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap
 
 
 def log_of_topics(topics: RecordedTopics, spec: RobotSpec, map: RecordingMap) -> ValveLog:
-    """Read a log from topics; signals hold until their next message, but measured pressures are interpolated.
+    """Read a log from topics; signals hold their values, but measured pressures are interpolated.
 
     Raises:
         InputError: signals are missing, or have impossible values.
