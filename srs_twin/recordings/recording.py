@@ -133,6 +133,7 @@ def read_motion(
         floor = map_to_floor(table.points, up, table.usual_up)
         slots, columns = in_slots(table, at_frames(floor.points, frames))
         gap_frames = max(1, round(longest_gap_s / frames.period))
+        # A wrong unit is reported before the markers are tracked with distances from the robot.
         check_scale(slots[..., :2], spec)
         tracks, columns, unassigned = track_markers(slots, columns, gap_frames, _REACH * geometry.pitch)
         tracks, columns, foreign, notes = without_foreign_tracks(tracks, columns, table)
@@ -143,6 +144,7 @@ def read_motion(
         points = tracks[:, chosen]
         jumps = outliers(points, _MIN_JUMP * geometry.pitch)
         points[jumps] = np.nan
+        # Nothing is extrapolated: all markers are visible at both ends of the kept interval.
         kept = longest_complete(frames.time, points, longest_gap_s)
         if kept.stop - kept.start < MIN_FRAMES:
             complete = 100 * (~np.isnan(points[..., 0])).all(axis=1).mean()
