@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from srs_twin.comparison.compare import MEASURES, Attribution, Share, gap_between
+from srs_twin.comparison.compare import MEASURES, AssumptionShare, Attribution, gap_between
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.plants.base import Plant
@@ -445,7 +445,7 @@ def _run_all(
 
 def _refinement_shares(
     refinements: Sequence[Refinement], runs: Mapping[str, Trajectory], all_on: frozenset[str]
-) -> list[Share]:
+) -> list[AssumptionShare]:
     """Return the shares of the refinements, against the model with all switches on or the given twin."""
     model, twin = runs[_variant_name(all_on)], runs[_variant_name({})]
     shares = []
@@ -461,9 +461,9 @@ def _refinement_shares(
     return shares
 
 
-def _make_share(name: str, title: str, how: str, contribution: Contribution) -> Share:
+def _make_share(name: str, title: str, how: str, contribution: Contribution) -> AssumptionShare:
     """Return a share of the difference: positive if a switch reduces it."""
-    return Share(
+    return AssumptionShare(
         name,
         title,
         _to_floats(-contribution.value),

@@ -184,7 +184,7 @@ class PreparedRun:
         drawn, differences = dict(trajectories), {}
         if measured is not None:
             drawn[MEASURED] = measured
-            differences = {k: MeasuredDifference.of(measured, t) for k, t in trajectories.items()}
+            differences = {k: MeasuredDifference.between(measured, t) for k, t in trajectories.items()}
             for kind, apart in differences.items():
                 metrics["plants"][kind] |= apart.metrics
             metrics["plants"][MEASURED] = plant_metrics(measured)

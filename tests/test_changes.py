@@ -186,7 +186,7 @@ CAUSE = {"name": "compliance", "com_speed_m_s": -0.03, "yaw_rate_rad_s": 0.0}
     [
         (both((0.2, 0.15)), "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s)."),
         (both((0.2, 0.201)), "The twin crawls like the model (0.201 against 0.2 m/s)."),
-        (both((0.2, -0.1)), "The twin crawls otherwise than the model (-0.1 against 0.2 m/s)."),
+        (both((0.2, -0.1)), "The twin crawls unlike the model (-0.1 against 0.2 m/s)."),
         (
             both((0.2, 0.15), cause=CAUSE),
             "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s; compliance alone would slow "

@@ -202,11 +202,11 @@ def test_prediction_is_better_than_what_the_camera_last_showed():
     frames = CameraFrames(Camera(), 0)
     for _ in range(400):
         time = float(state.time)
-        if frame := frames.take(state):
+        if frame := frames.capture(state):
             mean.add(time, frame)
             predictor.command(time, 0.2)
-            predictor.measure(time, mean.middle, mean.pose, whole=mean.whole)
-            seen = predictor.predict(mean.middle, mean.pose, time)
+            predictor.measure(time, mean.time, mean.pose, whole=mean.complete)
+            seen = predictor.predict(mean.time, mean.pose, time)
             far.append(math.hypot(seen.x - plant.x, seen.y - plant.y))
             lag.append(math.hypot(mean.pose.x - plant.x, mean.pose.y - plant.y))
         while orders and orders[0][0] <= time + 1e-9:
@@ -225,7 +225,7 @@ def test_a_period_mean_is_blind_to_the_gait_and_exact_on_lines():
         wag = 0.4 * math.sin(2 * math.pi * 2 * t + 1)
         mean.add(t, Pose(0.2 * t, -0.1 * t, 3.1 + 0.5 * t + wag))
     last = 199 / 60
-    assert mean.whole and mean.middle == pytest.approx(last - 0.25)
+    assert mean.complete and mean.time == pytest.approx(last - 0.25)
     assert mean.pose.x == pytest.approx(0.2 * (last - 0.25), abs=1e-4)
     assert mean.pose.y == pytest.approx(-0.1 * (last - 0.25), abs=1e-4)
     assert mean.pose.heading == pytest.approx(3.1 + 0.5 * (last - 0.25), abs=2e-3)
@@ -247,7 +247,7 @@ def camera_frames(seed, rate=30.0):
     )
     state, found = plant.reset(), []
     for _ in range(5000):
-        found.append(camera.take(state))
+        found.append(camera.capture(state))
         state = plant.step(None)
     return found
 
@@ -488,11 +488,11 @@ def test_gain_and_bias_of_turning_are_learnt_and_forgotten():
     state, orders, frames, wanted = plant.reset(), [], CameraFrames(Camera(), 0), 0.0
     for step in range(1500):
         time = float(state.time)
-        if frame := frames.take(state):
+        if frame := frames.capture(state):
             mean.add(time, frame)
             wanted = 0.2 if (step // 75) % 2 else -0.1
             predictor.command(time, wanted)
-            predictor.measure(time, mean.middle, mean.pose, whole=mean.whole)
+            predictor.measure(time, mean.time, mean.pose, whole=mean.complete)
             orders.append((time + 0.1, wanted))
         while orders and orders[0][0] <= time + 1e-9:
             wheel.offset = orders.pop(0)[1]

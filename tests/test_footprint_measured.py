@@ -33,7 +33,7 @@ PERIODS = 6
 
 def steady(crawl: Crawl, run: Trajectory | None = None) -> SteadyPath:
     run = crawl.trajectory() if run is None else run
-    window = GaitWindow.last(run, crawl.period, float(run.time[-1]), PERIODS)
+    window = GaitWindow.ending_at(run, crawl.period, float(run.time[-1]), PERIODS)
     assert window is not None
     return SteadyPath.of(run, crawl.geometry, window)
 
@@ -91,8 +91,8 @@ def test_the_edges_are_those_of_the_metrics_where_the_body_is_straight():
     crawl = Crawl((2.0,), sway=(0.002, 0.005))
     run = crawl.trajectory()
     run.metadata["body_width_m"] = crawl.geometry.width
-    window = GaitWindow.last(run, crawl.period, float(run.time[-1]), PERIODS)
-    fit = PathFit.of(run, window)
+    window = GaitWindow.ending_at(run, crawl.period, float(run.time[-1]), PERIODS)
+    fit = PathFit.from_trajectory(run, window)
     left, right = box_edges(run, window, fit)
     found = steady(crawl)
     assert (-left, right) == pytest.approx((found.left, found.right), abs=2e-4)

@@ -12,7 +12,7 @@ import pytest
 
 from srs_twin import InputError, Trajectory, load_scenario
 from srs_twin.comparison.compare import compare
-from srs_twin.comparison.learning import ChamberPeriods
+from srs_twin.comparison.learning import PeriodAmplitudes
 from srs_twin.experiment import prepare
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.sensing import Sensor
@@ -144,7 +144,7 @@ def test_the_picture_shows_what_was_measured(stopped):
     figure = learning_plot(stopped.trajectories)
     panels = figure.get_axes()
     assert len(panels) == 8
-    twin = ChamberPeriods.of(stopped.trajectories["twin"])
+    twin = PeriodAmplitudes.from_trajectory(stopped.trajectories["twin"])
     drawn = [line.get_ydata() for line in panels[2].get_lines()]
     assert any(np.array_equal(each, twin.amplitude[:, 1, 0]) for each in drawn)
     duties = [line.get_ydata() for line in panels[7].get_lines()]

@@ -75,7 +75,7 @@ def integrated(theta, bend, start, fraction):
 
 def test_centre_line_is_the_integral_of_its_tangent(spec, runs):
     snake = runs["analytical"]
-    lines = centre_lines(snake, spec.geometry, pieces=8)
+    lines = centre_lines(snake, spec.geometry, divisions=8)
     assert lines.shape == (len(snake), 4, 11, 2)
     for row, j in ((0, 0), (333, 2), (700, 3)):
         theta, bend = snake[f"theta_{j + 1}"][row], snake[f"bend_{j + 1}"][row]
@@ -94,7 +94,7 @@ def test_centre_line_ends_where_the_connectors_were_recorded(spec, runs):
 
 
 def test_segments_keep_their_length(spec, runs):
-    lines = centre_lines(runs["analytical"], spec.geometry, pieces=60)
+    lines = centre_lines(runs["analytical"], spec.geometry, divisions=60)
     lengths = np.linalg.norm(np.diff(lines, axis=2), axis=-1).sum(axis=-1)
     assert np.allclose(lengths, spec.geometry.pitch, rtol=1e-4)
 

@@ -1,8 +1,8 @@
-"""Where the body is between its connectors: its centre line, its two sides, the hull that touches obstacles.
+"""Centre line, sides and hull of the body, computed from the recorded connectors.
 
-Recorded are the connectors only (`x_i`, `y_i`, `theta_i`); between two of them a segment is half its rigid
-gap straight along the front connector's heading, an arc of constant curvature, and half the gap along the
-rear connector's heading (Fig. 35).
+A trajectory contains the poses of the connectors only (`x_i`, `y_i`, `theta_i`). Between two connectors, a
+segment consists of half its rigid gap, straight along the heading of the front connector, an arc of constant
+curvature, and half the gap along the heading of the rear connector (Fig. 35).
 """
 
 from __future__ import annotations
@@ -16,83 +16,102 @@ from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 
 
-def centre_lines(trajectory: Trajectory, geometry: Geometry, pieces: int = 8) -> np.ndarray:
-    """Return the centre line of every segment, shape (samples, segments, pieces + 3, 2), m, front first.
+def centre_lines(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -> np.ndarray:
+    """Return the centre line of every segment, front first.
 
-    The points are: front connector, both ends of the arc with `pieces` equal parts between them, rear
-    connector. The twin bends in a few hinges, not in an exact arc; what is left between the end of the
-    arc and the recorded rear connector is spread evenly along the segment, so that both ends are where
-    they were recorded.
+    The points are the front connector, the arc with both ends, and the rear connector. The twin bends in a
+    few hinges and not in an exact arc. The resulting distance between the end of the line and the recorded
+    rear connector is distributed evenly along the segment, so that both ends are at their recorded positions.
 
     Args:
-        trajectory: with `x_1…`, `y_1…`, `theta_1…`.
-        geometry: of the robot that was recorded.
-        pieces: straight parts that stand in for an arc, 1 or more.
+        trajectory: trajectory with `x_1…`, `y_1…`, `theta_1…`.
+        geometry: geometry of the recorded robot.
+        divisions: number of straight lines that approximate an arc, 1 or more.
+
+    Returns:
+        Shape (samples, segments, divisions + 3, 2), m.
     """
     theta = trajectory.stack("theta")
     front, rear = trajectory.position[:, :-1], trajectory.position[:, 1:]
     bend = (theta[:, :-1] - theta[:, 1:])[..., None]
-    part = np.linspace(0.0, 1.0, pieces + 1)
-    ahead = theta[:, :-1, None]
-    reach = part * chord(bend * part, geometry.segment_length, 0.0)
-    arc = reach[..., None] * _unit(ahead - bend * part / 2)
-    stub = geometry.rigid_gap / 2
-    start = front[:, :, None] - stub * _unit(ahead)
-    bent = start - arc
-    end = bent[:, :, -1:] - stub * _unit(theta[:, 1:, None])
-    line = np.concatenate([front[:, :, None], bent, end], axis=2)
-    share = np.linspace(0.0, 1.0, pieces + 3)[:, None]
-    return line + share * (rear[:, :, None] - end)
+    fraction = np.linspace(0.0, 1.0, divisions + 1)
+    heading = theta[:, :-1, None]
+    chords = fraction * chord(bend * fraction, geometry.segment_length, 0.0)
+    arc = chords[..., None] * _unit(heading - bend * fraction / 2)
+    half_gap = geometry.rigid_gap / 2
+    arc_start = front[:, :, None] - half_gap * _unit(heading)
+    arc_points = arc_start - arc
+    end = arc_points[:, :, -1:] - half_gap * _unit(theta[:, 1:, None])
+    line = np.concatenate([front[:, :, None], arc_points, end], axis=2)
+    weight = np.linspace(0.0, 1.0, divisions + 3)[:, None]
+    return line + weight * (rear[:, :, None] - end)
 
 
-def body_sides(trajectory: Trajectory, geometry: Geometry, pieces: int = 8) -> np.ndarray:
-    """Return points on both sides of the body, shape (samples, points, 2), m: half its width off the line.
+def body_sides(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -> np.ndarray:
+    """Return points on both sides of the body, half its width from the centre line.
 
     Args:
-        trajectory: with `x_1…`, `y_1…`, `theta_1…`.
-        geometry: of the robot that was recorded.
-        pieces: of each segment's arc, 1 or more.
+        trajectory: trajectory with `x_1…`, `y_1…`, `theta_1…`.
+        geometry: geometry of the recorded robot.
+        divisions: number of straight lines that approximate an arc, 1 or more.
+
+    Returns:
+        Shape (samples, points, 2), m.
     """
     theta = trajectory.stack("theta")
     front, rear = theta[:, :-1, None], theta[:, 1:, None]
-    arc = front - (front - rear) * np.linspace(0.0, 1.0, pieces + 1)
+    arc = front - (front - rear) * np.linspace(0.0, 1.0, divisions + 1)
     headings = np.concatenate([front, arc, rear], axis=2)
-    lines = centre_lines(trajectory, geometry, pieces)
-    return on_both_sides(lines, headings, geometry.width / 2).reshape(len(lines), -1, 2)
+    lines = centre_lines(trajectory, geometry, divisions)
+    return offset_to_sides(lines, headings, geometry.width / 2).reshape(len(lines), -1, 2)
 
 
-def on_both_sides(points: np.ndarray, heading: np.ndarray, half_width: float) -> np.ndarray:
-    """Return the points to the left, then those to the right of a line: (…, k, 2) give (…, 2 k, 2), m."""
-    across = half_width * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
-    return np.concatenate([points + across, points - across], axis=-2)
+def offset_to_sides(points: np.ndarray, heading: np.ndarray, half_width: float) -> np.ndarray:
+    """Return points offset to the left, followed by the same points offset to the right.
+
+    Args:
+        points: shape (…, k, 2), m.
+        heading: direction of the line at the points, shape (…, k), rad.
+        half_width: offset, m.
+
+    Returns:
+        Shape (…, 2 k, 2), m.
+    """
+    offset = half_width * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
+    return np.concatenate([points + offset, points - offset], axis=-2)
 
 
 def hull_lines(trajectory: Trajectory) -> np.ndarray:
-    r"""Return the line whose points are half the body's width inside the hull, shape (samples, points, 2), m.
+    r"""Return the axes of the collision capsules, half the width of the body inside its hull.
 
-    The twin collides a capsule between each two neighbouring hinges (`mjcf.surroundings`); this is the line
-    of their axes in the plane, through connectors and hinges, head first. A connector's pose places the
-    hinges next to it, so that the line is the twin's own for one or two hinges a segment. With more, the
-    inner ones are taken to share the bend equally. A model without hinges has those that the twin would have
-    in its place: the middle of a segment bent by q is then $$ l\,|q|/24 $$ inside of its arc's, and 5 % more
-    at 1.5 rad (1.5 mm at 1 rad in generation 2).
+    The twin has a collision capsule between every two adjacent hinges (`mjcf.surroundings`). This line
+    follows their axes in the plane, through connectors and hinges, head first. The pose of a connector
+    determines the hinges next to it, so the line is exact for one or two hinges per segment. With more
+    hinges, the inner ones are assumed to have equal bends. For a model without hinges, those of the
+    corresponding twin are used. The middle of
+    a segment with bend q is then $$ l\,|q|/24 $$ inside the arc, and 5 % more at 1.5 rad (1.5 mm at 1 rad in
+    generation 2).
 
     Args:
-        trajectory: with `x_1…`, `y_1…`, `theta_1…` and the lengths in its metadata.
+        trajectory: trajectory with `x_1…`, `y_1…`, `theta_1…` and the segment lengths in its metadata.
+
+    Returns:
+        Shape (samples, points, 2), m.
 
     Raises:
-        InputError: the lengths are not there.
+        InputError: the metadata lack the segment lengths.
     """
     theta, position = trajectory.stack("theta"), trajectory.position
     hinges = trajectory.metadata.get("hinges_per_segment", ModelSettings.hinges_per_segment)
     length, gap = segment_lengths(trajectory)
-    pieces = np.diff(hinge_stations(hinges, length, gap), prepend=0.0, append=length + gap)
-    part = np.linspace(0.0, 1.0, hinges + 1)
-    headings = theta[:, :-1, None] + np.diff(theta, axis=1)[..., None] * part
-    line = position[:, :-1, None] - np.cumsum(pieces[:, None] * _unit(headings), axis=2)
-    # From the last hinge on the rear connector decides; what is left is spread over the hinges before it.
-    share = np.append(np.linspace(0.0, 1.0, hinges), 1.0)[:, None]
-    line += share * (position[:, 1:, None] - line[:, :, -1:])
+    capsules = np.diff(hinge_stations(hinges, length, gap), prepend=0.0, append=length + gap)
+    fraction = np.linspace(0.0, 1.0, hinges + 1)
+    headings = theta[:, :-1, None] + np.diff(theta, axis=1)[..., None] * fraction
+    line = position[:, :-1, None] - np.cumsum(capsules[:, None] * _unit(headings), axis=2)
+    # The rear connector determines the last hinge; the closing error is distributed over the hinges before
+    # it.
+    weight = np.append(np.linspace(0.0, 1.0, hinges), 1.0)[:, None]
+    line += weight * (position[:, 1:, None] - line[:, :, -1:])
     return np.concatenate([position[:, :1], line.reshape(len(line), -1, 2)], axis=1)
 
 

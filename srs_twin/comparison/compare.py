@@ -1,8 +1,9 @@
-"""Differences between runs: of two plants, of a plant from what was measured, and what explains them.
+"""Differences between two runs, between a run and a recording, and their attribution to assumptions.
 
-`compare` says how far two runs under the same valve commands lie apart. `MeasuredDifference` is that of a
-plant from what was measured of the robot, by signal, over time. `Attribution` splits the gap between the
-plants into the shares of the assumptions in which they differ.
+`compare` computes the differences between two runs with the same valve commands. `MeasuredDifference`
+contains the differences between a plant and a recording of the robot, for each signal over time.
+`Attribution` divides the difference between the plants into the contributions of the assumptions in which
+they differ.
 """
 
 from __future__ import annotations
@@ -13,32 +14,33 @@ from typing import Any, ClassVar
 import numpy as np
 
 from srs_twin.comparison.metrics import MEASURED_UNITS, plant_metrics
-from srs_twin.comparison.sampling import body_length, interpolant, label, require, rms, segment_lengths
+from srs_twin.comparison.sampling import body_length, check_columns, interpolant, label, rms, segment_lengths
 from srs_twin.errors import InputError
 from srs_twin.trajectory import HtmlResult, Trajectory
 
-# Times closer than this are the same.
-_ROUNDING_S = 1e-9
+_TIME_ROUNDING_S = 1e-9
+"""Times that differ by less are equal, s."""
 
 
 @dataclass(frozen=True)
 class Comparison(HtmlResult):
-    """The difference of a candidate (the twin) from a reference (the analytical model).
+    """Difference of a candidate (the twin) from a reference (the analytical model).
 
     Attributes:
-        metrics: by the names of `COMPARISON_UNITS`. ``com_speed_rel`` = (candidate − reference)/reference,
-            the reference's speed times ``gap_factor``, which is 1 unless it was asked for;
-            ``yaw_rate_abs`` the size of the difference of the yaw rates; ``shape_rms_m`` the distance of
-            like connectors with both bodies in their centre-of-mass frame at zero mean heading (section
-            3.4.1), root mean square over connectors and time, ``shape_rms_body`` the same over the
-            reference's body length; ``path_rms_m`` the distance of the centres of mass at equal times;
-            ``bend_rms_rad`` and ``bend_rms_rel`` (over the root mean square bend of the reference);
-            ``heading_rms_rad``. None where a plant has no gait metrics or a denominator is zero.
-        time: instants compared, those of the reference, shape (T,), s.
-        shape_error: root mean square over the connectors at each instant, (T,), m.
+        metrics: metrics by the names in `COMPARISON_UNITS`. ``com_speed_rel`` is (candidate − reference) /
+            reference, where the speed of the reference is multiplied by ``gap_factor``, which is 1 unless it
+            was requested. ``yaw_rate_abs`` is the magnitude of the difference of the yaw rates.
+            ``shape_rms_m`` is the distance of corresponding connectors with both bodies in their
+            centre-of-mass frames at zero mean heading (Section 3.4.1), root mean square over connectors and
+            time; ``shape_rms_body`` is that divided by the body length of the reference. ``path_rms_m`` is
+            the distance of the centres of mass at equal times. Further metrics are ``bend_rms_rad``,
+            ``bend_rms_rel`` (divided by the root mean square bend of the reference) and ``heading_rms_rad``.
+            A metric is None if a plant has no gait metrics or a denominator is zero.
+        time: compared times, which are those of the reference, shape (T,), s.
+        shape_error: root mean square over the connectors at each time, (T,), m.
         path_error: distance of the centres of mass, (T,), m.
         bend_error: candidate − reference, (T, segments), rad.
-        heading_error: candidate − reference, without the whole turns between where the two began, (T,), rad.
+        heading_error: candidate − reference, without the whole turns between their first headings, (T,), rad.
     """
 
     page: ClassVar[str] = "comparison"
@@ -54,41 +56,42 @@ class Comparison(HtmlResult):
 def compare(reference: Trajectory, candidate: Trajectory, *, gap_factor: bool = False) -> Comparison:
     """Compare two runs at equal times.
 
-    Where the sample times differ the candidate is interpolated to the reference's, over the span that both
-    cover.
+    If the sample times differ, the candidate is interpolated to those of the reference in the common
+    interval.
 
     Args:
-        reference: the analytical model's run.
-        candidate: the twin's run.
-        gap_factor: compare speeds as the dissertation does, whose model has no rigid gaps: multiply the
-            reference's by (l + L_o)/l of the candidate (Section 3.4.2).
+        reference: run of the analytical model.
+        candidate: run of the twin.
+        gap_factor: whether to compare speeds as in the dissertation, whose model has no rigid gaps: the speed
+            of the reference is multiplied by (l + L_o)/l of the candidate (Section 3.4.2).
 
     Raises:
-        InputError: unequal connectors, no time in common, columns or metadata that are missing or
-            unusable, or a gap factor for a reference that has gaps of its own.
+        InputError: the numbers of connectors differ, the runs have no time in common, columns or metadata are
+            missing or unusable, or a gap factor is requested for a reference that has rigid gaps.
     """
     for trajectory in (reference, candidate):
-        require(trajectory, "com_x", "com_y", "heading", "x", "y", "bend")
-    _same_connectors(reference, candidate)
+        check_columns(trajectory, "com_x", "com_y", "heading", "x", "y", "bend")
+    _check_connectors(reference, candidate)
     time = _common_times(reference, candidate)
-    (our_com, our_heading, ours, our_bend), (com, heading, theirs, bend) = (
-        _sampled(each, time) for each in (reference, candidate)
+    (reference_com, reference_heading, reference_position, reference_bend), (com, heading, position, bend) = (
+        _sampled(run, time) for run in (reference, candidate)
     )
 
-    # Whole turns between two unwrapped headings say where counting began, not where the snakes point.
-    heading_error = heading - our_heading
+    # Unwrapped headings may differ by whole turns although the snakes point in the same direction.
+    heading_error = heading - reference_heading
     heading_error -= 2 * np.pi * np.round(heading_error[0] / (2 * np.pi))
-    apart = in_body_frame(theirs, com, heading) - in_body_frame(ours, our_com, our_heading)
-    distance = np.linalg.norm(apart, axis=-1)
-    path_error = np.linalg.norm(com - our_com, axis=-1)
-    bend_error = bend - our_bend
+    shape = in_body_frame(position, com, heading)
+    offset = shape - in_body_frame(reference_position, reference_com, reference_heading)
+    distance = np.linalg.norm(offset, axis=-1)
+    path_error = np.linalg.norm(com - reference_com, axis=-1)
+    bend_error = bend - reference_bend
     metrics = {
         **_gait_differences(reference, candidate, _gap_factor(reference, candidate) if gap_factor else 1.0),
         "shape_rms_m": rms(distance),
         "shape_rms_body": rms(distance) / body_length(reference),
         "path_rms_m": rms(path_error),
         "bend_rms_rad": rms(bend_error),
-        "bend_rms_rel": _ratio(rms(bend_error), rms(our_bend)),
+        "bend_rms_rel": _ratio(rms(bend_error), rms(reference_bend)),
         "heading_rms_rad": rms(heading_error),
     }
     shape_error = np.sqrt((distance**2).mean(axis=-1))
@@ -96,7 +99,7 @@ def compare(reference: Trajectory, candidate: Trajectory, *, gap_factor: bool = 
 
 
 def in_body_frame(position: np.ndarray, com: np.ndarray, heading: np.ndarray) -> np.ndarray:
-    """Move bodies into their centre-of-mass frame at zero mean heading (section 3.4.1, Fig. 27).
+    """Transform bodies to their centre-of-mass frame at zero mean heading (Section 3.4.1, Fig. 27).
 
     Args:
         position: connectors in the world, shape (…, N, 2), m.
@@ -104,7 +107,7 @@ def in_body_frame(position: np.ndarray, com: np.ndarray, heading: np.ndarray) ->
         heading: mean heading, (…), rad.
 
     Returns:
-        Shape (…, N, 2), m; x ahead, y to the left.
+        Positions of the connectors, shape (…, N, 2), m; x points forward, y to the left.
     """
     x, y = np.moveaxis(position - com[..., None, :], -1, 0)
     cos, sin = np.cos(heading)[..., None], np.sin(heading)[..., None]
@@ -112,21 +115,21 @@ def in_body_frame(position: np.ndarray, com: np.ndarray, heading: np.ndarray) ->
 
 
 def _sampled(run: Trajectory, time: np.ndarray) -> list[np.ndarray]:
-    """Return centre of mass (T, 2), heading (T,), positions (T, N, 2) and bends of a run at given times."""
+    """Return centre of mass (T, 2), heading (T,), positions (T, N, 2) and bends (T, N − 1) at given times."""
     signals = [run.com, run["heading"], run.position, run.stack("bend")]
-    if len(run) == len(time) and np.allclose(run.time, time, rtol=0, atol=_ROUNDING_S):
+    if len(run) == len(time) and np.allclose(run.time, time, rtol=0, atol=_TIME_ROUNDING_S):
         return signals
     return [interpolant(run, values)(time) for values in signals]
 
 
-def _same_connectors(reference: Trajectory, candidate: Trajectory) -> None:
+def _check_connectors(reference: Trajectory, candidate: Trajectory) -> None:
     counts = []
     for run in (reference, candidate):
         x, y, bend = (run.stack(name).shape[-1] for name in ("x", "y", "bend"))
         if not x == y == bend + 1:
             raise InputError(
                 f"{label(run)}: {x} columns x_1…, {y} y_1… and {bend} bend_1…; "
-                "a snake of N connectors has N, N and N − 1"
+                "a snake with N connectors has N, N and N − 1"
             )
         counts.append(x)
     if counts[0] != counts[1]:
@@ -137,8 +140,8 @@ def _same_connectors(reference: Trajectory, candidate: Trajectory) -> None:
 
 
 def _common_times(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
-    """Return the reference's times that the candidate covers."""
-    first, last = candidate.time[0] - _ROUNDING_S, candidate.time[-1] + _ROUNDING_S
+    """Return the times of the reference that the candidate covers."""
+    first, last = candidate.time[0] - _TIME_ROUNDING_S, candidate.time[-1] + _TIME_ROUNDING_S
     common = reference.time[(reference.time >= first) & (reference.time <= last)]
     if len(common) == 0:
         spans = [f"{label(t)} covers {t.time[0]:g} to {t.time[-1]:g} s" for t in (reference, candidate)]
@@ -157,44 +160,45 @@ def _gap_factor(reference: Trajectory, candidate: Trajectory) -> float:
 
 
 def _gait_differences(reference: Trajectory, candidate: Trajectory, factor: float) -> dict[str, float | None]:
-    ours, theirs = plant_metrics(reference), plant_metrics(candidate)
-    if ours["com_speed_m_s"] is None or theirs["com_speed_m_s"] is None:
+    metrics, reference_metrics = plant_metrics(candidate), plant_metrics(reference)
+    if metrics["com_speed_m_s"] is None or reference_metrics["com_speed_m_s"] is None:
         return {"com_speed_rel": None, "gap_factor": factor, "yaw_rate_abs": None}
-    speed = factor * ours["com_speed_m_s"]
+    speed = factor * reference_metrics["com_speed_m_s"]
     return {
-        "com_speed_rel": _ratio(theirs["com_speed_m_s"] - speed, speed),
+        "com_speed_rel": _ratio(metrics["com_speed_m_s"] - speed, speed),
         "gap_factor": factor,
-        "yaw_rate_abs": abs(theirs["yaw_rate_rad_s"] - ours["yaw_rate_rad_s"]),
+        "yaw_rate_abs": abs(metrics["yaw_rate_rad_s"] - reference_metrics["yaw_rate_rad_s"]),
     }
 
 
-def _ratio(part: float, whole: float) -> float | None:
-    return part / whole if whole else None
+def _ratio(numerator: float, denominator: float) -> float | None:
+    return numerator / denominator if denominator else None
 
 
 _PREFIX = "measured_"
 _BEND_METRICS = {"measured_bend_rms_rad"}
 _TRAVEL_METRICS = {"measured_com_speed_rel", "measured_yaw_rate_abs"}
-_MOST_ROWS = 50
+_MAX_INTERVALS = 50
+"""Largest number of intervals in which `MeasuredDifference.document` lists the differences."""
 
 
 @dataclass(frozen=True)
 class MeasuredDifference:
-    """A plant's difference from a measured motion.
+    """Difference of a plant from a measured motion.
 
     Attributes:
-        comparison: plant less measured, see `compare`.
-        only_bends: whether nothing but bends was measured; where the body is follows from them then.
-        held: whether both were held at the head, so that nothing went anywhere.
+        comparison: plant minus measurement, see `compare`.
+        only_bends: whether only bends were measured; the position of the body is then computed from them.
+        clamped: whether the heads of plant and robot were clamped, so that neither moved away.
     """
 
     comparison: Comparison
     only_bends: bool = False
-    held: bool = False
+    clamped: bool = False
 
     @classmethod
-    def of(cls, measured: Trajectory, run: Trajectory) -> MeasuredDifference:
-        """Compare a plant with what was measured, at the times of the latter.
+    def between(cls, measured: Trajectory, run: Trajectory) -> MeasuredDifference:
+        """Compare a run of a plant with a measurement, at the times of the measurement.
 
         Raises:
             InputError: as `compare`.
@@ -204,15 +208,17 @@ class MeasuredDifference:
 
     @property
     def metrics(self) -> dict[str, float | None]:
-        """Metrics of the plant, by the names in `MEASURED_UNITS`; None what was not measured."""
-        known = MEASURED_UNITS.keys() - (_TRAVEL_METRICS if self.held else set())
-        known = _BEND_METRICS if self.only_bends else known
-        found = self.comparison.metrics
-        return {name: found[name.removeprefix(_PREFIX)] if name in known else None for name in MEASURED_UNITS}
+        """Metrics of the plant by the names in `MEASURED_UNITS`; None if they were not measured."""
+        measured = MEASURED_UNITS.keys() - (_TRAVEL_METRICS if self.clamped else set())
+        measured = _BEND_METRICS if self.only_bends else measured
+        values = self.comparison.metrics
+        return {
+            name: values[name.removeprefix(_PREFIX)] if name in measured else None for name in MEASURED_UNITS
+        }
 
     def signals(self) -> dict[str, np.ndarray]:
-        """Return the differences over time: shape and path as distances (m), heading, bends (rad)."""
-        bends = {f"bend_{j}_rad": each for j, each in enumerate(self.comparison.bend_error.T, start=1)}
+        """Return the differences over time: distances of shape and path (m), heading and bends (rad)."""
+        bends = {f"bend_{j}_rad": error for j, error in enumerate(self.comparison.bend_error.T, start=1)}
         if self.only_bends:
             return bends
         distances = {"shape_m": self.comparison.shape_error, "path_m": self.comparison.path_error}
@@ -220,20 +226,20 @@ class MeasuredDifference:
 
     @property
     def bend_rms(self) -> np.ndarray:
-        """Root mean square over the segments of the bends' difference at each instant, (T,), rad."""
+        """Root mean square of the bend differences over the segments at each time, (T,), rad."""
         return np.asarray(np.sqrt((self.comparison.bend_error**2).mean(axis=1)))
 
     def document(self) -> dict[str, Any]:
-        """Return what metrics.json says: of each signal the RMS as a whole and in equal parts of the time."""
+        """Return the entry of metrics.json: the RMS of each signal over the run and over equal intervals."""
         time = self.comparison.time
-        edges = np.linspace(0, len(time), min(_MOST_ROWS, len(time)) + 1).round().astype(int)
-        parts = list(zip(edges[:-1], edges[1:], strict=True))
+        edges = np.linspace(0, len(time), min(_MAX_INTERVALS, len(time)) + 1).round().astype(int)
+        intervals = list(zip(edges[:-1], edges[1:], strict=True))
         signals = self.signals()
         return {
             "rms": {name: rms(values) for name, values in signals.items()},
             "over_time": {
-                "time_s": [round(float(time[a:b].mean()), 6) for a, b in parts],
-                **{name: [rms(values[a:b]) for a, b in parts] for name, values in signals.items()},
+                "time_s": [round(float(time[a:b].mean()), 6) for a, b in intervals],
+                **{name: [rms(values[a:b]) for a, b in intervals] for name, values in signals.items()},
             },
         }
 
@@ -244,21 +250,21 @@ MEASURES = {
     "mean_bend_amplitude_rad": ("bend amplitude", "rad"),
     "shape_rms_m": ("body shape, RMS", "m"),
 }
-"""What is attributed: differences twin − analytical of three metrics, and the distance of the body shapes."""
+"""Attributed measures, with title and unit: twin − analytical of three metrics, and the shape distance."""
 
 
 @dataclass(frozen=True)
-class Share:
-    """What one assumption contributes to the gap.
+class AssumptionShare:
+    """Contribution of one assumption to the difference between the plants.
 
     Attributes:
         name: short name.
-        title: one line for people.
+        title: description in one line.
         value: contribution to each of `MEASURES`, in that order.
-        low: least of it over the orders in which the assumptions may be switched.
-        high: most of it.
-        how: "averaged" over orders on the analytical side, "first" of all there, or "refined" on the plant
-            that alone has it.
+        low: smallest contribution over the orders in which the assumptions may be switched.
+        high: largest contribution over these orders.
+        how: "averaged" over orders or "first" in the order, both on the analytical side, or "refined" on the
+            only plant that has the assumption.
     """
 
     name: str
@@ -271,15 +277,16 @@ class Share:
 
 @dataclass(frozen=True)
 class Attribution:
-    """A gap between twin and analytical model, split.
+    """Division of the difference between twin and analytical model into contributions.
 
     Attributes:
-        reference: the analytical values of `MEASURES`; 0 for the distance.
+        reference: values of `MEASURES` for the analytical model; 0 for the shape distance.
         gap: twin − analytical.
-        remainder: what is not explained by any of them.
-        matched: gap that is left when both plants have stiff bends and the same friction at the same points.
-        same: assumptions on which the two plants agree in this scenario, so that they explain nothing.
-        shares: what is explained; their values and the remainder add up to the gap.
+        remainder: part that no assumption explains.
+        matched: difference that remains if both plants have stiff bends and the same friction at the same
+            points.
+        same: assumptions in which the two plants agree in this scenario, so that they explain nothing.
+        shares: contributions of the assumptions; together with the remainder they add up to the gap.
     """
 
     reference: tuple[float, ...]
@@ -287,10 +294,10 @@ class Attribution:
     remainder: tuple[float, ...]
     matched: tuple[float, ...]
     same: tuple[str, ...]
-    shares: tuple[Share, ...]
+    shares: tuple[AssumptionShare, ...]
 
     def document(self) -> dict[str, Any]:
-        """Return plain data for metrics.json, measures by name."""
+        """Return the entry of metrics.json."""
         return {"measures": tuple(MEASURES), **asdict(self)}
 
 
@@ -301,9 +308,9 @@ def gap_between(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
         InputError: as in `compare`.
         ValueError: one of the runs has no gait metrics.
     """
-    ours, theirs = plant_metrics(reference), plant_metrics(candidate)
+    before, after = plant_metrics(reference), plant_metrics(candidate)
     names = list(MEASURES)[:-1]
-    if any(run[name] is None for run in (ours, theirs) for name in names):
-        raise ValueError("a run without whole gait periods has no gait to explain")
-    differences = [theirs[name] - ours[name] for name in names]
+    if any(metrics[name] is None for metrics in (before, after) for name in names):
+        raise ValueError("the difference of a run without whole gait periods cannot be attributed")
+    differences = [after[name] - before[name] for name in names]
     return np.array([*differences, compare(reference, candidate).metrics["shape_rms_m"]])

@@ -9,22 +9,20 @@ import numpy as np
 from srs_twin.trajectory import Trajectory
 
 TOUCH_N = 1e-3
-"""Forces below are none."""
-
-
-_APART_S = 0.1
-"""Touches closer together in time are one contact."""
+"""Smallest force of a contact, N; smaller ones are numerical."""
+_MAX_INTERRUPTION_S = 0.1
+"""Largest interruption of a contact, s."""
 
 
 @dataclass(frozen=True)
 class Touch:
-    """A contact with an obstacle.
+    """Contact with an obstacle.
 
     Attributes:
-        begin: s.
-        end: s.
-        force: the largest on any connector, N.
-        connector: where that was, 1 at the head.
+        begin: start, s.
+        end: end, s.
+        force: largest force on a connector, N.
+        connector: connector with the largest force, 1 at the head.
     """
 
     begin: float
@@ -34,22 +32,24 @@ class Touch:
 
 
 def touches(trajectory: Trajectory) -> list[Touch]:
-    """Return a run's contacts with obstacles, in order; none where there was nothing to touch."""
+    """Return the contacts of a run with obstacles in order of time; none without obstacles."""
     force = obstacle_force(trajectory)
     if force is None:
         return []
     rows = np.flatnonzero(force.max(axis=1) > TOUCH_N)
-    apart = np.flatnonzero(np.diff(trajectory.time[rows]) > _APART_S) + 1
-    found = []
-    for each in np.split(rows, apart) if len(rows) else []:
-        row, connector = np.unravel_index(force[each].argmax(), force[each].shape)
-        begin, end = trajectory.time[each[[0, -1]]]
-        found.append(Touch(float(begin), float(end), float(force[each][row, connector]), int(connector) + 1))
-    return found
+    breaks = np.flatnonzero(np.diff(trajectory.time[rows]) > _MAX_INTERRUPTION_S) + 1
+    contacts = []
+    for group in np.split(rows, breaks) if len(rows) else []:
+        row, connector = np.unravel_index(force[group].argmax(), force[group].shape)
+        begin, end = trajectory.time[group[[0, -1]]]
+        contacts.append(
+            Touch(float(begin), float(end), float(force[group][row, connector]), int(connector) + 1)
+        )
+    return contacts
 
 
 def obstacle_force(trajectory: Trajectory) -> np.ndarray | None:
-    """Return the obstacles' force on each connector, shape (samples, N), N; None without obstacles."""
+    """Return the force of obstacles on each connector, shape (samples, N), N; None without obstacles."""
     if not trajectory.has("obstacle_force_x"):
         return None
     return np.hypot(trajectory.stack("obstacle_force_x"), trajectory.stack("obstacle_force_y"))

@@ -1,8 +1,8 @@
-"""Two sets of results, number by number: what moved from one commit, machine or setting to another.
+"""Comparison of two sets of results, for example of two commits, machines or settings.
 
-A number has moved where |a − b| > max(abs, rel · max(|a|, |b|)); anything else (a verdict, a status, a number
-that one side does not have) where it is not equal. Two runs are compared whatever their scenarios are
-called. Wall times are left out.
+A number has changed if |a − b| > max(abs, rel · max(|a|, |b|)). Any other value (a verdict, a status, a
+number that only one side has) has changed if it is not equal. Two single runs are compared even if their
+scenarios have different names. Wall times are left out.
 """
 
 from __future__ import annotations
@@ -23,8 +23,10 @@ from srs_twin.io.json_files import parse_json, read_json
 from srs_twin.io.parquet import read_table
 from srs_twin.io.validation import StrictModel, load_model
 
-REL, ABS = 1e-6, 1e-9
-"""What two processor targets may differ by; docs/sweeps.md has what they were measured to."""
+REL = 1e-6
+"""Default relative tolerance: allowed differences between two processor targets (docs/sweeps.md)."""
+ABS = 1e-9
+"""Default absolute tolerance, in the unit of the number."""
 
 _FILES = ("metrics.json", "results.parquet", "reproduce.json")
 _WALL_TIMES = {"wall_s", "realtime_factor", "plan_s"}
@@ -32,55 +34,57 @@ _OWNER = re.compile(r"^(analytical|twin|measured|comparison|plan)\.")
 _NUMBERED = re.compile(r"(_(plus|minus))?(_\d+)?(_period_\d+)?(\[\d+\])*$")
 
 Leaf = bool | int | float | str | None
-Place = tuple[str, str]
+ValueKey = tuple[str, str]
+"""Scenario, sweep point or reproduction row, and metric."""
 
 
 class Tolerance(StrictModel):
-    """By how much a number may differ."""
+    """Allowed difference between two numbers."""
 
-    rel: Annotated[float, Field(ge=0, le=1, description="Over the larger of the two.")] = REL
-    abs: Annotated[float, Field(ge=0, le=1e9, description="In the number's unit.")] = ABS
+    rel: Annotated[float, Field(ge=0, le=1, description="Relative to the larger of the two numbers.")] = REL
+    abs: Annotated[float, Field(ge=0, le=1e9, description="In the unit of the number.")] = ABS
 
     def allows(self, a: Leaf, b: Leaf) -> bool:
-        """Say whether two values count as the same."""
+        """Return whether two values count as equal."""
         if _is_number(a) and _is_number(b):
             if math.isnan(a) and math.isnan(b):  # type: ignore[arg-type]
-                return True  # neither has a number
+                return True  # neither side has a number
             return math.isclose(a, b, rel_tol=self.rel, abs_tol=self.abs)  # type: ignore[arg-type]
         return a == b and _is_number(a) == _is_number(b)
 
 
 class Tolerances(Tolerance):
-    """A file of tolerances: those of all metrics, and of some by name."""
+    """Tolerances file: tolerances for all metrics, and for single metrics by name."""
 
     metrics: Annotated[
-        dict[str, Tolerance], Field(description="Metric, with or without its plant → its own.")
+        dict[str, Tolerance],
+        Field(description="Metric, with or without the name of its plant → its tolerance."),
     ] = {}
 
-    def of(self, metric: str) -> Tolerance:
-        """Return what holds for a metric: of its own name, of it without its plant, or of all."""
-        return next((self.metrics[name] for name in names_of(metric) if name in self.metrics), self)
+    def for_metric(self, metric: str) -> Tolerance:
+        """Return the tolerance for a metric: by its full name, by its name without plant, or the default."""
+        return next((self.metrics[name] for name in tolerance_names(metric) if name in self.metrics), self)
 
 
 def load_tolerances(path: str | os.PathLike[str]) -> Tolerances:
-    """Load a file of tolerances.
+    """Load a tolerances file.
 
     Raises:
-        InputError: not found or not readable.
-        InputFileError: everything that is wrong with it.
+        InputError: the file does not exist or cannot be read.
+        InputFileError: the contents are invalid; all errors are listed.
     """
     return load_model(Tolerances, require_file(Path(path)))
 
 
 @dataclass(frozen=True)
-class Moved:
-    """A value that is not the same.
+class ChangedValue:
+    """Value that differs between two sets of results.
 
     Attributes:
-        where: scenario, point of a sweep, or row of the reproduction.
-        metric: with its plant in front.
-        a: value in the reference, None where there is none.
-        b: the other.
+        where: scenario, sweep point, or row of the reproduction.
+        metric: metric with the name of its plant in front.
+        a: value in the reference; None if it has none.
+        b: value in the other results; None if they have none.
     """
 
     where: str
@@ -90,7 +94,7 @@ class Moved:
 
     @property
     def rel(self) -> float | None:
-        """(b − a)/|a|; None where one is no finite number, or a is 0."""
+        """(b − a)/|a|; None if one is not a finite number, or a is 0."""
         if not (_is_number(self.a) and _is_number(self.b)) or self.a == 0:
             return None
         change = (self.b - self.a) / abs(self.a)  # type: ignore[operator, arg-type]
@@ -99,41 +103,41 @@ class Moved:
 
 @dataclass(frozen=True)
 class Results:
-    """What a command left, flat.
+    """Results of one or more runs as a flat table.
 
     Attributes:
         values: (where, metric) → value.
-        versions: package → version of what made them.
+        versions: package → version that computed the results.
     """
 
-    values: Mapping[Place, Leaf]
+    values: Mapping[ValueKey, Leaf]
     versions: Mapping[str, str]
 
 
 @dataclass(frozen=True)
 class Difference:
-    """What became of each value.
+    """Differences between two sets of results A and B.
 
     Attributes:
-        moved: in the order of A, what only B has behind it.
-        same: how many values count as the same.
-        wheres: all places, in order.
-        versions: package → those of A and B where they differ.
+        moved: changed values in the order of A, followed by those that only B has.
+        same: number of values that count as equal.
+        wheres: all scenarios, sweep points and rows, in order.
+        versions: package → versions of A and B, if they differ.
     """
 
-    moved: tuple[Moved, ...]
+    moved: tuple[ChangedValue, ...]
     same: int
     wheres: tuple[str, ...]
     versions: Mapping[str, tuple[str | None, str | None]]
 
     def document(self) -> dict[str, Any]:
-        """Return plain data for JSON, where numbers that JSON does not have are "NaN" and "Infinity"."""
-        moved = [asdict(each) | {"rel": each.rel} for each in self.moved]
-        return {"moved": [{key: _plain(value) for key, value in each.items()} for each in moved],
+        """Return JSON values, in which numbers that JSON lacks are "NaN", "Infinity" and "-Infinity"."""
+        moved = [asdict(change) | {"rel": change.rel} for change in self.moved]
+        return {"moved": [{key: _json_value(value) for key, value in row.items()} for row in moved],
                 "same": self.same}  # fmt: skip
 
 
-def _plain(value: Any) -> Any:
+def _json_value(value: Any) -> Any:
     if not isinstance(value, float) or math.isfinite(value):
         return value
     return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
@@ -144,93 +148,94 @@ def diff(a: Results, b: Results, tolerances: Tolerances | None = None) -> Differ
 
     Args:
         a: the reference.
-        b: what is held against it.
-        tolerances: default those of two processor targets.
+        b: results that are compared with the reference.
+        tolerances: allowed differences; None uses those between two processor targets.
 
     Raises:
-        UnknownNameError: a tolerance for a metric that neither has.
+        UnknownNameError: a tolerance is for a metric that neither set has.
     """
     allowed, before, after = tolerances or Tolerances(), a.values, b.values
-    one, other = ({where for where, _ in values} for values in (before, after))
-    if len(one) == len(other) == 1:  # two runs are compared whatever they are called
-        (where,) = one
+    wheres, other_wheres = ({where for where, _ in values} for values in (before, after))
+    if len(wheres) == len(other_wheres) == 1:  # single runs are compared regardless of their names
+        (where,) = wheres
         after = {(where, metric): value for (_, metric), value in after.items()}
-    places = list(dict.fromkeys((*before, *after)))
-    known = {name for _, metric in places for name in names_of(metric)}
+    keys = list(dict.fromkeys((*before, *after)))
+    known = {name for _, metric in keys for name in tolerance_names(metric)}
     for name in allowed.metrics:
         if name not in known:
             raise UnknownNameError("metric of a tolerance", name, known)
-    pairs = [Moved(*place, before.get(place), after.get(place)) for place in places]
-    moved = [each for each in pairs if not allowed.of(each.metric).allows(each.a, each.b)]
+    pairs = [ChangedValue(*key, before.get(key), after.get(key)) for key in keys]
+    moved = [pair for pair in pairs if not allowed.for_metric(pair.metric).allows(pair.a, pair.b)]
     packages = dict.fromkeys((*a.versions, *b.versions))
     versions = {name: (a.versions.get(name), b.versions.get(name)) for name in packages}
     return Difference(
         tuple(moved),
-        len(places) - len(moved),
-        tuple(dict.fromkeys(where for where, _ in places)),
+        len(keys) - len(moved),
+        tuple(dict.fromkeys(where for where, _ in keys)),
         {name: pair for name, pair in versions.items() if pair[0] != pair[1]},
     )
 
 
-def names_of(metric: str) -> tuple[str, str, str]:
-    """Return the names that a tolerance may give a metric: whole, without its plant, without numbers."""
-    plain = _OWNER.sub("", metric)
-    return metric, plain, _NUMBERED.sub("", plain)
+def tolerance_names(metric: str) -> tuple[str, str, str]:
+    """Return the names of a metric in a tolerances file: full, without plant, without numbers."""
+    without_plant = _OWNER.sub("", metric)
+    return metric, without_plant, _NUMBERED.sub("", without_plant)
 
 
 def read_results(path: str | os.PathLike[str]) -> Results:
-    """Read what `run`, `compare`, `replay`, `sweep` or `reproduce` left.
+    """Read the results of `run`, `compare`, `replay`, `sweep` or `reproduce`.
 
     Args:
-        path: metrics.json, results.parquet or reproduce.json, or a folder: all of these in and below it.
+        path: metrics.json, results.parquet or reproduce.json, or a folder, which is searched recursively for
+            them.
 
     Raises:
-        InputError: there is none, or it is something else.
+        InputError: there are no such results, or the file is something else.
     """
-    given = Path(path)
-    if not os.path.isdir(given):
-        return _read(require_file(given, suffix=".json"), "")
-    files = sorted(_files(given))
+    source = Path(path)
+    if not os.path.isdir(source):
+        return _read(require_file(source, suffix=".json"), "")
+    files = sorted(_result_files(source))
     if not files:
-        raise InputError(f"{display_path(given)}: holds no results ({', '.join(_FILES)})")
-    values: dict[Place, Leaf] = {}
+        raise InputError(f"{display_path(source)}: the folder has no results ({', '.join(_FILES)})")
+    values: dict[ValueKey, Leaf] = {}
     versions: dict[str, str] = {}
     for file in files:
-        folder = file.parent.relative_to(given).as_posix()
-        found = _read(file, "" if folder == "." else folder)
-        values |= found.values
-        versions |= found.versions
+        folder = file.parent.relative_to(source).as_posix()
+        results = _read(file, "" if folder == "." else folder)
+        values |= results.values
+        versions |= results.versions
     return Results(values, versions)
 
 
-def _files(folder: Path) -> Iterator[Path]:
-    """Yield the files of results in and below a folder; links to folders are not followed.
+def _result_files(folder: Path) -> Iterator[Path]:
+    """Yield the result files in a folder and its subfolders; links to folders are not followed.
 
     Raises:
-        InputError: the folder itself cannot be listed.
+        InputError: the folder cannot be listed.
     """
-    waiting = [os.fspath(folder)]
-    while waiting:  # no recursion: folders may be nested deeper than the stack
-        here = waiting.pop()
+    pending = [os.fspath(folder)]
+    while pending:  # without recursion, because folders may be nested deeper than the stack
+        current = pending.pop()
         try:
-            entries = list(os.scandir(here))
+            entries = list(os.scandir(current))
         except OSError as error:
-            if here == os.fspath(folder):
+            if current == os.fspath(folder):
                 raise InputError(f"{display_path(folder)}: cannot be read ({error.strerror})") from error
             continue
-        # A hidden folder may hold files that a killed process left.
-        entries = [each for each in entries if not each.name.startswith(".")]
-        waiting += [each.path for each in entries if each.is_dir(follow_symlinks=False)]
-        yield from (Path(each.path) for each in entries if each.name in _FILES and each.is_file())
+        # Hidden folders may contain incomplete files of a killed process.
+        entries = [entry for entry in entries if not entry.name.startswith(".")]
+        pending += [entry.path for entry in entries if entry.is_dir(follow_symlinks=False)]
+        yield from (Path(entry.path) for entry in entries if entry.name in _FILES and entry.is_file())
 
 
 def _read(path: Path, folder: str) -> Results:
-    """Read one file; its folder stands before each place."""
+    """Read one file; the folder becomes a prefix of its scenario, points or rows."""
     try:
-        found, versions = _sweep(path) if path.suffix == ".parquet" else _document(path)
+        read_values, versions = _read_sweep(path) if path.suffix == ".parquet" else _read_document(path)
         values = {
             ("/".join(filter(None, (folder, where))), metric): value
-            for (where, metric), value in found
+            for (where, metric), value in read_values
             if _OWNER.sub("", metric) not in _WALL_TIMES
         }
     except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -240,50 +245,51 @@ def _read(path: Path, folder: str) -> Results:
     return Results(values, versions)
 
 
-def _document(path: Path) -> tuple[list[tuple[Place, Leaf]], dict[str, str]]:
-    given = read_json(path)
-    versions = dict(given["versions"])
-    if "rows" not in given:
-        where, parts = str(given["scenario"]), {**given["plants"], "comparison": given["comparison"]}
-        values = [((where, metric), value) for metric, value in _leaves(parts, "")]
+def _read_document(path: Path) -> tuple[list[tuple[ValueKey, Leaf]], dict[str, str]]:
+    document = read_json(path)
+    versions = dict(document["versions"])
+    if "rows" not in document:
+        where = str(document["scenario"])
+        sections = {**document["plants"], "comparison": document["comparison"]}
+        values = [((where, metric), value) for metric, value in _leaves(sections, "")]
         met = [
             (
                 f"expectations[{i}].met",
-                "not judged" if each.get("state") == "not_judged" else bool(each["met"]),
+                "not judged" if expectation.get("state") == "not_judged" else bool(expectation["met"]),
             )
-            for i, each in enumerate(given["expectations"])
+            for i, expectation in enumerate(document["expectations"])
         ]
         return values + [((where, metric), value) for metric, value in met], versions
     return [
         ((f"{row['id']}, {column}", name), outcome[name])
-        for row in given["rows"]
+        for row in document["rows"]
         for column, outcome in row["outcomes"].items()
         for name in ("verdict", "value")
     ], versions
 
 
 def _leaves(value: Any, name: str) -> Iterator[tuple[str, Leaf]]:
-    """Yield the numbers of metrics by their dotted names."""
+    """Yield the values of nested metrics with their dotted names."""
     if isinstance(value, Mapping):
-        for key, each in value.items():
-            yield from _leaves(each, f"{name}.{key}" if name else key)
+        for key, item in value.items():
+            yield from _leaves(item, f"{name}.{key}" if name else key)
     elif isinstance(value, list):
-        for i, each in enumerate(value):
-            yield from _leaves(each, f"{name}[{i}]")
+        for i, item in enumerate(value):
+            yield from _leaves(item, f"{name}[{i}]")
     else:
         yield name, value
 
 
-def _sweep(path: Path) -> tuple[list[tuple[Place, Leaf]], dict[str, str]]:
+def _read_sweep(path: Path) -> tuple[list[tuple[ValueKey, Leaf]], dict[str, str]]:
     def check(schema: Any) -> None:
         if b"srs_twin.sweep" not in (schema.metadata or {}):
-            raise ValueError("a Parquet file of something else")
+            raise ValueError("the Parquet file is not the result of a sweep")
 
     try:
         table = read_table(path, "the results of a sweep", check)
     except InputError as error:
-        raise ValueError("no results of a sweep") from error
-    about = parse_json(table.schema.metadata[b"srs_twin.sweep"].decode(), display_path(path))
+        raise ValueError("the file is not the result of a sweep") from error
+    metadata = parse_json(table.schema.metadata[b"srs_twin.sweep"].decode(), display_path(path))
     names = table.column_names
     fields = names[1 : names.index("status")]
     metrics = ["status", *names[names.index("exit_code") + 1 :]]
@@ -292,7 +298,7 @@ def _sweep(path: Path) -> tuple[list[tuple[Place, Leaf]], dict[str, str]]:
         for row in table.to_pylist()
         for metric in metrics
     ]
-    return values, dict(about["versions"])
+    return values, dict(metadata["versions"])
 
 
 def _is_number(value: Leaf) -> bool:

@@ -1,7 +1,6 @@
-"""Metrics of a gait: how far its periods carry a snake, on which circle, and at what cost.
+"""Metrics of a gait: speed, turning radius, power and cost of transport.
 
-All averages are taken over whole gait periods (`GaitWindow`). What moving costs is the power of the segments
-and of the air that they use, and the cost of transport.
+All means are taken over whole gait periods (`GaitWindow`).
 """
 
 from __future__ import annotations
@@ -17,82 +16,96 @@ from srs_twin.robot.spec import GRAVITY
 from srs_twin.trajectory import Trajectory
 
 WARM_UP_PERIODS = 2
-LEAST_PERIODS = 3
-# Fewer samples a period than this cannot show a wave.
-_LEAST_SAMPLES_A_PERIOD = 4
-# Instants a period at which signals are looked at: no fewer than this, and four to each sample period.
-_LEAST_INSTANTS = 64
-_ROUNDING = 1e-6  # of a period
+"""Gait periods at the start of a run that are left out of the means."""
+MIN_PERIODS = 3
+"""Smallest number of whole gait periods of a run with gait metrics."""
+_MIN_SAMPLES_PER_PERIOD = 4
+"""Smallest number of samples per gait period that resolve the wave."""
+_MIN_TIMES_PER_PERIOD = 64
+"""Smallest number of times per gait period at which signals are evaluated."""
+_PERIOD_ROUNDING = 1e-6
+"""Tolerance for comparing times, as a fraction of a gait period."""
 
 
 @dataclass(frozen=True)
 class GaitWindow:
-    r"""Whole gait periods after the warm-up, and running period means over them.
+    r"""Whole gait periods after the warm-up, and means over them.
 
-    Of a signal x the running mean over one period T, and its exact derivative, are
+    The running mean of a signal x over one period T, and its exact derivative, are
 
     $$\bar x(t) = \frac{1}{T} \int_t^{t+T} x\,ds, \qquad \dot{\bar x}(t) = \frac{x(t+T) - x(t)}{T},$$
 
-    for t from the start of the window to one period before its end. Between the samples x is a cubic
-    spline, so T need not be a multiple of the sample period, nor the window begin on a sample.
+    for t from the start of the window to one period before its end. Between the samples, x is a cubic spline,
+    so T need not be a multiple of the sample period, and the window need not begin at a sample.
 
     Attributes:
-        start: begin of the window, s.
+        start: start of the window, s.
         period: T, s.
-        periods: K, whole periods in the window, 2 or more.
-        instants: instants per period at which signals are looked at.
+        periods: number K of whole periods in the window, 2 or more.
+        times_per_period: number of times per period at which signals are evaluated.
     """
 
     start: float
     period: float
     periods: int
-    instants: int
+    times_per_period: int
 
     @classmethod
-    def of(cls, trajectory: Trajectory) -> GaitWindow | None:
-        """Return the window of a run: all whole periods after a warm-up of two.
+    def from_trajectory(cls, trajectory: Trajectory) -> GaitWindow | None:
+        """Return the window of a run: all whole periods after a warm-up of two periods.
 
-        A run of exactly three whole periods gives up one of the warm-up, so that two are left to average.
+        The warm-up of a run of exactly three whole periods is one period, so that two are left for the means.
 
         Returns:
-            None where nothing is periodic (no gait frequency in the metadata), where the run has fewer than
-            three whole periods, or where the samples are too sparse to show one.
+            None if the run has no gait frequency in its metadata, fewer than three whole periods, or too few
+            samples per period.
 
         Raises:
-            InputError: the gait frequency in the metadata is no positive number.
+            InputError: the gait frequency in the metadata is not a positive number.
         """
         frequency = positive_number(trajectory, "gait_frequency_hz")
-        if frequency is None or cls.lacking(trajectory):
+        if frequency is None or cls.missing_reason(trajectory):
             return None
         time = trajectory.time
         whole, samples = _extent(trajectory, frequency)
         warm_up = min(WARM_UP_PERIODS, whole - 2)
-        instants = max(_LEAST_INSTANTS, int(np.ceil(4 * samples)))
-        return cls(float(time[0]) + warm_up / frequency, 1.0 / frequency, whole - warm_up, instants)
+        # Four times per sample period evaluate the spline between samples as well.
+        times = max(_MIN_TIMES_PER_PERIOD, int(np.ceil(4 * samples)))
+        return cls(float(time[0]) + warm_up / frequency, 1.0 / frequency, whole - warm_up, times)
 
     @classmethod
-    def lacking(cls, trajectory: Trajectory) -> str:
-        """Return the reason why a run has no window, in words; empty where it has one.
+    def missing_reason(cls, trajectory: Trajectory) -> str:
+        """Return the reason why a run has no window, or an empty string.
 
         Raises:
-            InputError: as `of`.
+            InputError: as `from_trajectory`.
         """
         frequency = positive_number(trajectory, "gait_frequency_hz")
         if frequency is None:
             return "the run has no gait frequency"
         whole, samples = _extent(trajectory, frequency)
-        if whole < LEAST_PERIODS:
-            return f"the run has {whole} of the {LEAST_PERIODS} whole gait periods that are needed"
-        few = samples < _LEAST_SAMPLES_A_PERIOD or len(trajectory) < LEAST_PERIODS * _LEAST_SAMPLES_A_PERIOD
-        return f"the run has fewer than {_LEAST_SAMPLES_A_PERIOD} samples per gait period" if few else ""
+        if whole < MIN_PERIODS:
+            return f"the run has {whole} of the {MIN_PERIODS} whole gait periods that are needed"
+        few = samples < _MIN_SAMPLES_PER_PERIOD or len(trajectory) < MIN_PERIODS * _MIN_SAMPLES_PER_PERIOD
+        return f"the run has fewer than {_MIN_SAMPLES_PER_PERIOD} samples per gait period" if few else ""
 
     @classmethod
-    def last(cls, trajectory: Trajectory, period: float, end: float, periods: int) -> GaitWindow | None:
-        """Return so many periods (s each) up to a time (s), None where the run does not have them."""
+    def ending_at(cls, trajectory: Trajectory, period: float, end: float, periods: int) -> GaitWindow | None:
+        """Return a window of several periods that ends at a given time.
+
+        Args:
+            trajectory: one run.
+            period: T, s.
+            end: end of the window, s.
+            periods: number of periods.
+
+        Returns:
+            None if the window would begin before the run.
+        """
         start, step = end - periods * period, float(np.median(np.diff(trajectory.time)))
-        if start < trajectory.time[0] - _ROUNDING * period:
+        if start < trajectory.time[0] - _PERIOD_ROUNDING * period:
             return None
-        return cls(start, period, periods, max(_LEAST_INSTANTS, math.ceil(4 * period / step)))
+        return cls(start, period, periods, max(_MIN_TIMES_PER_PERIOD, math.ceil(4 * period / step)))
 
     @property
     def end(self) -> float:
@@ -100,23 +113,23 @@ class GaitWindow:
         return self.start + self.periods * self.period
 
     def times(self, periods: int) -> np.ndarray:
-        """Return equally spaced instants over that many periods, shape (periods · instants,), s.
+        """Return equally spaced times over the first periods, shape (periods · times_per_period,), s.
 
-        They are midpoints: their plain mean is the integral over whole periods, exact to the last digits
-        for what is smooth and periodic.
+        They are midpoints of equal intervals. The mean of a smooth periodic signal at these times equals its
+        integral over whole periods, divided by their duration, to rounding accuracy.
         """
-        step = self.period / self.instants
-        return self.start + step * (np.arange(periods * self.instants) + 0.5)
+        step = self.period / self.times_per_period
+        return self.start + step * (np.arange(periods * self.times_per_period) + 0.5)
 
-    def running(self, trajectory: Trajectory, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the running period mean of a signal and its rate.
+    def running_mean(self, trajectory: Trajectory, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the running mean of a signal over one period, and its rate.
 
         Args:
-            trajectory: the run of which this is the window.
-            values: shape (samples, …).
+            trajectory: run of this window.
+            values: samples of the signal, shape (samples, …).
 
         Returns:
-            Mean and rate at equally spaced instants over K − 1 periods, each (instants, …).
+            Mean and rate at equally spaced times over K − 1 periods, each of shape (times, …).
         """
         signal = interpolant(trajectory, values)
         integral = signal.antiderivative()
@@ -125,72 +138,85 @@ class GaitWindow:
         return (integral(end) - integral(begin)) / self.period, (signal(end) - signal(begin)) / self.period
 
     def mean(self, trajectory: Trajectory, values: np.ndarray) -> np.ndarray:
-        """Return the mean of a signal over the window; values of shape (samples, …) give (…)."""
+        """Return the mean over the window of a signal with samples of shape (samples, …), shape (…)."""
         integral = interpolant(trajectory, values).antiderivative()
         return (integral(self.end) - integral(self.start)) / (self.end - self.start)
 
     def amplitude(self, trajectory: Trajectory, values: np.ndarray) -> np.ndarray:
-        """Return half the peak-to-peak of each period, averaged over the window; (samples, …) gives (…)."""
-        seen = interpolant(trajectory, values)(self.times(self.periods))
-        by_period = seen.reshape(self.periods, self.instants, *values.shape[1:])
+        """Return half the range of a signal in each period, averaged over the window.
+
+        Args:
+            trajectory: run of this window.
+            values: samples of the signal, shape (samples, …).
+
+        Returns:
+            Amplitudes, shape (…).
+        """
+        signal = interpolant(trajectory, values)(self.times(self.periods))
+        by_period = signal.reshape(self.periods, self.times_per_period, *values.shape[1:])
         return 0.5 * np.ptp(by_period, axis=1).mean(axis=0)
 
 
 def _extent(trajectory: Trajectory, frequency: float) -> tuple[int, float]:
     """Return the number of whole gait periods of a run, and its samples per period."""
     time = trajectory.time
-    # A run meant to end on a whole period may miss it by rounding.
+    # Rounding must not shorten a run that is meant to end after a whole period.
     whole = int(np.floor((time[-1] - time[0]) * frequency + 1e-6))
     return whole, (1.0 / (frequency * float(np.median(np.diff(time)))) if len(time) > 1 else 0.0)
 
 
-LEAST_WAY = 1e-3
-"""A snake that gets less far than this in a period has no path, body lengths."""
+MIN_TRAVEL_BODY_LENGTHS = 1e-3
+"""Distance per gait period, in body lengths, below which a snake has no path."""
 
 
-def carried(trajectory: Trajectory, window: GaitWindow) -> tuple[np.ndarray, np.ndarray]:
-    """Return by how much a period carries the centre of mass (m, backward negative) and turns it (rad).
+def displacement_per_period(trajectory: Trajectory, window: GaitWindow) -> tuple[np.ndarray, np.ndarray]:
+    """Return the chord (m, negative for backward motion) and the turn (rad) of each period.
 
-    Both are means over all periods that begin within one: at one phase alone, what the body sways to the side
-    would be taken for a part of the radius. K periods give K − 1 numbers of each.
+    Both are means over all periods that begin within one period. A single phase would count the lateral
+    oscillation of the body as a part of the radius. A window of K periods gives K − 1 values of each.
     """
-    speed, turning = running_rates(trajectory, window)
-    each = (window.periods - 1, window.instants)
+    speed, turn_rate = running_rates(trajectory, window)
+    shape = (window.periods - 1, window.times_per_period)
     chords = window.period * speed
-    return chords.reshape(each).mean(axis=1), window.period * turning.reshape(each).mean(axis=1)
+    return chords.reshape(shape).mean(axis=1), window.period * turn_rate.reshape(shape).mean(axis=1)
 
 
 def running_rates(trajectory: Trajectory, window: GaitWindow) -> tuple[np.ndarray, np.ndarray]:
-    """Return the speed of the period-averaged path and the rate of the period-mean heading at each instant.
+    """Return the speed along the period-averaged path and the rate of the period-mean heading over time.
 
-    The speed (m/s) is negative throughout where that path runs, on the whole, against the heading; the rate
-    (rad/s) is positive to the left.
+    The speed (m/s) is negative if the mean motion is against the heading. The rate (rad/s) is positive to the
+    left.
     """
-    heading, turning = window.running(trajectory, trajectory["heading"])
-    _, velocity = window.running(trajectory, trajectory.com)
-    along = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
-    return np.copysign(1.0, along.mean()) * np.hypot(velocity[:, 0], velocity[:, 1]), turning
+    heading, turn_rate = window.running_mean(trajectory, trajectory["heading"])
+    _, velocity = window.running_mean(trajectory, trajectory.com)
+    forward = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
+    return np.copysign(1.0, forward.mean()) * np.hypot(velocity[:, 0], velocity[:, 1]), turn_rate
 
 
-# Straight is what turns on a circle of more body lengths than this (for gen 2 some 20 m, where a path of
-# 2 m leaves its tangent by 0.1 m), or by less than this angle in a gait period (0.06°, what contact creep
-# does to a snake that does not get anywhere).
 STRAIGHT_BODY_LENGTHS = 100.0
+"""Turning radius, in body lengths, above which a path counts as straight.
+
+For generation 2 it is about 20 m; a path of 2 m then deviates from its tangent by 0.1 m.
+"""
 STRAIGHT_TURN_RAD = 1e-3
+"""Turn per gait period below which a path counts as straight, rad.
+
+These 0.06° are of the size that contact creep causes in a snake that does not move forward.
+"""
 
 
 def turning_radius(speed: float, yaw_rate: float, period: float, length: float) -> float | None:
-    """Return the signed radius (m), positive where its centre lies on the left; None when straight.
+    """Return the signed turning radius, m, positive to the left; None for a straight path.
 
-    In one period the body is carried speed · period along a chord and turns by yaw_rate · period; the chord
-    of that angle has this radius. (Speed over yaw rate would be that of the averaged path, which the
-    averaging draws inwards: by 1 % where a period turns by half a radian.)
+    In one period the body moves along a chord of length speed · period and turns by yaw_rate · period, which
+    determines the radius of the circle. Speed divided by yaw rate would be the radius of the averaged path,
+    which is smaller: by 1 % if the body turns by half a radian per period.
 
     Args:
-        speed: along the heading, m/s.
+        speed: mean speed along the heading, m/s.
         yaw_rate: rad/s.
-        period: of the gait, s.
-        length: of the body, m.
+        period: gait period, s.
+        length: body length, m.
     """
     turn = yaw_rate * period
     if abs(turn) < STRAIGHT_TURN_RAD:
@@ -200,7 +226,7 @@ def turning_radius(speed: float, yaw_rate: float, period: float, length: float) 
 
 
 def path_curvature(chord: float, turn: float) -> float:
-    """Return the curvature of the circle with a chord (m, not 0) over which the body turns (rad), 1/m."""
+    """Return the curvature (1/m) of a circle from a chord (m, not 0) and the turn along it (rad)."""
     return 2 * math.sin(turn / 2) / chord
 
 
@@ -210,15 +236,15 @@ ENERGY_METRICS = (
 
 
 def energy_metrics(trajectory: Trajectory, window: GaitWindow, speed: float) -> dict[str, Any]:
-    """Measure what a gait costs, over whole periods.
+    """Compute the power and cost of transport of a gait over whole periods.
 
-    - ``mechanical_power_w``: work of the torques; on average, power that friction and segments dissipate.
-    - ``internal_power_w``: part of it that segments dissipate inside, in a twin.
-    - ``cost_of_transport``: that over weight times speed.
-    - ``pneumatic_power_w``: supply pressure times the volume of air drawn at that pressure.
-    - ``pneumatic_cost_of_transport``: likewise.
+    - ``mechanical_power_w``: mean power of the torques, which friction and segments dissipate.
+    - ``internal_power_w``: part of it that the segments of a twin dissipate.
+    - ``cost_of_transport``: mechanical power divided by weight and speed.
+    - ``pneumatic_power_w``: supply pressure times the volume of air drawn at that pressure, per time.
+    - ``pneumatic_cost_of_transport``: pneumatic power divided by weight and speed.
 
-    Each is None where the run did not record what it needs.
+    A metric is None if the run does not record the required columns.
 
     Args:
         trajectory: one run.
@@ -241,6 +267,6 @@ def energy_metrics(trajectory: Trajectory, window: GaitWindow, speed: float) -> 
 
 
 def _mean_rate(trajectory: Trajectory, window: GaitWindow, name: str) -> float:
-    """Return how fast a column that adds up grows over the window."""
+    """Return the mean rate of a cumulative column over the window."""
     start, end = np.interp([window.start, window.end], trajectory.time, trajectory[name])
     return float((end - start) / (window.end - window.start))

@@ -1,8 +1,8 @@
-"""Metrics of iterative learning: amplitudes and duties by period, convergence, the path before and after.
+"""Metrics of iterative learning: amplitudes and duties by period, convergence, path before and after.
 
-What is measured is what the sensors read, in the periods of each chamber's own clock (`control.duties`). The
-path of the centre of mass is measured over the last periods, and with it how far the body reaches to the left
-and right of it (Fig. 58, Table 8).
+Amplitudes are computed from the sensor readings in the periods of each chamber (`control.duties`). The path
+of the centre of mass is measured over the last periods, together with the extent of the body to its left and
+right (Fig. 58, Table 8).
 """
 
 from __future__ import annotations
@@ -13,24 +13,31 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.comparison.centre_line import on_both_sides
-from srs_twin.comparison.gait import LEAST_WAY, GaitWindow, carried, path_curvature, turning_radius
+from srs_twin.comparison.centre_line import offset_to_sides
+from srs_twin.comparison.gait import (
+    MIN_TRAVEL_BODY_LENGTHS,
+    GaitWindow,
+    displacement_per_period,
+    path_curvature,
+    turning_radius,
+)
 from srs_twin.comparison.sampling import body_length, label, positive_number, units_of
 from srs_twin.errors import InputError
 from srs_twin.trajectory import Trajectory
 
-_ROUNDING = 1e-6  # of a period
+_PERIOD_ROUNDING = 1e-6
+"""Tolerance for comparing times, as a fraction of a gait period."""
 
 
 @dataclass(frozen=True)
-class ChamberPeriods:
-    """What each chamber did in its own periods, of which the run holds K in whole.
+class PeriodAmplitudes:
+    """Amplitude, target and duty of each chamber in each of its K whole periods.
 
     Attributes:
-        amplitude: furthest sensed bend to the chamber's side, shape (K, segments, 2), rad; NaN where
-            nothing was read.
-        target: at the end of the period, same shape, rad; NaN where there is none.
-        duty: same shape.
+        amplitude: largest sensed bend to the side of the chamber, shape (K, segments, 2), rad; NaN without a
+            valid reading.
+        target: target amplitude at the end of the period, same shape, rad; NaN if there is none.
+        duty: duty in the middle of the period, same shape.
     """
 
     amplitude: np.ndarray
@@ -39,117 +46,116 @@ class ChamberPeriods:
 
     @property
     def error(self) -> np.ndarray:
-        """Target less amplitude, shape (K, segments, 2), rad."""
+        """Target minus amplitude, shape (K, segments, 2), rad."""
         return self.target - self.amplitude
 
     @classmethod
-    def of(cls, trajectory: Trajectory) -> ChamberPeriods:
-        """Cut a run into the periods of its chambers.
+    def from_trajectory(cls, trajectory: Trajectory) -> PeriodAmplitudes:
+        """Divide a run into the periods of its chambers.
 
         Raises:
-            InputError: the metadata do not say when chambers begin to fill, or how often.
+            InputError: the metadata lack the fill starts of the chambers or the gait frequency.
         """
         sensed = trajectory.stack("sensed")
-        period, begins = _clocks(trajectory, sensed.shape[-1])
+        period, fill_starts = _chamber_periods(trajectory, sensed.shape[-1])
         time = trajectory.time
-        whole = int(math.floor(((time[-1] - begins) / period).min() + _ROUNDING))
+        whole = int(math.floor(((time[-1] - fill_starts) / period).min() + _PERIOD_ROUNDING))
         shape = (max(whole, 0), sensed.shape[-1], 2)
-        found = cls(*np.full((3, *shape), math.nan))
+        result = cls(*np.full((3, *shape), math.nan))
         for side, name in enumerate(("plus", "minus")):
             target, duty = trajectory.stack(f"target_{name}"), trajectory.stack(f"duty_{name}")
             for j in range(shape[1]):
-                away = sensed[:, j] if side == 0 else -sensed[:, j]
-                edges = begins[j, side] + period * (np.arange(shape[0] + 1) - _ROUNDING)
-                cuts = np.searchsorted(time, edges)
-                for n, (first, end) in enumerate(zip(cuts[:-1], cuts[1:], strict=True)):
-                    good = away[first:end][np.isfinite(away[first:end])]
-                    found.amplitude[n, j, side] = good.max() if len(good) else math.nan
-                    # A sample shows what its tick was given: the last one of a period is still its own.
-                    found.target[n, j, side] = target[end - 1, j]
-                    found.duty[n, j, side] = duty[(first + end) // 2, j]
-        return found
+                bend = sensed[:, j] if side == 0 else -sensed[:, j]
+                edges = fill_starts[j, side] + period * (np.arange(shape[0] + 1) - _PERIOD_ROUNDING)
+                samples = np.searchsorted(time, edges)
+                for n, (first, end) in enumerate(zip(samples[:-1], samples[1:], strict=True)):
+                    valid = bend[first:end][np.isfinite(bend[first:end])]
+                    result.amplitude[n, j, side] = valid.max() if len(valid) else math.nan
+                    # A sample is taken at the end of its tick, so the last one still belongs to the period.
+                    result.target[n, j, side] = target[end - 1, j]
+                    result.duty[n, j, side] = duty[(first + end) // 2, j]
+        return result
 
 
-def _clocks(trajectory: Trajectory, segments: int) -> tuple[float, np.ndarray]:
-    """Return the gait period (s) and when each chamber first fills, shape (segments, 2), s."""
+def _chamber_periods(trajectory: Trajectory, segments: int) -> tuple[float, np.ndarray]:
+    """Return the gait period (s) and the start of the first fill of each chamber, shape (segments, 2), s."""
     frequency = positive_number(trajectory, "gait_frequency_hz")
     listed = (trajectory.metadata.get("control") or {}).get("fill_begins_s")
-    begins = np.array(listed, dtype=float) if isinstance(listed, list) else np.empty(0)
-    if frequency is None or begins.shape != (segments, 2) or not np.isfinite(begins).all():
+    fill_starts = np.array(listed, dtype=float) if isinstance(listed, list) else np.empty(0)
+    if frequency is None or fill_starts.shape != (segments, 2) or not np.isfinite(fill_starts).all():
         raise InputError(
-            f"{label(trajectory)}: metadata gait_frequency_hz and control.fill_begins_s are needed to tell "
-            "the periods of the chambers"
+            f"{label(trajectory)}: the periods of the chambers are unknown; the metadata "
+            "need gait_frequency_hz and control.fill_begins_s"
         )
-    return 1 / frequency, begins
+    return 1 / frequency, fill_starts
 
 
-# A path that bends by less than this over its whole length is taken for a line, rad: where a circle would be
-# fitted to it, rounding would decide its radius.
-_LEAST_TURN = 1e-4
+_STRAIGHT_PATH_TURN = 1e-4
+"""Turn along the whole path below which a line is fitted, rad: a circle would have an arbitrary radius."""
 
 
 @dataclass(frozen=True)
 class PathFit:
-    """The circle, or the line, that fits the period-averaged path of a centre of mass best.
+    """Circle or line with the best fit to the period-averaged path of the centre of mass.
 
     Attributes:
-        centre: of the circle, shape (2,), m; of a line any point on it.
-        radius: m, positive where the centre lies on the left of the way the snake heads; None: a line.
-        ahead: unit vector along a line, shape (2,).
+        centre: centre of the circle, or any point on the line, shape (2,), m.
+        radius: m, positive if the centre is on the left of the heading; None for a line.
+        direction: unit vector of the heading in the middle of the path, or along the line, shape (2,).
     """
 
     centre: np.ndarray
     radius: float | None
-    ahead: np.ndarray
+    direction: np.ndarray
 
     @classmethod
-    def of(cls, trajectory: Trajectory, window: GaitWindow) -> PathFit | None:
-        """Return the fit over a window of whole periods; None of a snake that stays where it is."""
-        mean, velocity = window.running(trajectory, trajectory.com)
-        heading, turning = window.running(trajectory, trajectory["heading"])
-        middle = mean.mean(axis=0)
+    def from_trajectory(cls, trajectory: Trajectory, window: GaitWindow) -> PathFit | None:
+        """Return the fit over a window of whole periods; None if the snake does not move."""
+        mean, velocity = window.running_mean(trajectory, trajectory.com)
+        heading, turn_rate = window.running_mean(trajectory, trajectory["heading"])
+        centroid = mean.mean(axis=0)
         length = float(np.hypot(*velocity.T).mean()) * (window.periods - 1) * window.period
         if length < 1e-9:
             return None
-        # Along the path the heading goes with it: which side is left is the heading's to say.
-        facing = heading[len(heading) // 2]
-        ahead = np.array([np.cos(facing), np.sin(facing)])
-        turn = float(turning.mean()) * window.period
-        x, y = (mean - middle).T / length
-        # Kåsa's circle: x² + y² + a x + b y + c = 0, by least squares.
+        # Left and right refer to the heading, also if the snake moves backward.
+        middle_heading = heading[len(heading) // 2]
+        direction = np.array([np.cos(middle_heading), np.sin(middle_heading)])
+        turn = float(turn_rate.mean()) * window.period
+        x, y = (mean - centroid).T / length
+        # Least-squares circle of Kåsa: x² + y² + a x + b y + c = 0.
         basis = np.stack([x, y, np.ones_like(x)], axis=-1)
         (a, b, c), _, rank, _ = np.linalg.lstsq(basis, -(x**2 + y**2), rcond=1e-10)
-        bent = rank == 3 and abs(turn) * (window.periods - 1) >= _LEAST_TURN
-        if not bent:
-            along = np.linalg.svd(mean - middle, full_matrices=False)[2][0]
-            return cls(middle, None, along if along @ ahead > 0 else -along)
+        curved = rank == 3 and abs(turn) * (window.periods - 1) >= _STRAIGHT_PATH_TURN
+        if not curved:
+            axis = np.linalg.svd(mean - centroid, full_matrices=False)[2][0]
+            return cls(centroid, None, axis if axis @ direction > 0 else -axis)
         centre = np.array([-a / 2, -b / 2])
-        # Averaging over a period draws a circle inwards by the sinc of half the turn.
+        # The mean over a period reduces the radius by the factor sinc(turn/2).
         radius = length * float(np.sqrt(centre @ centre - c)) / float(np.sinc(turn / (2 * np.pi)))
-        left = ahead[0] * centre[1] - ahead[1] * centre[0]
-        return cls(middle + length * centre, radius if left > 0 else -radius, ahead)
+        left = direction[0] * centre[1] - direction[1] * centre[0]
+        return cls(centroid + length * centre, radius if left > 0 else -radius, direction)
 
-    def to_the_right(self, points: np.ndarray) -> np.ndarray:
-        """Return how far points, shape (…, 2), lie to the right of the path, shape (…), m."""
-        apart = points - self.centre
+    def right_offset(self, points: np.ndarray) -> np.ndarray:
+        """Return the distance of points, shape (…, 2), to the right of the path, shape (…), m."""
+        offset = points - self.centre
         if self.radius is None:
-            side: np.ndarray = self.ahead[1] * apart[..., 0] - self.ahead[0] * apart[..., 1]
+            side: np.ndarray = self.direction[1] * offset[..., 0] - self.direction[0] * offset[..., 1]
             return side
-        beyond = np.hypot(apart[..., 0], apart[..., 1]) - abs(self.radius)
-        return beyond if self.radius > 0 else -beyond
+        outward = np.hypot(offset[..., 0], offset[..., 1]) - abs(self.radius)
+        return outward if self.radius > 0 else -outward
 
 
 def box_edges(trajectory: Trajectory, window: GaitWindow, path: PathFit) -> tuple[float, float]:
-    """Return the left and the right edge of what a body sweeps over a window, m; left is negative.
+    """Return the left (negative) and right edge of the area that the body covers in a window, m.
 
-    Each connector counts with half the width of the body on either side of it, across its own heading, where
-    the metadata give a width (``body_width_m``).
+    Each connector has half the body width on both sides, across its own heading, if the metadata contain a
+    width (``body_width_m``).
     """
-    seen = (trajectory.time >= window.start - 1e-9) & (trajectory.time <= window.end + 1e-9)
-    theta, position = trajectory.stack("theta")[seen], trajectory.position[seen]
+    inside = (trajectory.time >= window.start - 1e-9) & (trajectory.time <= window.end + 1e-9)
+    theta, position = trajectory.stack("theta")[inside], trajectory.position[inside]
     half = (positive_number(trajectory, "body_width_m") or 0.0) / 2
-    reach = path.to_the_right(on_both_sides(position, theta, half))
-    return float(reach.min()), float(reach.max())
+    offset = path.right_offset(offset_to_sides(position, theta, half))
+    return float(offset.min()), float(offset.max())
 
 
 LEARNING_UNITS = units_of("""
@@ -159,87 +165,91 @@ LEARNING_UNITS = units_of("""
     path_radius_m path_radius_spread_rel heading_drift_rad
     duty_lowest duty_highest box_left_m box_right_m
 """)
-"""Metrics of a run under iterative learning, each one number or None."""
+"""Metrics of a run with iterative learning; each is one number or None."""
 
 LEARNING_LIST_UNITS = units_of("amplitude_error_rad duty heading_drift_by_period_rad")
-"""Histories: a list a period, of a list a segment, of the + and − chamber; the heading's numbers a period."""
+"""Histories: per period a list per segment of lists per chamber; of the heading one number per period."""
 
-CONVERGED = 0.05
-"""Share of its target by which an amplitude may miss it."""
+CONVERGENCE_TOLERANCE = 0.05
+"""Largest relative amplitude error of a chamber that has converged, 1."""
 LAST_PERIODS = 5
-"""Over how many periods at the end the path is measured."""
+"""Number of periods at the end of a run over which the path is measured."""
 
-_LEAST_CURVATURE = 1e-3
-"""Of a path that is not straight beforehand, 1/m."""
+_MIN_CURVATURE = 1e-3
+"""Smallest curvature of a path that is not straight before learning, 1/m."""
 
 
 def is_learning(trajectory: Trajectory) -> bool:
-    """Say whether a run was under iterative learning."""
+    """Return whether a run has iterative learning."""
     return all(trajectory.has(name) for name in ("sensed", "duty_plus", "target_plus"))
 
 
 def learning_metrics(trajectory: Trajectory) -> dict[str, Any]:
-    """Measure one run under iterative learning; None where a metric does not apply.
+    """Compute the metrics of a run with iterative learning; None for those that do not apply.
 
-    Amplitudes, in the periods of each chamber, numbered from 1 (a period that had begun before the start
-    counts); chambers without a target, those of modules left out, do not count:
+    Amplitudes refer to the periods of each chamber, which are numbered from 1; a period that began before
+    time 0 counts as well. Chambers without a target, which belong to modules with a fault, are left out:
 
-    - ``amplitude_growth_rel``: mean amplitude of the last period before a duty changes over that of the
-      first; 1 where the air is there from the start.
-    - ``periods_to_converge``: the first period from which on all amplitudes stay within 5 % of their target.
-    - ``amplitude_error_end_rad`` and ``…_rel``: the largest error in the last period, and over its target.
-    - ``duty_lowest`` and ``duty_highest``: of the last period.
-    - ``amplitude_error_rad`` (target less amplitude, None without a target) and ``duty``: by period, segment
+    - ``amplitude_growth_rel``: mean amplitude of the last period before a duty changes, divided by that of
+      the first period; 1 if the chambers have their final pressures from the start.
+    - ``periods_to_converge``: first period from which all amplitudes stay within 5 % of their targets.
+    - ``amplitude_error_end_rad`` and ``amplitude_error_end_rel``: largest error in the last period, and the
+      largest error divided by its target.
+    - ``duty_lowest`` and ``duty_highest``: smallest and largest duty in the last period.
+    - ``amplitude_error_rad`` (target minus amplitude, None without a target) and ``duty``: by period, segment
       and chamber.
 
-    The path, by periods of which each carries the centre of mass along a chord and turns the body, means over
-    the phase (so that five periods have four of them); curvature 2 sin(turn/2)/chord, positive to the left:
+    For the path, each period gives the chord along which the centre of mass moves and the turn of the body.
+    Both are means over the phase, so five periods give four values. Curvature is 2 sin(turn/2)/chord,
+    positive to the left:
 
-    - ``path_curvature_before_per_m``: over the two periods before the first update of a duty, None where they
-      would begin less than half a period after the start.
-    - ``path_speed_m_s`` (chord over period), ``path_curvature_per_m``, ``path_radius_m``,
-      ``heading_drift_rad`` (turn a period): means over the last five.
-      ``path_radius_spread_rel``: largest less smallest radius among them, over their mean.
-    - ``path_bend_before_per_m``, ``path_bend_per_m``: the sizes of both curvatures; ``path_bend_left_rel``:
-      the second over the first, what learning has left of it.
-    - ``box_left_m``, ``box_right_m``: how far the body reaches to the left (negative) and right of the circle
-      or line through the period-averaged path of the last five.
-    - ``heading_drift_by_period_rad``: turn of every whole period of the run.
+    - ``path_curvature_before_per_m``: mean over the two periods before the first update of a duty; None if
+      they would begin less than half a period after the start.
+    - ``path_speed_m_s`` (chord per period), ``path_curvature_per_m``, ``path_radius_m``,
+      ``heading_drift_rad`` (turn per period): means over the last five periods.
+    - ``path_radius_spread_rel``: range of the radii in these periods, divided by their mean.
+    - ``path_bend_before_per_m``, ``path_bend_per_m``: magnitudes of both curvatures.
+    - ``path_bend_left_rel``: the second magnitude divided by the first, the fraction that remains after
+      learning.
+    - ``box_left_m``, ``box_right_m``: extent of the body to the left (negative) and to the right of the
+      circle or line through the period-averaged path of the last five periods.
+    - ``heading_drift_by_period_rad``: turn in every whole period of the run.
 
     Args:
-        trajectory: a run with ``sensed``, ``duty_…`` and ``target_…``.
+        trajectory: run with ``sensed``, ``duty_…`` and ``target_…``.
 
     Raises:
         InputError: columns or metadata are missing or unusable.
     """
-    by_period = ChamberPeriods.of(trajectory)
+    by_period = PeriodAmplitudes.from_trajectory(trajectory)
     period = 1 / (positive_number(trajectory, "gait_frequency_hz") or math.nan)
-    path, before = _path(trajectory, period), _before(trajectory, period)
+    path, before = _path(trajectory, period), _curvature_before(trajectory, period)
     return {
         **dict.fromkeys(LEARNING_UNITS),
         **_amplitudes(by_period),
         "amplitude_growth_rel": _growth(by_period),
         **path,
         "path_curvature_before_per_m": before,
-        **_straightened(before, path.get("path_curvature_per_m")),
-        "amplitude_error_rad": _listed(by_period.error),
-        "duty": _listed(by_period.duty),
-        "heading_drift_by_period_rad": _turns(trajectory, period).tolist(),
+        **_curvature_change(before, path.get("path_curvature_per_m")),
+        "amplitude_error_rad": _nested_lists(by_period.error),
+        "duty": _nested_lists(by_period.duty),
+        "heading_drift_by_period_rad": _turn_by_period(trajectory, period).tolist(),
     }
 
 
-def _amplitudes(by_period: ChamberPeriods) -> dict[str, float | None]:
-    counted = ~np.isnan(by_period.target[-1:]) if len(by_period.target) else np.zeros((0, 0, 2), dtype=bool)
-    if not counted.any():
+def _amplitudes(by_period: PeriodAmplitudes) -> dict[str, float | None]:
+    working = ~np.isnan(by_period.target[-1:]) if len(by_period.target) else np.zeros((0, 0, 2), dtype=bool)
+    if not working.any():
         return {}
-    error, target = np.abs(by_period.error[:, counted[0]]), by_period.target[:, counted[0]]
-    there = (error <= CONVERGED * target).all(axis=1)
-    away = np.flatnonzero(~there)
-    since = int(away[-1]) + 2 if len(away) else 1
+    error, target = np.abs(by_period.error[:, working[0]]), by_period.target[:, working[0]]
+    converged = (error <= CONVERGENCE_TOLERANCE * target).all(axis=1)
+    outside = np.flatnonzero(~converged)
+    # Periods are numbered from 1, and convergence begins after the last period outside the tolerance.
+    first = int(outside[-1]) + 2 if len(outside) else 1
     known = not np.isnan(error[-1]).any()
-    duty = by_period.duty[-1, counted[0]]
+    duty = by_period.duty[-1, working[0]]
     return {
-        "periods_to_converge": float(since) if since <= len(there) else None,
+        "periods_to_converge": float(first) if first <= len(converged) else None,
         "amplitude_error_end_rad": float(error[-1].max()) if known else None,
         "amplitude_error_end_rel": float((error[-1] / target[-1]).max()) if known else None,
         "duty_lowest": float(duty.min()),
@@ -247,70 +257,74 @@ def _amplitudes(by_period: ChamberPeriods) -> dict[str, float | None]:
     }
 
 
-def _growth(by_period: ChamberPeriods) -> float | None:
-    """Return by how much amplitudes grew while all duties stayed what they were."""
+def _growth(by_period: PeriodAmplitudes) -> float | None:
+    """Return the mean amplitude of the last period before a duty changes, divided by the first one."""
     if not len(by_period.duty):
         return None
-    same = (by_period.duty == by_period.duty[0]).all(axis=(1, 2))
-    last = len(same) - 1 if same.all() else int(np.argmin(same)) - 1
-    first, grown = by_period.amplitude[0].mean(), by_period.amplitude[last].mean()
-    return float(grown / first) if last > 0 and first > 0 else None
+    unchanged = (by_period.duty == by_period.duty[0]).all(axis=(1, 2))
+    last = len(unchanged) - 1 if unchanged.all() else int(np.argmin(unchanged)) - 1
+    first_mean, last_mean = by_period.amplitude[0].mean(), by_period.amplitude[last].mean()
+    return float(last_mean / first_mean) if last > 0 and first_mean > 0 else None
 
 
 def _path(trajectory: Trajectory, period: float) -> dict[str, float | None]:
-    window = GaitWindow.last(trajectory, period, float(trajectory.time[-1]), LAST_PERIODS)
+    """Return the metrics of the path over the last periods."""
+    window = GaitWindow.ending_at(trajectory, period, float(trajectory.time[-1]), LAST_PERIODS)
     if window is None:
         return {}
-    chords, turns = carried(trajectory, window)
-    found: dict[str, float | None] = {
+    chords, turns = displacement_per_period(trajectory, window)
+    metrics: dict[str, float | None] = {
         "heading_drift_rad": float(turns.mean()),
         "path_speed_m_s": float(chords.mean()) / period,
     }
     length = body_length(trajectory)
-    path = PathFit.of(trajectory, window) if abs(chords.mean()) >= LEAST_WAY * length else None
+    moves = abs(chords.mean()) >= MIN_TRAVEL_BODY_LENGTHS * length
+    path = PathFit.from_trajectory(trajectory, window) if moves else None
     if path is None:
-        return found
-    found["path_curvature_per_m"] = path_curvature(float(chords.mean()), float(turns.mean()))
+        return metrics
+    metrics["path_curvature_per_m"] = path_curvature(float(chords.mean()), float(turns.mean()))
     speeds, yaw_rates = chords / period, turns / period
     mean = turning_radius(float(speeds.mean()), float(yaw_rates.mean()), period, length)
     pairs = zip(speeds.tolist(), yaw_rates.tolist(), strict=True)
-    radii = [turning_radius(*each, period, length) for each in pairs]
+    radii = [turning_radius(speed, yaw_rate, period, length) for speed, yaw_rate in pairs]
     if mean is not None and None not in radii:
-        found["path_radius_spread_rel"] = float(np.ptp(np.array(radii, dtype=float)) / abs(mean))
-    found["path_radius_m"] = mean
-    found["box_left_m"], found["box_right_m"] = box_edges(trajectory, window, path)
-    return found
+        metrics["path_radius_spread_rel"] = float(np.ptp(np.array(radii, dtype=float)) / abs(mean))
+    metrics["path_radius_m"] = mean
+    metrics["box_left_m"], metrics["box_right_m"] = box_edges(trajectory, window, path)
+    return metrics
 
 
-def _before(trajectory: Trajectory, period: float) -> float | None:
-    """Return the curvature of the path over the two periods before a duty changes."""
+def _curvature_before(trajectory: Trajectory, period: float) -> float | None:
+    """Return the curvature of the path over the two periods before the first change of a duty."""
     duty = np.concatenate([trajectory.stack("duty_plus"), trajectory.stack("duty_minus")], axis=-1)
     changed = np.flatnonzero((duty != duty[0]).any(axis=1))
     end = float(trajectory.time[changed[0] - 1] if len(changed) else trajectory.time[-1])
-    window = GaitWindow.last(trajectory, period, end, 2)
-    if window is None or window.start - float(trajectory.time[0]) < 0.5 * period * (1 - _ROUNDING):
+    window = GaitWindow.ending_at(trajectory, period, end, 2)
+    earliest = 0.5 * period * (1 - _PERIOD_ROUNDING)
+    if window is None or window.start - float(trajectory.time[0]) < earliest:
         return None
-    chords, turns = carried(trajectory, window)
-    if not abs(chords.mean()) >= LEAST_WAY * body_length(trajectory):
+    chords, turns = displacement_per_period(trajectory, window)
+    if not abs(chords.mean()) >= MIN_TRAVEL_BODY_LENGTHS * body_length(trajectory):
         return None
     return path_curvature(float(chords.mean()), float(turns.mean()))
 
 
-def _straightened(before: float | None, after: float | None) -> dict[str, float | None]:
-    first, second = (None if each is None else abs(each) for each in (before, after))
-    left = None if first is None or second is None or first < _LEAST_CURVATURE else second / first
-    return {"path_bend_before_per_m": first, "path_bend_per_m": second, "path_bend_left_rel": left}
+def _curvature_change(before: float | None, after: float | None) -> dict[str, float | None]:
+    first, last = (None if curvature is None else abs(curvature) for curvature in (before, after))
+    ratio = None if first is None or last is None or first < _MIN_CURVATURE else last / first
+    return {"path_bend_before_per_m": first, "path_bend_per_m": last, "path_bend_left_rel": ratio}
 
 
-def _turns(trajectory: Trajectory, period: float) -> np.ndarray:
-    """Return by how much each whole period of a run turns the body, rad."""
-    whole = int(math.floor((trajectory.time[-1] - trajectory.time[0]) / period + _ROUNDING))
-    begins = trajectory.time[0] + period * np.arange(whole + 1)
-    return np.diff(np.interp(begins, trajectory.time, trajectory["heading"]))
+def _turn_by_period(trajectory: Trajectory, period: float) -> np.ndarray:
+    """Return the turn of the body in each whole period of a run, rad."""
+    duration = trajectory.time[-1] - trajectory.time[0]
+    whole = int(math.floor(duration / period + _PERIOD_ROUNDING))
+    starts = trajectory.time[0] + period * np.arange(whole + 1)
+    return np.diff(np.interp(starts, trajectory.time, trajectory["heading"]))
 
 
-def _listed(values: np.ndarray) -> list[Any]:
-    """Return nested lists, None in place of NaN."""
+def _nested_lists(values: np.ndarray) -> list[Any]:
+    """Return nested lists, with None in place of NaN."""
     if values.ndim > 1:
-        return [_listed(each) for each in values]
-    return [None if math.isnan(each) else each for each in values.tolist()]
+        return [_nested_lists(row) for row in values]
+    return [None if math.isnan(value) else value for value in values.tolist()]

@@ -1,4 +1,4 @@
-"""All metrics of one trajectory, and what a table says beside them: differences and published values."""
+"""Metrics of one trajectory, their meanings, and the tables and sentences that present them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from srs_twin.comparison.learning import (
     learning_metrics,
 )
 from srs_twin.comparison.reading import READING_UNITS, reading_metrics
-from srs_twin.comparison.sampling import body_length, require, units_of
+from srs_twin.comparison.sampling import body_length, check_columns, units_of
 from srs_twin.comparison.tracking import TRACKING_UNITS, tracking_metrics
 from srs_twin.trajectory import Trajectory
 
@@ -36,54 +36,58 @@ RELATIVE = set(
     reading_error_rad reading_backstep_rad reading_range_t
     """.split()
 ).union(*(group.relative for group in metric_groups()))
-"""Metrics whose difference is given over the analytical value; of others in their own unit."""
+"""Metrics whose difference is shown relative to the analytical value; other differences keep their unit."""
 
-_ROUNDING = 1e-9  # of a value: what two ways of adding up may differ by
-_NOT_COMPARED = {"wall_s", "realtime_factor"}  # how long a computer took tells the plants nothing
+_ROUNDING = 1e-9
+"""Relative difference of two values that are equal except for rounding, 1."""
+_NOT_COMPARED = {"wall_s", "realtime_factor"}
+"""Metrics whose difference is not shown: computing times are not properties of the plants."""
 
 
 def difference(metrics: Mapping[str, Any], metric: str) -> str:
-    """Return twin − analytical in words, over the (signed) analytical value where that is usual.
+    """Return twin − analytical as text, for some metrics relative to the (signed) analytical value.
 
     Args:
-        metrics: what stands in metrics.json.
+        metrics: contents of metrics.json.
         metric: name of the metric.
 
     Returns:
-        E.g. "-11.5 %" or "+0.0432"; empty where there is nothing to compare.
+        For example "-11.5 %" or "+0.0432"; empty if one of the values is missing.
     """
-    ours, theirs = (metrics["plants"].get(plant, {}).get(metric) for plant in ("analytical", "twin"))
-    if metric in _NOT_COMPARED or not isinstance(ours, int | float) or not isinstance(theirs, int | float):
+    model, twin = (metrics["plants"].get(plant, {}).get(metric) for plant in ("analytical", "twin"))
+    if metric in _NOT_COMPARED or not isinstance(model, int | float) or not isinstance(twin, int | float):
         return ""
     if metric == "com_speed_m_s":
-        ours *= (metrics.get("comparison") or {}).get("gap_factor") or 1.0
-    return relative_difference(ours, theirs) if metric in RELATIVE else _apart(ours, theirs)
+        model *= (metrics.get("comparison") or {}).get("gap_factor") or 1.0
+    return relative_difference(model, twin) if metric in RELATIVE else _absolute_difference(model, twin)
 
 
-def relative_difference(of: float, value: float) -> str:
-    """Return value − of in per cent of `of`: "-11.5 %"; in its own unit where a share says nothing."""
-    # A share of nothing, or of the other direction.
-    return f"{100 * (value - of) / of:+.1f} %" if of * value > 0 else _apart(of, value)
+def relative_difference(reference: float, value: float) -> str:
+    """Return value − reference in per cent of the reference, as "-11.5 %", or in its unit if signs differ."""
+    # A ratio to zero, or between opposite directions, has no meaning.
+    if reference * value <= 0:
+        return _absolute_difference(reference, value)
+    return f"{100 * (value - reference) / reference:+.1f} %"
 
 
-def _apart(of: float, value: float) -> str:
-    return "0" if abs(value - of) <= _ROUNDING * abs(of) else f"{value - of:+.3g}"
+def _absolute_difference(reference: float, value: float) -> str:
+    return "0" if abs(value - reference) <= _ROUNDING * abs(reference) else f"{value - reference:+.3g}"
 
 
 def published(expectations: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, str]]:
-    """Return metric → published value and its source, of the expectations that state both."""
+    """Return metric → published value and its source, for the expectations that contain both."""
     stated = [e for e in expectations if e.get("near") is not None and e.get("source")]
-    return {each["metric"]: (each["near"], each["source"]) for each in stated}
+    return {row["metric"]: (row["near"], row["source"]) for row in stated}
 
 
 MEASURED_UNITS = units_of("""
     measured_com_speed_rel measured_yaw_rate_abs measured_shape_rms_m measured_path_rms_m
     measured_bend_rms_rad measured_heading_rms_rad
 """) | {"measured_yaw_rate_abs": "rad/s"}
-"""Metrics of a plant against what was measured of the robot: plant less measured, as in `compare`."""
+"""Metrics of a plant compared with a recording of the robot: plant minus measurement, as in `compare`."""
 
 METRICS_LISTED = "`srs-twin schema`"
-"""What prints the names of all metrics, for messages."""
+"""Command that lists all metrics, for messages."""
 
 METRIC_UNITS = {
     **units_of("com_speed_m_s path_length_m yaw_rate_rad_s turning_radius_m mean_bend_amplitude_rad"),
@@ -96,98 +100,109 @@ METRIC_UNITS = {
     **MEASURED_UNITS,
     **units_of("wall_s realtime_factor"),
 }
-"""Metrics of a plant that are one number each: what an expectation can name."""
+"""Metrics of a plant that are one number each; expectations can refer to them."""
 
 LIST_METRIC_UNITS = units_of("bend_amplitude_rad bend_bias_rad valve_switches") | LEARNING_LIST_UNITS
-"""Metrics of a plant that are lists, head first; those of learning have a list a period."""
+"""Metrics of a plant that are lists, head first; those of iterative learning have one list per period."""
 
 COMPARISON_UNITS = units_of("""
     com_speed_rel gap_factor yaw_rate_abs shape_rms_m shape_rms_body path_rms_m
     bend_rms_rad bend_rms_rel heading_rms_rad
 """) | {"yaw_rate_abs": "rad/s"}
-"""Metrics of `compare`, each one number; they stand here so that naming them needs nothing else."""
+"""Metrics of `compare`, each one number. They are defined here so that listing them needs no other import."""
 
 
 _MEANINGS = """
-com_speed_m_s: forward speed of the centre of mass, mean over whole gait periods after two
-path_length_m: way of the centre of mass over the whole run
-yaw_rate_rad_s: mean rate of the heading over the same periods; to the left positive
-turning_radius_m: speed over yaw rate; none when it goes straight
-mean_bend_amplitude_rad: half the range of a bend, mean over the segments
-bend_amplitude_rad: the same of each segment, head first
+com_speed_m_s: forward speed of the centre of mass, mean over whole gait periods after the first two
+path_length_m: length of the path of the centre of mass over the whole run
+yaw_rate_rad_s: mean rate of the heading over the same periods; positive to the left
+turning_radius_m: radius of the path; none for a straight path
+mean_bend_amplitude_rad: half the range of the bend, mean over the segments
+bend_amplitude_rad: half the range of the bend of each segment, head first
 bend_bias_rad: mean bend of each segment, head first
-valve_switches: openings of each segment's + and - valve, head first
-mechanical_power_w: work of the torques of the segments, over time
-internal_power_w: mechanical power dissipated by a segment's hinges as they move against each other
-cost_of_transport: mechanical power over weight times speed
-pneumatic_power_w: energy of the air that the chambers draw, over time
-pneumatic_cost_of_transport: pneumatic power over weight times speed
+valve_switches: openings of the + and − valve of each segment, head first
+mechanical_power_w: mean power of the torques of the segments
+internal_power_w: mean power dissipated by relative motion of the hinges of a segment
+cost_of_transport: mechanical power divided by weight and speed
+pneumatic_power_w: mean power of the air that the chambers draw
+pneumatic_cost_of_transport: pneumatic power divided by weight and speed
 final_bend_rad: bend of the first segment at the end
-rise_time_s: from 10 to 90 % of a step
-overshoot_rel: bend beyond a step's end, over the step
-overshoot_rad: the same as an angle
-settling_2_s: until the bend stays within 2 % of the step
-settling_5_s: until the bend stays within 5 % of the step
-steady_error_rad: mean error while the reference rests, in its second half
-steady_rms_rad: RMS error there
-ripple_pp_rad: peak-to-peak of the bend there
-ripple_rms_rad: RMS of the bend about its mean there
-sensed_ripple_pp_rad: peak-to-peak of what the sensor reads there
-error_rms_rad: RMS of reference less bend over the run
-amplitude_rel: amplitude of the bend over that of a sine reference
-amplitude_spread_rel: its standard deviation from period to period
-phase_lag_rad: phase by which the bend follows a sine reference
-phase_lag_spread_rad: its standard deviation from period to period
-fit_residual_rad: RMS of the bend about the sine fitted to it
-inlet_openings: how often inlet valves opened
-outlet_openings: how often outlet valves opened
-amplitude_growth_rel: amplitude before the first learnt change over that of the first period, less 1
+rise_time_s: time from 10 to 90 % of a step
+overshoot_rel: overshoot divided by the step
+overshoot_rad: overshoot as an angle
+settling_2_s: time until the bend stays within 2 % of the step
+settling_5_s: time until the bend stays within 5 % of the step
+steady_error_rad: mean error in the second half of the time in which the reference is constant
+steady_rms_rad: RMS error in that time
+ripple_pp_rad: peak-to-peak of the bend in that time
+ripple_rms_rad: RMS of the bend about its mean in that time
+sensed_ripple_pp_rad: peak-to-peak of the sensor reading in that time
+error_rms_rad: RMS of reference minus bend over the run
+amplitude_rel: amplitude of the bend divided by that of a sine reference
+amplitude_spread_rel: standard deviation of that ratio between periods
+phase_lag_rad: phase lag of the bend behind a sine reference
+phase_lag_spread_rad: standard deviation of the phase lag between periods
+fit_residual_rad: RMS residual of the sine fitted to the bend
+inlet_openings: openings per inlet valve
+outlet_openings: openings per outlet valve
+amplitude_growth_rel: mean amplitude of the last period before a duty changes, divided by that of the first
 periods_to_converge: first period from which all amplitudes stay within 5 % of their targets
-amplitude_error_end_rad: largest error of an amplitude in the last period
-amplitude_error_end_rel: the same over its target
-amplitude_error_rad: error of each chamber's amplitude in each period
+amplitude_error_end_rad: largest amplitude error in the last period
+amplitude_error_end_rel: largest amplitude error in the last period, divided by its target
+amplitude_error_rad: amplitude error of each chamber in each period
 duty: learnt duty of each chamber in each period
-duty_lowest: lowest duty of the last period
-duty_highest: highest duty of the last period
-path_speed_m_s: way from period to period over time, in the last five periods
-path_curvature_before_per_m: curvature of the path before learning began; to the left positive
+duty_lowest: smallest duty in the last period
+duty_highest: largest duty in the last period
+path_speed_m_s: speed along the chords of the last five periods
+path_curvature_before_per_m: curvature of the path before learning; positive to the left
 path_curvature_per_m: curvature of the path in the last five periods
-path_bend_before_per_m: size of the curvature before learning began
-path_bend_per_m: size of the curvature in the last five periods
-path_bend_left_rel: what is left of the size of the curvature
+path_bend_before_per_m: magnitude of the curvature before learning
+path_bend_per_m: magnitude of the curvature in the last five periods
+path_bend_left_rel: fraction of the magnitude of the curvature that remains after learning
 path_radius_m: radius of the path in the last five periods
-path_radius_spread_rel: largest less smallest radius of these periods, over their mean
-heading_drift_rad: turn of the heading in a period, mean over the last five
+path_radius_spread_rel: range of the radii of these periods, divided by their mean
+heading_drift_rad: turn of the heading per period, mean over the last five
 heading_drift_by_period_rad: turn of the heading in each period
-box_left_m: how far the body reaches to the left of its path; negative
-box_right_m: how far the body reaches to the right of its path
-reading_r_squared: R² of a line through sensor readings over bends
-reading_error_rad: RMS of readings about the bends
-reading_backstep_rad: how far the reading falls while the bend grows
-reading_backstep_at_rad: bend at which it falls most
-reading_range_t: range of the sensor's magnetic field
-plan_found: 1 where a path was found, else 0
+box_left_m: extent of the body to the left of its path; negative
+box_right_m: extent of the body to the right of its path
+reading_r_squared: R² of a linear relation between sensor readings and bends
+reading_error_rad: largest difference between mean reading and mean bend
+reading_backstep_rad: largest decrease of the reading with increasing bend
+reading_backstep_at_rad: bend in the middle of that decrease
+reading_range_t: range of the magnetic field at the sensor
+plan_found: 1 if a path was found, else 0
 plan_length_m: length of the planned path
-plan_nodes: nodes that the search expanded
-plan_kink_rad: largest change of direction between two parts of the path
-goal_reached: 1 where the snake came to its goal, and not through an obstacle, else 0
+plan_nodes: number of nodes that the search expanded
+plan_kink_rad: largest change of direction between two arcs of the path
+goal_reached: 1 if the snake reached its goal without passing through an obstacle, else 0
 arrival_error_m: distance from the goal at the end
-arrival_heading_error_rad: angle between heading and goal at the end
+arrival_heading_error_rad: angle between the heading and the goal heading at the end
 cross_track_rms_m: RMS distance of the centre of mass from the planned path
 cross_track_max_m: largest distance of the centre of mass from the planned path
-inside_share: share of time at which the whole body is inside the planned footprint
-inside_50mm_share: share of time at which the whole body is inside the text's box of 50 mm
-contacts: how often the body touched an obstacle
-contact_time_s: how long it touched one
-clearance_m: least distance of the body from obstacles
-following_time_s: how long the way took
-replans: plans after the first
-measured_com_speed_rel: speed less that of the recorded robot, over it
-measured_yaw_rate_abs: size of the difference of the yaw rates
-measured_shape_rms_m: RMS distance of the connectors from the recorded ones, centre and heading aligned
+inside_share: fraction of the time in which the whole body is inside the planned footprint
+inside_50mm_share: fraction of the time in which the whole body is inside the 50 mm box of the dissertation
+contacts: number of contacts between body and obstacles
+contact_time_s: total time of these contacts
+clearance_m: smallest distance of the body from obstacles
+following_time_s: time from start to end of the path
+replans: number of plans after the first
+measured_com_speed_rel: speed minus that of the recorded robot, divided by the latter
+measured_yaw_rate_abs: magnitude of the difference of the yaw rates
+measured_shape_rms_m: RMS distance of the connectors from the recorded ones, with centre and heading aligned
 measured_path_rms_m: RMS distance of the centres of mass
 measured_bend_rms_rad: RMS difference of the bends
 measured_heading_rms_rad: RMS difference of the headings
+wall_s: computing time of the simulation
+realtime_factor: simulated time divided by computing time
+com_speed_rel: speed of the twin minus that of the analytical model, divided by the latter
+gap_factor: factor by which the analytical speed was multiplied for the comparison, 1 unless requested
+yaw_rate_abs: magnitude of the difference of the yaw rates
+shape_rms_m: RMS distance of corresponding connectors, with centre and heading aligned
+shape_rms_body: RMS distance of corresponding connectors divided by the body length
+path_rms_m: RMS distance of the centres of mass at equal times
+bend_rms_rad: RMS difference of the bends
+bend_rms_rel: RMS difference of the bends divided by the RMS bend of the analytical model
+heading_rms_rad: RMS difference of the headings
 wall_s: time that the simulation took
 realtime_factor: simulated time over that
 com_speed_rel: twin's speed less the analytical model's, over the latter
@@ -203,43 +218,47 @@ heading_rms_rad: RMS difference of the headings
 
 
 def meanings() -> dict[str, str]:
-    """Return metric → what it is, in a line: of plants, lists of plants, and the comparison."""
+    """Return metric → meaning in one line, for metrics of plants, lists and comparisons."""
     return dict(line.split(": ", 1) for line in _MEANINGS.split("\n") if line)
 
 
 VALIDATION = (
-    "Both plants are simulations. Held against hardware are only the values that the dissertation publishes "
-    "and recordings that were replayed; all other differences are between the two plants."
+    "Both plants are simulations. They are compared with hardware only by the values that the dissertation "
+    "publishes and by replayed recordings; all other differences are between the two plants."
 )
-"""What is validated and what is not, for every report."""
+"""Statement on validation for every report."""
 
-_ALIKE = 0.01  # of a value: plants that differ by less agree
-_TURNS = 0.05  # rad/s: slower is straight
-_NOTHING = 5e-5  # m/s, rad/s
+_SAME_RATIO = 0.01
+"""Relative difference below which plants agree, 1."""
+_STRAIGHT_RAD_S = 0.05
+"""Yaw rate below which a run counts as straight, rad/s."""
+_ZERO_RATE = 5e-5
+"""Rate that is shown as 0, m/s or rad/s."""
 _PRESET = "The twin ran with preset {}, for searching: cite a run without it (docs/models.md#presets)."
-_A_CAUSE = 0.25  # of a difference: smaller shares are not named
+_MIN_CAUSE_RATIO = 0.25
+"""Fraction of a difference that a cause must exceed to be mentioned, 1."""
 
 
 def headline(metrics: Mapping[str, Any]) -> str:
-    """Return in one sentence what a run says, and in another with which preset, where it was not the default.
+    """Return a one-sentence summary, and a second sentence on a preset other than the default.
 
     Args:
-        metrics: what stands in metrics.json.
+        metrics: contents of metrics.json.
     """
-    said, preset = _said(metrics), metrics.get("preset")
-    return f"{said} {_PRESET.format(preset)}" if preset else said
+    text, preset = _summary(metrics), metrics.get("preset")
+    return f"{text} {_PRESET.format(preset)}" if preset else text
 
 
-def _said(metrics: Mapping[str, Any]) -> str:
+def _summary(metrics: Mapping[str, Any]) -> str:
     plants = metrics["plants"]
-    ours, theirs = plants.get("analytical"), plants.get("twin")
-    one = ours or theirs or {}
-    if ours and theirs:
-        return _of_both(metrics, ours, theirs)
-    name = "twin" if theirs else "model"
+    model, twin = plants.get("analytical"), plants.get("twin")
+    one = model or twin or {}
+    if model and twin:
+        return _summary_of_both(metrics, model, twin)
+    name = "twin" if twin else "model"
     if one.get("com_speed_m_s") is not None:
         turn = one.get("yaw_rate_rad_s") or 0.0
-        how = "straight on" if abs(turn) < _TURNS else f"turning by {turn:.3g} rad/s"
+        how = "straight on" if abs(turn) < _STRAIGHT_RAD_S else f"turning by {turn:.3g} rad/s"
         return f"The {name} crawls at {one['com_speed_m_s']:.3g} m/s, {how}."
     if one.get("goal_reached") is not None:
         return f"The {name} {_arrives(one)}."
@@ -248,49 +267,50 @@ def _said(metrics: Mapping[str, Any]) -> str:
     return f"The {name} moves by {one.get('path_length_m') or 0.0:.3g} m."
 
 
-def _of_both(metrics: Mapping[str, Any], ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> str:
-    if ours.get("goal_reached") is not None and theirs.get("goal_reached") is not None:
-        return f"The twin {_arrives(theirs)}; the model {_arrives(ours)}."
-    if ours.get("error_rms_rad") is not None and theirs.get("error_rms_rad") is not None:
-        errors = f"{theirs['error_rms_rad']:.2g} rad RMS, the model within {ours['error_rms_rad']:.2g}"
+def _summary_of_both(metrics: Mapping[str, Any], model: Mapping[str, Any], twin: Mapping[str, Any]) -> str:
+    if model.get("goal_reached") is not None and twin.get("goal_reached") is not None:
+        return f"The twin {_arrives(twin)}; the model {_arrives(model)}."
+    if model.get("error_rms_rad") is not None and twin.get("error_rms_rad") is not None:
+        errors = f"{twin['error_rms_rad']:.2g} rad RMS, the model within {model['error_rms_rad']:.2g}"
         return f"The twin follows its reference within {errors}."
-    if ours.get("com_speed_m_s") is None or theirs.get("com_speed_m_s") is None:
-        apart = (metrics.get("comparison") or {}).get("bend_rms_rad") or 0.0
-        return f"The bends of twin and model differ by {apart:.2g} rad RMS."
+    if model.get("com_speed_m_s") is None or twin.get("com_speed_m_s") is None:
+        bend_rms = (metrics.get("comparison") or {}).get("bend_rms_rad") or 0.0
+        return f"The bends of twin and model differ by {bend_rms:.2g} rad RMS."
     text = f"The twin crawls {_compared(metrics, 'com_speed_m_s', 'slower', 'faster', 'm/s')}"
-    if max(abs(each.get("yaw_rate_rad_s") or 0.0) for each in (ours, theirs)) >= _TURNS:
+    if max(abs(run.get("yaw_rate_rad_s") or 0.0) for run in (model, twin)) >= _STRAIGHT_RAD_S:
         text += f", and turns {_compared(metrics, 'yaw_rate_rad_s', 'slower', 'faster', 'rad/s')}"
     return f"{text}."
 
 
 def _arrives(plant: Mapping[str, Any]) -> str:
     reached = "reaches its goal" if plant["goal_reached"] else "does not reach its goal"
-    off = plant.get("cross_track_rms_m")
-    return reached if off is None else f"{reached}, {1e3 * off:.0f} mm RMS from its path"
+    cross_track = plant.get("cross_track_rms_m")
+    return reached if cross_track is None else f"{reached}, {1e3 * cross_track:.0f} mm RMS from its path"
 
 
 def _compared(metrics: Mapping[str, Any], metric: str, less: str, more: str, unit: str) -> str:
-    of, value = (metrics["plants"][plant][metric] for plant in ("analytical", "twin"))
-    both = f"{value:.3g} against {of:.3g} {unit}"
-    if of * value <= 0:
-        return f"otherwise than the model ({both})"
-    share = value / of - 1
-    if abs(share) < _ALIKE:
+    reference, value = (metrics["plants"][plant][metric] for plant in ("analytical", "twin"))
+    both = f"{value:.3g} against {reference:.3g} {unit}"
+    if reference * value <= 0:
+        return f"unlike the model ({both})"
+    share = value / reference - 1
+    if abs(share) < _SAME_RATIO:
         return f"like the model ({both})"
-    why = _main_cause(metrics, metric, of, share)
+    why = _main_cause(metrics, metric, reference, share)
     return f"{abs(100 * share):.0f} % {less if share < 0 else more} than the model ({both}{why})"
 
 
-def _main_cause(metrics: Mapping[str, Any], metric: str, of: float, share: float) -> str:
-    """Return the main cause of a relative difference in words, in whole per cents that add up to it.
+def _main_cause(metrics: Mapping[str, Any], metric: str, reference: float, share: float) -> str:
+    """Return the main cause of a relative difference as text, in whole per cents that add up to it.
 
-    A cause that was switched on alone "would" have its effect; the shares of an attribution are averages over
-    the orders of switching. Empty where no cause acts in the direction of the difference.
+    The text of a cause that was switched alone says that it "would" have the effect. The contributions of an
+    attribution are means over the orders of switching. The text is empty if no cause acts in the direction of
+    the difference.
     """
     whole = round(100 * share)
     for name, change in _causes(metrics, metric):
-        effect = round(100 * change / of)
-        if effect * share <= 0 or abs(change / of) <= _A_CAUSE * abs(share):
+        effect = round(100 * change / reference)
+        if effect * share <= 0 or abs(change / reference) <= _MIN_CAUSE_RATIO * abs(share):
             continue
         alone, rest = "attribution" not in metrics, whole - effect
         verb = ("slow" if share < 0 else "speed") + ("" if alone else "s")
@@ -303,14 +323,14 @@ def _main_cause(metrics: Mapping[str, Any], metric: str, of: float, share: float
 
 
 def _causes(metrics: Mapping[str, Any], metric: str) -> list[tuple[str, float]]:
-    """Return assumptions and what each changes of a metric, the largest change first."""
+    """Return assumptions and their effects on a metric, the largest effect first."""
     if (attribution := metrics.get("attribution")) is not None:
         k = list(attribution["measures"]).index(metric)
-        found = [(share["name"], share["value"][k]) for share in attribution["shares"]]
+        effects = [(share["name"], share["value"][k]) for share in attribution["shares"]]
     else:
         cause = metrics.get("cause") or {}
-        found = [(cause["name"], cause[metric])] if cause else []
-    return sorted(found, key=lambda each: -abs(each[1]))
+        effects = [(cause["name"], cause[metric])] if cause else []
+    return sorted(effects, key=lambda effect: -abs(effect[1]))
 
 
 _MEASURED = "measured_shape_rms_m measured_path_rms_m measured_bend_rms_rad measured_heading_rms_rad"
@@ -319,7 +339,7 @@ _GAIT = f"""
     periods_to_converge amplitude_error_end_rel path_speed_m_s path_curvature_before_per_m
     path_curvature_per_m mechanical_power_w cost_of_transport pneumatic_power_w {_MEASURED} realtime_factor
 """.split()
-# Of a run whose bends follow a reference, or of one on a bench.
+# Metrics of a run whose bends follow a reference, or of a run on a bench.
 _BENCH = f"""
     final_bend_rad {_MEASURED} rise_time_s overshoot_rel settling_5_s settling_2_s steady_error_rad
     steady_rms_rad ripple_pp_rad error_rms_rad amplitude_rel phase_lag_rad fit_residual_rad inlet_openings
@@ -329,10 +349,10 @@ _COMPARISON = ("shape_rms_m", "path_rms_m", "bend_rms_rad")
 
 
 def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
-    """Return the metrics that a short table shows: by whether plants followed a plan or a reference."""
+    """Return the metrics of a short table, depending on whether the plants follow a plan or a reference."""
 
     def measured(*names: str) -> bool:
-        return any(each.get(name) is not None for each in plants.values() for name in names)
+        return any(plant.get(name) is not None for plant in plants.values() for name in names)
 
     for group in metric_groups():
         if measured(group.main):
@@ -341,20 +361,20 @@ def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
 
 
 def tidy(metric: str, value: Any) -> Any:
-    """Return a metric's value as it is shown: a rate that moves nothing is 0."""
+    """Return the value of a metric for display: negligible rates become 0."""
     rate = isinstance(value, float) and metric.endswith(("_m_s", "_rad_s"))
-    return 0.0 if rate and abs(value) < _NOTHING else value
+    return 0.0 if rate and abs(value) < _ZERO_RATE else value
 
 
 def result_rows(
     metrics: Mapping[str, Any], names: Iterable[str], text: Callable[[Any], str]
 ) -> Iterator[tuple[str, str, list[str], str]]:
-    """Yield the rows of a table of results: metric, unit, a cell a plant, difference.
+    """Yield the rows of a table of results: metric, unit, one cell per plant, difference.
 
     Args:
-        metrics: what stands in metrics.json.
-        names: metrics of plants and of the comparison; what has no value is left out.
-        text: writes a value.
+        metrics: contents of metrics.json.
+        names: metrics of plants and of the comparison; those without a value are left out.
+        text: function that formats a value.
     """
     units, plants = METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS, metrics["plants"].values()
     for name in names:
@@ -374,45 +394,45 @@ _NOT_LEARNING = dict.fromkeys(LEARNING_UNITS | LEARNING_LIST_UNITS)
 
 
 def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dict[str, Any]:
-    """Measure one run.
+    """Compute the metrics of one run.
 
-    The gait metrics are taken over whole gait periods after a warm-up of two (`GaitWindow`), and are None
-    where nothing is periodic or the run has fewer than three whole periods:
+    The gait metrics are means over whole gait periods after a warm-up of two (`GaitWindow`). They are None if
+    the run is not periodic or has fewer than three whole periods:
 
-    - ``com_speed_m_s``: arc length of the period-averaged path of the centre of mass over its time, negative
-      where that path runs against the period-mean heading.
+    - ``com_speed_m_s``: arc length of the period-averaged path of the centre of mass divided by its duration,
+      negative if that path is against the period-mean heading.
     - ``yaw_rate_rad_s``: slope of the period-mean heading, positive to the left.
-    - ``turning_radius_m``: radius of the circle on which each period carries the centre of mass, positive
-      where its centre lies on the left; None when straight (`gait.turning_radius`).
-    - ``bend_amplitude_rad``: half the peak-to-peak of each period, averaged over them; head first.
+    - ``turning_radius_m``: radius of the circle on which each period moves the centre of mass, positive if
+      its centre is on the left; None for a straight path (`gait.turning_radius`).
+    - ``bend_amplitude_rad``: half the peak-to-peak of each period, averaged over the periods; head first.
       ``mean_bend_amplitude_rad`` is the mean over the segments.
     - ``bend_bias_rad``: mean bend, head first.
-    - what it costs: see `gait.energy_metrics`.
+    - power and cost of transport: see `gait.energy_metrics`.
 
-    A run with a reference for the bends has `tracking.tracking_metrics`, one under iterative learning
-    `learning.learning_metrics`; they are None without. A run on a bench without a reference has
-    ``final_bend_rad``, the first segment's bend at its end. A run with a sensor that is not ideal has
-    `reading.reading_metrics`; extensions add their groups (`extensions.METRICS`).
-    What is said against a measured robot (`measured_…`) is None here; see `compare.MeasuredDifference`.
+    A run with a reference has `tracking.tracking_metrics`, and a run with iterative learning has
+    `learning.learning_metrics`; otherwise these are None. A run on a bench without a reference has
+    ``final_bend_rad``, the bend of the first segment at its end. A run with a non-ideal sensor has
+    `reading.reading_metrics`. Extensions add their groups of metrics (`extensions.METRICS`). The metrics of a
+    comparison with a recording (`measured_…`) are None here; see `compare.MeasuredDifference`.
 
-    The others cover the whole run: ``path_length_m`` of the raw path, ``valve_switches`` as [+, −] openings
-    a segment (None where nothing counted them), ``wall_s``, and ``realtime_factor``, simulated seconds over
-    wall seconds (both None without a wall time).
+    The remaining metrics cover the whole run: ``path_length_m`` of the raw path, ``valve_switches`` as [+, −]
+    openings per segment (None if they were not counted), ``wall_s``, and ``realtime_factor``, the simulated
+    time divided by the computing time (both None without a computing time).
 
     Args:
-        trajectory: one run, with ``body_length_m`` and ``gait_frequency_hz`` in its metadata.
-        wall_s: how long it took to compute, s.
+        trajectory: run with ``body_length_m`` and ``gait_frequency_hz`` in its metadata.
+        wall_s: computing time, s.
 
     Returns:
-        JSON values by the names above; units in `METRIC_UNITS` and `LIST_METRIC_UNITS`.
+        JSON values by the names above; their units are in `METRIC_UNITS` and `LIST_METRIC_UNITS`.
 
     Raises:
         InputError: columns or metadata are missing or unusable.
     """
-    require(trajectory, "com_x", "com_y", "heading", "bend")
+    check_columns(trajectory, "com_x", "com_y", "heading", "bend")
     steps = np.diff(trajectory.com, axis=0)
     simulated = float(trajectory.time[-1] - trajectory.time[0])
-    window = GaitWindow.of(trajectory)
+    window = GaitWindow.from_trajectory(trajectory)
     gait = dict.fromkeys(_GAIT_METRICS) if window is None else _gait_metrics(trajectory, window)
     following = trajectory.has("reference")
     ends = trajectory.metadata.get("base") == "clamped" and not following

@@ -1,4 +1,4 @@
-"""What all metrics share: their units, the checks of a trajectory, and smooth signals from its samples."""
+"""Units of metrics, checks of trajectories, and interpolation of their samples."""
 
 from __future__ import annotations
 
@@ -14,64 +14,64 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 
-# How names of metrics end besides keys of files, and the unit that this means; longer ends first.
+# Unit suffixes of metric names in addition to those of file keys; longer suffixes come first.
 _UNITS = {"_rad_s": "rad/s", "_per_m": "1/m", "_w": "W", "_t": "T", **UNITS}
 
 
 def split_unit(metric: str) -> tuple[str, str]:
-    """Return the name of a metric without its unit, and the unit; "1" where it names none."""
-    ending = next((each for each in _UNITS if metric.endswith(each)), "")
-    return metric.removesuffix(ending), _UNITS.get(ending, "1")
+    """Return the name of a metric without its unit suffix, and the unit; "1" if there is no suffix."""
+    suffix = next((suffix for suffix in _UNITS if metric.endswith(suffix)), "")
+    return metric.removesuffix(suffix), _UNITS.get(suffix, "1")
 
 
 def units_of(names: str) -> dict[str, str]:
-    """Return metric → unit of the metrics in a text."""
+    """Return metric → unit for the metric names in a string, separated by white space."""
     return {name: split_unit(name)[1] for name in names.split()}
 
 
 def rms(values: np.ndarray) -> float:
-    """Return the root of the mean of the squares."""
+    """Return the root mean square of values."""
     return float(np.sqrt(np.square(values).mean()))
 
 
 def label(trajectory: Trajectory) -> str:
-    """Return what to call a trajectory in a message: its plant, or 'trajectory'."""
+    """Return the name of a trajectory for messages: its plant, or 'trajectory'."""
     return str(trajectory.metadata.get("plant", "trajectory"))
 
 
-def require(trajectory: Trajectory, *names: str) -> None:
-    """Check that a trajectory can be measured.
+def check_columns(trajectory: Trajectory, *names: str) -> None:
+    """Check that metrics can be computed from a trajectory.
 
     Args:
         trajectory: one run.
-        names: columns that must be there besides ``time``; ``"x"`` stands for ``x_1…``.
+        names: columns that must exist in addition to ``time``; ``"x"`` means ``x_1…``.
 
     Raises:
-        InputError: a column is missing or holds a non-finite value, there is no sample, or time does not
-            increase from sample to sample.
+        InputError: a column is missing or contains a value that is not finite, there is no sample, or the
+            time does not increase between samples.
     """
-    who = label(trajectory)
+    run = label(trajectory)
     missing = [name for name in ("time", *names) if not trajectory.has(name)]
     if missing:
-        raise InputError(f"{who}: no column '{missing[0]}'; it cannot be measured without")
+        raise InputError(f"{run}: no column '{missing[0]}'; the metrics cannot be computed without it")
     if len(trajectory) == 0:
-        raise InputError(f"{who}: the trajectory holds no samples")
+        raise InputError(f"{run}: the trajectory has no samples")
     for name in ("time", *names):
         values = trajectory[name] if name in trajectory.columns else trajectory.stack(name)
         bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
         if bad.size:
             raise InputError(
-                f"{who}: column '{name}' is not finite at sample {bad[0]}; cut the run before it"
+                f"{run}: column '{name}' is not finite at sample {bad[0]}; cut the run before it"
             )
     if np.any(np.diff(trajectory.time) <= 0):
-        raise InputError(f"{who}: time must increase from sample to sample")
+        raise InputError(f"{run}: time must increase from sample to sample")
 
 
 def positive_number(trajectory: Trajectory, name: str) -> float | None:
-    """Return a positive number from the metadata, or None where it is null or absent.
+    """Return a positive number from the metadata, or None if it is null or missing.
 
     Raises:
-        InputError: something else stands there.
+        InputError: the value is neither a positive number nor null.
     """
     value = trajectory.metadata.get(name)
     if value is None:
@@ -84,10 +84,10 @@ def positive_number(trajectory: Trajectory, name: str) -> float | None:
 
 
 def segment_lengths(trajectory: Trajectory) -> tuple[float, float]:
-    """Return the length of a segment that bends and that of its straight ends from the metadata, m.
+    """Return the arc length of a segment and its rigid gap from the metadata, m.
 
     Raises:
-        InputError: one of them is not there.
+        InputError: one of them is missing.
     """
     length, gap = (trajectory.metadata.get(name) for name in ("segment_length_m", "rigid_gap_m"))
     if length is None or gap is None:
@@ -99,12 +99,12 @@ def body_length(trajectory: Trajectory) -> float:
     """Return the body length from the metadata, m.
 
     Raises:
-        InputError: it is not there.
+        InputError: it is missing.
     """
     length = positive_number(trajectory, "body_length_m")
     if length is None:
         raise InputError(
-            f"{label(trajectory)}: metadata body_length_m is missing; distances are measured against it"
+            f"{label(trajectory)}: metadata body_length_m is missing; distances are divided by it"
         )
     return length
 
@@ -112,13 +112,14 @@ def body_length(trajectory: Trajectory) -> float:
 def interpolant(trajectory: Trajectory, values: np.ndarray) -> CubicSpline:
     """Return the cubic spline through samples of a trajectory.
 
-    Its error is of fourth order in the sample period, that of its antiderivative over a period smaller still.
+    Its error is of fourth order in the sample period; the error of its integral over a gait period is
+    smaller.
 
     Args:
-        trajectory: two samples or more.
+        trajectory: run with two samples or more.
         values: shape (samples, …).
     """
-    # Imported here: half a second that nobody who only asks for the names of the metrics should pay.
+    # Imported here because it takes half a second, which commands that only list metrics do not need.
     from scipy.interpolate import CubicSpline
 
     return CubicSpline(trajectory.time, values)

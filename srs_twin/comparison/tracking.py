@@ -1,4 +1,4 @@
-r"""Metrics of a module that follows a reference: step response, sine fit, rest, valve openings (Chapter 4).
+r"""Metrics of a module that follows a reference: step response, sine fit, steady state (Chapter 4).
 
 Sines are fitted to recorded signals by least squares, at the frequency of the reference:
 
@@ -12,22 +12,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from srs_twin.comparison.gait import WARM_UP_PERIODS
-from srs_twin.comparison.sampling import require, rms, units_of
+from srs_twin.comparison.sampling import check_columns, rms, units_of
 from srs_twin.trajectory import Trajectory
 
-# A sine leaves no more than this share of its amplitude, RMS, when it is fitted.
-_PURE = 1e-4
+_MAX_SINE_RESIDUAL = 1e-4
+"""Largest RMS residual of a fitted sine, divided by its amplitude, at which a signal counts as a sine, 1."""
 
 
 @dataclass(frozen=True)
 class SineFit:
-    """A sine fitted to samples.
+    """Sine fitted to samples.
 
     Attributes:
-        amplitude: A, unit of the signal, 0 or more.
+        amplitude: A, in the unit of the signal, 0 or more.
         phase: φ at time 0, rad.
-        offset: mean.
-        residual: RMS of what is left.
+        offset: mean of the signal.
+        residual: RMS of the residual.
     """
 
     amplitude: float
@@ -37,99 +37,106 @@ class SineFit:
 
 
 def fit_sine(time: np.ndarray, values: np.ndarray, frequency: float) -> SineFit:
-    """Return the sine of a frequency (Hz) that leaves the least squares of samples, shape (samples,)."""
+    """Return the least-squares sine of a given frequency.
+
+    Args:
+        time: shape (samples,), s.
+        values: shape (samples,).
+        frequency: Hz.
+    """
     angle = 2 * np.pi * frequency * time
     basis = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=-1)
     (sine, cosine, offset), *_ = np.linalg.lstsq(basis, values, rcond=None)
-    left = values - basis @ np.array([sine, cosine, offset])
-    return SineFit(float(np.hypot(sine, cosine)), float(np.arctan2(cosine, sine)), float(offset), rms(left))
+    residual = rms(values - basis @ np.array([sine, cosine, offset]))
+    return SineFit(float(np.hypot(sine, cosine)), float(np.arctan2(cosine, sine)), float(offset), residual)
 
 
-def frequency_of(time: np.ndarray, values: np.ndarray) -> float | None:
-    """Return the frequency of a signal that is a sine without noise, Hz; None where it is something else.
+def sine_frequency(time: np.ndarray, values: np.ndarray) -> float | None:
+    """Return the frequency of a sine without noise, Hz; None for any other signal.
 
-    Samples m apart of a sine obey x(t + m) + x(t − m) = 2 cos(2π f m) x(t) + const. Neighbours give a
-    first f; samples about a quarter period apart, where the cosine tells most, the final one.
+    Samples of a sine satisfy x(t + m) + x(t − m) = 2 cos(2π f m) x(t) + const. Adjacent samples give a first
+    estimate of f. Samples about a quarter period apart give the final one, because the cosine is most
+    sensitive there.
 
     Args:
-        time: equally spaced but for the last sample, shape (samples,), s.
+        time: equally spaced except for the last sample, shape (samples,), s.
         values: shape (samples,).
     """
     values, time = values[:-1], time[:-1]
     if len(values) < 8 or np.ptp(values) == 0:
         return None
     period = (time[-1] - time[0]) / (len(time) - 1)
-    turn = _turn(values, 1)
-    if turn is None:
+    step = _phase_step(values, 1)
+    if step is None:
         return None
-    quarter = max(1, round(np.pi / 2 / turn))
+    quarter = max(1, round(np.pi / 2 / step))
     if quarter > 1 and 2 * quarter + 8 <= len(values):
-        finer = _turn(values, quarter)
-        turn = turn if finer is None else finer / quarter
-    frequency = float(turn / (2 * np.pi * period))
+        finer = _phase_step(values, quarter)
+        step = step if finer is None else finer / quarter
+    frequency = float(step / (2 * np.pi * period))
     fit = fit_sine(time, values, frequency)
-    return frequency if fit.residual <= _PURE * fit.amplitude else None
+    return frequency if fit.residual <= _MAX_SINE_RESIDUAL * fit.amplitude else None
 
 
-def _turn(values: np.ndarray, apart: int) -> float | None:
-    """Return by what angle the sine turns from a sample to one so many later, between 0 and π."""
-    middle = values[apart:-apart]
-    both = values[2 * apart :] + values[: -2 * apart]
-    middle, both = middle - middle.mean(), both - both.mean()
-    cosine = (middle @ both) / (2 * (middle @ middle))
+def _phase_step(values: np.ndarray, spacing: int) -> float | None:
+    """Return the phase difference between samples of a sine with a given spacing, between 0 and π."""
+    middle = values[spacing:-spacing]
+    sums = values[2 * spacing :] + values[: -2 * spacing]
+    middle, sums = middle - middle.mean(), sums - sums.mean()
+    cosine = (middle @ sums) / (2 * (middle @ middle))
     return float(np.arccos(cosine)) if 0 < 1 - cosine < 2 else None
 
 
 def step_response(time: np.ndarray, bend: np.ndarray, before: float, after: float) -> dict[str, float | None]:
-    """Return how a bend answers a step of its reference; between samples it goes straight.
+    """Return the metrics of a step response; the bend is interpolated linearly between samples.
 
     Args:
-        time: since the step, shape (samples,), s.
+        time: time since the step, shape (samples,), s.
         bend: shape (samples,), rad.
         before: reference before the step, rad.
         after: reference after it, rad.
 
     Returns:
-        ``rise_time_s`` from 10 to 90 %, ``overshoot_rel`` and ``overshoot_rad`` (0 where it never goes
-        beyond), ``settling_2_s`` and ``settling_5_s``; None for what is not reached before the run ends.
+        ``rise_time_s`` from 10 to 90 %, ``overshoot_rel`` and ``overshoot_rad`` (0 without overshoot),
+        ``settling_2_s`` and ``settling_5_s``; None for levels that are not reached before the end of the run.
     """
-    share = (bend - before) / (after - before)
-    low, high = _first(time, share, 0.1), _first(time, share, 0.9)
-    beyond = max(0.0, float(share.max()) - 1.0)
+    response = (bend - before) / (after - before)
+    low, high = _first_crossing(time, response, 0.1), _first_crossing(time, response, 0.9)
+    overshoot = max(0.0, float(response.max()) - 1.0)
     return {
         "rise_time_s": None if low is None or high is None else high - low,
-        "overshoot_rel": beyond,
-        "overshoot_rad": beyond * abs(after - before),
-        "settling_2_s": _settling(time, share, 0.02),
-        "settling_5_s": _settling(time, share, 0.05),
+        "overshoot_rel": overshoot,
+        "overshoot_rad": overshoot * abs(after - before),
+        "settling_2_s": _settling_time(time, response, 0.02),
+        "settling_5_s": _settling_time(time, response, 0.05),
     }
 
 
-def _first(time: np.ndarray, share: np.ndarray, level: float) -> float | None:
-    """Return when a level is first reached from below."""
-    above = np.flatnonzero(share >= level)
+def _first_crossing(time: np.ndarray, response: np.ndarray, level: float) -> float | None:
+    """Return the first time at which a level is reached from below, s."""
+    above = np.flatnonzero(response >= level)
     if not len(above):
         return None
-    return _between(time, share, int(above[0]), level)
+    return _crossing_time(time, response, int(above[0]), level)
 
 
-def _settling(time: np.ndarray, share: np.ndarray, band: float) -> float | None:
-    """Return when the band about 1 is entered for good."""
-    outside = np.flatnonzero(np.abs(share - 1.0) > band)
+def _settling_time(time: np.ndarray, response: np.ndarray, band: float) -> float | None:
+    """Return the time from which the response stays within a band about 1, s."""
+    outside = np.flatnonzero(np.abs(response - 1.0) > band)
     if not len(outside):
         return 0.0
     last = int(outside[-1])
-    if last + 1 == len(share):
+    if last + 1 == len(response):
         return None
-    return _between(time, share, last + 1, 1.0 + np.copysign(band, share[last] - 1.0))
+    return _crossing_time(time, response, last + 1, 1.0 + np.copysign(band, response[last] - 1.0))
 
 
-def _between(time: np.ndarray, share: np.ndarray, k: int, level: float) -> float:
-    """Return when the straight line from the sample before k to k crosses a level; at k = 0 its time."""
+def _crossing_time(time: np.ndarray, response: np.ndarray, k: int, level: float) -> float:
+    """Return the time at which the line from sample k − 1 to k crosses a level; the first time if k is 0."""
     if k == 0:
         return float(time[0])
-    part = (level - share[k - 1]) / (share[k] - share[k - 1])
-    return float(time[k - 1] + part * (time[k] - time[k - 1]))
+    fraction = (level - response[k - 1]) / (response[k] - response[k - 1])
+    return float(time[k - 1] + fraction * (time[k] - time[k - 1]))
 
 
 TRACKING_UNITS = units_of("""
@@ -138,105 +145,111 @@ TRACKING_UNITS = units_of("""
     amplitude_rel amplitude_spread_rel phase_lag_rad phase_lag_spread_rad fit_residual_rad
     inlet_openings outlet_openings
 """)
-"""Metrics of a run with a reference, each one number or None."""
+"""Metrics of a run with a reference; each is one number or None."""
 
-# Less of a step than this is none, rad.
-_LEAST_STEP = 1e-3
+_MIN_STEP = 1e-3
+"""Smallest change of the reference that counts as a step, rad."""
 
 
 def tracking_metrics(trajectory: Trajectory) -> dict[str, float | None]:
-    """Measure how the first segment follows its reference; None where a metric does not apply.
+    """Compute the tracking metrics of the first segment; None for those that do not apply.
 
-    Of a step, which is a reference that changes once, or never but the bend starts elsewhere:
+    Metrics of a step, which is a reference that changes once, or a constant one from which the initial bend
+    differs:
 
-    - ``rise_time_s`` from 10 to 90 % of it; ``overshoot_rel``, as a share of it, and ``overshoot_rad``;
-      ``settling_2_s`` and ``settling_5_s``, after which the bend stays within 2 and 5 % of it.
+    - ``rise_time_s``: time from 10 to 90 % of the step.
+    - ``overshoot_rel`` and ``overshoot_rad``: overshoot, relative to the step and as an angle.
+    - ``settling_2_s`` and ``settling_5_s``: time after which the bend stays within 2 and 5 % of the step.
 
-    Of a reference at rest, over the second half of the time since its last change:
+    Metrics of the steady state, over the second half of the time since the last change of a reference that
+    changes at most once:
 
-    - ``steady_error_rad``: mean of bend less reference; ``steady_rms_rad``: RMS of that.
-    - ``ripple_pp_rad`` and ``ripple_rms_rad``: of the bend about its mean; ``sensed_ripple_pp_rad``: of the
-      reading, sensor noise and all, as the text's figures show it.
+    - ``steady_error_rad``: mean of bend minus reference; ``steady_rms_rad``: its RMS.
+    - ``ripple_pp_rad`` and ``ripple_rms_rad``: peak-to-peak and RMS of the bend about its mean.
+    - ``sensed_ripple_pp_rad``: peak-to-peak of the sensor reading with its noise, as in the figures of the
+      dissertation.
 
-    Of a sine, over whole periods after a warm-up of two (of one, where there are two or three):
+    Metrics of a sine, over whole periods after a warm-up of two (of one, if the run has two or three
+    periods):
 
-    - ``amplitude_rel``: amplitude of the fitted sine over the reference's; ``phase_lag_rad``: how much it
-      comes after the reference's, between −π and π. Their ``…_spread``: standard deviation of fits to each
-      period.
-    - ``fit_residual_rad``: RMS of what the fitted sine leaves.
+    - ``amplitude_rel``: amplitude of the fitted sine divided by that of the reference.
+    - ``phase_lag_rad``: phase lag behind the reference, between −π and π.
+    - ``amplitude_spread_rel`` and ``phase_lag_spread_rad``: their standard deviations between fits to single
+      periods.
+    - ``fit_residual_rad``: RMS residual of the fitted sine.
 
-    Of every run: ``error_rms_rad`` of reference less bend, ``inlet_openings`` a valve, and
-    ``outlet_openings`` a valve, of separate outlet valves in a run recorded at every tick.
+    Metrics of every run: ``error_rms_rad``, the RMS of reference minus bend; ``inlet_openings`` per valve;
+    and ``outlet_openings`` per valve, for separate outlet valves in a run that is recorded in every tick.
 
     Args:
-        trajectory: a run with ``reference_1`` and ``bend_1``.
+        trajectory: run with ``reference_1`` and ``bend_1``.
 
     Returns:
-        Numbers by the names above; units in `TRACKING_UNITS`.
+        Metrics by the names above; their units are in `TRACKING_UNITS`.
 
     Raises:
         InputError: columns are missing or unusable.
     """
-    require(trajectory, "reference_1", "bend_1")
+    check_columns(trajectory, "reference_1", "bend_1")
     reference, bend = trajectory["reference_1"], trajectory["bend_1"]
     metrics: dict[str, float | None] = dict.fromkeys(TRACKING_UNITS)
     metrics["error_rms_rad"] = rms(reference - bend)
     metrics |= _openings(trajectory)
     changes = np.flatnonzero(np.diff(reference)) + 1
     if len(changes) <= 1:
-        metrics |= _at_rest(trajectory, int(changes[0]) if len(changes) else 0)
-    elif (frequency := frequency_of(trajectory.time, reference)) is not None:
-        metrics |= _sine(trajectory.time, reference, bend, frequency)
+        metrics |= _step_metrics(trajectory, int(changes[0]) if len(changes) else 0)
+    elif (frequency := sine_frequency(trajectory.time, reference)) is not None:
+        metrics |= _sine_metrics(trajectory.time, reference, bend, frequency)
     return metrics
 
 
-def _at_rest(trajectory: Trajectory, begin: int) -> dict[str, float | None]:
-    """Return the metrics of a step at sample `begin` (0: the reference never changes) and of the rest."""
+def _step_metrics(trajectory: Trajectory, begin: int) -> dict[str, float | None]:
+    """Return the metrics of a step at sample `begin` (0 for a constant reference) and of the steady state."""
     reference, bend = trajectory["reference_1"], trajectory["bend_1"]
     target = float(reference[-1])
     before = float(reference[0] if begin else bend[0])
     time = trajectory.time[begin:] - trajectory.time[begin]
     tail = slice(begin + int(np.searchsorted(time, time[-1] / 2)), None)
-    rest = bend[tail]
-    found: dict[str, float | None] = {
-        "steady_error_rad": float(rest.mean() - target),
-        "steady_rms_rad": rms(rest - target),
-        "ripple_pp_rad": float(np.ptp(rest)),
-        "ripple_rms_rad": float(rest.std()),
+    steady = bend[tail]
+    metrics: dict[str, float | None] = {
+        "steady_error_rad": float(steady.mean() - target),
+        "steady_rms_rad": rms(steady - target),
+        "ripple_pp_rad": float(np.ptp(steady)),
+        "ripple_rms_rad": float(steady.std()),
     }
     if trajectory.has("sensed_1"):
-        found["sensed_ripple_pp_rad"] = float(np.ptp(trajectory["sensed_1"][tail]))
-    if abs(target - before) >= _LEAST_STEP:
-        found |= step_response(time, bend[begin:], before, target)
-    return found
+        metrics["sensed_ripple_pp_rad"] = float(np.ptp(trajectory["sensed_1"][tail]))
+    if abs(target - before) >= _MIN_STEP:
+        metrics |= step_response(time, bend[begin:], before, target)
+    return metrics
 
 
-def _sine(
+def _sine_metrics(
     time: np.ndarray, reference: np.ndarray, bend: np.ndarray, frequency: float
 ) -> dict[str, float | None]:
-    """Return the metrics of a sine; none where there are not two whole periods."""
+    """Return the metrics of a sine reference; empty if the run has less than two whole periods."""
     start = time[0]
-    # A run meant to end on a whole period may miss it by rounding.
+    # Rounding must not shorten a run that is meant to end after a whole period.
     whole = int(np.floor((time[-1] - start) * frequency + 1e-6))
     if whole < 2:
         return {}
     first = min(WARM_UP_PERIODS, whole // 2)
 
     def fits(begin: int, end: int) -> list[SineFit]:
-        within = slice(*np.searchsorted(time, start + np.array([begin, end]) / frequency - 1e-9))
-        return [fit_sine(time[within], signal[within], frequency) for signal in (reference, bend)]
+        samples = slice(*np.searchsorted(time, start + np.array([begin, end]) / frequency - 1e-9))
+        return [fit_sine(time[samples], signal[samples], frequency) for signal in (reference, bend)]
 
-    asked, done = fits(first, whole)
-    each = [fits(n, n + 1) for n in range(first, whole)]
-    gains = [b.amplitude / a.amplitude for a, b in each]
-    lags = [_lag(a, b) for a, b in each]
-    several = len(each) > 1
+    reference_fit, bend_fit = fits(first, whole)
+    by_period = [fits(n, n + 1) for n in range(first, whole)]
+    gains = [b.amplitude / a.amplitude for a, b in by_period]
+    lags = [_lag(a, b) for a, b in by_period]
+    several = len(by_period) > 1
     return {
-        "amplitude_rel": done.amplitude / asked.amplitude,
+        "amplitude_rel": bend_fit.amplitude / reference_fit.amplitude,
         "amplitude_spread_rel": float(np.std(gains, ddof=1)) if several else None,
-        "phase_lag_rad": _lag(asked, done),
+        "phase_lag_rad": _lag(reference_fit, bend_fit),
         "phase_lag_spread_rad": float(np.std(np.unwrap(lags), ddof=1)) if several else None,
-        "fit_residual_rad": done.residual,
+        "fit_residual_rad": bend_fit.residual,
     }
 
 
@@ -246,17 +259,17 @@ def _lag(reference: SineFit, bend: SineFit) -> float:
 
 
 def _openings(trajectory: Trajectory) -> dict[str, float | None]:
-    """Return openings a valve: inlets as the plant counted them, outlets where the samples tell."""
+    """Return the openings per valve: inlets as counted by the plant, outlets from the samples."""
     counted = trajectory.metadata.get("valve_switches")
-    found: dict[str, float | None] = {"inlet_openings": float(np.mean(counted[0])) if counted else None}
+    metrics: dict[str, float | None] = {"inlet_openings": float(np.mean(counted[0])) if counted else None}
     names = ("valve_plus_1", "valve_minus_1")
     tick = trajectory.metadata.get("tick_s")
     if tick is None or len(trajectory) < 2 or not all(trajectory.has(name) for name in names):
-        return found
+        return metrics
     states = np.stack([trajectory[name] for name in names])
-    every = float(np.diff(trajectory.time).max()) < 1.5 * tick
-    # Only valves that can hold have outlets of their own.
-    if every and (states == 0).any():
+    every_tick = float(np.diff(trajectory.time).max()) < 1.5 * tick
+    # A hold state shows that inlet and outlet are separate valves.
+    if every_tick and (states == 0).any():
         opened = (states[:, 1:] == -1) & (states[:, :-1] != -1)
-        found["outlet_openings"] = float(opened.sum(axis=1).mean())
-    return found
+        metrics["outlet_openings"] = float(opened.sum(axis=1).mean())
+    return metrics

@@ -1,8 +1,8 @@
-"""Reasons why a run leaves a metric undefined.
+"""Reasons for undefined metrics of a run.
 
-A metric without a value has one of two causes. The run lacks the material of the metric, such as whole gait
-periods, a reference or a recording; then nothing can be judged. Or the missing value is the outcome: a path
-without a turning radius is straight, a plan without a length was not found.
+A metric without a value has one of two causes. Either the run lacks the data for the metric, such as whole
+gait periods, a reference or a recording; the metric cannot be judged then. Or the missing value is the
+result: a path without a turning radius is straight, and a plan without a length was not found.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ _OPENINGS = {"inlet_openings", "outlet_openings"}
 
 @dataclass(frozen=True)
 class Undefined:
-    """A metric that a run leaves undefined.
+    """Undefined metric of a run.
 
     Attributes:
-        reason: in words.
-        beyond: the value is larger than this, in the unit of the metric: a bend that has not settled by the
-            end of a run may settle later. -inf where nothing is known of the value.
+        reason: text.
+        beyond: lower bound of the value, in the unit of the metric: a bend that has not settled by the end of
+            a run may settle later. -inf if nothing is known about the value.
     """
 
     reason: str
@@ -55,19 +55,19 @@ class Undefined:
 def why_undefined(
     metric: str, subject: str, metrics: Mapping[str, Any], runs: Mapping[str, Trajectory]
 ) -> Undefined | None:
-    """Return the reason why a run leaves a metric without a value.
+    """Return why a metric of a run has no value.
 
     Args:
         metric: name of the metric.
         subject: "analytical", "twin" or "comparison".
-        metrics: as in metrics.json: "plants" → plant → metric, "comparison" → metric.
-        runs: plant → trajectory, and "measured" → the recording that is replayed.
+        metrics: contents of metrics.json: "plants" → plant → metric, "comparison" → metric.
+        runs: plant → trajectory, and "measured" → the replayed recording.
 
     Returns:
-        None of a metric that has a value, and where the missing value is the outcome of the run.
+        None if the metric has a value, or if the missing value is the result of the run.
     """
-    found = (metrics["comparison"] if subject == "comparison" else metrics["plants"].get(subject)) or {}
-    if found.get(metric) is not None:
+    values = (metrics["comparison"] if subject == "comparison" else metrics["plants"].get(subject)) or {}
+    if values.get(metric) is not None:
         return None
     if metric in _OF_TWO_GAITS | _OF_A_GAIT:
         others = {"comparison": ("analytical", "twin")}.get(
@@ -79,9 +79,9 @@ def why_undefined(
     if run is None:
         return None
     if metric in TRACKING_UNITS:
-        return _tracking(metric, found, run)
+        return _tracking(metric, values, run)
     if metric in LEARNING_UNITS:
-        return _learning(metric, found, run)
+        return _learning(metric, values, run)
     return _of(_not_measured(metric, runs) or _other(metric, run))
 
 
@@ -90,9 +90,9 @@ def _of(reason: str) -> Undefined | None:
 
 
 def _no_gait(metric: str, runs: Iterable[Trajectory]) -> str:
-    """Return the reason why one of the runs has no gait metrics; empty of a run that ended early."""
+    """Return the reason why one of the runs has no gait metrics; empty for a run that ended early."""
     for run in runs:
-        if reason := GaitWindow.lacking(run):
+        if reason := GaitWindow.missing_reason(run):
             return "" if run.metadata.get("ended_by") else reason
         if (column := _ENERGY.get(metric)) and not run.has(column):
             return f"the run does not record {column}"
@@ -100,7 +100,7 @@ def _no_gait(metric: str, runs: Iterable[Trajectory]) -> str:
 
 
 def _not_measured(metric: str, runs: Mapping[str, Trajectory]) -> str:
-    """Return the reason why a plant has no difference from the recording; empty of other metrics."""
+    """Return the reason why a plant cannot be compared with the recording; empty for other metrics."""
     if metric not in MEASURED_UNITS:
         return ""
     if (measured := runs.get("measured")) is None:
@@ -111,10 +111,10 @@ def _not_measured(metric: str, runs: Mapping[str, Trajectory]) -> str:
     return "the robot was clamped at its head" if clamped and metric in _OF_TWO_GAITS else ""
 
 
-def _tracking(metric: str, found: Mapping[str, Any], run: Trajectory) -> Undefined | None:
-    if found.get("error_rms_rad") is None:
+def _tracking(metric: str, values: Mapping[str, Any], run: Trajectory) -> Undefined | None:
+    if values.get("error_rms_rad") is None:
         return Undefined("the run follows no reference")
-    if metric in _REACHED and found.get("overshoot_rel") is not None:
+    if metric in _REACHED and values.get("overshoot_rel") is not None:
         changes = np.flatnonzero(np.diff(run["reference_1"])) + 1
         passed = float(run.time[-1] - run.time[changes[0] if len(changes) else 0])
         return Undefined(f"it is not reached within the {passed:.4g} s after the step", passed)
@@ -122,34 +122,34 @@ def _tracking(metric: str, found: Mapping[str, Any], run: Trajectory) -> Undefin
         return Undefined("the run does not hold enough whole periods of a sine reference")
     if metric in _OPENINGS:
         return Undefined("the run does not record these openings")
-    if metric == "sensed_ripple_pp_rad" and found.get("ripple_pp_rad") is not None:
+    if metric == "sensed_ripple_pp_rad" and values.get("ripple_pp_rad") is not None:
         return Undefined("the run has no sensor")
     return Undefined("the reference is not a single step")
 
 
-def _learning(metric: str, found: Mapping[str, Any], run: Trajectory) -> Undefined | None:
+def _learning(metric: str, values: Mapping[str, Any], run: Trajectory) -> Undefined | None:
     if not is_learning(run):
         return Undefined("the run has no iterative learning")
-    periods = len(found.get("duty") or ())
-    still = found.get("heading_drift_rad") is not None and found.get("path_curvature_per_m") is None
-    if metric == "periods_to_converge" and found.get("amplitude_error_end_rad") is not None:
+    periods = len(values.get("duty") or ())
+    still = values.get("heading_drift_rad") is not None and values.get("path_curvature_per_m") is None
+    if metric == "periods_to_converge" and values.get("amplitude_error_end_rad") is not None:
         return Undefined(f"the amplitudes have not converged within {periods} periods", periods)
     if not metric.startswith(("path_", "box_", "heading_")):
         return Undefined(f"it is not defined by the learning periods of the run ({periods})")
-    if still or (metric.startswith("path_radius") and found.get("path_curvature_per_m") is not None):
+    if still or (metric.startswith("path_radius") and values.get("path_curvature_per_m") is not None):
         return None
-    if found.get("heading_drift_rad") is None:
+    if values.get("heading_drift_rad") is None:
         return Undefined(f"the run has fewer than {LAST_PERIODS} whole periods")
     return Undefined("no two whole periods before the duties change have a curved path")
 
 
 def _other(metric: str, run: Trajectory) -> str:
-    """Return the reason for the metrics of plans, sensors and benches; empty where there is none."""
+    """Return the reason for the metrics of extensions, sensors and benches; empty if there is none."""
     for group in metric_groups():
         if metric in group.units:
             return group.why_undefined(metric, run)
     if metric in READING_UNITS:
-        if ReadingCurve.of(run) is None:
+        if ReadingCurve.from_trajectory(run) is None:
             return "the run has no sensor, or an ideal one"
         return "the sensor has no Hall element" if metric == "reading_range_t" else ""
     return "the run is not on a bench without a reference" if metric == "final_bend_rad" else ""

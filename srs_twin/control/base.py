@@ -1,4 +1,4 @@
-"""Controller: what decides the valves; it never knows which plant it drives. Readings: what it senses."""
+"""Base class of the controllers, and the sensor readings that closed-loop controllers share."""
 
 from __future__ import annotations
 
@@ -18,15 +18,17 @@ if TYPE_CHECKING:
 
 
 class Controller(Stateful, ABC):
-    """Maps what can be sensed to valve commands, once a tick.
+    """Function of sensor readings and poses that returns the valve commands of one control tick.
 
-    Controllers read `SnakeState.sensed` and what a camera would give, never `bend`.
+    Controllers read `SnakeState.sensed` and poses from a camera, never the true `bend`. They do not know
+    which plant they control.
 
     Attributes:
-        kind: the name of this controller in scenario files.
-        frequency: gait frequency in Hz, None where nothing is periodic.
-        layouts: the valve layouts that it can drive, of `LAYOUTS`.
-        finished: whether it has nothing more to do; a rollout ends after the tick in which this turns True.
+        kind: name of the controller in scenario files.
+        frequency: gait frequency, Hz; None if the controller is not periodic.
+        layouts: supported valve layouts, names in `LAYOUTS`.
+        finished: whether the controller has ended its task; the rollout ends after the tick in which it turns
+            True.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ("finished",)
@@ -38,48 +40,48 @@ class Controller(Stateful, ABC):
 
     @abstractmethod
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
-        """Prepare for a run: all that the controller remembers begins here.
+        """Prepare for a run and initialise the state of the controller.
 
         Args:
             spec: the robot.
             tick: control tick, s.
-            seed: for whatever is random in the controller.
+            seed: random seed of the controller.
 
         Raises:
-            InputError: a valve layout or tick it cannot drive.
+            InputError: the controller supports neither the valve layout nor the tick.
         """
 
     @abstractmethod
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valves for the coming tick, (segments, 2) or (slots, segments, 2), int8."""
+        """Return the valve states of the next tick, shape (segments, 2) or (slots, segments, 2), int8."""
 
     def save(self) -> SavedState:
-        """Return all that decides what comes next, for `restore` here or in another process.
+        """Return the state of the controller, for `restore` in this or another process.
 
         Raises:
-            InputError: a controller that does not say what it remembers (`memory`).
+            InputError: the class does not list its state attributes (`memory`).
         """
         self.check_saveable(Controller, f"controller '{self.kind}'")
         return SavedState(self.identity(), self.state_dict())
 
     def restore(self, state: SavedState) -> None:
-        """Go on from a saved state: after `reset`, with its robot and tick, which only prepares here.
+        """Continue from a saved state; call `reset` with the same robot and tick first.
 
         Raises:
-            InputError: a state of another controller, or no `reset` before.
+            InputError: the state belongs to another controller, or `reset` has not been called.
         """
         self.check_saveable(Controller, f"controller '{self.kind}'")
         state.check(f"controller '{self.kind}'", self.identity())
         self.load_state_dict(state.content)
 
     def identity(self) -> dict[str, Any]:
-        """Return what a saved state must share with the controller, JSON values."""
+        """Return the properties that a saved state must share with this controller, as JSON values."""
         return {"controller": self.kind, "class": type(self).__name__}
 
     def script(self, duration: float) -> Schedule | None:
-        """Return what it will command over the coming run whatever it senses; None from one that senses.
+        """Return the valve states of the whole run if they do not depend on measurements, else None.
 
-        Called after `reset`. Signals of a controller with a script stay as they are, and it has no events.
+        It is called after `reset`. A controller with a script has constant signals and no events.
 
         Args:
             duration: s, a whole number of ticks.
@@ -87,7 +89,7 @@ class Controller(Stateful, ABC):
         return None
 
     def signals(self) -> dict[str, Any]:
-        """Return what is worth recording now: name → float or array (numbered from 1 when recorded)."""
+        """Return the signals to record: name → number, or array whose elements are numbered from 1."""
         return {}
 
     def events(self) -> list[Event]:
@@ -95,41 +97,45 @@ class Controller(Stateful, ABC):
         return []
 
     def describe(self) -> dict[str, Any]:
-        """Return the settings, and what it found out, that are worth recording (JSON values)."""
+        """Return the settings and results to record, as JSON values."""
         return {}
 
 
-LARGEST_READING = 2 * math.pi
-"""No segment bends further, rad: a reading beyond is a lost one."""
+MAX_READING_RAD = 2 * math.pi
+"""Larger readings count as lost, rad: no segment bends by a full turn."""
 
 
-class Readings(Stateful):
-    """The sensed bends of a controller, tick by tick.
+class SensorReadings(Stateful):
+    """Latest valid bend readings of all segments.
 
-    A reading that is not finite, or larger than a full turn, is a lost one: the last good one stands for it
-    (0 before the first), and an event says so.
+    A reading is lost if it is not finite or larger than a full turn. The previous valid reading (0 before the
+    first) is used in its place, and an event records the loss.
 
     Attributes:
-        value: the last good readings, shape (segments,), rad.
-        lost: whose last reading was lost, shape (segments,).
+        value: latest valid readings, shape (segments,), rad.
+        lost: whether the latest reading of each segment was lost, shape (segments,).
     """
 
     state_attributes = ("value", "lost")
 
     def __init__(self, segments: int) -> None:
-        """Make the readings of so many segments, none of them read yet."""
+        """Initialise all readings to 0.
+
+        Args:
+            segments: number of segments.
+        """
         self.value: np.ndarray = np.zeros(segments)
         self.lost: np.ndarray = np.zeros(segments, dtype=bool)
 
-    def take(self, time: float, sensed: np.ndarray) -> list[Event]:
-        """Take the readings of a tick, shape (segments,), and return what is to be told of them.
+    def update(self, time: float, sensed: np.ndarray) -> list[Event]:
+        """Store the readings of one tick and return the events of lost and recovered readings.
 
         Args:
             time: s.
-            sensed: rad, shape (segments,).
+            sensed: bends reported by the sensors, shape (segments,), rad.
         """
         sensed = np.asarray(sensed, dtype=float)
-        lost = ~(np.abs(sensed) <= LARGEST_READING)
+        lost = ~(np.abs(sensed) <= MAX_READING_RAD)
         self.value = np.where(lost, self.value, sensed)
         if (lost == self.lost).all():
             return []

@@ -1,8 +1,8 @@
-"""Camera: what motion capture tells of a snake, and its mean over a gait period.
+"""Motion capture of the snake pose, and its mean over one gait period.
 
-A snake that undulates swings about its path: the mean heading of its connectors by some tenths of a radian.
-Where it is going is seen in means over exactly one gait period, which the gait itself does not move. Such a
-mean belongs to the middle of its period: it is half a period old.
+Undulation makes the mean heading of the connectors oscillate by some tenths of a radian about the direction
+of travel. A mean over exactly one gait period does not contain this oscillation. It belongs to the middle of
+its period, so it is half a period old.
 """
 
 from __future__ import annotations
@@ -20,17 +20,18 @@ from srs_twin.robot.world import Pose
 if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
 
-_ROUNDING = 1e-9
+_TIME_ROUNDING = 1e-9
+"""Tolerance for comparing times, s, and frame numbers, 1: ticks are summed with rounding errors."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Motion capture.
+    """Motion capture with a frame rate and measurement noise.
 
     Attributes:
-        rate_hz: frames a second.
-        position_noise: RMS of x and of y of the centre of mass, m.
-        heading_noise: RMS of the mean heading, rad.
+        rate_hz: frame rate, Hz.
+        position_noise: RMS error of the x and of the y coordinate of the centre of mass, m.
+        heading_noise: RMS error of the mean heading, rad.
     """
 
     rate_hz: float = 120.0
@@ -39,33 +40,33 @@ class Camera:
 
 
 class CameraFrames(Stateful):
-    """The frames of one run."""
+    """Camera frames of one run, with reproducible noise."""
 
-    state_attributes = ("_taken", "_noise")
+    state_attributes = ("_next_frame", "_noise_state")
 
     def __init__(self, camera: Camera, seed: int) -> None:
         self._camera = camera
         self._rng = np.random.default_rng((seed, 0x5EE))
-        self._taken = 0
+        self._next_frame = 0
 
-    def begin(self) -> None:
-        """Have a frame due at time 0 again."""
-        self._taken = 0
+    def restart(self) -> None:
+        """Make the first frame due at time 0 again; the noise continues."""
+        self._next_frame = 0
 
     @property
-    def _noise(self) -> dict[str, Any]:
+    def _noise_state(self) -> dict[str, Any]:
         return dict(self._rng.bit_generator.state)
 
-    @_noise.setter
-    def _noise(self, state: dict[str, Any]) -> None:
+    @_noise_state.setter
+    def _noise_state(self, state: dict[str, Any]) -> None:
         self._rng.bit_generator.state = state
 
-    def take(self, state: SnakeState) -> Pose | None:
-        """Return the pose of the centre of mass where a frame is due; None between frames."""
-        if float(state.time) * self._camera.rate_hz < self._taken - _ROUNDING:
+    def capture(self, state: SnakeState) -> Pose | None:
+        """Return the measured pose of the centre of mass if a frame is due, else None."""
+        if float(state.time) * self._camera.rate_hz < self._next_frame - _TIME_ROUNDING:
             return None
-        # CameraFrames that fell into one tick are one.
-        self._taken = math.floor(float(state.time) * self._camera.rate_hz + _ROUNDING) + 1
+        # Several frames due in one tick show the same state; only one is returned.
+        self._next_frame = math.floor(float(state.time) * self._camera.rate_hz + _TIME_ROUNDING) + 1
         error = self._rng.standard_normal(3)
         noise = self._camera.position_noise
         x, y = state.com
@@ -77,46 +78,52 @@ class CameraFrames(Stateful):
 
 
 class PeriodMean(Stateful):
-    """Running mean of poses over one period, exact for what is linear between frames.
+    """Running mean of poses over one period, exact if the pose is linear between frames.
 
     Attributes:
-        middle: the time to which `pose` belongs, s.
-        pose: the mean; None before the first frame.
-        whole: whether a whole period has been seen.
+        time: middle of the averaging interval, s.
+        pose: mean pose; None before the first frame.
+        complete: whether the frames cover a whole period.
     """
 
-    state_attributes = ("_sums", "_last", "middle", "pose", "whole")
+    state_attributes = ("_integrals", "_last", "time", "pose", "complete")
 
     def __init__(self, period: float) -> None:
         self._period = period
-        # Time, and the integrals of x, y and heading up to it.
-        self._sums: deque[tuple[float, np.ndarray]] = deque()
+        # Frame time, and the integrals of x, y and heading from the first frame until then.
+        self._integrals: deque[tuple[float, np.ndarray]] = deque()
         self._last = np.zeros(3)
-        self.middle = 0.0
+        self.time = 0.0
         self.pose: Pose | None = None
-        self.whole = False
+        self.complete = False
 
     def add(self, time: float, pose: Pose) -> None:
-        """Take a frame; headings are counted on from the last one, whatever turn they come in."""
-        sums, last, since = self._sums, self._last, time - self._period
-        if not sums:
-            sums.append((time, np.zeros(3)))
-            self._last, self.pose, self.middle = np.array([*pose]), pose, time
+        """Add a frame; its heading is unwrapped with respect to the previous frame.
+
+        Args:
+            time: of the frame, s.
+            pose: measured pose.
+        """
+        integrals, last, period_start = self._integrals, self._last, time - self._period
+        if not integrals:
+            integrals.append((time, np.zeros(3)))
+            self._last, self.pose, self.time = np.array([*pose]), pose, time
             return
-        turned = math.remainder(pose.heading - float(last[2]), 2 * math.pi)
-        self._last = np.array([pose.x, pose.y, last[2] + turned])
-        before, integral = sums[-1]
-        whole = integral + (time - before) / 2 * (last + self._last)
-        sums.append((time, whole))
-        while len(sums) > 2 and sums[1][0] <= since:
-            sums.popleft()
-        begin, start = sums[0]
-        if begin < since:
-            # Between frames the integral is taken as linear.
-            after, further = sums[1]
-            start = start + (since - begin) / (after - begin) * (further - start)
-            begin = since
-        self.whole = self.whole or begin <= since + _ROUNDING
-        span = time - begin
-        self.middle = begin + span / 2
-        self.pose = Pose(*map(float, (whole - start) / span))
+        turn = math.remainder(pose.heading - float(last[2]), 2 * math.pi)
+        self._last = np.array([pose.x, pose.y, last[2] + turn])
+        last_time, integral = integrals[-1]
+        end_integral = integral + (time - last_time) / 2 * (last + self._last)
+        integrals.append((time, end_integral))
+        while len(integrals) > 2 and integrals[1][0] <= period_start:
+            integrals.popleft()
+        begin, begin_integral = integrals[0]
+        if begin < period_start:
+            # The period begins between two frames: interpolate the integral linearly.
+            next_time, next_integral = integrals[1]
+            fraction = (period_start - begin) / (next_time - begin)
+            begin_integral = begin_integral + fraction * (next_integral - begin_integral)
+            begin = period_start
+        self.complete = self.complete or begin <= period_start + _TIME_ROUNDING
+        duration = time - begin
+        self.time = begin + duration / 2
+        self.pose = Pose(*map(float, (end_integral - begin_integral) / duration))

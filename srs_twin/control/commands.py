@@ -1,4 +1,4 @@
-"""Steering from outside: commands that a crawling gait obeys, and offsets that change at given times."""
+"""Gaits that follow external commands, and controllers whose offset follows a schedule."""
 
 from __future__ import annotations
 
@@ -24,23 +24,26 @@ if TYPE_CHECKING:
 
 
 Range = tuple[float, float]
+"""Smallest and largest allowed value."""
 
-OFFSET = 0.4
-"""Section 3.4.2 steers generation 2 with φ up to 0.4, the other robots with less."""
-FREQUENCY_HZ = (1.0, 2.0)
-"""Generation 2's gaits in Section 3.4.2; those of generation 3 and 4 lie inside or near."""
-PRESSURE_SHARE = (0.85, 1.15)
-"""Of the robot's nominal supply pressure: 41 to 55 kPa of generation 2 (Section 3.4.2)."""
+MAX_OFFSET = 0.4
+"""Largest steering offset φ, 1: the one of generation 2 in Section 3.4.2, where other robots use less."""
+FREQUENCY_RANGE_HZ = (1.0, 2.0)
+"""Gait frequencies of generation 2 in Section 3.4.2; those of the other generations are similar."""
+RELATIVE_PRESSURE_RANGE = (0.85, 1.15)
+"""Supply pressures divided by the nominal one, 1: 41 to 55 kPa for generation 2 (Section 3.4.2)."""
+_TIME_ROUNDING_S = 1e-9
+"""Tolerance for comparing times, s: ticks are summed with rounding errors."""
 
 
 @dataclass(frozen=True)
 class GaitCommand:
-    """What a gait is to be from now on.
+    """Gait parameters for the following ticks.
 
     Attributes:
         offset: φ, positive to the left.
-        frequency: Hz.
-        pressure: of the supply, Pa.
+        frequency: gait frequency, Hz.
+        pressure: supply pressure, Pa.
     """
 
     offset: float
@@ -50,12 +53,12 @@ class GaitCommand:
 
 @dataclass(frozen=True)
 class GaitLimits:
-    """Smallest and largest of each part of a command.
+    """Allowed ranges of the gait parameters.
 
     Attributes:
         offset: φ.
-        frequency: Hz.
-        pressure: Pa.
+        frequency: gait frequency, Hz.
+        pressure: supply pressure, Pa.
     """
 
     offset: Range
@@ -63,38 +66,38 @@ class GaitLimits:
     pressure: Range
 
     @classmethod
-    def of(cls, spec: RobotSpec) -> GaitLimits:
-        """Return the limits of a robot; no pressure is above its pulsed limit."""
-        low, high = (share * spec.supply.nominal for share in PRESSURE_SHARE)
-        return cls((-OFFSET, OFFSET), FREQUENCY_HZ, (low, min(high, spec.supply.pulsed_limit)))
+    def for_robot(cls, spec: RobotSpec) -> GaitLimits:
+        """Return the limits of a robot; no pressure exceeds its limit for pulsed operation."""
+        low, high = (ratio * spec.supply.nominal for ratio in RELATIVE_PRESSURE_RANGE)
+        return cls((-MAX_OFFSET, MAX_OFFSET), FREQUENCY_RANGE_HZ, (low, min(high, spec.supply.pulsed_limit)))
 
     def clipped(self, command: GaitCommand) -> GaitCommand:
-        """Return a command with each part inside its limits."""
-        parts = zip(astuple(command), astuple(self), strict=True)
-        return GaitCommand(*(min(max(value, low), high) for value, (low, high) in parts))
+        """Return the command with every parameter clipped to its limits."""
+        pairs = zip(astuple(command), astuple(self), strict=True)
+        return GaitCommand(*(min(max(value, low), high) for value, (low, high) in pairs))
 
 
 class CommandedGait(Stateful):
-    """A gait and its supply, both of which obey commands.
+    """Gait and supply pressure that follow commands.
 
     Attributes:
-        gait: for what is to be known of it.
-        command: the one that holds.
+        gait: the open-loop gait.
+        command: the current command.
     """
 
     state_attributes = ("gait", "command")
 
     def __init__(self, spec: RobotSpec, tick: float, pneumatics: Pneumatics, command: GaitCommand) -> None:
-        """Begin a gait.
+        """Start the gait at time 0.
 
         Args:
             spec: the robot.
-            tick: of its plant, s.
-            pneumatics: the plant's, made for the largest pressure that will be commanded.
-            command: the first one.
+            tick: control tick of the plant, s.
+            pneumatics: pneumatics of the plant, made for the largest pressure that will be commanded.
+            command: the first command.
 
         Raises:
-            InputError: a command that gait or supply cannot follow.
+            InputError: the gait or the supply cannot follow the command.
         """
         self._pneumatics, self.command = pneumatics, command
         self.gait = Gait(command.frequency, command.offset)
@@ -102,12 +105,12 @@ class CommandedGait(Stateful):
         pneumatics.set_supply_pressure(command.pressure)
 
     def valves(self, time: float, command: GaitCommand) -> np.ndarray:
-        """Obey a command and return the valves of the tick that begins at `time` (s).
+        """Apply a command and return the valve states of the tick that begins at `time` (s).
 
-        The wave goes on where it is; the chambers fill from the new pressure at once.
+        The phase of the wave is continuous. The new supply pressure acts immediately.
 
         Raises:
-            InputError: a command that gait or supply cannot follow.
+            InputError: the gait or the supply cannot follow the command.
         """
         if command.frequency != self.gait.frequency:
             self.gait.change_frequency(command.frequency, time)
@@ -117,55 +120,54 @@ class CommandedGait(Stateful):
         return self.gait.valves_at(time)
 
 
-_SAME_S = 1e-9
-"""Ticks add up with rounding."""
-
-
-class Steered(Controller):
-    """A gait or iterative learning that is told a new offset from time to time; else as if it were alone.
+class ScheduledOffset(Controller):
+    """Controller whose steering offset changes at given times.
 
     Attributes:
-        changes: (time in s, offset) of each change, in order of time.
+        changes: (time in s, new offset), in order of time.
     """
 
-    state_attributes = ("_inner", "_done", "_events")
+    state_attributes = ("_inner", "_applied", "_events")
 
     def __init__(self, controller: Gait | ILC, changes: Sequence[tuple[float, float]]) -> None:
-        """Make the controller.
+        """Wrap a controller.
 
         Args:
-            controller: what is steered; the offset that it has now is the first one.
-            changes: (time in s, offset). A change counts from the first tick on that begins then or later.
+            controller: controller to steer; its current offset is used until the first change.
+            changes: (time in s, new offset). A change takes effect at the first tick that begins at or after
+                its time.
 
         Raises:
-            InputError: times that do not rise, or that begin before the run.
+            InputError: the times are not above 0 and increasing.
         """
         times = [0.0, *(time for time, _ in changes)]
         if not all(b > a for a, b in zip(times, times[1:], strict=False)):
-            raise InputError(f"times of changes {times[1:]} s are not allowed; they must rise, from above 0")
+            raise InputError(
+                f"times {times[1:]} s of offset changes are not allowed; they must be above 0 and increasing"
+            )
         self.kind, self.frequency, self.layouts = controller.kind, controller.frequency, controller.layouts
         self.changes = tuple(changes)
-        self._inner, self._first = controller, controller.offset
+        self._inner, self._initial_offset = controller, controller.offset
 
     @property
     def offset(self) -> float:
-        """The offset of now."""
+        """Current steering offset φ."""
         return self._inner.offset
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
         """See `Controller.reset`."""
-        self._inner.offset = self._first
+        self._inner.offset = self._initial_offset
         self._inner.reset(spec, tick, seed=seed)
-        self._done, self._events = 0, list[Event]()
+        self._applied, self._events = 0, list[Event]()
 
     def step(self, state: SnakeState) -> np.ndarray:
         """See `Controller.step`."""
         time = float(state.time)
-        while self._done < len(self.changes) and time >= self.changes[self._done][0] - _SAME_S:
-            before, after = self._inner.offset, self.changes[self._done][1]
+        while self._applied < len(self.changes) and time >= self.changes[self._applied][0] - _TIME_ROUNDING_S:
+            before, after = self._inner.offset, self.changes[self._applied][1]
             self._inner.offset = after
             self._events.append(Event(time, "offset", f"offset {before:g} to {after:g}"))
-            self._done += 1
+            self._applied += 1
         valves = self._inner.step(state)
         self.finished = self._inner.finished
         return valves
@@ -175,7 +177,7 @@ class Steered(Controller):
         return self._inner.signals()
 
     def events(self) -> list[Event]:
-        """Return the changes of offset, and what the controller itself has to tell."""
+        """Return the offset changes and the events of the inner controller since the last call."""
         events, self._events = self._events + self._inner.events(), []
         return events
 

@@ -1,25 +1,25 @@
-r"""The parts of iterative learning: each chamber's clock, its target, and the law of its duty (Eq. 32).
+r"""Duty, target and period of each chamber in iterative learning control (Section 5.1, Eq. 32).
 
-Targets: how far each side of the snake is to bend for a steering offset (Section 5.1). The side towards which
-it turns keeps the amplitude A (0.7 rad in the text), the other one gets less, linear
-in the offset φ, down to A · 4/7 (0.4 rad) at |φ| = 0.3:
+**Targets.** The chambers on the side towards which the snake turns have the target amplitude A (0.7 rad in
+the dissertation). The target of the other side decreases linearly with the offset φ, to 4 A / 7 (0.4 rad) at
+|φ| = 0.3:
 
 $$ A_{\text{larger}} = A, \qquad
 A_{\text{smaller}} = A \Bigl(1 - \tfrac{3}{7} \tfrac{|\varphi|}{0.3}\Bigr). $$
 
-Cycles: each chamber has a clock of its own, and its segment's bend is measured in each of its periods.
-Period n of a chamber runs from the begin of its n-th fill to that of the next. The bend that a fill causes
-comes late, by air and inertia, but by less than the vent that follows: its whole peak falls into one period,
-and what is learnt from it is there when the chamber fills again. One clock for all chambers, as Section 5.1
-has it, cuts through the peaks of some of them, and gives a new duty in the middle of their fills.
+**Periods.** Each chamber has its own period, in which the bend of its segment is measured. Period n of a
+chamber runs from the start of its n-th fill to the start of the next one. Air flow and inertia delay the bend
+that a fill causes, but by less than the vent that follows. The peak of a fill is therefore inside one period,
+and the duty is updated before the next fill begins. With one common period for all chambers, as in Section
+5.1, the periods of some chambers would end during a peak, and their duties would change during a fill.
 
-Duties: the law of iterative learning, one duty a chamber (Eq. 32),
+**Duties.** The learning law updates one duty per chamber (Eq. 32),
 
 $$ u_n = \operatorname{clip}\bigl(u_{n-1} + k\,e_{n-1},\, 0,\, 1\bigr), \qquad
 e_{n-1} = \text{target} - \text{amplitude}. $$
 
-Where the amplitude is c u, the error shrinks by 1 − k c an update. What is bounded is the duty itself, not a
-sum of errors behind it, so nothing winds up: it leaves its bound with the first error of the other sign.
+If the amplitude is c u, each update multiplies the error by 1 − k c. The clipped quantity is the duty itself,
+not an error integral, so there is no wind-up: the duty leaves its bound at the first error of the other sign.
 """
 
 from __future__ import annotations
@@ -32,201 +32,230 @@ from srs_twin.errors import InputError
 from srs_twin.io.saved_state import Stateful
 from srs_twin.trajectory import Event
 
-LARGEST_OFFSET = 0.3
-SMALLEST_SHARE = 4 / 7
-"""0.4 of 0.7 rad."""
+MAX_OFFSET = 0.3
+"""Largest |φ| for which Section 5.1 gives targets, 1."""
+MIN_AMPLITUDE_RATIO = 4 / 7
+"""Ratio of the smaller to the larger target at the largest offset, 1: 0.4 rad to 0.7 rad."""
+MIN_READINGS_PER_PERIOD = 8
+"""Readings per gait period that are needed to measure an amplitude."""
+SIDES = ("+", "−")
+"""Chambers of a segment, in the order of the last axis of arrays."""
+CONVERGENCE_TOLERANCE = 0.05
+"""Relative amplitude error at which learning has converged, 1."""
+
+_PERIOD_ROUNDING = 1e-9
+"""Tolerance for comparing times, as a fraction of a period."""
+_DUTY_ROUNDING = 1e-12
+"""Tolerance for comparing duties with their bounds, 1."""
 
 
-def checked_offset(offset: float) -> float:
+def validated_offset(offset: float) -> float:
     """Return an offset that has targets.
 
     Raises:
-        InputError: it is beyond ±0.3.
+        InputError: the offset is outside ±0.3.
     """
-    if not abs(offset) <= LARGEST_OFFSET:
+    if not abs(offset) <= MAX_OFFSET:
         raise InputError(
-            f"ilc offset {offset!r} is not allowed; it must lie between -{LARGEST_OFFSET:g} and "
-            f"{LARGEST_OFFSET:g}, for which Section 5.1 gives targets"
+            f"ilc offset {offset!r} is not allowed; it must lie between -{MAX_OFFSET:g} and "
+            f"{MAX_OFFSET:g}, for which Section 5.1 gives targets"
         )
     return float(offset)
 
 
 def targets(amplitude: float, offset: float) -> np.ndarray:
-    """Return how far to bend to the left and to the right, shape (2,), rad.
+    """Return the target amplitudes to the left and to the right, shape (2,), rad.
 
     Args:
         amplitude: A, rad.
         offset: φ, positive to the left.
     """
-    smaller = amplitude * (1 - (1 - SMALLEST_SHARE) * abs(offset) / LARGEST_OFFSET)
+    smaller = amplitude * (1 - (1 - MIN_AMPLITUDE_RATIO) * abs(offset) / MAX_OFFSET)
     return np.array([amplitude, smaller] if offset >= 0 else [smaller, amplitude])
 
 
-LEAST_READINGS = 8
-"""Fewer readings a period do not show how far a segment bends."""
+class ChamberPeriods(Stateful):
+    """Periods of all chambers in a travelling wave, and the peak bend in each of them.
 
-_ROUNDING = 1e-9  # of a period
-
-
-class Cycles(Stateful):
-    """Periods and peaks of the chambers of a snake in a travelling wave.
+    All arrays have the shape (segments, 2).
 
     Attributes:
         period: T, s.
-        begins: when the first fill of each chamber begins, shape (segments, 2), s, from −T/2 to T/2: what
-            is filling at the start has begun before.
-        number: of the period that runs, 0 before the first, shape (segments, 2).
-        peak: of the last finished period: the furthest bend to the chamber's side (+: left), rad, same shape.
-        span: … and how far the readings lay apart, rad.
-        lost: … and the share of its readings that were lost.
-        since: … and when it began, s.
+        fill_starts: start of the first fill, s, from −T/2 to T/2; negative for a chamber that is already
+            filling at time 0.
+        number: number of the current period, 0 before the first.
+        peak: largest bend to the side of the chamber (+: left) in the last completed period, rad.
+        span: range of the readings in that period, rad.
+        lost: fraction of the readings in that period that were lost.
+        started: start of that period, s.
     """
 
     state_attributes = (
-        *("begins", "number", "peak", "span", "lost", "since"),
-        *("_most", "_least", "_seen", "_missed", "_next"),
+        *("fill_starts", "number", "peak", "span", "lost", "started"),
+        *("_max", "_min", "_readings", "_lost_readings", "_next"),
     )
 
-    def __init__(self, lag: np.ndarray, frequency: float, tick: float, *, common: bool = False) -> None:
-        """Make clocks at time 0.
+    def __init__(self, phase_lag: np.ndarray, frequency: float, tick: float, *, common: bool = False) -> None:
+        """Initialise the periods at time 0.
 
         Args:
-            lag: of each segment's wave sin(2πft − lag), shape (segments,), rad; the + chamber fills where
-                it is positive, the − chamber where it is negative.
+            phase_lag: phase lag of the wave sin(2πft − phase_lag) of each segment, shape (segments,), rad.
+                The + chamber fills where the wave is positive, the − chamber where it is negative.
             frequency: f, Hz.
-            tick: between readings, s.
-            common: whether all chambers go by one clock that starts with the run, as in Section 5.1.
+            tick: time between readings, s.
+            common: whether all chambers share periods that begin at time 0, as in Section 5.1.
 
         Raises:
-            InputError: too few readings a period.
+            InputError: a period has too few readings.
         """
         self.period, self._tick = 1 / frequency, tick
-        if self.period / tick < LEAST_READINGS * (1 - _ROUNDING):
+        if self.period / tick < MIN_READINGS_PER_PERIOD * (1 - _PERIOD_ROUNDING):
             raise InputError(
-                f"a gait of {frequency:g} Hz has fewer than {LEAST_READINGS} readings a period with the tick "
-                f"{tick:g} s; a tick of {self.period / LEAST_READINGS:.4g} s or less, or "
-                f"{1 / (LEAST_READINGS * tick):.4g} Hz or less, would do"
+                f"a gait of {frequency:g} Hz has fewer than {MIN_READINGS_PER_PERIOD} readings per period at "
+                f"a tick of {tick:g} s; use at most {self.period / MIN_READINGS_PER_PERIOD:.4g} s, or "
+                f"at most {1 / (MIN_READINGS_PER_PERIOD * tick):.4g} Hz"
             )
-        share = (np.stack([lag, lag + math.pi], axis=-1) / (2 * math.pi) + _ROUNDING) % 1 - _ROUNDING
-        share = np.where(share > 0.5 + _ROUNDING, share - 1, share)
-        self.begins = np.zeros(share.shape) if common else share * self.period
-        self.number = np.where(self.begins < -_ROUNDING * self.period, 1, 0)
-        self.peak: np.ndarray = np.full(share.shape, math.nan)
-        self.span: np.ndarray = np.full(share.shape, math.nan)
-        self.lost: np.ndarray = np.zeros(share.shape)
-        self.since: np.ndarray = np.full(share.shape, -math.inf)
-        self._most, self._least = np.full(share.shape, -math.inf), np.full(share.shape, math.inf)
-        self._fixed, self._common = self.begins, common
-        self._sides: np.ndarray = np.zeros(share.shape)
-        self._seen, self._missed = np.zeros(share.shape), np.zeros(share.shape)
-        self._plan()
+        fraction = np.stack([phase_lag, phase_lag + math.pi], axis=-1) / (2 * math.pi)
+        fraction = (fraction + _PERIOD_ROUNDING) % 1 - _PERIOD_ROUNDING
+        fraction = np.where(fraction > 0.5 + _PERIOD_ROUNDING, fraction - 1, fraction)
+        self.fill_starts = np.zeros(fraction.shape) if common else fraction * self.period
+        self.number = np.where(self.fill_starts < -_PERIOD_ROUNDING * self.period, 1, 0)
+        self.peak: np.ndarray = np.full(fraction.shape, math.nan)
+        self.span: np.ndarray = np.full(fraction.shape, math.nan)
+        self.lost: np.ndarray = np.zeros(fraction.shape)
+        self.started: np.ndarray = np.full(fraction.shape, -math.inf)
+        self._max, self._min = np.full(fraction.shape, -math.inf), np.full(fraction.shape, math.inf)
+        self._unsteered, self._common = self.fill_starts, common
+        self._bends: np.ndarray = np.zeros(fraction.shape)
+        self._readings, self._lost_readings = np.zeros(fraction.shape), np.zeros(fraction.shape)
+        self._set_next()
 
-    def steer(self, rise: float) -> None:
-        """Go on with fills that are longer on one side, as Eq. 13's offset φ makes them.
+    def steer(self, shift: float) -> None:
+        """Shift the fill starts to those of a wave with an offset φ (Eq. 13).
 
         Args:
-            rise: asin φ, rad: by how much fills of + chambers begin earlier, those of − chambers later.
+            shift: asin φ, rad: phase lead of the fills of + chambers, and phase lag of those of − chambers.
         """
         if not self._common:
-            self.begins = self._fixed + rise / (2 * math.pi) * self.period * np.array([-1, 1])
-            self._plan()
+            self.fill_starts = self._unsteered + shift / (2 * math.pi) * self.period * np.array([-1, 1])
+            self._set_next()
 
-    def take(self, reading: np.ndarray, lost: np.ndarray) -> None:
-        """Take the readings of a tick and whose are lost, both of shape (segments,)."""
-        sides = self._sides
-        sides[:, 0] = reading
-        np.negative(reading, out=sides[:, 1])
-        np.maximum(self._most, sides, out=self._most)
-        np.minimum(self._least, sides, out=self._least)
-        self._seen += 1
-        self._missed += lost[:, None]
+    def update(self, reading: np.ndarray, lost: np.ndarray) -> None:
+        """Add the readings of one tick.
+
+        Args:
+            reading: shape (segments,), rad.
+            lost: whether each reading was lost, shape (segments,).
+        """
+        bends = self._bends
+        bends[:, 0] = reading
+        np.negative(reading, out=bends[:, 1])
+        np.maximum(self._max, bends, out=self._max)
+        np.minimum(self._min, bends, out=self._min)
+        self._readings += 1
+        self._lost_readings += lost[:, None]
 
     def due(self, time: float) -> bool:
-        """Say whether a period begins in the tick that begins at `time` (s)."""
+        """Return whether a period begins in the tick that begins at `time` (s)."""
         return time + self._tick > self._next
 
-    def turn(self, time: float) -> np.ndarray:
-        """Begin the periods that are due and return whose finished one has a peak, shape (segments, 2)."""
-        begun = self.begins + self.number * self.period < time + self._tick - _ROUNDING * self.period
+    def advance(self, time: float) -> np.ndarray:
+        """Begin the periods that are due; return which chambers completed one, shape (segments, 2)."""
+        latest = time + self._tick - _PERIOD_ROUNDING * self.period
+        begun = self.fill_starts + self.number * self.period < latest
         ended = begun & (self.number >= 1)
-        self.peak = np.where(ended, self._most, self.peak)
-        self.span = np.where(ended, self._most - self._least, self.span)
-        self.lost = np.where(ended, self._missed / np.maximum(self._seen, 1), self.lost)
-        self.since = np.where(ended, self.begins + (self.number - 1) * self.period, self.since)
-        self._most[begun], self._least[begun] = -math.inf, math.inf
-        self._seen[begun] = self._missed[begun] = 0
+        self.peak = np.where(ended, self._max, self.peak)
+        self.span = np.where(ended, self._max - self._min, self.span)
+        self.lost = np.where(ended, self._lost_readings / np.maximum(self._readings, 1), self.lost)
+        self.started = np.where(ended, self.fill_starts + (self.number - 1) * self.period, self.started)
+        self._max[begun], self._min[begun] = -math.inf, math.inf
+        self._readings[begun] = self._lost_readings[begun] = 0
         self.number = self.number + begun
-        self._plan()
+        self._set_next()
         return ended
 
-    def _plan(self) -> None:
-        self._next = float((self.begins + self.number * self.period).min()) + _ROUNDING * self.period
-
-
-SIDES = ("+", "−")
-
-WITHIN = 0.05
-"""Share of its target by which an amplitude may miss it and still count as there."""
-
-_DUTIES_ROUNDING = 1e-12
+    def _set_next(self) -> None:
+        starts = self.fill_starts + self.number * self.period
+        self._next = float(starts.min()) + _PERIOD_ROUNDING * self.period
 
 
 class Duties(Stateful):
-    """Duty of each chamber, and what is worth telling of how it was learnt.
+    """Learnt duty of each chamber, with its saturation and convergence.
 
     Attributes:
         value: u, shape (segments, 2), from 0 to 1.
-        error: e of the last update, same shape, rad; NaN before the first.
+        error: e in the last update, same shape, rad; NaN before the first.
     """
 
-    state_attributes = ("value", "error", "_missed", "_bound", "_converged")
+    state_attributes = ("value", "error", "_relative_error", "_saturation", "_converged")
 
     def __init__(self, segments: int, gain: float) -> None:
-        """Make full duties that learn with k = `gain`, 1/rad."""
+        """Initialise all duties to 1.
+
+        Args:
+            segments: number of segments.
+            gain: k, 1/rad.
+        """
         self.value: np.ndarray = np.ones((segments, 2))
         self.error: np.ndarray = np.full((segments, 2), math.nan)
         self._gain = gain
-        self._missed: np.ndarray = np.full((segments, 2), math.inf)
-        self._bound = np.zeros((segments, 2), dtype=int)
+        self._relative_error: np.ndarray = np.full((segments, 2), math.inf)
+        self._saturation = np.zeros((segments, 2), dtype=int)
         self._converged = False
 
     def learn(self, time: float, chambers: np.ndarray, peak: np.ndarray, target: np.ndarray) -> list[Event]:
-        """Update the duties of some chambers, shape (segments, 2), and return where bounds are met or left.
+        """Update the duties of some chambers and return the changes of their saturation.
+
+        All arrays have the shape (segments, 2).
 
         Args:
             time: s.
-            chambers: whose period has ended.
-            peak: the amplitudes measured in it, same shape, rad.
-            target: same shape, rad.
+            chambers: chambers that have completed a period.
+            peak: amplitudes measured in it, rad.
+            target: target amplitudes, rad.
         """
         self.error = np.where(chambers, target - peak, self.error)
-        self._missed = np.where(chambers, np.abs(target - peak) / target, self._missed)
-        wanted = np.where(chambers, self.value + self._gain * self.error, self.value)
-        self.value = np.clip(wanted, 0.0, 1.0)
-        bound = (wanted > 1 + _DUTIES_ROUNDING).astype(int) - (wanted < -_DUTIES_ROUNDING)
-        bound = np.where(chambers, bound, self._bound)
+        self._relative_error = np.where(chambers, np.abs(target - peak) / target, self._relative_error)
+        unclipped = np.where(chambers, self.value + self._gain * self.error, self.value)
+        self.value = np.clip(unclipped, 0.0, 1.0)
+        saturation = (unclipped > 1 + _DUTY_ROUNDING).astype(int) - (unclipped < -_DUTY_ROUNDING)
+        saturation = np.where(chambers, saturation, self._saturation)
         events = [
-            Event(time, "saturation", f"segment {j + 1}, {SIDES[side]} chamber: {_met(bound[j, side])}")
-            for j, side in np.argwhere(bound != self._bound)
+            Event(
+                time, "saturation", f"segment {j + 1}, {SIDES[k]} chamber: {_SATURATIONS[saturation[j, k]]}"
+            )
+            for j, k in np.argwhere(saturation != self._saturation)
         ]
-        self._bound = bound
+        self._saturation = saturation
         return events
 
-    def forget(self) -> None:
-        """Have everything converge anew: the targets have changed."""
-        self._missed = np.full_like(self._missed, math.inf)
+    def restart_convergence(self) -> None:
+        """Treat all amplitudes as not converged, because their targets have changed."""
+        self._relative_error = np.full_like(self._relative_error, math.inf)
         self._converged = False
 
     def converged(self, time: float, working: np.ndarray) -> list[Event]:
-        """Return, once, that all amplitudes of the working segments, shape (segments,), are there."""
-        there = bool(working.any() and (self._missed[working] <= WITHIN).all())
-        if self._converged or not there:
+        """Return an event when the amplitudes of all working segments have reached their targets.
+
+        Args:
+            time: s.
+            working: segments without a fault, shape (segments,).
+        """
+        reached = bool(working.any() and (self._relative_error[working] <= CONVERGENCE_TOLERANCE).all())
+        if self._converged or not reached:
             return []
         self._converged = True
-        return [Event(time, "converged", f"all amplitudes are within {100 * WITHIN:g} % of their targets")]
+        text = f"all amplitudes are within {100 * CONVERGENCE_TOLERANCE:g} % of their targets"
+        return [Event(time, "converged", text)]
 
     def summary(self, time: float, period: int, working: np.ndarray) -> list[Event]:
-        """Return the event that tells of a round of updates; none where no segment works."""
+        """Return an event with the largest amplitude error; none if no segment works.
+
+        Args:
+            time: s.
+            period: number of the completed period.
+            working: segments without a fault, shape (segments,).
+        """
         if not working.any() or np.isnan(self.error[working]).all():
             return []
         error = np.where(working[:, None], self.error, math.nan)
@@ -239,5 +268,4 @@ class Duties(Stateful):
         return [Event(time, "ilc_update", text)]
 
 
-def _met(bound: int) -> str:
-    return {1: "duty saturated at 1", -1: "duty saturated at 0", 0: "duty no longer saturated"}[int(bound)]
+_SATURATIONS = {1: "duty saturated at 1", -1: "duty saturated at 0", 0: "duty no longer saturated"}

@@ -2,12 +2,12 @@ r"""Lateral undulation: a square wave of valve states that travels from head to 
 
 $$ S_j = \operatorname{sign}\bigl(\sin(2\pi f t - \beta (j-1) + \psi) + \varphi\bigr) $$
 
-S_j = +1 fills the + chamber of segment j and vents the − chamber, −1 the reverse; sign(0) = +1. The wave
-runs head to tail and drives the snake forward (E12: Eq. 13 as printed runs the other way). φ > 0 turns
-left. The mirror image of a gait is −φ together with ψ shifted by π.
+S_j = +1 fills the + chamber of segment j and vents the − chamber, −1 does the reverse; sign(0) = +1. The wave
+travels from head to tail and propels the snake forward (E12: as printed, Eq. 13 travels in the opposite
+direction). φ > 0 turns left. The mirror image of a gait has the offset −φ and its phase ψ shifted by π.
 
-Other waves than the dissertation's: each segment may lag by α_j more, and both chambers may vent for a share
-r of the time, about the wave's changes of sign,
+Two extensions are not part of the dissertation: each segment may have an additional phase lag α_j, and both
+chambers may vent for a fraction r of the period, centred at the sign changes of the wave,
 
 $$ S_j = 0 \quad \text{where} \quad
    |\sin(2\pi f t - \beta (j-1) + \psi - \alpha_j) + \varphi| < \sin(\pi r/2). $$
@@ -32,35 +32,35 @@ class Gait(Controller):
     """Open-loop gait of Eq. 13.
 
     Attributes:
-        frequency: f, Hz; `change_frequency` changes it while it runs.
-        offset: φ, between −1 and 1; may be changed while it runs.
+        frequency: f, Hz; use `change_frequency` to change it during a run.
+        offset: φ, between −1 and 1; may be changed during a run.
         phase: ψ, rad.
-        lag: β (j − 1) − ψ of each segment, shape (segments,), rad; known from `reset` on.
+        phase_lag: β (j − 1) − ψ of each segment, shape (segments,), rad; available after `reset`.
     """
 
     kind = "gait"
-    state_attributes = ("frequency", "_offset", "lag")
+    state_attributes = ("frequency", "_offset", "phase_lag")
     frequency: float
-    lag: np.ndarray
+    phase_lag: np.ndarray
     layouts = ("3/2", "in_out")
 
     def __init__(
         self, frequency: float, offset: float = 0.0, *, phase: float = 0.0, phase_step: float | None = None,
         phases: Sequence[float] | None = None, rest_share: float | None = None,
     ) -> None:  # fmt: skip
-        """Make the gait.
+        """Create the gait.
 
         Args:
             frequency: f, Hz.
             offset: φ, between −1 and 1, positive to the left.
-            phase: ψ at the start, rad.
-            phase_step: β, rad; None takes the robot's.
-            phases: α, rad, one a segment; None: none.
-            rest_share: r, at least 0 and below 1; None: 0.
+            phase: ψ at time 0, rad.
+            phase_step: β, rad; None uses that of the robot.
+            phases: α, rad, one value per segment; None means zeros.
+            rest_share: r, at least 0 and below 1; None means 0.
 
         Raises:
-            InputError: a frequency that is not above 0, or an offset or a rest out of range (also when set
-                later).
+            InputError: the frequency is not above 0, or the offset or the rest share is out of range. Setting
+                `offset` later raises it as well.
         """
         rest_share = rest_share or 0.0
         if not 0 <= rest_share < 1:
@@ -69,11 +69,11 @@ class Gait(Controller):
         self.offset = offset
         self.phase = phase
         self._phase_step, self._phases = phase_step, phases or ()
-        self.rest = math.sin(math.pi / 2 * rest_share)
+        self.rest_level = math.sin(math.pi / 2 * rest_share)
 
     @property
     def offset(self) -> float:
-        """φ, the steering offset."""
+        """Steering offset φ."""
         return self._offset
 
     @offset.setter
@@ -83,62 +83,63 @@ class Gait(Controller):
         self._offset = float(value)
 
     def change_frequency(self, frequency: float, time: float) -> None:
-        """Go on with another frequency, without a jump of the wave.
+        """Change the frequency so that the phase of the wave is continuous.
 
         Args:
             frequency: f, Hz.
-            time: from when on, s.
+            time: time of the change, s.
 
         Raises:
-            InputError: a frequency that is not above 0.
+            InputError: the frequency is not above 0.
         """
-        turned = 2 * math.pi * (_checked_frequency(frequency) - self.frequency) * time
-        self.lag = self.lag + turned
+        change = 2 * math.pi * (_checked_frequency(frequency) - self.frequency) * time
+        self.phase_lag = self.phase_lag + change
         self.frequency = frequency
 
     def angle(self, time: float) -> float:
-        """Return the argument of the first segment's sine at a time (s), rad."""
-        return 2 * math.pi * self.frequency * time - float(self.lag[0])
+        """Return the phase angle of the first segment's wave at a time (s), rad."""
+        return 2 * math.pi * self.frequency * time - float(self.phase_lag[0])
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
-        """Take β from the robot unless one was given, and the slots from the tick.
+        """See `Controller.reset`.
 
         Raises:
-            InputError: phases of another robot.
+            InputError: the number of phases is not the number of segments.
         """
         if len(self._phases) not in (0, spec.segments):
             raise InputError(f"{len(self._phases)} phases, but {spec.name} has {spec.segments} segments")
         slots = count_steps("tick", tick, "valve slot", SLOT_S) if tick > SLOT_S else 1
         step = spec.phase_step if self._phase_step is None else self._phase_step
-        self.lag = step * np.arange(spec.segments) - self.phase
+        self.phase_lag = step * np.arange(spec.segments) - self.phase
         if self._phases:
-            self.lag = self.lag + np.asarray(self._phases)
-        self._middle = (np.arange(slots) + 0.5) / slots
+            self.phase_lag = self.phase_lag + np.asarray(self._phases)
+        self._slot_centres = (np.arange(slots) + 0.5) / slots
         self._tick = tick
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valves of the coming tick; with slots only when an edge falls inside it."""
+        """Return the valve states of the next tick; without the slot axis if no state changes in it."""
         return self.valves_at(float(state.time))
 
     def valves_at(self, time: float) -> np.ndarray:
-        """Return the valves of the tick that begins at `time` (s)."""
-        first, last = self._wave(time + self._tick * self._middle[[0, -1]])
-        # A tick shorter than the shorter half wave holds one edge at most: equal ends, no edge.
-        if self._tick < self._shorter_half_wave() and (first == last).all():
+        """Return the valve states of the tick that begins at `time` (s)."""
+        first, last = self._wave(time + self._tick * self._slot_centres[[0, -1]])
+        # A tick shorter than every level of the wave contains at most one change: equal ends mean none.
+        if self._tick < self._shortest_level() and (first == last).all():
             return _antagonistic(first)
-        wave = self._wave(time + self._tick * self._middle)
+        wave = self._wave(time + self._tick * self._slot_centres)
         return _antagonistic(wave[0] if (wave == wave[0]).all() else wave)
 
     def script(self, duration: float) -> Schedule:
-        """Return the valves of a whole run."""
-        slot = self._tick / len(self._middle)
+        """Return the valve states of the whole run."""
+        slot = self._tick / len(self._slot_centres)
         count = round(duration / slot)
-        if self._shorter_half_wave() < 2 * slot:
+        if self._shortest_level() < 2 * slot:
             return Schedule.from_slots(_antagonistic(self._wave(slot * (np.arange(count) + 0.5))), duration)
-        # Where S changes, and the slots beside it: rounding may place an edge one slot off.
+        # Evaluate the wave only near its changes: in the slot of a change and, because rounding may move it
+        # by one slot, in the two adjacent ones.
         period, (up, down) = 1 / self.frequency, self._crossings()
-        turns = [-up, math.pi + up, -down, math.pi + down] if self.rest else [-up, math.pi + up]
-        phases = np.add.outer(self.lag, turns).ravel() / (2 * math.pi) * period
+        angles = [-up, math.pi + up, -down, math.pi + down] if self.rest_level else [-up, math.pi + up]
+        phases = np.add.outer(self.phase_lag, angles).ravel() / (2 * math.pi) * period
         numbers = np.arange(math.floor(-phases.max() / period), math.ceil(duration / period) + 1)
         edges = np.ceil(np.add.outer(phases, period * numbers).ravel() / slot - 0.5)
         near = np.add.outer(edges, [-1, 0, 1]).ravel()
@@ -151,24 +152,26 @@ class Gait(Controller):
         """Return the offset."""
         return {"offset": self._offset}
 
-    def _shorter_half_wave(self) -> float:
-        """Return how long S is at least what it is, s."""
+    def _shortest_level(self) -> float:
+        """Return the shortest time between two changes of S, s."""
         up, down = self._crossings()
-        lasts = [math.pi + 2 * up, math.pi - 2 * down, *([down - up] if self.rest else [])]
-        return min(each for each in lasts if each > 0) / (2 * math.pi * self.frequency)
+        angles = [math.pi + 2 * up, math.pi - 2 * down, *([down - up] if self.rest_level else [])]
+        return min(angle for angle in angles if angle > 0) / (2 * math.pi * self.frequency)
 
     def _crossings(self) -> tuple[float, float]:
-        """Return the angles, with their signs changed, at which S begins to be 1 and ends to be −1, rad."""
-        levels = self._offset - self.rest, self._offset + self.rest
-        up, down = (math.asin(min(max(each, -1.0), 1.0)) for each in levels)
+        """Return the negated angles at which S becomes 1 and at which it becomes −1, rad."""
+        levels = self._offset - self.rest_level, self._offset + self.rest_level
+        up, down = (math.asin(min(max(level, -1.0), 1.0)) for level in levels)
         return up, down
 
     def _wave(self, time: np.ndarray) -> np.ndarray:
         """Return S, shape (times, segments), int8."""
-        value = np.sin(2 * math.pi * self.frequency * time[:, None] - self.lag) + self._offset
-        # Rounding must not decide the sign of an exact zero.
-        low, high = -self.rest - 1e-12, self.rest - 1e-12
-        return np.where(value >= high, 1, np.where(value >= low, 0, -1) if self.rest else -1).astype(np.int8)
+        value = np.sin(2 * math.pi * self.frequency * time[:, None] - self.phase_lag) + self._offset
+        # The tolerance makes the sign of an exact zero independent of rounding.
+        low, high = -self.rest_level - 1e-12, self.rest_level - 1e-12
+        return np.where(value >= high, 1, np.where(value >= low, 0, -1) if self.rest_level else -1).astype(
+            np.int8
+        )
 
 
 def _checked_frequency(frequency: float) -> float:
@@ -177,5 +180,5 @@ def _checked_frequency(frequency: float) -> float:
 
 
 def _antagonistic(wave: np.ndarray) -> np.ndarray:
-    """Return valves (…, segments, 2) from the signs S (…, segments); at 0 both chambers vent."""
+    """Return valve states (…, segments, 2) for the signs S (…, segments); both chambers vent where S is 0."""
     return np.stack([2 * (wave > 0) - 1, 2 * (wave < 0) - 1], axis=-1).astype(np.int8)

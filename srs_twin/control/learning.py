@@ -1,14 +1,18 @@
-r"""ILC: iterative learning control of a gait (Section 5.1), one update a period and chamber.
+r"""Iterative learning control of a gait (Section 5.1), with one update per chamber and gait period.
 
-The wave is that of the plain gait without offset (Eq. 13). Where it has a chamber fill, the valve is
-pulse-width modulated with that chamber's duty, so that duties of 1 make it the plain gait, valve for valve.
-Each chamber has a period of its own (`Cycles`); at its end the duty is corrected by what its segment bent to
-that side (`Duties`, Eq. 32). The amplitude of a + chamber is the largest sensed bend in its period, that of a
-− chamber the smallest one, negated. Steering is by the targets of the two sides (`targets`); where φ is also
-read as Eq. 13's offset (`steering`), the side to turn to is filled for longer besides.
+The wave is that of the open-loop gait without offset (Eq. 13). Where the wave fills a chamber, its valve is
+pulse-width modulated with the duty of that chamber. With all duties at 1 the valve states are those of the
+open-loop gait.
 
-A number of periods are free, at duty 1; the one after them is recorded. Then A is the smallest of all
-recorded amplitudes, which every chamber can reach, or a given one.
+Each chamber has its own period (`ChamberPeriods`), at the end of which its duty is corrected by the measured
+amplitude (`Duties`, Eq. 32). The amplitude of a + chamber is the largest sensed bend in its period, that of a
+− chamber the negated smallest one. The snake is steered by different target amplitudes of the two sides
+(`targets`). With `steering="targets_and_wave"`, φ also acts on the wave as in Eq. 13, which lengthens the
+fills on the side towards which the snake turns.
+
+In the first periods, the free ones, the duties stay at 1. The amplitudes of the period after them are
+recorded. The target amplitude A is the smallest recorded amplitude, which every chamber can reach, or a given
+value.
 """
 
 from __future__ import annotations
@@ -19,11 +23,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from srs_twin.compute.arrays import check_positive
-from srs_twin.control.base import Controller, Readings
-from srs_twin.control.duties import Cycles, Duties, checked_offset, targets
+from srs_twin.control.base import Controller, SensorReadings
+from srs_twin.control.duties import ChamberPeriods, Duties, targets, validated_offset
 from srs_twin.control.gait import Gait
 from srs_twin.control.module_faults import ModuleFaults
-from srs_twin.control.pwm import PulseWidth
+from srs_twin.control.pwm import PulseWidthModulator
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event
@@ -32,39 +36,42 @@ if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
 
 K_PER_RAD = 0.3
-"""Section 5.1, read as duty per rad."""
+"""Learning gain k, 1/rad (Section 5.1, read as duty per rad)."""
 FREE_PERIODS = 2
+"""Gait periods with all duties at 1 before the recorded one."""
 CARRIER_HZ = 60.0
-"""Section 5.3: the local control runs at around 60 Hz."""
-LEAST_PULSES = 4
-"""Carrier periods in a fill."""
+"""Carrier frequency of the pulse-width modulation, Hz: Section 5.3 runs the local control at about 60 Hz."""
+MIN_PULSES = 4
+"""Smallest number of carrier periods in a fill."""
 
 SMALLEST = "smallest"
+"""Value of `target` that selects the smallest recorded amplitude."""
 ON_FAULT = ("go_on", "stop")
 CLOCKS = ("chamber", "common")
 TARGETS = "targets"
+"""Value of `steering` with which φ acts on the targets only."""
 STEERINGS = (TARGETS, "targets_and_wave")
-_WORDS = {"on_fault": ON_FAULT, "clock": CLOCKS, "steering": STEERINGS}
+_CHOICES = {"on_fault": ON_FAULT, "clock": CLOCKS, "steering": STEERINGS}
 
-_MOST_LOST = 0.5
-"""Share of a period's readings that may be lost before its peak teaches nothing."""
+_MAX_LOST = 0.5
+"""Fraction of lost readings, 1, above which the peak of a period is not used."""
 
 
 class ILC(Controller):
     """Iterative learning control of a gait (module docstring).
 
     Attributes:
-        frequency: of the gait, f, Hz.
-        offset: φ, positive to the left, at most 0.3 either way; may be changed while it runs.
+        frequency: gait frequency f, Hz.
+        offset: φ, positive to the left, between −0.3 and 0.3; may be changed during a run.
         amplitude: A, rad; None until it is known.
-        duties: what was learnt; segments with a fault vent all the same.
-        faults: what is wrong with the modules.
+        duties: learnt duties; the chambers of segments with a fault vent regardless of them.
+        faults: fault detection of the modules.
     """
 
     kind = "ilc"
     state_attributes = (
-        *("_gait", "_pulses", "_cycles", "_readings", "duties", "faults", "amplitude"),
-        *("_offset", "_peak", "_record", "_events", "_command", "_aim"),
+        *("_gait", "_pulses", "_periods", "_readings", "duties", "faults", "amplitude"),
+        *("_offset", "_amplitudes", "_record", "_events", "_command", "_targets"),
     )
     frequency: float
     layouts = ("3/2",)
@@ -84,181 +91,191 @@ class ILC(Controller):
         phase: float = 0.0,
         phase_step: float | None = None,
     ) -> None:
-        """Make the controller.
+        """Create the controller.
 
         Args:
             frequency: f, Hz.
             offset: φ.
             target: A, rad, or "smallest".
-            k: duty per rad.
-            free_periods: before the recorded one.
-            carrier_hz: of the pulse-width modulation, Hz.
-            on_fault: "go_on" without a module that has a fault, or "stop" the run.
-            clock: "chamber", one for each, or "common", the text's single interrupt a period.
-            steering: "targets", or "targets_and_wave": φ also acts on the wave, as in Eq. 13.
+            k: learning gain, 1/rad.
+            free_periods: number of periods before the recorded one.
+            carrier_hz: carrier frequency of the pulse-width modulation, Hz.
+            on_fault: "go_on" to continue without a faulty module, or "stop" to end the run.
+            clock: "chamber" for one period per chamber, or "common" for the single interrupt per gait period
+                of the dissertation.
+            steering: "targets", or "targets_and_wave", where φ also acts on the wave as in Eq. 13.
             phase: ψ of the wave, rad.
-            phase_step: β, rad; None takes the robot's.
+            phase_step: β, rad; None uses that of the robot.
 
         Raises:
-            InputError: a number out of its range, or too few pulses in a fill.
-            UnknownNameError: a word that is none of those above.
+            InputError: a number is out of range, or a fill has too few pulses.
+            UnknownNameError: an option is none of its allowed words.
         """
-        for what, word in {"on_fault": on_fault, "clock": clock, "steering": steering}.items():
-            if word not in _WORDS[what]:
-                raise UnknownNameError(what, word, _WORDS[what])
+        for name, word in {"on_fault": on_fault, "clock": clock, "steering": steering}.items():
+            if word not in _CHOICES[name]:
+                raise UnknownNameError(name, word, _CHOICES[name])
         if isinstance(target, str) and target != SMALLEST:
             raise UnknownNameError("target", target, [SMALLEST])
-        given = None if isinstance(target, str) else float(target)
-        numbers = {"k": k, "carrier_hz": carrier_hz} | ({} if given is None else {"target": given})
+        fixed_target = None if isinstance(target, str) else float(target)
+        numbers = {"k": k, "carrier_hz": carrier_hz}
+        if fixed_target is not None:
+            numbers["target"] = fixed_target
         for name, value in numbers.items():
             check_positive(f"ilc {name}", value)
         if free_periods < 1:
             raise InputError(f"ilc free_periods {free_periods!r} is not allowed; it must be 1 or more")
         self._gait = Gait(frequency, phase=phase, phase_step=phase_step)
-        if carrier_hz < 2 * LEAST_PULSES * frequency:
+        if carrier_hz < 2 * MIN_PULSES * frequency:
             raise InputError(
-                f"ilc carrier_hz {carrier_hz:g} gives a fill at {frequency:g} Hz fewer than {LEAST_PULSES} "
-                f"pulses; {2 * LEAST_PULSES * frequency:g} Hz or more would do"
+                f"ilc carrier_hz {carrier_hz:g} gives fewer than {MIN_PULSES} pulses per fill at "
+                f"{frequency:g} Hz; use {2 * MIN_PULSES * frequency:g} Hz or more"
             )
         self.frequency = frequency
-        self._given, self._k, self._free, self._carrier = given, k, free_periods, carrier_hz
+        self._fixed_target, self._k = fixed_target, k
+        self._free_periods, self._carrier_hz = free_periods, carrier_hz
         self._on_fault, self._clock, self._steering = on_fault, clock, steering
         self._events: list[Event] = []
-        self._offset = checked_offset(offset)
-        self._prepare(0)
+        self._offset = validated_offset(offset)
+        self._initialise(0)
 
     @property
     def offset(self) -> float:
-        """φ, the steering offset; it changes the targets, and the wave only if `steering` says so."""
+        """Steering offset φ; it changes the targets and, depending on `steering`, the wave."""
         return self._offset
 
     @offset.setter
     def offset(self, value: float) -> None:
-        self._offset = checked_offset(value)
-        self.duties.forget()
-        self._settle()
+        self._offset = validated_offset(value)
+        self.duties.restart_convergence()
+        self._set_commands()
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
         """See `Controller.reset`.
 
         Raises:
-            InputError: a tick that is no multiple of 0.1 ms, or too few of them in a period.
+            InputError: the tick is not a multiple of 0.1 ms, or a gait period has too few ticks.
         """
         self._gait.reset(spec, tick)
         self._gait.offset = 0.0
-        self._pulses = PulseWidth(self._carrier, tick, spec.segments, together=True, long_ticks=True)
+        self._pulses = PulseWidthModulator(
+            self._carrier_hz, tick, spec.segments, aligned=True, allow_long_ticks=True
+        )
         common = self._clock == "common"
-        self._cycles = Cycles(self._gait.lag, self.frequency, tick, common=common)
-        self._steer()
-        self._last = np.unravel_index(self._cycles.begins.argmax(), self._cycles.begins.shape)
-        self._prepare(spec.segments)
+        self._periods = ChamberPeriods(self._gait.phase_lag, self.frequency, tick, common=common)
+        self._steer_wave()
+        starts = self._periods.fill_starts
+        self._last_chamber = np.unravel_index(starts.argmax(), starts.shape)
+        self._initialise(spec.segments)
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valves of the coming tick, shape (slots, segments, 2)."""
+        """Return the valve states of the next tick, shape (slots, segments, 2)."""
         time = float(state.time)
-        self._steer()
-        self._events += self._readings.take(time, state.sensed)
-        self._cycles.take(self._readings.value, self._readings.lost)
+        self._steer_wave()
+        self._events += self._readings.update(time, state.sensed)
+        self._periods.update(self._readings.value, self._readings.lost)
         if self.faults.testing:
-            self.faults.look(time, self._readings.value)
-            self._settle()
-        if self._cycles.due(time):
-            self._turn(time)
-            self._settle()
+            self.faults.update_tests(time, self._readings.value)
+            self._set_commands()
+        if self._periods.due(time):
+            self._learn(time)
+            self._set_commands()
         pulses = self._pulses.step(self._command)
         return np.minimum(self._gait.valves_at(time), pulses)
 
     def signals(self) -> dict[str, Any]:
-        """Return duties, targets, the amplitudes measured last, the offset; NaN where there is none yet."""
+        """Return duties, targets, latest amplitudes and offset; unknown values are NaN."""
         return {
             "duty_plus": self._command[:, 0],
             "duty_minus": self._command[:, 1],
-            "target_plus": self._aim[:, 0],
-            "target_minus": self._aim[:, 1],
-            "amplitude_plus": self._peak[:, 0],
-            "amplitude_minus": self._peak[:, 1],
+            "target_plus": self._targets[:, 0],
+            "target_minus": self._targets[:, 1],
+            "amplitude_plus": self._amplitudes[:, 0],
+            "amplitude_minus": self._amplitudes[:, 1],
             "offset": self._offset,
         }
 
     def events(self) -> list[Event]:
-        """Return the events since the last call: updates, targets, duties at their bounds, faults."""
+        """Return the events since the last call: updates, targets, saturated duties, faults."""
         events, self._events = self._events + self.faults.events(), []
         return events
 
     def describe(self) -> dict[str, Any]:
-        """Return the settings, each chamber's clock, A, and the faults that were found."""
+        """Return the settings, the first fill of each chamber, A, and the detected faults."""
         return {
             "k_per_rad": self._k,
-            "carrier_hz": self._carrier,
-            "free_periods": self._free,
-            "target": SMALLEST if self._given is None else self._given,
+            "carrier_hz": self._carrier_hz,
+            "free_periods": self._free_periods,
+            "target": SMALLEST if self._fixed_target is None else self._fixed_target,
             "on_fault": self._on_fault,
             "clock": self._clock,
             "steering": self._steering,
-            "fill_begins_s": self._cycles.begins.tolist(),
+            "fill_begins_s": self._periods.fill_starts.tolist(),
             "amplitude_rad": self.amplitude,
-            "faults": list(self.faults.named),
+            "faults": list(self.faults.detected),
         }
 
-    def _steer(self) -> None:
-        """Let the wave and the clocks of its fills follow φ."""
+    def _steer_wave(self) -> None:
+        """Apply the offset to the wave and to the fill starts, if `steering` includes the wave."""
         if self._steering != TARGETS and self._gait.offset != self._offset:
             self._gait.offset = self._offset
-            self._cycles.steer(math.asin(self._offset))
+            self._periods.steer(math.asin(self._offset))
 
-    def _prepare(self, segments: int) -> None:
-        self._readings = Readings(segments)
+    def _initialise(self, segments: int) -> None:
+        self._readings = SensorReadings(segments)
         self.duties = Duties(segments, self._k)
         self.faults = ModuleFaults(segments, 1 / self.frequency)
-        self.amplitude = self._given
-        self._peak: np.ndarray = np.full((segments, 2), math.nan)
+        self.amplitude = self._fixed_target
+        self._amplitudes: np.ndarray = np.full((segments, 2), math.nan)
         self._record = np.full((2, segments, 2), math.nan)
         self._events.clear()
-        self._settle()
+        self._set_commands()
 
-    def _settle(self) -> None:
-        """Set the duties that chambers get and what they are to reach; neither where a module is not at work.
+    def _set_commands(self) -> None:
+        """Set the commanded duties and the targets; segments that do not work get duty 0 and target NaN.
 
-        It comes after whatever changes them, so that a tick need not.
+        It is called after every change of its inputs rather than in every tick, which saves time.
         """
         working = self.faults.working[:, None]
         sides = targets(math.nan if self.amplitude is None else self.amplitude, self._offset)
         self._command: np.ndarray = np.where(working, self.duties.value, 0.0)
-        self._aim: np.ndarray = np.where(working, sides, math.nan)
-        self.finished = self._on_fault == "stop" and bool(self.faults.named)
+        self._targets: np.ndarray = np.where(working, sides, math.nan)
+        self.finished = self._on_fault == "stop" and bool(self.faults.detected)
 
-    def _turn(self, time: float) -> None:
-        """Learn from the periods that have ended."""
-        cycles, faults = self._cycles, self.faults
-        ended = cycles.turn(time)
+    def _learn(self, time: float) -> None:
+        """Check the modules and update the duties of the chambers that have completed a period."""
+        periods, faults = self._periods, self.faults
+        ended = periods.advance(time)
         if not ended.any():
             return
-        faults.judge_sensors(time, ended, self._command, cycles)
-        peak = np.where(cycles.lost <= _MOST_LOST, cycles.peak, math.nan)
-        measured = ended & ~np.isnan(peak) & (cycles.since >= faults.back[:, None])
-        self._peak = np.where(measured, peak, self._peak)
+        faults.check_sensors(time, ended, self._command, periods)
+        peak = np.where(periods.lost <= _MAX_LOST, periods.peak, math.nan)
+        # Periods that began before the end of a test include vented time.
+        measured = ended & ~np.isnan(peak) & (periods.started >= faults.resumed[:, None])
+        self._amplitudes = np.where(measured, peak, self._amplitudes)
         if self.amplitude is None:
-            self._choose(time, measured)
+            self._record_amplitudes(time, measured)
         if self.amplitude is None:
             return
-        self._settle()
-        faults.judge_valves(time, measured, self.duties.value, peak, self._aim)
-        free = cycles.number <= self._free + 1
-        taught = measured & ~free & faults.working[:, None]
-        self._events += self.duties.learn(time, taught, peak, self._aim)
+        self._set_commands()
+        faults.check_valves(time, measured, self.duties.value, peak, self._targets)
+        free = periods.number <= self._free_periods + 1
+        updated = measured & ~free & faults.working[:, None]
+        self._events += self.duties.learn(time, updated, peak, self._targets)
         self._events += self.duties.converged(time, faults.working)
-        if ended[self._last]:
-            number = int(cycles.number[self._last]) - 1
+        # Report once per gait period, after the chamber that fills last.
+        if ended[self._last_chamber]:
+            number = int(periods.number[self._last_chamber]) - 1
             self._events += self.duties.summary(time, number, faults.working)
 
-    def _choose(self, time: float, measured: np.ndarray) -> None:
-        """Record what was measured up to the period after the free ones; once all is there, choose A."""
-        number, working = self._cycles.number, self.faults.working
-        recorded = measured & ((number <= self._free + 2) | np.isnan(self._record[1]))
-        self._record = np.where(recorded, np.stack([self._record[1], self._peak]), self._record)
-        if (number[working] < self._free + 2).any() or np.isnan(self._record[1][working]).all():
+    def _record_amplitudes(self, time: float, measured: np.ndarray) -> None:
+        """Record amplitudes up to the period after the free ones; then set the target amplitude."""
+        number, working = self._periods.number, self.faults.working
+        recorded = measured & ((number <= self._free_periods + 2) | np.isnan(self._record[1]))
+        self._record = np.where(recorded, np.stack([self._record[1], self._amplitudes]), self._record)
+        too_early = (number[working] < self._free_periods + 2).any()
+        if too_early or np.isnan(self._record[1][working]).all():
             return
-        self.faults.judge_record(time, self._record)
+        self.faults.check_amplitudes(time, self._record)
         working = self.faults.working
         if working.any():
             record = np.where(working[:, None], self._record[1], math.nan)

@@ -1,4 +1,4 @@
-"""PulseWidth: duties of a carrier as valve states, on a raster that is finer than a tick."""
+"""Pulse-width modulation of valves in slots that are shorter than a control tick."""
 
 from __future__ import annotations
 
@@ -12,25 +12,27 @@ from srs_twin.io.saved_state import Stateful
 from srs_twin.pneumatics.valves import SLOT_S
 
 
-class PulseWidth(Stateful):
-    """Pulse-width modulation of 3/2 valves: each fills for a share of a carrier period, then vents.
+class PulseWidthModulator(Stateful):
+    """Pulse-width modulation of 3/2 valves.
 
-    The + chamber's pulse begins its period and the − chamber's ends it, so that two duties that add up to 1
-    make each valve the opposite of the other, as Fig. 45c shows them; or both pulses begin their period
-    (`together`), so that neither chamber is treated otherwise than the other. A period need be no whole
-    number of ticks nor of slots: slot s belongs to the period, and to the pulse, in which its middle lies.
-    A pulse is a slot long or short at most, and over many periods the duties are exact. A valve opens once
-    a period at most; at duties of 0 and 1 it rests.
+    In each carrier period a chamber fills for the fraction given by its duty, and vents for the rest. By
+    default the pulse of the + chamber begins at the start of the period and that of the − chamber ends at its
+    end. Two duties with sum 1 then make the two valves opposite, as in Fig. 45c. With `aligned`, both pulses
+    begin at the start of the period, so that both chambers are treated alike.
 
-    The 3 ms that a valve takes to switch are part of τ₂ (`LagPneumatics`): pulses shorter than that are
-    smoothed there, not left out here.
+    A period may be a fractional number of ticks or slots: a slot belongs to the period, and to the pulse,
+    that contains its centre. The length of a pulse is therefore wrong by at most one slot, and the mean over
+    many periods is exact. A valve opens at most once per period, and does not switch at duties of 0 and 1.
+
+    The switching time of 3 ms is part of τ₂ (`LagPneumatics`), which smooths shorter pulses. They are not
+    suppressed here.
 
     Attributes:
-        period: of the carrier, s.
-        duty: of the period that runs, shape (segments, 2).
+        period: carrier period, s.
+        duty: duties of the current period, shape (segments, 2).
     """
 
-    state_attributes = ("_ticks", "_running", "duty")
+    state_attributes = ("_ticks", "_period_number", "duty")
 
     def __init__(
         self,
@@ -38,73 +40,74 @@ class PulseWidth(Stateful):
         tick: float,
         segments: int,
         *,
-        together: bool = False,
-        long_ticks: bool = False,
+        aligned: bool = False,
+        allow_long_ticks: bool = False,
     ) -> None:
-        """Make a modulator at the begin of a period.
+        """Create a modulator at the start of a period.
 
         Args:
-            carrier_hz: Hz.
+            carrier_hz: carrier frequency, Hz.
             tick: s, a multiple of the slot of 0.1 ms.
-            segments: how many have two chambers each.
-            together: whether the − chamber's pulse begins its period as the + chamber's does.
-            long_ticks: whether a tick may be longer than a period, for a controller that has no new duty
-                for every period.
+            segments: number of segments with two chambers each.
+            aligned: whether the pulses of both chambers begin at the start of the period.
+            allow_long_ticks: whether a tick may be longer than a period, for controllers that do not update
+                the duties in every period.
 
         Raises:
-            InputError: a carrier or tick it cannot do: the tick must not be longer than a period, unless
-                `long_ticks`.
+            InputError: the carrier frequency is not above 0, the tick is not a multiple of the slot, or it is
+                longer than a period without `allow_long_ticks`.
         """
         check_positive("carrier_hz", carrier_hz)
         self._slots = count_steps("tick", tick, "valve slot", SLOT_S)
         self.period = 1 / carrier_hz
-        if tick > self.period and not long_ticks:
+        if tick > self.period and not allow_long_ticks:
             raise InputError(
-                f"a carrier of {carrier_hz:g} Hz does not fit the tick {tick:g} s; "
-                f"{1 / tick:g} Hz or less, or a shorter tick, would"
+                f"a carrier of {carrier_hz:g} Hz is too fast for the tick of {tick:g} s; use "
+                f"{1 / tick:g} Hz or less, or a shorter tick"
             )
-        self._together = together
-        self._share = carrier_hz * SLOT_S
+        self._aligned = aligned
+        self._periods_per_slot = carrier_hz * SLOT_S
         self._ticks = 0
-        self._running = -1
+        self._period_number = -1
         self.duty = np.zeros((segments, 2))
 
     def due(self) -> bool:
-        """Say whether a period begins in the coming tick, for which `step` then takes the duties."""
-        return self._last_period() != self._running
+        """Return whether a period begins in the next tick, so that `step` uses new duties."""
+        return self._last_period() != self._period_number
 
     def step(self, duty: np.ndarray) -> np.ndarray:
-        """Return the valves of the coming tick.
+        """Return the valve states of the next tick.
 
         Args:
-            duty: shares of a period for which to fill the + and − chambers, shape (segments, 2); heeded
-                where a period begins, else the running one goes on with its own.
+            duty: duties of the + and − chambers, shape (segments, 2). They are used if a period begins in
+                this tick; otherwise the current period continues with its own duties.
 
         Returns:
             +1 fill, −1 vent, shape (slots, segments, 2), int8.
 
         Raises:
-            InputError: duties outside 0 to 1, or of another shape.
+            InputError: a duty is outside 0 to 1, or the shape is wrong.
         """
-        coming = np.asarray(duty, dtype=float)
-        if coming.shape != self.duty.shape:
-            raise InputError(f"duties have shape {coming.shape}; allowed: {self.duty.shape}")
-        outside = ~((coming >= 0) & (coming <= 1))
+        new_duty = np.asarray(duty, dtype=float)
+        if new_duty.shape != self.duty.shape:
+            raise InputError(f"duties have shape {new_duty.shape}; allowed: {self.duty.shape}")
+        outside = ~((new_duty >= 0) & (new_duty <= 1))
         if outside.any():
-            raise InputError(f"duty {coming[outside][0]:g} is not allowed; it must lie between 0 and 1")
-        through = (self._ticks * self._slots + np.arange(self._slots) + 0.5) * self._share
-        number = np.floor(through)
-        fresh = (number != self._running)[:, None, None]
-        duties = np.where(fresh, coming, self.duty)
-        phase = (through - number)[:, None]
-        if self._together:
+            raise InputError(f"duty {new_duty[outside][0]:g} is not allowed; it must lie between 0 and 1")
+        # Time at the centres of the slots, in carrier periods.
+        elapsed = (self._ticks * self._slots + np.arange(self._slots) + 0.5) * self._periods_per_slot
+        number = np.floor(elapsed)
+        new_period = (number != self._period_number)[:, None, None]
+        duties = np.where(new_period, new_duty, self.duty)
+        phase = (elapsed - number)[:, None]
+        if self._aligned:
             filling = phase[..., None] < duties
         else:
             filling = np.stack([phase < duties[..., 0], phase >= 1 - duties[..., 1]], axis=-1)
-        self._running, self.duty = int(number[-1]), duties[-1]
+        self._period_number, self.duty = int(number[-1]), duties[-1]
         self._ticks += 1
         return np.where(filling, 1, -1).astype(np.int8)
 
     def _last_period(self) -> int:
-        """Return the number of the period to which the coming tick's last slot belongs."""
-        return math.floor((self._ticks * self._slots + self._slots - 0.5) * self._share)
+        """Return the number of the period that contains the last slot of the next tick."""
+        return math.floor((self._ticks * self._slots + self._slots - 0.5) * self._periods_per_slot)

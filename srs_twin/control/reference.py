@@ -1,4 +1,4 @@
-"""References: the bend that a controller is asked to follow, over time."""
+"""Reference signals: bend over time that a controller follows."""
 
 from __future__ import annotations
 
@@ -14,48 +14,49 @@ from srs_twin.errors import InputError, UnknownNameError
 
 Policy = Literal["refuse", "saturate"]
 POLICIES: tuple[Policy, ...] = ("refuse", "saturate")
-"""What to do with a reference beyond the module's range."""
+"""Treatment of a reference that exceeds the range of the module."""
 
-_SAME = 1e-9
-"""Times closer than this are one, in s or as a share of a period: ticks add up with rounding."""
+_ROUNDING = 1e-9
+"""Tolerance for comparing times, s or a fraction of a period: ticks are summed with rounding errors."""
 
 
 @dataclass(frozen=True)
 class Reference(ABC):
-    """A bend over time, rad. Times may be a number or an array, and the answer has their shape."""
+    """Bend over time, rad. Times are numbers or arrays, and the results have their shape."""
 
     @property
     def frequency_hz(self) -> float | None:
-        """How often it repeats itself, Hz; None where it does not."""
+        """Frequency of a periodic reference, Hz, else None."""
         return None
 
     @property
     @abstractmethod
     def peak(self) -> float:
-        """The largest bend to either side that it ever asks for, rad."""
+        """Largest magnitude of the reference, rad."""
 
     @abstractmethod
     def value(self, time: Any) -> Any:
         """Return the bend at a time (s), rad."""
 
     def rate(self, time: Any) -> Any:
-        """Return its rate, rad/s; a jump has none."""
+        """Return the rate of change at a time (s), rad/s; 0 at jumps."""
         return np.zeros_like(np.asarray(time, dtype=float))[()]
 
-    def beyond(self, time: Any) -> Any:
-        """Say whether more is asked for at a time than the module can do, so that `value` is cut."""
+    def is_clipped(self, time: Any) -> Any:
+        """Return whether the reference is clipped to the range of the module at a time (s)."""
         return np.zeros(np.shape(time), dtype=bool)[()]
 
-    def within(self, limit: float, policy: Policy = "refuse") -> Reference:
-        """Return a reference that stays within the module's range.
+    def limited(self, limit: float, policy: Policy = "refuse") -> Reference:
+        """Return a reference that stays within the range of the module.
 
         Args:
-            limit: the largest bend of the module, rad: its gain times the supply pressure.
-            policy: "refuse" one that goes beyond, or "saturate" it at the limit.
+            limit: largest bend of the module, rad: its gain times the supply pressure.
+            policy: "refuse" a reference that exceeds the limit, or "saturate" it.
 
         Raises:
-            InputError: it goes beyond and the policy is to refuse, the limit is not above 0, or there is no
-                such policy.
+            InputError: the reference exceeds the limit and the policy is "refuse", or the limit is not above
+                0.
+            UnknownNameError: the policy is unknown.
         """
         if policy not in POLICIES:
             raise UnknownNameError("policy for a reference beyond the range", policy, POLICIES)
@@ -64,22 +65,22 @@ class Reference(ABC):
             return self
         if policy == "refuse":
             raise InputError(
-                f"the reference asks for {math.degrees(self.peak):.4g}°, but the module bends at most "
-                f"{math.degrees(limit):.4g}° at its supply pressure; ask for less, raise the pressure, or "
-                "let the reference saturate"
+                f"the reference reaches {math.degrees(self.peak):.4g}°, but the module bends at most "
+                f"{math.degrees(limit):.4g}° at its supply pressure; reduce the reference, raise the "
+                "pressure, or let the reference saturate"
             )
-        return Saturated(self, limit)
+        return ClippedReference(self, limit)
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            value = getattr(self, each.name)
+        for field in fields(self):
+            value = getattr(self, field.name)
             if isinstance(value, int | float) and not math.isfinite(value):
-                raise InputError(f"reference: {each.name} {value!r} is not allowed; it must be finite")
+                raise InputError(f"reference: {field.name} {value!r} is not allowed; it must be finite")
 
 
 @dataclass(frozen=True)
 class Constant(Reference):
-    """One bend for ever.
+    """Constant bend.
 
     Attributes:
         level: rad.
@@ -99,11 +100,11 @@ class Constant(Reference):
 
 @dataclass(frozen=True)
 class Staircase(Reference):
-    """One bend after another, each held for the same time; the last one stays.
+    """Sequence of bends of equal duration; the last one continues.
 
     Attributes:
         levels: rad, one or more.
-        hold: how long each is held, s.
+        hold: duration of each level, s.
     """
 
     levels: tuple[float, ...]
@@ -124,18 +125,18 @@ class Staircase(Reference):
 
     def value(self, time: Any) -> Any:
         """See `Reference.value`."""
-        number = np.floor(np.asarray(time) / self.hold + _SAME).astype(int)
+        number = np.floor(np.asarray(time) / self.hold + _ROUNDING).astype(int)
         return np.asarray(self.levels)[np.clip(number, 0, len(self.levels) - 1)]
 
 
 @dataclass(frozen=True)
 class Step(Reference):
-    """A jump from one bend to another.
+    """Step from one bend to another.
 
     Attributes:
-        after: rad, from `time` on.
-        before: rad.
-        time: s.
+        after: bend from `time` on, rad.
+        before: bend before `time`, rad.
+        time: time of the step, s.
     """
 
     after: float
@@ -149,7 +150,7 @@ class Step(Reference):
 
     def value(self, time: Any) -> Any:
         """See `Reference.value`."""
-        return np.where(np.asarray(time) > self.time - _SAME, self.after, self.before)[()]
+        return np.where(np.asarray(time) > self.time - _ROUNDING, self.after, self.before)[()]
 
 
 @dataclass(frozen=True)
@@ -200,7 +201,7 @@ class Sine(_Periodic):
 
 @dataclass(frozen=True)
 class Square(_Periodic):
-    """offset ± amplitude with the sign of that sine, + where it is 0.
+    """offset ± amplitude with the sign of the corresponding sine, + where the sine is 0.
 
     Attributes:
         amplitude: rad, above 0.
@@ -211,40 +212,40 @@ class Square(_Periodic):
 
     def value(self, time: Any) -> Any:
         """See `Reference.value`."""
-        share = (self._angle(time) / (2 * math.pi) + _SAME) % 1.0
-        return self.offset + np.where(share < 0.5, self.amplitude, -self.amplitude)[()]
+        fraction = (self._angle(time) / (2 * math.pi) + _ROUNDING) % 1.0
+        return self.offset + np.where(fraction < 0.5, self.amplitude, -self.amplitude)[()]
 
 
 @dataclass(frozen=True)
-class Saturated(Reference):
-    """Another reference, cut where it asks for more than the module can do (`Reference.within`).
+class ClippedReference(Reference):
+    """Reference that is clipped to the range of the module (`Reference.limited`).
 
     Attributes:
-        wanted: what was asked for.
-        limit: the largest bend to either side, rad.
+        unclipped: original reference.
+        limit: largest bend to either side, rad.
     """
 
-    wanted: Reference
+    unclipped: Reference
     limit: float
 
     @property
     def frequency_hz(self) -> float | None:
         """See `Reference.frequency_hz`."""
-        return self.wanted.frequency_hz
+        return self.unclipped.frequency_hz
 
     @property
     def peak(self) -> float:
         """See `Reference.peak`."""
-        return min(self.wanted.peak, self.limit)
+        return min(self.unclipped.peak, self.limit)
 
     def value(self, time: Any) -> Any:
         """See `Reference.value`."""
-        return np.clip(self.wanted.value(time), -self.limit, self.limit)
+        return np.clip(self.unclipped.value(time), -self.limit, self.limit)
 
     def rate(self, time: Any) -> Any:
         """See `Reference.rate`."""
-        return np.where(self.beyond(time), 0.0, self.wanted.rate(time))[()]
+        return np.where(self.is_clipped(time), 0.0, self.unclipped.rate(time))[()]
 
-    def beyond(self, time: Any) -> Any:
-        """See `Reference.beyond`."""
-        return np.abs(self.wanted.value(time)) > self.limit
+    def is_clipped(self, time: Any) -> Any:
+        """See `Reference.is_clipped`."""
+        return np.abs(self.unclipped.value(time)) > self.limit

@@ -1,4 +1,4 @@
-"""Open loop: recorded valves commanded again (`Replay`), or one state for ever (`HoldValves`, Fig. 41)."""
+"""Open-loop controllers: recorded valve states (`Replay`) and constant ones (`HoldValves`, Fig. 41)."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 
 class Replay(Controller):
-    """Open loop: a schedule of valve states from the start of the run on, the last of them held.
+    """Open-loop replay of a valve schedule from time 0; its last state is held after its end.
 
     Attributes:
-        schedule: what was recorded.
-        frequency: of the gait that was recorded, Hz; None where nothing was periodic.
-        layouts: those that have all of its states; only separate valves can hold.
+        schedule: recorded valve states.
+        frequency: gait frequency of the recording, Hz; None if it was not periodic.
+        layouts: valve layouts that have all recorded states; only separate valves can hold.
     """
 
     kind = "replay"
@@ -37,25 +37,25 @@ class Replay(Controller):
         """See `Controller.reset`.
 
         Raises:
-            InputError: valves of another robot.
+            InputError: the schedule is for another number of segments.
         """
         segments = self.schedule.states.shape[1]
         if segments != spec.segments:
             raise InputError(
-                f"the recorded valves are of {segments} segments; {spec.name} has {spec.segments}"
+                f"the recorded valves belong to {segments} segments, but {spec.name} has {spec.segments}"
             )
         slots = count_steps("tick", tick, "valve slot", SLOT_S) if tick > SLOT_S else 1
-        self._middle = tick * (np.arange(slots) + 0.5) / slots
+        self._slot_centres = tick * (np.arange(slots) + 0.5) / slots
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valves of the coming tick; with slots only where one changes inside it."""
+        """Return the valve states of the next tick; without the slot axis if no state changes in it."""
         schedule = self.schedule
-        runs = np.searchsorted(schedule.starts, float(state.time) + self._middle, side="right") - 1
+        runs = np.searchsorted(schedule.starts, float(state.time) + self._slot_centres, side="right") - 1
         states = schedule.states[np.maximum(runs, 0)]
         return np.asarray(states[0] if runs[0] == runs[-1] else states)
 
     def script(self, duration: float) -> Schedule:
-        """Return the valves of a whole run."""
+        """Return the valve states of the whole run."""
         schedule = self.schedule
         if duration > schedule.span:
             return Schedule(duration, schedule.starts, schedule.states)
@@ -63,34 +63,34 @@ class Replay(Controller):
 
 
 STATES = {"fill": 1, "hold": 0, "vent": -1}
-"""Name of a valve state → the state."""
+"""Valve states by name."""
 
 
 def layouts_for(states: ArrayLike) -> tuple[str, ...]:
-    """Return the valve layouts that have these states."""
+    """Return the names of the valve layouts that have all these states."""
     needed = set(np.unique(states).tolist())
-    return tuple(name for name, known in LAYOUTS.items() if needed <= set(known))
+    return tuple(name for name, allowed in LAYOUTS.items() if needed <= set(allowed))
 
 
 class HoldValves(Controller):
-    """Open loop, all segments alike.
+    """Open-loop controller with the same constant valve states in all segments.
 
     Attributes:
-        layouts: those that have both states; only separate valves can hold.
+        layouts: valve layouts that have both states; only separate valves can hold.
     """
 
     kind = "hold_valves"
     state_attributes = ()
 
     def __init__(self, plus: str = "fill", minus: str = "vent") -> None:
-        """Make the controller.
+        """Create the controller.
 
         Args:
-            plus: what the valves of the + chambers do, a name in `STATES`.
-            minus: what those of the − chambers do.
+            plus: state of the + chambers, a name in `STATES`.
+            minus: state of the − chambers, a name in `STATES`.
 
         Raises:
-            UnknownNameError: another name.
+            UnknownNameError: a name is not in `STATES`.
         """
         for name in (plus, minus):
             if name not in STATES:
@@ -103,9 +103,9 @@ class HoldValves(Controller):
         self._valves = np.tile(np.array(self._states, dtype=np.int8), (spec.segments, 1))
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valves, shape (segments, 2)."""
+        """Return the valve states, shape (segments, 2)."""
         return self._valves
 
     def script(self, duration: float) -> Schedule:
-        """Return the valves of a whole run."""
+        """Return the valve states of the whole run."""
         return Schedule(duration, np.zeros(1), self._valves[None])

@@ -1,45 +1,46 @@
-r"""Sliding mode control of one module (Chapter 4): by valve states, or by the duty of a carrier.
+r"""Sliding mode control of a module (Chapter 4), by valve states or by duties.
 
-Both controllers bring the sensed bend q of each segment to a reference r by way of the sliding variable
+Both controllers drive the sensed bend q of each segment to a reference r by means of the sliding variable
 
-$$ \sigma = \dot e + D e, \qquad e = r - q \qquad (\text{Eq. 24, 31}): $$
+$$ \sigma = \dot e + D e, \qquad e = r - q \qquad (\text{Eq. 24, 31}). $$
 
-on σ = 0 the error fades as e^{−Dt}. How they find ė from noisy readings, and how σ becomes valve states, is
-each controller's own.
+On σ = 0 the error decays as e^{−Dt}. The controllers differ in how they estimate ė from noisy readings, and
+in how they convert σ to valve states.
 
-`VelocityFilter` gives the rate of a noisy reading without the noise of its differences: a second-order
-low-pass (Butterworth) with its rate read beside its value,
+`VelocityFilter` estimates the rate of a noisy reading, because finite differences would amplify the noise. It
+is a second-order low-pass (Butterworth) filter whose rate is used as well as its value,
 
 $$ \ddot{\hat x} = \omega_c^2 (x - \hat x) - \sqrt2\,\omega_c \dot{\hat x}, \qquad \hat v = \dot{\hat x}, $$
 
-solved exactly from reading to reading, with the reading taken to go straight from one to the next. Both
-outputs lag by √2/ω_c at frequencies well below the cutoff (9 ms at 25 Hz, 0.34 rad of a 6 Hz sine). White
-noise of deviation s, read every T, leaves about s √(ω_c³ T / √8) in the rate (a little less), where plain
-differences would leave s √2 / T: of 0.2° read every ms at 25 Hz, 7°/s instead of 283°/s.
+solved exactly for a reading that is linear between ticks. Both outputs are delayed by √2/ω_c at frequencies
+far below the cutoff (9 ms at 25 Hz, 0.34 rad of a 6 Hz sine). White noise of standard deviation s, sampled
+every T, gives a noise of about s √(ω_c³ T / √8) in the rate; finite differences would give s √2 / T. For 0.2°
+sampled every millisecond and 25 Hz these are 7°/s and 283°/s.
 
-`DirectSMC` sets valve states, of separate inlet and outlet valves (Eq. 31):
+`DirectSMC` sets the states of separate inlet and outlet valves (Eq. 31):
 
 $$ \sigma > \varepsilon: \text{fill +, vent −}; \qquad \sigma < -\varepsilon: \text{vent +, fill −};
 \qquad |\sigma| \le \varepsilon: \text{hold both}. $$
 
-At rest σ = D e, so that errors below ε/D stay. The bend and its rate both come from one `VelocityFilter`:
-with the same lag in both, σ is the true one a little later, and the noise of D e is filtered as well.
-The printed D = 0.5 1/s would slide with a time constant of 2 s, and the printed ε = 2°/s is less than the
-noise of any rate that is fast enough (E6).
+At rest σ = D e, so errors up to ε/D remain. The bend and its rate come from the same `VelocityFilter`: with
+an equal delay of both, σ is the delayed true one, and the noise of D e is filtered as well. The printed D =
+0.5 1/s would give a time constant of 2 s, and the printed ε = 2°/s is below the noise of any rate estimate
+that is fast enough (E6).
 
-`IterativeSMC` sets the duty of pulse-width modulated 3/2 valves (Eq. 30). Once a carrier period T
+`IterativeSMC` sets the duties of pulse-width modulated 3/2 valves (Eq. 30). Once per carrier period T,
 
 $$ \mu \leftarrow \operatorname{clip}\bigl(\mu + K (\dot e + D e),\, -1,\, 1\bigr), $$
 
-and the chambers get the duties (1 + μ)/2 and (1 − μ)/2. This is a proportional-integral law,
-μ = (K/T) e + (K D/T) ∫e dt, clipped without wind-up: μ leaves its bound with the first σ of the other sign.
+and the chambers get the duties (1 + μ)/2 and (1 − μ)/2. This is the proportional-integral law μ = (K/T) e +
+(K D/T) ∫e dt, clipped without wind-up: μ leaves its bound at the first σ of the other sign.
 
-Both e and ė are means over the last period, ė that is the difference of e at its ends over T. A whole
-period leaves nothing of the ripple that the valves themselves cause; readings taken once a period would
-see it always at the same phase and keep an offset of degrees. A jump of the reference counts in ė.
+Both e and ė are means over the last period; the mean of ė is the difference of e between the ends of the
+period, divided by T. A mean over a whole period does not contain the ripple that the valves cause. A single
+reading per period would always be taken at the same phase of the ripple, which gives an offset of several
+degrees. A step of the reference contributes to ė.
 
-Eq. 29 and 30 disagree on whether K multiplies D e (E6); either form can be asked for. The second with
-D K for its D is the first.
+Eq. 29 and Eq. 30 disagree on whether K multiplies D e (E6); both forms are available. The form of Eq. 30 with
+D K in place of D equals that of Eq. 29.
 """
 
 from __future__ import annotations
@@ -51,8 +52,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from srs_twin.compute.arrays import check_positive
-from srs_twin.control.base import Controller, Readings
-from srs_twin.control.pwm import PulseWidth
+from srs_twin.control.base import Controller, SensorReadings
+from srs_twin.control.pwm import PulseWidthModulator
 from srs_twin.control.reference import Reference
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.saved_state import Stateful
@@ -64,29 +65,29 @@ if TYPE_CHECKING:
 
 
 class VelocityFilter(Stateful):
-    """Second-order differentiating low-pass (module docstring).
+    """Second-order low-pass filter for a value and its rate (module docstring).
 
     Attributes:
         value: x̂, shape (segments,), unit of the readings.
-        rate: v̂, shape (segments,), that unit per s.
-        lag: √2/ω_c, s, by which both come late.
+        rate: v̂, shape (segments,), unit of the readings per second.
+        lag: delay √2/ω_c of both outputs, s.
     """
 
     state_attributes = ("_last", "value", "rate")
 
     def __init__(self, cutoff_hz: float | np.ndarray, tick: float) -> None:
-        """Make a filter that has seen nothing yet.
+        """Create a filter; its first reading is taken as a state of rest.
 
         Args:
-            cutoff_hz: ω_c/2π, one for all segments or one each, Hz.
+            cutoff_hz: ω_c/2π, one value for all segments or one per segment, Hz.
             tick: T, s.
 
         Raises:
-            InputError: a cutoff that is not finite and above 0.
+            InputError: a cutoff is not finite and above 0.
         """
         cutoff = np.asarray(cutoff_hz, dtype=float)
         check_positive("cutoff_hz", cutoff_hz)
-        # The poles of a Butterworth filter are w (−1 ± i).
+        # The poles are w (−1 ± i), so the homogeneous solution is a decaying oscillation of frequency w.
         self._w = math.sqrt(2) * math.pi * cutoff
         self._tick = tick
         self.lag = 1 / self._w
@@ -97,43 +98,48 @@ class VelocityFilter(Stateful):
         self.rate: np.ndarray = np.zeros(cutoff.shape)
 
     def step(self, reading: np.ndarray) -> None:
-        """Take the reading of a tick, shape (segments,); the first one is taken to be at rest."""
+        """Update the filter with the reading of one tick.
+
+        Args:
+            reading: shape (segments,).
+        """
         if self._last is None:
             self.value, self.rate = np.array(reading, dtype=float), np.zeros(np.shape(reading))
         else:
-            # A straight line is followed by one that lags; what is off that one fades.
+            # The particular solution for a linear reading is that line, delayed by the lag; the deviation
+            # from it is a homogeneous solution and decays.
             slope = (reading - self._last) / self._tick
-            off, drift = self.value - (self._last - slope * self.lag), self.rate - slope
+            deviation, rate_deviation = self.value - (self._last - slope * self.lag), self.rate - slope
             w, c, s = self._w, self._cos, self._sin
-            self.value = reading - slope * self.lag + (c + s) * off + s / w * drift
-            self.rate = slope - 2 * w * s * off + (c - s) * drift
+            self.value = reading - slope * self.lag + (c + s) * deviation + s / w * rate_deviation
+            self.rate = slope - 2 * w * s * deviation + (c - s) * rate_deviation
         self._last = np.array(reading, dtype=float)
 
 
 Gain = float | np.ndarray
-"""One number for all segments, or one for each, shape (segments,)."""
+"""One value for all segments, or one per segment, shape (segments,)."""
 
 
 @dataclass(eq=False)
 class SlidingMode(Controller):
-    """Follows a reference with every segment, each by itself, from its sensed bend alone.
+    """Base class of the sliding mode controllers; each segment follows the reference independently.
 
-    Lost readings are dealt with by `Readings`.
+    They use the sensed bends only, and `SensorReadings` replaces lost ones.
 
     Attributes:
-        gains: names of the attributes that may differ from segment to segment.
-        reference: the bend to follow.
+        gains: names of the attributes that may differ between segments.
+        reference: bend to follow.
 
     Raises:
-        InputError: a gain that is not finite and above 0.
+        InputError: a gain is not finite and above 0.
     """
 
     gains: ClassVar[tuple[str, ...]]
     state_attributes: ClassVar[tuple[str, ...]] = (
         "_readings",
         "_reading",
-        "_cut",
-        "_wanted",
+        "_was_clipped",
+        "_next_reference",
         "_error",
         "_sigma",
         "_events",
@@ -149,61 +155,70 @@ class SlidingMode(Controller):
         """See `Controller.reset`.
 
         Raises:
-            InputError: gains of another shape than one number or one a segment.
+            InputError: the shape of a gain is neither that of one number nor (segments,).
         """
         for name in self.gains:
             shape = np.shape(getattr(self, name))
             if shape not in ((), (spec.segments,)):
                 raise InputError(
-                    f"{self.kind}: {name} has shape {shape}; give one number, or one for each of "
-                    f"the {spec.segments} segments"
+                    f"{self.kind}: {name} has shape {shape}; give one number, or one per segment "
+                    f"({spec.segments})"
                 )
         self._tick = tick
-        self._readings = Readings(spec.segments)
+        self._readings = SensorReadings(spec.segments)
         self._reading = self._readings.value
-        self._cut = False
-        self._wanted = np.full(spec.segments, float(self.reference.value(0.0)))
+        self._was_clipped = False
+        self._next_reference = np.full(spec.segments, float(self.reference.value(0.0)))
         self._error = np.zeros(spec.segments)
         self._sigma = np.zeros(spec.segments)
         self._events: list[Event] = []
 
     def signals(self) -> dict[str, Any]:
-        """Return the reference at the end of the tick, where a sample is taken, and e and σ at its begin."""
-        return {"reference": self._wanted, "error": self._error, "sigma": self._sigma}
+        """Return the reference, e and σ.
+
+        The reference belongs to the end of the tick, where signals are sampled; e and σ belong to its start.
+        """
+        return {"reference": self._next_reference, "error": self._error, "sigma": self._sigma}
 
     def events(self) -> list[Event]:
-        """Return where the reference began to be cut, and readings lost and found again."""
+        """Return the events since the last call: clipping of the reference, lost and recovered readings."""
         events, self._events = self._events, []
         return events
 
-    def _look(self, state: SnakeState) -> float:
-        """Take the readings of a tick into `_reading` and the reference after it; return the time (s)."""
+    def _read_sensors(self, state: SnakeState) -> float:
+        """Update the readings and the reference at the end of the tick; return the start of the tick, s."""
         time = float(state.time)
-        self._events += self._readings.take(time, state.sensed)
+        self._events += self._readings.update(time, state.sensed)
         self._reading = self._readings.value
-        self._wanted = np.full(self._reading.shape, float(self.reference.value(time + self._tick)))
-        cut = bool(self.reference.beyond(time))
-        if cut and not self._cut:
-            text = f"the reference goes beyond the module's range and is cut at {self.reference.peak:.4g} rad"
+        next_reference = float(self.reference.value(time + self._tick))
+        self._next_reference = np.full(self._reading.shape, next_reference)
+        clipped = bool(self.reference.is_clipped(time))
+        if clipped and not self._was_clipped:
+            text = (
+                f"the reference exceeds the range of the module and is cut at {self.reference.peak:.4g} rad"
+            )
             self._events.append(Event(time, "saturation", text))
-        self._cut = self._cut or cut
+        self._was_clipped = self._was_clipped or clipped
         return time
 
 
-# Found for generation 4 at 7 psi by benchmarks/gains.py, one set for all experiments of Chapter 4.
+# Tuned by benchmarks/gains.py for generation 4 at 7 psi, one set for all experiments of Chapter 4.
 DIRECT_D_PER_S = 58.0
+"""Slope D of the sliding manifold of `DirectSMC`, 1/s."""
 EPSILON_RAD_PER_S = math.radians(84.0)
+"""Half-width ε of the dead zone of `DirectSMC`, rad/s."""
 CUTOFF_HZ = 16.0
+"""Cutoff frequency of the velocity filter, Hz."""
 
 
 @dataclass(eq=False)
 class DirectSMC(SlidingMode):
-    """Fills one chamber and vents the other, or holds both, anew every tick (module docstring).
+    """Sliding mode controller that sets the valve states in every tick (module docstring).
 
     Attributes:
         D: slope of the sliding manifold, 1/s.
-        epsilon: ε, half the width of the dead zone of σ, rad/s.
-        cutoff_hz: of the velocity filter, Hz.
+        epsilon: half-width ε of the dead zone of σ, rad/s.
+        cutoff_hz: cutoff frequency of the velocity filter, Hz.
     """
 
     kind = "direct_smc"
@@ -223,49 +238,52 @@ class DirectSMC(SlidingMode):
         self._rate: np.ndarray = np.zeros(spec.segments)
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valves of the coming tick, shape (segments, 2)."""
-        time = self._look(state)
+        """Return the valve states of the next tick, shape (segments, 2)."""
+        time = self._read_sensors(state)
         self._filter.step(self._reading)
         self._rate = self._filter.rate
         self._error = self.reference.value(time) - self._filter.value
         self._sigma = self.reference.rate(time) - self._rate + self.D * self._error
-        drive = np.where(np.abs(self._sigma) > self.epsilon, np.sign(self._sigma), 0.0).astype(np.int8)
-        return np.stack([drive, -drive], axis=-1)
+        valves = np.where(np.abs(self._sigma) > self.epsilon, np.sign(self._sigma), 0.0).astype(np.int8)
+        return np.stack([valves, -valves], axis=-1)
 
     def signals(self) -> dict[str, Any]:
-        """Return those of `SlidingMode`, and the filtered rate of the bend, rad/s."""
+        """Return the signals of `SlidingMode` and the filtered bend rate, rad/s."""
         return super().signals() | {"rate": self._rate}
 
 
-# Found for generation 4 at 7 psi by benchmarks/gains.py, one set for all experiments of Chapter 4.
+# Tuned by benchmarks/gains.py for generation 4 at 7 psi, one set for all experiments of Chapter 4.
 K_S_PER_RAD = 0.042
+"""Gain K of `IterativeSMC`, s/rad."""
 ITERATIVE_D_PER_S = 16.0
+"""Slope D of the sliding manifold of `IterativeSMC`, 1/s."""
 
 CARRIER_HZ = 60.0
-"""Fixed beforehand (Section 5.3)."""
+"""Carrier frequency of the pulse-width modulation, Hz (Section 5.3, not tuned)."""
 
 EQ_29 = "K(de + D e)"
+"""Form of Eq. 29, with D in 1/s."""
 EQ_30 = "K de + D e"
+"""Form of Eq. 30 as printed, with D in 1/rad."""
 FORMS = (EQ_29, EQ_30)
-"""As Eq. 29 has it, with D in 1/s, and as Eq. 30 is printed, where D is in 1/rad."""
 
 
 @dataclass(eq=False)
 class IterativeSMC(SlidingMode):
-    """Adjusts the duty of both chambers once a carrier period (module docstring).
+    """Sliding mode controller that updates the duties once per carrier period (module docstring).
 
     Attributes:
         K: gain, s/rad.
-        D: slope of the sliding manifold, 1/s; 1/rad in the form that K does not multiply.
-        carrier_hz: of the pulse-width modulation, Hz.
+        D: slope of the sliding manifold, 1/s; 1/rad in the form of Eq. 30.
+        carrier_hz: carrier frequency of the pulse-width modulation, Hz.
         form: one of `FORMS`.
 
     Raises:
-        InputError: an unknown form.
+        UnknownNameError: the form is unknown.
     """
 
     kind = "iterative_smc"
-    state_attributes = ("_pulses", "_mu", "_before", "_sum", "_count")
+    state_attributes = ("_pulses", "_mu", "_last_error", "_error_sum", "_count")
     layouts = ("3/2",)
     gains = ("K", "D")
 
@@ -285,32 +303,32 @@ class IterativeSMC(SlidingMode):
         """See `Controller.reset`.
 
         Raises:
-            InputError: a tick that is no multiple of 0.1 ms or longer than a carrier period.
+            InputError: the tick is not a multiple of 0.1 ms, or it is longer than a carrier period.
         """
         super().reset(spec, tick, seed=seed)
-        self._pulses = PulseWidth(self.carrier_hz, tick, spec.segments)
+        self._pulses = PulseWidthModulator(self.carrier_hz, tick, spec.segments)
         self._mu = np.zeros(spec.segments)
-        self._before = np.zeros(spec.segments)
-        self._sum = np.zeros(spec.segments)
+        self._last_error = np.zeros(spec.segments)
+        self._error_sum = np.zeros(spec.segments)
         self._count = 0
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valves of the coming tick, shape (slots, segments, 2)."""
-        self._error = self.reference.value(self._look(state)) - self._reading
+        """Return the valve states of the next tick, shape (slots, segments, 2)."""
+        self._error = self.reference.value(self._read_sensors(state)) - self._reading
         if self._pulses.due():
             self._update()
-        self._sum, self._count = self._sum + self._error, self._count + 1
+        self._error_sum, self._count = self._error_sum + self._error, self._count + 1
         return self._pulses.step(np.stack([(1 + self._mu) / 2, (1 - self._mu) / 2], axis=-1))
 
     def signals(self) -> dict[str, Any]:
-        """Return those of `SlidingMode`, μ, and the duties of the period that runs."""
+        """Return the signals of `SlidingMode`, μ, and the duties of the current period."""
         plus, minus = self._pulses.duty.T
         return super().signals() | {"mu": self._mu, "duty_plus": plus, "duty_minus": minus}
 
     def _update(self) -> None:
-        """Take the means since the last update; before the first one the error was 0."""
+        """Update μ from the mean errors since the last update; before the first one the error was 0."""
         elapsed = self._count * self._tick if self._count else self._pulses.period
-        mean = self._sum / max(self._count, 1)
-        self._sigma = (self._error - self._before) / elapsed + self._slope * mean
+        mean = self._error_sum / max(self._count, 1)
+        self._sigma = (self._error - self._last_error) / elapsed + self._slope * mean
         self._mu = np.clip(self._mu + self.K * self._sigma, -1.0, 1.0)
-        self._before, self._sum, self._count = self._error, np.zeros_like(self._sum), 0
+        self._last_error, self._error_sum, self._count = self._error, np.zeros_like(self._error_sum), 0

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.control.base import LARGEST_READING, Readings
+from srs_twin.control.base import MAX_READING_RAD, SensorReadings
 from srs_twin.control.camera import Camera, CameraFrames
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
 from srs_twin.envs.task import Episode, Signal, Signals, Task, numbered
@@ -109,7 +109,7 @@ class CrawlTask(Task):
             )
         self.name, self.place, self._camera = name, place, camera
         self.solid = place.obstacles > 0
-        self.limits = GaitLimits.of(self.robot)
+        self.limits = GaitLimits.for_robot(self.robot)
         self.actions = gait_signals(self.limits)
         self.observations = _observations(place, self.robot.segments, self.actions)
 
@@ -156,13 +156,13 @@ class CrawlEpisode(Episode):
         middle = GaitCommand(0.0, *(sum(ends) / 2 for ends in (limits.frequency, limits.pressure)))
         state = twin.reset(pose=(0.0, 0.0, heading), seed=seed)
         self._gait = CommandedGait(twin.spec, twin.tick, twin.pneumatics, middle)
-        self._frames, self._readings = frames, Readings(twin.spec.segments)
+        self._frames, self._readings = frames, SensorReadings(twin.spec.segments)
         self._distance = self._away(state)
         super().__init__(task, twin, state)
 
     def _placed(self) -> None:
         """See `Episode._placed`."""
-        self._frames.begin()
+        self._frames.restart()
         self._distance = self._away(self.state)
 
     def _valves(self, action: list[float]) -> np.ndarray:
@@ -172,9 +172,9 @@ class CrawlEpisode(Episode):
 
     def _observed(self) -> list[float]:
         time = float(self.state.time)
-        seen = self._frames.take(self.state)
+        seen = self._frames.capture(self.state)
         assert seen is not None, "the camera has a frame a step"
-        self._readings.take(time, self.state.sensed)
+        self._readings.update(time, self.state.sensed)
         c, s = math.cos(seen.heading), math.sin(seen.heading)
 
         def ahead_and_left(x: float, y: float) -> tuple[float, float]:
@@ -247,7 +247,7 @@ def _observations(place: Field, segments: int, actions: Sequence[Signal]) -> Sig
         Signal("gait_cos", "1", -1.0, 1.0, "cosine of the gait phase at the first segment"),
         Signal("gait_sin", "1", -1.0, 1.0, "sine of the gait phase at the first segment"),
     ]
-    reach = LARGEST_READING
+    reach = MAX_READING_RAD
     found += numbered(segments, "bend_#_rad", "rad", -reach, reach, "sensor reading of a segment")
     found += [Signal(each.name, each.unit, each.low, each.high, "last command") for each in actions]
     for k in range(1, place.obstacles + 1):

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.control.base import LARGEST_READING, Readings
-from srs_twin.control.pwm import PulseWidth
+from srs_twin.control.base import MAX_READING_RAD, SensorReadings
+from srs_twin.control.pwm import PulseWidthModulator
 from srs_twin.control.smc import CARRIER_HZ
 from srs_twin.envs.task import Episode, Signal, Task
 from srs_twin.errors import InputError
@@ -64,7 +64,7 @@ class ModuleTask(Task):
             Signal("duty_plus", "1", 0.0, 1.0, fills),
             Signal("duty_minus", "1", 0.0, 1.0, same),
         )
-        largest = LARGEST_READING
+        largest = MAX_READING_RAD
         self.observations = (
             Signal("bend_rad", "rad", -largest, largest, "sensor reading"),
             Signal("bend_before_rad", "rad", -largest, largest, "sensor reading of the previous step"),
@@ -90,8 +90,8 @@ class ModuleEpisode(Episode):
         """Begin with a straight module and empty chambers."""
         state = twin.reset(seed=seed)
         self._levels = levels
-        self._carrier = PulseWidth(CARRIER_HZ, twin.tick, 1, long_ticks=True)
-        self._readings = Readings(1)
+        self._carrier = PulseWidthModulator(CARRIER_HZ, twin.tick, 1, allow_long_ticks=True)
+        self._readings = SensorReadings(1)
         self._duties = [0.0, 0.0]
         super().__init__(task, twin, state)
 
@@ -107,7 +107,7 @@ class ModuleEpisode(Episode):
 
     def _observed(self) -> list[float]:
         before = float(self._readings.value[0])
-        self._readings.take(float(self.state.time), self.state.sensed)
+        self._readings.update(float(self.state.time), self.state.sensed)
         return [float(self._readings.value[0]), before, self._reference(), *self._duties]
 
     def _judge(self) -> float:

@@ -47,7 +47,7 @@ from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.recordings.csv_table import first_line_names, read_file, read_table
 from srs_twin.recordings.recording import Recording
-from srs_twin.recordings.signals.gaps import LEAST_FRAMES
+from srs_twin.recordings.signals.gaps import MIN_FRAMES
 from srs_twin.recordings.signals.logs import SIDES
 from srs_twin.recordings.signals.units import ANGLES, PRESSURES, is_clock
 from srs_twin.recordings.signals.valve_log import ValveLog
@@ -276,7 +276,7 @@ class StaticTable:
             near = (off <= _NEAR * np.median(off, axis=0) + _ALIKE).all(axis=(1, 2))
             since = time[begin:end] - time[begin]
             part = begin + np.flatnonzero(near & (since >= wait) & (since <= span - _CLOCK))
-            if len(part) < LEAST_FRAMES:
+            if len(part) < MIN_FRAMES:
                 continue
             # A slow ramp stays in any band for some time, and rises there by its whole width.
             slope = np.polyfit(since[part - begin], pressure[part].reshape(len(part), -1), 1)[0]
@@ -287,7 +287,7 @@ class StaticTable:
             if np.isfinite(point[:, 2]).any():
                 points.append(point)
         if not points:
-            wanted = f"{wait:.2g} s (5 times the slowest time constant) and {LEAST_FRAMES} frames more"
+            wanted = f"{wait:.2g} s (5 times the slowest time constant) and {MIN_FRAMES} frames more"
             said = (
                 f"all pressures stay constant for {longest:.2g} s at most; {wanted} are wanted, bends at rest"
             )
@@ -334,7 +334,7 @@ def _scatter(values: np.ndarray) -> np.ndarray:
 def _at_rest(time: np.ndarray, pressure: np.ndarray, bend: np.ndarray, of_frame: np.ndarray) -> list[float]:
     """Return a segment's mean pressures, its mean bend and its error once settled; NaN where it never is."""
     kept = np.flatnonzero(np.isfinite(bend))
-    while len(kept) >= LEAST_FRAMES:
+    while len(kept) >= MIN_FRAMES:
         since = time[kept] - time[kept].mean()
         slope, mean = np.polyfit(since, bend[kept], 1)
         left = bend[kept] - mean - slope * since

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from srs_twin.comparison.gait import GaitWindow
-from srs_twin.control.commands import Steered
+from srs_twin.control.commands import ScheduledOffset
 from srs_twin.control.gait import Gait
 from srs_twin.control.learning import ILC, TARGETS
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
@@ -162,8 +162,8 @@ class Drive:
         """
         before, after = change
 
-        def controller() -> Steered:
-            return Steered(self.make(before), [(time, after)])
+        def controller() -> ScheduledOffset:
+            return ScheduledOffset(self.make(before), [(time, after)])
 
         duration = ticks(time + (self.lasting + periods) * self.period)
         return Job(maker, controller, duration, record_hz=RECORD_HZ)
@@ -349,7 +349,7 @@ def steady_path(drive: Drive, run: Trajectory, periods: int) -> SteadyPath:
     Raises:
         InputError: the run is too short, or the snake gets nowhere.
     """
-    window = GaitWindow.last(run, drive.period, float(run.time[-1]), periods)
+    window = GaitWindow.ending_at(run, drive.period, float(run.time[-1]), periods)
     if window is None:
         raise InputError(f"the run is shorter than {periods} gait periods")
     return SteadyPath.of(run, drive.spec.geometry, window)

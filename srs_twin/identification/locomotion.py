@@ -25,7 +25,7 @@ from srs_twin.identification.least_squares import Search, SearchOptions, Watch, 
 from srs_twin.identification.unknowns import unknowns, with_values
 from srs_twin.plants.base import Plant
 from srs_twin.pneumatics import Pneumatics
-from srs_twin.recordings.body.trajectories import numbered
+from srs_twin.recordings.body.trajectories import numbered_columns
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import rollout
 from srs_twin.trajectory import Trajectory
@@ -275,4 +275,4 @@ def _shapes(trajectory: Trajectory, like: Trajectory, *, moved: bool) -> dict[st
         path = (path - path.mean(axis=0)) @ np.array([[c, s], [-s, c]]) + other.mean(axis=0)
         heading = heading + turn
     found = {"path_x": path[:, 0], "path_y": path[:, 1], "heading": heading}
-    return found | numbered("bend", at(trajectory, trajectory.stack("bend")))
+    return found | numbered_columns("bend", at(trajectory, trajectory.stack("bend")))

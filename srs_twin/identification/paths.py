@@ -28,7 +28,12 @@ from dataclasses import astuple, dataclass, fields
 import numpy as np
 
 from srs_twin.comparison.centre_line import body_sides
-from srs_twin.comparison.gait import LEAST_WAY, GaitWindow, carried, path_curvature
+from srs_twin.comparison.gait import (
+    MIN_TRAVEL_BODY_LENGTHS,
+    GaitWindow,
+    displacement_per_period,
+    path_curvature,
+)
 from srs_twin.comparison.sampling import body_length, interpolant
 from srs_twin.errors import InputError
 from srs_twin.planning.footprint import Transient
@@ -102,8 +107,8 @@ def averaged_path(trajectory: Trajectory, window: GaitWindow) -> tuple[np.ndarra
     Returns:
         (instants,) each, over K − 1 periods.
     """
-    mean, velocity = window.running(trajectory, trajectory.com)
-    turn = float(window.running(trajectory, trajectory["heading"])[1].mean()) * window.period
+    mean, velocity = window.running_mean(trajectory, trajectory.com)
+    turn = float(window.running_mean(trajectory, trajectory["heading"])[1].mean()) * window.period
     chord = (velocity[:, 0] + 1j * velocity[:, 1]) * window.period
     half = turn / 2
     inside = half / 12 if abs(half) < _SMALL_TURN else (1 - np.sinc(half / np.pi)) / (2 * np.sin(half))
@@ -147,9 +152,9 @@ class SteadyPath:
         Raises:
             InputError: the snake gets nowhere, or backward.
         """
-        chords, turns = carried(trajectory, window)
+        chords, turns = displacement_per_period(trajectory, window)
         chord, turn = float(chords.mean()), float(turns.mean())
-        if not chord >= LEAST_WAY * body_length(trajectory):
+        if not chord >= MIN_TRAVEL_BODY_LENGTHS * body_length(trajectory):
             raise InputError(
                 f"the snake goes {1000 * chord:.3g} mm ahead in a gait period, so that it has no footprint; "
                 "another pressure or frequency may help"
@@ -223,12 +228,12 @@ def transient(
     Raises:
         InputError: the run is too short.
     """
-    old = GaitWindow.last(trajectory, period, change.time, STEADY_PERIODS)
+    old = GaitWindow.ending_at(trajectory, period, change.time, STEADY_PERIODS)
     if old is None:
         raise InputError(f"a change of offset needs {STEADY_PERIODS} gait periods before it")
     settled, (before, after) = _settled(trajectory, period, change.time, paths), paths
     end = min(settled + STEADY_PERIODS * period, float(trajectory.time[-1]))
-    new = GaitWindow.last(trajectory, period, end, STEADY_PERIODS)
+    new = GaitWindow.ending_at(trajectory, period, end, STEADY_PERIODS)
     assert new is not None, "it begins after the change"
     begin = _back(trajectory, old, change.time, before).mean()
     jumped = begin.inverse().then(_back(trajectory, new, change.time, after)).mean()

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.control.pwm import PulseWidth
+from srs_twin.control.pwm import PulseWidthModulator
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.live.links import clock
 from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, SUPPLY, VALVES
@@ -165,7 +165,9 @@ class EmulatedRobot:
         if not isinstance(self._air, OrificePneumatics) and any(e.kind == "leak" for e in self.faults):
             raise InputError(f"chambers of pneumatics {pneumatics!r} do not begin to leak; 'orifice' ones do")
         self._pending = [each for each in self.faults if each.kind in ("leak", "starved")]
-        self._pulses = PulseWidth(CARRIER_HZ, tick, spec.segments, together=True, long_ticks=True)
+        self._pulses = PulseWidthModulator(
+            CARRIER_HZ, tick, spec.segments, aligned=True, allow_long_ticks=True
+        )
         self._frozen = np.full(spec.segments, np.nan)
         self.valves = np.full((spec.segments, 2), -1, dtype=np.int8)
         self.state = self.twin.reset(pose=start, seed=seed)

@@ -189,7 +189,7 @@ class Follower(Controller):
             why, coming = self._coming
             self._coming = None
             self._renewed(time, why, coming.result())
-        frame = self._frames.take(state) if not self.finished else None
+        frame = self._frames.capture(state) if not self.finished else None
         if frame is not None:
             self._mean.add(time, frame)
             self._decide(time)
@@ -251,14 +251,14 @@ class Follower(Controller):
         mean, predictor = self._mean, self._predictor
         assert mean.pose is not None
         predictor.command(time, self._commanded)
-        predictor.measure(time, mean.middle, mean.pose, whole=mean.whole)
-        here = predictor.predict(mean.middle, mean.pose, time)
+        predictor.measure(time, mean.time, mean.pose, whole=mean.complete)
+        here = predictor.predict(mean.time, mean.pose, time)
         self._look(time, here)
         if self.finished:
             return
         law, later = self.law, time + self.conditions.delay
         shows = later + self.conditions.lag
-        pose = predictor.predict(mean.middle, mean.pose, shows) if law.predicts else mean.pose
+        pose = predictor.predict(mean.time, mean.pose, shows) if law.predicts else mean.pose
         turning = predictor.turning, predictor.disturbance, predictor.gain
         wanted = law.offset(SteeringInput(pose, self._near(pose), *turning))
         wanted = min(max(wanted, self._low), self._high)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from srs_twin.comparison.centre_line import hull_lines, on_both_sides
+from srs_twin.comparison.centre_line import hull_lines, offset_to_sides
 from srs_twin.comparison.contacts import TOUCH_N, obstacle_force, touches
 from srs_twin.comparison.group import MetricGroup
 from srs_twin.comparison.sampling import positive_number, rms, units_of
@@ -216,7 +216,7 @@ def body_points(trajectory: Trajectory) -> np.ndarray:
     """Return points on both sides of connectors and of the middles of segments, shape (samples, k, 2), m."""
     half = (positive_number(trajectory, "body_width_m") or 0.0) / 2
     centres, heading = centre_points(trajectory)
-    return on_both_sides(centres, heading, half)
+    return offset_to_sides(centres, heading, half)
 
 
 def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:

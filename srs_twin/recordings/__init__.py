@@ -1,4 +1,4 @@
-"""What a lab recorded, as trajectories: readers, markers to body, logs, one clock."""
+"""Recordings of robots as trajectories: file formats, body shape from markers, logs, and clocks."""
 
 from srs_twin.extensions import lazy
 

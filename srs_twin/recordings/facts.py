@@ -1,4 +1,4 @@
-"""Facts of a recording: what `srs-twin inspect --json` prints, one object per file that can be read.
+"""Facts of a recording: the output of `srs-twin inspect --json`, one object per file that can be read.
 
 Keys that do not apply to a file are left out. `srs-twin schema inspect` prints the JSON Schema of the list.
 """
@@ -30,36 +30,36 @@ Pair = Annotated[list[str], Field(min_length=2, max_length=2)]
 
 
 class _Facts(StrictModel):
-    # NumPy's numbers become Python's.
+    # Converts the numbers of NumPy to those of Python.
     model_config = ConfigDict(strict=False)
 
 
 class MarkerFacts(_Facts):
-    """A marker or a rigid body as it was detected, on the robot or not."""
+    """Detected marker or rigid body, on the robot or not."""
 
     name: str
     """Name of the column."""
     rigid_body: bool
     """Whether it is a rigid body with a rotation; the position is then that of the body."""
     coverage: Ratio
-    """Share of the frames on which it was detected."""
+    """Fraction of the frames on which it was detected."""
     gaps: Count
     """Number of gaps between its first and its last detection."""
     longest_gap_s: Seconds
-    """Duration of the longest of them."""
+    """Duration of the longest gap."""
     noise_mm: Millimetres | None
-    """Standard deviation of a coordinate's noise; null for a marker that was never detected."""
+    """Standard deviation of the noise of a coordinate; null for a marker that was never detected."""
     noise_m: Metres | None
-    """The same in m."""
+    """Standard deviation of the noise of a coordinate in m."""
     height_mm: Millimetres | None
-    """Median height above the file's origin."""
+    """Median height above the origin of the file."""
 
 
 class DistanceFacts(_Facts):
-    """Two neighbours along the body."""
+    """Distance of two neighbours along the body."""
 
     markers: Pair
-    """Their names."""
+    """Names of the markers."""
     median_mm: Millimetres
     """Median distance."""
     spread_mm: Millimetres
@@ -72,18 +72,18 @@ class HeadFacts(_Facts):
     marker: str
     """Name of the marker."""
     why: str
-    """The reason, in words."""
+    """Reason."""
 
 
 class SignalFacts(_Facts):
-    """A column or topic of numbers over time."""
+    """Column or topic with numbers over time."""
 
     name: str
     """Name of the column or topic."""
     looks_like: str
-    """Kind of quantity that its name and values suggest, in words."""
+    """Quantity suggested by its name and values."""
     understood: bool
-    """Whether its name is one that is read without a map."""
+    """Whether its name is known without a map."""
     low: Annotated[float, _unit("of the file")] | None = None
     """Lowest value."""
     high: Annotated[float, _unit("of the file")] | None = None
@@ -91,11 +91,11 @@ class SignalFacts(_Facts):
     distinct: Count | None = None
     """Number of different values."""
     openings_per_s: Hertz | None = None
-    """Rate at which a signal of two or three values reaches its highest one."""
+    """Rate at which a signal with two or three values reaches its highest one."""
 
 
 class RobotFacts(_Facts):
-    """The file read as a recording of the robot given with `--robot`."""
+    """Result of reading the file as a recording of the robot given with `--robot`."""
 
     name: str
     """Name of the robot."""
@@ -108,9 +108,9 @@ class RobotFacts(_Facts):
     bend_error_rad: Radians | None = None
     """Root mean square of the standard errors of the bends."""
     length_mm: list[Millimetres] | None = None
-    """Median length of each segment's arc, head first."""
+    """Median arc length of each segment, head first."""
     stretch: list[Ratio] | None = None
-    """Range of each length (98 % less 2 % quantile) as a share of the robot's, head first."""
+    """Range of each length (98 % minus 2 % quantile) relative to that of the robot, head first."""
 
 
 class RecordingFacts(_Facts):
@@ -121,11 +121,11 @@ class RecordingFacts(_Facts):
     format: str
     """File format, with its version where it has one."""
     content: Literal["markers", "log"]
-    """Positions over time, or numbers over time."""
+    """Whether the file has positions or other numbers over time."""
     sha256: str
     """Checksum of the file."""
     rate_hz: Hertz | None = None
-    """Frames or rows per second, from the median step; null if time stands still."""
+    """Frames or rows per second, from the median step; null if the time does not increase."""
     duration_s: Seconds | None = None
     """Time from the first frame or row to the last."""
     starts_s: Seconds | None = None
@@ -133,7 +133,7 @@ class RecordingFacts(_Facts):
     rows: Count | None = None
     """Rows of a log."""
     steps_back: Count | None = None
-    """Number of rows of a log whose time is before that of the row above."""
+    """Number of rows of a log with an earlier time than the previous row."""
     frames: Count | None = None
     """Frames in the file."""
     frames_missing: Count | None = None
@@ -150,37 +150,37 @@ class RecordingFacts(_Facts):
     bodies: list[str] | None = None
     """Names of the rigid bodies with a rotation."""
     tracks: Count | None = None
-    """Number of markers that may be the robot's and were detected on 20 % of the frames or more."""
+    """Number of markers that may belong to the robot and were detected on at least 20 % of the frames."""
     positions_of_nothing: Count | None = None
-    """Number of positions that belong to no marker that could be followed."""
+    """Number of positions that do not belong to a tracked marker."""
     noise_mm: Millimetres | None = None
-    """Standard deviation of a coordinate's noise over all these markers."""
+    """Standard deviation of the noise of a coordinate over all these markers."""
     rigid_pairs: list[Pair] | None = None
     """Pairs of markers on one rigid part."""
     order: list[str] | None = None
-    """Markers from one end of the body to the other; empty if they do not lie along one line."""
+    """Markers from one end of the body to the other; empty if they are not along one line."""
     distances: list[DistanceFacts] | None = None
     """Distances of neighbours in this order."""
     layouts: dict[str, Count] | None = None
-    """Marker layout → number of connectors of a robot with as many markers."""
+    """Marker layout → number of connectors of a robot with this number of markers."""
     head: list[HeadFacts] | None = None
-    """Ends that may be the head, the likeliest first."""
+    """Ends that may be the head, in order of likelihood."""
     signals: list[SignalFacts] | None = None
-    """Signals of a log, or those next to the positions."""
+    """Signals of a log, or those in a file with positions."""
     robot: RobotFacts | None = None
-    """With `--robot` only."""
+    """Only with `--robot`."""
     proposals: list[str]
-    """Lines of a proposed map (YAML), to be corrected."""
+    """Lines of a proposed map (YAML), to be checked."""
     notes: list[str]
-    """What was found, converted, assumed and left out, in words."""
+    """Notes on results, conversions, assumptions and data that were left out."""
 
 
 def plain_facts(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return checked facts in plain Python types, for JSON."""
+    """Return validated facts in plain Python types, for JSON."""
     return RecordingFacts.model_validate(facts).model_dump(mode="json", exclude_unset=True)
 
 
 def facts_json_schema() -> dict[str, Any]:
-    """Return the schema (draft 2020-12) of what `inspect --json` prints, with descriptions and units."""
+    """Return the JSON Schema (draft 2020-12) of `inspect --json`, with descriptions and units."""
     schema = TypeAdapter(list[RecordingFacts]).json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema

@@ -1,7 +1,7 @@
-"""What is in a recording, without a robot: format, clock, axes, markers, distances, order, head, a map.
+"""Inspection of a recording without a robot: format, clock, axes, markers, order, head, proposed map.
 
-Facts are plain data with units in their keys, as `srs-twin inspect --json` prints them (`facts.py`). `Scene`
-is what its picture is drawn from.
+Facts are plain data with units in their keys, as printed by `srs-twin inspect --json` (`facts.py`). `Scene`
+contains the data for a picture.
 """
 
 from __future__ import annotations
@@ -16,10 +16,16 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.recordings.body.floor import on_floor
-from srs_twin.recordings.body.markers import CARRIED, SOLID, body_order, forward_distance, median_and_spread
-from srs_twin.recordings.body.shape import noise_of
-from srs_twin.recordings.body.tracking import distances, follow
+from srs_twin.recordings.body.floor import map_to_floor
+from srs_twin.recordings.body.markers import (
+    LAYOUT_SIZES,
+    MIN_COVERAGE,
+    body_order,
+    distance_statistics,
+    forward_distance,
+)
+from srs_twin.recordings.body.shape import marker_noise
+from srs_twin.recordings.body.tracking import pairwise_distances, track_markers
 from srs_twin.recordings.csv_table import (
     CLOCK,
     Meaning,
@@ -34,9 +40,9 @@ from srs_twin.recordings.formats import identify, plain_csv, read_markers, read_
 from srs_twin.recordings.formats.base import axis_columns, in_unit
 from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.marker_table import MarkerTable
-from srs_twin.recordings.recording import bodies_as_pairs, in_slots, read_motion, without_strangers
+from srs_twin.recordings.recording import bodies_as_pairs, in_slots, read_motion, without_foreign_tracks
 from srs_twin.recordings.recording_map import LOG_NAME, QUANTITIES, RecordingMap
-from srs_twin.recordings.signals.gaps import LEAST_FRAMES, FrameGrid, at_frames, frame_grid, runs
+from srs_twin.recordings.signals.gaps import MIN_FRAMES, FrameGrid, at_frames, frame_grid, runs
 from srs_twin.recordings.signals.units import (
     ABSOLUTE,
     ANGLES,
@@ -49,18 +55,33 @@ from srs_twin.recordings.signals.units import (
 )
 from srs_twin.robot.spec import RobotSpec
 
-_RIGID = 1.3  # times what noise gives: a distance that varies less is that of one rigid part
-_GAP = 0.2  # s, over which markers are followed
-_SAMPLED = 2000
-_CRAWLED = 0.3  # of the distance of neighbours: less does not tell the head
-_CARRIER = 10.0  # openings a second: more are no gait's
-_MOST_SIGNALS = 200
-_MILLIMETRES = 2.0  # m between neighbours: more is a unit that was mistaken
+_RIGID_NOISE_RATIO = 1.3
+"""Variation of a distance, divided by that from noise, below which two markers are on one rigid part, 1."""
+_TRACKING_GAP_S = 0.2
+"""Longest gap over which markers are tracked, s."""
+_DISTANCE_FRAMES = 2000
+"""Number of frames from which distances are computed."""
+_MIN_CRAWLED = 0.3
+"""Smallest forward distance that indicates the head, in distances of neighbours, 1."""
+_MIN_CARRIER_HZ = 10.0
+"""Smallest switching rate of a carrier, Hz; a gait is slower."""
+_MAX_SIGNALS = 200
+"""Largest number of signals that are described."""
+_MAX_NEIGHBOUR_M = 2.0
+"""Distance of neighbours above which the unit of length is probably wrong, m."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Markers from above: places (frames, markers, 2), m, names, order along the body, and rigid pairs."""
+    """Markers seen from above.
+
+    Attributes:
+        places: positions, shape (frames, markers, 2 or 3), m.
+        names: names of the markers.
+        order: markers in their order along the body; empty if it is unknown.
+        rigid: pairs of markers on one rigid part.
+        title: title of the picture.
+    """
 
     places: np.ndarray
     names: tuple[str, ...]
@@ -72,15 +93,15 @@ class Scene:
 def inspect_file(
     path: str | os.PathLike[str], map: RecordingMap, spec: RobotSpec | None
 ) -> tuple[dict[str, Any], Scene | None]:
-    """Return the facts of a file, and its markers where it has any.
+    """Return the facts of a file, and its markers if it has any.
 
     Args:
         path: a recording of markers, or a log.
-        map: units, rate and places that are known.
-        spec: the robot that it may be of.
+        map: known units, rate and places.
+        spec: the robot of the recording, if it is to be read as such.
 
     Raises:
-        InputError: it cannot be read; says why.
+        InputError: the file cannot be read; the message gives the reason.
     """
     start = start_of(path, map.dialect)
     timed = {clean(name) for name in map.meanings(["time"])} & set(start.names)
@@ -88,10 +109,10 @@ def inspect_file(
     if kind == plain_csv.NAME:
         file = laid_out(read_file(path), map.dialect)
         if not axis_columns(file.names) and not any(name.lower().startswith("x_1") for name in file.names):
-            return _whole(_table_facts(file, map)), None
+            return _with_proposal(_table_facts(file, map)), None
     topics = read_topics(path)
     if topics is not None and topics.markers is None and topics.signals:
-        return _whole(_topics_facts(topics, kind, map)), None
+        return _with_proposal(_topics_facts(topics, kind, map)), None
     if topics is not None and topics.markers is not None:
         table = in_unit(topics.markers, map.units)
     else:
@@ -100,27 +121,27 @@ def inspect_file(
         )
     facts, scene = _motion_facts(map.applied(table), map)
     if spec is not None:
-        facts["robot"] = _beside_robot(path, map, spec)
+        facts["robot"] = _robot_facts(path, map, spec)
     if topics is not None:
         facts["signals"] = _topics_facts(topics, kind, map)["signals"]
-    return _whole(facts), scene
+    return _with_proposal(facts), scene
 
 
-def _whole(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return facts with the map that they propose, in plain types."""
+def _with_proposal(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return facts with the proposed map, in plain types."""
     return plain_facts({**facts, "proposals": proposed_map([facts]).splitlines()})
 
 
 def _topics_facts(topics: RecordedTopics, kind: str, map: RecordingMap) -> dict[str, Any]:
     """Return the facts of the signals of a bag."""
-    signals = list(topics.signals.items())[:_MOST_SIGNALS]
-    time = max((each for _, (each, _) in signals), key=len, default=np.zeros(0))
-    found = [_signal_facts(name, *series, map) for name, series in signals]
-    return _log_facts(topics, kind, found, topics.notes, time)
+    signals = list(topics.signals.items())[:_MAX_SIGNALS]
+    time = max((times for _, (times, _) in signals), key=len, default=np.zeros(0))
+    signal_facts = [_signal_facts(name, *series, map) for name, series in signals]
+    return _log_facts(topics, kind, signal_facts, topics.notes, time)
 
 
 def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[dict[str, Any], Scene | None]:
-    frames, whole = frame_grid(table.time), bodies_as_pairs(table)
+    frames, with_pairs = frame_grid(table.time), bodies_as_pairs(table)
     facts: dict[str, Any] = {
         "file": table.name, "format": table.kind, "content": "markers", "sha256": table.sha256,
         "rate_hz": 1 / frames.period, "duration_s": float(frames.time[-1] - frames.time[0]),
@@ -129,98 +150,101 @@ def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[dict[str, Any]
         "notes": [*table.corrections, *frames.corrections],
     }  # fmt: skip
     try:
-        floor = on_floor(whole.points, map.up or "auto", table.usual_up)
+        floor = map_to_floor(with_pairs.points, map.up or "auto", table.usual_up)
     except InputError as error:
         facts["notes"].append(str(error))
         return facts, None
-    seen = at_frames(floor.points, frames)
-    turned = np.zeros(len(table.labels), dtype=bool)
+    points = at_frames(floor.points, frames)
+    has_rotation = np.zeros(len(table.labels), dtype=bool)
     if table.rotations is not None:
-        turned = np.isfinite(table.rotations).any(axis=(0, 2))
-    owner = np.repeat(np.arange(len(turned)), 1 + turned)  # bodies with a rotation have two columns
+        has_rotation = np.isfinite(table.rotations).any(axis=(0, 2))
+    owner = np.repeat(np.arange(len(has_rotation)), 1 + has_rotation)  # rigid bodies have two columns
     facts["notes"] += floor.corrections
-    facts |= {"up": floor.up, "bodies": [table.labels[k] for k in np.flatnonzero(turned)]}
+    facts |= {"up": floor.up, "bodies": [table.labels[k] for k in np.flatnonzero(has_rotation)]}
     facts["markers"] = [
-        _marker_facts(name, seen[:, owner == k].mean(axis=1), frames, bool(turned[k]))
+        _marker_facts(name, points[:, owner == k].mean(axis=1), frames, bool(has_rotation[k]))
         for k, name in enumerate(table.labels)
     ]
-    return facts, _chain_facts(whole, seen, frames, facts)
+    return facts, _body_facts(with_pairs, points, frames, facts)
 
 
-def _marker_facts(name: str, place: np.ndarray, frames: FrameGrid, body: bool) -> dict[str, Any]:
-    missing = np.isnan(place[:, 0])
+def _marker_facts(name: str, position: np.ndarray, frames: FrameGrid, rigid_body: bool) -> dict[str, Any]:
+    missing = np.isnan(position[:, 0])
     gaps = runs(missing)
-    inner = gaps[(gaps[:, 0] > 0) & (gaps[:, 1] < len(place))]
+    inner = gaps[(gaps[:, 0] > 0) & (gaps[:, 1] < len(position))]
     longest = float(np.diff(inner, axis=1).max(initial=0)) * frames.period
-    noise = None if missing.all() else noise_of(place[:, None, :2])
+    noise = None if missing.all() else marker_noise(position[:, None, :2])
     return {
-        "name": name, "rigid_body": body, "coverage": float(1 - missing.mean()), "gaps": len(inner),
+        "name": name, "rigid_body": rigid_body, "coverage": float(1 - missing.mean()), "gaps": len(inner),
         "longest_gap_s": longest, "noise_mm": None if noise is None else 1e3 * noise, "noise_m": noise,
-        "height_mm": None if missing.all() else 1e3 * float(np.nanmedian(place[:, 2])),
+        "height_mm": None if missing.all() else 1e3 * float(np.nanmedian(position[:, 2])),
     }  # fmt: skip
 
 
-def _chain_facts(
-    table: MarkerTable, seen: np.ndarray, frames: FrameGrid, facts: dict[str, Any]
+def _body_facts(
+    table: MarkerTable, points: np.ndarray, frames: FrameGrid, facts: dict[str, Any]
 ) -> Scene | None:
-    """Add order, distances, layouts and head to the facts, as far as markers tell them."""
-    slots, columns = in_slots(table, seen)
-    nearest = np.fmin.reduce(distances(slots[..., :2], _SAMPLED), axis=2)
+    """Add order, distances, layouts and head to the facts, as far as the markers determine them."""
+    slots, columns = in_slots(table, points)
+    nearest = np.fmin.reduce(pairwise_distances(slots[..., :2], _DISTANCE_FRAMES), axis=2)
     if np.isnan(nearest).all():
-        facts["notes"].append("never two markers at once")
+        facts["notes"].append("no frame has two visible markers")
         return None
     near = float(np.nanmedian(nearest))
-    if near > _MILLIMETRES:
+    if near > _MAX_NEIGHBOUR_M:
         facts["notes"].append(f"neighbours are {near:.3g} m apart; are lengths in mm? Give --units")
-    tracks, origin, dropped = follow(slots, columns, max(1, round(_GAP / frames.period)), 2 * near)
-    tracks, origin, _, notes = without_strangers(tracks, origin, table)
+    longest_gap = max(1, round(_TRACKING_GAP_S / frames.period))
+    tracks, origin, unassigned = track_markers(slots, columns, longest_gap, 2 * near)
+    tracks, origin, _, notes = without_foreign_tracks(tracks, origin, table)
     facts["notes"] += notes
-    solid = np.flatnonzero((~np.isnan(tracks[..., 0])).mean(axis=0) >= SOLID)
-    places, count = tracks[:, solid], len(solid)
-    names = _names(origin[:, solid], table.labels, facts)
-    facts |= {"tracks": count, "positions_of_nothing": int(dropped)}
-    whole = places[np.isfinite(places[..., 0]).all(axis=1)]
-    if len(whole) < LEAST_FRAMES or count < 2:
-        facts["notes"].append(f"{len(whole)} frames with all {count} lasting markers at once")
+    lasting = np.flatnonzero((~np.isnan(tracks[..., 0])).mean(axis=0) >= MIN_COVERAGE)
+    places, count = tracks[:, lasting], len(lasting)
+    names = _marker_names(origin[:, lasting], table.labels, facts)
+    facts |= {"tracks": count, "positions_of_nothing": int(unassigned)}
+    complete = places[np.isfinite(places[..., 0]).all(axis=1)]
+    if len(complete) < MIN_FRAMES or count < 2:
+        facts["notes"].append(f"{len(complete)} frames have all {count} lasting markers")
         return Scene(places, names, (), (), facts["file"])
-    noise, (middle, spread) = noise_of(places), median_and_spread(whole)
-    closest = np.nanmin(middle, axis=0)
-    rigid = (spread < _RIGID * np.sqrt(2) * noise) & (middle <= 1.5 * np.minimum.outer(closest, closest))
-    # Of a body that bends little many distances hardly vary; a marker has one partner on a rigid part.
+    noise, (median, spread) = marker_noise(places), distance_statistics(complete)
+    closest = np.nanmin(median, axis=0)
+    constant = spread < _RIGID_NOISE_RATIO * np.sqrt(2) * noise
+    rigid = constant & (median <= 1.5 * np.minimum.outer(closest, closest))
+    # Many distances on a body that bends little are nearly constant, but a marker has only one partner on a
+    # rigid part.
     single = rigid.sum(axis=0) == 1
     pairs = tuple((int(a), int(b)) for a, b in np.argwhere(np.triu(rigid & single & single[:, None])))
     try:
-        order = tuple(body_order(whole).tolist())
+        order = tuple(body_order(complete).tolist())
     except InputError as error:
         facts["notes"].append(str(error))
         order = ()
     facts |= {"noise_mm": 1e3 * noise, "order": [names[k] for k in order]}
     facts["rigid_pairs"] = [[names[a], names[b]] for a, b in pairs]
     facts["distances"] = [
-        {"markers": [names[a], names[b]], "median_mm": 1e3 * middle[a, b], "spread_mm": 1e3 * spread[a, b]}
+        {"markers": [names[a], names[b]], "median_mm": 1e3 * median[a, b], "spread_mm": 1e3 * spread[a, b]}
         for a, b in pairwise(order)
-        if names[a] != names[b]  # two markers of ours stand for a rigid body
+        if names[a] != names[b]  # a rigid body is represented by two markers with its name
     ]
     facts["layouts"] = {
-        layout: (count - more) // each
-        for layout, (each, more) in CARRIED.items()
-        if (count - more) % each == 0
+        layout: (count - size.extra) // size.per_connector
+        for layout, size in LAYOUT_SIZES.items()
+        if (count - size.extra) % size.per_connector == 0
     }
-    heads = _heads(whole[:, list(order)], frames.period, order, pairs, near) if len(order) > 2 else []
-    facts["head"] = [{"marker": names[end], "why": why} for end, why in heads]
+    heads = _heads(complete[:, list(order)], frames.period, order, pairs, near) if len(order) > 2 else []
+    facts["head"] = [{"marker": names[end], "why": reason} for end, reason in heads]
     return Scene(places, names, order, pairs, facts["file"])
 
 
-def _names(origin: np.ndarray, labels: Sequence[str], facts: dict[str, Any]) -> tuple[str, ...]:
-    """Return a column's name for each marker, each once; note where markers change columns."""
+def _marker_names(origin: np.ndarray, labels: Sequence[str], facts: dict[str, Any]) -> tuple[str, ...]:
+    """Return a unique column name for each marker; add a note if markers change columns."""
     from scipy.optimize import linear_sum_assignment
 
-    counts = np.stack([np.bincount(each[each >= 0], minlength=len(labels)) for each in origin.T])
+    counts = np.stack([np.bincount(column[column >= 0], minlength=len(labels)) for column in origin.T])
     _, chosen = linear_sum_assignment(-counts)
     if (away := counts.sum() - counts[np.arange(len(chosen)), chosen].sum()) > 0:
         facts["notes"].append(
-            f"{100 * away / counts.sum():.0f} % of the positions stand in other columns than their marker's: "
-            "columns change places, and a map by their names does not hold for all frames"
+            f"{100 * away / counts.sum():.0f} % of the positions are in other columns than those of their "
+            "markers: markers change their columns, so a map by their names is not valid for all frames"
         )
     return tuple(labels[k] for k in chosen)
 
@@ -228,51 +252,55 @@ def _names(origin: np.ndarray, labels: Sequence[str], facts: dict[str, Any]) -> 
 def _heads(
     body: np.ndarray, period: float, order: Sequence[int], pairs: Sequence[tuple[int, int]], near: float
 ) -> Iterator[tuple[int, str]]:
-    """Yield which ends may be the head, the likeliest first, and why."""
+    """Yield the ends that may be the head, in order of likelihood, with reasons."""
     for end, second in (order[:2], order[:-3:-1]):
         if [{end, second}] == [set(pair) for pair in pairs]:
             yield end, "the only end with a second marker on a rigid part"
     crawled = forward_distance(period, body)
-    if abs(crawled) > _CRAWLED * near:
+    if abs(crawled) > _MIN_CRAWLED * near:
         end = order[0] if crawled > 0 else order[-1]
         yield end, f"the body crawled {abs(crawled):.3g} m towards this end"
 
 
-def _beside_robot(path: str | os.PathLike[str], map: RecordingMap, spec: RobotSpec) -> dict[str, Any]:
-    """Return what reading it as a recording of a robot gives."""
+def _robot_facts(path: str | os.PathLike[str], map: RecordingMap, spec: RobotSpec) -> dict[str, Any]:
+    """Return the result of reading the file as a recording of a robot."""
     try:
-        found = read_motion(path, spec, map=map)
+        recording = read_motion(path, spec, map=map)
     except InputError as error:
         return {"name": spec.name, "reads": False, "says": str(error)}
-    length, markers = found.trajectory.stack("length"), found.summary.markers
-    low, middle, high = np.quantile(length, [0.02, 0.5, 0.98], axis=0)
+    length, markers = recording.trajectory.stack("length"), recording.summary.markers
+    low, median, high = np.quantile(length, [0.02, 0.5, 0.98], axis=0)
     assert markers is not None, "it is a recording of markers"
     return {
-        "name": spec.name, "reads": True, "says": found.summary.text(), "layout": markers.layout,
-        "bend_error_rad": markers.bend_error_rad, "length_mm": (1e3 * middle).tolist(),
+        "name": spec.name, "reads": True, "says": recording.summary.text(), "layout": markers.layout,
+        "bend_error_rad": markers.bend_error_rad, "length_mm": (1e3 * median).tolist(),
         "stretch": ((high - low) / spec.geometry.segment_length).tolist(),
     }  # fmt: skip
 
 
 def _table_facts(file: RecordedFile, map: RecordingMap) -> dict[str, Any]:
     """Return the facts of a table of numbers over time."""
-    given = map.meanings(QUANTITIES)
-    timed = {name: each for name, each in given.items() if each.name == "time" and clean(name) in file.names}
+    meanings = map.meanings(QUANTITIES)
+    timed = {
+        name: meaning
+        for name, meaning in meanings.items()
+        if meaning.name == "time" and clean(name) in file.names
+    }
     clock = next(iter(read_table(file, CLOCK, timed).columns), None)
     notes, time, epoch_ns, unit = [*file.notes], None, None, "no time"
     if clock is not None:
-        time, noted, epoch_ns = file.times(clock.place, clock.unit)
-        notes += noted
+        time, time_notes, epoch_ns = file.times(clock.place, clock.unit)
+        notes += time_notes
         unit = f"time in {clock.unit}" if clock.unit else "time without a unit"
     signals: list[dict[str, Any]] = []
-    for k, name in enumerate(file.names[:_MOST_SIGNALS]):
+    for k, name in enumerate(file.names[:_MAX_SIGNALS]):
         if clock is not None and k == clock.place:
             continue
         try:
             values = file.rows(file.header_lines, [k], len(file.names))[0][:, 0]
             signals.append(_signal_facts(name, time, values, map))
         except InputError as error:
-            if "is no number" not in str(error):
+            if "is not a number" not in str(error):
                 raise
             signals.append({"name": name, "looks_like": "text", "understood": False})
     notes.insert(0, f"a log of {len(signals)} signals, {unit}")
@@ -283,9 +311,9 @@ def _log_facts(
     source: RecordedFile | RecordedTopics, kind: str, signals: Sequence[Mapping[str, Any]],
     notes: Sequence[str], time: np.ndarray | None, beginning: float = 0.0,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the facts of a log: begin, duration, rate and rows are left out where it has fewer than two."""
-    about = {"file": source.name, "format": kind, "content": "log", "sha256": source.sha256}
-    facts = {**about, "signals": signals, "notes": notes}
+    """Return the facts of a log; start, duration, rate and rows are left out if it has less than two rows."""
+    head = {"file": source.name, "format": kind, "content": "log", "sha256": source.sha256}
+    facts = {**head, "signals": signals, "notes": notes}
     if time is None or len(time) < 2:
         return facts
     step = np.diff(time)
@@ -299,7 +327,7 @@ def _log_facts(
 def _signal_facts(
     name: str, time: np.ndarray | None, values: np.ndarray, map: RecordingMap
 ) -> dict[str, Any]:
-    """Return range, guess and switching of one signal; no switching without its times."""
+    """Return range, suggested quantity and switching rate of a signal; no rate without times."""
     known = values[np.isfinite(values)]
     if not known.size:
         return {"name": name, "looks_like": "nothing", "understood": False}
@@ -312,20 +340,20 @@ def _signal_facts(
         opened = time[1:][(values[1:] == known.max()) & (values[:-1] != known.max())]
         rate = float(1 / np.median(np.diff(opened))) if len(opened) > 2 and np.ptp(opened) > 0 else 0.0
         facts["openings_per_s"] = rate
-        if rate > _CARRIER:
+        if rate > _MIN_CARRIER_HZ:
             facts["looks_like"] += f", switched by a carrier of about {rate:.0f} Hz"
     return facts
 
 
 def _canonical(name: str) -> str:
-    """Return pressure_plus_1 for pressure_plus_1_kpa: a map's key, the unit is left to the column."""
+    """Return the key of a map for a column name: pressure_plus_1 for pressure_plus_1_kpa."""
     match = re.fullmatch(r"(.+_\d{1,3})(?:[_ ]+[a-z]+)?", bracketed(name)[0].lower())
     return match[1] if match else name.lower()
 
 
 def _looks_like(name: str, values: np.ndarray, map: RecordingMap) -> str:
-    """Return a guess of a signal's quantity: by a unit in the map or its name, else by its range."""
-    distinct, low, high, said = set(np.unique(values)[:4].tolist()), values.min(), values.max(), name.lower()
+    """Return the suggested quantity of a signal: by a unit in the map or in its name, else by its range."""
+    distinct, low, high, text = set(np.unique(values)[:4].tolist()), values.min(), values.max(), name.lower()
     meaning = map.meanings(QUANTITIES).get(name, Meaning(""))
     pressure_unit, angle_unit = (
         stated_unit(name, units) or symbol(meaning.unit or meaning.default, units)
@@ -335,14 +363,14 @@ def _looks_like(name: str, values: np.ndarray, map: RecordingMap) -> str:
         return _pressure(pressure_unit, "", low, high, map)
     if angle_unit:
         return f"angle, {angle_unit}"
-    pressure = "press" in said or "setpoint" in said
+    pressure = "press" in text or "setpoint" in text
     if distinct <= {-1.0, 0.0, 1.0} and not pressure:
         return "valve states" if -1.0 in distinct else "valve states, 0 venting"
     if low >= 0 and high <= 1 and not pressure:
         return "duty"
-    if low >= 0 and high <= 100 and any(word in said for word in ("duty", "pwm", "%")):
+    if low >= 0 and high <= 100 and any(word in text for word in ("duty", "pwm", "%")):
         return "duty, per cent"
-    if any(word in said for word in ("bend", "angle", "theta")) or (low < 0 and np.abs(values).max() < 7):
+    if any(word in text for word in ("bend", "angle", "theta")) or (low < 0 and np.abs(values).max() < 7):
         return "angle" + (", degrees" if np.abs(values).max() > 7 else ", rad")
     if pressure or (low > -100 and high > 2):
         unit = "bar" if high < 8 else "kPa" if high < 2e3 else "Pa"
@@ -351,95 +379,96 @@ def _looks_like(name: str, values: np.ndarray, map: RecordingMap) -> str:
 
 
 def _pressure(unit: str, why: str, low: float, high: float, map: RecordingMap) -> str:
-    """Return words on a pressure in a unit, with what it is in kPa."""
-    least, most = (PRESSURES[unit] * each for each in (low, high))
-    absolute = "; " + ABSOLUTE if not map.ambient and looks_absolute(np.array([least])) else ""
-    return f"pressure, {unit}{why}: {least / 1e3:g} to {most / 1e3:g} kPa{absolute}"
+    """Return a text on a pressure, with its range in kPa."""
+    smallest, largest = (PRESSURES[unit] * value for value in (low, high))
+    absolute = "; " + ABSOLUTE if not map.ambient and looks_absolute(np.array([smallest])) else ""
+    return f"pressure, {unit}{why}: {smallest / 1e3:g} to {largest / 1e3:g} kPa{absolute}"
 
 
 def proposed_map(facts: Sequence[Mapping[str, Any]]) -> str:
-    """Return a map for files of one recording, in YAML, with what was guessed and why."""
+    """Return a proposed map (YAML) for the files of one recording, with the reasons as comments."""
     import json
 
-    lines = ["# Proposed by srs-twin inspect: correct it, then give it as --map."]
-    for each in (one for one in facts if one["content"] == "markers"):
-        lines.append(f"# {each['file']}: {each['format']}, {each['rate_hz']:.4g} Hz")
-        if "up" in each:
-            lines.append(f"up: {json.dumps(each['up'])}")
-        lines += _marker_lines(each)
-    signals = (signal for each in facts for signal in each.get("signals", ()))
+    lines = ["# Proposed by srs-twin inspect: check it, then use it as --map."]
+    for file in (file for file in facts if file["content"] == "markers"):
+        lines.append(f"# {file['file']}: {file['format']}, {file['rate_hz']:.4g} Hz")
+        if "up" in file:
+            lines.append(f"up: {json.dumps(file['up'])}")
+        lines += _marker_lines(file)
+    signals = (signal for file in facts for signal in file.get("signals", ()))
     logged = [signal for signal in signals if signal["looks_like"] != "text"]
     keys = [_canonical(signal["name"]) for signal in logged]
     if any(map(LOG_NAME.fullmatch, keys)):
         lines.append("log:")
     elif logged:
-        lines.append("# log:  # say which is valve_plus_1, pressure_kpa_plus_1, … of each segment")
+        lines.append("# log:  # assign valve_plus_1, pressure_kpa_plus_1, … of each segment")
     for key, signal in zip(keys, logged, strict=True):
         key = key if LOG_NAME.fullmatch(key) else "# valve_plus_1"
-        said = f"{signal['looks_like']}, {signal.get('low', 0):g} to {signal.get('high', 0):g}"
-        lines.append(f"  {key}: {json.dumps(signal['name'])}  # {said}")
+        comment = f"{signal['looks_like']}, {signal.get('low', 0):g} to {signal.get('high', 0):g}"
+        lines.append(f"  {key}: {json.dumps(signal['name'])}  # {comment}")
     return "\n".join(lines) + "\n"
 
 
 def _marker_lines(facts: Mapping[str, Any]) -> list[str]:
-    """Return the lines of markers, head first where it is known."""
+    """Return the lines of the markers in a proposed map, head first if the head is known."""
     import json
 
     order, heads = list(facts.get("order", ())), facts.get("head", ())
     if not order:
-        return ["# markers: their order is not known; name their places: {connector: 1}, {middle: 1}, …"]
-    why = "which end is the head is not known: turn the numbers round if need be"
+        return ["# markers: their order is not known; give their places: {connector: 1}, {middle: 1}, …"]
+    reason = "the head is not known: reverse the numbers if it is at the other end"
     if heads:
-        why = heads[0]["why"]
+        reason = heads[0]["why"]
         if heads[0]["marker"] == order[-1]:
             order.reverse()
-    if any(each["rigid_body"] for each in facts["markers"]):
+    if any(marker["rigid_body"] for marker in facts["markers"]):
         named = enumerate(dict.fromkeys(order), start=1)
         places = [f"  {json.dumps(name)}: {{connector: {k}}}" for k, name in named]
-        return [f"bodies:  # head: {why}", *places]
+        return [f"bodies:  # head: {reason}", *places]
     pairs = {frozenset(pair) for pair in facts.get("rigid_pairs", ())}
-    twice = len(order) % 2 == 0 and pairs >= set(map(frozenset, zip(order[::2], order[1::2], strict=True)))
-    ahead = not twice and len(order) > 2 and frozenset(order[:2]) in pairs
-    lines = [f"markers:  # head: {why}"]
+    in_pairs = len(order) % 2 == 0 and pairs >= set(map(frozenset, zip(order[::2], order[1::2], strict=True)))
+    ahead = not in_pairs and len(order) > 2 and frozenset(order[:2]) in pairs
+    lines = [f"markers:  # head: {reason}"]
     for k, name in enumerate(order):
-        connector = k // 2 + 1 if twice else max(1, k + 1 - ahead)
+        connector = k // 2 + 1 if in_pairs else max(1, k + 1 - ahead)
         side = ", side: ahead" if ahead and k == 0 else ""
         lines.append(f"  {json.dumps(name)}: {{connector: {connector}{side}}}")
-    others = (each["name"] for each in facts["markers"] if each["name"] not in order)
+    others = (marker["name"] for marker in facts["markers"] if marker["name"] not in order)
     return lines + [f"  {json.dumps(name)}: ignore" for name in others]
 
 
 def in_words(facts: Mapping[str, Any]) -> str:
-    """Return the facts for people, a line each."""
+    """Return the facts as text, one per line."""
     lines = [f"{facts['file']}: {facts['format']}, {facts['content']}"]
     if facts.get("rate_hz"):
-        what = "frames" if "frames" in facts else "rows"
-        lines.append(f"{facts.get(what)} {what}, {facts['rate_hz']:.4g} Hz, {facts['duration_s']:.4g} s")
+        unit = "frames" if "frames" in facts else "rows"
+        lines.append(f"{facts.get(unit)} {unit}, {facts['rate_hz']:.4g} Hz, {facts['duration_s']:.4g} s")
     if "up" in facts:
         noise = f"noise {facts['noise_mm']:.2g} mm; " if "noise_mm" in facts else ""
         lines.append(f"up: {facts['up']}; {noise}{facts.get('tracks', 0)} lasting markers")
-    for each in facts.get("markers", ())[:40]:
+    for marker in facts.get("markers", ())[:40]:
         noise = "never seen"
-        if each["noise_mm"] is not None:
-            noise = f"noise {each['noise_mm']:.2g} mm, {each['height_mm']:.0f} mm high"
-        noise += ", rigid body" if each["rigid_body"] else ""
-        gaps = f"{each['gaps']} gaps up to {each['longest_gap_s']:.3g} s"
-        seen = f"seen on {100 * each['coverage']:.1f} % of the frames"
-        lines.append(f"  {each['name']}: {seen}, {gaps}, {noise}")
-    for each in facts.get("distances", ()):
-        a, b = each["markers"]
+        if marker["noise_mm"] is not None:
+            noise = f"noise {marker['noise_mm']:.2g} mm, {marker['height_mm']:.0f} mm high"
+        noise += ", rigid body" if marker["rigid_body"] else ""
+        gaps = f"{marker['gaps']} gaps up to {marker['longest_gap_s']:.3g} s"
+        coverage = f"seen on {100 * marker['coverage']:.1f} % of the frames"
+        lines.append(f"  {marker['name']}: {coverage}, {gaps}, {noise}")
+    for distance in facts.get("distances", ()):
+        a, b = distance["markers"]
         rigid = ", one rigid part" if {a, b} in [set(pair) for pair in facts["rigid_pairs"]] else ""
-        lines.append(f"  {a} to {b}: {each['median_mm']:.1f} mm, varies by {each['spread_mm']:.2g} mm{rigid}")
+        values = f"{distance['median_mm']:.1f} mm, varies by {distance['spread_mm']:.2g} mm"
+        lines.append(f"  {a} to {b}: {values}{rigid}")
     if "layouts" in facts:
         fitting = [f"{name} of {count} connectors" for name, count in facts["layouts"].items() if count > 1]
         lines.append(f"layouts with this number of markers: {', '.join(fitting)}")
-        heads = "; ".join(f"{each['marker']} ({each['why']})" for each in facts["head"])
-        lines.append(f"head: {heads or 'not told by the markers; give --head'}")
-    for each in facts.get("signals", ()):
-        bounds = f", {each['low']:g} to {each['high']:g}" if "low" in each else ""
-        rate = f", opens {each['openings_per_s']:.3g} times a second" if each.get("openings_per_s") else ""
-        unknown = "" if each["understood"] else " (needs a map)"
-        lines.append(f"  {each['name']}: {each['looks_like']}{bounds}{rate}{unknown}")
+        heads = "; ".join(f"{head['marker']} ({head['why']})" for head in facts["head"])
+        lines.append(f"head: {heads or 'not determined by the markers; give --head'}")
+    for signal in facts.get("signals", ()):
+        bounds = f", {signal['low']:g} to {signal['high']:g}" if "low" in signal else ""
+        rate = f", {signal['openings_per_s']:.3g} openings per second" if signal.get("openings_per_s") else ""
+        unknown = "" if signal["understood"] else " (needs a map)"
+        lines.append(f"  {signal['name']}: {signal['looks_like']}{bounds}{rate}{unknown}")
     if (robot := facts.get("robot")) is not None:
         lines += [f"as a recording of {robot['name']}:", *(f"  {line}" for line in robot["says"].split("\n"))]
-    return "\n".join([*lines, *(f"note: {each}" for each in facts["notes"])])
+    return "\n".join([*lines, *(f"note: {note}" for note in facts["notes"])])

@@ -1,4 +1,4 @@
-"""Markers over time, as a file has them."""
+"""Markers of a file over time."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ import numpy as np
 
 @dataclass(frozen=True)
 class MarkerTable:
-    """Markers over time, in the file's own axes, SI.
+    """Markers of a file over time, in the axes of the file and SI units.
 
     Attributes:
-        name: of the file, as messages show it.
-        sha256: of the file.
-        kind: of the file, as `formats.identify` names it, with its version where it has one.
-        time: shape (frames,), s, as the file counts it.
-        points: NaN where a marker was not seen, shape (frames, columns, 3), or (…, 2) in a plane, m.
+        name: name of the file for messages.
+        sha256: checksum of the file.
+        kind: file format as returned by `formats.identify`, with its version if it has one.
+        time: times of the file, shape (frames,), s.
+        points: NaN where a marker is hidden, shape (frames, columns, 3), or (…, 2) in a plane, m.
         labels: names of the columns.
-        corrections: what was converted, left out or skipped, in words.
-        places: station on the body and side of each column (`body.Places`), where its name says so; else
-            empty.
-        header_frames: how many frames the header announces; None where it does not.
-        rotations: of rigid bodies, quaternions x, y, z, w in the file's axes, NaN where there are none,
-            shape (frames, columns, 4); None for markers alone.
-        epoch_ns: time since 1970 at 0 s, ns; None where the file's clock does not tell.
-        unit: unit of the file's lengths, as stated, given or assumed.
+        corrections: texts on conversions and skipped data.
+        places: station on the body and side of each column (`body.markers.Places`), if its name contains
+            them; else empty.
+        header_frames: number of frames that the header states; None if it states none.
+        rotations: quaternions x, y, z, w of rigid bodies in the axes of the file, NaN for other columns,
+            shape (frames, columns, 4); None without rigid bodies.
+        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file is another one.
+        unit: unit of length of the file, as stated, given or assumed.
     """
 
     name: str
@@ -43,5 +43,5 @@ class MarkerTable:
 
     @property
     def usual_up(self) -> str:
-        """The axis that such files usually have upwards."""
+        """Axis that is usually vertical in such files."""
         return "y" if self.kind.startswith("Motive") else "z"

@@ -1,4 +1,4 @@
-"""Recording: a motion that was captured, as a trajectory. `read_motion` goes from file to trajectory."""
+"""Measured motion of a robot as a trajectory, read from motion capture (`read_motion`)."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError, check_choice
-from srs_twin.recordings.body.floor import UPS, FloorPlane, on_floor, strangers
+from srs_twin.recordings.body.floor import UPS, FloorPlane, foreign_tracks, map_to_floor
 from srs_twin.recordings.body.markers import (
     LAYOUTS,
     CapturedMarkers,
     TrackedBody,
     check_scale,
-    likeliest_layout,
     robot_markers,
+    select_layout,
     tracked_body,
 )
-from srs_twin.recordings.body.tracking import MOST, follow, pack_slots
+from srs_twin.recordings.body.tracking import MAX_MARKERS, pack_slots, track_markers
 from srs_twin.recordings.body.trajectories import LogSummary, MarkerCounts, body_trajectory
 from srs_twin.recordings.formats import read_markers
 from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 from srs_twin.recordings.signals.gaps import (
-    LEAST_FRAMES,
-    WAYS,
+    INTERPOLATIONS,
+    MIN_FRAMES,
     FrameGrid,
     at_frames,
-    filled,
+    fill_gaps,
     frame_grid,
     longest_complete,
     outliers,
@@ -45,24 +45,27 @@ if TYPE_CHECKING:
 
 
 LONGEST_GAP = 0.2
-"""s. What lies in longer gaps nobody knows: the trajectory is cut there."""
+"""Longest gap that is filled by default, s; the trajectory is cut at longer gaps."""
 
-_ARM = 0.01  # m: from a rigid body to the markers that stand for it
-_JUMP = 0.06  # of a segment's length: no smaller jump is an outlier
-_REACH = 0.8  # of a segment's length: no marker appears farther from where it is expected
+_BODY_MARKER_OFFSET = 0.01
+"""Distance of the two markers that replace a rigid body from its centre, m."""
+_MIN_JUMP = 0.06
+"""Smallest jump of an outlier, relative to the segment length, 1."""
+_REACH = 0.8
+"""Largest distance of a marker from its expected position, relative to the segment length, 1."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A captured motion.
+    """Measured motion of a robot.
 
     Attributes:
-        trajectory: with the columns of a plant's, and ``filled_1…`` (1 where a marker of that connector was
-            filled in), ``residual``, ``com_velocity_x``, ``com_velocity_y``, ``yaw_rate``, ``bend_rate_1…``;
-            of a log of bends only the last of these.
-        summary: what was made of the file.
-        valves: what was commanded or measured of the air, on the clock of the trajectory; None at first.
-        epoch_ns: time since 1970 at 0 s, ns; None where the file's clock does not tell.
+        trajectory: has the columns of a plant, and ``filled_1…`` (1 where a marker of that connector was
+            interpolated), ``residual``, ``com_velocity_x``, ``com_velocity_y``, ``yaw_rate``,
+            ``bend_rate_1…``; for a bend log only ``bend_rate_1…`` of these.
+        summary: summary of the file.
+        valves: log of valves or pressures on the clock of the trajectory; None before `join`.
+        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file is another one.
     """
 
     trajectory: Trajectory
@@ -73,7 +76,7 @@ class Recording:
 
 @contextmanager
 def named_in_errors(file: str) -> Iterator[None]:
-    """Put a file's name before the messages of a block."""
+    """Add the name of a file to the messages of errors raised in a block."""
     try:
         yield
     except UnknownNameError as error:
@@ -95,29 +98,30 @@ def read_motion(
     fill: str = "spline",
     gait_frequency_hz: float | None = None,
 ) -> Recording:
-    """Read a captured motion.
+    """Read a measured motion.
 
     Args:
         path: a recording in one of `formats.FORMATS`.
-        spec: the robot on it.
-        up: the axis of the file that points up, one of `floor.UPS`.
-        layout: one of `body.LAYOUTS`.
-        head: name of the column of the marker at the head; None: the end towards which the robot crawls.
-        map: which marker or rigid body is what, and what the file does not say.
-        longest_gap_s: longest gap that is filled, from the last sample before it to the first after, s.
-        fill: "spline" or "linear".
-        gait_frequency_hz: of the gait, for the metrics; None: not periodic.
+        spec: the recorded robot.
+        up: vertical axis of the file, one of `floor.UPS`.
+        layout: marker layout, one of `body.markers.LAYOUTS`.
+        head: name of the column of the marker at the head; None for the end towards which the robot crawls.
+        map: places of markers and rigid bodies, and information that the file lacks.
+        longest_gap_s: longest gap that is filled, between the samples around it, s.
+        fill: interpolation of gaps, "spline" or "linear".
+        gait_frequency_hz: gait frequency for the metrics; None if the motion is not periodic.
 
     Returns:
-        The longest stretch in which all markers are known.
+        The longest interval in which all markers are known.
 
     Raises:
-        InputError: the file cannot be used; says where and what would do.
+        InputError: the file cannot be used; the message names the place and a remedy.
+        UnknownNameError: `up`, `layout`, `fill` or `head` is an unknown name.
     """
     if not 0 <= longest_gap_s <= 10:
         raise InputError(f"longest_gap_s {longest_gap_s!r} is not allowed; it must be from 0 to 10 s")
     check_choice("up", up, UPS)
-    check_choice("fill", fill, WAYS)
+    check_choice("fill", fill, INTERPOLATIONS)
     if layout not in LAYOUTS:
         raise UnknownNameError("layout", layout, LAYOUTS)
     table = read_markers(path, rate_hz=map.rate_hz, unit=map.units, scale_m=map.scale_m, dialect=map.dialect)
@@ -126,44 +130,47 @@ def read_motion(
         table = bodies_as_pairs(map.applied(table))
         geometry = spec.geometry
         frames = frame_grid(table.time)
-        floor = on_floor(table.points, up, table.usual_up)
+        floor = map_to_floor(table.points, up, table.usual_up)
         slots, columns = in_slots(table, at_frames(floor.points, frames))
         gap_frames = max(1, round(longest_gap_s / frames.period))
+        # A wrong unit is reported before the markers are tracked with distances from the robot.
         check_scale(slots[..., :2], spec)
-        tracks, columns, dropped = follow(slots, columns, gap_frames, _REACH * geometry.pitch)
-        tracks, columns, others, notes = without_strangers(tracks, columns, table)
+        tracks, columns, unassigned = track_markers(slots, columns, gap_frames, _REACH * geometry.pitch)
+        tracks, columns, foreign, notes = without_foreign_tracks(tracks, columns, table)
         layouts, chosen = robot_markers(
             tracks, geometry.connectors, geometry.pitch, layout, len(table.places)
         )
         left_out = int((~np.isnan(np.delete(tracks, chosen, axis=1)[..., 0])).sum())
         points = tracks[:, chosen]
-        jumps = outliers(points, _JUMP * geometry.pitch)
+        jumps = outliers(points, _MIN_JUMP * geometry.pitch)
         points[jumps] = np.nan
+        # Nothing is extrapolated: all markers are visible at both ends of the kept interval.
         kept = longest_complete(frames.time, points, longest_gap_s)
-        if kept.stop - kept.start < LEAST_FRAMES:
-            together = 100 * (~np.isnan(points[..., 0])).all(axis=1).mean()
+        if kept.stop - kept.start < MIN_FRAMES:
+            complete = 100 * (~np.isnan(points[..., 0])).all(axis=1).mean()
             raise InputError(
-                f"no {LEAST_FRAMES} frames on end in which all {points.shape[1]} markers are known with gaps "
-                f"up to {longest_gap_s:g} s ({len(frames.time)} frames at {1 / frames.period:.4g} Hz, all "
-                f"markers seen on {together:.0f} % of them); give --longest-gap"
+                f"no {MIN_FRAMES} successive frames have all {points.shape[1]} markers with gaps up to "
+                f"{longest_gap_s:g} s ({len(frames.time)} frames at {1 / frames.period:.4g} Hz, all markers "
+                f"visible on {complete:.0f} % of them); give --longest-gap"
             )
         time = frames.time[kept]
         origin = np.where(np.isnan(points[kept][..., 0]), -1, columns[kept][:, chosen])
-        whole, other = filled(time, points[kept], fill), others + left_out + dropped
-        markers = CapturedMarkers(table, layouts[0], time, whole, origin, int(jumps.sum()), other)
-        markers = likeliest_layout(markers, layouts, spec, head)
+        complete_points = fill_gaps(time, points[kept], fill)
+        other = foreign + left_out + unassigned
+        markers = CapturedMarkers(table, layouts[0], time, complete_points, origin, int(jumps.sum()), other)
+        markers = select_layout(markers, layouts, spec, head)
         body = tracked_body(markers, spec, head)
-        said = *table.corrections, *frames.corrections, *floor.corrections, *notes, *body.corrections
-        counts, unseen = _counts(frames, floor, markers, body), int(markers.missing.sum())
-        summary = LogSummary.of(table, table.kind, frames, kept, unseen, said, counts)
+        texts = *table.corrections, *frames.corrections, *floor.corrections, *notes, *body.corrections
+        counts, hidden = _counts(frames, floor, markers, body), int(markers.missing.sum())
+        summary = LogSummary.from_file(table, table.kind, frames, kept, hidden, texts, counts)
         trajectory = body_trajectory(body, markers, spec, summary, gait_frequency_hz)
         return Recording(trajectory, summary, epoch_ns=table.epoch_ns)
 
 
 def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
-    """Return a table in which two markers stand for each rigid body with a rotation, on one of its axes.
+    """Replace each rigid body with a rotation by two markers on one of its axes.
 
-    The axis is the one that turns most: an upright one would tell no heading.
+    The axis is the one whose direction varies most: a vertical axis would not show the heading.
     """
     if table.rotations is None:
         return table
@@ -171,14 +178,15 @@ def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
 
     points, owners = list[np.ndarray](), list[int]()
     for k in range(len(table.labels)):
-        turns, place = table.rotations[:, k], table.points[:, k]
-        known = np.isfinite(turns).all(axis=1)
-        arms = np.zeros((1, 3))
+        rotations, position = table.rotations[:, k], table.points[:, k]
+        known = np.isfinite(rotations).all(axis=1)
+        offset = np.zeros((1, 3))
         if known.any():
-            axes = np.full((len(turns), 3, 3), np.nan)
-            axes[known] = Rotation.from_quat(turns[known]).as_matrix()
-            arms = axes[..., int(np.nanvar(axes, axis=0).sum(axis=0).argmax())] * _ARM
-        ends = [place + arms, place - arms] if known.any() else [place]
+            axes = np.full((len(rotations), 3, 3), np.nan)
+            axes[known] = Rotation.from_quat(rotations[known]).as_matrix()
+            most_variable = int(np.nanvar(axes, axis=0).sum(axis=0).argmax())
+            offset = axes[..., most_variable] * _BODY_MARKER_OFFSET
+        ends = [position + offset, position - offset] if known.any() else [position]
         points, owners = points + ends, owners + [k] * len(ends)
     labels = tuple(table.labels[k] for k in owners)
     places = tuple(table.places[k] for k in owners) if table.places else ()
@@ -188,7 +196,7 @@ def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
 def _counts(
     frames: FrameGrid, floor: FloorPlane, markers: CapturedMarkers, body: TrackedBody
 ) -> MarkerCounts:
-    """Return what became of the markers of a file."""
+    """Return the numbers on the markers of a file."""
     table, time, columns = markers.table, markers.time, markers.columns
     gaps = [time[end] - time[begin - 1] for column in markers.missing.T for begin, end in runs(column)]
     return MarkerCounts(
@@ -203,42 +211,42 @@ def _counts(
         samples_rejected=markers.rejected,
         longest_filled_s=float(max(gaps, default=0.0)),
         moves=sum(int((np.diff(column[column >= 0]) != 0).sum()) for column in columns.T),
-        spacing_m=tuple(float(each) for each in body.spacing),
+        spacing_m=tuple(float(distance) for distance in body.spacing),
         residual_m=float(np.sqrt((body.shape.residual**2).mean())),
         noise_m=body.shape.noise,
         bend_error_rad=float(np.sqrt((body.shape.bend_error**2).mean())),
     )
 
 
-def without_strangers(
+def without_foreign_tracks(
     tracks: np.ndarray, columns: np.ndarray, table: MarkerTable
 ) -> tuple[np.ndarray, np.ndarray, int, list[str]]:
-    """Return tracks that may be the robot's, in the plane.
+    """Remove the tracks that do not belong to the robot, and the heights.
 
     Args:
-        tracks: over the floor, shape (frames, tracks, 3), m.
-        columns: from which column of the file each sample came, −1 where it was not seen, (frames, tracks).
-        table: the file; columns that have a place on the robot are the robot's.
+        tracks: in floor coordinates, shape (frames, tracks, 3), m.
+        columns: column of the file from which each sample came, −1 where it is hidden, (frames, tracks).
+        table: the file; columns with a place on the robot belong to it.
 
     Returns:
-        Shape (frames, tracks, 2), m; columns; how many samples the others had; words on them.
+        Remaining tracks, shape (frames, tracks, 2), m; their columns; number of removed samples; notes.
     """
-    out = {} if table.places else strangers(tracks)
-    mine = np.array([k for k in range(tracks.shape[1]) if k not in out], dtype=int)
+    foreign = {} if table.places else foreign_tracks(tracks)
+    robot = np.array([k for k in range(tracks.shape[1]) if k not in foreign], dtype=int)
     samples, notes = 0, []
-    for k, why in out.items():
-        own = columns[columns[:, k] >= 0, k]
-        samples += own.size
-        if own.size >= LEAST_FRAMES:
-            notes.append(f"marker '{table.labels[np.bincount(own).argmax()]}' left out: {why}")
-    return tracks[:, mine, :2], columns[:, mine], samples, notes
+    for k, reason in foreign.items():
+        visible = columns[columns[:, k] >= 0, k]
+        samples += visible.size
+        if visible.size >= MIN_FRAMES:
+            notes.append(f"marker '{table.labels[np.bincount(visible).argmax()]}' left out: {reason}")
+    return tracks[:, robot, :2], columns[:, robot], samples, notes
 
 
 def in_slots(table: MarkerTable, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return markers in slots; columns with connectors' names stay where they are."""
+    """Return markers in slots; named columns keep their own slots."""
     count = len(table.places)
     if not count:
         return pack_slots(points)
-    if count > MOST:
-        raise InputError(f"{count} markers; at most {MOST} are followed")
+    if count > MAX_MARKERS:
+        raise InputError(f"{count} markers; at most {MAX_MARKERS} can be tracked")
     return points, np.broadcast_to(np.arange(count), (len(points), count))

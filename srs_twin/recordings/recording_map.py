@@ -1,4 +1,4 @@
-"""What is what in a recording of a lab: `--map recording.yaml`, or options for one recording."""
+"""Recording map: assignment of columns and markers to quantities of the robot (`--map FILE.yaml`)."""
 
 from __future__ import annotations
 
@@ -25,101 +25,100 @@ LOG_NAME = re.compile(
 QUANTITIES: dict[str, dict[str, float]] = {
     "time": TIMES, "valve": {}, "duty": SHARES, "pressure": PRESSURES, "setpoint": PRESSURES, "bend": ANGLES,
 }  # fmt: skip
-"""Quantities of a log and their units."""
+"""Quantities of a log → their units."""
 
 _NUMBERS = ("carrier_hz", "ambient_kpa")
-_IN_A_LOG = "time, carrier_hz, valve_plus_1, duty_plus_1, pressure_kpa_plus_1, ambient_kpa or bend_1"
+_LOG_KEYS = "time, carrier_hz, valve_plus_1, duty_plus_1, pressure_kpa_plus_1, ambient_kpa or bend_1"
 _SEPARATORS = {"tab": "\t", "space": " "}
 _PLACE = re.compile(r"(connector|middle) (\d{1,3})(?: (ahead|behind|left|right))?")
 
 
 class MarkerPlace(StrictModel):
-    """Where a marker or a rigid body is on the robot."""
+    """Place of a marker or a rigid body on the robot."""
 
     connector: Annotated[int, Field(ge=1, le=999)] | None = None
-    """On this connector, 1 at the head."""
+    """Number of the connector, 1 at the head."""
     middle: Annotated[int, Field(ge=1, le=999)] | None = None
-    """At the middle of this segment, 1 at the head."""
+    """Number of the segment at whose middle it is, 1 at the head."""
     side: Literal["ahead", "behind", "left", "right"] | None = None
-    """Beside the connector's centre; two without a side lie on both sides of it."""
+    """Side of the connector's centre; two markers without a side are on both sides of it."""
 
     @property
     def station(self) -> tuple[int, str]:
-        """Station and side; see `body.Places`."""
-        at = 2 * (self.connector - 1) if self.connector is not None else 2 * (self.middle or 0) - 1
-        return at, self.side or ""
+        """Station and side; see `body.markers.Places`."""
+        if self.connector is not None:
+            return 2 * (self.connector - 1), self.side or ""
+        return 2 * (self.middle or 0) - 1, self.side or ""
 
 
 class LogColumn(StrictModel):
-    """A column of a log, or a signal, and its unit."""
+    """Column or signal of a log, with its unit."""
 
     column: str
     """Name of the column."""
     unit: str = ""
-    """Unit, where the name states none: s, ms, kPa, bar, deg, …"""
+    """Unit if the name states none: s, ms, kPa, bar, deg, …"""
 
 
 class RecordingMap(StrictModel):
-    """What is what in the files of a recording (docs/logs.md#recording-map)."""
+    """Meanings of columns and markers in the files of a recording (docs/logs.md#recording-map)."""
 
     units: Literal["m", "cm", "mm", "in", "ft", "px"] | None = None
-    """Unit of length of files that do not state it."""
+    """Unit of length, for files that do not state it."""
     scale_m: Annotated[float, Field(gt=0, lt=1)] | None = None
-    """Size of a pixel, m (units px)."""
+    """Size of a pixel, m (for units px)."""
     up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
-    """Axis of the file that points up (default: found)."""
+    """Vertical axis of the file (default: determined from the markers)."""
     rate_hz: Annotated[float, Field(gt=0, le=1e5)] | None = None
-    """Frames a second of files without times."""
+    """Frames per second, for files without times."""
     markers: dict[str, MarkerPlace | Literal["ignore"]] = {}
-    """Marker → {connector: 1}, {middle: 1}, {connector: 1, side: ahead} or ignore; others are ignored if any
-    has a place."""
+    """Marker → {connector: 1}, {middle: 1}, {connector: 1, side: ahead} or ignore; if any marker has a
+    place, all markers without one are ignored."""
     bodies: dict[str, MarkerPlace | Literal["ignore"]] = {}
-    """Rigid body → as markers; its rotation gives a heading."""
+    """Rigid body → as for markers; its rotation gives a heading."""
     log: dict[str, str | Annotated[float, Field(gt=0, le=1e4)] | LogColumn] = {}
-    """Log: valve_plus_1, duty_plus_1, pressure_kpa_plus_1, setpoint_kpa_plus_1 or bend_1 → column, or
-    {column: P1, unit: bar}; time → its column; carrier_hz → frequency of the duties' carrier; ambient_kpa →
+    """valve_plus_1, duty_plus_1, pressure_kpa_plus_1, setpoint_kpa_plus_1 or bend_1 → column of a log, or
+    {column: P1, unit: bar}; time → its column; carrier_hz → carrier frequency of duties; ambient_kpa →
     pressure to subtract from absolute pressures."""
     columns: list[str] = []
-    """Names of the columns of a plain file whose first line has none."""
+    """Names of the columns, for a plain file whose first line has none."""
     separator: Literal[",", ";", "|", "tab", "space"] | None = None
-    """Separator of the cells of a plain file (default: found)."""
+    """Separator of the cells of a plain file (default: detected)."""
     decimal: Literal[".", ","] | None = None
-    """Decimal mark of a plain file (default: found)."""
+    """Decimal mark of a plain file (default: detected)."""
 
     def contradictions(self) -> list[tuple[tuple[str, ...], str]]:
-        """Report keys that a log has not, and places that are none or two."""
-        found: list[tuple[tuple[str, ...], str]] = []
+        """Return invalid keys of the log, unknown units, and markers without exactly one place."""
+        problems: list[tuple[tuple[str, ...], str]] = []
         for key, value in self.log.items():
             kind, name, default = log_meaning(key)
             if key not in _NUMBERS and not name:
-                found.append((("log", key), f"a log has {_IN_A_LOG}"))
+                problems.append((("log", key), f"this is not a key of a log; allowed: {_LOG_KEYS}"))
                 continue
             if (key in _NUMBERS) != isinstance(value, float):
-                wanted = "a number" if key in _NUMBERS else "a column's name"
-                found.append((("log", key), f"{wanted} is wanted"))
+                expected = "a number" if key in _NUMBERS else "the name of a column"
+                problems.append((("log", key), f"the value must be {expected}"))
             units, allowed = QUANTITIES.get(kind, {}), ", ".join(QUANTITIES.get(kind, {})) or "none"
-            for each in filter(None, (default, value.unit if isinstance(value, LogColumn) else "")):
-                if not symbol(each, units):
-                    found.append((("log", key), f"unit '{each}' is not known; allowed: {allowed}"))
+            for unit in filter(None, (default, value.unit if isinstance(value, LogColumn) else "")):
+                if not symbol(unit, units):
+                    problems.append((("log", key), f"unit '{unit}' is not known; allowed: {allowed}"))
         for block, places in (("markers", self.markers), ("bodies", self.bodies)):
             for name, place in places.items():
                 if isinstance(place, MarkerPlace) and (place.connector is None) == (place.middle is None):
-                    found.append(
-                        ((block, name), "either connector or middle is wanted, counted from the head")
-                    )
-        return found
+                    problems.append(((block, name), "give either connector or middle, counted from the head"))
+        return problems
 
     @property
     def carrier_hz(self) -> float | None:
-        """Frequency of the carrier of duties, Hz."""
-        found = self.log.get("carrier_hz")
-        return found if isinstance(found, float) else None
+        """Carrier frequency of duties, Hz."""
+        value = self.log.get("carrier_hz")
+        return value if isinstance(value, float) else None
 
     @property
     def ambient(self) -> float:
-        """Pressure to subtract from absolute pressures, Pa; 0 where they are gauge pressures."""
-        found = self.log.get("ambient_kpa")
-        return 1e3 * found if isinstance(found, float) else 0.0
+        """Pressure to subtract from absolute pressures, Pa; 0 for gauge pressures."""
+        value = self.log.get("ambient_kpa")
+        return 1e3 * value if isinstance(value, float) else 0.0
 
     @property
     def dialect(self) -> Dialect:
@@ -128,26 +127,26 @@ class RecordingMap(StrictModel):
         return Dialect(tuple(self.columns), _SEPARATORS.get(separator, separator), self.decimal or "")
 
     def meanings(self, kinds: Collection[str]) -> dict[str, Meaning]:
-        """Return column → meaning of the columns of a log that are of these quantities."""
-        found = {}
+        """Return column → meaning, for the columns of a log with these quantities."""
+        meanings = {}
         for key, value in self.log.items():
             kind, name, default = log_meaning(key)
             if kind in kinds and not isinstance(value, float):
                 column = value if isinstance(value, LogColumn) else LogColumn(column=value)
-                found[column.column] = Meaning(name, default, column.unit)
-        return found
+                meanings[column.column] = Meaning(name, default, column.unit)
+        return meanings
 
     def applied(self, table: MarkerTable) -> MarkerTable:
-        """Return the markers that have a place, with it; all but those to be ignored where none has.
+        """Return the markers that have a place; if none has one, all markers that are not ignored.
 
         Raises:
-            UnknownNameError: a marker that the file has not.
+            UnknownNameError: the map names a marker that the file does not have.
         """
         named = {**self.markers, **self.bodies}
         for name in named:
             if name not in table.labels:
                 raise UnknownNameError("marker", name, table.labels)
-        placed = {name: each.station for name, each in named.items() if isinstance(each, MarkerPlace)}
+        placed = {name: place.station for name, place in named.items() if isinstance(place, MarkerPlace)}
         chosen = [
             k for k, label in enumerate(table.labels) if (label in placed if placed else label not in named)
         ]
@@ -155,8 +154,8 @@ class RecordingMap(StrictModel):
             return table
         rotations = None if table.rotations is None else table.rotations[:, chosen]
         labels = tuple(table.labels[k] for k in chosen)
-        left = len(table.labels) - len(chosen)
-        notes = (f"{left} markers ignored, as the map asks",) if left else ()
+        ignored = len(table.labels) - len(chosen)
+        notes = (f"{ignored} markers ignored according to the map",) if ignored else ()
         places = tuple(placed[label] for label in labels) if placed else ()
         return replace(
             table, points=table.points[:, chosen], labels=labels, places=places, rotations=rotations,
@@ -165,10 +164,11 @@ class RecordingMap(StrictModel):
 
 
 NO_MAP = RecordingMap()
+"""Map without entries."""
 
 
 def log_meaning(key: str) -> tuple[str, str, str]:
-    """Return quantity, name and unit of a log's key: pressure_kpa_plus_1 is pressure_plus_1 in kpa."""
+    """Return quantity, name and unit of a key of the log: pressure_kpa_plus_1 is pressure_plus_1 in kPa."""
     if key == "time":
         return key, key, ""
     match = LOG_NAME.fullmatch(key)
@@ -179,49 +179,49 @@ def log_meaning(key: str) -> tuple[str, str, str]:
 
 
 def given_map(path: str | None, options: Mapping[str, Any], markers: Sequence[str]) -> dict[str, Any] | None:
-    """Return a map as plain data, of a file and of options, which go before it; None where nothing is given.
+    """Return a map from a file and options, which have precedence, as plain data, or None.
 
     Args:
-        path: of the file.
-        options: keys of the map; those that are None are left out.
+        path: map file.
+        options: keys of the map; those with the value None are left out.
         markers: "NAME=connector 1", "NAME=middle 2", "NAME=connector 1 ahead" or "NAME=ignore".
 
     Raises:
-        InputError: no such place, or what is wrong with the file.
+        InputError: a place is invalid, or the file is.
     """
     data: dict[str, Any] = {}
     if path is not None:
         load_model(RecordingMap, Path(path))
         data = dict(load_yaml(Path(path)).data)
     data |= {key: value for key, value in options.items() if value is not None}
-    named = {mark: name for name, mark in _SEPARATORS.items()}
-    if data.get("separator") in named:
-        data["separator"] = named[data["separator"]]
+    separator_names = {character: name for name, character in _SEPARATORS.items()}
+    if data.get("separator") in separator_names:
+        data["separator"] = separator_names[data["separator"]]
     if isinstance(data.get("columns"), str):
         data["columns"] = [name.strip() for name in data["columns"].split(",")]
-    for each in markers:
-        name, _, place = each.rpartition("=")
+    for option in markers:
+        name, _, place = option.rpartition("=")
         match = _PLACE.fullmatch(place.strip())
         if not name or not (match or place.strip() == "ignore"):
-            wanted = (
+            allowed = (
                 "NAME=connector 1, NAME=middle 1, NAME=connector 1 ahead (behind, left, right) or NAME=ignore"
             )
-            raise InputError(f"--marker: '{each}' is not allowed; {wanted}")
-        where: Any = "ignore"
+            raise InputError(f"--marker: '{option}' is not allowed; use {allowed}")
+        entry: Any = "ignore"
         if match:
-            where = {match[1]: int(match[2]), **({"side": match[3]} if match[3] else {})}
-        data["markers"] = {**data.get("markers", {}), name: where}
+            entry = {match[1]: int(match[2]), **({"side": match[3]} if match[3] else {})}
+        data["markers"] = {**data.get("markers", {}), name: entry}
     return data or None
 
 
 def read_map(data: Mapping[str, Any]) -> RecordingMap:
-    """Return a map of plain data, as `given_map` returns them.
+    """Return a map from the plain data of `given_map`.
 
     Raises:
-        InputFileError: everything that is wrong with them.
+        InputFileError: the data are invalid; all errors are listed.
     """
     document = Document("--map", dict(data))
-    found = validate(RecordingMap, document, document.data)
+    map = validate(RecordingMap, document, document.data)
     document.raise_problems()
-    assert found is not None, "a map without a problem was checked"
-    return found
+    assert map is not None, "a map without a problem was checked"
+    return map

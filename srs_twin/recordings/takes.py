@@ -1,6 +1,6 @@
-"""Takes: recordings with the logs of their valves, as what fits and replays ask for.
+"""Recordings with the logs of their valves, for fits and replays.
 
-The log of ``walk.csv`` is ``walk.valves.csv`` beside it, unless another is named.
+The default log of ``walk.csv`` is ``walk.valves.csv`` in the same folder.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _LOG = ".valves.csv"
 _WITH_LOGS = (".mcap", ".bag", ".db3")
 NO_MARKERS = "bends alone do not tell where a robot crawled; markers are wanted"
 _LEAST_OPENINGS = 4
-_EVEN = 0.05  # of a period: by how much openings may come early or late
-_CARRIER = 0.07  # s: openings nearer to each other are those of a carrier
+_EVEN = 0.05  # largest deviation of an opening from a periodic one, in periods
+_CARRIER = 0.07  # s: smallest time between two openings of a gait; a carrier has shorter ones
 _STILL = 1e-9  # s
 
 
@@ -67,7 +67,7 @@ class RecordingReader:
         return read_motion(path, spec, **given, **self._stretch(frequency))
 
     def body(self, path: str, spec: RobotSpec, frequency: float | None = None) -> Recording:
-        """Read what was measured of the body: a captured motion, or a log of its bends; as `motion`."""
+        """Read the measured motion of the body, from markers or a bend log; as `motion`."""
         if is_bend_log(path, self.map):
             return read_bends(path, spec, map=self.map, **self._stretch(frequency))
         return self.motion(path, spec, frequency)
@@ -87,7 +87,7 @@ class RecordingReader:
         return join(body, log, spec, offset=offset)
 
     def take(self, path: str, valves: str, spec: RobotSpec) -> Recording:
-        """Read what was measured and its log, and put both on one clock.
+        """Read a recording and its log, and synchronise their clocks.
 
         Raises:
             InputError: as `body`, `read_valves` and `joined`.
@@ -105,7 +105,7 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
 
     Args:
         takes: paths of motions.
-        given: their logs in the same order; none: those that lie beside them.
+        given: their logs in the same order; empty for the default logs.
 
     Raises:
         InputError: more or fewer logs than takes.
@@ -120,7 +120,7 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
 
 
 def _log_of(take: Path) -> str:
-    """Return the log beside a take, or the take where it may hold its own."""
+    """Return the default log of a recording, or the recording if it may contain its own log."""
     if not take.name:
         return str(take)  # the current folder, which is no recording
     beside = take.with_name(take.stem + _LOG)
@@ -153,7 +153,7 @@ def repeats(log: ValveLog) -> float | None:
 
 
 def only_bends(trajectory: Trajectory) -> bool:
-    """Say whether of a measured body the bends alone are known."""
+    """Return whether only the bends of a body were measured."""
     return bool(trajectory.metadata.get("bends_only"))
 
 
@@ -189,7 +189,7 @@ def commands(recording: Recording, name: str) -> Schedule:
 
 
 def starts_at_rest(recording: Recording) -> bool:
-    """Say whether chambers are empty as a recording begins, as those of a plant are."""
+    """Return whether the chambers are empty at the start of a recording, as those of a plant."""
     log = recording.valves
     if log is None:
         return True
@@ -198,7 +198,7 @@ def starts_at_rest(recording: Recording) -> bool:
 
 
 def start_pose(recording: Recording) -> Pose:
-    """Return where the body lies as the recording begins: its mean until air comes."""
+    """Return the initial pose of the body: its mean until the first valve opens."""
     trajectory, log = recording.trajectory, recording.valves
     moves = trajectory.time[0]
     if log is not None:

@@ -122,7 +122,7 @@ def change_of_offset(scenario: str, before: float, after: float, at_period: floa
     Returns:
         Of both plants ``first``: curvature over the first period after the change over the final one.
     """
-    from srs_twin.control.commands import Steered
+    from srs_twin.control.commands import ScheduledOffset
     from srs_twin.control.gait import Gait
     from srs_twin.control.learning import ILC
     from srs_twin.rollout import rollout
@@ -133,7 +133,7 @@ def change_of_offset(scenario: str, before: float, after: float, at_period: floa
         gait = given.build_controller()
         assert isinstance(gait, Gait | ILC) and gait.frequency is not None, "scenarios of gaits only"
         time = at_period / gait.frequency
-        run = rollout(given.build_plant(plant), Steered(gait, [(time, after)]), given.duration)
+        run = rollout(given.build_plant(plant), ScheduledOffset(gait, [(time, after)]), given.duration)
         first, last = (
             _curvature(run, t, 1 / gait.frequency) for t in (time, given.duration - 1 / gait.frequency)
         )

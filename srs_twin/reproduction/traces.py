@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from srs_twin.comparison.gait import GaitWindow
-from srs_twin.comparison.learning import ChamberPeriods
+from srs_twin.comparison.learning import PeriodAmplitudes
 from srs_twin.comparison.sampling import body_length
 from srs_twin.comparison.tracking import fit_sine
 from srs_twin.robot.geometry import arc_between, measured_bend, pair_heading
@@ -20,16 +20,16 @@ _ARC_POINTS = 101
 
 def tail_drift(run: Trajectory) -> float | None:
     """Return how fast the tail's heading drifts, rad/s: the slope of its mean over gait periods (Fig. 30)."""
-    window = GaitWindow.of(run)
+    window = GaitWindow.from_trajectory(run)
     if window is None:
         return None
-    _, slope = window.running(run, run.stack("theta")[:, -1])
+    _, slope = window.running_mean(run, run.stack("theta")[:, -1])
     return float(slope.mean())
 
 
 def speed_regularity(run: Trajectory) -> float | None:
     """Return how much the speed of the centre of mass repeats: its correlation a gait period later."""
-    window = GaitWindow.of(run)
+    window = GaitWindow.from_trajectory(run)
     if window is None:
         return None
     rate = 1 / float(np.median(np.diff(run.time)))
@@ -43,7 +43,7 @@ def speed_regularity(run: Trajectory) -> float | None:
 
 def third_harmonic(run: Trajectory) -> float | None:
     """Return the largest third harmonic of a bend over its first: 1/3 of a square wave, 0 of a sine."""
-    window = GaitWindow.of(run)
+    window = GaitWindow.from_trajectory(run)
     if window is None:
         return None
     seen = (run.time >= window.start - 1e-9) & (run.time <= window.end + 1e-9)
@@ -153,7 +153,7 @@ def learning_law_error(run: Trajectory) -> float:
 
     Every chamber's own error and duty of one period give its duty of the next, held between 0 and 1.
     """
-    seen = ChamberPeriods.of(run)
+    seen = PeriodAmplitudes.from_trajectory(run)
     asked = np.clip(seen.duty[:-1] + 0.3 * seen.error[:-1], 0, 1)
     changed = np.isfinite(asked) & (seen.duty[1:] < 1)
     return float(np.abs(seen.duty[1:] - asked)[changed].max(initial=0.0))
@@ -161,30 +161,30 @@ def learning_law_error(run: Trajectory) -> float:
 
 def free_periods(run: Trajectory) -> float:
     """Return how many periods pass at full duty before the first target stands."""
-    seen = ChamberPeriods.of(run)
+    seen = PeriodAmplitudes.from_trajectory(run)
     full = (seen.duty == 1).all(axis=(1, 2))
     return float(np.argmin(full) if not full.all() else len(full))
 
 
 def target_left(run: Trajectory) -> float:
     """Return the target of the + chambers at the end, rad."""
-    return float(np.nanmean(ChamberPeriods.of(run).target[-1, :, 0]))
+    return float(np.nanmean(PeriodAmplitudes.from_trajectory(run).target[-1, :, 0]))
 
 
 def target_right(run: Trajectory) -> float:
     """Return the target of the − chambers at the end, rad."""
-    return float(np.nanmean(ChamberPeriods.of(run).target[-1, :, 1]))
+    return float(np.nanmean(PeriodAmplitudes.from_trajectory(run).target[-1, :, 1]))
 
 
 def smallest_amplitude(run: Trajectory) -> float:
     """Return the target over the smallest amplitude of the recorded period, the third (Section 5.1)."""
-    seen = ChamberPeriods.of(run)
+    seen = PeriodAmplitudes.from_trajectory(run)
     return float(np.nanmean(seen.target[-1]) / seen.amplitude[2].min())
 
 
 def saturated_after(run: Trajectory) -> float:
     """Return in how many periods after the first update a chamber still passes its target by 5 % or more."""
-    seen = ChamberPeriods.of(run)
+    seen = PeriodAmplitudes.from_trajectory(run)
     begin = int(free_periods(run))
     over: np.ndarray = seen.amplitude[begin:] > 1.05 * seen.target[begin:]
     return float(over.any(axis=(1, 2)).sum())

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
 from pydantic import Field, model_validator
 
 from srs_twin.control.base import Controller
-from srs_twin.control.duties import LARGEST_OFFSET, Cycles
+from srs_twin.control.duties import MAX_OFFSET, ChamberPeriods
 from srs_twin.control.gait import Gait
-from srs_twin.control.learning import ILC, LEAST_PULSES
-from srs_twin.control.pwm import PulseWidth
+from srs_twin.control.learning import ILC, MIN_PULSES
+from srs_twin.control.pwm import PulseWidthModulator
 from srs_twin.control.reference import Constant, Reference, Sine, Square, Staircase, Step
 from srs_twin.control.replay import STATES, HoldValves, layouts_for
 from srs_twin.control.smc import DirectSMC, IterativeSMC
@@ -162,7 +162,7 @@ class LearningFile(ControllerSection):
     """Which controller."""
     frequency_hz: float = _FREQUENCY
     """Gait frequency."""
-    offset: float = quantity(-LARGEST_OFFSET, LARGEST_OFFSET)
+    offset: float = quantity(-MAX_OFFSET, MAX_OFFSET)
     """Steering offset, positive to the left, by unequal targets."""
     target: Literal["smallest"] | None = None
     """Target of the larger side: the smallest amplitude recorded (default), unless target_rad is given."""
@@ -188,14 +188,14 @@ class LearningFile(ControllerSection):
     def _fits(self) -> LearningFile:
         if self.target is not None and self.target_rad is not None:
             raise ValueError("give either target or target_rad")
-        least = 2 * LEAST_PULSES * self.frequency_hz
+        least = 2 * MIN_PULSES * self.frequency_hz
         if self.carrier_hz < least:
             raise ValueError(f"a gait of this frequency needs a carrier_hz of {least:g} or more")
         return self
 
     def check(self, spec: RobotSpec, tick: float) -> None:
         """See `ControllerSection.check`: a period needs enough ticks to learn from."""
-        Cycles(spec.modules.array("bias"), self.frequency_hz, tick)
+        ChamberPeriods(spec.modules.array("bias"), self.frequency_hz, tick)
 
     def warnings(self, limit: float) -> Iterator[str]:
         """See `ControllerSection.warnings`."""
@@ -306,11 +306,11 @@ class _TrackingFile(ControllerSection):
             InputError: it goes beyond, and is to be refused.
         """
         reference: Reference = self.reference.build()
-        return reference.within(limit, self.beyond_range)
+        return reference.limited(limit, self.beyond_range)
 
     def warnings(self, limit: float) -> Iterator[str]:
         """See `ControllerSection.warnings`."""
-        if wanted := getattr(self.within(limit), "wanted", None):
+        if wanted := getattr(self.within(limit), "unclipped", None):
             yield (
                 f"controller.reference: asks for {wanted.peak:.4g} rad and is cut at {limit:.4g} rad, the "
                 "most that the segments bend by at this supply pressure"
@@ -348,7 +348,7 @@ class IterativeFile(_TrackingFile):
 
     def check(self, spec: RobotSpec, tick: float) -> None:
         """See `ControllerSection.check`: the carrier's periods must not be shorter than ticks."""
-        PulseWidth(self.carrier_hz, tick, spec.segments)
+        PulseWidthModulator(self.carrier_hz, tick, spec.segments)
 
 
 class HoldFile(ControllerSection):

@@ -90,7 +90,7 @@ def test_explicit_gains_override_shipped_gains():
 
 def test_reference_beyond_the_range_is_rejected_or_clipped_with_a_warning():
     controller = {"kind": "direct_smc", "reference": {"kind": "step", "bend_rad": 1.2}}
-    with pytest.raises(InputFileError, match=r"asks for 68.75°.*41.97°.*beyond_range: saturate"):
+    with pytest.raises(InputFileError, match=r"reaches 68.75°.*41.97°.*beyond_range: saturate"):
         module(controller=controller)
     scenario = module(controller=controller | {"beyond_range": "saturate"})
     (warning,) = scenario.warnings
@@ -117,7 +117,7 @@ def test_invalid_sensor_settings_raise():
 
 def test_pulses_shorter_than_a_tick_raise_before_the_run():
     with pytest.raises(
-        InputFileError, match="controller: on the twin plant: .*carrier of 600 Hz does not fit"
+        InputFileError, match="controller: on the twin plant: .*carrier of 600 Hz is too fast"
     ):
         module(
             controller={

@@ -1,4 +1,4 @@
-"""Bags of ROS 1 and ROS 2 as rosbags and mcap write them: every kind of message, every container."""
+"""Bags of ROS 1 and ROS 2 written by rosbags and mcap: all message types, all containers."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CONTAINERS = (
 
 
 def everything(make):
-    """Yield a message of each kind on each frame; bodies at three places."""
+    """Yield a message of each type on each frame, for bodies at three positions."""
     for k, (a, b, c) in enumerate(PLACE):
         at, header = ns(k) + 4_000_000, make.header(k)
         yield (
@@ -72,7 +72,7 @@ BODIES = {"/a": 0, "/b": 1, "/odom": 2, "d": 0, "e": 1, "f": 2, "/path": 0, "/po
 
 
 @pytest.mark.parametrize("container", CONTAINERS)
-def test_every_kind_of_message_of_every_container(tmp_path, container):
+def test_all_message_types_of_all_containers_are_read(tmp_path, container):
     found = read_topics(written(tmp_path, container, everything))
     table, shift = found.markers, -0.004
     assert table.labels == tuple(BODIES)
@@ -95,7 +95,7 @@ def test_every_kind_of_message_of_every_container(tmp_path, container):
 
 
 def only(kind):
-    """Yield the messages of one kind."""
+    """Yield the messages of one type."""
     return lambda make: (row for row in everything(make) if row[1] == kind)
 
 
@@ -107,7 +107,7 @@ def only(kind):
         "geometry_msgs/TransformStamped", "tf2_msgs/TFMessage", "nav_msgs/Path", "geometry_msgs/PointStamped",
     ],
 )  # fmt: skip
-def test_bags_of_one_kind(tmp_path, container, kind):
+def test_bags_with_one_message_type_are_read(tmp_path, container, kind):
     table = read_markers(written(tmp_path, container, only(kind)))
     label = table.labels[0]
     assert len(table.time) == FRAMES and np.abs(np.diff(table.time) - 1 / RATE).max() < 1e-6
@@ -118,12 +118,12 @@ def test_the_folder_of_a_bag_is_read(tmp_path):
     path = written(tmp_path, "db3", everything)
     assert identify(path.parent) == "ROS 2 bag" == read_markers(path.parent).kind
     (path.parent / "walk_1.db3").write_bytes(path.read_bytes())
-    with pytest.raises(InputError, match=r"a folder with 2 bags; give one of them \(walk.db3, walk_1.db3"):
+    with pytest.raises(InputError, match=r"the folder has 2 bags; give one of them \(walk.db3, walk_1.db3"):
         identify(path.parent)
 
 
-def test_bodies_with_stamps_of_their_own_and_gaps(tmp_path):
-    """Each transform in a message of its own, a little later; the first body is lost for a while."""
+def test_bodies_with_different_stamps_and_gaps_are_aligned(tmp_path):
+    """Each transform has its own, slightly later message; the first body is missing for some time."""
 
     def messages(make):
         for k, places in enumerate(PLACE):
@@ -143,7 +143,7 @@ def test_bodies_with_stamps_of_their_own_and_gaps(tmp_path):
     assert np.nanmax(np.abs(table.points - expected)) < 1e-9
 
 
-def test_transforms_that_start_from_another_body_are_composed(tmp_path):
+def test_transforms_relative_to_another_body_are_composed(tmp_path):
     def messages(make):
         static = make("tf2_msgs/TFMessage", transforms=[make.transform(0, [1.0, 0.0, 0.0], "tip", "base")])
         yield "/tf_static", "tf2_msgs/TFMessage", ns(0), static
@@ -154,7 +154,7 @@ def test_transforms_that_start_from_another_body_are_composed(tmp_path):
     table = read_markers(written(tmp_path, "bag", messages))
     tip = table.points[:, table.labels.index("tip")]
     assert np.abs(tip - PLACE[:, 0] - [np.cos(0.6), np.sin(0.6), 0.0]).max() < 1e-9
-    assert "1 transforms start from another body: composed" in table.corrections
+    assert "1 transforms relative to another body: composed" in table.corrections
 
 
 @pytest.mark.parametrize("container", ["bag", "db3", "mcap", "mcap ros1"])
@@ -171,15 +171,15 @@ def test_a_bag_without_positions_is_a_log(tmp_path, container, capsys):
 
 
 @pytest.mark.parametrize("container", ["bag lz4", "mcap"])
-def test_bags_that_were_cut_are_read_up_to_there(tmp_path, container):
+def test_truncated_bags_are_read_up_to_the_cut(tmp_path, container):
     path = written(tmp_path, container, lambda make: (row for _ in range(20) for row in everything(make)))
     content = path.read_bytes()
     path.write_bytes(content[: int(0.6 * len(content))])
     found = read_topics(path)
-    assert "the file is cut: read up to there" in found.notes and len(found.markers.time) > 0
+    assert "the file is cut: read up to the cut" in found.notes and len(found.markers.time) > 0
 
 
-def test_a_bag_of_repeated_bytes_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
+def test_a_compression_bomb_in_a_bag_is_refused_before_unpacking(tmp_path, monkeypatch):
     def messages(make):
         for k in range(60):
             yield "/word", "std_msgs/String", ns(k), make("std_msgs/String", data=" " * (1 << 20))
@@ -187,26 +187,26 @@ def test_a_bag_of_repeated_bytes_is_refused_before_it_is_unpacked(tmp_path, monk
     path = written(tmp_path, "bag bz2", messages)
     monkeypatch.setattr(ros1_bag, "unpacked", None)
     with pytest.raises(
-        InputError, match=r"its chunks unpack to 60 MB; of a file of \d+ kB at most 16 MB are"
+        InputError, match=r"its chunks unpack to 60 MB; at most 16 MB are read of a file of \d+ kB"
     ):
         read_markers(path)
 
 
-def test_databases_that_are_no_bags(tmp_path):
+def test_foreign_databases_are_refused(tmp_path):
     with sqlite3.connect(tmp_path / "a.db3") as base:
         base.execute("CREATE TABLE notes (text)")
-    with pytest.raises(InputError, match=r"no ROS 2 bag \(no tables topics and messages\)"):
+    with pytest.raises(InputError, match=r"not a ROS 2 bag \(it lacks the tables topics and messages\)"):
         read_markers(tmp_path / "a.db3")
     with sqlite3.connect(tmp_path / "b.db3") as base:
         base.execute("CREATE TABLE topics (id INTEGER PRIMARY KEY, name, type, serialization_format)")
         base.execute("INSERT INTO topics VALUES (1, '/a', 'std_msgs/msg/Float64', 'cdr')")
         base.execute("CREATE TABLE messages (topic_id, timestamp, data AS (zeroblob(900000000)))")
         base.execute("INSERT INTO messages VALUES (1, 1)")
-    with pytest.raises(InputError, match="damaged ROS 2 bag"):
+    with pytest.raises(InputError, match="ROS 2 bag file is damaged"):
         read_markers(tmp_path / "b.db3")
     with sqlite3.connect(tmp_path / "c.db3") as base:
         base.execute("CREATE TABLE topics (id INTEGER PRIMARY KEY, name, type, serialization_format)")
         endless = "WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n) SELECT x FROM n"
         base.execute(f"CREATE VIEW messages (topic_id) AS {endless}")
-    with pytest.raises(InputError, match="no ROS 2 bag"):
+    with pytest.raises(InputError, match="not a ROS 2 bag"):
         read_markers(tmp_path / "c.db3")

@@ -1,4 +1,4 @@
-"""C3D files as other programs write them: positions, rate and frames come back."""
+"""C3D files written by other programs: positions, rate and frames are recovered."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def by_ezc3d(path, points, *, first=0, units=("mm",), analog=0, kinds=None, rate
 
 
 def by_c3d(path, points, *, first=1, step=None, analog=0):
-    """Write with the library c3d; step: of integers, mm."""
+    """Write a file with the library c3d; `step` is the resolution of integers, mm."""
     count = points.shape[1]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -55,7 +55,7 @@ def by_c3d(path, points, *, first=1, step=None, analog=0):
         if analog:
             writer.set_analog_labels([f"a{k}" for k in range(analog)])
         channels = np.zeros((analog, 10)) if analog else np.zeros((0, 0))
-        # The library cuts off where it should round.
+        # The library truncates where it should round.
         shift = np.sign(points) * step / 2 if step else 0.0
         rows = np.concatenate([points + shift, np.zeros((*points.shape[:2], 2))], axis=-1).astype(np.float32)
         writer.add_frames([(row, channels) for row in rows])
@@ -66,7 +66,7 @@ def by_c3d(path, points, *, first=1, step=None, analog=0):
 
 
 def by_hand(points, processor, *, step=None, first=1, analog=0, units="mm", more=(), counted=None):
-    """Return a file of a processor: 84 Intel, 85 DEC, 86 MIPS."""
+    """Return a file in the number format of a processor: 84 Intel, 85 DEC, 86 MIPS."""
     order = ">" if processor == 86 else "<"
     frames, count, _ = points.shape
 
@@ -117,7 +117,7 @@ def by_hand(points, processor, *, step=None, first=1, analog=0, units="mm", more
 
 
 def same(path, points, *, step=None, first=0.0, unit=1e-3):
-    """Compare with positions in the file's unit; half the format's resolution is allowed."""
+    """Compare a file with positions in its unit, with a tolerance of half the resolution of the format."""
     found = read_markers(path)
     assert found.points.shape == points.shape and found.labels[-1].strip() == f"m{points.shape[1] - 1}"
     assert (np.isnan(found.points) == np.isnan(points)).all()
@@ -131,7 +131,7 @@ def same(path, points, *, step=None, first=0.0, unit=1e-3):
 @pytest.mark.parametrize("analog", [0, 3])
 @pytest.mark.parametrize("first", [0, 1, 250])
 @pytest.mark.parametrize("units", [("mm",), ("mm",) * 4])
-def test_files_of_ezc3d(tmp_path, analog, first, units):
+def test_files_written_by_ezc3d_are_read(tmp_path, analog, first, units):
     points = walk()
     points[5:9, 1] = np.nan
     by_ezc3d(tmp_path / "a.c3d", points, first=first, units=units, analog=analog)
@@ -141,7 +141,7 @@ def test_files_of_ezc3d(tmp_path, analog, first, units):
 @pytest.mark.parametrize("analog", [0, 3])
 @pytest.mark.parametrize("step", [None, 0.05])
 @pytest.mark.parametrize("first", [0, 1, 250])
-def test_files_of_c3d(tmp_path, analog, step, first):
+def test_files_written_by_c3d_are_read(tmp_path, analog, step, first):
     points = walk()
     by_c3d(tmp_path / "a.c3d", points, first=first, step=step, analog=analog)
     same(tmp_path / "a.c3d", points, step=step and 1.001 * step, first=max(first - 1, 0) / RATE)
@@ -158,15 +158,15 @@ def test_processors_and_analog_channels_without_parameters(tmp_path, processor, 
 
 
 @pytest.mark.parametrize("count", [65534, 65535, 65536, 70001])
-def test_takes_of_65535_frames_and_more(tmp_path, count):
+def test_files_with_65535_frames_and_more_are_read(tmp_path, count):
     points = walk(count, 1)
     by_ezc3d(tmp_path / "a.c3d", points)
     same(tmp_path / "a.c3d", points)
 
 
 @pytest.mark.parametrize(("processor", "key"), [(84, "TRIAL"), (86, "LONG_FRAMES")])
-def test_conventions_of_long_takes(tmp_path, processor, key):
-    """The header wraps round at 65,536; the parameters have the frames."""
+def test_conventions_for_long_files_are_read(tmp_path, processor, key):
+    """The header overflows at 65,536 frames; the parameters contain the number."""
     points = walk(66000, 1)
     more = {
         "TRIAL": [
@@ -179,7 +179,7 @@ def test_conventions_of_long_takes(tmp_path, processor, key):
     same(tmp_path / "a.c3d", points)
 
 
-def test_parameters_that_contradict_the_file_are_not_believed(tmp_path):
+def test_parameters_in_conflict_with_the_file_are_ignored(tmp_path):
     points = walk()
     stale = [(2, "ACTUAL_END_FIELD", 2, [2], lambda number, word: word(5000) + word(0))]
     (tmp_path / "a.c3d").write_bytes(by_hand(points, 84, more=stale))
@@ -187,14 +187,14 @@ def test_parameters_that_contradict_the_file_are_not_believed(tmp_path):
 
 
 @pytest.mark.parametrize(("first", "begins"), [(0, 0.0), (1, 0.0), (2, 0.01), (9000, 89.99)])
-def test_frames_before_the_first(tmp_path, first, begins):
-    """Frame 1 is at 0 s; programs that count from 0 mean the same."""
+def test_first_frame_sets_the_start_time(tmp_path, first, begins):
+    """Frame 1 is at 0 s, and so is frame 0 of programs that count from 0."""
     points = walk()
     (tmp_path / "a.c3d").write_bytes(by_hand(points, 84, first=first))
     same(tmp_path / "a.c3d", points, first=begins)
 
 
-def test_units_of_points(tmp_path):
+def test_units_of_points_are_converted(tmp_path):
     points = walk(20, 3)
     by_ezc3d(tmp_path / "m.c3d", points / 1e3, units=("m",))
     same(tmp_path / "m.c3d", points / 1e3, unit=1.0)
@@ -202,14 +202,14 @@ def test_units_of_points(tmp_path):
     expected = points * [[1e-3], [1e-2], [1.0]]
     assert np.abs(read_markers(tmp_path / "mixed.c3d").points - expected).max() < 1e-4
     (tmp_path / "none.c3d").write_bytes(by_hand(points, 84, units=""))
-    assert "POINT:UNITS is not given: mm taken" in same(tmp_path / "none.c3d", points).corrections
+    assert "POINT:UNITS is missing: mm assumed" in same(tmp_path / "none.c3d", points).corrections
     by_ezc3d(tmp_path / "odd.c3d", points, units=("furlong",))
     with pytest.raises(InputError, match="odd.c3d: unit of length 'furlong' is not known"):
         read_markers(tmp_path / "odd.c3d")
 
 
-def test_a_scale_of_analog_channels_that_are_not_there(tmp_path, capsys):
-    """The library c3d cannot go through such files; `inspect --json` prints what is in them."""
+def test_missing_analog_scales_are_ignored(tmp_path, capsys):
+    """The library c3d cannot read such files; `inspect --json` prints their contents."""
     points = walk(50, 3)
     by_ezc3d(tmp_path / "a.c3d", points)
     file = ezc3d.c3d(str(tmp_path / "a.c3d"))
@@ -223,11 +223,11 @@ def test_a_scale_of_analog_channels_that_are_not_there(tmp_path, capsys):
     assert len(facts["markers"]) == 3 and facts["rate_hz"] == pytest.approx(RATE)
 
 
-def test_angles_are_no_markers(tmp_path):
+def test_angles_are_skipped(tmp_path):
     by_ezc3d(tmp_path / "a.c3d", walk(20, 4), kinds=["m1"])
     found = read_markers(tmp_path / "a.c3d")
     assert found.labels == ("m0", "m2", "m3")
-    assert "1 points that are angles, forces or the like skipped" in found.corrections
+    assert "1 points with angles, forces or similar quantities skipped" in found.corrections
 
 
 def test_damaged_bytes_are_read_or_refused_within_bounds(tmp_path):

@@ -57,19 +57,19 @@ REFUSED = {
     "a.npy": (lambda: saved(np.save, np.zeros(9)), r"a NumPy array \(.npy\)"),
     "a.mat": (lambda: saved(savemat, {"x": np.zeros(9)}), "a MATLAB file.*writetable"),
     "a.xlsx": (lambda: archive("[Content_Types].xml"), r"an Excel workbook \(.xlsx\)"),
-    "a.zip": (lambda: archive("take.csv"), "a ZIP archive, which is not read; unpack it"),
+    "a.zip": (lambda: archive("take.csv"), "a ZIP archive cannot be read; unpack it"),
     "a.parquet": (parquet, "a Parquet file"),
     "a.pkl": (lambda: pickle.dumps({"x": 1}), "a Python pickle"),
     "old.bag": (lambda: b"#ROSBAG V1.2\n" + bytes(99), "a bag of an older ROS"),
     "walk.db3.zstd": (lambda: b"\x28\xb5\x2f\xfd" + bytes(99), "a Zstandard archive"),
     "words.txt": (lambda: b"some,words\n1,2\n", "its first line is 'some,words'"),
-    "noise.bin": (lambda: bytes(range(0xEF, 0x100)) * 30 + bytes(9), "a binary file of a kind that is not"),
+    "noise.bin": (lambda: bytes(range(0xEF, 0x100)) * 30 + bytes(9), "a binary file of an unknown kind"),
     "empty.c3d": (lambda: b"", "empty; a recording has"),
-    "cut.mcap": (lambda: b"\x89MCAP0\r\n", "damaged MCAP file|no topic with positions"),
-    "cut.bag": (lambda: b"#ROSBAG V2.0\nabc", "a damaged ROS 1 bag file"),
-    "cut.db3": (lambda: b"SQLite format 3\0abc", "a damaged ROS 2 bag file"),
+    "cut.mcap": (lambda: b"\x89MCAP0\r\n", "MCAP file is damaged|no topic with positions"),
+    "cut.bag": (lambda: b"#ROSBAG V2.0\nabc", "the ROS 1 bag file is damaged"),
+    "cut.db3": (lambda: b"SQLite format 3\0abc", "the ROS 2 bag file is damaged"),
     "cut.trc": (lambda: b"PathFileType\t4\n", "the header is cut"),
-    "cut.c3d": (lambda: b"\x02P" + bytes(600), "a damaged C3D file|no points in this C3D"),
+    "cut.c3d": (lambda: b"\x02P" + bytes(600), "the C3D file is damaged|the C3D file has no points"),
 }
 
 
@@ -91,14 +91,14 @@ def test_inspect_and_replay_refuse_with_the_same_message(tmp_path, monkeypatch, 
     assert said(["replay", name, "--robot", "gen2"], capsys) == seen
 
 
-def test_a_missing_log_is_reported_where_the_recording_is_in_order(tmp_path, monkeypatch, capsys, root):
+def test_a_missing_log_is_reported_for_a_valid_recording(tmp_path, monkeypatch, capsys, root):
     monkeypatch.chdir(tmp_path)
     take = root / "calibration/examples/my_snake/walk_straight.csv"
     (tmp_path / "take.csv").write_bytes(take.read_bytes())
     assert "take.valves.csv: no such file" in said(["replay", "take.csv", "--robot", "gen2"], capsys)
 
 
-def test_each_of_several_files_is_named(tmp_path, monkeypatch, capsys):
+def test_errors_name_each_file(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name in ("one.csv", "two.csv"):
         rows = "".join(f"{k / 100},{k},0.1,{k},0.2\n" for k in range(30))
@@ -111,7 +111,7 @@ def test_each_of_several_files_is_named(tmp_path, monkeypatch, capsys):
 
 
 def test_remedies_in_messages_are_options_or_keys_that_exist(root):
-    """Words like `give up=z` name nothing that a command takes."""
+    """Text such as `give up=z` would not be an option of a command."""
     options = {"--up", "--layout", "--head", "--longest-gap", "--offset", "--units", "--rate"}
     for path in (root / "srs_twin/recordings").rglob("*.py"):
         for found in re.finditer(r"[;(?] ?[Gg]ive (\S+)", path.read_text("utf-8")):

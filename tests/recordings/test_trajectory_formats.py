@@ -49,7 +49,7 @@ def trc(points, unit="mm", *, rate=RATE, blank=True, tab=False, first=1, decimal
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("blank", [False, True])
 @pytest.mark.parametrize("tab", [False, True])
-def test_trc(tmp_path, unit, blank, tab):
+def test_trc_positions_are_read(tmp_path, unit, blank, tab):
     points = walk(4)
     (tmp_path / "run.txt").write_text(trc(points, unit, blank=blank, tab=tab))
     found = read_markers(tmp_path / "run.txt")
@@ -59,7 +59,7 @@ def test_trc(tmp_path, unit, blank, tab):
     assert np.abs(found.time - np.arange(FRAMES) / RATE).max() < 1e-9
 
 
-def test_trc_of_a_part_of_a_take_and_of_a_rate_that_is_rounded(tmp_path):
+def test_trc_with_an_offset_start_and_a_rounded_rate(tmp_path):
     (tmp_path / "a.trc").write_text(trc(walk(3), rate=59.94, first=300))
     found = read_markers(tmp_path / "a.trc")
     assert np.abs(np.diff(found.time) - 1 / 59.94).max() < 1e-9 and abs(found.time[0] - 4.988) < 1e-9
@@ -70,11 +70,11 @@ def test_trc_of_a_part_of_a_take_and_of_a_rate_that_is_rounded(tmp_path):
     [
         ("\tmm\t", "\tfurlong\t", ":3: unit of length 'furlong' is not known"),
         ("Frame#\tTime", "Frames\tTime", ":4: the header is cut"),
-        ("m2", "m2\t\t\tm3", ":7: 11 cells for 4 markers; 14 are wanted"),
+        ("m2", "m2\t\t\tm3", ":7: 11 cells for 4 markers; rows must have 14 cells"),
         ("100\t100", "0\t0", "frame rate '0' is not allowed"),
     ],
 )
-def test_trc_that_is_damaged(tmp_path, old, new, words):
+def test_damaged_trc_is_refused(tmp_path, old, new, words):
     (tmp_path / "a.trc").write_text(trc(walk(3)).replace(old, new))
     with pytest.raises(InputError, match=words):
         read_markers(tmp_path / "a.trc")
@@ -83,7 +83,7 @@ def test_trc_that_is_damaged(tmp_path, old, new, words):
 @pytest.mark.parametrize("head", ["# timestamp tx ty tz qx qy qz qw\n", "", "# by evo\n#\n"])
 @pytest.mark.parametrize("origin", [0.0, 12.5, 1_700_000_000.0])
 @pytest.mark.parametrize("space", [" ", "  ", "\t"])
-def test_tum(tmp_path, head, origin, space):
+def test_tum_poses_are_read(tmp_path, head, origin, space):
     points, turns = walk(1), Rotation.from_rotvec(np.linspace(0, [0, 0, 2], FRAMES)).as_quat()
     rows = np.column_stack([origin + np.arange(FRAMES) / RATE, points[:, 0], turns])
     text = head + "".join(space.join(f"{value:.9f}" for value in row) + " \n" for row in rows)
@@ -95,9 +95,9 @@ def test_tum(tmp_path, head, origin, space):
     assert found.time[0] == (0.0 if origin > 1e8 else origin)
 
 
-def test_eight_numbers_that_are_no_pose_are_refused(tmp_path):
+def test_eight_numbers_without_a_unit_quaternion_are_refused(tmp_path):
     (tmp_path / "a.txt").write_text("0.1 1 2 3 4 5 6 7\n" * 5)
-    with pytest.raises(InputError, match="eight numbers a line are read as .* a quaternion"):
+    with pytest.raises(InputError, match="eight numbers per line are read as .* a quaternion"):
         read_markers(tmp_path / "a.txt")
     (tmp_path / "b.txt").write_text("0.1" + " " * 200_000 + "1 2 3 0 0 0 1\n0.2 1 2 3 0 0 0 1\n")
     began = time.perf_counter()
@@ -106,16 +106,16 @@ def test_eight_numbers_that_are_no_pose_are_refused(tmp_path):
     assert time.perf_counter() - began < 2
 
 
-def test_tum_that_is_damaged(tmp_path):
+def test_damaged_tum_is_refused(tmp_path):
     rows = ["0.1 1 2 3 0 0 0 1"] * 5
     rows[3] = "0.1 1 a 3 0 0 0 1"
     (tmp_path / "a.tum").write_text("# t x y z\n" + "\n".join(rows) + "\n")
-    with pytest.raises(InputError, match="a.tum:5:3: 'a' is no number"):
+    with pytest.raises(InputError, match="a.tum:5:3: 'a' is not a number"):
         read_markers(tmp_path / "a.tum")
 
 
 def tracker(points, turns, unit, angle):
-    """Return a Tracker export; angle: rad or deg (rotation vectors), or quaternions."""
+    """Return a Tracker export; `angle` is rad or deg (rotation vectors), or a quaternion."""
     names, axes, units, rows = ["", ""], ["Frame", "Sub Frame"], ["", ""], []
     if angle == "quaternion":
         rotation, own, said = turns.as_quat().reshape(FRAMES, -1, 4), ["RX", "RY", "RZ", "RW"], [""] * 4
@@ -137,7 +137,7 @@ def tracker(points, turns, unit, angle):
 
 @pytest.mark.parametrize("unit", ["mm", "m"])
 @pytest.mark.parametrize("angle", ["rad", "deg", "quaternion"])
-def test_objects_of_vicon_tracker(tmp_path, unit, angle):
+def test_vicon_tracker_objects_are_read(tmp_path, unit, angle):
     points = walk(3)
     turns = Rotation.from_euler("xyz", np.random.default_rng(2).uniform(-1, 1, size=(FRAMES * 3, 3)))
     (tmp_path / "a.csv").write_text(tracker(points, turns, unit, angle))

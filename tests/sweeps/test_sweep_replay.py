@@ -65,7 +65,7 @@ def test_each_row_holds_the_distances_of_its_own_run(swept, tmp_path):
         scenario.build_plant("analytical"), scenario.build_controller(), scenario.duration,
         pose=scenario.pose, record_hz=scenario.record_hz,
     )  # fmt: skip
-    told = MeasuredDifference.of(scenario.measured, run).metrics
+    told = MeasuredDifference.between(scenario.measured, run).metrics
     for name in columns:
         assert table[f"analytical.{name}"][row] == told[name]
     # By hand: the bends at the recording's times, sampled at 100 Hz.

@@ -1,15 +1,15 @@
-"""From markers that are known over time to the body: which marker is where on it, and which end leads.
+"""Assignment of tracked markers to the body: layout, order along the body, and head.
 
-Layouts: ``single``, one marker at each connector; ``head``, one more ahead of the head's, so that its heading
-is measured; ``pair``, two at each connector, along or across the body, as the dissertation's first and third
-robots had them (Sections 2.3.1 and 2.3.2); ``middles``, one at each connector and one at the middle of each
-segment; ``head_middles``, these and one more ahead of the head's.
+Layouts: ``single`` has one marker per connector; ``head`` has one more ahead of the head, which gives its
+heading; ``pair`` has two per connector, along or across the body, as the first and third robot of the
+dissertation (Sections 2.3.1 and 2.3.2); ``middles`` has one per connector and one at the middle of each
+segment; ``head_middles`` has these and one more ahead of the head.
 
-Neighbours along the body are never farther apart than a straight segment is long, others sometimes are: the
-tree that joins all markers over the least of their largest distances is the body. Markers of one rigid part
-keep their distance.
+The distance between neighbours along the body is at most the length of a straight segment, while other
+markers are sometimes farther apart. The body is therefore the minimum spanning tree of the largest distances.
+Markers on the same rigid part keep their distance.
 
-Errors raised here do not name the file; `read_motion` puts its name before them.
+Errors raised here do not name the file; `read_motion` adds its name.
 """
 
 from __future__ import annotations
@@ -19,106 +19,161 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.recordings.body.shape import Marks, Shape, determined, fit_shape, marker_arms
-from srs_twin.recordings.body.tracking import distances, some_frames
+from srs_twin.recordings.body.shape import (
+    BodyShape,
+    LengthModel,
+    MarkerPlacement,
+    fit_shape,
+    length_model,
+    marker_offsets,
+)
+from srs_twin.recordings.body.tracking import pairwise_distances, sample_frames
 from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.signals.units import LENGTHS
 from srs_twin.robot.spec import RobotSpec
 
-CARRIED = {"single": (1, 0), "head": (1, 1), "pair": (2, 0), "middles": (2, -1), "head_middles": (2, 0)}
-"""Layout → markers per connector, and how many more or fewer in all."""
 
-LAYOUTS = ("auto", *CARRIED)
+class LayoutSize(NamedTuple):
+    """Number of markers of a layout: N per_connector + extra, for N connectors."""
+
+    per_connector: int
+    extra: int
+
+
+LAYOUT_SIZES = {
+    "single": LayoutSize(1, 0),
+    "head": LayoutSize(1, 1),
+    "pair": LayoutSize(2, 0),
+    "middles": LayoutSize(2, -1),
+    "head_middles": LayoutSize(2, 0),
+}
+"""Layout → number of markers."""
+
+LAYOUTS = ("auto", *LAYOUT_SIZES)
+"""Names of the layouts; "auto" determines it from the markers."""
 
 Places = dict[int, tuple[int, str]]
-"""Marker → its station (0, 2, … the connectors, head first; 1, 3, … the segments' middles) and side."""
+"""Marker → station (0, 2, … are the connectors, head first; 1, 3, … the middles of segments) and side."""
 
-SOLID = 0.2  # of the frames a marker of the robot is seen on, or more
-_APART = 2.0  # times the length of a segment: farther from all others nothing is on the robot
-_TINY = 0.1  # of the body's length: no body curls up so far
-_FAR = 2.5  # times a segment's length: farther apart no two neighbours are
-_SAMPLED = 2000  # frames that distances are taken from
-_NEAR_SAMPLED = 300
+MIN_COVERAGE = 0.2
+"""Smallest fraction of the frames on which a marker of the robot is visible, 1."""
+_MAX_NEIGHBOUR_PITCH = 2.0
+"""Distance to the nearest marker, in lengths of a segment, above which a marker is not on the robot."""
+_MIN_EXTENT = 0.1
+"""Smallest extent of all markers, in lengths of the straight body: no body bends into a smaller space."""
+_MAX_NEAREST_PITCH = 2.5
+"""Largest distance of the two nearest markers, in lengths of a segment."""
+_DISTANCE_FRAMES = 2000
+"""Number of frames from which distances are computed."""
+_NEIGHBOUR_FRAMES = 300
+"""Number of frames on which neighbours are searched."""
+_MIN_CRAWLED = 0.1
+"""Smallest forward distance that determines which end is the head, in body lengths."""
+_NOTED_LENGTH = 0.02
+"""Deviation of the median segment length, relative to a straight segment, above which a note is given."""
+_NOTED_STRETCH = 0.05
+"""Range of a segment length, relative to the segment, above which a note is given."""
+_MAX_FIXED_STD = 0.03
+"""Largest standard deviation of lengths that must be constant, relative to a segment, 1."""
+_COMPARED_FRAMES = 600
+"""Number of frames on which alternative assignments are compared."""
+_CLEAR_NOISE_RATIO = 1.3
+"""Ratio of the residual noise of the second-best to the best assignment above which the latter is used, 1."""
+_MAX_LENGTH_RATIO = 1.15
+"""Measured length of a segment, divided by that of the robot, that its shortest length must not exceed, 1."""
+_MIN_LENGTH_RATIO = 0.85
+"""Measured length of a segment, divided by that of the robot, that its largest length must reach, 1."""
 
 
 def robot_markers(
     points: np.ndarray, connectors: int, pitch: float, layout: str, named: int
 ) -> tuple[list[str], np.ndarray]:
-    """Choose the robot's markers.
+    """Select the markers of the robot.
 
     Args:
-        points: of all tracks, shape (frames, tracks, 2), m.
+        points: positions of all tracks, shape (frames, tracks, 2), m.
         connectors: N.
         pitch: length of a straight segment, m.
-        layout: one of `LAYOUTS`; "auto" takes the one that has as many markers as are there.
-        named: how many columns have a place on the robot by their names; 0: none.
+        layout: one of `LAYOUTS`; "auto" selects the layouts whose number of markers is visible.
+        named: number of columns whose names state a place on the robot; 0 if there are none.
 
     Returns:
-        The layouts that it may be ("named" for those), and which tracks the robot's markers are.
+        Possible layouts (["named"] for named columns), and the tracks of the robot's markers.
 
     Raises:
-        InputError: too few or too many markers.
+        InputError: there are too few or too many markers.
     """
-    seen = ~np.isnan(points[..., 0])
-    share = seen.mean(axis=0)
-    solid = np.flatnonzero(share >= SOLID)
-    if len(solid) > connectors and not named:
-        # Only those that have another one near on most frames they are seen on.
-        near = (distances(points[:, solid], _NEAR_SAMPLED) < _APART * pitch).any(axis=2)
-        there = seen[some_frames(len(points), _NEAR_SAMPLED)][:, solid]
-        solid = solid[near.sum(axis=0) > 0.5 * there.sum(axis=0)]
-    layouts = {each: per * connectors + more for each, (per, more) in CARRIED.items()}
+    visible = ~np.isnan(points[..., 0])
+    coverage = visible.mean(axis=0)
+    candidates = np.flatnonzero(coverage >= MIN_COVERAGE)
+    if len(candidates) > connectors and not named:
+        # A marker of the robot has a neighbour on most of the frames on which it is visible.
+        limit = _MAX_NEIGHBOUR_PITCH * pitch
+        has_neighbour = (pairwise_distances(points[:, candidates], _NEIGHBOUR_FRAMES) < limit).any(axis=2)
+        sampled = visible[sample_frames(len(points), _NEIGHBOUR_FRAMES)][:, candidates]
+        candidates = candidates[has_neighbour.sum(axis=0) > 0.5 * sampled.sum(axis=0)]
+    counts = {name: size.per_connector * connectors + size.extra for name, size in LAYOUT_SIZES.items()}
     if named:
-        layout, layouts = "named", {"named": named}
-    fitting = [layout]
+        layout, counts = "named", {"named": named}
+    possible = [layout]
     if layout == "auto":
-        # At once: a marker that was lost for long may have become two tracks.
-        together = int(np.quantile(seen[:, solid].sum(axis=1), 0.95, method="lower")) if solid.size else 0
-        fitting = [each for each, count in layouts.items() if count == together]
-    wanted = layouts[fitting[0]] if fitting else -1
-    if wanted < 0 or len(solid) < wanted:
-        listed = ", ".join(f"{count} ({each})" for each, count in layouts.items())
-        shares = ", ".join(f"{100 * each:.0f} %" for each in sorted(share, reverse=True)[:12])
-        raise InputError(
-            f"{len(solid)} markers that could be the robot's; {connectors} connectors carry {listed}. "
-            f"Seen on these shares of the frames: {shares}. Give --layout, export without others, or say in "
-            "a map where each is (--map)"
-        )
-    return fitting, np.sort(solid[np.argsort(-share[solid], kind="stable")[:wanted]])
+        # Count the markers on the same frame: a marker that was hidden for long may have become two tracks.
+        at_once = visible[:, candidates].sum(axis=1)
+        count = int(np.quantile(at_once, 0.95, method="lower")) if candidates.size else 0
+        possible = [name for name, required in counts.items() if required == count]
+    required = counts[possible[0]] if possible else -1
+    if required < 0 or len(candidates) < required:
+        raise InputError(_wrong_number(len(candidates), connectors, counts, coverage))
+    best = np.argsort(-coverage[candidates], kind="stable")[:required]
+    return possible, np.sort(candidates[best])
+
+
+def _wrong_number(candidates: int, connectors: int, counts: dict[str, int], coverage: np.ndarray) -> str:
+    listed = ", ".join(f"{count} ({layout})" for layout, count in counts.items())
+    shares = ", ".join(f"{100 * share:.0f} %" for share in sorted(coverage, reverse=True)[:12])
+    return (
+        f"{candidates} markers may belong to the robot, but {connectors} connectors have {listed}; the "
+        f"tracks are visible on {shares} of the frames. Give --layout, export without other markers, or give "
+        "the place of each marker in a map (--map)"
+    )
 
 
 def body_order(points: np.ndarray) -> np.ndarray:
-    """Return markers in their order along the body, from one of its ends.
+    """Return the markers in their order along the body, from one of its ends.
 
     Args:
         points: shape (frames, markers, 2), m.
 
     Raises:
-        InputError: they do not lie along one line.
+        InputError: the markers are not along one line.
     """
     from scipy.sparse.csgraph import depth_first_order, minimum_spanning_tree
 
-    # The largest but on a few frames. To a sparse graph 0 would be no edge.
-    tree = minimum_spanning_tree(np.quantile(distances(points, _SAMPLED), 0.98, axis=0) + 1.0)
+    # The quantile replaces the maximum, because a few frames may be wrong. An offset is added because a
+    # sparse graph has no edges of length 0.
+    tree = minimum_spanning_tree(
+        np.quantile(pairwise_distances(points, _DISTANCE_FRAMES), 0.98, axis=0) + 1.0
+    )
     neighbours = np.bincount(np.concatenate(tree.nonzero()), minlength=points.shape[1])
     ends = np.flatnonzero(neighbours == 1)
     if len(ends) != 2:
-        raise InputError(f"the markers do not lie along one body: {len(ends)} of them are at an end")
+        raise InputError(f"the markers are not along one body: {len(ends)} of them are at an end")
     return np.asarray(depth_first_order(tree, ends[0], directed=False, return_predecessors=False))
 
 
 def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
-    """Return which markers form pairs of constant distance, shape (connectors, 2).
+    """Return the pairs of markers with a constant distance, shape (connectors, 2).
 
     Raises:
-        InputError: no such pairs.
+        InputError: there are no such pairs.
     """
-    mean, spread = median_and_spread(points)
-    score = spread + 0.02 * mean
+    median, spread = distance_statistics(points)
+    score = spread + 0.02 * median
     pairs: list[tuple[int, int]] = []
     free = set(range(points.shape[1]))
     rows, columns = np.triu_indices(len(score), k=1)
@@ -127,13 +182,13 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
         if {a, b} <= free:
             pairs.append((a, b))
             free -= {a, b}
-    # Pairs along the body may be as far from each other as their markers are: then the order tells them.
+    # The distance of adjacent pairs along the body may equal that of their markers; the order is unique then.
     try:
-        chain = [(int(a), int(b)) for a, b in body_order(points).reshape(-1, 2)]
+        in_order = [(int(a), int(b)) for a, b in body_order(points).reshape(-1, 2)]
     except InputError:
-        chain = pairs
-    pairs = min(pairs, chain, key=lambda some: sum(score[a, b] for a, b in some))
-    worst = max(spread[a, b] / max(mean[a, b], 1e-9) for a, b in pairs)
+        in_order = pairs
+    pairs = min(pairs, in_order, key=lambda option: sum(score[a, b] for a, b in option))
+    worst = max(spread[a, b] / max(median[a, b], 1e-9) for a, b in pairs)
     if len(pairs) != connectors or worst > 0.2:
         raise InputError(
             f"no {connectors} pairs of markers keep their distance (one changes by {100 * worst:.0f} %); "
@@ -142,85 +197,83 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
     return np.array(pairs)
 
 
-def median_and_spread(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return medians and spreads of the distances; a few frames that are wrong do not count."""
-    apart = distances(points, _SAMPLED)
-    # Of a marker from itself, or of two that were never seen at once.
-    apart[:, np.isnan(apart).all(axis=0)] = np.inf
+def distance_statistics(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return medians and standard deviations of all distances, both of shape (markers, markers), m.
+
+    The standard deviations are computed from quartiles; a few wrong frames have no effect.
+    """
+    distance = pairwise_distances(points, _DISTANCE_FRAMES)
+    # A marker and itself, or two markers that are never visible on the same frame.
+    distance[:, np.isnan(distance).all(axis=0)] = np.inf
     with np.errstate(invalid="ignore"):
-        low, middle, high = np.nanquantile(apart, [0.25, 0.5, 0.75], axis=0)
-        return middle, np.nan_to_num(0.74 * (high - low), nan=np.inf)
+        low, median, high = np.nanquantile(distance, [0.25, 0.5, 0.75], axis=0)
+        # 0.74 converts the interquartile range of normal values to their standard deviation.
+        return median, np.nan_to_num(0.74 * (high - low), nan=np.inf)
 
 
 def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
-    """Refuse markers that are as far from each other as those of no such robot, before any is followed.
+    """Check, before the markers are tracked, that their distances fit the robot.
 
     Args:
         points: in slots, shape (frames, slots, 2), m.
         spec: the robot.
 
     Raises:
-        InputError: the nearest two are farther apart than neighbours can be, or all of them hardly apart.
+        InputError: the two nearest markers are farther apart than neighbours can be, or all are too close
+            together.
     """
     pitch, straight = spec.geometry.pitch, spec.segments * spec.geometry.pitch
-    apart = distances(points, _SAMPLED)
-    apart = apart[np.isfinite(apart).any(axis=(1, 2))]
-    if not len(apart):
-        raise InputError(f"never two markers at once; {spec.segments + 1} or more are wanted")
-    nearest, farthest = (np.median(each(apart, axis=(1, 2))) for each in (np.nanmin, np.nanmax))
-    if nearest > _FAR * pitch or farthest < _TINY * straight:
+    distance = pairwise_distances(points, _DISTANCE_FRAMES)
+    distance = distance[np.isfinite(distance).any(axis=(1, 2))]
+    if not len(distance):
         raise InputError(
-            f"markers lie {1e3 * nearest:.4g} to {1e3 * farthest:.4g} mm apart, the connectors of "
+            f"no frame has two visible markers; the robot needs {spec.segments + 1} or more of them"
+        )
+    nearest, farthest = (np.median(extreme(distance, axis=(1, 2))) for extreme in (np.nanmin, np.nanmax))
+    if nearest > _MAX_NEAREST_PITCH * pitch or farthest < _MIN_EXTENT * straight:
+        raise InputError(
+            f"markers are {1e3 * nearest:.4g} to {1e3 * farthest:.4g} mm apart, the connectors of "
             f"{spec.name} {1e3 * pitch:.4g} mm{unit_hint(float(farthest / straight))}"
         )
 
 
 def unit_hint(ratio: float) -> str:
-    """Return which unit may have been meant where lengths are `ratio` times what they should be."""
+    """Return a hint at the unit of length, for lengths that are `ratio` times the expected ones."""
     for unit, factor in LENGTHS.items():
-        for given, direction in ((factor, "in"), (1 / factor, "not in")):
-            if factor != 1 and 0.7 < ratio * given < 1.1:
-                return f"; were lengths {direction} {unit}?"
+        for correction, preposition in ((factor, "in"), (1 / factor, "not in")):
+            if factor != 1 and 0.7 < ratio * correction < 1.1:
+                return f"; are the lengths {preposition} {unit}?"
     return "; is it this robot?"
 
 
 def forward_distance(period: float, points: np.ndarray) -> float:
-    """Return how far markers moved towards the first of them, m; below 0 away from it.
+    """Return the distance travelled towards the first marker, m; negative towards the last one.
 
     Args:
-        period: of the frames, s.
+        period: time between frames, s.
         points: in order along the body, shape (frames, N, 2), m.
     """
     stride = max(1, round(0.25 / period))
-    some = points[::stride] if len(points) > stride else points[[0, -1]]
-    centre, along = some.mean(axis=1), some[:, 0] - some[:, -1]
-    along = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
+    sampled = points[::stride] if len(points) > stride else points[[0, -1]]
+    centre, axis = sampled.mean(axis=1), sampled[:, 0] - sampled[:, -1]
+    axis = axis / np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-9)
     return float(
-        sum(((b - a) * (u + v) / 2).sum() for (a, u), (b, v) in pairwise(zip(centre, along, strict=True)))
+        sum(((b - a) * (u + v) / 2).sum() for (a, u), (b, v) in pairwise(zip(centre, axis, strict=True)))
     )
-
-
-_CRAWLED = 0.1  # of the body's length: less does not tell which end leads
-_ANOTHER_LENGTH = 0.02  # of a straight segment: from here on it is noted
-_STRETCHES = 0.05  # of a segment's length: from here on it is noted
-_MUST_NOT = 0.03  # of a segment's length: more than this no segment may vary where lengths tell the bends
-_SOME = 600  # frames on which explanations are compared
-_CLEARLY = 1.3  # times as much noise must another explanation leave
-_LONGEST, _SHORTEST = 1.15, 0.85  # times the robot's: no segment is always longer or shorter
 
 
 @dataclass(frozen=True)
 class CapturedMarkers:
-    """The robot's markers over the frames that are kept.
+    """Markers of the robot on the frames that are kept.
 
     Attributes:
         table: the file.
-        layout: one of `body.LAYOUTS`, or "named".
+        layout: one of `LAYOUTS`, or "named".
         time: shape (frames,), s.
-        points: interpolated where a marker was not seen, shape (frames, markers, 2), m.
-        columns: from which column of the file each sample came, −1 where it was not seen, (frames, markers).
-        rejected: how many samples of them were outliers.
-        other: how many samples of the file were of nothing on the robot.
+        points: interpolated where a marker is hidden, shape (frames, markers, 2), m.
+        columns: column of the file from which each sample came, −1 where it is hidden, (frames, markers).
+        rejected: number of their samples that were outliers.
+        other: number of samples in the file that do not belong to the robot.
     """
 
     table: MarkerTable
@@ -233,37 +286,37 @@ class CapturedMarkers:
 
     @property
     def missing(self) -> np.ndarray:
-        """Where markers were not seen, shape (frames, markers)."""
+        """Hidden markers, shape (frames, markers)."""
         return self.columns < 0
 
     @cached_property
     def main_columns(self) -> list[int]:
-        """The column that each marker was in on most frames."""
+        """Most frequent column of each marker."""
         return [int(np.bincount(column[column >= 0]).argmax()) for column in self.columns.T]
 
     def thinned(self) -> CapturedMarkers:
-        """Return some of the frames, evenly spread."""
-        some = some_frames(len(self.time), _SOME)
-        return replace(self, time=self.time[some], points=self.points[some], columns=self.columns[some])
+        """Return a sample of the frames."""
+        frames = sample_frames(len(self.time), _COMPARED_FRAMES)
+        return replace(self, time=self.time[frames], points=self.points[frames], columns=self.columns[frames])
 
     def name(self, marker: int) -> str:
-        """Return the name of the column that a marker was in on most frames."""
+        """Return the name of the most frequent column of a marker."""
         return self.table.labels[self.main_columns[marker]]
 
 
 @dataclass(frozen=True)
 class TrackedBody:
-    """The robot as it was captured.
+    """Shape of the robot in a recording.
 
     Attributes:
         shape: connectors, headings, bends and lengths, with errors.
-        missing: whether a marker of each connector was not seen, shape (frames, N).
-        spacing: largest distance of neighbouring connectors, shape (segments,), m.
-        head: how the head was found, in words.
-        corrections: what was found and assumed, in words.
+        missing: connectors with a hidden marker, shape (frames, N).
+        spacing: largest distance of adjacent connectors, shape (segments,), m.
+        head: text on how the head was determined.
+        corrections: texts on results and assumptions.
     """
 
-    shape: Shape
+    shape: BodyShape
     missing: np.ndarray
     spacing: np.ndarray
     head: str
@@ -272,11 +325,11 @@ class TrackedBody:
     @property
     def position(self) -> np.ndarray:
         """Connectors, shape (frames, N, 2), m."""
-        return np.stack([self.shape.node.real, self.shape.node.imag], axis=-1)
+        return np.stack([self.shape.connector.real, self.shape.connector.imag], axis=-1)
 
     @property
     def theta(self) -> np.ndarray:
-        """Their headings, unwrapped, shape (frames, N), rad."""
+        """Headings of the connectors, unwrapped, shape (frames, N), rad."""
         return self.shape.theta
 
     @property
@@ -286,98 +339,105 @@ class TrackedBody:
 
 
 def tracked_body(markers: CapturedMarkers, spec: RobotSpec, head: str | None) -> TrackedBody:
-    """Find which marker is where on the body, and the body that explains them.
+    """Assign markers to the body and fit its shape.
 
     Args:
-        markers: what was captured.
+        markers: markers of the robot.
         spec: the robot.
         head: name of a column at the head, or None.
 
     Raises:
-        InputError: the markers do not make up this robot, do not determine its shape, or its head cannot be
-            told.
-        UnknownNameError: no column has the head's name.
+        InputError: the markers do not fit this robot or do not determine its shape, or the head cannot be
+            determined.
+        UnknownNameError: no column has the name given as the head.
     """
-    places, how = _head_first(markers, spec, head)
-    shape, station, notes = _explain(markers, spec, places)
-    spacing = np.quantile(np.abs(np.diff(shape.node, axis=1)), 0.98, axis=0)
-    # A middle that was hidden is a gap of the connectors beside it.
-    hidden = np.zeros(shape.theta.shape, dtype=bool)
-    for k, at in enumerate(station):
-        for connector in {int(at) // 2, (int(at) + 1) // 2}:
-            hidden[:, connector] |= shape.missing[:, k]
-    return TrackedBody(shape, hidden, spacing, how, tuple(notes))
+    places, head_note = _places_from_head(markers, spec, head)
+    shape, station, notes = _fit_body(markers, spec, places)
+    spacing = np.quantile(np.abs(np.diff(shape.connector, axis=1)), 0.98, axis=0)
+    # A hidden marker at the middle of a segment counts for both connectors of the segment.
+    missing = np.zeros(shape.theta.shape, dtype=bool)
+    for k, number in enumerate(station):
+        for connector in {int(number) // 2, (int(number) + 1) // 2}:
+            missing[:, connector] |= shape.missing[:, k]
+    return TrackedBody(shape, missing, spacing, head_note, tuple(notes))
 
 
-def _explain(
+def _fit_body(
     markers: CapturedMarkers, spec: RobotSpec, places: Places
-) -> tuple[Shape, np.ndarray, list[str]]:
-    """Return the body that explains markers at these places, their stations, and what is to be said of it."""
+) -> tuple[BodyShape, np.ndarray, list[str]]:
+    """Return the shape that fits markers at given places, their stations, and notes."""
     geometry, order = spec.geometry, list(places)
     points, missing = markers.points[:, order], markers.missing[:, order]
     station = np.array([places[marker][0] for marker in order])
-    arm = marker_arms(points, missing, list(places.values()), [markers.name(marker) for marker in order])
-    way = determined(station, arm, geometry)
-    if not way:
+    names = [markers.name(marker) for marker in order]
+    offset = marker_offsets(points, missing, list(places.values()), names)
+    model = length_model(station, offset, geometry)
+    if model is None:
         raise InputError(_undetermined(station, spec))
-    shape = fit_shape(markers.time, points, missing, Marks(station, arm, geometry), way)
-    notes = _length_notes(shape, spec, way)
-    if way == "fixed":
+    shape = fit_shape(markers.time, points, missing, MarkerPlacement(station, offset, geometry), model)
+    notes = _length_notes(shape, spec, model)
+    if model is LengthModel.FIXED:
         notes.append(
-            "one marker a connector: near a straight body bends that alternate are known to 0.2 rad only"
+            "one marker per connector: near a straight body, alternating bends are known to 0.2 rad only"
         )
     return shape, station, notes
 
 
 def _undetermined(station: np.ndarray, spec: RobotSpec) -> str:
-    """Say what is missing where markers do not determine the shape."""
-    where = ", ".join(f"{count} at {_called(at)}" for at, count in sorted(Counter(station.tolist()).items()))
+    """Return the message for markers that do not determine the shape."""
+    counts = sorted(Counter(station.tolist()).items())
+    listed = ", ".join(f"{count} at {_station_name(number)}" for number, count in counts)
     remedy = (
         "put a second marker on the head"
         if set(range(0, 2 * spec.segments + 1, 2)) <= set(station.tolist())
-        else "a marker at each connector and a second one on the head do, or two at each connector"
+        else "use a marker at each connector and a second one on the head, or two at each connector"
     )
-    return f"markers ({where}) do not tell how {spec.segments} segments bend; {remedy}"
+    return f"markers ({listed}) do not determine the bends of {spec.segments} segments; {remedy}"
 
 
-def _called(station: int) -> str:
+def _station_name(station: int) -> str:
     return f"{'middle' if station % 2 else 'connector'} {station // 2 + 1}"
 
 
-def _length_notes(shape: Shape, spec: RobotSpec, way: str) -> list[str]:
-    """Return what is to be said of the segments' lengths.
+def _length_notes(shape: BodyShape, spec: RobotSpec, model: LengthModel) -> list[str]:
+    """Return notes on the segment lengths.
 
     Raises:
-        InputError: no such robot has them, or they vary where they must not.
+        InputError: the lengths do not fit the robot, or they vary although the bends depend on constant
+            lengths.
     """
-    geometry, said = spec.geometry, []
-    low, straight, high = np.quantile(shape.length, [0.02, 0.5, 0.98], axis=0) + geometry.rigid_gap
-    # Segments stretch by a quarter and more, but then they are not that long all the time.
-    bad = np.flatnonzero((low > _LONGEST * geometry.pitch) | (high < _SHORTEST * geometry.pitch))
-    if bad.size:
-        k, ratio = int(bad[0]), float(np.median(straight)) / geometry.pitch
+    geometry, notes = spec.geometry, []
+    low, median, high = np.quantile(shape.length, [0.02, 0.5, 0.98], axis=0) + geometry.rigid_gap
+    # Segments may stretch by a quarter and more, but not during the whole recording.
+    wrong = np.flatnonzero(
+        (low > _MAX_LENGTH_RATIO * geometry.pitch) | (high < _MIN_LENGTH_RATIO * geometry.pitch)
+    )
+    if wrong.size:
+        k, ratio = int(wrong[0]), float(np.median(median)) / geometry.pitch
         raise InputError(
-            f"markers {k + 1} and {k + 2} from the head are {1e3 * straight[k]:.4g} mm apart along the body, "
+            f"markers {k + 1} and {k + 2} from the head are {1e3 * median[k]:.4g} mm apart along the body, "
             f"the connectors of {spec.name} {1e3 * geometry.pitch:.4g} mm{unit_hint(ratio)}"
         )
-    if way == "fixed" and shape.length_spread > _MUST_NOT * geometry.segment_length:
+    if model is LengthModel.FIXED and shape.length_std > _MAX_FIXED_STD * geometry.segment_length:
         raise InputError(
-            f"the segments' lengths vary by {1e3 * shape.length_spread:.2g} mm (standard deviation): one "
-            "marker at each connector does not tell how they bend then; put a second marker on the head"
+            f"the segment lengths vary by {1e3 * shape.length_std:.2g} mm (standard deviation), so one "
+            "marker per connector does not determine the bends; put a second marker on the head"
         )
-    off = straight - geometry.pitch
-    if np.abs(off).max() > _ANOTHER_LENGTH * geometry.pitch:
-        listed = ", ".join(f"{1e3 * each:+.1f}" for each in off)
-        said.append(f"segments are longer than {spec.name}'s by {listed} mm, head first: taken as measured")
-    low, high = ((each - geometry.pitch) / geometry.segment_length for each in (low, high))
-    if way == "free" and shape.length_spread > _STRETCHES * geometry.segment_length / 4:
+    deviation = median - geometry.pitch
+    if np.abs(deviation).max() > _NOTED_LENGTH * geometry.pitch:
+        listed = ", ".join(f"{1e3 * value:+.1f}" for value in deviation)
+        notes.append(
+            f"segments are longer than those of {spec.name} by {listed} mm, head first: used as measured"
+        )
+    low, high = ((length - geometry.pitch) / geometry.segment_length for length in (low, high))
+    if model is LengthModel.FREE and shape.length_std > _NOTED_STRETCH * geometry.segment_length / 4:
         listed = ", ".join(f"{100 * a:+.0f} to {100 * b:+.0f} %" for a, b in zip(low, high, strict=True))
-        said.append(f"segments stretch ({listed} of {spec.name}'s, head first): lengths taken as measured")
-    return said
+        notes.append(f"segments stretch ({listed} of {spec.name}, head first): lengths used as measured")
+    return notes
 
 
-def _along_body(markers: CapturedMarkers, spec: RobotSpec) -> list[tuple[int, ...]]:
-    """Return groups of markers from one end of the body to the other."""
+def _groups_along_body(markers: CapturedMarkers, spec: RobotSpec) -> list[tuple[int, ...]]:
+    """Return the markers of each station, from one end of the body to the other."""
     if markers.layout != "pair":
         return [(int(k),) for k in body_order(markers.points)]
     pairs = rigid_pairs(markers.points, spec.geometry.connectors)
@@ -390,89 +450,96 @@ def _stations(layout: str, groups: list[tuple[int, ...]]) -> Places:
     if "head" in layout:
         places[groups[0][0]], groups = (0, "ahead"), groups[1:]
     step = 1 if "middles" in layout else 2
-    return places | {each: (step * k, "") for k, group in enumerate(groups) for each in group}
+    return places | {marker: (step * k, "") for k, group in enumerate(groups) for marker in group}
 
 
-def _head_first(markers: CapturedMarkers, spec: RobotSpec, head: str | None) -> tuple[Places, str]:
-    """Return station and side of each marker, and how the head was found."""
+def _places_from_head(markers: CapturedMarkers, spec: RobotSpec, head: str | None) -> tuple[Places, str]:
+    """Return station and side of each marker, and a text on how the head was determined."""
     if markers.table.places:
         return _named_places(markers, spec), "connector 1 of the file"
-    groups, layout, labels = _along_body(markers, spec), markers.layout, markers.table.labels
-    ways = [_stations(layout, way) for way in (groups, groups[::-1])]
+    groups, layout, labels = _groups_along_body(markers, spec), markers.layout, markers.table.labels
+    options = [_stations(layout, order) for order in (groups, groups[::-1])]
     if head is not None:
         if head not in labels:
             raise UnknownNameError("marker", head, labels)
-        near = [[markers.name(k) for k, (station, _) in way.items() if not station] for way in ways]
-        if head not in near[0] + near[1]:
+        heads = [[markers.name(k) for k, (station, _) in places.items() if not station] for places in options]
+        if head not in heads[0] + heads[1]:
             raise InputError(f"marker '{head}' is at neither end of the body")
-        return ways[head not in near[0]], f"marker '{head}'"
+        return options[head not in heads[0]], f"marker '{head}'"
     ends = " or ".join(f"'{markers.name(groups[end][0])}'" for end in (0, -1))
     if "head" in layout:
-        found, _ = _likeliest([partial(_explained, markers, spec, way) for way in ways])
-        if found is None:
+        best, _ = _best_fit([partial(_fit_thinned, markers, spec, places) for places in options])
+        if best is None:
             raise InputError(
-                f"which end has the second marker of the head cannot be told; give --head, its name ({ends})"
+                "the end with the second marker of the head cannot be determined; give --head with the name "
+                f"of the marker ({ends})"
             )
-        return ways[found], "the end with a second marker"
+        return options[best], "the end with a second marker"
     centres = np.stack([markers.points[:, list(group)].mean(axis=1) for group in groups], axis=1)
     crawled = forward_distance(float(np.median(np.diff(markers.time))), centres)
-    least = _CRAWLED * spec.geometry.body_length
-    if abs(crawled) < least:
+    required = _MIN_CRAWLED * spec.geometry.body_length
+    if abs(crawled) < required:
         raise InputError(
-            f"which end is the head cannot be told, the body crawled {1e3 * abs(crawled):.3g} mm along "
-            f"itself, less than {1e3 * least:.3g} mm; give --head, the name of a marker there ({ends})"
+            f"the head cannot be determined, because the body crawled {1e3 * abs(crawled):.3g} mm along "
+            f"itself, less than {1e3 * required:.3g} mm; give --head with the name of a marker at the head "
+            f"({ends})"
         )
-    return ways[crawled < 0], f"the end towards which it crawled ({abs(crawled):.3g} m)"
+    return options[crawled < 0], f"the end towards which it crawled ({abs(crawled):.3g} m)"
 
 
-def likeliest_layout(
+def select_layout(
     markers: CapturedMarkers, layouts: Sequence[str], spec: RobotSpec, head: str | None
 ) -> CapturedMarkers:
-    """Return markers with the layout of several that explains them best.
+    """Return the markers with the layout that fits best.
 
     Raises:
-        InputError: none does, or several do about as well.
+        InputError: no layout fits, or several fit about equally well.
     """
     if len(layouts) == 1:
         return replace(markers, layout=layouts[0])
-    some = markers.thinned()
-    ways = [replace(some, layout=each) for each in layouts]
-    found, said = _likeliest([lambda way=way: tracked_body(way, spec, head).shape for way in ways])  # type: ignore[misc]
-    if found is None:
-        listed = "; ".join(f"{layout}: {why}" for layout, why in zip(layouts, said, strict=True))
-        raise InputError(f"the layout of the markers cannot be told ({listed}); give --layout")
-    return replace(markers, layout=layouts[found])
+    thinned = markers.thinned()
+
+    def fit(layout: str) -> BodyShape:
+        return tracked_body(replace(thinned, layout=layout), spec, head).shape
+
+    best, notes = _best_fit([partial(fit, layout) for layout in layouts])
+    if best is None:
+        listed = "; ".join(f"{layout}: {note}" for layout, note in zip(layouts, notes, strict=True))
+        raise InputError(f"the layout of the markers cannot be determined ({listed}); give --layout")
+    return replace(markers, layout=layouts[best])
 
 
-def _likeliest(ways: Sequence[Callable[[], Shape]]) -> tuple[int | None, list[str]]:
-    """Return which explanation leaves least, None where another leaves about as little; and words on each."""
-    noise, said = [], []
-    for way in ways:
+def _best_fit(fits: Sequence[Callable[[], BodyShape]]) -> tuple[int | None, list[str]]:
+    """Return the index of the fit with the smallest noise, or None if another one is similar, and notes."""
+    noises, notes = [], []
+    for fit in fits:
         try:
-            left = way().noise
-            said.append(f"leaves {1e3 * left:.2g} mm")
+            noise = fit().noise
+            notes.append(f"residual of {1e3 * noise:.2g} mm")
         except UnknownNameError:
             raise
         except InputError as error:
-            left = np.inf
-            said.append(str(error))
-        noise.append(left)
-    best, second = np.sort(noise)[:2]
-    sure = np.isfinite(best) and second > _CLEARLY * best
-    return (int(np.argmin(noise)) if sure else None), said
+            noise = np.inf
+            notes.append(str(error))
+        noises.append(noise)
+    best, second = np.sort(noises)[:2]
+    clear = np.isfinite(best) and second > _CLEAR_NOISE_RATIO * best
+    return (int(np.argmin(noises)) if clear else None), notes
 
 
-def _explained(markers: CapturedMarkers, spec: RobotSpec, places: Places) -> Shape:
-    """Return the body that explains some of the frames."""
-    return _explain(markers.thinned(), spec, places)[0]
+def _fit_thinned(markers: CapturedMarkers, spec: RobotSpec, places: Places) -> BodyShape:
+    """Return the shape that fits a sample of the frames."""
+    return _fit_body(markers.thinned(), spec, places)[0]
 
 
 def _named_places(markers: CapturedMarkers, spec: RobotSpec) -> Places:
-    """Return where markers are by the names of the columns they were mostly in."""
-    named, main = markers.table.places, markers.main_columns
-    if sorted(main) != list(range(len(named))):
-        raise InputError("markers cannot be told by their columns, they change places too often")
-    last = max(station for station, _ in named)
+    """Return the places of markers by the names of their most frequent columns."""
+    places, main = markers.table.places, markers.main_columns
+    if sorted(main) != list(range(len(places))):
+        raise InputError("the markers change their columns too often to be identified by them")
+    last = max(station for station, _ in places)
     if last > 2 * spec.segments:
-        raise InputError(f"{_called(last)}: {spec.name} has {spec.geometry.connectors} connectors")
-    return {int(marker): named[main[marker]] for marker in np.argsort(main)}
+        raise InputError(
+            f"{_station_name(last)} does not exist; {spec.name} has {spec.geometry.connectors} connectors"
+        )
+    return {int(marker): places[main[marker]] for marker in np.argsort(main)}

@@ -1,68 +1,77 @@
-r"""Markers over time, and how each keeps its identity through swaps and gaps.
+r"""Tracking of markers through swaps and gaps.
 
-1. *Slots*: a take in which markers came and went has a column for each appearance; columns that were never
-   seen at the same time are laid side by side into one.
-2. *Tracklets*: stretches of one slot in which nothing but one marker can have been seen. From one sample to
-   the next a marker is expected at
+1. *Slots*: if markers disappear and come back, a file has a column for each appearance. Columns that never
+   contain markers on the same frame are joined into one slot.
+2. *Tracklets*: intervals of one slot in which only one marker can have been visible. The expected position of
+   a marker on the next frame is
 
    $$ \hat p_k = p_a + (k - a)(p_a - p_{a-1}), $$
 
-   and the link is sure where the sample lies nearer to it than the gate, and twice as near as any other.
-3. *Tracks*: in the order of time, each frame's new tracklets are assigned to the markers lost before it so
-   that the sum of distances to their expected positions is least (Hungarian method). Over a few frames a
-   marker is expected to move on at its velocity; over more, either to be where it was or to have moved with
-   the markers around it, whichever is nearer.
+   and a link is certain if the sample is within the gate of it, and twice as close to it as any other sample.
+3. *Tracks*: in the order of time, the new tracklets on a frame are assigned to the markers that were lost
+   before it, such that the sum of the distances to their expected positions is smallest (Hungarian method).
+   Over a few frames, a marker is expected to continue at its velocity. Over more frames, it is expected to be
+   either at its last position or to have moved with the markers around it, whichever is closer.
 
-Relabelling is needed: of 65 synthetic takes with swaps, gaps and markers that come back in new columns, 16
-are read if columns are taken for markers, and all 65 if markers are followed.
+Tracking is necessary: of 65 synthetic recordings with swaps, gaps and markers that come back in new columns,
+16 can be read if each column is taken as a marker, and all 65 if markers are tracked.
 
-Errors raised here do not name the file; `read_motion` puts its name before them.
+Errors raised here do not name the file; `read_motion` adds its name.
 """
 
 from __future__ import annotations
 
 import heapq
+from typing import NamedTuple
 
 import numpy as np
 
 from srs_twin.errors import InputError
 
-MOST = 64
-"""Slots: markers and reflections at the same time."""
+MAX_MARKERS = 64
+"""Largest number of markers and reflections on the same frame."""
 
-GATE = 0.4
-"""Of the distance of the two closest markers: how far from its expected place a marker surely is itself."""
+GATE_RATIO = 0.4
+"""Gate divided by the distance of the two closest markers, 1: within the gate, a link is certain."""
 
-_SAMPLED = 500  # frames that tell how close markers come
-_SHORT = 3  # samples: a track with fewer is a reflection
-_RARE = 0.03  # of all samples: where as many are in short tracklets, markers move far from frame to frame
-_ALONE = 4  # frames over which a marker is expected to move on at its velocity
-_FARTHEST = 6.0  # times as far as usual a marker may come back after a long time
-_REMEMBERED = 100  # samples of the past that tell how far from each other two markers may be
-_BODY = 3.0  # cost of a distance that two markers never had, relative to one from the expected position
-_NEVER = 1e6
+_DISTANCE_FRAMES = 500
+"""Number of frames from which the distance of the closest markers is computed."""
+_MIN_SAMPLES = 3
+"""Smallest number of samples of a track; shorter ones are reflections."""
+_MAX_SHORT = 0.03
+"""Fraction of samples in shorter tracklets, 1, above which these are used: markers then move fast."""
+_VELOCITY_FRAMES = 4
+"""Number of frames over which a marker is expected to continue at its velocity."""
+_MAX_REACH_RATIO = 6.0
+"""Largest distance at which a marker may reappear after a long gap, relative to that after a short one, 1."""
+_PAST_SAMPLES = 100
+"""Number of past samples from which the range of distances to other markers is computed."""
+_RANGE_COST = 3.0
+"""Cost of a distance outside that range, relative to a distance from the expected position, 1."""
+_FORBIDDEN_COST = 1e6
+"""Cost of an assignment beyond the reach, m."""
 
 
 def pack_slots(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return markers in as few slots as there were columns in use at the same time.
+    """Join columns into as few slots as there are markers on the same frame.
 
     Args:
         points: shape (frames, columns, 2 or 3), m.
 
     Returns:
-        Shape (frames, slots, 2 or 3), m; from which column each comes, −1 where nothing is, shape (frames,
-        slots).
+        Positions in slots, shape (frames, slots, 2 or 3), m, and the column from which each sample comes, −1
+        for none, shape (frames, slots).
 
     Raises:
-        InputError: no marker at all, or more than `MOST` slots.
+        InputError: there is no marker, or there are more than `MAX_MARKERS` slots.
     """
-    seen = ~np.isnan(points[..., 0])
-    used = np.flatnonzero(seen.any(axis=0))
+    visible = ~np.isnan(points[..., 0])
+    used = np.flatnonzero(visible.any(axis=0))
     if not used.size:
-        raise InputError("no marker was seen on any frame")
-    first = seen[:, used].argmax(axis=0)
-    last = len(seen) - 1 - seen[::-1, used].argmax(axis=0)
-    # (last frame, slot) of those in use; the slot that is free the longest comes first.
+        raise InputError("no marker is visible on any frame")
+    first = visible[:, used].argmax(axis=0)
+    last = len(visible) - 1 - visible[::-1, used].argmax(axis=0)
+    # Heap of (last frame, slot): the slot that has been free for longest comes first.
     ends: list[tuple[int, int]] = []
     slot_of = np.empty(len(used), dtype=int)
     for k in np.lexsort((used, first)):
@@ -72,192 +81,219 @@ def pack_slots(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             slot = len(ends)
         slot_of[k] = slot
         heapq.heappush(ends, (int(last[k]), slot))
-    if len(ends) > MOST:
-        raise InputError(f"{len(ends)} markers at the same time; at most {MOST} are followed")
+    if len(ends) > MAX_MARKERS:
+        raise InputError(f"{len(ends)} markers on the same frame; at most {MAX_MARKERS} can be tracked")
     slots = np.full((len(points), len(ends), points.shape[-1]), np.nan)
     columns = np.full((len(points), len(ends)), -1)
     for k, slot in enumerate(slot_of):
-        stretch = slice(first[k], last[k] + 1)
-        slots[stretch, slot] = points[stretch, used[k]]
-        columns[stretch, slot] = used[k]
+        frames = slice(first[k], last[k] + 1)
+        slots[frames, slot] = points[frames, used[k]]
+        columns[frames, slot] = used[k]
     return slots, columns
 
 
-def some_frames(count: int, most: int) -> np.ndarray:
-    """Return at most so many frames, evenly spread but not evenly spaced: a gait has a period too."""
-    if count <= most:
-        return np.arange(count)
-    edges = np.linspace(0, count, most + 1)
-    return np.unique((edges[:-1] + np.random.default_rng(0).random(most) * np.diff(edges)).astype(int))
+def sample_frames(count: int, limit: int) -> np.ndarray:
+    """Return all frames, or a sample of at most `limit` of them.
 
-
-def distances(points: np.ndarray, frames: int) -> np.ndarray:
-    """Return the distances of each two points on `some_frames`, (frames, points, points), m.
-
-    NaN between a point and itself, and where one was not seen.
+    The sample is stratified and random rather than equally spaced, which a periodic gait could alias.
     """
-    some = points[some_frames(len(points), frames)]
-    apart = np.asarray(np.linalg.norm(some[:, :, None] - some[:, None], axis=-1))
-    apart[:, np.arange(apart.shape[1]), np.arange(apart.shape[1])] = np.nan
-    return apart
+    if count <= limit:
+        return np.arange(count)
+    edges = np.linspace(0, count, limit + 1)
+    return np.unique((edges[:-1] + np.random.default_rng(0).random(limit) * np.diff(edges)).astype(int))
 
 
-def _sure(points: np.ndarray, gate: float) -> np.ndarray:
-    """Say which samples surely are of the same marker as the one before in their slot, (frames, slots).
+def pairwise_distances(points: np.ndarray, frames: int) -> np.ndarray:
+    """Return the distances between all points on a sample of frames, (frames, points, points), m.
+
+    They are NaN between a point and itself, and where one of the points is hidden.
+    """
+    sampled = points[sample_frames(len(points), frames)]
+    distance = np.asarray(np.linalg.norm(sampled[:, :, None] - sampled[:, None], axis=-1))
+    distance[:, np.arange(distance.shape[1]), np.arange(distance.shape[1])] = np.nan
+    return distance
+
+
+def _certain_links(points: np.ndarray, gate: float) -> np.ndarray:
+    """Return which samples certainly belong to the same marker as the previous one in their slot.
 
     Args:
         points: shape (frames, slots, 2 or 3), m.
         gate: m.
+
+    Returns:
+        Shape (frames, slots).
     """
     step = np.diff(points, axis=0, prepend=np.nan)
-    # A jump is no velocity: what follows it would be expected far away.
+    # A jump is not a velocity: the next position would be extrapolated far away.
     step[np.isnan(step).any(axis=-1) | (np.linalg.norm(step, axis=-1) > 2 * gate)] = 0.0
     expected = np.full_like(points, np.nan)
     expected[1:] = points[:-1] + step[:-1]
-    away = np.linalg.norm(points - expected, axis=-1)
-    nearest = np.full_like(away, np.inf)
+    error = np.linalg.norm(points - expected, axis=-1)
+    nearest = np.full_like(error, np.inf)
     for shift in range(1, points.shape[1]):
-        np.fmin(nearest, np.linalg.norm(np.roll(points, shift, axis=1) - expected, axis=-1), out=nearest)
-    return np.asarray((away < gate) & (2 * away < nearest))
+        other = np.linalg.norm(np.roll(points, shift, axis=1) - expected, axis=-1)
+        np.fmin(nearest, other, out=nearest)
+    return np.asarray((error < gate) & (2 * error < nearest))
 
 
-def follow(
-    points: np.ndarray, columns: np.ndarray, longest: int, reach: float
-) -> tuple[np.ndarray, np.ndarray, int]:
-    """Follow markers through frames.
+class Tracks(NamedTuple):
+    """Tracked markers.
+
+    Attributes:
+        points: NaN where a marker is hidden, shape (frames, tracks, 2 or 3), m.
+        columns: column of the file from which each sample came, −1 where it is hidden, shape (frames,
+            tracks).
+        unassigned: number of samples that belong to no track.
+    """
+
+    points: np.ndarray
+    columns: np.ndarray
+    unassigned: int
+
+
+def track_markers(points: np.ndarray, columns: np.ndarray, longest: int, reach: float) -> Tracks:
+    """Track markers over all frames.
 
     Args:
         points: in slots, shape (frames, slots, 2 or 3), m.
-        columns: from which column of the file each comes, shape (frames, slots).
-        longest: frames over which a link inside a slot may go.
-        reach: how far from where it is expected a marker may appear, m.
-
-    Returns:
-        As many tracks as were needed, NaN where a marker was not seen, shape (frames, tracks, 2 or 3), m;
-        from which column of the file each sample came, −1 where it was not seen, shape (frames, tracks); how
-        many samples belong to no track.
+        columns: column of the file from which each sample comes, shape (frames, slots).
+        longest: longest gap that is filled, frames.
+        reach: largest distance of a marker from its expected position, m.
 
     Raises:
-        InputError: markers jump too often to be followed.
+        InputError: markers jump too often to be tracked.
     """
-    apart = distances(points, _SAMPLED)
-    nearest = np.where(np.isnan(apart), np.inf, apart).min(axis=(1, 2))
+    distance = pairwise_distances(points, _DISTANCE_FRAMES)
+    nearest = np.where(np.isnan(distance), np.inf, distance).min(axis=(1, 2))
     nearest = nearest[np.isfinite(nearest)]
-    # How near two markers come, but for a few frames.
-    gate = min(GATE * float(np.quantile(nearest, 0.05)), reach) if nearest.size else reach
-    seen, sure = np.isfinite(points[..., 0]), _sure(points, gate)
-    ends = seen & ~np.append(sure[1:], np.zeros_like(sure[:1]), axis=0)
-    slot, first = np.nonzero((seen & ~sure).T)
+    # The quantile replaces the minimum, because a few frames may have reflections close to markers.
+    gate = min(GATE_RATIO * float(np.quantile(nearest, 0.05)), reach) if nearest.size else reach
+    visible, certain = np.isfinite(points[..., 0]), _certain_links(points, gate)
+    ends = visible & ~np.append(certain[1:], np.zeros_like(certain[:1]), axis=0)
+    slot, first = np.nonzero((visible & ~certain).T)
     last = np.nonzero(ends.T)[1]
-    known, order = _Tracker(points, gate, longest, reach), np.argsort(first, kind="stable")
+    tracker, order = _Tracker(points, gate, longest, reach), np.argsort(first, kind="stable")
     length = last - first + 1
-    if length[length < _SHORT].sum() < _RARE * seen.sum():
-        known.shortest = _SHORT
+    if length[length < _MIN_SAMPLES].sum() < _MAX_SHORT * visible.sum():
+        tracker.shortest = _MIN_SAMPLES
     for group in np.split(order, np.flatnonzero(np.diff(first[order])) + 1):
-        known.join(int(first[group[0]]), slot[group], last[group])
-    slots = known.slots[:, known.samples >= _SHORT].astype(int)
+        tracker.assign(int(first[group[0]]), slot[group], last[group])
+    slots = tracker.slots[:, tracker.samples >= _MIN_SAMPLES].astype(int)
     if not slots.shape[1]:
         slots = np.full((len(points), 1), -1)
-    lost, at = slots < 0, np.maximum(slots, 0)
-    tracks = np.where(lost[..., None], np.nan, np.take_along_axis(points, at[..., None], axis=1))
-    origin = np.where(lost, -1, np.take_along_axis(columns, at, axis=1))
-    return tracks, origin, int(seen.sum() - (~lost).sum())
+    hidden, index = slots < 0, np.maximum(slots, 0)
+    tracks = np.where(hidden[..., None], np.nan, np.take_along_axis(points, index[..., None], axis=1))
+    origin = np.where(hidden, -1, np.take_along_axis(columns, index, axis=1))
+    return Tracks(tracks, origin, int(visible.sum() - (~hidden).sum()))
 
 
 class _Tracker:
-    """Tracks up to the frame that has been reached.
+    """Tracks up to the current frame.
 
     Attributes:
-        slots: in which slot each track is, −1 where it was not seen, shape (frames, `MOST`).
-        samples: of each track, 0 where it is not in use, shape (`MOST`,).
-        shortest: samples that a tracklet has, unless it goes on as expected.
+        slots: slot of each track, −1 where it is hidden, shape (frames, `MAX_MARKERS`).
+        samples: number of samples of each track, 0 for an unused track, shape (`MAX_MARKERS`,).
+        shortest: smallest number of samples of a tracklet that begins a new track.
     """
 
     def __init__(self, points: np.ndarray, gate: float, longest: int, reach: float) -> None:
         self._points, self._gate, self._longest, self._reach = points, gate, longest, reach
-        self.slots = np.full((len(points), MOST), -1, dtype=np.int8)
-        self.samples, self.shortest = np.zeros(MOST, dtype=int), 1
-        self._end = np.full(MOST, -1)
-        self._last, self._velocity = np.zeros((2, MOST, points.shape[-1]))
+        self.slots = np.full((len(points), MAX_MARKERS), -1, dtype=np.int8)
+        self.samples, self.shortest = np.zeros(MAX_MARKERS, dtype=int), 1
+        self._end = np.full(MAX_MARKERS, -1)
+        self._last, self._velocity = np.zeros((2, MAX_MARKERS, points.shape[-1]))
 
-    def join(self, first: int, slots: np.ndarray, last: np.ndarray) -> None:
-        """Give tracklets that begin on one frame to tracks that ended before it, or to new ones.
+    def assign(self, first: int, slots: np.ndarray, last: np.ndarray) -> None:
+        """Assign the tracklets that begin on a frame to tracks that have ended, or to new ones.
 
         Args:
-            first: that frame.
-            slots: of the tracklets.
-            last: their last frames.
+            first: the frame.
+            slots: slots of the tracklets.
+            last: last frames of the tracklets.
         """
         from scipy.optimize import linear_sum_assignment
 
-        gone = (self._end < first - _ALONE) & (self.samples < _SHORT)
-        self.slots[:, gone & (self.samples > 0)] = -1
-        self.samples[gone] = 0
-        # Those that go on as expected first: the others are then known by their distances from these.
-        for reach, longest in ((self._gate, _ALONE), (self._reach, first)):
+        reflections = (self._end < first - _VELOCITY_FRAMES) & (self.samples < _MIN_SAMPLES)
+        self.slots[:, reflections & (self.samples > 0)] = -1
+        self.samples[reflections] = 0
+        # Tracklets at their expected positions come first; their distances help to identify the remaining
+        # ones.
+        for reach, longest in ((self._gate, _VELOCITY_FRAMES), (self._reach, first)):
             free = np.flatnonzero((self._end < first) & (self._end >= first - longest) & (self.samples > 0))
-            distance = self._distances(free, first, self._points[first, slots], reach)
-            rows, places = linear_sum_assignment(distance)
-            good = distance[rows, places] < _NEVER
-            for row, track in zip(rows[good], free[places[good]], strict=True):
-                self._write(int(track), int(slots[row]), first, int(last[row]))
-            left = np.setdiff1d(np.flatnonzero(last - first >= self.shortest - 1), rows[good])
-            slots, last = slots[left], last[left]
+            cost = self._costs(free, first, self._points[first, slots], reach)
+            rows, indices = linear_sum_assignment(cost)
+            allowed = cost[rows, indices] < _FORBIDDEN_COST
+            for row, track in zip(rows[allowed], free[indices[allowed]], strict=True):
+                self._extend(int(track), int(slots[row]), first, int(last[row]))
+            remaining = np.setdiff1d(np.flatnonzero(last - first >= self.shortest - 1), rows[allowed])
+            slots, last = slots[remaining], last[remaining]
         unused = np.flatnonzero(self.samples == 0)
         if len(slots) > len(unused):
             raise InputError(
-                f"markers jump from frame to frame, none can be followed (over {MOST} tracks); is the unit "
-                "of length or of time another?"
+                f"the markers jump between frames and need more than {MAX_MARKERS} tracks; check the units "
+                "of length and of time"
             )
         for track, slot, end in zip(unused.tolist(), slots.tolist(), last.tolist(), strict=False):
-            self._write(track, slot, first, end)
+            self._extend(track, slot, first, end)
 
-    def _write(self, track: int, slot: int, first: int, last: int) -> None:
-        """Let a track go on in a slot; its velocity is that of the last step, unless this is a jump."""
+    def _extend(self, track: int, slot: int, first: int, last: int) -> None:
+        """Continue a track in a slot; its velocity is that of the last step, unless this is a jump."""
         before = self._points[last - 1, slot] if last > first else self._last[track]
-        follows = last > first or (self.samples[track] > 0 and self._end[track] == first - 1)
+        continuous = last > first or (self.samples[track] > 0 and self._end[track] == first - 1)
         step = self._points[last, slot] - before
-        self._velocity[track] = step if follows and np.linalg.norm(step) < 2 * self._gate else 0.0
+        self._velocity[track] = step if continuous and np.linalg.norm(step) < 2 * self._gate else 0.0
         self._end[track], self._last[track] = last, self._points[last, slot]
         self.slots[first : last + 1, track] = slot
         self.samples[track] += last + 1 - first
 
-    def _distances(self, tracks: np.ndarray, frame: int, begins: np.ndarray, near: float) -> np.ndarray:
-        """Return how far from their tracks' expected positions tracklets begin, (tracklets, tracks), m.
+    def _costs(self, tracks: np.ndarray, frame: int, starts: np.ndarray, near: float) -> np.ndarray:
+        """Return the cost of assigning tracklets to tracks, shape (tracklets, tracks), m.
 
-        The longer a marker was hidden, the farther it may have gone. Beyond the frames over which gaps are
-        filled nothing rests on its identity, as the trajectory is cut there.
+        The reach increases with the duration of a gap. It is limited, because the trajectory is cut at gaps
+        that are too long to be filled, so that the identity of a marker does not matter there.
+
+        Args:
+            tracks: tracks that have ended.
+            frame: first frame of the tracklets.
+            starts: first positions of the tracklets, shape (tracklets, 2 or 3), m.
+            near: reach after a gap of one frame, m.
         """
         gap = frame - self._end[tracks]
-        moved = np.where(gap <= _ALONE, gap, 0)[:, None] * self._velocity[tracks]
-        distance = np.linalg.norm(begins[:, None] - (self._last[tracks] + moved), axis=-1)
-        strange = np.zeros_like(distance)
+        moved = np.where(gap <= _VELOCITY_FRAMES, gap, 0)[:, None] * self._velocity[tracks]
+        distance = np.linalg.norm(starts[:, None] - (self._last[tracks] + moved), axis=-1)
+        violation = np.zeros_like(distance)
         for k in np.flatnonzero((gap > 1) | (near > self._gate)):
             end = self._end[tracks[k]]
-            there = np.flatnonzero((self.slots[[end, frame]] >= 0).all(axis=0))
-            if gap[k] > _ALONE and len(there) >= 2:
-                others = (self._points[at, self.slots[at, there]] for at in (end, frame))
-                carried = _carried(self._last[tracks[k]], *others)
-                distance[:, k] = np.fmin(distance[:, k], np.linalg.norm(begins - carried, axis=-1))
-            strange[:, k] = self._strange(tracks[k], frame, begins)
-        reach = near * np.minimum(_FARTHEST, 1.0 + (gap - 1) / self._longest)
-        return np.asarray(np.where(distance > reach, _NEVER, distance + _BODY * strange))
+            others = np.flatnonzero((self.slots[[end, frame]] >= 0).all(axis=0))
+            if gap[k] > _VELOCITY_FRAMES and len(others) >= 2:
+                positions = (self._points[at, self.slots[at, others]] for at in (end, frame))
+                moved_with_others = _move_rigidly(self._last[tracks[k]], *positions)
+                distance[:, k] = np.fmin(distance[:, k], np.linalg.norm(starts - moved_with_others, axis=-1))
+            violation[:, k] = self._range_violation(tracks[k], frame, starts)
+        reach = near * np.minimum(_MAX_REACH_RATIO, 1.0 + (gap - 1) / self._longest)
+        return np.asarray(np.where(distance > reach, _FORBIDDEN_COST, distance + _RANGE_COST * violation))
 
-    def _strange(self, track: int, frame: int, begins: np.ndarray) -> np.ndarray:
-        """Return by how much places leave the range of distances that a marker has had from the others, m."""
-        there = np.flatnonzero(self.slots[frame] >= 0)
+    def _range_violation(self, track: int, frame: int, starts: np.ndarray) -> np.ndarray:
+        """Return the sum of the excesses of distances over their past ranges, shape (tracklets,), m."""
+        others = np.flatnonzero(self.slots[frame] >= 0)
         past = np.flatnonzero(self.slots[: self._end[track] + 1, track] >= 0)
-        past = past[:: len(past) // _REMEMBERED + 1][:, None]
-        slots = self.slots[past, there]
-        others = np.where((slots >= 0)[..., None], self._points[past, slots], np.nan)
-        apart = np.linalg.norm(others - self._points[past, self.slots[past, track]], axis=-1)
-        least, most = np.fmin.reduce(apart), np.fmax.reduce(apart)
-        now = np.linalg.norm(begins[:, None] - self._points[frame, self.slots[frame, there]], axis=-1)
-        return np.asarray(np.nansum(np.maximum(now - most, 0.0) + np.maximum(least - now, 0.0), axis=1))
+        past = past[:: len(past) // _PAST_SAMPLES + 1][:, None]
+        slots = self.slots[past, others]
+        positions = np.where((slots >= 0)[..., None], self._points[past, slots], np.nan)
+        distance = np.linalg.norm(positions - self._points[past, self.slots[past, track]], axis=-1)
+        smallest, largest = np.fmin.reduce(distance), np.fmax.reduce(distance)
+        current = self._points[frame, self.slots[frame, others]]
+        now = np.linalg.norm(starts[:, None] - current, axis=-1)
+        excess = np.maximum(now - largest, 0.0) + np.maximum(smallest - now, 0.0)
+        return np.asarray(np.nansum(excess, axis=1))
 
 
-def _carried(point: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return where a point goes that moves rigidly over the floor with others; the nearest count most."""
+def _move_rigidly(point: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return a point after the weighted least-squares rigid motion of other points over the floor.
+
+    Close points have more weight.
+    """
     weight = 1.0 / (((before - point)[:, :2] ** 2).sum(axis=1) + 1e-6) ** 2
     weight /= weight.sum()
     centre, target = weight @ before, weight @ after
@@ -266,5 +302,5 @@ def _carried(point: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.nda
     turn = (weight * np.conj(a) * b).sum()
     turn = turn / abs(turn) if abs(turn) > 0 else 1.0
     x, y = point[:2] - centre[:2]
-    place = turn * complex(x, y)
-    return np.array([target[0] + place.real, target[1] + place.imag, *point[2:]])
+    moved = turn * complex(x, y)
+    return np.array([target[0] + moved.real, target[1] + moved.imag, *point[2:]])

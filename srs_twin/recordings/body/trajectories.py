@@ -1,15 +1,16 @@
-r"""Columns, metadata and summary of a measured trajectory; columns have the names a plant's have.
+r"""Columns, metadata and summary of a measured trajectory; columns are named as those of a plant.
 
-Velocity is the slope of a moving line (Section 3.4.1), the least-squares line through a sample and n before
-and after it, n = 5 in the text,
+Velocities are slopes of a moving line (Section 3.4.1): the least-squares line through a sample and the n
+samples before and after it, with n = 5 in the dissertation,
 
 $$ v_k = \frac{\sum_m (t_m - \bar t)(y_m - \bar y)}{\sum_m (t_m - \bar t)^2}, \qquad m = k-n \ldots k+n. $$
 
-It does not lag. Of an oscillation with angular frequency ω it keeps
+The slope has no lag. It attenuates an oscillation with angular frequency ω by the factor
 
 $$ \frac{3 \sum_{m=1}^{n} m \sin(m \omega \Delta t)}{n (n + 1)(n + \tfrac12)\, \omega \Delta t}, $$
 
-at 120 Hz 97 % of 2 Hz; at the text's 15 frames a second nothing of it, and 82 % of 0.6 Hz.
+which is 0.97 for 2 Hz at 120 frames per second. At the 15 frames per second of the dissertation it is 0 for 2
+Hz and 0.82 for 0.6 Hz.
 """
 
 from __future__ import annotations
@@ -29,24 +30,25 @@ from srs_twin.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class MarkerCounts:
-    """What became of the markers of a captured motion.
+    """Numbers on the markers of a recording.
 
     Attributes:
-        header_frames: how many frames the header announces; None where it does not.
-        frames_missing: frames put in because the file skips them.
-        columns: of positions in the file.
-        layout: "single", "head" or "pair".
-        head: how the head was found.
-        up: axis of the file that points up.
-        samples_seen: positions in the file.
-        samples_other: of these, off the robot: reflections, other markers, pieces that fit nowhere.
-        samples_rejected: of these, outliers.
-        longest_filled_s: the longest gap that was filled, s; from the sample before it to the one after.
-        moves: how often a marker went on in another column.
-        spacing_m: largest distance of neighbouring connectors, head first, m.
-        residual_m: root mean square of the markers' distances from the body that explains them, m.
-        noise_m: standard deviation of a marker's coordinate, m.
-        bend_error_rad: root mean square of the bends' standard errors, rad.
+        header_frames: number of frames that the header states; None if it states none.
+        frames_missing: number of frames that the file skips, which were inserted.
+        columns: number of columns of positions in the file.
+        layout: one of `body.markers.LAYOUTS`, or "named".
+        head: text on how the head was determined.
+        up: vertical axis of the file.
+        samples_seen: number of positions in the file.
+        samples_other: number of these that do not belong to the robot: reflections, other markers, short
+            tracks.
+        samples_rejected: number of these that are outliers.
+        longest_filled_s: longest gap that was filled, between the samples around it, s.
+        moves: number of times that a marker continues in another column.
+        spacing_m: largest distance of adjacent connectors, head first, m.
+        residual_m: root mean square distance of the markers from the fitted body, m.
+        noise_m: standard deviation of a marker coordinate, m.
+        bend_error_rad: root mean square of the standard errors of the bends, rad.
     """
 
     header_frames: int | None
@@ -68,19 +70,20 @@ class MarkerCounts:
 
 @dataclass(frozen=True)
 class LogSummary:
-    """Nothing is silently dropped: each sample that was read is kept or counted here.
+    """Summary of a measured file, which accounts for every sample that is not used.
 
     Attributes:
         source: name of the file.
-        sha256: of the file.
-        kind: "Motive CSV 1.21", "plain CSV" or "bend log".
-        frames_read: rows of the file that were used.
-        rate_hz: frames a second.
-        samples_filled: positions, or bends, filled in, in the frames that are kept.
-        frames_kept: frames of the trajectory.
-        start, end: their times, s.
-        corrections: all else that was changed or assumed, in words.
-        markers: None of a bend log.
+        sha256: checksum of the file.
+        kind: file format, for example "Motive CSV 1.21", "plain CSV" or "bend log".
+        frames_read: number of rows of the file that were used.
+        rate_hz: frame rate, Hz.
+        samples_filled: number of positions, or bends, that were interpolated in the frames that are kept.
+        frames_kept: number of frames of the trajectory.
+        start: time of its first frame, s.
+        end: time of its last frame, s.
+        corrections: texts on all other changes and assumptions.
+        markers: numbers on the markers; None for a bend log.
     """
 
     source: str
@@ -96,20 +99,30 @@ class LogSummary:
     markers: MarkerCounts | None = None
 
     @classmethod
-    def of(
+    def from_file(
         cls, source: MarkerTable | RecordedFile, kind: str, frames: FrameGrid, kept: slice, filled: int,
         corrections: Iterable[str], markers: MarkerCounts | None = None,
     ) -> LogSummary:  # fmt: skip
-        """Return the summary of a file of which some frames are kept."""
+        """Return the summary of a file for the frames that are kept.
+
+        Args:
+            source: the file.
+            kind: file format.
+            frames: frames of the file.
+            kept: frames of the trajectory.
+            filled: number of interpolated samples.
+            corrections: texts on other changes and assumptions.
+            markers: numbers on the markers; None for a bend log.
+        """
         used, time, start = int((frames.rows >= 0).sum()), frames.time[kept], float(frames.time[kept][0])
-        about = source.name, source.sha256, kind, used, 1 / frames.period, filled
-        return cls(*about, len(time), start, float(time[-1]), tuple(corrections), markers)
+        head = source.name, source.sha256, kind, used, 1 / frames.period, filled
+        return cls(*head, len(time), start, float(time[-1]), tuple(corrections), markers)
 
     def text(self) -> str:
-        """Return it for people, one fact a line."""
+        """Return the summary as text, one fact per line."""
         lines = [f"{self.source}: {self.kind}, SHA-256 {self.sha256[:16]}…"]
         span = f"{self.start:.4g} s to {self.end:.4g} s"
-        if (found := self.markers) is None:
+        if (counts := self.markers) is None:
             lines += [
                 f"read: {self.frames_read} rows, {self.rate_hz:.4g} Hz",
                 f"filled: {self.samples_filled} bends",
@@ -117,51 +130,52 @@ class LogSummary:
             ]
         else:
             announced = ""
-            if found.header_frames not in (None, self.frames_read):
-                announced = f", where the header says {found.header_frames}"
-            spacing = ", ".join(f"{1e3 * each:.1f}" for each in found.spacing_m)
-            cut = self.frames_read + found.frames_missing - self.frames_kept
+            if counts.header_frames not in (None, self.frames_read):
+                announced = f" ({counts.header_frames} according to the header)"
+            spacing = ", ".join(f"{1e3 * distance:.1f}" for distance in counts.spacing_m)
+            cut = self.frames_read + counts.frames_missing - self.frames_kept
             lines += [
-                f"read: {self.frames_read} frames{announced}, {found.columns} columns of positions, "
-                f"{self.rate_hz:.4g} Hz, {found.samples_seen} positions",
-                f"markers: layout {found.layout}; head: {found.head}; up: {found.up}",
-                f"went on in another column: {found.moves} times",
-                f"rejected: {found.samples_rejected} outliers, {found.samples_other} positions of nothing on "
-                "the robot",
-                f"filled: {self.samples_filled} positions, the longest gap {found.longest_filled_s:.3g} s",
+                f"read: {self.frames_read} frames{announced}, {counts.columns} columns of positions, "
+                f"{self.rate_hz:.4g} Hz, {counts.samples_seen} positions",
+                f"markers: layout {counts.layout}; head: {counts.head}; up: {counts.up}",
+                f"changes of column: {counts.moves}",
+                f"rejected: {counts.samples_rejected} outliers, {counts.samples_other} positions that do not "
+                "belong to the robot",
+                f"filled: {self.samples_filled} positions, longest gap {counts.longest_filled_s:.3g} s",
                 f"kept: {self.frames_kept} frames, {span}, {cut} left out at the ends",
-                f"neighbouring connectors come as far as {spacing} mm apart; markers lie within "
-                f"{1e3 * found.residual_m:.2g} mm of the body, their noise is {1e3 * found.noise_m:.2g} mm",
-                f"standard error of a bend: {found.bend_error_rad:.2g} rad",
+                f"largest distances of adjacent connectors: {spacing} mm; distance of the markers from the "
+                f"body {1e3 * counts.residual_m:.2g} mm RMS, noise {1e3 * counts.noise_m:.2g} mm",
+                f"standard error of a bend: {counts.bend_error_rad:.2g} rad",
             ]
-        return "\n".join([*lines, *(f"corrected: {each}" for each in self.corrections)])
+        return "\n".join([*lines, *(f"corrected: {text}" for text in self.corrections)])
 
 
 HALF_WIDTH = 5
-"""n, frames before and after."""
+"""Number n of frames before and after a sample in the moving line (Section 3.4.1)."""
 
 
 def moving_slope(time: np.ndarray, values: np.ndarray, half_width: int = HALF_WIDTH) -> np.ndarray:
-    """Return the rate of change of signals.
+    """Return the rate of change of signals as slopes of a moving least-squares line.
 
     Args:
         time: ascending, shape (frames,), s.
         values: finite, shape (frames, …).
-        half_width: n. Near the ends the line goes through the samples there are.
+        half_width: n. Near the ends, the line uses the samples that exist.
 
     Returns:
-        Shape of `values`, per second.
+        Rates per second, with the shape of `values`.
     """
     n, frames = half_width, len(time)
     flat = np.asarray(values, dtype=float).reshape(frames, -1)
-    # Sums over windows, about the time and the value in their middle: large times cost no digits.
+    # Sums over the windows, relative to the time and value of the middle sample, so that large times lose no
+    # digits.
     sums = np.zeros((frames, 3 + 2 * flat.shape[1]))
     for shift in range(-n, n + 1):
-        here = slice(max(0, -shift), frames - max(0, shift))
-        there = slice(max(0, shift), frames + min(0, shift))
-        t = (time[there] - time[here])[:, None]
-        y = flat[there] - flat[here]
-        sums[here] += np.concatenate([np.ones_like(t), t, t * t, y, t * y], axis=1)
+        middle = slice(max(0, -shift), frames - max(0, shift))
+        shifted = slice(max(0, shift), frames + min(0, shift))
+        t = (time[shifted] - time[middle])[:, None]
+        y = flat[shifted] - flat[middle]
+        sums[middle] += np.concatenate([np.ones_like(t), t, t * t, y, t * y], axis=1)
     count, t, tt = sums[:, :1], sums[:, 1:2], sums[:, 2:3]
     y, ty = np.split(sums[:, 3:], 2, axis=1)
     return np.asarray((ty - t * y / count) / (tt - t * t / count)).reshape(np.shape(values))
@@ -169,10 +183,10 @@ def moving_slope(time: np.ndarray, values: np.ndarray, half_width: int = HALF_WI
 
 _UNITS = {"com_velocity_": "m/s", "yaw_rate": "rad/s", "residual": "m", "bend_rate_": "rad/s"}
 _UNITS |= {"bend_error_": "rad", "length_": "m"}
-"""Beginnings of names of columns that no plant has → unit."""
+"""Prefix of a column that no plant has → unit."""
 
 MEASURED = "measured"
-"""Stands for the plant in the metadata."""
+"""Value of `plant` in the metadata of a measured trajectory."""
 
 
 def body_trajectory(
@@ -182,59 +196,60 @@ def body_trajectory(
     summary: LogSummary,
     gait_frequency_hz: float | None,
 ) -> Trajectory:
-    """Return a captured body over time as a trajectory; its masses give the centre of mass."""
-    share = spec.mass.array() / spec.mass.total
-    com = np.einsum("i,fij->fj", share, body.position)
+    """Return the trajectory of a tracked body; the masses of the robot give the centre of mass."""
+    mass_fraction = spec.mass.array() / spec.mass.total
+    com = np.einsum("i,fij->fj", mass_fraction, body.position)
     heading = body.theta.mean(axis=1)
     rates = moving_slope(markers.time, np.column_stack([com, heading, body.bend]))
     columns = {
         "time": markers.time,
         **pose_columns(com @ [1, 1j], heading, body.position @ [1, 1j], body.theta),
-        **numbered("bend", body.bend),
+        **numbered_columns("bend", body.bend),
         "com_velocity_x": rates[:, 0],
         "com_velocity_y": rates[:, 1],
         "yaw_rate": rates[:, 2],
-        **numbered("bend_rate", rates[:, 3:]),
-        **numbered("bend_error", body.shape.bend_error),
-        **numbered("length", body.shape.length),
-        **numbered("filled", body.missing.astype(float)),
+        **numbered_columns("bend_rate", rates[:, 3:]),
+        **numbered_columns("bend_error", body.shape.bend_error),
+        **numbered_columns("length", body.shape.length),
+        **numbered_columns("filled", body.missing.astype(float)),
         "residual": body.shape.residual,
     }
-    return measured(columns, spec, summary, gait_frequency_hz)
+    return measured_trajectory(columns, spec, summary, gait_frequency_hz)
 
 
 def pose_columns(
-    com: np.ndarray, heading: np.ndarray, place: np.ndarray, theta: np.ndarray
+    com: np.ndarray, heading: np.ndarray, connector: np.ndarray, theta: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return the columns that say where a body is.
+    """Return the columns of poses.
 
     Args:
         com: x + i y of the centre of mass, shape (frames,), m.
-        heading: of the body, same shape, rad.
-        place: x + i y of the connectors, shape (frames, N), m.
-        theta: their headings, same shape, rad.
+        heading: heading of the body, same shape, rad.
+        connector: x + i y of the connectors, shape (frames, N), m.
+        theta: headings of the connectors, same shape, rad.
     """
-    centre = {"com_x": com.real, "com_y": com.imag, "heading": heading}
-    return centre | numbered("x", place.real) | numbered("y", place.imag) | numbered("theta", theta)
+    columns = {"com_x": com.real, "com_y": com.imag, "heading": heading}
+    columns |= numbered_columns("x", connector.real) | numbered_columns("y", connector.imag)
+    return columns | numbered_columns("theta", theta)
 
 
-def numbered(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
+def numbered_columns(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
     """Return the columns of a (frames, n) array as name_1…name_n."""
     return {f"{name}_{i}": np.ascontiguousarray(column) for i, column in enumerate(values.T, start=1)}
 
 
-def measured(
+def measured_trajectory(
     columns: Mapping[str, np.ndarray], spec: RobotSpec, summary: LogSummary, gait_frequency_hz: float | None
 ) -> Trajectory:
-    """Return measured columns as a trajectory.
+    """Return measured columns as a trajectory with metadata.
 
     Args:
-        columns: by name.
+        columns: signals by name.
         spec: the robot.
-        summary: of what was read.
-        gait_frequency_hz: None where it is not known.
+        summary: summary of the file.
+        gait_frequency_hz: None if it is unknown.
     """
-    units = {each: unit for each in columns for name, unit in _UNITS.items() if each.startswith(name)}
+    units = {name: unit for name in columns for prefix, unit in _UNITS.items() if name.startswith(prefix)}
     source: dict[str, object] = {
         "file": summary.source.replace("\\", "/").rpartition("/")[2],
         "sha256": summary.sha256,
@@ -242,11 +257,11 @@ def measured(
         "samples_filled": summary.samples_filled,
         "corrections": list(summary.corrections),
     }
-    if (found := summary.markers) is not None:
-        source |= {"layout": found.layout, "up": found.up, "samples_rejected": found.samples_rejected}
+    if (counts := summary.markers) is not None:
+        source |= {"layout": counts.layout, "up": counts.up, "samples_rejected": counts.samples_rejected}
     geometry = spec.geometry
-    about = {
-        **({"bends_only": True} if found is None else {}),
+    metadata = {
+        **({"bends_only": True} if counts is None else {}),
         "plant": MEASURED,
         "robot": spec.name,
         "record_hz": summary.rate_hz,
@@ -259,4 +274,4 @@ def measured(
         "velocity_half_width": HALF_WIDTH,
         "source": source,
     }
-    return Trajectory(columns, units, metadata=about)
+    return Trajectory(columns, units, metadata=metadata)

@@ -1,9 +1,9 @@
-"""Formats of motion recordings: which one a file has, and its reader.
+"""File formats of motion recordings: identification and readers.
 
-Each module of this package reads one format: `NAME`, `recognizes(start)`, and `read(file, unstated)`, or
-`messages(file)` of a bag. Lengths
-come out in m and times in s, in the file's own axes. Damaged files of any format raise one `InputError` that
-names the file. The libraries `c3d` and `rosbags` are the extra `recordings`.
+Each module of this package reads one format. It has a `NAME`, `recognizes(start)`, and `read(file, unstated)`
+or, for a bag, `messages(file)`. Lengths are converted to m and times to s, in the axes of the file. A damaged
+file of any format raises one `InputError` that names the file. The libraries `c3d` and `rosbags` are in the
+extra `recordings`.
 """
 
 from __future__ import annotations
@@ -36,12 +36,13 @@ from srs_twin.recordings.marker_table import MarkerTable
 
 _BAGS = (mcap, ros1_bag, ros2_bag)
 _READERS = (c3d, *_BAGS, motive, vicon, qualisys, trc, tum, deeplabcut, plain_csv)
-"""In the order in which a file is tried."""
-FORMATS = tuple(each.NAME for each in _READERS)
+"""Readers in the order in which they are tried."""
+FORMATS = tuple(reader.NAME for reader in _READERS)
+"""Names of the formats."""
 
 _TABLE = "save a table with the first line time,NAME_x,NAME_y,… as CSV"
 _EXPORT = "export CSV or C3D instead"
-# Suffix or pattern of the first bytes, what that is, what to do.
+# Suffix or pattern of the first bytes, description, remedy.
 _OTHERS: tuple[tuple[str | bytes, str, str], ...] = (
     (".tak", "a take of Motive", "export it there (File, Export Tracking Data, CSV)"),
     (".qtm", "a measurement of Qualisys", "export it there (File, Export, To TSV)"),
@@ -67,13 +68,13 @@ def identify(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> str:
     """Return the format of a recording, one of `FORMATS`, by its first bytes.
 
     Args:
-        path: of the file.
-        dialect: layout of a plain table, where it is not found.
+        path: recording.
+        dialect: layout of a plain table, if it cannot be detected.
 
     Raises:
-        InputError: missing, a folder, empty, or of another format; says what it looks like.
+        InputError: the file is missing, a folder, empty, or in another format, which the message describes.
     """
-    return str(_format(path, dialect).NAME)
+    return str(_reader(path, dialect).NAME)
 
 
 def read_markers(
@@ -84,55 +85,56 @@ def read_markers(
     scale_m: float | None = None,
     dialect: Dialect = AS_FOUND,
 ) -> MarkerTable:
-    """Read a recording as it is, in any of `FORMATS`.
+    """Read the markers of a recording in any of `FORMATS`.
 
     Args:
-        path: of the file.
-        rate_hz: frames a second, where the file does not say (DeepLabCut, plain CSV without a time, Qualisys
-            with an external clock).
-        unit: of lengths, where the file does not say (DeepLabCut, plain CSV).
+        path: recording.
+        rate_hz: frames per second, if the file does not state it (DeepLabCut, plain CSV without a time,
+            Qualisys with an external clock).
+        unit: unit of length, if the file does not state it (DeepLabCut, plain CSV).
         scale_m: size of a pixel, m (DeepLabCut).
-        dialect: layout of a plain table, where it is not found.
+        dialect: layout of a plain table, if it cannot be detected.
 
     Raises:
-        InputError: with file, line and column, and what is allowed.
+        InputError: the file cannot be read; the message names file, line, column and what is allowed.
     """
     unstated = Unstated(rate_hz, unit, scale_m, dialect)
-    found = _format(path, dialect)
-    if found in _BAGS:
-        table = topics.read_markers(read_bytes(path), found.NAME, found.messages)
+    reader = _reader(path, dialect)
+    if reader in _BAGS:
+        table = topics.read_markers(read_bytes(path), reader.NAME, reader.messages)
     else:
-        table = found.read(read_bytes(path) if found is c3d else read_file(path), unstated)
+        table = reader.read(read_bytes(path) if reader is c3d else read_file(path), unstated)
     return in_unit(table, unit)
 
 
-def _format(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> ModuleType:
+def _reader(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> ModuleType:
     start = start_of(path, dialect)
     name, raw = start.name, start.data
     if not raw.removeprefix(b"\xef\xbb\xbf").strip():
-        raise InputError(f"{name}: empty; a recording has a header and rows of numbers")
-    for each in _READERS:
-        if each.recognizes(start):
-            return each
-    for sign, what, remedy in _OTHERS:
+        raise InputError(f"{name}: the file is empty; a recording has a header and rows of numbers")
+    for reader in _READERS:
+        if reader.recognizes(start):
+            return reader
+    for sign, description, remedy in _OTHERS:
         if re.match(sign, raw, re.DOTALL) if isinstance(sign, bytes) else Path(path).suffix.lower() == sign:
-            raise InputError(f"{name}: {what}, which is not read; {remedy}. Formats: {', '.join(FORMATS)}")
+            formats = ", ".join(FORMATS)
+            raise InputError(f"{name}: {description} cannot be read; {remedy}. Formats: {formats}")
     if start.problem and b"\0" not in raw:
         raise InputError(f"{name}:{start.header_lines + 1}: {start.problem}")
-    looks = (
-        "a binary file of a kind that is not known"
+    description = (
+        "it is a binary file of an unknown kind"
         if b"\0" in raw
         else f"its first line is '{start.first_line[:40]}'"
     )
     listed = f"formats: {', '.join(FORMATS)} (first line time,x_1,y_1,x_2,y_2,…)"
-    raise InputError(escape_unprintable(f"{name}:1: no motion recording that is read: {looks}; {listed}"))
+    raise InputError(escape_unprintable(f"{name}:1: not a known motion recording: {description}; {listed}"))
 
 
 def read_topics(path: str | os.PathLike[str]) -> RecordedTopics | None:
-    """Read poses, points and signals of a bag; None where the file is none. See `topics.read`.
+    """Read poses, points and signals of a bag; None if the file is not a bag. See `topics.read`.
 
     Raises:
-        InputError: damaged, too large, or the libraries are not installed.
+        InputError: the bag is damaged or too large, or the libraries are not installed.
     """
-    bag = next((each for each in _BAGS if each.recognizes(start_of(path))), None)
+    bag = next((reader for reader in _BAGS if reader.recognizes(start_of(path))), None)
     return None if bag is None else topics.read(read_bytes(path), bag.NAME, bag.messages)

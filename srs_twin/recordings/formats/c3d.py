@@ -1,7 +1,7 @@
-"""C3D: points of a file, by the library `c3d`; its analog channels are skipped, whatever they lack.
+"""C3D: points of a file, read with the library `c3d`.
 
-The library reads header and parameters. The data section is read here in one piece: the library goes through
-it frame by frame and cannot without the scales of all analog channels.
+The library reads the header and the parameters. The data section is read here in one piece, because the
+library reads it frame by frame and needs the scales of all analog channels, which are not used.
 """
 
 from __future__ import annotations
@@ -22,30 +22,33 @@ from srs_twin.recordings.formats.base import (
 from srs_twin.recordings.marker_table import MarkerTable
 
 NAME = "C3D"
-_MOST_FRAMES = 1 << 22  # of a C3D file: an hour at 1 kHz
-_MOST_COUNTED = 65_535  # frames, in the 16 bits of the header
-_BLOCK = 512  # bytes
+_MAX_FRAMES = 1 << 22
+"""Largest number of frames of a C3D file: an hour at 1 kHz."""
+_MAX_COUNTED = 65_535
+"""Largest number of frames in the 16 bits of the header."""
+_BLOCK = 512
+"""Size of a block, bytes."""
 _OTHER_KINDS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
-"""Parameters that list labels of points which are no positions (Vicon's models)."""
+"""Parameters with labels of points that are not positions (of Vicon's models)."""
 
 
 def recognizes(start: RecordedFile) -> bool:
-    """Say whether a file starts with the bytes of a C3D header."""
+    """Return whether a file starts with the bytes of a C3D header."""
     raw = start.data
     return raw[1:2] == b"\x50" and raw[0] < 32 and raw[0] not in b"\0\t\n\r"
 
 
 def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
-    """Read the points of a C3D file; frame 1 is at 0 s, and a residual below 0 is not seen.
+    """Read the points of a C3D file; frame 1 is at 0 s, and a residual below 0 marks a missing point.
 
     Raises:
-        InputError: damaged, without points, rate or unit, or the library is not installed.
+        InputError: the file is damaged or has no points, rate or unit, or the library is not installed.
     """
     with decoding(file, NAME):
         import c3d
 
         class Reader(c3d.Reader):
-            """Takes files whose header and parameters differ in what is not read here."""
+            """Reader that accepts files whose header and parameters differ in unused values."""
 
             def _check_metadata(self) -> None:
                 pass
@@ -56,15 +59,15 @@ def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
         count = samples.shape[1]
         keys = ["POINT:LABELS", *(f"POINT:LABELS{k}" for k in range(2, 2 + count // 255))]
         names = ([name for key in keys for name in _strings(reader, key)] + [""] * count)[:count]
-        # One unit of all points, or one of each.
+        # One unit for all points, or one for each.
         stated = [unit.lower() for unit in _strings(reader, "POINT:UNITS") if unit]
         given = stated or [unstated.unit or "mm"]
         others = {label for kind in _OTHER_KINDS for label in _strings(reader, f"POINT:{kind}") if label}
         chosen = [k for k in range(count) if names[k] not in others] or list(range(count))
         units = [length_unit(file, given[k if len(given) >= count else 0]) for k in chosen]
-    notes = [] if stated else [f"POINT:UNITS is not given: {given[0]} taken"]
+    notes = [] if stated else [f"POINT:UNITS is missing: {given[0]} assumed"]
     if len(chosen) < count:
-        notes.append(f"{count - len(chosen)} points that are angles, forces or the like skipped")
+        notes.append(f"{count - len(chosen)} points with angles, forces or similar quantities skipped")
     if len(samples) < announced:
         notes.append(f"the file ends after {len(samples)} of {announced} frames")
     time = (np.arange(len(samples)) + max(first - 1, 0)) / rate
@@ -74,11 +77,12 @@ def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
 
 
 def _samples(file: RecordedFile, reader: Any) -> tuple[np.ndarray, int, int]:
-    """Return x, y, z and residual, shape (frames, points, 4), the first frame, and the frames announced.
+    """Return samples (x, y, z, residual), shape (frames, points, 4), first frame and stated frame count.
 
-    The header counts to 65,535. Longer takes say their frames in TRIAL:ACTUAL_START_FIELD and
-    ACTUAL_END_FIELD (two 16-bit words each) or in POINT:LONG_FRAMES; not all of them need be right. Of those
-    that the file has room for, the largest counts. Where all stop at 65,535, the file is read to its end.
+    The header counts to 65,535. Longer recordings state their frames in TRIAL:ACTUAL_START_FIELD and
+    ACTUAL_END_FIELD (two 16-bit words each) or in POINT:LONG_FRAMES, but some of these may be wrong. The
+    largest number that fits into the file is used. If all of them are 65,535 at most, the file is read to its
+    end.
     """
     from c3d.c3d import DEC_to_IEEE_BYTES
 
@@ -92,21 +96,24 @@ def _samples(file: RecordedFile, reader: Any) -> tuple[np.ndarray, int, int]:
         _integer(reader, key)
         for key in ("TRIAL:ACTUAL_START_FIELD", "TRIAL:ACTUAL_END_FIELD", "POINT:LONG_FRAMES", "POINT:FRAMES")
     )
-    counts = [each for each in (by_header, end and end - start + 1, long, short) if each > 0]
+    stated = [by_header, end and end - start + 1, long, short]
+    counts = [number for number in stated if number > 0]
     if not count or not counts:
-        raise file.error("no points in this C3D file; export marker trajectories")
+        raise file.error("the C3D file has no points; export marker trajectories")
     room = len(data) // width
-    announced = max((each for each in counts if each <= room), default=counts[0])
-    overflow = header.last_frame == _MOST_COUNTED and announced in (by_header, _MOST_COUNTED)
+    announced = max((number for number in counts if number <= room), default=counts[0])
+    overflow = header.last_frame == _MAX_COUNTED and announced in (by_header, _MAX_COUNTED)
     frames = room if overflow else min(announced, room)
-    if not 0 < frames <= _MOST_FRAMES:
-        wanted = f"1 to {_MOST_FRAMES} are read"
-        raise file.error(f"{frames} whole frames in this C3D file; {wanted} (record or export it anew)")
+    if not 0 < frames <= _MAX_FRAMES:
+        raise file.error(
+            f"the C3D file has {frames} whole frames; it must have 1 to {_MAX_FRAMES} (record or export it "
+            "again)"
+        )
     data = data[: frames * width]
     numbers = DEC_to_IEEE_BYTES(data) if dtypes.is_dec and scale < 0 else np.frombuffer(data, kind)
     samples = numbers.reshape(frames, -1)[:, : 4 * count].reshape(frames, count, 4).astype(float)
     samples[..., :3] *= max(scale, 0.0) or 1.0
-    if overflow:  # the last block is filled up with zeros
+    if overflow:  # the last block is padded with zeros
         padding = int(samples[::-1].any(axis=(1, 2)).argmax())
         samples = samples[: frames - min(padding, _BLOCK // width)]
         announced = max(announced, len(samples))
@@ -114,7 +121,7 @@ def _samples(file: RecordedFile, reader: Any) -> tuple[np.ndarray, int, int]:
 
 
 def _integer(reader: Any, key: str) -> int:
-    """Return a parameter as a whole number, of a float or of 16-bit words; 0 where it is missing."""
+    """Return an integer parameter, stored as a float or as 16-bit words; 0 if it is missing."""
     param = reader.get(key)
     if param is None or len(param.bytes) < 2:
         return 0
@@ -126,9 +133,9 @@ def _integer(reader: Any, key: str) -> int:
 
 
 def _strings(reader: Any, key: str) -> list[str]:
-    """Return a parameter's texts; empty where it is missing."""
+    """Return the strings of a parameter; empty if it is missing."""
     param = reader.get(key)
     if param is None or not param.dimensions:
         return []
-    found = param.string_array if len(param.dimensions) > 1 else [param.string_value]
-    return [str(each).strip("\0 ") for each in found]
+    strings = param.string_array if len(param.dimensions) > 1 else [param.string_value]
+    return [str(string).strip("\0 ") for string in strings]

@@ -1,4 +1,4 @@
-"""MCAP: the messages of a file, within bounds (ROS 2, Foxglove, and ROS 1 as `mcap convert` writes it)."""
+"""MCAP messages (ROS 2, Foxglove, and ROS 1 as written by `mcap convert`), within size limits."""
 
 from __future__ import annotations
 
@@ -19,13 +19,16 @@ from srs_twin.recordings.formats.topics import (
 NAME = "MCAP"
 MAGIC = b"\x89MCAP0\r\n"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x03, 0x04, 0x05, 0x06
-_HEAD = struct.Struct("<BQ")  # of a record: its kind and length
-_MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_CHUNK_HEAD = struct.Struct("<QQQI")  # first and last time, size when unpacked, its checksum
+_HEAD = struct.Struct("<BQ")
+"""Header of a record: kind and length."""
+_MESSAGE_HEAD = struct.Struct("<HIQQ")
+"""Header of a message: channel, sequence, log time, publish time."""
+_CHUNK_HEAD = struct.Struct("<QQQI")
+"""Header of a chunk: first and last time, unpacked size and its checksum."""
 
 
 def recognizes(start: RecordedFile) -> bool:
-    """Say whether a file starts with MCAP's magic bytes."""
+    """Return whether a file starts with the magic bytes of MCAP."""
     return start.data.startswith(MAGIC)
 
 
@@ -33,8 +36,8 @@ def messages(file: RecordedFile) -> Iterator[Message]:
     """Yield the messages of a file in its order.
 
     Raises:
-        InputError: its chunks unpack to more than is read.
-        ChunkError: it is damaged; a `CutError` where it has no end.
+        InputError: the unpacked chunks are larger than allowed.
+        ChunkError: the file is damaged; a `CutError` if its end is missing.
     """
     data = memoryview(file.data)
     chunks = (content for kind, content in _records(data[len(MAGIC) :]) if kind == _CHUNK)
@@ -43,7 +46,7 @@ def messages(file: RecordedFile) -> Iterator[Message]:
 
 
 def stream_messages(data: memoryview) -> Iterator[Message]:
-    """Yield the messages of a file in its order, however much its chunks unpack to; as `messages`."""
+    """Yield the messages of a file as `messages` does, but without a limit of the unpacked size."""
     kinds: dict[int, str] = {}
     channels: dict[int, Topic] = {}
     for outer, packed in _records(data[len(MAGIC) :]):
@@ -61,7 +64,7 @@ def stream_messages(data: memoryview) -> Iterator[Message]:
 
 
 def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Yield kind and content of records that follow each other."""
+    """Yield kind and content of successive records."""
     while data and data != MAGIC:
         if len(data) < _HEAD.size:
             raise CutError("the file ends in a record")
@@ -75,16 +78,16 @@ def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
 def _unpacked(chunk: memoryview) -> memoryview:
     """Return the records of a chunk."""
     _, _, size, checksum = _CHUNK_HEAD.unpack_from(chunk)
-    how, place = _text(chunk, _CHUNK_HEAD.size)
-    data = unpacked(chunk[place + 8 :], how, size)
+    compression, end = _text(chunk, _CHUNK_HEAD.size)
+    data = unpacked(chunk[end + 8 :], compression, size)
     if checksum and zlib.crc32(data) != checksum:
         raise ChunkError("the checksum of a chunk is wrong")
     return memoryview(data)
 
 
 def _text(content: memoryview, place: int) -> tuple[str, int]:
-    """Return a text, and where it ends."""
+    """Return a string, and the position after it."""
     end = place + 4 + int.from_bytes(content[place : place + 4], "little")
     if end > len(content):
-        raise ChunkError("a text is longer than its record")
+        raise ChunkError("a string is longer than its record")
     return str(content[place + 4 : end], "utf-8", "replace"), end

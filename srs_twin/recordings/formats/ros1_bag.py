@@ -1,4 +1,4 @@
-"""ROS 1 bag (V2.0): the messages of a file, in its order. No index is needed, so cut bags are read."""
+"""ROS 1 bag (V2.0): messages in file order. The index is not used, so truncated bags can be read."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ _MESSAGE, _CHUNK, _CONNECTION = b"\2", b"\5", b"\7"
 
 
 def recognizes(start: RecordedFile) -> bool:
-    """Say whether a file starts with the magic line of bags."""
+    """Return whether a file starts with the magic line of a bag."""
     return start.data.startswith(_MAGIC)
 
 
 def messages(file: RecordedFile) -> Iterator[Message]:
-    """Yield the messages of a bag in its order.
+    """Yield the messages of a bag in file order.
 
     Raises:
-        InputError: its chunks unpack to more than is read.
-        ChunkError: it is damaged; a `CutError` where it ends in a record.
+        InputError: the unpacked chunks are larger than allowed.
+        ChunkError: the bag is damaged; a `CutError` if it ends in a record.
     """
     data, connections = memoryview(file.data)[len(_MAGIC) :], dict[str, Topic]()
     sizes = (_number(fields["size"]) for fields, _ in _records(data) if fields["op"] == _CHUNK)
@@ -36,8 +36,8 @@ def messages(file: RecordedFile) -> Iterator[Message]:
     for outer, packed in _records(data):
         inside = iter([(outer, packed)])
         if outer["op"] == _CHUNK:
-            how = outer["compression"].decode().replace("none", "")
-            inside = _records(memoryview(unpacked(packed, how, _number(outer["size"]))))
+            compression = outer["compression"].decode().replace("none", "")
+            inside = _records(memoryview(unpacked(packed, compression, _number(outer["size"]))))
         for fields, content in inside:
             if fields["op"] == _CONNECTION:
                 name, kind = fields["topic"].decode("utf-8", "replace"), _fields(content)["type"].decode()
@@ -48,7 +48,7 @@ def messages(file: RecordedFile) -> Iterator[Message]:
 
 
 def _records(data: memoryview) -> Iterator[tuple[dict[str, bytes], memoryview]]:
-    """Yield the fields of the header, and the content, of records that follow each other."""
+    """Yield the header fields and the content of successive records."""
     blocks = _blocks(data)
     for header in blocks:
         content = next(blocks, None)
@@ -64,7 +64,7 @@ def _fields(header: memoryview) -> dict[str, bytes]:
 
 
 def _blocks(data: memoryview) -> Iterator[memoryview]:
-    """Yield blocks, each of which follows its length."""
+    """Yield blocks that are preceded by their lengths."""
     while data:
         end = 4 + _number(data[:4])
         if end > len(data):

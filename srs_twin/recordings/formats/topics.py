@@ -1,9 +1,9 @@
-"""Topics: poses, points and signals of the messages of bags (ROS 1, ROS 2, JSON), whatever holds them.
+"""Poses, points and signals from the messages of bags (ROS 1, ROS 2, JSON) in any container.
 
-A container (`mcap`, `ros1_bag`, `ros2_bag`) yields its messages, each with its topic and log time. Those of
-ROS are decoded by the library `rosbags`, by its own definitions of the kinds that are known here; those in
-the file are not looked at. Chunks are judged by the sizes that they declare, before they are unpacked.
-Repeated bytes unpack to ten thousand times their size; no recording does.
+A container (`mcap`, `ros1_bag`, `ros2_bag`) yields messages with their topics and log times. ROS messages are
+decoded by the library `rosbags` with its own definitions of the known message types; definitions in the file
+are not used. The declared sizes of chunks are checked before they are unpacked, because repeated bytes unpack
+to ten thousand times their size, which does not occur in a recording.
 """
 
 from __future__ import annotations
@@ -28,27 +28,34 @@ from srs_twin.recordings.csv_table import MAX_BYTES, MAX_COLUMNS, MAX_VALUES, Re
 from srs_twin.recordings.formats.base import decoding, marker_table
 from srs_twin.recordings.marker_table import MarkerTable
 
-_SINCE_1970 = 10**17  # ns: earlier log times are of a clock of their own
-_OTHER_CLOCK = 1e6  # s
-_APART = 1.0  # s from the log's clock: stamps farther away may be another clock's
-_MOST_UNPACKED = 4 * MAX_BYTES
-_LEAST_ALLOWED = 16 << 20  # bytes, unpacked, of the smallest file
-_MOST_RATIO = 32  # valve states in JSON, which repeat themselves, reach 20
-_MOST_MESSAGES = 1 << 23  # an hour of twenty topics at 100 Hz
+_MIN_EPOCH_NS = 10**17
+"""Smallest log time that counts as a time since 1970, ns."""
+_OTHER_CLOCK_S = 1e6
+"""Smallest difference between stamps and log times that means stamps of a simulated clock, s."""
+_NOTED_DIFFERENCE_S = 1.0
+"""Difference between stamps and log times above which a note is given, s."""
+_MAX_UNPACKED = 4 * MAX_BYTES
+"""Largest unpacked size of a file, bytes."""
+_MIN_ALLOWED = 16 << 20
+"""Unpacked size that is allowed for any file, bytes."""
+_MAX_RATIO = 32
+"""Largest ratio of unpacked to packed size of larger files; repetitive valve states in JSON reach 20."""
+_MAX_MESSAGES = 1 << 23
+"""Largest number of messages: an hour of twenty topics at 100 Hz."""
 _UNPACKERS = {"lz4": ("lz4.frame", "LZ4Frame"), "zstd": ("backports.zstd", "Zstd"), "bz2": ("bz2", "BZ2")}
-"""Compression → module, and name of its class before "Decompressor"."""
+"""Compression → module, and name of its class without "Decompressor"."""
 
 
 class ChunkError(ValueError):
-    """A chunk or record that is damaged or too large."""
+    """Error for a chunk or record that is damaged or too large."""
 
 
 class CutError(ChunkError):
-    """A file that ends in a record."""
+    """Error for a file that ends inside a record."""
 
 
 class Topic(NamedTuple):
-    """Name of a topic, kind of its messages ("geometry_msgs/Pose") and encoding ("cdr", "ros1", "json")."""
+    """Topic with its name, message type ("geometry_msgs/Pose") and encoding ("cdr", "ros1", "json")."""
 
     name: str
     kind: str
@@ -56,7 +63,7 @@ class Topic(NamedTuple):
 
 
 class Message(NamedTuple):
-    """A message that is not decoded; its log time in ns."""
+    """Message before decoding, with its log time in ns."""
 
     topic: Topic
     log_time: int
@@ -64,56 +71,60 @@ class Message(NamedTuple):
 
 
 Messages = Callable[[RecordedFile], Iterator[Message]]
-"""Yields the messages of a container."""
+"""Function that yields the messages of a container."""
 
 
 def check_unpacked(file: RecordedFile, sizes: Iterable[int]) -> None:
-    """Refuse a file by the sizes to which its chunks say that they unpack.
+    """Check the declared unpacked sizes of the chunks of a file.
 
     Raises:
-        InputError: their sum is beyond the bound.
+        InputError: their sum exceeds the limit.
     """
-    allowed, total = min(_MOST_UNPACKED, _LEAST_ALLOWED + _MOST_RATIO * len(file.data)), 0
-    with suppress(CutError):  # what follows is not read
+    allowed, total = min(_MAX_UNPACKED, _MIN_ALLOWED + _MAX_RATIO * len(file.data)), 0
+    with suppress(CutError):  # chunks after a cut are not read
         for size in sizes:
             total += size
     if total > allowed:
         raise file.error(
-            f"its chunks unpack to {total / (1 << 20):.0f} MB; of a file of {len(file.data) / 1000:.0f} kB "
-            f"at most {allowed >> 20} MB are read (record fewer topics, or a shorter take)"
+            f"its chunks unpack to {total / (1 << 20):.0f} MB; at most {allowed >> 20} MB are read of a file "
+            f"of {len(file.data) / 1000:.0f} kB (record fewer topics, or a shorter time)"
         )
 
 
-def unpacked(data: memoryview | bytes, how: str, size: int | None) -> bytes | memoryview:
-    """Return unpacked data, of no more bytes than they say; None: a message.
+def unpacked(data: memoryview | bytes, compression: str, size: int | None) -> bytes | memoryview:
+    """Return unpacked data, limited to their declared size; None is the size of a single message.
 
     Raises:
-        ChunkError: there are fewer, they are damaged, or too many.
+        ChunkError: the data are damaged, or their size is not the declared one or too large.
     """
-    most = MAX_BYTES if size is None else size
-    if most > MAX_BYTES or how not in ("", *_UNPACKERS):
-        raise ChunkError(f"a chunk of {size} bytes, compression '{how}'; at most {MAX_BYTES} are read")
-    if how:
-        module, name = _UNPACKERS[how]
-        data = getattr(import_module(module), f"{name}Decompressor")().decompress(data, max_length=most)
+    limit = MAX_BYTES if size is None else size
+    if limit > MAX_BYTES or compression not in ("", *_UNPACKERS):
+        raise ChunkError(
+            f"a chunk has {size} bytes and the compression '{compression}'; at most {MAX_BYTES} bytes are "
+            "read"
+        )
+    if compression:
+        module, name = _UNPACKERS[compression]
+        decompressor = getattr(import_module(module), f"{name}Decompressor")()
+        data = decompressor.decompress(data, max_length=limit)
     if size is not None and len(data) != size:
-        raise ChunkError("a chunk is shorter than it says")
+        raise ChunkError("a chunk is shorter than declared")
     return data
 
 
 @dataclass(frozen=True)
 class RecordedTopics:
-    """Topics of a file, on one clock that begins at its first message.
+    """Topics of a file on one clock, which is 0 at the first message.
 
     Attributes:
-        name: of the file, as messages show it.
-        sha256: of the file.
-        origin_ns: log time of the first message, ns; 0 s of all times here.
-        markers: positions and rotations of bodies and points; None where no topic has any.
+        name: name of the file for messages.
+        sha256: checksum of the file.
+        origin_ns: log time of the first message, ns.
+        markers: positions and rotations of bodies and points; None if no topic has any.
         signals: (time, values) by name, each of shape (samples,), s and as recorded: ``/joy.axes[0]``,
             ``/joints.NAME.position``, ``/topic.data[2]``, ``/topic.fluid_pressure`` (Pa),
             ``/topic.dotted.path`` of JSON.
-        notes: what was skipped or is odd, in words.
+        notes: notes on skipped topics and irregularities.
     """
 
     name: str
@@ -130,28 +141,28 @@ def read_markers(file: RecordedFile, kind: str, messages: Messages) -> MarkerTab
     Raises:
         InputError: as `read`, or no topic has positions.
     """
-    found = read(file, kind, messages, signals=False)
-    if found.markers is None:
-        wanted = "geometry_msgs/PoseStamped, PoseArray, PointStamped, tf2_msgs/TFMessage, … are wanted"
-        there = "".join(f"; {note}" for note in found.notes[:3])
-        raise InputError(f"{found.name}: no topic with positions; {wanted}{there}")
-    return found.markers
+    recorded = read(file, kind, messages, signals=False)
+    if recorded.markers is None:
+        types = "geometry_msgs/PoseStamped, PoseArray, PointStamped, tf2_msgs/TFMessage, …"
+        notes = "".join(f"; {note}" for note in recorded.notes[:3])
+        raise InputError(f"{recorded.name}: no topic with positions; types with positions are {types}{notes}")
+    return recorded.markers
 
 
 def read(file: RecordedFile, kind: str, messages: Messages, *, signals: bool = True) -> RecordedTopics:
     """Read poses, points and signals.
 
-    Times are header stamps where messages have them, else log times. Frames are the messages of the body
-    that has most; of other bodies the nearest message within half a frame counts.
+    Times are header stamps if messages have them, else log times. The frames are those of the body with most
+    messages; for other bodies, the nearest message within half a frame is used.
 
     Args:
-        file: that holds the messages.
+        file: file with the messages.
         kind: name of its format.
-        messages: of the format.
+        messages: function that yields the messages.
         signals: whether to read the topics without positions.
 
     Raises:
-        InputError: damaged, too large, or the libraries are not installed.
+        InputError: the file is damaged or too large, or the libraries are not installed.
     """
     topics = _Topics(file, kind, signals)
     with decoding(file, kind):
@@ -161,18 +172,18 @@ def read(file: RecordedFile, kind: str, messages: Messages, *, signals: bool = T
         except CutError:
             if not topics.messages:
                 raise
-            topics.notes.append("the file is cut: read up to there")
+            topics.notes.append("the file is cut: read up to the cut")
         return topics.result()
 
 
 _Numbers = tuple[float, ...]
 _Series = dict[str, "array[float]"]
-"""Label → rows of time (ns from the first message on) and one or seven numbers, one after another."""
+"""Label → rows of time (ns from the first message on) and one or seven numbers, in one sequence."""
 
 
 @dataclass
 class _Topics:
-    """What has been read of a file up to now."""
+    """Accumulator for the messages of a file."""
 
     file: RecordedFile
     kind: str
@@ -180,18 +191,20 @@ class _Topics:
     origin: int = 0
     signals: _Series = field(default_factory=dict)
     bodies: dict[str, _Series] = field(default_factory=dict)  # by topic
-    parents: dict[str, str] = field(default_factory=dict)  # label of a transform → frame that it starts from
-    skipped: Counter[str] = field(default_factory=Counter)  # messages
+    parents: dict[str, str] = field(default_factory=dict)  # label of a transform → its parent frame
+    skipped: Counter[str] = field(default_factory=Counter)  # number of messages
     messages: int = 0
     numbers: int = 0
-    apart: dict[str, float] = field(default_factory=dict)
+    clock_differences: dict[str, float] = field(default_factory=dict)  # topic → stamp minus log time, s
     notes: list[str] = field(default_factory=list)
 
     def add(self, message: Message) -> None:
-        """Take in one message."""
+        """Add one message."""
         self.messages += 1
-        if self.messages > _MOST_MESSAGES:
-            raise self.file.error(f"over {_MOST_MESSAGES} messages; record fewer topics, or a shorter take")
+        if self.messages > _MAX_MESSAGES:
+            raise self.file.error(
+                f"the file has over {_MAX_MESSAGES} messages; record fewer topics, or a shorter time"
+            )
         if self.messages == 1:
             self.origin = message.log_time
         topic, kind, decode = _decoder(message.topic)
@@ -204,28 +217,33 @@ class _Topics:
                     self.parents[label] = stamped.header.frame_id
                 self._append(self.bodies.setdefault(topic, {}), label, stamped, message, _numbers(pose))
         elif self.with_signals:
-            said = decode(bytes(message.data))
-            for name, value in _joints(said) if kind.endswith("JointState") else _leaves("", said):
-                self._append(self.signals, f"{topic}{escape_unprintable(name)}", said, message, (value,))
+            content = decode(bytes(message.data))
+            for name, value in _joints(content) if kind.endswith("JointState") else _leaves("", content):
+                self._append(self.signals, f"{topic}{escape_unprintable(name)}", content, message, (value,))
 
-    def _append(self, series: _Series, label: str, said: Any, message: Message, values: _Numbers) -> None:
-        """Add a row, at the stamp of its header or else at its log time."""
-        stamp, time = getattr(getattr(said, "header", None), "stamp", None), message.log_time
+    def _append(self, series: _Series, label: str, content: Any, message: Message, values: _Numbers) -> None:
+        """Add a row at the header stamp of a message, or else at its log time."""
+        stamp, time = getattr(getattr(content, "header", None), "stamp", None), message.log_time
         whole, part = getattr(stamp, "sec", None), getattr(stamp, "nanosec", None)
         if isinstance(whole, int) and isinstance(part, int) and (whole or part):
             time = whole * 10**9 + part
-            self.apart.setdefault(escape_unprintable(message.topic.name), abs(time - message.log_time) / 1e9)
+            difference = abs(time - message.log_time) / 1e9
+            self.clock_differences.setdefault(escape_unprintable(message.topic.name), difference)
         series.setdefault(label, array("d")).extend((time - self.origin, *values))
         self.numbers += 1 + len(values)
         if self.numbers > MAX_VALUES or len(series) > MAX_COLUMNS:
-            raise self.file.error(f"at most {MAX_VALUES} numbers of {MAX_COLUMNS} signals are read")
+            raise self.file.error(
+                f"the file has too many values; at most {MAX_VALUES} numbers of {MAX_COLUMNS} signals are "
+                "read"
+            )
 
     def result(self) -> RecordedTopics:
         """Return all topics on one clock."""
         self.notes += [f"topic {topic} skipped: {count} messages" for topic, count in self.skipped.items()]
-        apart = {topic: seconds for topic, seconds in self.apart.items() if seconds > _APART}
         self.notes += [
-            f"stamps of {topic} lie {each:.3g} s from the log's clock" for topic, each in apart.items()
+            f"stamps of {topic} differ by {difference:.3g} s from the log times"
+            for topic, difference in self.clock_differences.items()
+            if difference > _NOTED_DIFFERENCE_S
         ]
         signals = {name: (rows[:, 0], rows[:, 1]) for name, rows in _sorted(self.signals, 2).items()}
         markers = self._markers() if self.bodies else None
@@ -235,30 +253,35 @@ class _Topics:
 
     def _markers(self) -> MarkerTable:
         bodies = {topic: _sorted(series, 8) for topic, series in self.bodies.items()}
-        series = {(topic, label): rows for topic, each in bodies.items() for label, rows in each.items()}
+        series = {(topic, label): rows for topic, labels in bodies.items() for label, rows in labels.items()}
         main = max(series, key=lambda key: len(series[key]))
         time = np.unique(series[main][:, 0])
         half = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
-        # Where the body that has most messages was not seen, others of its topic may have been.
-        seen = np.unique(np.concatenate([rows[:, 0] for rows in bodies[main[0]].values()]))
-        time = np.sort(np.append(time, seen[np.abs(time[_nearest(time, seen)] - seen) > half]))
+        # Frames on which the body with most messages is missing are added if other bodies of its topic have
+        # messages.
+        all_times = np.unique(np.concatenate([rows[:, 0] for rows in bodies[main[0]].values()]))
+        distance = np.abs(time[_nearest(time, all_times)] - all_times)
+        time = np.sort(np.append(time, all_times[distance > half]))
         if len(time) * len(series) * 7 > MAX_VALUES:
-            raise self.file.error(f"{len(time)} frames of {len(series)} bodies; at most {MAX_VALUES} numbers")
+            raise self.file.error(
+                f"the file has {len(time)} frames of {len(series)} bodies; at most {MAX_VALUES} numbers are "
+                "read"
+            )
         poses = np.full((len(time), len(series), 7), np.nan)
         for k, ((topic, _), rows) in enumerate(series.items()):
             nearest = _nearest(rows[:, 0], time)
             near = (np.abs(rows[nearest, 0] - time) <= half) | topic.endswith("tf_static")
             poses[near, k] = rows[nearest[near], 1:]
-        often = Counter(label for _, label in series)
-        names = [label if often[label] == 1 else f"{topic}:{label}" for topic, label in series]
-        moved = _compose(poses, names, self.parents)
-        notes = [f"{len(moved)} transforms start from another body: composed"] if moved else []
+        counts = Counter(label for _, label in series)
+        names = [label if counts[label] == 1 else f"{topic}:{label}" for topic, label in series]
+        composed = _compose(poses, names, self.parents)
+        notes = [f"{len(composed)} transforms relative to another body: composed"] if composed else []
         roots = sorted(set(self.parents.values()) - set(names))
         notes += [f"bodies are in different frames: {', '.join(roots[:5])}"] if len(roots) > 1 else []
-        turns = np.where(_turned(poses)[..., None], poses[..., 3:], np.nan)
-        rotations = None if np.isnan(turns).all() else turns
-        epoch: int | None = self.origin if self.origin > _SINCE_1970 else None
-        if abs(time[0]) > _OTHER_CLOCK:  # stamps of a simulated clock
+        quaternions = np.where(_has_rotation(poses)[..., None], poses[..., 3:], np.nan)
+        rotations = None if np.isnan(quaternions).all() else quaternions
+        epoch: int | None = self.origin if self.origin > _MIN_EPOCH_NS else None
+        if abs(time[0]) > _OTHER_CLOCK_S:
             time, epoch = time - time[0], None
         notes = [*self.notes, *map(escape_unprintable, notes)]
         return marker_table(
@@ -267,70 +290,72 @@ class _Topics:
 
 
 def _sorted(series: _Series, width: int) -> dict[str, np.ndarray]:
-    """Return the rows of each label in the order of time, s."""
+    """Return the rows of each label in the order of time, with times in s."""
     tables = {label: np.array(flat).reshape(-1, width) for label, flat in series.items()}
     scale = np.array([1e-9, *[1.0] * (width - 1)])
     return {label: rows[np.argsort(rows[:, 0], kind="stable")] * scale for label, rows in tables.items()}
 
 
 def _nearest(own: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Return the index of the own time nearest to each time."""
+    """Return the index of the element of `own` that is nearest to each time."""
     return np.rint(np.interp(time, own, np.arange(len(own)))).astype(int)
 
 
-def _turned(poses: np.ndarray) -> np.ndarray:
-    """Say of which poses the quaternion is one."""
+def _has_rotation(poses: np.ndarray) -> np.ndarray:
+    """Return which poses have a valid quaternion."""
     return np.asarray(np.abs(np.linalg.norm(poses[..., 3:], axis=-1) - 1) < 0.5)
 
 
 def _compose(poses: np.ndarray, names: list[str], parents: Mapping[str, str]) -> list[str]:
-    """Turn transforms that start from another body into poses where that one's starts; return their names."""
+    """Convert transforms relative to another body to its parent frame; return the converted names."""
     from scipy.spatial.transform import Rotation
 
-    place, moved = {name: k for k, name in enumerate(names)}, dict[str, None]()
+    index, composed = {name: k for k, name in enumerate(names)}, dict[str, None]()
     for name in names:
         chain = [name]
-        while chain[-1] not in moved and parents.get(chain[-1]) in place and len(chain) <= len(names):
+        while chain[-1] not in composed and parents.get(chain[-1]) in index and len(chain) <= len(names):
             chain.append(parents[chain[-1]])
+        # From the outermost transform inwards, so that every base is already in the root frame.
         for inner, outer in zip(chain[-2::-1], chain[::-1], strict=False):
-            moved[inner] = None
-            child, base = poses[:, place[inner]], poses[:, place[outer]]
-            known = _turned(child) & _turned(base)
-            turn = Rotation.from_quat(base[known, 3:])
-            child[known, :3] = base[known, :3] + turn.apply(child[known, :3])
-            child[known, 3:] = (turn * Rotation.from_quat(child[known, 3:])).as_quat()
+            composed[inner] = None
+            child, base = poses[:, index[inner]], poses[:, index[outer]]
+            known = _has_rotation(child) & _has_rotation(base)
+            rotation = Rotation.from_quat(base[known, 3:])
+            child[known, :3] = base[known, :3] + rotation.apply(child[known, :3])
+            child[known, 3:] = (rotation * Rotation.from_quat(child[known, 3:])).as_quat()
             child[~known] = np.nan
-    return list(moved)
+    return list(composed)
 
 
 _SIGNALS = re.compile(
     r"std_msgs/(Bool|(Float|U?Int)\d+(MultiArray)?)|sensor_msgs/(Joy|JointState|FluidPressure)"
 )
-_ABOUT = ("header", "layout")  # parts of a message that hold no signals
+_METADATA = ("header", "layout")
+"""Fields of a message without signals."""
 _BODIES: dict[str, Callable[[str, Any], list[tuple[str, Any, Any]]]] = {
-    "geometry_msgs/PoseStamped": lambda topic, said: [(topic, said, said.pose)],
-    "geometry_msgs/PoseWithCovarianceStamped": lambda topic, said: [(topic, said, said.pose.pose)],
-    "nav_msgs/Odometry": lambda topic, said: [(topic, said, said.pose.pose)],
-    "nav_msgs/Path": lambda topic, said: [(topic, said, each.pose) for each in said.poses[-1:]],
-    "geometry_msgs/Pose": lambda topic, said: [(topic, said, said)],
-    "geometry_msgs/PoseArray": lambda topic, said: [
-        (f"{topic}_{k}", said, pose) for k, pose in enumerate(said.poses, start=1)
+    "geometry_msgs/PoseStamped": lambda topic, message: [(topic, message, message.pose)],
+    "geometry_msgs/PoseWithCovarianceStamped": lambda topic, message: [(topic, message, message.pose.pose)],
+    "nav_msgs/Odometry": lambda topic, message: [(topic, message, message.pose.pose)],
+    "nav_msgs/Path": lambda topic, message: [(topic, message, last.pose) for last in message.poses[-1:]],
+    "geometry_msgs/Pose": lambda topic, message: [(topic, message, message)],
+    "geometry_msgs/PoseArray": lambda topic, message: [
+        (f"{topic}_{k}", message, pose) for k, pose in enumerate(message.poses, start=1)
     ],
-    "geometry_msgs/PointStamped": lambda topic, said: [(topic, said, said.point)],
-    "geometry_msgs/Point": lambda topic, said: [(topic, said, said)],
-    "geometry_msgs/TransformStamped": lambda topic, said: [
-        (said.child_frame_id or topic, said, said.transform)
+    "geometry_msgs/PointStamped": lambda topic, message: [(topic, message, message.point)],
+    "geometry_msgs/Point": lambda topic, message: [(topic, message, message)],
+    "geometry_msgs/TransformStamped": lambda topic, message: [
+        (message.child_frame_id or topic, message, message.transform)
     ],
-    "tf2_msgs/TFMessage": lambda topic, said: [
-        (each.child_frame_id or topic, each, each.transform) for each in said.transforms
+    "tf2_msgs/TFMessage": lambda topic, message: [
+        (stamped.child_frame_id or topic, stamped, stamped.transform) for stamped in message.transforms
     ],
 }
-"""Kind of messages with positions → topic and message → label, what has the stamp, and what the pose."""
+"""Message type with positions → function of topic and message that returns label, stamped part and pose."""
 
 
 @lru_cache(1000)
 def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Any] | None]:
-    """Return name and kind of a topic, and what decodes its messages; None where that is not known."""
+    """Return name and type of a topic, and the decoder of its messages; None if the type is unknown."""
     kind = (
         escape_unprintable(topic.kind[:80])
         .replace("/msg/", "/")
@@ -338,7 +363,7 @@ def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Any] | None]:
     )
     decode: Callable[[bytes], Any] | None = None
     if topic.encoding == "json":
-        decode = partial(json.loads, object_hook=lambda each: SimpleNamespace(**each))
+        decode = partial(json.loads, object_hook=lambda fields: SimpleNamespace(**fields))
     elif topic.encoding in ("cdr", "ros1") and (kind in _BODIES or _SIGNALS.fullmatch(kind)):
         store = _definitions(topic.encoding)
         decode = partial(
@@ -350,7 +375,7 @@ def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Any] | None]:
 
 @cache
 def _definitions(encoding: str) -> Any:
-    """Return the kinds of messages of ROS; files' own definitions would be compiled, and are not trusted."""
+    """Return the ROS message definitions; those in files would be compiled and are not trusted."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE if encoding == "cdr" else Stores.ROS1_NOETIC)
@@ -360,21 +385,22 @@ def _definitions(encoding: str) -> Any:
 
 
 def _numbers(pose: Any) -> _Numbers:
-    """Return x, y, z and the quaternion x, y, z, w of a pose, transform or point; NaN where there is none."""
-    at = getattr(pose, "position", None) or getattr(pose, "translation", pose)
-    turn = getattr(pose, "orientation", None) or getattr(pose, "rotation", None)
-    return (at.x, at.y, at.z, *((turn.x, turn.y, turn.z, turn.w) if turn is not None else (np.nan,) * 4))
+    """Return position and quaternion (x, y, z, w) of a pose, transform or point; NaN without a quaternion."""
+    position = getattr(pose, "position", None) or getattr(pose, "translation", pose)
+    rotation = getattr(pose, "orientation", None) or getattr(pose, "rotation", None)
+    quaternion = (np.nan,) * 4 if rotation is None else (rotation.x, rotation.y, rotation.z, rotation.w)
+    return (position.x, position.y, position.z, *quaternion)
 
 
-def _joints(said: Any) -> Iterator[tuple[str, float]]:
-    """Yield (name below the topic, number) of the state of joints."""
+def _joints(message: Any) -> Iterator[tuple[str, float]]:
+    """Yield (name below the topic, number) of a joint state."""
     for quantity in ("position", "velocity", "effort"):
-        for joint, value in zip(said.name, getattr(said, quantity), strict=False):
+        for joint, value in zip(message.name, getattr(message, quantity), strict=False):
             yield f".{joint}.{quantity}", float(value)
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, float]]:
-    """Yield all numbers inside lists and objects, by dotted path."""
+    """Yield all numbers in nested lists and objects with their dotted paths."""
     if isinstance(value, int | float | np.number):
         yield name, float(value)
     elif isinstance(value, list | np.ndarray):
@@ -382,4 +408,4 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, float]]:
             yield from _leaves(f"{name}[{k}]", inner)
     elif hasattr(value, "__dict__"):
         for key, inner in vars(value).items():
-            yield from _leaves(f"{name}.{key}", inner) if key not in _ABOUT else ()
+            yield from _leaves(f"{name}.{key}", inner) if key not in _METADATA else ()

@@ -1,4 +1,4 @@
-"""TUM trajectory: lines ``timestamp tx ty tz qx qy qz qw`` of one body, in s and m, as SLAM tools write."""
+"""TUM trajectory: lines ``timestamp tx ty tz qx qy qz qw`` of one body from SLAM tools, in s and m."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ NAME = "TUM trajectory"
 _COMMENTS = re.compile(rb"(?:[ \t]*#[^\n]*\n|[ \t\r]*\n)*")
 _START = re.compile(_COMMENTS.pattern + rb"[ \t]*(?:[-+.\deE]+[ \t]+){7}[-+.\deE]+[ \t\r]*\n")
 _POSE = Dialect(("time", "x", "y", "z", "qx", "qy", "qz", "qw"), " ")
-_UNIT = 0.01  # from the length of a quaternion
-_EPOCH = 1e8  # s: later times are counted from 1970, or from a clock like it
+_MAX_NORM_ERROR = 0.01
+"""Largest deviation of the norm of a quaternion from 1."""
+_MIN_EPOCH = 1e8
+"""Smallest time that counts as a time since 1970, or of a similar clock, s."""
 
 
 def recognizes(start: RecordedFile) -> bool:
-    """Say whether the first line below comments has eight numbers without commas."""
+    """Return whether the first line after comments has eight numbers without commas."""
     return bool(_START.match(start.data.removeprefix(b"\xef\xbb\xbf")))
 
 
@@ -28,18 +30,18 @@ def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
     """Read the poses of one body.
 
     Raises:
-        InputError: damaged; with line and cell.
+        InputError: the file is damaged; the message names line and cell.
     """
     file = laid_out(file, _POSE)
-    time, points, turns, notes = marker_rows(file, file.header_lines, 8, [1], others=range(4, 8))
+    time, points, quaternions, notes = marker_rows(file, file.header_lines, 8, [1], others=range(4, 8))
     epoch = None
-    if time.min() > _EPOCH:
+    if time.min() > _MIN_EPOCH:
         epoch = round(1e9 * time[0])
-        notes.append(f"times counted from the first, {time[0]:.3f} s")
+        notes.append(f"times are relative to the first one, {time[0]:.3f} s")
         time = time - time[0]
-    if (np.abs(np.linalg.norm(turns, axis=-1) - 1) > _UNIT).any():
+    if (np.abs(np.linalg.norm(quaternions, axis=-1) - 1) > _MAX_NORM_ERROR).any():
         raise file.error(
-            "eight numbers a line are read as time, x, y, z and a quaternion, which has length 1"
+            "eight numbers per line are read as time, x, y, z and a quaternion, but its norm is not 1"
         )
-    turned, names = turns[:, None], [Path(file.name).stem]
-    return marker_table(file, NAME, time, points, names, notes, rotations=turned, epoch_ns=epoch)
+    rotations, names = quaternions[:, None], [Path(file.name).stem]
+    return marker_table(file, NAME, time, points, names, notes, rotations=rotations, epoch_ns=epoch)

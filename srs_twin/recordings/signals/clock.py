@@ -1,14 +1,15 @@
-r"""Joining a captured motion and a log of its air on one clock, from the bends that both tell of.
+r"""Synchronisation of a motion with a log of valves or pressures, by the bends that both contain.
 
-The log's valves drive the chambers of the robot (or its pressures the free bends), which gives bends b̂_j.
-Against the measured b_j, shifted by τ, with a gain a_j > 0 and an offset c_j of each segment's own,
+The valve states of the log, applied to the chamber model of the robot, or its pressures give free bends b̂_j.
+They are compared with the measured bends b_j, with a delay τ and a gain a_j > 0 and an offset c_j for each
+segment,
 
 $$ S(\tau) = \sum_j \min_{a_j, c_j} \sum_t \bigl(b_j(t) - a_j\,\hat b_j(t - \tau) - c_j\bigr)^2, $$
 
-over the times that both cover, found for all τ at once by Fourier transforms; the least of S, a parabola
-through it and its two neighbours, is the offset. Its standard error is √(2 s²/S''), with s² the residual's
-variance per independent sample. A gait repeats itself: where another τ fits nearly as well, no offset is
-given.
+over the times that both cover. Fourier transforms give S for all τ at once. The offset is the minimum of the
+parabola through the smallest S and its two neighbours. Its standard error is √(2 s²/S''), where s² is the
+variance of the residual per independent sample. A gait is periodic: if another τ fits nearly as well, the
+offset is ambiguous and an error is raised.
 """
 
 from __future__ import annotations
@@ -20,36 +21,42 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.pneumatics import LagPneumatics
 from srs_twin.pneumatics.chambers import air_bend
-from srs_twin.recordings.body.trajectories import numbered
+from srs_twin.recordings.body.trajectories import numbered_columns
 from srs_twin.recordings.recording import Recording, named_in_errors
-from srs_twin.recordings.signals.gaps import LEAST_FRAMES
+from srs_twin.recordings.signals.gaps import MIN_FRAMES
 from srs_twin.recordings.signals.logs import SIDES
 from srs_twin.recordings.signals.valve_log import ValveLog
 from srs_twin.robot.spec import RobotSpec
 
-LEAST_OVERLAP = 0.5
-"""Of the shorter recording: how much both must cover."""
+MIN_OVERLAP = 0.5
+"""Smallest common interval, relative to the shorter recording, 1."""
 
-CLEAR = 1.5
-"""How many times as large S must be at the next best offset."""
+MIN_RIVAL_RATIO = 1.5
+"""Smallest ratio of S at the second-best offset to S at the best one, 1."""
 
-EXPLAINED = 0.5
-"""Of the variance: what the best offset must explain."""
+MIN_EXPLAINED = 0.5
+"""Smallest fraction of the variance of the bends that the best offset explains, 1."""
 
-_FINEST = 1 / 500  # s
-_MOST = 1 << 20  # samples
+_MIN_STEP = 1 / 500
+"""Smallest step of the delays, s."""
+_MAX_SAMPLES = 1 << 20
+"""Largest number of samples in the Fourier transforms."""
+_MODEL_STEP = 0.002
+"""Step of the modelled bends, s."""
+_SETTLED_TIME_CONSTANTS = 5.0
+"""Time, in time constants, after which unknown initial pressures have no effect, 1."""
 
 
 @dataclass(frozen=True)
 class Offset:
-    """What to add to a log's times.
+    """Offset between two clocks.
 
     Attributes:
-        seconds: s.
-        error: standard error, s; 0 where it was given. What the chambers' model lags too much or too little
-            is not in it.
-        explained: share of the bends' variance that the log explains at this offset; 1 where it was given.
-        estimated: whether it was estimated.
+        seconds: value to add to the times of the log, s.
+        error: standard error, s; 0 for a given offset. It does not include errors of the modelled chamber
+            lag.
+        explained: fraction of the variance of the bends that the log explains; 1 for a given offset.
+        estimated: whether the offset was estimated.
     """
 
     seconds: float
@@ -61,47 +68,49 @@ class Offset:
 def estimate_offset(
     time: np.ndarray, measured: np.ndarray, log_time: np.ndarray, driven: np.ndarray
 ) -> Offset:
-    """Estimate what to add to a log's times.
+    """Estimate the offset between the clocks of a motion and a log.
 
     Args:
-        time: of the motion, ascending, shape (frames,), s.
+        time: times of the motion, ascending, shape (frames,), s.
         measured: bends, shape (frames, segments), rad.
-        log_time: of the log, evenly spaced, shape (rows,), s.
-        driven: bends that the log's air would give, shape (rows, segments), rad.
+        log_time: times of the log, evenly spaced, shape (rows,), s.
+        driven: bends modelled from the log, shape (rows, segments), rad.
 
     Raises:
-        InputError: nothing to compare, no offset fits, or several do.
+        InputError: the recordings are too short or do not move, no offset fits, or several do.
     """
-    step = max(_FINEST, float(np.median(np.diff(time))) / 2)
+    step = max(_MIN_STEP, float(np.median(np.diff(time))) / 2)
     spans = (time[-1] - time[0], log_time[-1] - log_time[0])
-    if sum(spans) / step > _MOST:
-        step = sum(spans) / _MOST
-    least = int(LEAST_OVERLAP * min(spans) / step)
-    if least < 8:
-        raise InputError("too short to find its offset; give --offset")
+    if sum(spans) / step > _MAX_SAMPLES:
+        step = sum(spans) / _MAX_SAMPLES
+    min_count = int(MIN_OVERLAP * min(spans) / step)
+    if min_count < 8:
+        raise InputError("too short to estimate its offset; give --offset")
     bends = _resampled(time, measured, step)
     model = _resampled(log_time, driven, step)
     if model.std(axis=0).max() < 1e-6 or bends.std(axis=0).max() < 1e-6:
-        raise InputError("nothing moves, so its offset cannot be found; give --offset")
-    loss, lags, count = _losses(bends, model, least)
+        raise InputError("nothing moves, so its offset cannot be estimated; give --offset")
+    loss, lags, count = _losses(bends, model, min_count)
     best = int(np.argmin(loss))
     explained = 1 - float(loss[best])
-    zero = time[0] - log_time[0]
-    if explained < EXPLAINED:
+    start_difference = time[0] - log_time[0]
+    if explained < MIN_EXPLAINED:
         raise InputError(
-            f"no offset explains the bends (the best {100 * explained:.0f} % of their variance, "
-            f"{100 * EXPLAINED:.0f} % is wanted); is it the log of this run, and of this robot? Give --offset"
+            f"no offset explains the bends (the best one explains {100 * explained:.0f} % of their variance, "
+            f"{100 * MIN_EXPLAINED:.0f} % are needed); is it the log of this run, and of this robot? Give "
+            "--offset"
         )
-    _refuse_ambiguous(loss, lags * step + zero, best)
+    _check_unambiguous(loss, lags * step + start_difference, best)
     error, shift = float("inf"), 0.0
-    # The parabola through the least and its neighbours.
-    left, here, right = np.pad(loss, 1, constant_values=np.inf)[best : best + 3]
-    curve = float(left - 2 * here + right) if np.isfinite(left + right) else 0.0
-    if curve > 0:
-        shift = float(np.clip((left - right) / (2 * curve), -0.5, 0.5))
-        independent = max(1.0, count[best] * bends.shape[1] * _independent(bends, model, int(lags[best])))
-        error = float(step * np.sqrt(2 * loss[best] / independent / curve))
-    return Offset(float(zero + (lags[best] + shift) * step), error, explained, True)
+    # Minimum of the parabola through the smallest S and its neighbours.
+    left, middle, right = np.pad(loss, 1, constant_values=np.inf)[best : best + 3]
+    curvature = float(left - 2 * middle + right) if np.isfinite(left + right) else 0.0
+    if curvature > 0:
+        shift = float(np.clip((left - right) / (2 * curvature), -0.5, 0.5))
+        fraction = _independent_fraction(bends, model, int(lags[best]))
+        independent = max(1.0, count[best] * bends.shape[1] * fraction)
+        error = float(step * np.sqrt(2 * loss[best] / independent / curvature))
+    return Offset(float(start_difference + (lags[best] + shift) * step), error, explained, True)
 
 
 def _resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
@@ -109,55 +118,62 @@ def _resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
     return np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
 
 
-def _losses(bends: np.ndarray, model: np.ndarray, least: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return S over the variance, the lags (steps by which the model comes later), and samples in common."""
+def _losses(
+    bends: np.ndarray, model: np.ndarray, min_count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return S divided by the variance, delays of the model in steps, and numbers of common samples."""
     from scipy.signal import fftconvolve
 
-    def against(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    def correlate(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.asarray(fftconvolve(a, b[::-1], axes=0))
 
     bends, model = bends - bends.mean(axis=0), model - model.mean(axis=0)
     ones, other_ones = np.ones((len(bends), 1)), np.ones((len(model), 1))
-    count = np.rint(against(ones, other_ones))[:, 0]
-    enough = count >= least
+    count = np.rint(correlate(ones, other_ones))[:, 0]
+    enough = count >= min_count
     n = np.maximum(count, 1.0)[:, None]
-    sb, sm = against(bends, other_ones), against(ones, model)
-    bb = against(bends**2, other_ones) - sb**2 / n
-    mm = against(ones, model**2) - sm**2 / n
-    bm = against(bends, model) - sb * sm / n
-    # A segment whose model does not move explains nothing; chambers never push the other way.
+    # Sums, and sums of squares and products about the means, over the common samples of each delay.
+    sb, sm = correlate(bends, other_ones), correlate(ones, model)
+    bb = correlate(bends**2, other_ones) - sb**2 / n
+    mm = correlate(ones, model**2) - sm**2 / n
+    bm = correlate(bends, model) - sb * sm / n
+    # A modelled segment that does not move explains nothing, and a gain cannot be negative.
     moving = mm > 1e-9 * np.maximum(mm.max(axis=0), 1e-30)
-    gained = np.where(moving & (bm > 0), bm**2 / np.where(moving, mm, 1.0), 0.0)
+    explained = np.where(moving & (bm > 0), bm**2 / np.where(moving, mm, 1.0), 0.0)
     energy = bb.sum(axis=1)
+    # Intervals in which the robot hardly moves would fit any model.
     quiet = energy < 1e-3 * energy[enough].max() * n[:, 0] / n.max()
-    loss = np.where(enough & ~quiet, 1 - gained.sum(axis=1) / np.where(quiet, 1.0, energy), np.inf)
+    loss = np.where(enough & ~quiet, 1 - explained.sum(axis=1) / np.where(quiet, 1.0, energy), np.inf)
     lags = np.arange(-len(model) + 1, len(bends))
     return np.maximum(loss, 1e-12), lags, count
 
 
-def _refuse_ambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None:
-    """Refuse where another minimum is nearly as low."""
+def _check_unambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None:
+    """Raise an error if another minimum of S is nearly as low."""
     low = (loss[1:-1] <= loss[:-2]) & (loss[1:-1] <= loss[2:]) & np.isfinite(loss[1:-1])
-    # What noise and the grid may hide of the lowest is not told from it.
-    limit = CLEAR * loss[best] + 1e-6
+    # The constant accounts for noise and the step of the delays if S is close to 0.
+    limit = MIN_RIVAL_RATIO * loss[best] + 1e-6
 
     others = [int(k) for k in np.flatnonzero(low) + 1 if loss[k] < limit and k != best]
-    # Apart from it by a ridge.
+    # Minima without a ridge between them are the same one.
     rivals = [k for k in others if loss[min(k, best) : max(k, best) + 1].max() > limit]
     if rivals:
-        nearest = sorted(offsets[[best, *rivals]], key=lambda each: abs(each - offsets[best]))[:5]
-        listed = ", ".join(f"{each:.4g}" for each in sorted(nearest))
+        nearest = sorted(offsets[[best, *rivals]], key=lambda offset: abs(offset - offsets[best]))[:5]
+        listed = ", ".join(f"{offset:.4g}" for offset in sorted(nearest))
         raise InputError(
-            f"the offset of its clock is ambiguous, {len(rivals) + 1} fit about equally well ({listed} s, …)"
-            ": a gait repeats itself, and neither its start nor its end is in view; give --offset, or a "
-            "longer recording"
+            f"the offset of its clock is ambiguous: {len(rivals) + 1} offsets fit about equally well "
+            f"({listed} s, …), because the gait is periodic and neither its start nor its end is recorded; "
+            "give --offset, or a longer recording"
         )
 
 
-def _independent(bends: np.ndarray, model: np.ndarray, lag: int) -> float:
-    """Return the share of samples that are independent of each other, from how a sample tells the next.
+def _independent_fraction(bends: np.ndarray, model: np.ndarray, lag: int) -> float:
+    """Return the fraction of independent samples of the residual, assumed to be an AR(1) process.
 
-    Samples of what the model, by a lag in steps, leaves of the bends.
+    Args:
+        bends: measured, shape (samples, segments), rad.
+        model: modelled, shape (rows, segments), rad.
+        lag: delay of the model, steps.
     """
     first, last = max(0, lag), min(len(bends), lag + len(model))
     b, m = bends[first:last], model[first - lag : last - lag]
@@ -171,70 +187,52 @@ def _independent(bends: np.ndarray, model: np.ndarray, lag: int) -> float:
     return (1 - correlation) / (1 + correlation)
 
 
-_STEP = 0.002  # s, at which driven bends are looked at
-_FORGOTTEN = 5.0  # time constants after which nobody can tell what a chamber held
-
-
 def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float | None = None) -> Recording:
-    """Put a log's columns beside a captured motion.
+    """Add the columns of a log to a motion.
 
     Args:
         recording: the motion.
         log: its valves or pressures.
-        spec: the robot; its chambers turn valves into the bends that the offset is found from.
-        offset: what to add to the log's times, s; None: what times since 1970 tell where both files have them
-            and overlap, else estimated by `estimate_offset`. With such times in both it is added to theirs.
+        spec: the robot, whose chamber model converts valves to bends for the estimation of the offset.
+        offset: value to add to the times of the log, s. None: if both files have times since 1970 that
+            overlap, these are used, else the offset is estimated by `estimate_offset`. If both have times
+            since 1970, a given offset is added to them.
 
     Returns:
         The part of the motion that the log covers, with columns ``valve_plus_1…`` or ``pressure_plus_1…``,
-        the offset in the metadata, and the log on the motion's clock.
+        the offset in the metadata, and the log on the clock of the motion.
 
     Raises:
-        InputError: the two have no time in common, or the offset cannot be told.
+        InputError: the two have no time in common, or the offset cannot be determined.
     """
     trajectory = recording.trajectory
     if log.values.shape[1] != spec.segments or trajectory.stack("bend").shape[1] != spec.segments:
         raise InputError(
-            f"{log.source}: the log or the motion is not of {spec.name}'s {spec.segments} segments"
+            f"{log.source}: the log or the motion does not have the {spec.segments} segments of {spec.name}"
         )
     if offset is not None and not np.isfinite(offset):
         raise InputError(f"offset {offset!r} is not allowed; it must be finite")
-    notes: list[str] = []
-    known = None
-    if recording.epoch_ns is not None and log.epoch_ns is not None:
-        known = (log.epoch_ns - recording.epoch_ns) / 1e9
-        begin, end = log.time[[0, -1]] + known
-        if offset is None and min(end, trajectory.time[-1]) - max(begin, trajectory.time[0]) <= 0:
-            notes.append(f"{log.source}: by times since 1970 it is {known:.6g} s away: these are not used")
-            known = None
-    found = Offset((known or 0.0) + (offset or 0.0), 0.0, 1.0, False)
-    if known is None and offset is None:
-        clock, driven = driven_bends(log, spec)
-        with named_in_errors(log.source):
-            found = estimate_offset(trajectory.time, trajectory.stack("bend"), clock, driven)
-    moved = log.shifted(found.seconds)
+    estimate, how, notes = _find_offset(recording, log, spec, offset)
+    moved = log.shifted(estimate.seconds)
     time = trajectory.time
     covered = (time >= moved.time[0] - 1e-9) & (time <= moved.time[-1] + 1e-9)
-    if covered.sum() < LEAST_FRAMES:
+    if covered.sum() < MIN_FRAMES:
         raise InputError(
-            f"{log.source}: with an offset of {found.seconds:g} s it goes from {moved.time[0]:g} to "
-            f"{moved.time[-1]:g} s, the motion from {time[0]:g} to {time[-1]:g} s: {int(covered.sum())} "
+            f"{log.source}: with an offset of {estimate.seconds:g} s it covers {moved.time[0]:g} to "
+            f"{moved.time[-1]:g} s and the motion {time[0]:g} to {time[-1]:g} s, with {int(covered.sum())} "
             "frames in common"
         )
     columns = {name: column[covered] for name, column in trajectory.columns.items()}
     values = moved.at(columns["time"])
     for k, side in enumerate(SIDES):
-        columns |= numbered(f"{log.kind}_{side}", values[..., k])
+        columns |= numbered_columns(f"{log.kind}_{side}", values[..., k])
     start, end = (float(columns["time"][k]) for k in (0, -1))
-    about = {**trajectory.metadata, "duration_s": end - start, "valve_log": _metadata(log, found)}
-    joined = replace(trajectory, columns=columns, metadata=about)
-    how = f"± {1e3 * found.error:.2g} ms, estimated" if found.estimated else "as given"
-    if known is not None:
-        how = "from times since 1970 in both files" + (f", and {offset:g} s as given" if offset else "")
-    notes += [f"{log.source}: {len(log.time)} rows of {log.kind}s; offset {found.seconds:.4f} s ({how})"]
+    metadata = {**trajectory.metadata, "duration_s": end - start, "valve_log": _metadata(log, estimate)}
+    joined = replace(trajectory, columns=columns, metadata=metadata)
+    notes += [f"{log.source}: {len(log.time)} rows of {log.kind}s; offset {estimate.seconds:.4f} s ({how})"]
     if not covered.all():
-        notes.append(f"{int((~covered).sum())} frames that the log does not cover left out")
-    notes += [f"{log.source}: {each}" for each in log.corrections]
+        notes.append(f"{int((~covered).sum())} frames outside the log left out")
+    notes += [f"{log.source}: {text}" for text in log.corrections]
     corrections = (*recording.summary.corrections, *notes)
     summary = replace(
         recording.summary, frames_kept=len(joined), start=start, end=end, corrections=corrections
@@ -242,37 +240,63 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
     return Recording(joined, summary, moved, recording.epoch_ns)
 
 
-def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (times,), s, and the bends of free segments by a log's air, (times, segments), rad.
+def _find_offset(
+    recording: Recording, log: ValveLog, spec: RobotSpec, offset: float | None
+) -> tuple[Offset, str, list[str]]:
+    """Return the offset of a log, a text on its origin, and notes; the arguments are those of `join`."""
+    trajectory = recording.trajectory
+    if recording.epoch_ns is not None and log.epoch_ns is not None:
+        difference = (log.epoch_ns - recording.epoch_ns) / 1e9
+        begin, end = log.time[[0, -1]] + difference
+        if offset is not None or min(end, trajectory.time[-1]) - max(begin, trajectory.time[0]) > 0:
+            how = "from times since 1970 in both files" + (f", plus {offset:g} s as given" if offset else "")
+            return Offset(difference + (offset or 0.0), 0.0, 1.0, False), how, []
+        notes = [
+            f"{log.source}: its times since 1970 differ by {difference:.6g} s from those of the motion "
+            "and are not used"
+        ]
+    else:
+        notes = []
+    if offset is not None:
+        return Offset(offset or 0.0, 0.0, 1.0, False), "as given", notes
+    clock, driven = driven_bends(log, spec)
+    with named_in_errors(log.source):
+        estimate = estimate_offset(trajectory.time, trajectory.stack("bend"), clock, driven)
+    return estimate, f"± {1e3 * estimate.error:.2g} ms, estimated", notes
 
-    Where a log of valves begins while chambers fill, what was in them is not known: the bends begin when that
-    is forgotten.
+
+def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
+    """Return times (times,), s, and the modelled free bends, (times, segments), rad.
+
+    If a log of valves begins while chambers fill, their initial pressures are unknown. The modelled bends
+    then begin when these have no effect any more.
     """
     span = float(log.time[-1] - log.time[0])
-    step = max(_STEP, span / 1e6)
+    step = max(_MODEL_STEP, span / 1e6)
     clock = step * np.arange(int(span / step + 1e-9) + 1)
     if log.kind == "pressure":
-        # Bends follow pressures by τ₂, which for what is slower is a delay.
+        # The lag τ₂ of the bends is a delay for slow signals.
         bends = air_bend(spec, log.at(log.time[0] + clock))
         return log.time[0] + clock + spec.actuator.tau_mode, np.asarray(bends)
     chambers = LagPneumatics(spec, supply_pa=spec.supply.nominal, layout="in_out")
     trace = chambers.advance(log.schedule(), clock)
     empty = (log.values[0] == -1).all()
-    forgotten = 0.0 if empty else _FORGOTTEN * max(spec.actuator.tau_fill, spec.actuator.tau_vent)
-    known = clock >= forgotten
-    if known.sum() < LEAST_FRAMES:
-        raise InputError(f"{log.source}: {span:g} s are too short to find its offset; give --offset")
+    longest = max(spec.actuator.tau_fill, spec.actuator.tau_vent)
+    settled = 0.0 if empty else _SETTLED_TIME_CONSTANTS * longest
+    known = clock >= settled
+    if known.sum() < MIN_FRAMES:
+        raise InputError(f"{log.source}: {span:g} s are too short to estimate its offset; give --offset")
     return log.time[0] + clock[known], trace.bend[known]
 
 
-def _metadata(log: ValveLog, found: Offset) -> dict[str, object]:
+def _metadata(log: ValveLog, estimate: Offset) -> dict[str, object]:
     return {
         "file": log.source.replace("\\", "/").rpartition("/")[2],
         "sha256": log.sha256,
         "kind": log.kind,
-        "offset_s": found.seconds,
-        "offset_error_s": found.error if np.isfinite(found.error) else None,
-        "offset_estimated": found.estimated,
-        "bends_explained": found.explained,
+        "offset_s": estimate.seconds,
+        "offset_error_s": estimate.error if np.isfinite(estimate.error) else None,
+        "offset_estimated": estimate.estimated,
+        "bends_explained": estimate.explained,
         "corrections": list(log.corrections),
     }

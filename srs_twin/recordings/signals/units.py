@@ -1,4 +1,4 @@
-"""Units of recorded quantities: symbol → factor to SI, other spellings, and units in names of columns."""
+"""Units of recorded quantities: symbols, factors to SI, spellings, and units in column names."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 ANGLES = {"rad": 1.0, "deg": 0.017453292519943295, "mrad": 1e-3}
 PRESSURES = {"Pa": 1.0, "kPa": 1e3, "bar": 1e5, "psi": 6894.757, "MPa": 1e6, "mbar": 100.0, "hPa": 100.0}
 PRESSURES |= {"mPa": 1e-3, "atm": 101325.0, "mmHg": 133.322387415, "cmH2O": 98.0665, "kgf/cm2": 98066.5}
-"""Gauge pressures: absolute units (psia, bara) are not among them."""
+"""Units of gauge pressures; units of absolute pressures (psia, bara) are not included."""
 SHARES = {"1": 1.0, "%": 1e-2}
 
 _SPELLED = (
@@ -26,20 +26,22 @@ _SPELLED = (
     "MPa n/mm2 mn/m2 megapascal,psi psig psigauge lbf/in2 lb/in2,atm atmosphere,mmhg torr,kgf/cm2 kg/cm2"
 )
 _SYMBOLS = {word: line.split()[0] for line in _SPELLED.split(",") for word in line.split()[1:]}
-_MEGA = ("mbar", "mm", "mrad")  # with a capital M they would be a million, which nothing here measures
-_AMBIENT = (7e4, 1.1e5)  # Pa: from 3000 m above the sea to a high at the sea
+_MEGA = ("mbar", "mm", "mrad")
+"""Symbols whose M would mean mega, which no recorded quantity has."""
+_AMBIENT = (7e4, 1.1e5)
+"""Range of ambient pressures, Pa: from an altitude of 3000 m to a high at sea level."""
 _BRACKETS = re.compile(r"(.*?)\s*[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
 _WORD = re.compile(r"(?:[^\W\d_]|°)+(?:/[^\W_]+)?|%")
 _CAMEL = re.compile(r"(?<=[a-z])[A-Z]+[a-z]*$")
 
 
 def clean(text: str) -> str:
-    """Return text with one code point per character and single spaces: µ, ², no-break spaces."""
+    """Return text in Unicode compatibility form (µ, ², no-break spaces) with single spaces."""
     return " ".join(unicodedata.normalize("NFKC", text).split())
 
 
 def symbol(text: str, units: Mapping[str, float]) -> str:
-    """Return the symbol of a unit in any spelling; empty where it is none of `units`, or may be two (mpa)."""
+    """Return the symbol of a unit in any spelling; empty if it is not in `units` or ambiguous, as mpa."""
     word = re.sub(r"[\s^]", "", clean(text).replace("μ", "u"))
     if word in units:
         return word
@@ -47,12 +49,12 @@ def symbol(text: str, units: Mapping[str, float]) -> str:
     if folded in _MEGA and word[0] == "M" and not word.isupper():
         return ""
     named = _SYMBOLS.get(folded) or _SYMBOLS.get(folded.removesuffix("s")) or folded
-    found = [each for each in units if named in (each, each.lower())]
-    return found[0] if len(found) == 1 else ""
+    matches = [unit for unit in units if named in (unit, unit.lower())]
+    return matches[0] if len(matches) == 1 else ""
 
 
 def bracketed(name: str) -> tuple[str, str]:
-    """Return a name without the brackets at its end, and what stands in them: P1 (bar), t[us]."""
+    """Return a name without the brackets at its end, and their contents: P1 (bar), t[us]."""
     match = _BRACKETS.fullmatch(name.strip())
     return (match[1], match[2].strip(" -")) if match else (name, "")
 
@@ -60,27 +62,27 @@ def bracketed(name: str) -> tuple[str, str]:
 def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
     """Return the unit in the name of a column: P1 (bar), time_ms, P1/bar, pressure_kpa_left, timeMs.
 
-    Empty where there is none. None where it is not known: brackets hold something else, or there are two.
+    The result is empty without a unit, and None if the unit is unknown or there are two.
     """
     name = clean(name)
     bare, inside = bracketed(name)
     if inside:
         return symbol(inside, units) or None
     words: list[str] = _WORD.findall(bare)
-    if [each.lower() for each in words] == ["pa"]:
-        return ""  # a chamber or port, next to pb
-    found = {each for word in words if (each := _in_word(word, units)) != ""}
-    return None if len(found) > 1 or None in found else next(iter(found), "")
+    if [word.lower() for word in words] == ["pa"]:
+        return ""  # the name of a chamber or port, next to pb
+    stated = {unit for word in words if (unit := _unit_in_word(word, units)) != ""}
+    return None if len(stated) > 1 or None in stated else next(iter(stated), "")
 
 
-def _in_word(word: str, units: Mapping[str, float]) -> str | None:
-    """Return the unit that a word is or ends with; None where it may be two."""
+def _unit_in_word(word: str, units: Mapping[str, float]) -> str | None:
+    """Return the unit that a word is or ends with; None if it is ambiguous."""
     camel = _CAMEL.search(word)
     ends = [word, word.rpartition("/")[2], camel[0] if camel else ""]
-    # pbar, tms; units written with a capital inside
+    # pbar and tms, and units with a capital inside such as kPa.
     ends += [word[1:]] if len(word) > 2 and word[0] in ("pP" if "Pa" in units else "tT") else []
-    ends += [each for each in units if len(each) > 2 and not each.islower() and word.endswith(each)]
-    lower = [each.lower() for each in units]
+    ends += [unit for unit in units if len(unit) > 2 and not unit.islower() and word.endswith(unit)]
+    lower = [unit.lower() for unit in units]
     for end in filter(None, ends):
         if found := symbol(end, units):
             return found
@@ -90,51 +92,55 @@ def _in_word(word: str, units: Mapping[str, float]) -> str | None:
 
 
 def unit_of(column: str, units: Mapping[str, float], default: str = "", given: str = "") -> tuple[str, str]:
-    """Return the unit of a column, and what is to be noted of it.
+    """Return the unit of a column, and a note.
 
     Args:
-        column: its name, which may state the unit.
-        units: that it may have.
-        default: what the map's key says, for columns that state none.
-        given: what the map says of this column.
+        column: name of the column, which may contain the unit.
+        units: allowed units.
+        default: unit in the key of the map, for columns without a unit.
+        given: unit of this column in the map.
 
     Raises:
-        InputError: the two differ, or a unit is not known.
+        InputError: the units differ, or a unit is unknown.
     """
     allowed = f"allowed: {', '.join(units) or 'none'}"
-    for each in filter(None, (default, given)):
-        if not symbol(each, units):
-            raise InputError(f"unit '{each}' of column '{column}' is not known; {allowed}")
-    said, default, given = stated_unit(column, units), symbol(default, units), symbol(given, units)
-    if said is None and not given:
-        remedy = f"say it in the map: {{column: '{column}', unit: …}}"
+    for unit in filter(None, (default, given)):
+        if not symbol(unit, units):
+            raise InputError(f"unit '{unit}' of column '{column}' is not known; {allowed}")
+    stated, default, given = stated_unit(column, units), symbol(default, units), symbol(given, units)
+    if stated is None and not given:
+        remedy = f"give it in the map: {{column: '{column}', unit: …}}"
         raise InputError(f"the unit of column '{column}' is not known ({allowed}); {remedy}")
-    if said and given and units[said] != units[given]:
-        raise InputError(f"column '{column}' is in {said} by its name, in {given} by the map; correct one")
-    note = f"'{column}' read in {said}, as its name says; the map's key says {default}"
-    differs = said and default and not given and units[said] != units[default]
-    return said or given or default, note if differs else ""
+    if stated and given and units[stated] != units[given]:
+        raise InputError(
+            f"column '{column}' is in {stated} by its name, in {given} by the map; correct one of them"
+        )
+    note = f"'{column}' read in {stated} according to its name, although the key of the map has {default}"
+    differs = stated and default and not given and units[stated] != units[default]
+    return stated or given or default, note if differs else ""
 
 
 _CLOCK = {"time", "timestamp", "timestamps", "stamp", "t", "epoch", "elapsed"}
-_OF_A_CLOCK = {*_CLOCK, *"since start unix ros system host header field log relative absolute".split()}
+"""Words that name a time."""
+_CLOCK_QUALIFIERS = {*_CLOCK, *"since start unix ros system host header field log relative absolute".split()}
+"""Words that may be in the name of a time."""
 
 
 def is_clock(name: str) -> bool:
-    """Say whether a column is named as a time: time, t_ms, Time (s), timestamp [ns], millis."""
+    """Return whether the name of a column is that of a time: time, t_ms, Time (s), timestamp [ns], millis."""
     bare, inside = bracketed(clean(name))
     words = [word.lower() for word in re.findall(r"[A-Z]*[a-z]+|[A-Z]+", bare.replace("Stamp", "stamp"))]
     units = [word for word in words if symbol(word, TIMES)]
     rest = [word for word in words if word not in units]
-    if re.search(r"\d", bare) or not set(rest) <= _OF_A_CLOCK:
+    if re.search(r"\d", bare) or not set(rest) <= _CLOCK_QUALIFIERS:
         return False
     return bool(_CLOCK & set(rest)) or (not rest and len("".join(units)) > 1 and units != ["min"])
 
 
 def looks_absolute(pressures: np.ndarray) -> bool:
-    """Say whether pressures (Pa) never fall below the least ambient pressure, as absolute ones do."""
+    """Return whether the smallest pressure (Pa) is an ambient pressure, as for absolute pressures."""
     return bool(_AMBIENT[0] <= np.nanmin(pressures, initial=np.inf) <= _AMBIENT[1])
 
 
 ABSOLUTE = "they look absolute: subtract the ambient pressure (log: {ambient_kpa: 101.3} in a map)"
-"""Hint for pressures of which `looks_absolute` is true."""
+"""Hint for pressures that look absolute."""

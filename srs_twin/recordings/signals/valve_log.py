@@ -1,4 +1,4 @@
-"""A log of valve states or pressures."""
+"""Log of valve states or pressures."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from srs_twin.pneumatics import Schedule
 
 @dataclass(frozen=True)
 class ValveLog:
-    """A log of valves or pressures.
+    """Log of valve states or pressures.
 
     Attributes:
         kind: "valve" or "pressure".
         time: ascending, shape (rows,), s.
-        values: valve states, which hold until the next row, or gauge pressures (Pa), shape
-            (rows, segments, 2), columns + and − chamber.
+        values: valve states, which hold until the next row, or gauge pressures (Pa), shape (rows, segments,
+            2), columns + and − chamber.
         source: name of the file.
-        sha256: of the file.
-        corrections: what was sorted, converted and assumed, in words.
-        epoch_ns: time since 1970 at 0 s, ns; None where its clock does not tell.
-        holds: whether pressures hold until the next row, as set-points do; else they are interpolated.
+        sha256: checksum of the file.
+        corrections: texts on sorting, conversions and assumptions.
+        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file is another one.
+        holds: whether pressures hold until the next row, as set points do; otherwise they are interpolated.
     """
 
     kind: str
@@ -36,14 +36,14 @@ class ValveLog:
     holds: bool = False
 
     def shifted(self, offset: float) -> ValveLog:
-        """Return the same log on a clock that shows `offset` (s) more."""
+        """Return the log with `offset` (s) added to its times."""
         return replace(self, time=self.time + offset)
 
     def schedule(self) -> Schedule:
         """Return the valve states as a schedule from the first row to the last.
 
         Raises:
-            InputError: pressures are no valve states.
+            InputError: the log contains pressures.
         """
         if self.kind != "valve":
             raise InputError(f"{self.source}: a log of pressures has no schedule of valves")
@@ -54,7 +54,7 @@ class ValveLog:
         )
 
     def at(self, time: np.ndarray) -> np.ndarray:
-        """Return the values at times within the log, shape (times, segments, 2)."""
+        """Return the values at times inside the log, shape (times, segments, 2)."""
         if self.kind == "valve" or self.holds:
             return held_values(time + 1e-9, self.time, self.values)
         flat = self.values.reshape(len(self.time), -1)
@@ -62,14 +62,15 @@ class ValveLog:
         return np.stack(columns, axis=-1).reshape(len(time), *self.values.shape[1:])
 
     def breakpoints(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return times and pressures that `at` interpolates linearly; two at each step of set-points."""
+        """Return times and pressures for linear interpolation as in `at`; two for each step of set points."""
         if not self.holds:
             return self.time, self.values
         time = np.repeat(self.time, 2)[1:]
+        # The last instant before a step.
         time[1::2] = np.nextafter(time[1::2], -np.inf)
         return time, np.repeat(self.values, 2, axis=0)[:-1]
 
 
 def held_values(time: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the values of the last row at or before each time; before the first row its own."""
+    """Return the values of the last row at or before each time, or else those of the first row."""
     return np.asarray(values[np.maximum(np.searchsorted(rows, time, side="right") - 1, 0)])

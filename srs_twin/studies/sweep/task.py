@@ -82,7 +82,7 @@ def run_point(
             trajectories[plant] = done
             metrics = plant_metrics(trajectories[plant])
             if scenario.measured is not None:
-                metrics |= MeasuredDifference.of(scenario.measured, trajectories[plant]).metrics
+                metrics |= MeasuredDifference.between(scenario.measured, trajectories[plant]).metrics
             values |= flat_metrics(plant, metrics)
         if len(trajectories) == 2:
             analytical, twin = (trajectories[plant] for plant in PLANTS)

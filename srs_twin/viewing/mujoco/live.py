@@ -64,7 +64,7 @@ class LiveSnake:
         Raises:
             InputError: a robot that the twin cannot be made of.
         """
-        self.limits = limits = GaitLimits.of(spec)
+        self.limits = limits = GaitLimits.for_robot(spec)
         self._modified = modified
         self._first = GaitCommand(0.0, *(sum(ends) / 2 for ends in (limits.frequency, limits.pressure)))
         self.twin = TwinSnake(spec, supply_pa=limits.pressure[1])

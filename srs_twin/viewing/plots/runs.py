@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from srs_twin.comparison.compare import MEASURES
-from srs_twin.comparison.learning import ChamberPeriods
+from srs_twin.comparison.learning import PeriodAmplitudes
 from srs_twin.comparison.reading import ReadingCurve
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
@@ -156,7 +156,7 @@ def learning_plot(trajectories: Runs) -> Figure:
 
     The chambers differ in colour, the plants in dash; targets are thin and dotted.
     """
-    runs = [(style, ChamberPeriods.of(run)) for style, run in styled(trajectories)]
+    runs = [(style, PeriodAmplitudes.from_trajectory(run)) for style, run in styled(trajectories)]
     rows = min(_MOST_ROWS, max(run.duty.shape[1] for _, run in runs))
     figure, grid = side_by_side(
         1.35 * rows + 0.95, 2, rows, left=0.75, right=0.2, top=0.45, space=0.18, sharex=True, sharey="col"
@@ -220,7 +220,7 @@ def reading_plot(trajectories: Runs) -> Figure | None:
 
     None where no run has a sensor other than an ideal one.
     """
-    found = [(style, run, ReadingCurve.of(run)) for style, run in styled(trajectories)]
+    found = [(style, run, ReadingCurve.from_trajectory(run)) for style, run in styled(trajectories)]
     drawn = [(style, run, curve) for style, run, curve in found if curve is not None]
     if not drawn:
         return None

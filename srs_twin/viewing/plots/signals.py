@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from srs_twin.comparison.centre_line import centre_lines, on_both_sides
+from srs_twin.comparison.centre_line import centre_lines, offset_to_sides
 from srs_twin.comparison.learning import is_learning
-from srs_twin.comparison.tracking import frequency_of
+from srs_twin.comparison.tracking import sine_frequency
 from srs_twin.errors import InputError
 from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
@@ -49,7 +49,7 @@ def goal_ring(goal: Mapping[str, float]) -> np.ndarray:
 def wheel_centres(trajectory: Trajectory, geometry: Geometry) -> np.ndarray:
     """Return the wheels at ± half the track, shape (samples, N, 2, 2), m: left, then right."""
     theta = trajectory.stack("theta")[..., None]
-    return on_both_sides(trajectory.position[:, :, None], theta, geometry.half_track)
+    return offset_to_sides(trajectory.position[:, :, None], theta, geometry.half_track)
 
 
 def wheel_turns(trajectory: Trajectory, geometry: Geometry) -> np.ndarray:
@@ -95,7 +95,7 @@ def reference_period(trajectory: Trajectory) -> float | None:
         return None
     if len(np.unique(reference)) == 2:
         return float(2 * np.median(np.diff(jumps)))
-    frequency = frequency_of(time, reference)
+    frequency = sine_frequency(time, reference)
     return None if frequency is None else 1 / frequency
 
 

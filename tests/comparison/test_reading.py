@@ -1,4 +1,4 @@
-"""Metrics of a sensor's reading, against readings known in closed form and against the sensor's own law."""
+"""Metrics of a sensor reading, compared with closed-form readings and with the law of the sensor."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def there_and_back(reach):
 
 
 @given(st.floats(0.3, 1.5), st.floats(0.2, 3.0), st.floats(-0.2, 0.2))
-def test_a_straight_reading_is_straight(reach, slope, offset):
+def test_a_linear_reading_has_r_squared_1(reach, slope, offset):
     bend = there_and_back(reach)
     found = reading_metrics(run(bend, slope * bend + offset))
     assert found["reading_r_squared"] == pytest.approx(1.0)
@@ -43,7 +43,7 @@ def test_a_straight_reading_is_straight(reach, slope, offset):
 
 @settings(max_examples=30)
 @given(st.floats(1.2, 3.0), st.floats(0.05, 0.3), st.floats(-0.3, 0.3))
-def test_a_fold_is_found_as_deep_and_where_it_is(press, scale, place):
+def test_depth_and_position_of_a_fold_are_recovered(press, scale, place):
     bend = there_and_back(1.4)
 
     def law(q):
@@ -51,26 +51,26 @@ def test_a_fold_is_found_as_deep_and_where_it_is(press, scale, place):
 
     crest = scale * math.acosh(math.sqrt(press))
     found = reading_metrics(run(bend, law(bend)))
-    # Means over bins round the crest and the trough off: by less than a bin's share of the steepest slope.
+    # Bins smooth the extrema by less than the steepest slope times the bin width.
     assert found["reading_backstep_rad"] == pytest.approx(
         law(place - crest) - law(place + crest), abs=press * BIN_RAD**2 / scale + 1e-3
     )
     assert found["reading_backstep_at_rad"] == pytest.approx(place, abs=2 * BIN_RAD)
 
 
-def test_every_bend_counts_once_however_long_it_lasted():
+def test_every_bend_counts_once_regardless_of_its_duration():
     bend = np.linspace(-1, 1, 2001)
     dwelling = np.concatenate([bend, np.full(50_000, 1.0), np.full(100, -1.0)])
     quick, slow = (reading_metrics(run(q, q**3 + q)) for q in (bend, dwelling))
     assert slow["reading_r_squared"] == pytest.approx(quick["reading_r_squared"], abs=2e-3)
-    # The last bin's mean bend moves to where the run dwelt.
+    # The mean bend of the last bin moves to the bend that lasted longest.
     assert slow["reading_error_rad"] == pytest.approx(quick["reading_error_rad"], abs=3 * BIN_RAD)
-    # By time nearly all of it would be one bend.
+    # Weighted by time, nearly all samples would be one bend.
     q = dwelling
     assert np.corrcoef(q, q**3 + q)[0, 1] ** 2 != pytest.approx(quick["reading_r_squared"], abs=0.01)
 
 
-def test_r_squared_is_that_of_the_law_at_evenly_spaced_bends():
+def test_r_squared_equals_that_at_evenly_spaced_bends():
     bend = there_and_back(1.2)
     even = np.linspace(-1.2, 1.2, 100_001)
     expected = np.corrcoef(even, np.sin(even))[0, 1] ** 2
@@ -87,11 +87,11 @@ def test_noise_averages_out_and_lost_readings_are_left_out():
 
 
 @pytest.mark.parametrize(("bend", "sensed"), [([0.5] * 5, [0.5] * 5), ([0.0, 0.5, 1.0], [np.nan] * 3)])
-def test_what_hardly_moves_or_is_lost_says_nothing(bend, sensed):
+def test_too_few_bins_give_no_metrics(bend, sensed):
     assert set(reading_metrics(run(bend, sensed)).values()) == {None}
 
 
-def test_a_reading_that_is_stuck_has_no_line():
+def test_a_constant_reading_has_no_r_squared():
     found = reading_metrics(run([-1.0, 0.0, 1.0], [0.2, 0.2, 0.2]))
     assert found["reading_r_squared"] is None
     assert found["reading_backstep_rad"] == 0
@@ -105,27 +105,27 @@ def test_an_ideal_sensor_or_none_has_no_metrics(sensor):
 
 
 @pytest.mark.parametrize("broken", [{"hall": {}}, {"hall": {"gain": "x"}, "calibration": {"slope": 1.0}}])
-def test_settings_that_tell_no_field_give_no_range(broken):
+def test_range_needs_the_settings_of_the_hall_element(broken):
     bend = there_and_back(1.0)
     assert reading_metrics(run(bend, bend, {"kind": "hall"} | broken))["reading_range_t"] is None
 
 
 @settings(max_examples=20, deadline=None)
 @given(st.sampled_from(["up", "side"]), st.floats(3.1e-3, 4.6e-3), st.floats(-0.3, 0.5))
-def test_the_range_is_that_of_the_field_whatever_the_electronics(orientation, distance, drift):
+def test_range_does_not_depend_on_the_electronics(orientation, distance, drift):
     spec = load_robot("gen4_module")
     sensor = make_sensor(
         "hall", spec, orientation=orientation, distance=distance, noise=0.0, bits=None,
         gain_error=drift, rails=(-50.0, 50.0), converter_range=(-50.0, 50.0), offset=0.0,
     )  # fmt: skip
     bend = there_and_back(1.2)
-    # Sensors describe themselves in a run's metadata.
+    # The metadata of a run describe its sensor.
     found = reading_metrics(run(bend, sensor.read(bend[:, None], 0.0, 0)[:, 0], sensor.describe()))
     ends = field(np.array([bend.min(), bend.max()]), sensor.hall.strip)
     assert found["reading_range_t"] == pytest.approx(abs(np.diff(ends)[0]), rel=0.01)
 
 
-def test_readings_are_the_same_whoever_bends_the_module():
+def test_readings_depend_on_the_bend_only():
     found = []
     for name, plant in (("gait", "analytical"), ("gait", "twin"), ("hold", "analytical")):
         changes = {"kind": "gait", "frequency_hz": 0.5} if name == "gait" else {"kind": "hold_valves"}
@@ -135,11 +135,11 @@ def test_readings_are_the_same_whoever_bends_the_module():
         run = rollout(scenario.build_plant(plant), scenario.build_controller(), 4.0, record_hz=1000)
         found.append(plant_metrics(run))
     assert found[0]["reading_r_squared"] == pytest.approx(found[1]["reading_r_squared"], abs=1e-3)
-    # Held valves bend it to one side only: half the range, and a metric all the same.
+    # Constant valves bend it to one side only, which is half the range.
     assert found[2]["reading_range_t"] == pytest.approx(found[0]["reading_range_t"] / 2, rel=0.1)
 
 
-def test_what_sensor_side_and_sensor_far_are_held_to_is_what_sensor_up_gives():
+def test_bounds_of_sensor_side_and_sensor_far_come_from_sensor_up():
     scenario = load_scenario("sensor_up")
     run = rollout(
         scenario.build_plant("analytical"), scenario.build_controller(), scenario.duration, record_hz=1000
@@ -156,7 +156,7 @@ def test_what_sensor_side_and_sensor_far_are_held_to_is_what_sensor_up_gives():
             assert bounds["reading_r_squared"] == pytest.approx(given["reading_r_squared"], abs=1e-5)
 
 
-def test_the_report_shows_readings_of_a_sensor_only(tmp_path):
+def test_the_report_shows_readings_only_with_a_sensor(tmp_path):
     from srs_twin.viewing.plots.runs import reading_plot
 
     bend = there_and_back(1.0)

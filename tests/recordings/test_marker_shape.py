@@ -1,4 +1,4 @@
-"""Algorithms 1 and 2 and the moving line, against geometry and calculus."""
+"""Algorithms 1 and 2 and the moving line, compared with geometry and calculus."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ pytestmark = pytest.mark.fast
 
 
 @given(st.floats(-3.1, 3.1), st.floats(-3.1, 3.1), st.floats(0.01, 0.1), st.floats(-1, 1), st.floats(-1, 1))
-def test_an_arc_is_recovered_from_its_ends(turn, bend, length, x, y):
-    """The tangent integrated along the length is the arc; its ends and its curvature give it back."""
+def test_arc_is_recovered_from_its_ends(turn, bend, length, x, y):
+    """The arc is the integral of its tangent; its ends and its curvature recover it."""
     s = np.linspace(0, 1, 201)
     tangent = np.exp(1j * (turn - bend * s))
     path = x + 1j * y - length * (cumulative_simpson(tangent.real, x=s, initial=0)
@@ -27,7 +27,7 @@ def test_an_arc_is_recovered_from_its_ends(turn, bend, length, x, y):
 
 
 @given(st.floats(-3, 3), st.floats(-1.5, 1.5), st.floats(0.005, 0.05))
-def test_curvature_from_two_markers_at_each_end(heading, bend, apart):
+def test_bend_from_two_markers_at_each_end(heading, bend, apart):
     def marks(angle):
         along = apart / 2 * np.array([np.cos(angle), np.sin(angle)])
         return -along, along
@@ -36,7 +36,7 @@ def test_curvature_from_two_markers_at_each_end(heading, bend, apart):
     assert found == pytest.approx(bend, abs=1e-12)
 
 
-def test_noise_that_no_arc_explains_is_a_half_circle():
+def test_impossible_curvature_gives_a_half_circle():
     front, rear = np.array([0.05, 0.0]), np.zeros(2)
     arc = arc_between(front, rear, np.array(1e3))
     assert np.isfinite(arc).all()
@@ -45,13 +45,13 @@ def test_noise_that_no_arc_explains_is_a_half_circle():
 
 
 @given(st.floats(-1e3, 1e3), st.floats(-5, 5), st.integers(1, 7), st.integers(0, 99))
-def test_a_line_has_its_slope_everywhere(start, slope, half, seed):
+def test_slope_of_a_line_is_exact_everywhere(start, slope, half, seed):
     time = start + np.cumsum(np.random.default_rng(seed).uniform(0.005, 0.02, 30))
     assert np.abs(moving_slope(time, 3 + slope * time[:, None], half) - slope).max() < 1e-7
 
 
 @pytest.mark.parametrize("rate", [15.0, 120.0])
-def test_an_oscillation_is_damped_as_stated_and_does_not_lag(rate):
+def test_oscillation_is_attenuated_as_stated_without_lag(rate):
     time = np.arange(400) / rate
     omega, n = 2 * np.pi * 0.6, np.arange(1, 6)
     kept = 3 * (n * np.sin(n * omega / rate)).sum() / (5 * 6 * 5.5 * omega / rate)
@@ -59,7 +59,7 @@ def test_an_oscillation_is_damped_as_stated_and_does_not_lag(rate):
     assert np.abs(found - kept * omega * np.cos(omega * time[5:-5])).max() < 1e-9
 
 
-def test_it_is_the_least_squares_line():
+def test_slope_equals_that_of_the_least_squares_line():
     random = np.random.default_rng(0)
     time, values = np.cumsum(random.uniform(0.01, 0.1, 40)), random.standard_normal((40, 3))
     found = moving_slope(time, values)

@@ -1,4 +1,4 @@
-"""Pulse-width modulation: duties are kept exactly, over ticks that no carrier period fits."""
+"""Pulse-width modulation: exact mean duties for carrier periods that are not multiples of the tick."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from srs_twin.control.pwm import PulseWidth
+from srs_twin.control.pwm import PulseWidthModulator
 from srs_twin.errors import InputError
 
 SLOT = 1e-4
@@ -19,8 +19,8 @@ duties = st.floats(0, 1) | st.sampled_from([0.0, 1.0, 0.5])
 
 
 def played(duty: np.ndarray, seconds: float, *, carrier: float = 60.0, tick: float = 1e-3) -> np.ndarray:
-    """Return whether chambers fill, slot by slot, shape (slots, segments, 2), at one duty (segments, 2)."""
-    pulses = PulseWidth(carrier, tick, len(duty))
+    """Return which chambers fill in each slot, shape (slots, segments, 2), for duties (segments, 2)."""
+    pulses = PulseWidthModulator(carrier, tick, len(duty))
     parts = [pulses.step(duty) for _ in range(round(seconds / tick))]
     states = np.concatenate(parts)
     assert states.dtype == np.int8 and set(np.unique(states)) <= {-1, 1}
@@ -28,7 +28,7 @@ def played(duty: np.ndarray, seconds: float, *, carrier: float = 60.0, tick: flo
 
 
 def openings(filling: np.ndarray) -> np.ndarray:
-    """Return how often each goes from closed to open, closed before the first slot."""
+    """Return the number of openings of each valve, which is closed before the first slot."""
     closed_before = np.concatenate([np.zeros_like(filling[:1]), filling[:-1]])
     return (filling & ~closed_before).sum(axis=0)
 
@@ -37,7 +37,7 @@ def openings(filling: np.ndarray) -> np.ndarray:
 @given(arrays(float, (20, 2), elements=duties), st.sampled_from([13.0, 50.0, 60.0, 61.7, 240.0]))
 def test_duty_is_exact_over_many_periods(duty, carrier):
     filling = played(duty, 1.0, carrier=carrier)
-    # Every pulse is off by a slot at most, and the last period may be unfinished.
+    # The error of a pulse is at most one slot, and the last period may be incomplete.
     assert np.abs(filling.mean(axis=0) - duty).max() <= carrier * SLOT + 1 / carrier
     if carrier in (50.0, 60.0):  # three periods are a whole number of slots, so that nothing is unfinished
         whole = filling[: round(30 * 1e4 / carrier)]
@@ -46,7 +46,7 @@ def test_duty_is_exact_over_many_periods(duty, carrier):
 
 @some
 @given(arrays(float, (20, 2), elements=duties))
-def test_each_pulse_is_as_long_as_asked_within_a_slot(duty):
+def test_pulse_length_is_exact_within_a_slot(duty):
     filling = played(duty, 0.5)
     edges = np.ceil(np.arange(31) * 1e4 / 60 - 0.5).astype(int)
     lengths = np.add.reduceat(filling, edges[:-1], axis=0)[:-1]
@@ -56,7 +56,7 @@ def test_each_pulse_is_as_long_as_asked_within_a_slot(duty):
 @pytest.mark.slow
 @some
 @given(arrays(float, (20, 2), elements=duties), st.sampled_from([33.3, 60.0, 100.0]))
-def test_a_valve_opens_once_a_period_at_most_and_rests_at_0_and_1(duty, carrier):
+def test_a_valve_opens_at_most_once_per_period_and_not_at_0_and_1(duty, carrier):
     filling = played(duty, 1.0, carrier=carrier)
     counted = openings(filling)
     assert (counted <= math.ceil(carrier)).all()
@@ -65,20 +65,20 @@ def test_a_valve_opens_once_a_period_at_most_and_rests_at_0_and_1(duty, carrier)
 
 @some
 @given(arrays(float, (50,), elements=duties))
-def test_duties_that_add_up_to_1_make_opposite_valves(plus):
+def test_duties_with_sum_1_make_opposite_valves(plus):
     filling = played(np.stack([plus, 1 - plus], axis=-1), 0.2)
     assert (filling[..., 0] != filling[..., 1]).mean() > 0.999  # 1 − (1 − d) may miss d by rounding
 
 
 @some
 @given(arrays(float, (4, 2), elements=duties), st.sampled_from([(1e-4, 1e-3), (1e-3, 2e-3), (1e-3, 5e-3)]))
-def test_ticks_do_not_matter(duty, ticks):
+def test_pulses_do_not_depend_on_the_tick(duty, ticks):
     short, long = (played(duty, 0.1, tick=tick) for tick in ticks)
     assert (short == long).all()
 
 
-def test_new_duties_are_heeded_where_a_period_begins():
-    pulses = PulseWidth(60.0, 1e-3, 1)
+def test_new_duties_take_effect_at_the_start_of_a_period():
+    pulses = PulseWidthModulator(60.0, 1e-3, 1)
     begun = []
     for k in range(50):
         if pulses.due():
@@ -89,8 +89,8 @@ def test_new_duties_are_heeded_where_a_period_begins():
     assert begun == [0, 16, 33]
 
 
-def test_a_new_duty_does_not_touch_the_period_that_runs():
-    pulses = PulseWidth(60.0, 1e-3, 1)
+def test_a_new_duty_does_not_change_the_current_period():
+    pulses = PulseWidthModulator(60.0, 1e-3, 1)
     parts = [pulses.step(np.full((1, 2), 0.25 if k < 5 else 1.0)) for k in range(40)]
     filling = np.concatenate(parts)[:, 0, 0] == 1
     first, rest = filling[:167], filling[167:]
@@ -98,34 +98,34 @@ def test_a_new_duty_does_not_touch_the_period_that_runs():
 
 
 @pytest.mark.parametrize("bad", [-1e-9, 1 + 1e-9, math.nan, math.inf])
-def test_refuses_duties_outside_0_to_1(bad):
+def test_duties_outside_0_to_1_are_refused(bad):
     with pytest.raises(InputError, match=r"duty .* is not allowed; it must lie between 0 and 1"):
-        PulseWidth(60.0, 1e-3, 1).step(np.array([[0.5, bad]]))
+        PulseWidthModulator(60.0, 1e-3, 1).step(np.array([[0.5, bad]]))
 
 
-def test_refuses_duties_of_another_shape():
+def test_duties_of_another_shape_are_refused():
     with pytest.raises(InputError, match=r"duties have shape \(2, 2\); allowed: \(1, 2\)"):
-        PulseWidth(60.0, 1e-3, 1).step(np.zeros((2, 2)))
+        PulseWidthModulator(60.0, 1e-3, 1).step(np.zeros((2, 2)))
 
 
 @pytest.mark.parametrize("carrier", [0.0, -60.0, math.nan, math.inf])
-def test_refuses_carriers_that_are_none(carrier):
+def test_invalid_carrier_frequencies_are_refused(carrier):
     with pytest.raises(InputError, match="carrier_hz"):
-        PulseWidth(carrier, 1e-3, 1)
+        PulseWidthModulator(carrier, 1e-3, 1)
 
 
-def test_refuses_ticks_that_do_not_fit():
-    with pytest.raises(InputError, match=r"60 Hz does not fit the tick 0.02 s; 50 Hz or less"):
-        PulseWidth(60.0, 0.02, 1)
+def test_ticks_that_do_not_fit_are_refused():
+    with pytest.raises(InputError, match=r"60 Hz is too fast for the tick of 0.02 s; use 50 Hz or less"):
+        PulseWidthModulator(60.0, 0.02, 1)
     with pytest.raises(InputError, match=r"tick 0.00105 s is not a multiple of valve slot 0.0001 s"):
-        PulseWidth(60.0, 0.00105, 1)
+        PulseWidthModulator(60.0, 0.00105, 1)
 
 
 @some
 @given(arrays(float, (4, 2), elements=duties))
-def test_pulses_may_begin_together_and_then_neither_chamber_is_special(duty):
+def test_aligned_pulses_treat_both_chambers_alike(duty):
     def together(given: np.ndarray) -> np.ndarray:
-        pulses = PulseWidth(60.0, 1e-3, 4, together=True)
+        pulses = PulseWidthModulator(60.0, 1e-3, 4, aligned=True)
         return np.concatenate([pulses.step(given) for _ in range(100)])
 
     plus = played(np.stack([duty[:, 0], np.zeros(4)], axis=-1), 0.1)[..., 0]
@@ -136,9 +136,9 @@ def test_pulses_may_begin_together_and_then_neither_chamber_is_special(duty):
 
 @some
 @given(arrays(float, (4, 2), elements=duties))
-def test_long_ticks_play_the_same_pulses(duty):
+def test_long_ticks_give_the_same_pulses(duty):
     parts = []
     for tick in (1e-3, 0.05):
-        pulses = PulseWidth(60.0, tick, 4, long_ticks=True)
+        pulses = PulseWidthModulator(60.0, tick, 4, allow_long_ticks=True)
         parts.append(np.concatenate([pulses.step(duty) for _ in range(round(0.2 / tick))]))
     assert (parts[0] == parts[1]).all()

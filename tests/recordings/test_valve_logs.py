@@ -1,4 +1,4 @@
-"""Valve and pressure logs: what they hold, and on whose clock."""
+"""Valve and pressure logs: their values, and their clocks."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def captured(tmp_path_factory):
 
 
 @pytest.mark.parametrize("shift", [0.0, 3.217, -20.1])
-def test_offset_is_found_from_the_start(tmp_path, captured, shift):
-    """The log says every 10 ms how the valves stood before: on average 5 ms late, which nobody can see."""
+def test_offset_is_estimated_from_the_start_of_a_gait(tmp_path, captured, shift):
+    """The log has previous valve states every 10 ms, so its unobservable mean delay is 5 ms."""
     joined = join(captured, log(tmp_path, valve_csv(motion(), 0.0, 4.0, shift)), SPEC)
     about = joined.trajectory.metadata["valve_log"]
     assert about["offset_s"] == pytest.approx(-shift - 0.005, abs=0.003)
@@ -58,12 +58,12 @@ def test_pressures_drive_the_bends_without_delay(tmp_path, captured):
     assert np.abs(joined.trajectory["pressure_plus_2"] - truth["pressure_plus_2"][rows]).max() < 2e3
 
 
-def test_a_gait_without_its_start_is_refused_with_the_candidates(tmp_path, captured):
+def test_a_gait_without_its_start_is_ambiguous(tmp_path, captured):
     middle = {name: column[100:300] for name, column in captured.trajectory.columns.items()}
     inside = replace(captured, trajectory=replace(captured.trajectory, columns=middle))
     text = valve_csv(motion(), 0.8, 4.0, 0.0)
     with pytest.raises(
-        InputError, match=r"offset of its clock is ambiguous, \d+ fit .* a gait repeats itself"
+        InputError, match=r"offset of its clock is ambiguous: \d+ offsets fit .* because the gait is periodic"
     ):
         join(inside, log(tmp_path, text), SPEC)
     given_one = join(inside, log(tmp_path, text), SPEC, offset=0.0)
@@ -79,18 +79,18 @@ def test_a_log_of_another_run_is_refused(tmp_path, captured):
         join(captured, log(tmp_path, other), SPEC)
 
 
-def test_frames_that_the_log_does_not_cover_are_left_out_and_said(tmp_path, captured):
+def test_frames_outside_the_log_are_left_out_with_a_note(tmp_path, captured):
     joined = join(captured, log(tmp_path, valve_csv(motion(), 1.0, 2.0, 0.0)), SPEC, offset=0.0)
     assert (joined.trajectory.time[0], joined.trajectory.time[-1]) == (1.0, 2.0)
-    assert any("frames that the log does not cover" in each for each in joined.summary.corrections)
+    assert any("frames outside the log" in each for each in joined.summary.corrections)
     with pytest.raises(InputError, match="0 frames in common"):
         join(captured, log(tmp_path, valve_csv(motion(), 1.0, 2.0, 0.0)), SPEC, offset=100.0)
 
 
 @settings(max_examples=20)
 @given(st.floats(-5, 5), st.floats(0.2, 3), st.integers(0, 2**31))
-def test_standard_error_covers_what_noise_does(true, gain, seed):
-    """A step response, once, with white noise: the offset lies within five standard errors."""
+def test_errors_of_the_offset_are_within_its_standard_error(true, gain, seed):
+    """For a step response with white noise, the offset is within five standard errors."""
     random = np.random.default_rng(seed)
     time = np.arange(0, 8, 0.01)
 
@@ -104,8 +104,9 @@ def test_standard_error_covers_what_noise_does(true, gain, seed):
     assert found.error < 0.02 / gain
 
 
-def test_standard_error_of_the_offset_is_the_scatter_over_noise():
-    """Errors of 200 offsets over their standard errors; a spread of 200 numbers is known within 5 %.
+def test_standard_error_equals_the_scatter_over_noise():
+    """Errors of 200 offsets divided by their standard errors; the standard deviation of 200 values is known
+    within 5 %.
 
     Resampling at half of a frame's time smooths white noise, which makes the standard errors a little large.
     """
@@ -126,8 +127,8 @@ def test_standard_error_of_the_offset_is_the_scatter_over_noise():
 
 
 @pytest.mark.parametrize(("fill", "vent"), [(0.05, 0.4), (0.4, 0.05)])
-def test_bends_of_a_log_begin_once_its_first_pressures_are_forgotten(fill, vent):
-    """A log from the middle of a run gives the bends of the whole log, within exp(-5) of their largest."""
+def test_modelled_bends_begin_when_initial_pressures_have_settled(fill, vent):
+    """A log from the middle of a run gives the bends of the whole log, up to exp(-5) of the largest."""
     spec = replace(SPEC, actuator=replace(SPEC.actuator, tau_fill=fill, tau_vent=vent))
     time = np.arange(0.0, 6.0, 0.1)
     states = np.random.default_rng(1).choice([-1.0, 1.0], (len(time), spec.segments, 2))
@@ -141,7 +142,7 @@ def test_bends_of_a_log_begin_once_its_first_pressures_are_forgotten(fill, vent)
     assert np.abs(bends - same).max() < np.exp(-5) * np.abs(all_bends).max()
 
 
-def test_valves_hold_and_become_a_schedule(tmp_path):
+def test_valve_states_hold_until_the_next_row(tmp_path):
     rows = ["0.0" + ",-1" * 8, "0.5,1" + ",-1" * 7, "0.5,1,-1,1" + ",-1" * 5, "2.0" + ",-1" * 8]
     found = log(tmp_path, "\n".join([HEAD, rows[3], *rows[:3], ""]))
     assert found.time.tolist() == [0.0, 0.5, 2.0]
@@ -153,7 +154,7 @@ def test_valves_hold_and_become_a_schedule(tmp_path):
 
 
 @pytest.mark.parametrize("full", [1.0, 100.0], ids=["shares", "percent"])
-def test_duties_fill_for_their_share_of_each_carrier_period(tmp_path, full):
+def test_valves_fill_for_the_duty_of_each_carrier_period(tmp_path, full):
     duty = np.array([0.0, 0.1, 0.25, 0.3, 0.5, 0.8, 0.95, 1.0])
     rows = [",".join(f"{each:g}" for each in (time, *(full * duty))) for time in (0.0, 2.0)]
     path = tmp_path / "duties.csv"
@@ -165,10 +166,10 @@ def test_duties_fill_for_their_share_of_each_carrier_period(tmp_path, full):
         assert (np.diff(period.astype(int), axis=0) <= 0).all()  # filling comes first
 
 
-def test_open_and_closed_are_filling_and_venting(tmp_path):
+def test_states_0_and_1_mean_venting_and_filling(tmp_path):
     found = log(tmp_path, "\n".join([HEAD, "0" + ",0" * 8, "1" + ",1,0" * 4, ""]))
     assert found.values[:, 0].tolist() == [[-1, -1], [1, -1]]
-    assert any("0 taken as venting" in each for each in found.corrections)
+    assert any("0 is read as venting" in each for each in found.corrections)
 
 
 @pytest.mark.parametrize(
@@ -179,15 +180,15 @@ def test_open_and_closed_are_filling_and_venting(tmp_path):
         ("time", "clock", "valves.csv:1: no column 'time'"),
         ("valve_plus_2", "valve_plus_1", "valves.csv:1:4: valve_plus_1: the same as column"),
         ("valve_plus_1", "valve_plus_1_kpa", "valves.csv:1:2: valve_plus_1_kpa: unit 'kpa' is not known"),
-        ("valve_plus_1", "pressure_plus_1", "is wanted (other names: --map); pressure, valve given"),
-        ("1.0,", "1.0,2,", "valves.csv:3: 10 cells where the header has 9"),
-        ("1.0,-1", "1.0,2", ":3:2: valve_plus_1: 2 is not allowed; -1 (vent), 0 (hold) or 1 (fill)"),
-        ("1.0,-1", "1.0,", "valves.csv:3:2: valve_plus_1: nothing is not allowed"),
-        ("1.0,", ",", "valves.csv:3:1: a row without a time"),
-        ("1.0,", "one,", "valves.csv:3:1: 'one' is no number"),
+        ("valve_plus_1", "pressure_plus_1", "this file has pressure, valve; give other"),
+        ("1.0,", "1.0,2,", "valves.csv:3: 10 cells, but the header has 9"),
+        ("1.0,-1", "1.0,2", ":3:2: valve_plus_1: 2 is not allowed; it must be -1 (vent), 0 (hold)"),
+        ("1.0,-1", "1.0,", "valves.csv:3:2: valve_plus_1: the value is missing"),
+        ("1.0,", ",", "valves.csv:3:1: the row has no time"),
+        ("1.0,", "one,", "valves.csv:3:1: 'one' is not a number"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_named_with_its_place(tmp_path, monkeypatch, old, new, says):
+def test_errors_of_a_log_name_their_place(tmp_path, monkeypatch, old, new, says):
     monkeypatch.chdir(tmp_path)
     good = f"{HEAD}\n0.0{',-1' * 8}\n1.0{',-1' * 8}\n"
     bad = good.replace(old, new, 1)
@@ -202,7 +203,7 @@ def test_what_is_wrong_is_named_with_its_place(tmp_path, monkeypatch, old, new, 
 
 
 def test_set_points_hold_until_the_next_row(tmp_path):
-    """A regulator keeps its set-point; measured pressures are interpolated."""
+    """A regulator holds its set point, while measured pressures are interpolated."""
     path = tmp_path / "air.csv"
     for kind, between in (("setpoint", 10e3), ("pressure", 15e3)):
         head = HEAD.replace("valve", kind).replace(",", "_kpa,").replace("time_kpa", "time") + "_kpa"

@@ -1,4 +1,4 @@
-"""References: what they ask for, their rates, where they jump, and the module's range."""
+"""References: values, rates, steps, and the range of the module."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from srs_twin.control.reference import Constant, Reference, Saturated, Sine, Square, Staircase, Step
+from srs_twin.control.reference import ClippedReference, Constant, Reference, Sine, Square, Staircase, Step
 from srs_twin.errors import InputError, UnknownNameError
 
 bends = st.floats(-1.5, 1.5)
@@ -26,24 +26,24 @@ times = np.linspace(0, 3, 3001)
 
 
 @given(references)
-def test_never_beyond_the_peak(reference):
+def test_values_never_exceed_the_peak(reference):
     values = reference.value(times)
     assert values.shape == times.shape
     assert np.abs(values).max() <= reference.peak + 1e-12
 
 
 @given(references, st.floats(0, 3))
-def test_a_number_gives_a_number_and_the_same_as_an_array(reference, time):
-    for law in (reference.value, reference.rate, reference.beyond):
+def test_numbers_and_arrays_give_the_same_values(reference, time):
+    for law in (reference.value, reference.rate, reference.is_clipped):
         assert np.ndim(law(time)) == 0
         assert law(np.array([time]))[0] == law(time)
 
 
 @given(references, st.floats(0.1, 0.9))
-def test_saturated_is_cut_and_beyond_exactly_where_it_is(reference, share):
+def test_limited_reference_is_clipped_exactly_where_it_exceeds_the_limit(reference, share):
     limit = max(share * reference.peak, 1e-3)
-    cut = reference.within(limit, "saturate")
-    wanted, values, beyond = reference.value(times), cut.value(times), cut.beyond(times)
+    cut = reference.limited(limit, "saturate")
+    wanted, values, beyond = reference.value(times), cut.value(times), cut.is_clipped(times)
     assert np.abs(values).max() <= limit == pytest.approx(cut.peak) or cut is reference
     assert (values == wanted)[~beyond].all()
     assert (np.abs(values[beyond]) == limit).all() and (np.abs(wanted[beyond]) > limit).all()
@@ -52,7 +52,7 @@ def test_saturated_is_cut_and_beyond_exactly_where_it_is(reference, share):
 
 
 @given(st.builds(Sine, positive, st.floats(0.1, 10), bends, bends))
-def test_rate_of_a_sine_is_its_difference_quotient(sine):
+def test_rate_of_a_sine_equals_its_difference_quotient(sine):
     h = 1e-5
     quotient = (sine.value(times + h) - sine.value(times - h)) / (2 * h)
     # The third derivative times h², and the rounding of values and angles over h.
@@ -62,8 +62,8 @@ def test_rate_of_a_sine_is_its_difference_quotient(sine):
     assert np.abs(sine.rate(times) - quotient).max() <= allowed
 
 
-def test_jumps_come_with_the_tick_in_spite_of_rounding():
-    """Ticks added up miss 0.3 s by rounding, to either side."""
+def test_steps_occur_at_their_tick_despite_rounding():
+    """The sum of ticks differs from 0.3 s by rounding, in either direction."""
     ticks = list(accumulate(repeat(0.001, 2000), initial=0.0))
     assert ticks[300] != 0.3
     for k in (300, 600, 900):
@@ -75,7 +75,7 @@ def test_jumps_come_with_the_tick_in_spite_of_rounding():
     assert [square.value(ticks[k]) for k in (0, 249, 250, 499, 500, 750)] == [1, 1, -1, -1, 1, -1]
 
 
-def test_staircase_stays_on_its_last_step():
+def test_staircase_keeps_its_last_level():
     assert Staircase((0.1, 0.2), 0.5).value(np.array([0.0, 0.49, 0.5, 100.0])).tolist() == [
         0.1,
         0.1,
@@ -89,30 +89,30 @@ def test_square_has_the_sign_of_its_sine():
     assert (np.sign(sine.value(times)) == square.value(times)).all()
 
 
-def test_within_the_range_nothing_changes():
+def test_references_within_the_range_are_unchanged():
     sine = Sine(0.6, 6.0)
-    assert sine.within(0.6) is sine
-    assert not sine.beyond(times).any()
+    assert sine.limited(0.6) is sine
+    assert not sine.is_clipped(times).any()
 
 
-def test_beyond_the_range_is_refused_with_both_angles():
-    with pytest.raises(InputError, match=r"asks for 45°, but the module bends at most 41.97°.*saturate"):
-        Step(math.radians(45)).within(math.radians(41.97))
+def test_the_error_for_an_exceeded_range_names_both_angles():
+    with pytest.raises(InputError, match=r"reaches 45°, but the module bends at most 41.97°.*saturate"):
+        Step(math.radians(45)).limited(math.radians(41.97))
 
 
-def test_saturating_says_so_by_type():
-    assert isinstance(Constant(1.0).within(0.5, "saturate"), Saturated)
+def test_limited_references_have_their_own_type():
+    assert isinstance(Constant(1.0).limited(0.5, "saturate"), ClippedReference)
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, math.nan, math.inf])
-def test_range_must_be_one(limit):
+def test_invalid_range_limits_are_refused(limit):
     with pytest.raises(InputError, match=r"range limit .* rad is not allowed"):
-        Constant(0.1).within(limit)
+        Constant(0.1).limited(limit)
 
 
-def test_unknown_policy_is_told_the_known_ones():
+def test_an_unknown_policy_lists_the_known_ones():
     with pytest.raises(UnknownNameError, match=r"'refused'; did you mean refuse\?"):
-        Constant(0.1).within(1.0, "refused")  # type: ignore[arg-type]
+        Constant(0.1).limited(1.0, "refused")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -128,7 +128,7 @@ def test_unknown_policy_is_told_the_known_ones():
         (lambda: Staircase((0.1,), 0.0), "hold 0.0 s is not allowed"),
     ],
 )
-def test_refuses_what_is_no_reference(make, words):
+def test_invalid_references_are_refused(make, words):
     with pytest.raises(InputError, match=words):
         make()
 

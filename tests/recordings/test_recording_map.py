@@ -1,4 +1,4 @@
-"""Recordings of anybody: names, units and places said in a map; rigid bodies; bodies of few segments."""
+"""Recording maps: names, units and places; rigid bodies; bodies with few segments."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from srs_twin.recordings.signals.logs import read_valves
 
 
 def written(path, names, points, *, time=True, scale=1.0):
-    """Write a CSV file with a column NAME_x and NAME_y of each marker."""
+    """Write a CSV file with the columns NAME_x and NAME_y for each marker."""
     columns = [",".join(f"{name}_{axis}" for axis in "xy") for name in names]
     rows = points.reshape(len(points), -1) * scale
     if time:
@@ -30,8 +30,8 @@ def noisy(points, seed=0, noise=2e-4):
     return points + noise * np.random.default_rng(seed).standard_normal(points.shape)
 
 
-def test_markers_by_anybodys_names(tmp_path):
-    """Names, unit and rate from the map; a mix of connectors and middles that no layout has."""
+def test_markers_are_assigned_by_a_map(tmp_path):
+    """The map gives names, unit and rate, for a mix of connectors and middles that is no layout."""
     truth = stretched(motion(), 0.2)
     every = markers(truth, Take(layout="head_middles"))
     chosen = [0, 1, 2, 4, 5, 6, 7, 8, 9]  # without the first connector's successor
@@ -55,12 +55,12 @@ def test_markers_by_anybodys_names(tmp_path):
     assert 0.93 < (np.abs(error) < 1.96 * stated).mean() < 0.97
     assert np.abs(found.trajectory.stack("length") - truth.stack("length")).mean() < 1e-3
     assert any("segments stretch" in each for each in found.summary.corrections)
-    assert "1 markers ignored, as the map asks" in found.summary.corrections
+    assert "1 markers ignored according to the map" in found.summary.corrections
 
 
 @pytest.mark.parametrize("layout", ["head", "pair", "middles", "head_middles"])
 @pytest.mark.parametrize("share", first_by_default(1, [0.25, 0.0]))
-def test_segments_that_stretch(tmp_path, layout, share):
+def test_segments_that_stretch_are_measured(tmp_path, layout, share):
     truth = stretched(motion(), share)
     found = recorded(tmp_path, Take(layout=layout), truth)
     error = found.trajectory.stack("bend") - truth.stack("bend")
@@ -69,7 +69,7 @@ def test_segments_that_stretch(tmp_path, layout, share):
     assert 0.9 < found.summary.markers.noise_m / 2e-4 < 1.1 or layout == "head"
 
 
-def test_one_marker_a_connector_does_not_tell_the_bends_of_a_body_that_stretches(tmp_path):
+def test_one_marker_per_connector_is_refused_for_a_body_that_stretches(tmp_path):
     with pytest.raises(InputError, match="lengths vary by .* put a second marker on the head"):
         recorded(tmp_path, Take(layout="single"), stretched(motion(), 0.25))
     recorded(tmp_path, Take(layout="head"), stretched(motion(), 0.25))
@@ -78,7 +78,7 @@ def test_one_marker_a_connector_does_not_tell_the_bends_of_a_body_that_stretches
 @pytest.mark.parametrize(
     ("segments", "layout"), [(1, "head"), (1, "middles"), (1, "pair"), (2, "middles"), (2, "head")]
 )
-def test_one_and_two_segments(tmp_path, segments, layout):
+def test_bodies_of_one_and_two_segments_are_read(tmp_path, segments, layout):
     spec = chain((0.03,) * (segments + 1))
     truth = rollout(AnalyticalSnake(spec, supply_pa=48e3), Gait(1.0, 0.1), 4.0, record_hz=RATE)
     names = [f"m{k}" for k in range(markers(truth, Take(layout=layout)).shape[1])]
@@ -88,13 +88,14 @@ def test_one_and_two_segments(tmp_path, segments, layout):
     assert 0.92 < (np.abs(error) < 1.96 * found.stack("bend_error")).mean() < 0.98
 
 
-def test_places_that_do_not_determine_the_shape_are_refused_and_the_remedy_works(tmp_path):
+def test_insufficient_markers_are_refused_and_the_remedy_works(tmp_path):
     truth = motion()
     every = noisy(markers(truth, Take(layout="head")))
     path = written(tmp_path / "x.csv", [f"m{k}" for k in range(6)], every)
     some = {f"m{k}": {"connector": k} for k in (1, 2, 3, 5)}
     with pytest.raises(
-        InputError, match="do not tell how 4 segments bend; a marker at each connector and a second"
+        InputError,
+        match="do not determine the bends of 4 segments; use a marker at each connector and a second",
     ):
         read_motion(path, SPEC, map=read_map({"markers": some}))
     whole = some | {"m4": {"connector": 4}, "m0": {"connector": 1, "side": "ahead"}}
@@ -102,27 +103,27 @@ def test_places_that_do_not_determine_the_shape_are_refused_and_the_remedy_works
 
 
 @pytest.mark.parametrize(("data", "said"), [
-    ({"markers": {"m0": {"connector": 1, "middle": 1}}}, "markers.m0: either connector or middle is wanted"),
-    ({"markers": {"m0": {}}}, "either connector or middle is wanted"),
+    ({"markers": {"m0": {"connector": 1, "middle": 1}}}, "markers.m0: give either connector or middle"),
+    ({"markers": {"m0": {}}}, "give either connector or middle"),
     ({"markers": {"m0": {"connector": 0}}}, "markers.m0"),
     ({"units": "inch"}, "units: must be one of m, cm, mm, in, ft, px, not text 'inch'"),
-    ({"log": {"valve_1": "a"}}, "log.valve_1: a log has time, carrier_hz, valve_plus_1"),
-    ({"log": {"carrier_hz": "30"}}, "log.carrier_hz: a number is wanted"),
+    ({"log": {"valve_1": "a"}}, "log.valve_1: this is not a key of a log; allowed: time, carrier_hz"),
+    ({"log": {"carrier_hz": "30"}}, "log.carrier_hz: the value must be a number"),
     ({"marker": {}}, "marker: unknown key; did you mean markers?"),
 ])  # fmt: skip
-def test_what_is_wrong_with_a_map_and_where(data, said):
+def test_errors_of_a_map_name_their_place(data, said):
     with pytest.raises(InputError) as caught:
         read_map(data)
     assert said in str(caught.value)
 
 
-def test_unknown_names_have_the_close_one(tmp_path):
+def test_unknown_names_suggest_a_similar_one(tmp_path):
     path = written(tmp_path / "x.csv", ["base", "tip"], noisy(motion().position[:, :2]))
     with pytest.raises(InputError, match="unknown marker 'bse'; did you mean base"):
         read_motion(path, SPEC, map=read_map({"markers": {"bse": {"connector": 1}}}))
 
 
-def test_options_for_one_recording_go_before_the_file(tmp_path):
+def test_options_have_precedence_over_the_map_file(tmp_path):
     path = tmp_path / "map.yaml"
     path.write_text("units: mm\nmarkers: {tip: {connector: 5}}\n")
     found = read_map(
@@ -131,7 +132,7 @@ def test_options_for_one_recording_go_before_the_file(tmp_path):
     assert found.units == "cm" and found.rate_hz is None
     assert found.markers["base"].station == (0, "ahead") and found.markers["tip"].station == (8, "")
     assert found.markers["lamp"] == "ignore"
-    with pytest.raises(InputError, match="--marker: 'base:1' is not allowed; NAME=connector 1"):
+    with pytest.raises(InputError, match="--marker: 'base:1' is not allowed; use NAME=connector 1"):
         given_map(None, {}, ["base:1"])
     assert given_map(None, {"units": None}, []) is None
 
@@ -143,7 +144,7 @@ def log_file(path, columns, rows):
     return path
 
 
-def test_logs_with_columns_of_another_name(tmp_path):
+def test_logs_with_other_column_names_are_read(tmp_path):
     names = [f"{kind}{j}" for j in range(4) for kind in ("p", "q")]
     rows = [[0.1 * k, *(10.0 * k + j for j in range(8))] for k in range(5)]
     path = log_file(tmp_path / "x.csv", ["t_ms", *names], [[1e3 * r[0], *r[1:]] for r in rows])
@@ -155,14 +156,14 @@ def test_logs_with_columns_of_another_name(tmp_path):
     found = read_valves(path, SPEC, RecordingMap(log=log))
     assert found.kind == "pressure" and found.time == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
     assert found.values[2, 1] == pytest.approx([22e3, 23e3])
-    assert "set-points taken as the chambers' pressures" in found.corrections
+    assert "set points are assumed to be the chamber pressures" in found.corrections
 
 
-def test_duties_become_valves_that_fill_for_their_share(tmp_path):
+def test_duties_are_converted_to_valve_states(tmp_path):
     names = [f"duty_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus")]
     duty = np.random.default_rng(1).uniform(0, 1, (11, 8)).round(3)
     path = log_file(tmp_path / "x.csv", ["time", *names], np.column_stack([0.2 * np.arange(11), duty]))
-    with pytest.raises(InputError, match="duties need the frequency of their carrier"):
+    with pytest.raises(InputError, match="duties need their carrier frequency"):
         read_valves(path, SPEC)
     found = read_valves(path, SPEC, RecordingMap(log={"carrier_hz": 50.0}))
     assert found.kind == "valve"
@@ -172,7 +173,7 @@ def test_duties_become_valves_that_fill_for_their_share(tmp_path):
 
 
 def test_a_rigid_body_gives_a_heading(tmp_path):
-    """A pose at each connector, mounted at any angle: bends to the noise of its rotation."""
+    """With a pose at each connector, at any angle, the error of the bends is that of the rotations."""
     from srs_twin.recordings.marker_table import MarkerTable
     from srs_twin.recordings.recording import bodies_as_pairs
 
@@ -192,7 +193,7 @@ def test_a_rigid_body_gives_a_heading(tmp_path):
 
 
 @pytest.mark.parametrize("apart", [0.0268, 0.0275, 0.029])
-def test_pairs_as_far_from_each_other_as_their_markers_are(tmp_path, apart):
+def test_pairs_with_equal_distances_are_resolved_by_their_order(tmp_path, apart):
     found = recorded(tmp_path, Take(layout="pair", apart=apart, labeled=True))
     assert found.summary.markers.layout == "pair"
     assert np.abs(found.trajectory.stack("bend") - motion().stack("bend")).max() < 0.06

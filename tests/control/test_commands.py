@@ -1,4 +1,4 @@
-"""What steers a snake from outside: the wave goes on without a jump, the supply follows, limits hold."""
+"""Commanded gaits: continuous phase, regulated supply, and limits."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ FREQUENCIES = st.floats(0.3, 4.0)
 
 
 @given(FREQUENCIES, FREQUENCIES, st.floats(0.0, 50.0), st.floats(0.0, 1.0))
-def test_another_frequency_goes_on_from_the_same_angle_at_its_own_rate(before, after, time, later):
+def test_phase_is_continuous_when_the_frequency_changes(before, after, time, later):
     gait = Gait(before)
     gait.reset(SPEC, 0.02)
-    angle, lags = gait.angle(time), np.diff(gait.lag)
+    angle, lags = gait.angle(time), np.diff(gait.phase_lag)
     gait.change_frequency(after, time)
     assert gait.angle(time) == pytest.approx(angle, abs=1e-9)
     assert gait.angle(time + later) - angle == pytest.approx(2 * math.pi * after * later, abs=1e-9)
-    assert np.diff(gait.lag) == pytest.approx(lags, abs=1e-9)
+    assert np.diff(gait.phase_lag) == pytest.approx(lags, abs=1e-9)
 
 
-def test_a_frequency_that_is_none_is_refused_and_changes_nothing():
+def test_an_invalid_frequency_is_refused_without_effect():
     gait = Gait(2.0)
     gait.reset(SPEC, 0.02)
     for frequency in (0.0, -1.0, math.nan, math.inf):
@@ -41,7 +41,7 @@ def test_a_frequency_that_is_none_is_refused_and_changes_nothing():
     assert gait.frequency == 2.0 and gait.angle(1.0) == pytest.approx(4 * math.pi)
 
 
-def test_chambers_fill_to_what_the_supply_is_regulated_to():
+def test_chambers_fill_to_the_regulated_supply_pressure():
     chambers = make_pneumatics("lag", SPEC, supply_pa=60e3, layout="3/2")
     fill = np.full((SPEC.segments, 2), 1, dtype=np.int8)
     told = []
@@ -52,7 +52,7 @@ def test_chambers_fill_to_what_the_supply_is_regulated_to():
     assert told == pytest.approx([60e3, 30e3, 45e3], rel=1e-6)
 
 
-def test_regulated_chambers_are_those_made_for_that_pressure_bit_for_bit():
+def test_regulated_chambers_equal_chambers_made_for_that_pressure():
     made = make_pneumatics("lag", SPEC, supply_pa=45e3, layout="3/2")
     regulated = make_pneumatics("lag", SPEC, supply_pa=60e3, layout="3/2")
     regulated.set_supply_pressure(45e3)
@@ -66,7 +66,7 @@ def test_regulated_chambers_are_those_made_for_that_pressure_bit_for_bit():
         assert (traces[0].pressure == traces[1].pressure).all() and (traces[0].air == traces[1].air).all()
 
 
-def test_a_supply_that_cannot_be_is_refused():
+def test_invalid_supply_pressures_are_refused():
     for kind in ("lag", "orifice"):
         chambers = make_pneumatics(kind, SPEC, supply_pa=60e3, layout="3/2")
         for pressure in (-1.0, 60.1e3, math.nan):
@@ -77,7 +77,7 @@ def test_a_supply_that_cannot_be_is_refused():
         log.set_supply_pressure(1e3)
 
 
-def test_a_command_takes_effect_on_gait_and_supply():
+def test_a_command_changes_gait_and_supply():
     twin = TwinSnake(SPEC, supply_pa=55e3)
     gait = CommandedGait(SPEC, twin.tick, twin.pneumatics, GaitCommand(0.0, 1.0, 41e3))
     highest = []
@@ -92,12 +92,12 @@ def test_a_command_takes_effect_on_gait_and_supply():
     assert float(state.heading) > 1.0
 
 
-def test_limits_are_the_texts_and_hold_each_part():
-    limits = GaitLimits.of(SPEC)
+def test_limits_are_those_of_the_dissertation_and_clip_every_parameter():
+    limits = GaitLimits.for_robot(SPEC)
     assert limits.offset == (-0.4, 0.4) and limits.frequency == (1.0, 2.0)
     # Section 3.4.2: 41 to 55 kPa.
     assert limits.pressure == (pytest.approx(41e3, rel=0.01), pytest.approx(55e3, rel=0.01))
     assert limits.clipped(GaitCommand(-1.0, 9.0, 0.0)) == GaitCommand(-0.4, 2.0, limits.pressure[0])
     for name in ("gen1", "gen3", "gen4"):
         spec = robot(name)
-        assert GaitLimits.of(spec).pressure[1] <= spec.supply.pulsed_limit
+        assert GaitLimits.for_robot(spec).pressure[1] <= spec.supply.pulsed_limit

@@ -1,4 +1,4 @@
-"""Iterative learning (Eq. 32) on perfect modules, on broken ones, and on the analytical plant."""
+"""Iterative learning (Eq. 32) with perfect modules, with faulty ones, and on the analytical plant."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SLOTS = 0.007  # of a duty: pulses are a slot of 0.1 ms long or short, 60 times 
 @pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(gains, offsets, st.floats(0.1, 0.6))
-def test_the_error_shrinks_by_1_less_k_c_a_period(gain, offset, k):
+def test_each_update_multiplies_the_error_by_1_minus_k_c(gain, offset, k):
     run = Run(ILC(1.0, offset, target=0.7, k=k), gain).go(11)
     smaller = 0.7 - abs(offset)  # 0.7 rad at 0, 0.4 rad at 0.3
     target = np.array([0.7, smaller] if offset >= 0 else [smaller, 0.7])
@@ -47,17 +47,17 @@ def test_the_error_shrinks_by_1_less_k_c_a_period(gain, offset, k):
 @pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(gains)
-def test_the_smallest_amplitude_is_the_target_of_all(gain):
+def test_the_smallest_amplitude_becomes_the_target(gain):
     run = Run(ILC(1.0), gain).go(16)
     assert run.amplitudes()[-1] == pytest.approx(gain.min(), abs=0.05 * gain.min())
     (text,) = run.event_texts("target")
     weakest = gain.min(axis=1).argmin() + 1
     assert text == f"target {gain.min():.4g} rad, the smallest amplitude recorded (segment {weakest})"
-    # Two free periods, the third recorded: nothing changes before 3.5 periods are over.
+    # Two periods are free and the third is recorded, so nothing changes in the first 3.5 periods.
     assert (np.array(run.duty)[: round(3.49 / TICK)] == 1).all()
 
 
-def test_any_error_is_told_of_once_a_period():
+def test_the_largest_error_is_reported_once_per_period():
     run = Run(ILC(1.0, target=0.7), 1.2).go(12)
     assert len(run.event_texts("ilc_update")) == 9
     assert run.event_texts("ilc_update")[0].startswith(
@@ -66,7 +66,7 @@ def test_any_error_is_told_of_once_a_period():
     assert run.event_texts("converged") == ["all amplitudes are within 5 % of their targets"]
 
 
-def test_steering_while_it_runs_moves_the_targets_alone():
+def test_steering_during_a_run_changes_the_targets_only():
     run = Run(ILC(1.0, target=0.7), 1.2).go(10)
     run.controller.offset = -0.15
     run.go(10)
@@ -77,7 +77,7 @@ def test_steering_while_it_runs_moves_the_targets_alone():
     assert len(run.event_texts("converged")) == 3
 
 
-def test_one_clock_for_all_chambers_converges_too():
+def test_a_common_period_converges_too():
     gain = np.linspace(1.0, 1.4, 2 * SEGMENTS).reshape(SEGMENTS, 2)
     run = Run(ILC(1.0, target=0.7, clock="common"), gain).go(16)
     assert (np.array(run.controller.describe()["fill_begins_s"]) == 0).all()
@@ -101,10 +101,10 @@ def gait_valves(offset: float, ticks: range) -> list[np.ndarray]:
 
 @settings(max_examples=10, deadline=None)
 @given(offsets, offsets)
-def test_at_full_duty_the_valves_are_those_of_eq_13_with_the_offset_or_without(before, after):
+def test_full_duties_give_the_valves_of_eq_13_with_and_without_offset(before, after):
     for steering, seen in (("targets_and_wave", (before, after)), ("targets", (0.0, 0.0))):
         controller = ILC(1.0, before, target=0.7, steering=steering, free_periods=50)
-        # As sensors at work read: others would be found dead, and their modules vented.
+        # Readings must vary; otherwise the sensors are detected as dead and the modules are vented.
         rows = np.tile(0.7 * np.sin(2 * np.pi * TICK * np.arange(300))[:, None], SEGMENTS)
         valves = valves_of(controller, rows[:150])
         controller.offset = after
@@ -114,7 +114,7 @@ def test_at_full_duty_the_valves_are_those_of_eq_13_with_the_offset_or_without(b
 
 
 @pytest.mark.parametrize("offset", [0.3, -0.1])
-def test_clocks_begin_with_the_fills_of_the_wave_that_is_offset(offset):
+def test_periods_begin_with_the_fills_of_the_steered_wave(offset):
     begins = np.array(Run(ILC(1.0, offset, **ON_WAVE)).controller.describe()["fill_begins_s"])
     slots = np.concatenate(gait_valves(offset, range(300)))
     for j, side in np.ndindex(SEGMENTS, 2):
@@ -125,7 +125,7 @@ def test_clocks_begin_with_the_fills_of_the_wave_that_is_offset(offset):
 
 
 @pytest.mark.parametrize("clock", ["chamber", "common"])
-def test_the_targets_are_reached_on_the_wave_that_is_offset_too(clock):
+def test_targets_are_reached_with_a_steered_wave(clock):
     run = Run(ILC(1.0, 0.3, clock=clock, **ON_WAVE), 1.2).go(16)
     assert run.amplitudes()[-1] == pytest.approx(np.tile([0.7, 0.4], (SEGMENTS, 1)), abs=0.02)
     run.controller.offset = -0.3
@@ -155,7 +155,7 @@ def state(tick: int, sensed: np.ndarray) -> Any:
     st.sampled_from([1, 17, 80]),
     st.sampled_from(["go_on", "stop"]),
 )
-def test_whatever_is_sensed_duties_stay_within_0_and_1(rows, target, offset, hold, on_fault):
+def test_any_readings_keep_duties_within_0_and_1(rows, target, offset, hold, on_fault):
     controller = ILC(2.5, offset, target=target, k=3.0, on_fault=on_fault)
     controller.reset(chain((0.03,) * (SEGMENTS + 1)), TICK)
     for k, row in enumerate(np.repeat(rows, hold, axis=0)):
@@ -178,7 +178,7 @@ def test_whatever_is_sensed_duties_stay_within_0_and_1(rows, target, offset, hol
     st.sampled_from(["smallest", 0.5]),
     st.sampled_from(STEERINGS),
 )
-def test_the_mirror_image_exchanges_the_chambers(rows, offset, frequency, target, steering):
+def test_mirrored_readings_swap_the_chambers(rows, offset, frequency, target, steering):
     rows = np.repeat(rows, 10, axis=0)
     left = valves_of(ILC(frequency, offset, target=target, steering=steering), rows)
     right = valves_of(ILC(frequency, -offset, target=target, steering=steering, phase=math.pi), -rows)
@@ -189,7 +189,7 @@ def test_the_mirror_image_exchanges_the_chambers(rows, offset, frequency, target
 
 
 @pytest.mark.parametrize("periods", [14, 60])
-def test_a_module_that_cannot_reach_its_target_stays_at_1_and_leaves_it_at_once(periods):
+def test_a_saturated_duty_leaves_its_bound_immediately(periods):
     gain = np.full((SEGMENTS, 2), 1.3)
     gain[1] = 0.4
     run = Run(ILC(1.0, target=0.7), gain).go(periods)
@@ -200,7 +200,8 @@ def test_a_module_that_cannot_reach_its_target_stays_at_1_and_leaves_it_at_once(
     assert run.event_texts("fault") == [] and run.event_texts("converged") == []
     run.modules.gain[1] = 1.0
     run.go(3)
-    # The first whole period with the new gain is 0.3 rad too wide, however long the duty was at its bound.
+    # The amplitude of the first period with the new gain is 0.3 rad too large, regardless of the time in
+    # saturation.
     assert run.duty[-1][1].max() <= 1 - 0.3 * 0.3 + SLOTS
     assert "segment 2, + chamber: duty no longer saturated" in run.event_texts("saturation")
 
@@ -212,7 +213,7 @@ def test_a_module_that_cannot_reach_its_target_stays_at_1_and_leaves_it_at_once(
 @pytest.mark.parametrize("target", ["smallest", 0.7])
 @pytest.mark.parametrize("how", ["open", "shut"])
 @pytest.mark.parametrize(("segment", "side"), [(0, 0), (2, 1), (3, 0)])
-def test_a_stuck_valve_is_named_and_the_others_converge(segment, side, how, target):
+def test_a_stuck_valve_is_detected_and_the_other_segments_converge(segment, side, how, target):
     gain = 1.0 + 0.2 * np.linspace(0, 1, 2 * SEGMENTS).reshape(SEGMENTS, 2)
     run = Run(ILC(1.0, target=target), gain)
     run.modules.stuck[segment, side] = how
@@ -227,7 +228,7 @@ def test_a_stuck_valve_is_named_and_the_others_converge(segment, side, how, targ
     assert np.isnan(run.controller.signals()["target_plus"][segment])
 
 
-def test_a_valve_that_sticks_later_is_found_too():
+def test_a_valve_that_sticks_during_learning_is_detected():
     run = Run(ILC(1.0, target=0.7), 1.2).go(10)
     run.modules.stuck[1, 1] = "open"
     run.go(12)
@@ -245,7 +246,7 @@ def test_a_valve_that_sticks_later_is_found_too():
         (1e9, "all readings of a period are lost"),
     ],
 )
-def test_a_dead_sensor_is_named(says, what, from_period):
+def test_a_dead_sensor_is_detected(says, what, from_period):
     run = Run(ILC(1.0, target="smallest"), 1.2)
     run.sensor = lambda time, bend: np.where((np.arange(4) == 2) & (time >= from_period), says, bend)
     run.go(20)
@@ -253,7 +254,7 @@ def test_a_dead_sensor_is_named(says, what, from_period):
     assert (run.duty[-1][2] == 0).all() and len(run.event_texts("converged")) == 1
 
 
-def test_a_sensor_that_loses_some_readings_still_teaches():
+def test_learning_continues_with_some_lost_readings():
     rng = np.random.default_rng(3)
     run = Run(ILC(1.0, target=0.7), 1.2)
     run.sensor = lambda time, bend: np.where(rng.random(4) < 0.2, math.nan, bend)
@@ -262,8 +263,8 @@ def test_a_sensor_that_loses_some_readings_still_teaches():
     assert run.controller.duties.value == pytest.approx(0.7 / 1.2, rel=0.05)
 
 
-def test_what_is_dragged_along_is_no_stuck_valve():
-    """A swing that the segment's own chambers do not cause is found to rest straight, and work goes on."""
+def test_a_loaded_segment_is_not_reported_as_a_stuck_valve():
+    """A segment that is moved by its load rests straight in the test and continues to work."""
     run = Run(ILC(1.0, target=0.3), 1.2)
     run.sensor = lambda time, bend: bend - [0.0, 0.6 * math.sin(2 * math.pi * time), 0.0, 0.0]
     run.go(25)
@@ -272,7 +273,7 @@ def test_what_is_dragged_along_is_no_stuck_valve():
     assert np.delete(run.duty[-1], 1, axis=0) == pytest.approx(0.25, rel=0.05)
 
 
-def test_stop_ends_the_run_once_a_fault_is_named():
+def test_option_stop_ends_the_run_at_a_detected_fault():
     run = Run(ILC(1.0, on_fault="stop"), 1.2)
     run.modules.stuck[0, 0] = "shut"
     run.go(4)
@@ -286,7 +287,7 @@ def test_stop_ends_the_run_once_a_fault_is_named():
 
 
 class StuckValve(LagPneumatics):
-    """One valve that stays as it is, whatever is commanded."""
+    """Valve that keeps its state for any command."""
 
     def effective_schedule(self, schedule: Schedule) -> Schedule:
         states = schedule.states.copy()
@@ -297,7 +298,7 @@ class StuckValve(LagPneumatics):
 
 
 class DeadSensor(Sensor):
-    """Says 0.2 rad of the second segment for ever."""
+    """Sensor whose reading of the second segment is always 0.2 rad."""
 
     kind = "dead"
 
@@ -312,7 +313,7 @@ def snake(**changes: Any) -> AnalyticalSnake:
 
 
 @pytest.mark.parametrize(("stays", "how"), [(1, "open"), (-1, "shut")])
-def test_the_plant_with_a_stuck_valve(stays, how):
+def test_a_stuck_valve_of_the_plant_is_detected(stays, how):
     chambers = StuckValve(load_robot("gen4"), supply_pa=131_000, layout="3/2")
     chambers.stays = stays
     run = rollout(snake(pneumatics=chambers), ILC(1.0, target=0.7, on_fault="stop"), 12.0)
@@ -321,7 +322,7 @@ def test_the_plant_with_a_stuck_valve(stays, how):
     assert run.time[-1] < 8.0 and run.events[-1].kind == "fault"
 
 
-def test_the_plant_with_a_dead_sensor_goes_on_without_the_module():
+def test_the_plant_continues_without_a_module_with_a_dead_sensor():
     run = rollout(snake(sensor=DeadSensor()), ILC(1.0), 12.0)
     assert run.metadata["control"]["faults"] == ["segment 2: sensor dead, readings stay within 0.02 rad"]
     assert run.metadata["ended_by"] is None and run.time[-1] == pytest.approx(12.0)
@@ -329,8 +330,8 @@ def test_the_plant_with_a_dead_sensor_goes_on_without_the_module():
 
 
 @pytest.mark.parametrize("frequency", [1.0, 1.7])
-def test_full_duty_is_the_plain_gait(frequency):
-    """Nothing that is out of reach changes a duty; then the runs are equal to the last bit."""
+def test_full_duties_equal_the_open_loop_gait(frequency):
+    """An unreachable target keeps all duties at 1, and the runs are equal to the last bit."""
     ilc = rollout(AnalyticalSnake(load_robot("gen4")), ILC(frequency, target=1.5), 6.0)
     # `until` keeps the gait from running as one script.
     gait = rollout(AnalyticalSnake(load_robot("gen4")), Gait(frequency), 6.0, until=lambda _: False)
@@ -343,7 +344,7 @@ def test_full_duty_is_the_plain_gait(frequency):
 
 
 @pytest.mark.parametrize("offset", [0.31, -0.4, math.nan, math.inf])
-def test_refuses_offsets_without_targets(offset):
+def test_offsets_without_targets_are_refused(offset):
     words = "ilc offset .* is not allowed; it must lie between -0.3 and 0.3"
     with pytest.raises(InputError, match=words):
         ILC(1.0, offset)
@@ -362,22 +363,22 @@ def test_refuses_offsets_without_targets(offset):
         ({"target": "largest"}, "target 'largest'"),
         ({"k": -0.3}, "ilc k -0.3 is not allowed"),
         ({"carrier_hz": math.inf}, "ilc carrier_hz inf is not allowed"),
-        ({"carrier_hz": 7.0}, "carrier_hz 7 gives a fill at 1 Hz fewer than 4 pulses; 8 Hz or more would do"),
+        ({"carrier_hz": 7.0}, "carrier_hz 7 gives fewer than 4 pulses per fill at 1 Hz; use 8 Hz or more"),
         ({"free_periods": 0}, "ilc free_periods 0 is not allowed; it must be 1 or more"),
         ({"on_fault": "pause"}, "on_fault 'pause'"),
         ({"clock": "wall"}, "clock 'wall'"),
         ({"steering": "wave"}, "steering 'wave'"),
     ],
 )
-def test_refuses_what_makes_no_sense(arguments, words):
+def test_invalid_arguments_are_refused(arguments, words):
     with pytest.raises((InputError, UnknownNameError), match=words):
         ILC(**({"frequency": 1.0} | arguments))
 
 
-def test_refuses_ticks_that_see_too_little_of_a_period():
+def test_ticks_with_too_few_readings_per_period_are_refused():
     controller = ILC(7.0, carrier_hz=60.0)
     words = (
-        "a gait of 7 Hz has fewer than 8 readings a period with the tick 0.02 s; a tick of 0.01786 s or less"
+        "a gait of 7 Hz has fewer than 8 readings per period at a tick of 0.02 s; use at most 0.01786 s, or"
     )
     with pytest.raises(InputError, match=words):
         controller.reset(load_robot("gen4"), 0.02)

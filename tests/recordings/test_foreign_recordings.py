@@ -1,4 +1,4 @@
-"""A lab's own files through replay and fits: a ROS 2 bag, and CSV files with names of somebody else."""
+"""Replays and fits of foreign files: a ROS 2 bag, and CSV files with other column names."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SIDES = ("plus", "minus")
 
 
 def valves():
-    """Return the valves of the motion on its frames, shape (frames, segments, 2)."""
+    """Return the valve states on the frames of the motion, shape (frames, segments, 2)."""
     truth = motion()
     return np.stack([truth.stack(f"valve_{side}") for side in SIDES], axis=-1)
 
@@ -34,7 +34,7 @@ def seen():
 
 
 def bag(path):
-    """Write a bag: a pose of each connector, mounted at any angle, and the valves as JSON."""
+    """Write a bag with a pose of each connector, mounted at any angle, and the valves as JSON."""
     truth, random, states = motion(), np.random.default_rng(5), valves()
     name = "geometry_msgs/msg/PoseStamped"
     with path.open("wb") as stream:
@@ -69,7 +69,7 @@ NAMED = {
 
 
 def leds(folder):
-    """Write the markers in cm and the valves under names of a lab, clocks apart."""
+    """Write the markers in cm and the valves with other names and another clock."""
     head = ["Time (s)", *(f"{name} {axis}" for name in LEDS for axis in "XY")]
     rows = np.column_stack([motion().time, 100 * seen().reshape(len(motion()), -1)])
     (folder / "leds.csv").write_text(
@@ -91,7 +91,7 @@ def run(words):
 
 @pytest.fixture(scope="module")
 def replayed(tmp_path_factory):
-    """A folder with runs of the same walk from a Motive export, a bag and files of a lab."""
+    """Return a folder with replays of one run from a Motive export, a bag and foreign CSV files."""
     folder = tmp_path_factory.mktemp("lab")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -114,7 +114,7 @@ def replayed(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", ["take", "walk", "leds"])
-def test_the_body_is_the_motion_and_its_errors_hold(replayed, name):
+def test_the_motion_is_recovered_within_its_errors(replayed, name):
     found = Trajectory.from_parquet(replayed / f"runs/{name}/measured.parquet")
     rows = np.rint((found.time - found.time[0]) * RATE).astype(int)
     truth = motion().stack("bend")
@@ -125,7 +125,7 @@ def test_the_body_is_the_motion_and_its_errors_hold(replayed, name):
 
 
 @pytest.mark.parametrize("name", ["walk", "leds"])
-def test_plants_beside_it_are_as_near_as_beside_a_motive_export(replayed, name):
+def test_plants_differ_as_little_as_from_a_motive_export(replayed, name):
     known, found = (
         json.loads((replayed / f"runs/{each}/metrics.json").read_text())["plants"] for each in ("take", name)
     )
@@ -143,7 +143,7 @@ def test_a_replay_of_foreign_files_runs_again_from_its_scenario(replayed, monkey
     assert one["plants"]["twin"]["com_speed_m_s"] == two["plants"]["twin"]["com_speed_m_s"]
 
 
-def test_a_bag_is_fitted(replayed, monkeypatch, capsys):
+def test_a_bag_can_be_fitted(replayed, monkeypatch, capsys):
     monkeypatch.chdir(replayed)
     words = [
         "--robot",

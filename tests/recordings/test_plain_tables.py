@@ -1,4 +1,4 @@
-"""Plain tables of other programs: separators, decimal marks, comments, no names, times since 1970."""
+"""Plain tables of other programs: separators, decimal marks, comments, missing names, times since 1970."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def frame():
 
 
 def check(path, digits, scale=1.0, **given):
-    """Compare a file with the motion: rate, duration, count, positions to half the last digit."""
+    """Compare a file with the motion: rate, duration, count, and positions to half the last digit."""
     table = read_markers(path, **given)
     grid = frame_grid(table.time)
     assert len(table.time) == FRAMES and table.time[0] == 0
@@ -71,7 +71,7 @@ CLOCKS = {
     ("separator", "decimal"), [(",", "."), (";", ","), (";", "."), ("\t", ","), ("\t", "."), ("|", ".")]
 )
 @pytest.mark.parametrize("index", [True, False])
-def test_files_of_pandas(tmp_path, clock, separator, decimal, index):
+def test_tables_of_pandas_are_read(tmp_path, clock, separator, decimal, index):
     name, time = CLOCKS[clock]
     table = frame()
     table.insert(0, name, time)
@@ -96,7 +96,7 @@ def test_files_of_pandas(tmp_path, clock, separator, decimal, index):
 
 @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
 def test_times_since_1970_keep_their_resolution(tmp_path, unit):
-    """Steps of one unit in the last digit at 1.7e9 s come back exactly."""
+    """Steps of one unit in the last digit at 1.7e9 s are recovered exactly."""
     factor = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[unit]
     steps_ns = np.cumsum(np.random.default_rng(1).integers(9_900_000, 10_100_000, FRAMES))
     lines = []
@@ -156,7 +156,7 @@ COLUMNS = ("time", *NAMES)
     ],
     ids=range(21),
 )
-def test_layouts_are_found_or_given(tmp_path, content, dialect):
+def test_layouts_are_detected_or_given(tmp_path, content, dialect):
     path = tmp_path / "x.csv"
     path.write_text(content, encoding="utf-8", newline="")
     check(path, 6, dialect=Dialect(**dialect))
@@ -169,22 +169,28 @@ def test_layouts_are_found_or_given(tmp_path, content, dialect):
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        (text(header=False), ":1: 16 numbers and no names of columns: give --columns time,x_1,y_1,…"),
-        (text(";", ",", header=False), ":1: 16 numbers and no names of columns: give --columns"),
-        (text(comments="# a\n", header=False), ":2: 16 numbers and no names"),
-        (text(",", ","), ":2: 32 cells where the header has 16"),
-        (text(";", ".").replace("0.030000", "1,030.5"), "may be decimal or of thousands: give --decimal"),
-        ("time;x_1;y_1\n" + "1,500;2,250;3,125\n" * 20, "may be decimal or of thousands: give --decimal"),
-        ("time,x_1,y_1\n1,5;2,5;3,5\n", ":2: 4 cells where the header has 3"),
+        (text(header=False), ":1: 16 numbers but no names of columns; give --columns time,x_1,y_1,…"),
+        (text(";", ",", header=False), ":1: 16 numbers but no names of columns; give --columns"),
+        (text(comments="# a\n", header=False), ":2: 16 numbers but no names"),
+        (text(",", ","), ":2: 32 cells, but the header has 16"),
+        (
+            text(";", ".").replace("0.030000", "1,030.5"),
+            "may be decimal marks or separate thousands: give --decimal",
+        ),
+        (
+            "time;x_1;y_1\n" + "1,500;2,250;3,125\n" * 20,
+            "may be decimal marks or separate thousands: give --decimal",
+        ),
+        ("time,x_1,y_1\n1,5;2,5;3,5\n", ":2: 4 cells, but the header has 3"),
         (text().replace("c2_x", "c1_x"), "c1_x: two columns have this name"),
         (
             text().replace("0.030000", '"0,030000"'),
-            "is no number; a number or nothing is wanted, --decimal ',' for",
+            "is not a number; give a number or leave the cell empty, or use --decimal ',' for",
         ),
     ],
     ids=range(9),
 )
-def test_what_is_ambiguous_is_refused_with_the_remedy(tmp_path, content, says):
+def test_ambiguous_tables_are_refused_with_a_remedy(tmp_path, content, says):
     path = tmp_path / "x.csv"
     path.write_text(content)
     with pytest.raises(InputError) as refused:
@@ -192,7 +198,7 @@ def test_what_is_ambiguous_is_refused_with_the_remedy(tmp_path, content, says):
     assert says in str(refused.value)
 
 
-def test_options_of_the_command(tmp_path, monkeypatch, capsys):
+def test_layout_options_of_the_command(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "x.csv").write_text(text(";", ",", header=False))
     words = ["inspect", "x.csv", "--columns", ",".join(COLUMNS), "--separator", ";", "--decimal", ","]
@@ -207,12 +213,14 @@ def test_options_of_the_command(tmp_path, monkeypatch, capsys):
     assert left.value.code == 0 and "60 frames, 100 Hz" in capsys.readouterr().out
 
 
-def test_names_apply_to_files_without_names_only(tmp_path):
+def test_given_names_apply_only_to_files_without_names(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("time,valve_plus_1,valve_minus_1\n0,1,0\n1,0,1\n")
     found = read_valves(path, MODULE, read_map({"columns": ["time", "x_1", "y_1"]}))
     assert found.values[0, 0].tolist() == [1, -1]
-    assert "columns are named by the file: those of --columns or the map are not used" in found.corrections
+    assert (
+        "the file names its columns: the names of --columns or of the map are not used" in found.corrections
+    )
     path.write_text("0;1;0\n1,5;0;1\n")
     found = read_valves(path, MODULE, read_map({"columns": ["time", "valve_plus_1", "valve_minus_1"]}))
     assert found.time.tolist() == [0.0, 1.5]
@@ -241,7 +249,7 @@ def test_names_apply_to_files_without_names_only(tmp_path):
         "c9_{}_err",
     ],
 )
-def test_rotations_and_rates_are_no_markers(tmp_path, names):
+def test_rotations_and_rates_are_not_markers(tmp_path, names):
     more = [names.format(axis) for axis in "xyz"] + ["roll"]
     assert not axis_columns(more)
     table = frame()
@@ -255,7 +263,7 @@ def test_rotations_and_rates_are_no_markers(tmp_path, names):
     assert f"4 columns not used: {', '.join(more)}" in found.corrections
 
 
-def test_markers_called_like_none_stay_markers():
+def test_markers_with_unusual_names_are_kept():
     names = [f"{name}_{axis}" for name in ("Motor", "rotor", "accu") for axis in "xy"]
     names += ["x_arm", "y_arm", "c1_xmm", "c1_ymm", "c2 X [cm]", "c2 Y [cm]", "c3[x] (mm)", "c3[y] (mm)"]
     found = axis_columns(names)
@@ -270,7 +278,7 @@ VALVES = "time,valve_plus_1,valve_minus_1\n"
     ("unit", "name"),
     [(1, "time"), (1e3, "time"), (1e6, "t"), (1e9, "timestamp"), (1e3, "time_ms"), (1e9, "stamp [ns]")],
 )
-def test_logs_with_times_since_1970(tmp_path, unit, name):
+def test_logs_with_times_since_1970_are_read(tmp_path, unit, name):
     path = tmp_path / "log.csv"
     rows = [
         f"{round((1_700_000_000 + 0.5 * k) * unit) if unit > 1 else 1.7e9 + 0.5 * k},{k % 2},0\n"
@@ -291,7 +299,7 @@ def test_logs_with_times_since_1970(tmp_path, unit, name):
         [5e9 + k for k in range(20)],
     ],
 )
-def test_counters_are_not_taken_as_times_since_1970(tmp_path, times):
+def test_counters_are_not_times_since_1970(tmp_path, times):
     path = tmp_path / "log.csv"
     path.write_text(VALVES + "".join(f"{t:.0f},1,0\n" for t in times))
     with pytest.raises(InputError, match="is the unit right"):
@@ -304,7 +312,7 @@ def captured(tmp_path_factory):
 
 
 def since_1970(start, end, origin):
-    """Return a log of the motion's valves on a clock that counts from 1970."""
+    """Return a log of the valves of the motion with times since 1970."""
     head, *rows = valve_csv(motion(), start, end, 0.0).splitlines()
     cut = [row.split(",", 1) for row in rows]
     return "\n".join([head, *(f"{origin + float(time):.3f},{rest}" for time, rest in cut), ""])
@@ -321,11 +329,11 @@ def test_times_since_1970_in_both_files_give_the_offset(tmp_path, captured):
         about = joined.trajectory.metadata["valve_log"]
         assert about["offset_s"] == pytest.approx(expected, abs=1e-6) and not about["offset_estimated"]
         assert any("from times since 1970 in both files" in each for each in joined.summary.corrections)
-    # Clocks that are an hour apart: the bends tell.
+    # The clocks differ by an hour, so the bends determine the offset.
     path.write_text(since_1970(0.0, 4.0, 1_700_003_600))
     joined = join(body, read_valves(path, SPEC), SPEC)
     assert joined.trajectory.metadata["valve_log"]["offset_estimated"]
-    assert any("3600 s away: these are not used" in each for each in joined.summary.corrections)
+    assert any("differ by 3600 s" in each for each in joined.summary.corrections)
 
 
 def test_epoch_of_a_motion_is_kept(tmp_path):
@@ -340,7 +348,7 @@ def test_epoch_of_a_motion_is_kept(tmp_path):
     assert found.trajectory.time[0] == pytest.approx(0)
 
 
-def test_positions_in_pixels_are_scaled_or_their_scale_is_asked_for(tmp_path):
+def test_positions_in_pixels_need_a_scale(tmp_path):
     path = tmp_path / "video.csv"
     rows = "".join(f"{k / 50},{10 + k},20,{110 + k},20\n" for k in range(50))
     path.write_text("time,a_x,a_y,b_x,b_y\n" + rows)

@@ -1,4 +1,4 @@
-"""Modules that differ under learning, on both plants: straight, along a curve, and with one that broke."""
+"""Iterative learning with unequal modules on both plants: straight, along a curve, and with a fault."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _RUNS: dict[str, Trajectory] = {}
 def run(
     plant: str, *, seed: int = 3, seconds: float = 18, faults: tuple[Any, ...] = (), **more: Any
 ) -> Trajectory:
-    """Return a run at 1 Hz and 131 kPa with gains that spread by 15 %, a carrier of 120 Hz unless told."""
+    """Return a run at 1 Hz and 131 kPa with gains that vary by 15 %, by default with a carrier of 120 Hz."""
     control = {"kind": "ilc", "frequency_hz": 1.0, "target_rad": 0.7, "carrier_hz": 120.0} | more.pop(
         "control", {}
     )
@@ -38,7 +38,7 @@ def run(
 @pytest.mark.slow
 @both
 @pytest.mark.parametrize("seed", [3, 12])
-def test_what_curls_open_loop_goes_straight(plant, seed):
+def test_learning_straightens_a_snake_with_unequal_modules(plant, seed):
     found = plant_metrics(run(plant, seed=seed))
     assert found["path_bend_before_per_m"] > 0.5
     assert found["periods_to_converge"] <= 12
@@ -47,7 +47,7 @@ def test_what_curls_open_loop_goes_straight(plant, seed):
 
 @pytest.mark.slow
 @both
-def test_an_unequal_snake_keeps_a_constant_curve(plant):
+def test_a_steered_snake_with_unequal_modules_has_a_constant_curvature(plant):
     found = plant_metrics(run(plant, control={"offset": -0.3}))
     assert found["periods_to_converge"] <= 12 and found["path_radius_spread_rel"] < 0.05
     assert -0.6 < found["path_radius_m"] < -0.35
@@ -55,13 +55,13 @@ def test_an_unequal_snake_keeps_a_constant_curve(plant):
 
 @pytest.mark.slow
 @both
-def test_drifted_sensors_leave_a_curvature_of_their_own_size(plant):
-    """What is learnt is what the sensors say: all are content, and the path bends by their error."""
+def test_curvature_error_is_that_of_the_drifted_sensors(plant):
+    """Amplitudes converge for the sensor readings, and the error of the sensors curves the path."""
     found = plant_metrics(
         run(plant, modules={"gain_spread": 0.0, "sensor_bias_rad": [0.05, 0.05, 0.05, 0.05]})
     )
     assert found["periods_to_converge"] <= 12
-    # Bends that lie 0.05 rad to the right of where they are thought: 0.2 rad over a body of 0.3 m.
+    # Bends are 0.05 rad to the right of their readings: 0.2 rad over a body of 0.3 m.
     assert -1.0 < found["path_curvature_per_m"] < -0.2
 
 
@@ -77,7 +77,7 @@ def test_drifted_sensors_leave_a_curvature_of_their_own_size(plant):
     ids=["shut", "open", "lost", "frozen"],
 )
 @pytest.mark.slow
-def test_what_breaks_is_named_and_the_others_go_on(plant, fault, named):
+def test_faults_are_detected_and_the_other_modules_continue(plant, fault, named):
     found = run(plant, seconds=16, faults=({"segment": 2, "from_s": 6.0} | fault,))
     told = [event.text for event in found.events if event.kind == "fault"]
     assert told == [f"segment 2: {named}"]
@@ -88,7 +88,7 @@ def test_what_breaks_is_named_and_the_others_go_on(plant, fault, named):
 
 
 @both
-def test_a_fault_ends_the_run_where_that_was_asked_for(plant):
+def test_a_fault_ends_the_run_with_option_stop(plant):
     fault = {"kind": "dead_sensor", "segment": 3, "from_s": 4.0}
     found = run(plant, faults=(fault,), control={"on_fault": "stop"})
     assert found.metadata["ended_by"] == "controller" and found.time[-1] < 7
@@ -97,7 +97,7 @@ def test_a_fault_ends_the_run_where_that_was_asked_for(plant):
 
 @pytest.mark.slow
 @both
-def test_a_module_that_is_too_weak_keeps_a_bounded_duty_and_the_rest_converge(plant):
+def test_a_weak_module_saturates_and_the_others_converge(plant):
     weak = [[1.0, 1.0], [0.25, 1.0], [1.0, 1.0], [1.0, 1.0]]
     found = run(plant, modules={"gain": weak, "gain_spread": 0.0}, seconds=14)
     metrics = plant_metrics(found)

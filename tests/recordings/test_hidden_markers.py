@@ -6,13 +6,13 @@ import numpy as np
 
 from srs_twin import load_robot
 from srs_twin.recordings.body.markers import robot_markers
-from srs_twin.recordings.body.shape import Marks, fit_shape
-from srs_twin.recordings.body.tracking import follow
+from srs_twin.recordings.body.shape import LengthModel, MarkerPlacement, fit_shape
+from srs_twin.recordings.body.tracking import track_markers
 
 GEOMETRY = load_robot("gen2").geometry
 
 
-def test_markers_that_pass_each_other_unseen_keep_their_identity():
+def test_hidden_markers_that_pass_each_other_keep_their_identity():
     """Each reappears where the other vanished, so that only the velocities distinguish them."""
     frames = np.arange(60)
     ways = np.stack([0.01 * (frames - 30.0), -0.01 * (frames - 30.0)], axis=1)
@@ -22,7 +22,7 @@ def test_markers_that_pass_each_other_unseen_keep_their_identity():
     points[after] = points[after][:, ::-1]  # the file exchanges their columns
     columns = np.where(after[:, None], [1, 0], [0, 1])
     columns[29:32] = -1
-    tracks, origin, dropped = follow(points, columns, longest=10, reach=0.1)
+    tracks, origin, dropped = track_markers(points, columns, longest=10, reach=0.1)
     assert dropped == 0 and tracks.shape == (60, 2, 2)
     seen = ~np.isnan(tracks[..., 0])
     for k in range(2):
@@ -31,7 +31,7 @@ def test_markers_that_pass_each_other_unseen_keep_their_identity():
         assert len(set(origin[seen[:, k], k])) == 1
 
 
-def test_a_marker_stays_the_robots_while_its_neighbour_is_hidden():
+def test_a_marker_with_a_hidden_neighbour_belongs_to_the_robot():
     """The next one on a body that bends a little is almost two segments away."""
     pitch, count = GEOMETRY.pitch, GEOMETRY.connectors
     heading = 0.6 * np.arange(count)  # two straight steps of length 1 that turn by 0.6 span 2 cos(0.3) = 1.91
@@ -45,18 +45,20 @@ def test_a_marker_stays_the_robots_while_its_neighbour_is_hidden():
 
 def test_body_is_recovered_while_a_marker_is_hidden():
     count, time = GEOMETRY.connectors - 1, np.arange(200) / 100
-    marks = Marks(np.repeat(2 * np.arange(count + 1), 2), np.tile([0.02j, -0.02j], count + 1), GEOMETRY)
+    marks = MarkerPlacement(
+        np.repeat(2 * np.arange(count + 1), 2), np.tile([0.02j, -0.02j], count + 1), GEOMETRY
+    )
     phase = 2 * np.pi * time[:, None] + np.arange(count)
     state = np.column_stack(
         [0.1 * time, 0.02 * np.sin(time), 0.3 * np.sin(5 * time), 0.5 * np.sin(phase)]
         + [np.full_like(time, GEOMETRY.segment_length)] * count
     )
-    mark, _, node, theta = marks.places(state)
+    mark, _, node, theta = marks.kinematics(state)
     points = np.stack([mark.real, mark.imag], axis=-1)
     points += np.random.default_rng(1).normal(scale=1e-4, size=points.shape)
     missing = np.zeros(mark.shape, dtype=bool)
     missing[80:100, 4] = True
     points[missing] += 0.02  # what was interpolated is wrong
-    shape = fit_shape(time, points, missing, marks, "free")
-    assert np.abs(shape.node - node).max() < 2e-3
+    shape = fit_shape(time, points, missing, marks, LengthModel.FREE)
+    assert np.abs(shape.connector - node).max() < 2e-3
     assert np.abs(shape.theta - theta).max() < 0.05

@@ -1,4 +1,4 @@
-"""Steered: a controller whose offset changes at given times."""
+"""Controllers whose offset changes at given times."""
 
 from __future__ import annotations
 
@@ -6,32 +6,32 @@ import numpy as np
 import pytest
 
 from srs_twin import AnalyticalSnake, Gait, InputError, load_robot, rollout
-from srs_twin.control.commands import Steered
+from srs_twin.control.commands import ScheduledOffset
 from srs_twin.control.learning import ILC
 
 SPEC = load_robot("gen2")
 
 
 def run(controller, duration=1.0):
-    # Somebody looks on, so that a plain gait meets the plant every tick, as a steered one does.
+    # The callback makes an open-loop gait run tick by tick, as a steered one does.
     return rollout(AnalyticalSnake(SPEC, tick=0.005), controller, duration, observers=[lambda state: None])
 
 
 @pytest.mark.parametrize("make", [lambda: Gait(2.0, 0.2), lambda: ILC(2.0, 0.2, target=0.5)])
-def test_without_changes_it_is_the_controller_itself(make):
-    plain, steered = run(make()), run(Steered(make(), []))
+def test_without_changes_the_run_is_that_of_the_controller(make):
+    plain, steered = run(make()), run(ScheduledOffset(make(), []))
     assert plain.columns.keys() == steered.columns.keys()
     for name in plain.columns:
         np.testing.assert_array_equal(steered[name], plain[name])
     assert steered.metadata["gait_frequency_hz"] == 2.0
 
 
-def test_the_offset_changes_at_its_time_and_again_in_the_next_run():
-    controller = Steered(Gait(2.0, -0.2), [(0.3, 0.1), (0.603, 0.4)])
+def test_the_offset_changes_at_its_time_in_every_run():
+    controller = ScheduledOffset(Gait(2.0, -0.2), [(0.3, 0.1), (0.603, 0.4)])
     for _ in range(2):
         found = run(controller)
         offset, time = found["offset"], found.time
-        # A sample shows what its tick was given.
+        # A sample is taken at the end of its tick.
         assert np.all(offset[time <= 0.3 + 1e-9] == -0.2)
         assert np.all(offset[(time > 0.305) & (time <= 0.6)] == 0.1)
         assert np.all(offset[time > 0.615] == 0.4) and controller.offset == 0.4
@@ -42,19 +42,19 @@ def test_the_offset_changes_at_its_time_and_again_in_the_next_run():
     assert found.metadata["control"]["changes"] == [[0.3, 0.1], [0.603, 0.4]]
 
 
-def test_up_to_its_change_it_is_the_same_run_and_then_another():
-    straight, turning = run(Steered(Gait(2.0), [])), run(Steered(Gait(2.0), [(0.5, 0.4)]))
+def test_the_runs_are_equal_until_the_change():
+    straight, turning = run(ScheduledOffset(Gait(2.0), [])), run(ScheduledOffset(Gait(2.0), [(0.5, 0.4)]))
     before = straight.time <= 0.5
     assert np.array_equal(straight["heading"][before], turning["heading"][before])
     assert straight["heading"][-1] != turning["heading"][-1]
 
 
 @pytest.mark.parametrize("times", [(0.0,), (-1.0,), (0.5, 0.5), (0.5, 0.2), (float("nan"),)])
-def test_times_that_do_not_rise_are_refused(times):
-    with pytest.raises(InputError, match="they must rise, from above 0"):
-        Steered(Gait(2.0), [(time, 0.1) for time in times])
+def test_times_that_do_not_increase_are_refused(times):
+    with pytest.raises(InputError, match="they must be above 0 and increasing"):
+        ScheduledOffset(Gait(2.0), [(time, 0.1) for time in times])
 
 
-def test_an_offset_that_there_is_not_is_refused_when_it_comes():
+def test_an_invalid_offset_is_refused_at_its_time():
     with pytest.raises(InputError, match="gait offset 2.0 is not allowed"):
-        run(Steered(Gait(2.0), [(0.1, 2.0)]))
+        run(ScheduledOffset(Gait(2.0), [(0.1, 2.0)]))

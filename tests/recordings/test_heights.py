@@ -1,4 +1,4 @@
-"""Heights of markers: masts, a tilted floor, lamps over the robot and people beside it."""
+"""Heights of markers: masts, a tilted floor, lamps above the robot and people next to it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from recorded import NOISE, SPEC, motion, true_at
 from scipy.spatial.transform import Rotation
 from synthetic_takes import Take, markers
 
-from srs_twin.recordings.body.floor import on_floor
+from srs_twin.recordings.body.floor import map_to_floor
 from srs_twin.recordings.inspection import in_words, inspect_file
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
@@ -25,7 +25,7 @@ def raised(heights, seed=0, layout="single"):
 
 
 def written(path, points, names=None):
-    """Write markers as a plain CSV file, empty cells where they are not seen."""
+    """Write markers as a plain CSV file, with empty cells for hidden ones."""
     names = names or [f"c{k + 1}" for k in range(points.shape[1])]
     head = ",".join(["time", *(f"{name}_{axis}" for name in names for axis in "xyz")])
     rows = np.column_stack([motion().time, points.reshape(len(points), -1)])
@@ -56,7 +56,7 @@ def test_markers_on_masts_are_detected_and_used(tmp_path, heights):
 
 @pytest.mark.parametrize("seed", range(12))
 def test_tilted_floor_is_levelled_with_markers_on_masts(seed):
-    """Up to half of the markers on masts, 0 to 20° of tilt in any direction: within 0.1°."""
+    """Up to half of the markers are on masts and the tilt is 0 to 20°; the error is below 0.1°."""
     random = np.random.default_rng(seed)
     layout = ("single", "head", "pair")[seed % 3]
     count = markers(motion(), Take(layout=layout)).shape[1]
@@ -67,7 +67,7 @@ def test_tilted_floor_is_levelled_with_markers_on_masts(seed):
     tilt = random.uniform(3.1, 20) if seed % 4 else 0.0
     tilted = Rotation.from_rotvec(np.radians(tilt) * np.array([np.cos(axis), np.sin(axis), 0]))
     points = raised(heights, seed, layout) @ Rotation.from_euler("z", turn).as_matrix().T
-    found = on_floor(points @ tilted.as_matrix().T + [0, 0, 1], "auto", "z")
+    found = map_to_floor(points @ tilted.as_matrix().T + [0, 0, 1], "auto", "z")
     assert found.up == "z" and any("levelled" in each for each in found.corrections) == (tilt > 0)
     x, y, z = np.moveaxis(found.points, -1, 0)
     plane = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)])
@@ -75,8 +75,8 @@ def test_tilted_floor_is_levelled_with_markers_on_masts(seed):
     assert np.degrees(np.hypot(*slope[:2])) < 0.05
 
 
-def test_lamps_and_people_are_left_out_by_their_motion(tmp_path):
-    """A lamp over the path stands still, a cap on a head bobs, a cart drives past."""
+def test_markers_on_lamps_people_and_carts_are_left_out(tmp_path):
+    """A lamp above the path does not move, a cap on a head moves up and down, and a cart passes."""
     time = motion().time
     middle = motion().position[:, 2]
     lamp = np.column_stack([np.tile(middle[200], (len(time), 1)), np.full(len(time), 1.5)])
@@ -89,14 +89,14 @@ def test_lamps_and_people_are_left_out_by_their_motion(tmp_path):
     found = read_motion(path, SPEC)
     for said in (facts["notes"], found.summary.corrections):
         out = [each for each in said if "left out" in each]
-        assert "marker 'lamp' left out: 1500 mm high, does not move with the others" in out
+        assert "marker 'lamp' left out: 1500 mm high, does not move with the other markers" in out
         assert any("'cap' left out: 170" in each and "its height varies by" in each for each in out)
         assert any("'cart' left out: 400 mm high" in each for each in out) and len(out) == 3
     assert found.summary.markers.samples_other == 3 * len(time) and bend_error(found) < 0.04
 
 
-def test_markers_that_a_map_names_are_the_robots(tmp_path):
-    """A named marker is used at any height, and swaps of names between heights are followed."""
+def test_markers_in_a_map_belong_to_the_robot(tmp_path):
+    """A named marker is used at any height, and swaps of names between heights are tracked."""
     points = raised((0.03, 0.03, 0.25, 0.03, 0.03))
     points[250:, [1, 2]] = points[250:, [2, 1]]
     path = written(tmp_path / "x.csv", points)

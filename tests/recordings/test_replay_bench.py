@@ -1,4 +1,4 @@
-"""Replays of a bench: one module that is held at its head, valves or pressures, a sensor's log or markers."""
+"""Replays on a bench: one module clamped at its head, with valves or pressures, and a bend log or markers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ HEAD = "snake:1a"
 
 
 def staircase() -> Schedule:
-    """Return valves of one module: at rest, bent to the left, held, bent to the right, vented."""
+    """Return valve states of one module: at rest, bent to the left, held, bent to the right, vented."""
     states = [[-1, -1], [1, -1], [0, -1], [-1, 1], [-1, -1]]
     return Schedule(
         SECONDS, np.array([0.0, 0.3, 0.42, 0.9, 1.4]), np.array(states, dtype=np.int8)[:, None, :]
@@ -43,7 +43,7 @@ def csv(columns: dict[str, np.ndarray]) -> str:
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
-    """A folder with takes without noise of a module that hangs elsewhere, and its logs."""
+    """Return a folder with noise-free recordings of a module at another pose, and its logs."""
     folder = tmp_path_factory.mktemp("bench")
     plant = AnalyticalSnake(MODULE, base="clamped", tick=0.001, layout="in_out", supply_pa=SUPPLY)
     truth = rollout(plant, Replay(staircase()), SECONDS, pose=(0.3, -0.2, 2.1), record_hz=1000)
@@ -81,7 +81,7 @@ def replayed(folder, motion="sensor.csv", valves="sensor.valves.csv", **changes)
 def driven(scenario, kind, robot=None):
     plant = scenario.build_plant(kind, robot=robot)
     run = rollout(plant, scenario.build_controller(), scenario.duration, record_hz=scenario.record_hz)
-    return MeasuredDifference.of(scenario.measured, run)
+    return MeasuredDifference.between(scenario.measured, run)
 
 
 @pytest.mark.parametrize(
@@ -94,12 +94,12 @@ def driven(scenario, kind, robot=None):
         ("two.csv", "air.csv", {"offset_s": -7.0}),  # the second marker tells the head
     ],
 )
-def test_the_module_itself_leaves_no_residual(bench, motion, valves, recording):
+def test_bench_replay_of_a_simulated_module_has_no_residual(bench, motion, valves, recording):
     scenario = replayed(bench, motion, valves, recording=recording)
     found = {kind: driven(scenario, kind) for kind in ("analytical", "twin")}
     amplitude = np.ptp(scenario.measured["bend_1"])
     assert amplitude > 0.8
-    # The chord of two single markers tells the bend; its error is that of five digits.
+    # The chord between two single markers determines the bend, with the error of five digits.
     assert found["analytical"].metrics["measured_bend_rms_rad"] < 1e-3 * amplitude
     assert found["twin"].metrics["measured_bend_rms_rad"] < 0.02 * amplitude
     stronger = with_values(MODULE, {"modules.gain_plus_1": 1.1})
@@ -109,17 +109,17 @@ def test_the_module_itself_leaves_no_residual(bench, motion, valves, recording):
         told = each.metrics
         assert told["measured_com_speed_rel"] is None and told["measured_yaw_rate_abs"] is None
         if motion in ("sensor.csv", "logger.csv"):
-            # Where the body is was not measured.
+            # The position of the body was not measured.
             assert [name for name, value in told.items() if value is not None] == ["measured_bend_rms_rad"]
             assert set(each.document()["rms"]) == {"bend_1_rad"}
         else:
-            # Both are held at the same place: the clamp is the frame.
+            # Both are clamped at the same point, which is the origin.
             assert told["measured_path_rms_m"] < 2e-3 and told["measured_shape_rms_m"] < 2e-3
     assert found["analytical"].comparison.metrics["path_rms_m"] < 1e-4
 
 
-def test_a_sensor_log_where_the_chain_is_longer_has_the_geometry_of_the_plant(tmp_path):
-    """Bends, and where the head is held, give the places that the plant has."""
+def test_bend_log_of_a_chain_has_the_geometry_of_the_plant(tmp_path):
+    """The bends and the pose of the clamp give the positions of the plant."""
     chain = load_robot("gen2")
     states = np.full((1, chain.segments, 2), -1, dtype=np.int8)
     states[0, :, 0] = [1, -1, 1, 1]
@@ -135,7 +135,7 @@ def test_a_sensor_log_where_the_chain_is_longer_has_the_geometry_of_the_plant(tm
     assert np.abs(found.stack("theta") - truth.stack("theta")).max() < 1e-6
 
 
-def test_a_sensor_log_fits_actuators_too(bench):
+def test_a_bend_log_can_be_used_for_actuator_fits(bench):
     motion, log = str(bench / "sensor.csv"), str(bench / "sensor.valves.csv")
     take = RecordingReader(offset_s=0.0).take(motion, log, MODULE)
     response = Response.of_recording(take, "sensor", SUPPLY)
@@ -144,7 +144,7 @@ def test_a_sensor_log_fits_actuators_too(bench):
         gait_run(take, "sensor", SUPPLY)
 
 
-def test_gaps_of_a_sensor_are_filled_as_far_as_allowed(bench, tmp_path):
+def test_short_gaps_of_a_sensor_are_filled(bench, tmp_path):
     lines = (bench / "sensor.csv").read_text().splitlines()
     for k in (500, 501, *range(1700, 1999)):
         lines[k] = lines[k].partition(",")[0] + ","
@@ -164,18 +164,18 @@ def test_gaps_of_a_sensor_are_filled_as_far_as_allowed(bench, tmp_path):
         ("time,bend_1,bend_2\n0,0,0\n", "x.csv:1:3: bend_2: gen4_module has 1 segments"),
         ("time,bend_1_turns\n0,0\n", "unit 'turns' is not known; allowed: rad, deg"),
         ("time,bend_1\n0,0\n0.1,47.9\n", r"x.csv:3:2: bend_1: a bend of 47.9 rad is not allowed.*bend_1_deg"),
-        ("time,bend_1\n0,0\n,1\n", "x.csv:3:1: a row without a time"),
+        ("time,bend_1\n0,0\n,1\n", "x.csv:3:1: the row has no time"),
         ("time,bend_1\n0,0\n1,1\n", "x.csv: 2 frames"),
     ],
 )
-def test_sensor_logs_that_cannot_be(tmp_path, text, message):
+def test_invalid_bend_logs_are_refused(tmp_path, text, message):
     (tmp_path / "x.csv").write_text(text)
     with pytest.raises(InputError, match=message):
         RecordingReader().body(str(tmp_path / "x.csv"), MODULE)
 
 
-def test_a_bench_has_a_head_that_is_held(bench):
-    """Held at the other end, or not at all, it is another experiment."""
+def test_a_moving_head_is_refused_on_a_bench(bench):
+    """A module that is clamped at its other end, or free, is another experiment."""
     with pytest.raises(
         InputFileError, match=r"recording.motion: .*markers.csv: the head moves by [\d.]+ mm and turns by 40°"
     ):
@@ -192,7 +192,7 @@ def test_bench_velocities_are_the_slopes_of_the_positions(bench):
     for axis in "xy":
         slope = np.gradient(found[f"com_{axis}"], found.time)
         speed = found[f"com_velocity_{axis}"]
-        # Velocities are slopes of moving lines, so the fastest changes are smoothed.
+        # Velocities are slopes of moving lines, which smooth the fastest changes.
         assert speed.std() == pytest.approx(slope.std(), rel=0.2)
         assert np.corrcoef(speed, slope)[0, 1] > 0.95
 
@@ -212,13 +212,13 @@ def test_bench_velocities_are_the_slopes_of_the_positions(bench):
         ),
     ],
 )
-def test_what_a_replay_on_a_bench_refuses_and_where(bench, changes, message):
+def test_invalid_bench_replays_name_their_place(bench, changes, message):
     with pytest.raises(InputFileError, match=message):
         replayed(bench, **changes)
 
 
 @pytest.mark.slow
-def test_a_bench_from_the_command_line(bench, srs_twin, tmp_path):
+def test_bench_replay_command(bench, srs_twin, tmp_path):
     expect = tmp_path / "expect.yaml"
     expect.write_text(
         "expect:\n  - {metric: measured_bend_rms_rad, plant: analytical, below: 0.001}\n"
@@ -244,8 +244,8 @@ def test_a_bench_from_the_command_line(bench, srs_twin, tmp_path):
     assert floor.returncode == 2 and "bends alone do not tell" in floor.stderr
 
 
-def test_the_clamps_of_both_plants_are_one_place():
-    """So a recording is moved to where either of them is held."""
+def test_both_plants_are_clamped_at_the_same_point():
+    """A recording is therefore transformed to the clamp of either plant."""
     chain = load_robot("gen2")
     heads = [
         rollout(plant(chain, base="clamped"), Replay(Schedule(0.1, np.zeros(1), _vented(chain))), 0.1)

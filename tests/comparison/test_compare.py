@@ -1,3 +1,5 @@
+"""Comparison of two runs: invariance, known differences, and refused runs."""
+
 import re
 from dataclasses import replace
 
@@ -19,7 +21,7 @@ REFERENCE = Snake(speed=0.2, yaw_rate=0.2, frequency=1.7)
 
 @some
 @given(yaw_rate=st.floats(-0.5, 0.5), frequency=st.floats(0.8, 3.0), connectors=st.integers(2, 7))
-def test_a_run_does_not_differ_from_itself(yaw_rate, frequency, connectors):
+def test_the_difference_of_a_run_from_itself_is_zero(yaw_rate, frequency, connectors):
     run = Snake(yaw_rate=yaw_rate, frequency=frequency, connectors=connectors).trajectory()
     same = compare(run, run)
     assert same.metrics["gap_factor"] == 1.0
@@ -41,7 +43,7 @@ def test_series_have_the_shapes_that_plots_expect():
 
 @some
 @given(x=st.floats(-20, 20), y=st.floats(-20, 20), angle=st.floats(-10, 10))
-def test_a_comparison_does_not_see_where_the_world_frame_lies(x, y, angle):
+def test_comparison_does_not_depend_on_the_world_frame(x, y, angle):
     reference, candidate = REFERENCE.trajectory(), Snake(speed=0.18, amplitude=0.7).trajectory("twin")
     here = compare(reference, candidate).metrics
     there = compare(moved(reference, x, y, angle), moved(candidate, x, y, angle)).metrics
@@ -50,7 +52,7 @@ def test_a_comparison_does_not_see_where_the_world_frame_lies(x, y, angle):
 
 @some
 @given(x=st.floats(-1, 1), y=st.floats(-1, 1), angle=st.floats(-3, 3))
-def test_the_shape_does_not_see_where_the_candidate_went(x, y, angle):
+def test_shape_error_does_not_depend_on_the_pose(x, y, angle):
     run = REFERENCE.trajectory()
     found = compare(run, moved(run, x, y, angle)).metrics
     assert found["shape_rms_m"] == pytest.approx(0, abs=1e-12)
@@ -58,7 +60,7 @@ def test_the_shape_does_not_see_where_the_candidate_went(x, y, angle):
     assert found["heading_rms_rad"] == pytest.approx(abs(angle))
 
 
-def test_a_shifted_run_is_off_by_the_shift():
+def test_path_error_of_a_shifted_run_is_the_shift():
     run = REFERENCE.trajectory()
     found = compare(run, moved(run, 0.3, -0.4, 0.0))
     assert found.metrics["path_rms_m"] == pytest.approx(0.5)
@@ -66,26 +68,26 @@ def test_a_shifted_run_is_off_by_the_shift():
     assert found.metrics["com_speed_rel"] == pytest.approx(0, abs=1e-9)
 
 
-def test_whole_turns_between_two_headings_do_not_count():
+def test_whole_turns_between_headings_are_ignored():
     run = REFERENCE.trajectory()
     turned = with_columns(run, heading=run["heading"] - 4 * np.pi)
     assert compare(run, turned).metrics["heading_rms_rad"] == pytest.approx(0, abs=1e-12)
 
 
 @pytest.mark.parametrize(("analytical", "twin"), [(0.2, 0.17), (0.2, -0.1), (-0.1, -0.12)])
-def test_the_speed_difference_is_over_the_reference(analytical, twin):
+def test_speed_difference_is_relative_to_the_reference(analytical, twin):
     runs = (Snake(speed=analytical, frequency=1.7), Snake(speed=twin, frequency=1.7))
     found = compare(runs[0].trajectory(), runs[1].trajectory("twin")).metrics
     assert found["com_speed_rel"] == pytest.approx((twin - analytical) / analytical, rel=1e-5)
 
 
-def test_the_yaw_rate_difference_has_no_sign():
+def test_yaw_rate_difference_is_a_magnitude():
     runs = [Snake(yaw_rate=rate).trajectory() for rate in (0.3, 0.1)]
     for reference, candidate in (runs, runs[::-1]):
         assert compare(reference, candidate).metrics["yaw_rate_abs"] == pytest.approx(0.2, rel=1e-4)
 
 
-def test_bends_of_another_amplitude_are_off_by_that_share():
+def test_bend_error_is_proportional_to_the_amplitude_error():
     found = compare(Snake(amplitude=0.8).trajectory(), Snake(amplitude=0.6).trajectory("twin")).metrics
     assert found["bend_rms_rel"] == pytest.approx(0.25)
     assert found["bend_rms_rad"] == pytest.approx(0.2 / np.sqrt(2), rel=1e-3)
@@ -93,7 +95,7 @@ def test_bends_of_another_amplitude_are_off_by_that_share():
     assert found["shape_rms_m"] > 1e-3
 
 
-def test_the_shape_error_is_the_distance_of_like_connectors():
+def test_shape_error_is_the_distance_of_corresponding_connectors():
     run = Snake(connectors=3).trajectory()
     moved_head = with_columns(
         run, x_1=run["x_1"] + 0.03 * np.cos(run["heading"]), y_1=run["y_1"] + 0.03 * np.sin(run["heading"])
@@ -101,7 +103,7 @@ def test_the_shape_error_is_the_distance_of_like_connectors():
     assert compare(run, moved_head).shape_error == pytest.approx(np.full(len(run), 0.03 / np.sqrt(3)))
 
 
-def test_a_mirrored_candidate_shows_twice_the_lateral_places():
+def test_shape_error_of_a_mirrored_run_is_twice_the_lateral_position():
     run = Snake(connectors=4).trajectory()
     lateral = in_body_frame(run.position, run.com, run["heading"])[..., 1]
     found = compare(run, mirrored(run))
@@ -109,7 +111,7 @@ def test_a_mirrored_candidate_shows_twice_the_lateral_places():
     assert found.bend_error == pytest.approx(-2 * run.stack("bend"))
 
 
-def test_the_body_frame_looks_ahead():
+def test_x_axis_of_the_body_frame_points_forward():
     head, tail, com = np.array([1.0, 3.0]), np.array([1.0, 1.0]), np.array([1.0, 2.0])
     seen = in_body_frame(np.stack([head, tail]), com, np.array(np.pi / 2))
     assert seen == pytest.approx(np.array([[1.0, 0.0], [-1.0, 0.0]]))
@@ -125,7 +127,7 @@ def test_other_sample_times_are_interpolated(record_hz):
     assert found.metrics["bend_rms_rel"] < 1e-4
 
 
-def test_a_shorter_candidate_is_compared_as_far_as_it_goes():
+def test_only_the_common_time_is_compared():
     run = REFERENCE.trajectory()
     found = compare(run, sampled(run, slice(20, 400)))
     assert found.time == pytest.approx(run.time[20:400])
@@ -133,7 +135,7 @@ def test_a_shorter_candidate_is_compared_as_far_as_it_goes():
     assert found.bend_error.shape == (380, 4)
 
 
-def test_a_candidate_that_broke_off_at_once_is_compared_there():
+def test_a_candidate_with_one_sample_is_compared_at_it():
     run = REFERENCE.trajectory()
     found = compare(run, sampled(run, slice(1)))
     assert found.time.tolist() == [0.0]
@@ -142,13 +144,13 @@ def test_a_candidate_that_broke_off_at_once_is_compared_there():
 
 
 @pytest.mark.parametrize("snake", [Snake(periodic=False), Snake(duration=0.5)])
-def test_without_a_gait_only_the_distances_are_compared(snake):
+def test_without_a_gait_only_distances_are_compared(snake):
     found = compare(snake.trajectory(), snake.trajectory("twin")).metrics
     assert found["com_speed_rel"] is None and found["yaw_rate_abs"] is None
     assert found["shape_rms_m"] == found["path_rms_m"] == 0
 
 
-def test_nothing_is_divided_by_zero():
+def test_zero_denominators_give_none():
     still = Snake(speed=0.0, amplitude=0.0, sway=(0.0, 0.0), heading_sway=0.0).trajectory()
     found = compare(still, Snake().trajectory("twin")).metrics
     assert found["com_speed_rel"] is None
@@ -156,7 +158,7 @@ def test_nothing_is_divided_by_zero():
     assert found["bend_rms_rad"] > 0
 
 
-def test_other_robots_with_as_many_connectors_may_be_compared():
+def test_robots_with_equally_many_connectors_can_be_compared():
     other = with_metadata(Snake(segment_length=0.05).trajectory("twin"), robot="another")
     assert compare(Snake().trajectory(), other).metrics["shape_rms_m"] > 0
 
@@ -170,7 +172,7 @@ def test_other_robots_with_as_many_connectors_may_be_compared():
         ),
         (
             with_columns(Snake().trajectory("twin"), **numbered("x", np.zeros((601, 6)))),
-            "twin: 6 columns x_1…, 5 y_1… and 4 bend_1…; a snake of N connectors has N, N and N − 1",
+            "twin: 6 columns x_1…, 5 y_1… and 4 bend_1…; a snake with N connectors has N, N and N − 1",
         ),
         (
             with_columns(Snake().trajectory("twin"), time=np.arange(601) / 100 + 9),
@@ -182,7 +184,7 @@ def test_other_robots_with_as_many_connectors_may_be_compared():
         ),
     ],
 )
-def test_what_cannot_be_compared_is_refused(candidate, words):
+def test_incomparable_runs_are_refused(candidate, words):
     with pytest.raises(InputError, match=re.escape(words)):
         compare(Snake().trajectory(), candidate)
 

@@ -1,4 +1,4 @@
-"""What `srs-twin inspect` says of recordings is so, and the map that it proposes reads them."""
+"""Facts of `srs-twin inspect` are correct, and recordings can be read with the proposed map."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def inspected(folder, take, **known):
     return inspect_file(path, RecordingMap(**known), None)
 
 
-def test_facts_of_a_take(tmp_path):
+def test_facts_of_a_marker_recording(tmp_path):
     facts, scene = inspected(tmp_path, Take(layout="head", labeled=True, unit="cm", up="x"))
     assert (facts["format"], facts["content"], facts["up"]) == ("Motive CSV 1.21", "markers", "x")
     assert facts["rate_hz"] == pytest.approx(RATE) and facts["frames"] == len(motion())
@@ -56,7 +56,7 @@ def test_gaps_and_coverage_are_counted(tmp_path):
 
 
 @pytest.mark.parametrize("layout", ["single", "head", "pair"])
-def test_the_proposed_map_reads_the_take(tmp_path, layout):
+def test_the_proposed_map_reads_the_recording(tmp_path, layout):
     facts, _ = inspected(tmp_path, Take(layout=layout, labeled=False, seed=3))
     path = tmp_path / "map.yaml"
     path.write_text(proposed_map([facts]))
@@ -65,7 +65,7 @@ def test_the_proposed_map_reads_the_take(tmp_path, layout):
     assert found.stack("bend") == pytest.approx(known.stack("bend"), abs=1e-6)
 
 
-def test_lengths_in_another_unit_than_assumed_are_asked_for(tmp_path):
+def test_a_wrong_unit_of_length_is_noted(tmp_path):
     path = tmp_path / "x.csv"
     rows = np.column_stack([motion().time, 1e3 * motion().position.reshape(len(motion()), -1)])
     names = [f"{name}_{axis}" for name in "abcde" for axis in "xy"]
@@ -79,12 +79,12 @@ def test_lengths_in_another_unit_than_assumed_are_asked_for(tmp_path):
     assert facts["robot"]["length_mm"] == pytest.approx([1e3 * SPEC.geometry.segment_length] * 4, rel=0.02)
 
 
-def test_columns_that_change_places_are_said(tmp_path):
+def test_changes_of_columns_are_noted(tmp_path):
     facts, _ = inspected(tmp_path, Take(swaps=20, seed=2))
-    assert any("columns change places" in each for each in facts["notes"])
+    assert any("markers change their columns" in each for each in facts["notes"])
 
 
-def test_a_log(tmp_path):
+def test_facts_of_a_log(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(valve_csv(motion(), 0.0, 4.0, 7.0))
     facts, scene = inspect_file(path, NO_MAP, None)
@@ -103,13 +103,13 @@ def test_a_log(tmp_path):
     ("bend_1", [-0.4, 0.1, 0.5, 0.9] * 25, "angle, rad"),
     ("note", ["x"] * 100, "text"),
 ])  # fmt: skip
-def test_what_columns_look_like(tmp_path, column, values, said):
+def test_quantities_are_suggested_for_columns(tmp_path, column, values, said):
     path = tmp_path / "log.csv"
     path.write_text(f"time,{column}\n" + "".join(f"{0.01 * k},{v}\n" for k, v in enumerate(values)))
     assert inspect_file(path, NO_MAP, None)[0]["signals"][0]["looks_like"].startswith(said)
 
 
-def test_a_carrier_is_told_from_a_gait(tmp_path):
+def test_a_carrier_is_distinguished_from_a_gait(tmp_path):
     path, time = tmp_path / "log.csv", np.arange(4000) / 1000
     state = (time * 30 % 1 < 0.4).astype(int)
     path.write_text(
@@ -127,7 +127,7 @@ def test_a_bag_has_bodies_and_signals(tmp_path):
     assert "bodies:" in text and '"/snake/link1": {connector: 1}' in text and '"/valves.plus[0]"' in text
 
 
-def test_other_formats(tmp_path):
+def test_facts_of_other_formats(tmp_path):
     path = tmp_path / "take.c3d"
     path.write_bytes(c3d_file())
     facts, _ = inspect_file(path, NO_MAP, None)
@@ -140,7 +140,7 @@ def run(words, code=0):
     assert left.value.code == code
 
 
-def test_the_command(tmp_path, monkeypatch, capsys):
+def test_inspect_command(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     write_motive(motion(), Take(layout="head"), "take.csv")
     (tmp_path / "cut.csv").write_text(motive_csv(motion(), Take())[:300])
@@ -157,7 +157,7 @@ def test_the_command(tmp_path, monkeypatch, capsys):
 
 
 def typed(schema):
-    """Yield every part of a schema that has a type of its own."""
+    """Yield every part of a schema that has a type."""
     if isinstance(schema, dict):
         yield from [schema] * (schema.get("type") in ("number", "integer"))
         schema = list(schema.values())
@@ -166,8 +166,8 @@ def typed(schema):
             yield from typed(each)
 
 
-def test_json_of_all_kinds_of_files_is_as_its_schema_says(tmp_path, monkeypatch, capsys):
-    """Markers, bodies with signals, logs, files that cannot be read; and every number has a unit."""
+def test_json_matches_its_schema(tmp_path, monkeypatch, capsys):
+    """It includes markers, bodies with signals, logs and unreadable files; every number has a unit."""
     monkeypatch.chdir(tmp_path)
     run(["schema", "inspect"])
     schema = json.loads(capsys.readouterr().out)
@@ -200,8 +200,8 @@ def test_numpy_numbers_do_not_reach_json(capsys):
     assert json.loads(capsys.readouterr().out) == {"a": 3, "b": [0, 1], "c": 0.5, "d": True}
 
 
-def test_files_that_are_nothing(tmp_path):
+def test_unknown_files_are_refused(tmp_path):
     path = tmp_path / "x.csv"
     path.write_text("hello\nworld\n")
-    with pytest.raises(InputError, match="no motion recording that is read"):
+    with pytest.raises(InputError, match="not a known motion recording"):
         inspect_file(path, NO_MAP, None)

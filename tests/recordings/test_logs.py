@@ -1,4 +1,4 @@
-"""Recordings of a motion: what was true comes back, identity is kept, what was done is said."""
+"""Recordings of a motion: true values are recovered, identities are kept, changes are noted."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from subsets import first_by_default
 from synthetic_takes import Take, motive_csv, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, InputError, Trajectory, rollout
-from srs_twin.recordings.body.floor import MAPS, on_floor
+from srs_twin.recordings.body.floor import MAPS, map_to_floor
 from srs_twin.recordings.recording import read_motion
 
 LAYOUTS = ("single", "head", "pair")
 
 
 def near(one, other, most):
-    """Of large arrays pytest would print for minutes how they differ."""
+    """Compare large arrays without the slow difference report of pytest."""
     assert np.abs(np.asarray(one) - other).max() < most
 
 
 def errors(recording, truth):
-    """Return errors of places (m), bends and headings (rad) and which samples were measured throughout."""
+    """Return errors of positions (m), bends and headings (rad), and which samples were measured."""
     trajectory = recording.trajectory
     true = true_at(trajectory, truth)
     place = np.linalg.norm(trajectory.position - true.position, axis=-1)
@@ -38,8 +38,8 @@ def errors(recording, truth):
 
 
 @pytest.mark.parametrize(("layout", "most"), [("single", 0.03), ("head", 0.002), ("pair", 1e-4)])
-def test_without_noise_the_motion_comes_back(tmp_path, layout, most):
-    """Of one marker a connector the straight start leaves 20 mrad open."""
+def test_motion_without_noise_is_recovered(tmp_path, layout, most):
+    """With one marker per connector, the straight start leaves an error of 20 mrad."""
     found = recorded(tmp_path, Take(layout=layout, noise=0.0))
     place, bend, heading, measured = errors(found, motion())
     assert measured.all() and len(found.trajectory) == len(motion())
@@ -50,8 +50,8 @@ def test_without_noise_the_motion_comes_back(tmp_path, layout, most):
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_noise_is_all_that_noise_adds(tmp_path, layout):
-    """0.2 mm over a lever of 20 mm is 14 mrad a heading; over segments of 55 mm less, but added up."""
+def test_error_of_the_motion_is_that_of_the_noise(tmp_path, layout):
+    """0.2 mm over 20 mm is 14 mrad per heading; over segments of 55 mm it is less, but accumulates."""
     place, bend, heading, _ = errors(recorded(tmp_path, Take(layout=layout)), motion())
     assert np.sqrt((place**2).mean()) < 1.5 * NOISE
     assert np.sqrt((bend**2).mean()) < 0.04
@@ -61,7 +61,7 @@ def test_noise_is_all_that_noise_adds(tmp_path, layout):
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("seed", first_by_default(1, range(4)))
 def test_identity_is_kept_through_swaps_gaps_and_spikes(tmp_path, layout, seed):
-    """Every sample that was measured is its own marker's; what is filled is flagged."""
+    """Every measured sample belongs to its marker, and interpolated ones are flagged."""
     take = Take(layout=layout, swaps=30, lost=0.05, spikes=4, seed=seed)
     found = recorded(tmp_path, take)
     place, _, _, measured = errors(found, motion())
@@ -74,7 +74,7 @@ def test_identity_is_kept_through_swaps_gaps_and_spikes(tmp_path, layout, seed):
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("seed", first_by_default(1, range(3)))
-def test_markers_that_come_back_in_columns_of_their_own(tmp_path, layout, seed):
+def test_markers_that_come_back_in_other_columns_are_tracked(tmp_path, layout, seed):
     found = recorded(tmp_path, Take(layout=layout, lost=0.03, fragments=True, seed=seed))
     place, _, _, measured = errors(found, motion())
     assert found.summary.markers.columns > 12
@@ -82,8 +82,8 @@ def test_markers_that_come_back_in_columns_of_their_own(tmp_path, layout, seed):
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_columns_that_mean_nothing(tmp_path, layout):
-    """On every frame the markers stand in another order, some of them hidden."""
+def test_markers_in_shuffled_columns_are_tracked(tmp_path, layout):
+    """The markers are in another order on every frame, and some are hidden."""
     truth = motion(8.0)
     found = recorded(tmp_path, Take(layout=layout, shuffled=True, lost=0.03), truth)
     place, _, _, measured = errors(found, truth)
@@ -92,15 +92,15 @@ def test_columns_that_mean_nothing(tmp_path, layout):
 
 
 @pytest.mark.parametrize("layout", ["head", "pair"])
-def test_curvature_has_no_jump(tmp_path, layout):
-    """From frame to frame no bend changes by more than it truly does and noise allows, also where filled."""
+def test_curvature_is_continuous(tmp_path, layout):
+    """No bend changes by more than the motion and the noise between frames, also in filled gaps."""
     found = recorded(tmp_path, Take(layout=layout, swaps=30, lost=0.05, gap_frames=2, noise=1e-4, seed=1))
     fastest = np.abs(np.diff(motion().stack("bend"), axis=0)).max()
     assert np.abs(np.diff(found.trajectory.stack("bend"), axis=0)).max() < 1.5 * fastest + 0.1
 
 
 @pytest.mark.parametrize("rate", first_by_default(1, [120.0, 30.0, 60.0, 240.0]))
-def test_any_frame_rate(tmp_path, rate):
+def test_motion_is_recovered_at_any_frame_rate(tmp_path, rate):
     found = recorded(tmp_path, Take(layout="pair", rate_hz=rate, swaps=10, noise=0.0))
     assert found.summary.rate_hz == pytest.approx(rate, rel=1e-6)
     shared = np.isclose(np.rint(found.trajectory.time * RATE) / RATE, found.trajectory.time, atol=1e-6)
@@ -111,8 +111,8 @@ def test_any_frame_rate(tmp_path, rate):
 
 @pytest.mark.parametrize("up", MAPS)
 @pytest.mark.parametrize("unit", first_by_default(1, ["mm", "cm", "m", "in", "ft"]))
-def test_axes_and_units_make_no_difference(tmp_path, up, unit):
-    """Found, not given: every map is a rotation, so no bend changes its sign."""
+def test_axes_and_units_do_not_change_the_motion(tmp_path, up, unit):
+    """The axis is determined, not given; every map is a rotation, so no bend changes its sign."""
     found = recorded(tmp_path, Take(layout="head", noise=0.0, digits=9, up=up, unit=unit))
     place, bend, _, _ = errors(found, motion())
     assert found.summary.markers.up == up
@@ -121,8 +121,8 @@ def test_axes_and_units_make_no_difference(tmp_path, up, unit):
     assert any("converted" in each for each in found.summary.corrections) == (unit != "m")
 
 
-def test_the_wrong_way_up_is_the_mirror_image(tmp_path):
-    """Whoever exports with mirrored axes gives up with the other sign, and has left and right again."""
+def test_reversed_vertical_axis_mirrors_the_motion(tmp_path):
+    """The opposite sign of the vertical axis corrects an export with mirrored axes."""
     right = recorded(tmp_path, Take(layout="head", noise=0.0)).trajectory
     mirrored = recorded(tmp_path, Take(layout="head", noise=0.0), up="-y").trajectory
     near(mirrored.stack("bend"), -right.stack("bend"), 1e-9)
@@ -131,7 +131,7 @@ def test_the_wrong_way_up_is_the_mirror_image(tmp_path):
 
 @settings(max_examples=3)
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-np.pi, np.pi), st.sampled_from(LAYOUTS))
-def test_the_world_may_be_turned_and_shifted(tmp_path_factory, x, y, turn, layout):
+def test_motion_does_not_depend_on_the_world_frame(tmp_path_factory, x, y, turn, layout):
     folder = tmp_path_factory.mktemp("turned")
     here = recorded(folder, Take(layout=layout, noise=0.0, digits=9)).trajectory
     truth = motion()
@@ -150,16 +150,16 @@ def test_the_world_may_be_turned_and_shifted(tmp_path_factory, x, y, turn, layou
 
 
 @pytest.mark.parametrize(("degrees", "levelled"), [(2.9, False), (3.1, True)])
-def test_floor_is_levelled_beyond_three_degrees(degrees, levelled):
+def test_a_floor_tilted_by_more_than_three_degrees_is_levelled(degrees, levelled):
     flat = np.random.default_rng(0).uniform(-1, 1, (300, 4, 3)) * [1.0, 1.0, 1e-4] + [0.0, 0.0, 0.02]
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     tilted = flat @ np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
-    found = on_floor(tilted, "auto", "z")
+    found = map_to_floor(tilted, "auto", "z")
     assert found.up == "z" and any("levelled" in each for each in found.corrections) == levelled
     assert (np.ptp(found.points[..., 2]) < 0.01) == levelled
 
 
-def test_a_tilted_floor_is_levelled_and_said(tmp_path):
+def test_levelling_is_noted(tmp_path):
     text = motive_csv(motion(), Take(layout="head", noise=0.0, digits=9, unit="m", up="z"))
     head, rows = text.split("X,Y,Z\r\n")
     values = np.array([row.split(",") for row in rows.split("\r\n") if row], dtype=float)
@@ -176,13 +176,13 @@ def test_a_tilted_floor_is_levelled_and_said(tmp_path):
 
 
 @pytest.mark.parametrize("across", [False, True])
-def test_pairs_along_and_across_the_body(tmp_path, across):
+def test_pairs_along_and_across_the_body_are_read(tmp_path, across):
     found = recorded(tmp_path, Take(layout="pair", across=across, noise=0.0))
     near(found.trajectory.stack("bend"), motion().stack("bend"), 1e-4)
 
 
-def test_the_head_is_where_it_is_said_to_be(tmp_path):
-    """A snake that crawls tail first: the motion alone would take its tail for the head."""
+def test_the_given_head_is_used(tmp_path):
+    """For a snake that crawls tail first, the motion alone would give the wrong end."""
     take = Take(labeled=True, noise=0.0)
     backwards = replace(
         motion(), columns={n: c if n == "time" else c[::-1] for n, c in motion().columns.items()}
@@ -197,15 +197,15 @@ def test_the_head_is_where_it_is_said_to_be(tmp_path):
         recorded(tmp_path, take, backwards, head="snake:3")
 
 
-def test_a_snake_that_does_not_crawl_has_no_head(tmp_path):
+def test_a_recording_without_crawling_needs_the_head(tmp_path):
     still = replace(
         motion(), columns={n: c if n == "time" else c[:1].repeat(401) for n, c in motion().columns.items()}
     )
-    with pytest.raises(InputError, match="which end is the head cannot be told"):
+    with pytest.raises(InputError, match="the head cannot be determined"):
         recorded(tmp_path, Take(), still)
 
 
-def test_long_gaps_cut_the_recording_and_nothing_is_invented(tmp_path):
+def test_long_gaps_cut_the_recording(tmp_path):
     take = Take(layout="pair", occluded=[(3, 1.0, 1.5)])
     found = recorded(tmp_path, take)
     assert found.trajectory.time[0] == pytest.approx(1.5)
@@ -226,7 +226,7 @@ def test_short_gaps_are_filled_within_a_millimetre(tmp_path, fill):
     assert np.sqrt((place[~measured] ** 2).mean()) < 1e-3
 
 
-def test_reflections_are_left_out_and_counted(tmp_path):
+def test_reflections_are_removed_and_counted(tmp_path):
     text = motive_csv(motion(), Take(noise=1e-4, unit="m"))
     lines = text.split("\r\n")
     extra = [",Marker" * 6, ",ghost" * 3 + ",lamp" * 3, ",7" * 3 + ",8" * 3, ",Position" * 6, ",X,Y,Z" * 2]
@@ -243,7 +243,7 @@ def test_reflections_are_left_out_and_counted(tmp_path):
     assert measured.all() and place.max() < 1e-3
 
 
-def test_rows_may_be_shuffled_doubled_and_missing(tmp_path):
+def test_shuffled_repeated_and_missing_rows_are_corrected(tmp_path):
     text = motive_csv(motion(), Take(layout="pair", noise=0.0))
     lines = text.split("\r\n")
     header, rows = lines[:7], lines[7:-1]
@@ -254,16 +254,18 @@ def test_rows_may_be_shuffled_doubled_and_missing(tmp_path):
     path.write_text("\n".join([*header, *(rows[k] for k in order), ""]))
     found = read_motion(path, SPEC)
     said = "; ".join(found.summary.corrections)
-    assert "sorted" in said and "2 rows repeat the time" in said and "3 frames missing in the file" in said
+    assert (
+        "sorted" in said and "2 rows repeat the time" in said and "3 frames are missing in the file" in said
+    )
     assert found.summary.markers.frames_missing == 3 and found.summary.markers.header_frames == len(rows)
-    assert "where the header says 401" in found.summary.text()
+    assert "(401 according to the header)" in found.summary.text()
     place, _, _, measured = errors(found, motion())
     assert len(found.trajectory) == len(rows) and place[measured].max() < 1e-6
     assert np.flatnonzero(~measured.all(axis=1)).tolist() == [100, 101, 250]
 
 
 @pytest.mark.parametrize("cut", [1, 7, 40])
-def test_a_file_cut_in_its_last_line_loses_that_line_and_says_so(tmp_path, cut):
+def test_a_truncated_last_line_is_left_out_with_a_note(tmp_path, cut):
     text = motive_csv(motion(), Take(layout="pair", noise=0.0))
     path = tmp_path / "x.csv"
     path.write_text(text[: -2 - cut], newline="")
@@ -274,7 +276,7 @@ def test_a_file_cut_in_its_last_line_loses_that_line_and_says_so(tmp_path, cut):
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("m", 1.0), ("mm", 1e3), ("cm", 1e2)])
-def test_plain_csv(tmp_path, unit, scale):
+def test_plain_csv_is_read(tmp_path, unit, scale):
     path = tmp_path / "plain.csv"
     path.write_text(plain_csv(motion(), unit, scale))
     found = read_motion(path, SPEC)
@@ -283,11 +285,11 @@ def test_plain_csv(tmp_path, unit, scale):
     assert found.summary.markers.head == "connector 1 of the file"
 
 
-def test_plain_csv_in_another_unit_than_it_says(tmp_path):
+def test_plain_csv_in_a_wrong_unit_is_refused(tmp_path):
     path = tmp_path / "plain.csv"
     path.write_text(plain_csv(motion(), "m", 1e3).replace("_m", ""))
     with pytest.raises(
-        InputError, match=r"plain.csv: markers lie 5.* mm apart, .* 55 mm; were lengths in mm\?"
+        InputError, match=r"plain.csv: markers are 5.* mm apart, .* 55 mm; are the lengths in mm\?"
     ):
         read_motion(path, SPEC)
 
@@ -301,20 +303,20 @@ def test_another_robot_is_refused(tmp_path):
         read_motion(path, load_robot("gen4"))
 
 
-def test_segments_that_are_longer_than_the_robot_file_says_are_measured(tmp_path):
-    """The bends of one marker a connector hang on the lengths; they are estimated along."""
+def test_lengths_of_longer_segments_are_measured(tmp_path):
+    """With one marker per connector, the bends depend on the lengths, which are estimated with them."""
     geometry = replace(SPEC.geometry, rigid_gap=SPEC.geometry.rigid_gap - 0.003)
     path = tmp_path / "plain.csv"
     path.write_text(plain_csv(motion()))
     found = read_motion(path, replace(SPEC, geometry=geometry))
     assert any(
-        each.startswith("segments are longer than gen2's by +2.") for each in found.summary.corrections
+        each.startswith("segments are longer than those of gen2 by +2.") for each in found.summary.corrections
     )
     assert np.sqrt(((found.trajectory.stack("bend") - motion().stack("bend")) ** 2).mean()) < 0.05
 
 
 @pytest.mark.parametrize("connectors", [2, 3, 9])
-def test_bodies_of_other_lengths(tmp_path, connectors):
+def test_bodies_with_other_numbers_of_segments_are_read(tmp_path, connectors):
     spec = chain((0.03,) * connectors)
     truth = rollout(AnalyticalSnake(spec, supply_pa=48e3), Gait(2.0, 0.1), 1.0, record_hz=RATE)
     path = tmp_path / "x.csv"
@@ -356,8 +358,8 @@ def test_gait_metrics_of_a_recording_are_those_of_the_motion(tmp_path):
     assert measured["bend_amplitude_rad"] == pytest.approx(true["bend_amplitude_rad"], rel=0.05)
 
 
-def test_velocities_of_a_recording_are_slopes_of_its_places(tmp_path):
-    """Averaged over gait periods, within which the moving line damps them."""
+def test_velocities_of_a_recording_are_slopes_of_its_positions(tmp_path):
+    """They agree in the mean over gait periods; within a period the moving line attenuates them."""
     found = recorded(tmp_path, Take(layout="pair"), gait_frequency_hz=2.0).trajectory
     period = round(RATE / 2.0)
     for rate, place in (("com_velocity_x", "com_x"), ("com_velocity_y", "com_y"), ("yaw_rate", "heading")):
@@ -367,7 +369,7 @@ def test_velocities_of_a_recording_are_slopes_of_its_places(tmp_path):
 
 
 def test_summary_counts_every_sample(tmp_path):
-    """What was seen is kept, or rejected, or of another marker, or outside the frames that are kept."""
+    """Every visible sample is kept, rejected, of another marker, or outside the kept frames."""
     found = recorded(tmp_path, Take(layout="single", lost=0.05, spikes=6, swaps=5, seed=5)).summary
     kept = found.frames_kept * 5 - found.samples_filled
     gone = found.markers.samples_rejected + found.markers.samples_other

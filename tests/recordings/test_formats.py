@@ -1,4 +1,4 @@
-"""Formats of recordings: what was written comes back; what is damaged or unknown is said in one line."""
+"""Formats of recordings: written data are recovered, and damaged or unknown files give one message."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def motive(*, version="1.23", bodies=True, parent=False):
 
 
 def c3d_file(points=TRUTH, *, unit="mm", scale=1e3, whole=None, names=NAMES):
-    """Write with the library; whole: mm of a step of integers."""
+    """Write a file with the library; `whole` is the resolution of integers, mm."""
     writer = c3d.Writer(point_rate=RATE, point_scale=whole or -1.0, point_units=unit)
     label = "".join(name.ljust(8) for name in names[:255])
     writer.point_group.add_str("LABELS", "", label, 8, len(names[:255]))
@@ -207,7 +207,7 @@ def stamped(nanoseconds):
 
 
 def mcap_file(compression=CompressionType.ZSTD, *, signals=True, checked=True):
-    """Two stamped bodies, an array at half the rate, points; a joystick, joints, valves, JSON, text."""
+    """Write two stamped bodies, a slower array, points, a joystick, joints, valves, JSON and text."""
     turns = quaternions()
     stream = io.BytesIO()
     writer = RosWriter(stream, chunk_size=4096, compression=compression, enable_crcs=checked)
@@ -252,7 +252,7 @@ def mcap_file(compression=CompressionType.ZSTD, *, signals=True, checked=True):
 
 
 def bag(kind):
-    """Return a bag of rosbags with the bodies of `TRUTH` as points of a topic each."""
+    """Return a bag of rosbags with one topic of points for each body of `TRUTH`."""
 
     def messages(make):
         for k, places in enumerate(TRUTH):
@@ -315,7 +315,7 @@ def test_formats_are_known_by_their_content(tmp_path, kind):
     assert read_markers(path, **TABLE).kind.startswith(kind)
 
 
-def test_vicon(tmp_path):
+def test_vicon_positions_and_rotations_are_read(tmp_path):
     devices = (
         "Devices\r\n1000\r\n,,Imported Force Plate #1 - Force\r\nFrame,Sub Frame,Fx\r\n,,N\r\n"
         + "".join(f"{k // 10 + 1},{k % 10},1.5\r\n" for k in range(400))
@@ -329,7 +329,7 @@ def test_vicon(tmp_path):
     same(read_markers(written(tmp_path, b"\r\n\r\n" + vicon(unit="m", scale=1))))
     with pytest.raises(InputError, match=r":5:3: unit of length 'furlong' is not known"):
         read_markers(written(tmp_path, vicon(unit="furlong")))
-    with pytest.raises(InputError, match=r":9:6: 'a' is no number"):
+    with pytest.raises(InputError, match=r":9:6: 'a' is not a number"):
         cut = vicon().split(b"\r\n")
         row = cut[8].split(b",")
         cut[8] = b",".join([*row[:5], b"a", *row[6:]])
@@ -341,18 +341,18 @@ def test_vicon(tmp_path):
 @pytest.mark.parametrize("columns", [False, True])
 @pytest.mark.parametrize("header", [False, True])
 @pytest.mark.parametrize("trailing", [False, True])
-def test_qualisys(tmp_path, columns, header, trailing):
+def test_qualisys_positions_are_read(tmp_path, columns, header, trailing):
     found = read_markers(written(tmp_path, qualisys(columns=columns, header=header, trailing=trailing)))
     same(found)
     assert found.labels == tuple(NAMES) and found.header_frames == FRAMES
 
 
-def test_qualisys_of_other_kinds_and_clocks(tmp_path):
+def test_qualisys_export_kinds_and_clocks(tmp_path):
     good = qualisys()
     for kind in (b"2D", b"6D"):
-        with pytest.raises(InputError, match=f"a {kind.decode()} export of Qualisys; 3D is read"):
+        with pytest.raises(InputError, match=f"{kind.decode()} exports of Qualisys cannot be read"):
             read_markers(written(tmp_path, good.replace(b"DATA_INCLUDED\t3D", b"DATA_INCLUDED\t" + kind)))
-    with pytest.raises(InputError, match="a 6D export"):
+    with pytest.raises(InputError, match="6D exports"):
         read_markers(written(tmp_path, qualisys(extra=["NO_OF_BODIES\t1"])))
     external = good.replace(b"FREQUENCY\t100\r", b"FREQUENCY\tEXT\r")
     with pytest.raises(InputError, match="frame rate 'EXT' is not allowed"):
@@ -363,11 +363,11 @@ def test_qualisys_of_other_kinds_and_clocks(tmp_path):
 
 
 @pytest.mark.parametrize("animals", [False, True])
-def test_deeplabcut(tmp_path, animals):
+def test_deeplabcut_positions_are_scaled(tmp_path, animals):
     path = written(tmp_path, deeplabcut(animals=animals))
     same(found := read_markers(path, **TABLE), TRUTH[..., :2])
     assert found.labels == (("s0:head", "s0:tail", "s1:head", "s1:tail") if animals else tuple(NAMES))
-    assert "y flipped: it runs down in pictures" in found.corrections
+    assert "y reversed, because it points down in images" in found.corrections
     with pytest.raises(InputError, match=r"give `rate_hz` .* and `scale_m` "):
         read_markers(path)
     with pytest.raises(InputError, match=r"give `scale_m` "):
@@ -376,7 +376,7 @@ def test_deeplabcut(tmp_path, animals):
 
 
 @pytest.mark.parametrize("version", ["1.0", "1.1", "1.2", "1.23", "1.24", "1.25"])
-def test_motive_rigid_bodies_turn(tmp_path, version):
+def test_motive_rigid_bodies_have_rotations(tmp_path, version):
     found = read_markers(written(tmp_path, motive(version=version, parent=version > "1.23")))
     same(found)
     turns = np.where(np.isnan(TRUTH[..., :1]), np.nan, quaternions())
@@ -386,13 +386,13 @@ def test_motive_rigid_bodies_turn(tmp_path, version):
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("mm", 1e3), ("m", 1.0), ("cm  ", 100.0), ("  ", 1e3)])
-def test_c3d(tmp_path, unit, scale):
+def test_c3d_positions_are_read(tmp_path, unit, scale):
     found = read_markers(written(tmp_path, c3d_file(unit=unit, scale=scale)))
     same(found)
     assert found.labels == tuple(NAMES) and found.header_frames == FRAMES
 
 
-def test_c3d_of_integers_and_of_many_points(tmp_path):
+def test_c3d_with_integers_and_with_many_points(tmp_path):
     same(read_markers(written(tmp_path, c3d_file(whole=0.1))), most=1.01e-4)
     names = [f"p{k}" for k in range(300)]
     points = np.random.default_rng(1).uniform(-1, 1, (5, 300, 3))
@@ -412,7 +412,7 @@ def test_a_motion_is_the_same_in_another_format(tmp_path):
     assert found.summary.kind == "C3D"
 
 
-def test_c3d_cut_between_frames_keeps_what_is_there(tmp_path):
+def test_truncated_c3d_keeps_its_whole_frames(tmp_path):
     found = read_markers(written(tmp_path, c3d_file()[:-1024]))
     assert 0 < len(found.time) < FRAMES
     assert any(f"of {FRAMES} frames" in each for each in found.corrections)
@@ -420,7 +420,7 @@ def test_c3d_cut_between_frames_keeps_what_is_there(tmp_path):
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
-def test_mcap(tmp_path, compression):
+def test_mcap_positions_and_signals_are_read(tmp_path, compression):
     topics = read_topics(written(tmp_path, mcap_file(compression)))
     expected = TRUTH.copy()
     expected[1::2, 2:] = np.nan
@@ -446,13 +446,13 @@ def test_mcap(tmp_path, compression):
     assert "topic /info (std_msgs/String) skipped: 1 messages" in topics.notes
 
 
-def test_mcap_that_was_cut_keeps_what_is_whole(tmp_path):
+def test_truncated_mcap_keeps_its_whole_messages(tmp_path):
     content = mcap_file()
     found = read_markers(written(tmp_path, content[: len(content) // 2]))
-    assert 0 < len(found.time) < FRAMES and "the file is cut: read up to there" in found.corrections
+    assert 0 < len(found.time) < FRAMES and "the file is cut: read up to the cut" in found.corrections
 
 
-def test_mcap_without_positions_and_of_two_clocks(tmp_path):
+def test_mcap_without_positions_and_with_two_clocks(tmp_path):
     stream = io.BytesIO()
     with RosWriter(stream) as writer:
         kind = "geometry_msgs/msg/PointStamped"
@@ -462,7 +462,7 @@ def test_mcap_without_positions_and_of_two_clocks(tmp_path):
             writer.write_message("/p", schema, point, log_time=ns(k / RATE))
     found = read_markers(written(tmp_path, stream.getvalue()))
     assert np.abs(np.diff(found.time) - 0.01).max() < 1e-6 and found.rotations is None
-    assert any("s from the log's clock" in each for each in found.corrections)
+    assert any("s from the log times" in each for each in found.corrections)
     stream = io.BytesIO()
     with RosWriter(stream) as writer:
         schema = writer.register_msgdef("std_msgs/msg/String", DEFINED["std_msgs/msg/String"])
@@ -473,11 +473,11 @@ def test_mcap_without_positions_and_of_two_clocks(tmp_path):
         read_markers(written(tmp_path, stream.getvalue()))
 
 
-def test_a_header_allocates_nothing(tmp_path):
-    """A chunk and a frame count that claim far more than the file has."""
+def test_declared_sizes_allocate_no_memory(tmp_path):
+    """A chunk and a frame count declare far more than the file contains."""
     content = mcap_file()
     at = content.index(b"zstd") - 4 - 4 - 8
-    with pytest.raises(InputError, match="unpack to 4398046511104 MB; .* at most 16 MB are read"):
+    with pytest.raises(InputError, match="unpack to 4398046511104 MB; at most 16 MB are read"):
         read_markers(written(tmp_path, content[:at] + (2**62).to_bytes(8, "little") + content[at + 8 :]))
     bomb = bytearray(c3d_file())
     bomb[8:10] = b"\xff\xff"  # last frame
@@ -489,10 +489,8 @@ def test_a_header_allocates_nothing(tmp_path):
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
 @pytest.mark.parametrize("kind", ["one large message", "many small messages"])
-def test_an_archive_of_repeated_bytes_is_refused_before_it_is_unpacked(
-    tmp_path, monkeypatch, compression, kind
-):
-    """A few hundred kB at most, which would unpack to more than a recording of that size can hold."""
+def test_compression_bombs_are_refused_before_unpacking(tmp_path, monkeypatch, compression, kind):
+    """Files of a few hundred kB would unpack to more than a recording of that size contains."""
     size, count = {"one large message": (1 << 22, 50), "many small messages": (1000, 50_000)}[kind]
     stream = io.BytesIO()
     writer = McapWriter(stream, compression=compression, chunk_size=8 << 20)
@@ -504,12 +502,12 @@ def test_an_archive_of_repeated_bytes_is_refused_before_it_is_unpacked(
     path = written(tmp_path, stream.getvalue())
     monkeypatch.setattr(mcap, "unpacked", None)  # not one chunk is
     with pytest.raises(
-        InputError, match=r"its chunks unpack to \d+ MB; of a file of \d+ kB at most \d+ MB are"
+        InputError, match=r"its chunks unpack to \d+ MB; at most \d+ MB are read of a file of \d+ kB"
     ):
         read_markers(path)
 
 
-def test_signals_are_not_read_where_only_positions_are_wanted(tmp_path):
+def test_signals_are_not_decoded_for_positions(tmp_path):
     path = written(tmp_path, mcap_file())
     found = topics.read(read_bytes(path), "MCAP", mcap.messages, signals=False)
     assert found.signals == {} != read_topics(path).signals
@@ -581,7 +579,7 @@ def test_many_damaged_files_are_read_or_refused_in_one_line(tmp_path, kind):
 
 
 @pytest.mark.slow
-def test_what_unpacks_to_gigabytes_is_refused(tmp_path):
+def test_files_that_unpack_to_gigabytes_are_refused(tmp_path):
     stream = io.BytesIO()
     writer = McapWriter(stream, compression=CompressionType.ZSTD)
     writer.start()
@@ -607,9 +605,9 @@ def test_what_unpacks_to_gigabytes_is_refused(tmp_path):
         (
             "a.csv",
             b"some,words\n1,2\n",
-            ":1: no motion recording that is read: its first line is 'some,words'",
+            ":1: not a known motion recording: its first line is 'some,words'",
         ),
-        ("a.csv", b"\x7fELF\0\0\0", "a binary file of a kind that is not known"),
+        ("a.csv", b"\x7fELF\0\0\0", "it is a binary file of an unknown kind"),
         ("a.csv", b"", "empty"),
         ("a.csv", b"\n \n", "empty"),
     ],
@@ -626,16 +624,16 @@ def test_unknown_formats_are_named(tmp_path, name, content, words):
     assert "empty" in words or "MCAP" in str(refused.value)
 
 
-def test_a_column_that_is_missing_is_reported_at_the_line_of_the_names(tmp_path):
-    """The same rows are read once the column is there."""
+def test_a_missing_column_is_reported_at_the_header(tmp_path):
+    """The same rows can be read with the column."""
     names, rows = "time,a_x,a_y,b_x,b_y,b_z", "0,1,2,3,4,5\n0.1,1,2,3,4,5\n"
-    with pytest.raises(InputError, match=r"m\.csv:1: a_z is missing, other markers have one"):
+    with pytest.raises(InputError, match=r"m\.csv:1: a_z is missing, although other markers have one"):
         read_markers(written(tmp_path, f"{names}\n{rows}".encode(), "m.csv"))
     whole = names.replace("a_y", "a_y,a_z") + "\n" + rows.replace("2,3", "2,0,3")
     assert read_markers(written(tmp_path, whole.encode(), "m.csv")).points.shape == (2, 2, 3)
 
 
-def test_places_that_hold_no_file(tmp_path):
+def test_missing_files_are_reported(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         identify(tmp_path / "none.c3d")
     with pytest.raises(InputError, match="a folder; give one file"):
@@ -645,7 +643,7 @@ def test_places_that_hold_no_file(tmp_path):
 @pytest.mark.parametrize(
     ("kind", "package"), [("C3D", "c3d"), ("MCAP", "rosbags.typesys"), ("ROS 1 bag", "rosbags.typesys")]
 )
-def test_without_the_library_the_message_says_how_to_get_it(tmp_path, monkeypatch, kind, package):
+def test_a_missing_library_is_reported_with_its_installation(tmp_path, monkeypatch, kind, package):
     monkeypatch.setitem(sys.modules, package, None)
     topics._decoder.cache_clear()
     topics._definitions.cache_clear()
@@ -655,7 +653,7 @@ def test_without_the_library_the_message_says_how_to_get_it(tmp_path, monkeypatc
         read_markers(written(tmp_path, FILES[kind]()))
 
 
-def test_size_limits_hold_for_all(tmp_path, monkeypatch):
+def test_size_limits_apply_to_all_formats(tmp_path, monkeypatch):
     monkeypatch.setattr("srs_twin.recordings.csv_table.MAX_BYTES", 1 << 10)
     for content in FILES.values():
         with pytest.raises(InputError, match="MB; at most 0 MB are read"):
@@ -673,9 +671,12 @@ STATED = {
 
 
 @pytest.mark.parametrize("kind", STATED)
-def test_a_unit_against_that_of_the_file_is_refused(tmp_path, kind):
+def test_a_unit_in_conflict_with_the_file_is_refused(tmp_path, kind):
     path = written(tmp_path, FILES[kind]())
-    words = rf"take.data: lengths are in {STATED[kind]} by the file, in ft by the map or --units; correct one"
+    words = (
+        f"take.data: lengths are in {STATED[kind]} according to the file, but in ft according to the map or "
+        "--units; correct one"
+    )
     with pytest.raises(InputError, match=words):
         read_markers(path, unit="ft")
     with pytest.raises(InputError, match=words):
@@ -684,8 +685,8 @@ def test_a_unit_against_that_of_the_file_is_refused(tmp_path, kind):
     assert np.array_equal(same_unit.points, alone.points, equal_nan=True)
 
 
-def test_a_unit_that_a_file_leaves_open_is_used(tmp_path):
+def test_a_unit_that_the_file_lacks_is_used(tmp_path):
     path = written(tmp_path, c3d_file(unit="", scale=1e2))
     found = read_markers(path, unit="cm")
     same(found, most=1e-5)
-    assert "POINT:UNITS is not given: cm taken" in found.corrections
+    assert "POINT:UNITS is missing: cm assumed" in found.corrections

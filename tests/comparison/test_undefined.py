@@ -89,7 +89,7 @@ def judged(document: dict[str, Any], metric: str, limit: dict[str, float], **cha
         (STEP, {"record_hz": 50}, "outlet_openings", "does not record"),
     ],
 )
-def test_what_a_run_does_not_define_is_not_judged(document, changes, metric, reason):
+def test_undefined_metrics_are_not_judged(document, changes, metric, reason):
     row = judged(document, metric, {"near": 5.0, "rel": 0.1}, **changes)
     assert (row["state"], row["met"], row["value"]) == ("not_judged", False, None)
     assert reason in row["reason"]
@@ -104,7 +104,7 @@ def test_what_a_run_does_not_define_is_not_judged(document, changes, metric, rea
         (GAIT, {}, "com_speed_m_s", {"above": 3.0}),
     ],
 )
-def test_a_missing_value_that_is_the_outcome_is_missed(document, changes, metric, limit):
+def test_an_undefined_outcome_is_missed(document, changes, metric, limit):
     row = judged(document, metric, limit, **changes)
     assert (row["state"], row["met"], row["reason"]) == ("missed", False, None)
 
@@ -141,7 +141,7 @@ def test_differences_from_the_robot_need_its_recording():
     assert reasons(analytical=run, measured=only_bends) == {"only bends were recorded", ""}
 
 
-def test_a_run_that_ended_by_itself_is_judged():
+def test_a_run_that_ended_early_is_judged():
     metrics, run = ran(GAIT, duration_s=0.5)
     ended = replace(run, metadata=run.metadata | {"ended_by": "controller"})
     assert why_undefined("com_speed_m_s", "analytical", metrics, {"analytical": run}) is not None
@@ -248,7 +248,7 @@ def test_a_published_value_within_two_standard_errors_of_an_end_is_undecided(
     assert row["interval_error"] == [error, error]
 
 
-def test_an_undecided_value_says_how_far_it_is_from_which_end():
+def test_an_undecided_value_names_its_distance_from_the_nearest_end():
     row = within(0.2, published=0.09998, interval_95_error=[0.0045, 0.001])
     assert "is 0.0044 standard errors from the end 0.1 (± 0.0045)" in row["reason"]
     assert "lies near an end of the 95 % interval" in row["allowed"]
@@ -256,8 +256,8 @@ def test_an_undecided_value_says_how_far_it_is_from_which_end():
 
 @pytest.mark.parametrize("high", [0.25, 0.2])
 @pytest.mark.parametrize("digits", [1e-9, -1e-9, 4e-6])
-def test_last_digits_of_a_value_leave_the_interval_in_force(high, digits):
-    # Those of another processor, and those that are not stored; of an interval without width, too.
+def test_rounding_differences_keep_the_interval_valid(high, digits):
+    # Rounding of another processor and of the stored digits, also for an interval of zero width.
     row = within(0.2 * (1 + digits), interval_95=[high - 0.05 * (high > 0.2), high], published=high)
     assert row["state"] == "met"
 
@@ -273,7 +273,7 @@ def test_last_digits_of_a_value_leave_the_interval_in_force(high, digits):
         (within(math.nan), "missed"),
     ],
 )
-def test_stale_intervals_are_not_judged_and_what_diverged_is_missed(row, state):
+def test_stale_intervals_are_not_judged_and_diverged_runs_are_missed(row, state):
     assert (verdict(row), row["met"]) == (state, state == "met")
     assert (row["reason"] is not None) == (state == "not_judged")
     assert row["allowed"].startswith("published")
@@ -291,7 +291,7 @@ def test_a_parameter_is_named_only_if_it_stands_out_from_the_error_of_its_index(
 
 @pytest.mark.parametrize("name", sorted(shipped_names("scenario")))
 def test_shipped_intervals_are_for_the_shipped_scenarios(name):
-    """None of them is unjudged; `tests/scenarios` sees it in the runs."""
+    """None is unjudged; `tests/scenarios` checks this in the runs."""
     scenario = load_scenario(name)
     if any(each.within for each in scenario.expect):
         kept = kept_intervals(scenario)
@@ -299,7 +299,7 @@ def test_shipped_intervals_are_for_the_shipped_scenarios(name):
         assert all(each.metric in kept["plants"][each.subject] for each in scenario.expect if each.within)
 
 
-def test_a_seed_or_a_duration_leaves_the_interval_in_force_and_another_robot_does_not():
+def test_seed_and_duration_keep_the_interval_valid_but_another_robot_does_not():
     def stale(**changes: Any) -> bool:
         return kept_intervals(load_scenario("gen2_straight", set=changes))["stale"] is not None
 
@@ -308,6 +308,6 @@ def test_a_seed_or_a_duration_leaves_the_interval_in_force_and_another_robot_doe
     assert stale(**{"controller.frequency_hz": 1.9})
 
 
-def test_an_interval_of_another_contact_says_so():
+def test_an_interval_for_another_contact_is_reported():
     other = load_scenario("gen2_straight", set={"plants.twin.contact": "preloaded"})
     assert "is for a twin with contact loaded, not preloaded" in kept_intervals(other)["stale"]

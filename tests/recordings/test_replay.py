@@ -1,4 +1,4 @@
-"""Replays: recorded valves or pressures drive the plants, which are held against what was measured."""
+"""Replays: recorded valves or pressures drive the plants, which are compared with the measurement."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PRESSURES = [f"pressure_{side}_{j}" for j in range(1, 5) for side in ("plus", "m
 
 
 def recorded_of(spec, schedule, times, step) -> tuple[np.ndarray, RecordedPressures]:
-    """Return the bends that valves give, and chambers with the pressures that they gave every `step` s."""
+    """Return the bends for valve states, and chambers with the resulting pressures every `step` s."""
     valves = LagPneumatics(spec, supply_pa=SUPPLY)
     log = np.arange(0.0, schedule.span + step / 2, step)
     logged = LagPneumatics(spec, supply_pa=SUPPLY).advance(schedule, np.minimum(log, schedule.span))
@@ -37,8 +37,8 @@ def recorded_of(spec, schedule, times, step) -> tuple[np.ndarray, RecordedPressu
     return bends, RecordedPressures(spec, log, logged.pressure, supply_pa=SUPPLY)
 
 
-def test_recorded_pressures_bend_as_the_valves_that_made_them_did():
-    """With pressures of their own the lag τ₂ alone is left; the error falls with the sampling."""
+def test_recorded_pressures_give_the_bends_of_their_valves():
+    """With recorded pressures only the lag τ₂ remains; the error decreases with the sample period."""
     spec = with_values(
         SPEC, {"modules.gain_plus_2": 1.2, "modules.bias_rad_3": 0.1, "actuator.tau_mode_s": 0.02}
     )
@@ -50,7 +50,7 @@ def test_recorded_pressures_bend_as_the_valves_that_made_them_did():
         bends, chambers = recorded_of(spec, schedule, times, step)
         off.append(np.abs(chambers.advance(schedule, times).bend - bends).max())
     assert off[-1] < 2e-3 and off[0] > 1.8 * off[1] > 1.8 * 1.8 * off[2] * 0.9
-    # Rates are the derivatives of bends, also across stretches and where bends flatten.
+    # Rates are the derivatives of bends, also between chunks and at the bend limit.
     spec = with_values(spec, {"actuator.bend_limit_rad": 1.2})
     _, chambers = recorded_of(spec, schedule, times, 0.002)
     first = chambers.advance(schedule.slice(0.0, 0.9), np.linspace(0.0, 0.9, 9001))
@@ -62,16 +62,16 @@ def test_recorded_pressures_bend_as_the_valves_that_made_them_did():
     assert (first.air == 0).all()
 
 
-def test_recorded_pressures_that_cannot_be():
+def test_invalid_recorded_pressures_are_refused():
     time = np.array([0.0, 1.0])
     with pytest.raises(InputError, match=r"shape \(2, 1, 2\); gen2 needs \(2, 4, 2\)"):
         RecordedPressures(SPEC, time, np.zeros((2, 1, 2)), supply_pa=SUPPLY)
-    with pytest.raises(InputError, match="must be finite, and their times must increase"):
+    with pytest.raises(InputError, match="must be finite and their times rise"):
         RecordedPressures(SPEC, time[::-1], np.zeros((2, 4, 2)), supply_pa=SUPPLY)
 
 
-def test_both_plants_obey_recorded_pressures():
-    """The run that the valves gave comes back from its pressures alone, on either plant."""
+def test_both_plants_follow_recorded_pressures():
+    """The run with valve states is recovered from its pressures alone, on either plant."""
     for plant in (AnalyticalSnake, TwinSnake):
         truth = rollout(
             plant(SPEC, supply_pa=SUPPLY), Gait(2.0), 1.0, record_hz=500 if plant is AnalyticalSnake else 1000
@@ -89,14 +89,14 @@ def test_both_plants_obey_recorded_pressures():
 
 @pytest.fixture(scope="module")
 def perfect(tmp_path_factory):
-    """A folder with a recording without noise of the analytical plant, that lay elsewhere, and its logs."""
+    """Return a folder with a noise-free recording of the analytical plant at another pose, and its logs."""
     folder = tmp_path_factory.mktemp("perfect")
     plant = AnalyticalSnake(SPEC, supply_pa=48.3e3, friction="wheel")
     rest = Schedule(0.4, np.zeros(1), np.full((1, 4, 2), -1, dtype=np.int8))
     gait = Gait(2.0, 0.1)
     gait.reset(SPEC, 0.02)
     whole = rest.followed_by(gait.script(2.6))
-    # What pressures do between the samples of a log is a straight line: at 100 Hz that costs 2 % of the way.
+    # Pressures are linear between the samples of a log, which at 100 Hz changes the distance by 2 %.
     truth = rollout(plant, Replay(whole), 3.0, pose=(1.0, -2.0, 2.5), record_hz=1000)
     write_motive(truth, Take(layout="pair", noise=0.0, digits=4, rate_hz=100), folder / "take.csv")
     head = ",".join(["time", *(f"valve_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus"))])
@@ -122,7 +122,7 @@ def replayed(folder, **changes):
 
 
 @pytest.mark.parametrize("log", ["take.valves.csv", "pressures.csv"])
-def test_the_robot_itself_leaves_no_residual(perfect, log):
+def test_replay_of_a_simulated_run_has_no_residual(perfect, log):
     scenario = replayed(
         perfect,
         recording={"motion": str(perfect / "take.csv"), "valves": str(perfect / log), "offset_s": -5.0},
@@ -133,15 +133,15 @@ def test_the_robot_itself_leaves_no_residual(perfect, log):
         scenario.build_plant("analytical"), scenario.build_controller(), 2.9, pose=scenario.pose,
         record_hz=scenario.record_hz,
     )  # fmt: skip
-    found = MeasuredDifference.of(scenario.measured, run)
-    # The centre of mass went 0.5 m; sliding friction amplifies what is left of rounding.
+    found = MeasuredDifference.between(scenario.measured, run)
+    # The centre of mass moves 0.5 m, and sliding friction amplifies rounding errors.
     assert found.metrics["measured_path_rms_m"] < 2e-3
     assert found.metrics["measured_shape_rms_m"] < 1e-5
     assert found.metrics["measured_bend_rms_rad"] < 1e-4
     assert found.metrics["measured_heading_rms_rad"] < 0.02
     heavier = scenario.build_plant("analytical", robot=with_values(SPEC, {"friction.mu_n": 0.3}))
     other = rollout(heavier, scenario.build_controller(), 2.9, pose=scenario.pose)
-    worse = MeasuredDifference.of(scenario.measured, other)
+    worse = MeasuredDifference.between(scenario.measured, other)
     assert worse.metrics["measured_path_rms_m"] > 5 * found.metrics["measured_path_rms_m"]
     told = found.document()
     assert told["rms"]["path_m"] == pytest.approx(found.metrics["measured_path_rms_m"])
@@ -150,8 +150,8 @@ def test_the_robot_itself_leaves_no_residual(perfect, log):
     assert len(parts) == len(told["over_time"]["time_s"]) == 50
 
 
-def test_a_sweep_says_of_pressures_what_a_run_says(perfect):
-    """Rows hold the differences from the measured robot, and no costs that nobody knows."""
+def test_sweep_and_run_agree_on_recorded_pressures(perfect):
+    """Rows contain the differences from the measured robot, but no costs, which are unknown."""
     recording = {
         "motion": str(perfect / "take.csv"), "valves": str(perfect / "pressures.csv"), "offset_s": -5.0,
         "gait_frequency_hz": 2.0,
@@ -172,11 +172,11 @@ def test_a_sweep_says_of_pressures_what_a_run_says(perfect):
         ({"duration_s": 3.2}, r"duration_s: 3.2 s is longer than the recording's"),
         ({"recording": {"motion": "none.csv"}}, r"recording.motion: none.csv: no such file"),
         ({"robot": "gen4_module"}, r"recording.valves: .*gen4_module has 1 segments"),
-        ({"bench": True, "plants": {"analytical": {}}}, "recording.motion: .*on a bench it is held"),
+        ({"bench": True, "plants": {"analytical": {}}}, "recording.motion: .*it must be clamped on a bench"),
         ({"valves": {"layout": "in_out"}}, None),
     ],
 )
-def test_what_a_replay_needs(perfect, changes, message):
+def test_missing_sections_of_a_replay_are_reported(perfect, changes, message):
     changes = {key: value for key, value in changes.items() if value is not None}
     if message is None:
         assert replayed(perfect, **changes).layout == "in_out"
@@ -198,7 +198,7 @@ def test_what_a_replay_needs(perfect, changes, message):
         ("  head: tip", "8:9: recording.head: "),
     ],
 )
-def test_errors_of_a_recording_stand_at_their_keys(perfect, tmp_path, line, place):
+def test_errors_of_a_recording_name_their_keys(perfect, tmp_path, line, place):
     take, log = perfect / "take.csv", perfect / "take.valves.csv"
     lines = {"motion": f"  motion: {take}", "valves": f"  valves: {log}", "offset_s": "  offset_s: -5"}
     lines |= {"head": "  up: auto"}
@@ -215,7 +215,7 @@ def test_errors_of_a_recording_stand_at_their_keys(perfect, tmp_path, line, plac
     assert f"r.yaml:{place}" in str(found.value)
 
 
-def test_chambers_cannot_be_asked_for_where_pressures_are_recorded(perfect):
+def test_chamber_models_are_refused_with_recorded_pressures(perfect):
     recording = {
         "motion": str(perfect / "take.csv"), "valves": str(perfect / "pressures.csv"), "offset_s": -5.0,
     }  # fmt: skip
@@ -233,7 +233,7 @@ def test_a_measured_metric_needs_a_recording():
 
 
 @pytest.mark.parametrize("log", ["take.valves.csv", "pressures.csv"])
-def test_the_resolved_scenario_is_the_same_from_any_folder(perfect, log, monkeypatch, tmp_path):
+def test_resolved_scenario_does_not_depend_on_the_folder(perfect, log, monkeypatch, tmp_path):
     monkeypatch.chdir(perfect)
     scenario = replayed(perfect, recording={"motion": "take.csv", "valves": log, "offset_s": -5.0})
     monkeypatch.chdir(tmp_path)
@@ -244,7 +244,7 @@ def test_the_resolved_scenario_is_the_same_from_any_folder(perfect, log, monkeyp
 
 
 @pytest.mark.slow
-def test_replay_from_the_command_line(tmp_path, srs_twin):
+def test_replay_command(tmp_path, srs_twin):
     expect = tmp_path / "expect.yaml"
     text = "expect:\n  - {metric: measured_shape_rms_m, plant: analytical, below: LIMIT}\n"
     expect.write_text(text.replace("LIMIT", "0.02"))
@@ -268,7 +268,7 @@ def test_replay_from_the_command_line(tmp_path, srs_twin):
     assert b"world/measured/connectors" in (run / "recording.rrd").read_bytes()
     assert "measured.parquet" in {path.name for path in run.iterdir()}
 
-    # The folder's scenario is the same replay; a limit that is missed decides the exit code.
+    # The scenario in the folder is the same replay; a missed limit determines the exit code.
     resolved = run / "scenario.resolved.yaml"
     document = YAML(typ="safe").load(resolved)
     assert document["controller"] == {"kind": "replay"} and document["recording"]["longest_gap_s"] == 0.3
@@ -280,7 +280,7 @@ def test_replay_from_the_command_line(tmp_path, srs_twin):
 
 
 @pytest.mark.slow
-def test_a_replay_of_pressures_can_be_run_again_from_another_folder(perfect, tmp_path, monkeypatch):
+def test_a_replay_of_pressures_can_be_repeated_from_another_folder(perfect, tmp_path, monkeypatch):
     def ran(folder, *words):
         monkeypatch.chdir(folder)
         with pytest.raises(SystemExit) as end:
@@ -310,7 +310,7 @@ def test_a_replay_of_pressures_can_be_run_again_from_another_folder(perfect, tmp
         (["w.csv", "--up", "w"], "up 'w' is unknown"),
     ],
 )
-def test_replays_that_cannot_be(tmp_path, monkeypatch, capsys, words, message):
+def test_invalid_replays_are_refused(tmp_path, monkeypatch, capsys, words, message):
     for name in ("walk_check.csv", "walk_check.valves.csv"):
         (tmp_path / name.replace("walk_check", "w")).write_bytes((EXAMPLE / name).read_bytes())
     (tmp_path / "e.yaml").write_text("expect: [{metric: speed, plant: twin, below: 1}]\n")

@@ -1,4 +1,4 @@
-"""Metrics of following a reference, against responses known in closed form."""
+"""Metrics of tracking a reference, compared with closed-form responses."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from srs_twin.comparison.tracking import TRACKING_UNITS, fit_sine, frequency_of, tracking_metrics
+from srs_twin.comparison.tracking import TRACKING_UNITS, fit_sine, sine_frequency, tracking_metrics
 from srs_twin.errors import InputError
 from srs_twin.trajectory import Trajectory
 
@@ -23,7 +23,7 @@ SINE = {
 
 
 def run(reference: Any, bend: Any, *, duration: float = 4.0, **metadata: Any) -> Trajectory:
-    """Return a trajectory from two laws of time."""
+    """Return a trajectory from functions of time for the reference and the bend."""
     time = TICK * np.arange(round(duration / TICK) + 1)
     columns = {"time": time, "reference_1": reference(time) + 0 * time, "bend_1": bend(time) + 0 * time}
     return Trajectory(columns, metadata=metadata)
@@ -34,7 +34,7 @@ def step_to(after: float, *, at: float = 0.5, before: float = 0.0) -> Any:
 
 
 def second_order(after: float, zeta: float, omega: float, at: float) -> Any:
-    """Return the response of an underdamped second order law to a step from 0."""
+    """Return the step response of an underdamped second-order system."""
     damped = omega * math.sqrt(1 - zeta**2)
 
     def response(t: np.ndarray) -> np.ndarray:
@@ -46,7 +46,7 @@ def second_order(after: float, zeta: float, omega: float, at: float) -> Any:
 
 
 def first_at(level: float, time: np.ndarray, values: np.ndarray) -> float:
-    """Return when values first reach a level, s, between samples: a raster of 10 µs would be too coarse."""
+    """Return the first time at which values reach a level, s, interpolated between samples."""
     k = int(np.argmax(values >= level))
     return float(np.interp(level, values[k - 1 : k + 1], time[k - 1 : k + 1]))
 
@@ -57,7 +57,7 @@ def named(metrics: dict[str, float | None]) -> set[str]:
 
 @settings(max_examples=25)
 @given(st.floats(0.2, 0.8), st.floats(15, 60), st.sampled_from([0.436, -0.6, 0.05]))
-def test_second_order_step_has_its_textbook_overshoot_and_rise(zeta, omega, after):
+def test_overshoot_and_rise_time_of_a_second_order_system(zeta, omega, after):
     found = tracking_metrics(run(step_to(after), second_order(after, zeta, omega, 0.5)))
     overshoot = math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2))
     assert found["overshoot_rel"] == pytest.approx(overshoot, abs=1e-3)
@@ -68,7 +68,7 @@ def test_second_order_step_has_its_textbook_overshoot_and_rise(zeta, omega, afte
     assert found["rise_time_s"] == pytest.approx(rise, abs=2e-5)
     for name, band in (("settling_2_s", 0.02), ("settling_5_s", 0.05)):
         left = fine[np.flatnonzero(np.abs(share - 1) > band)[-1]]
-        # A swing that only touches the band may fall between two samples.
+        # The response may touch the band between two samples.
         peaks = np.exp(-zeta / math.sqrt(1 - zeta**2) * math.pi * np.arange(1, 30))
         if np.abs(peaks - band).min() > 1e-3:
             assert found[name] == pytest.approx(left, abs=1e-4)
@@ -93,7 +93,7 @@ def test_a_constant_reference_is_a_step_from_where_the_bend_starts():
     assert named(held) == REST | {"error_rms_rad"}
 
 
-def test_what_is_never_reached_is_none():
+def test_levels_that_are_not_reached_are_none():
     short = tracking_metrics(run(step_to(0.4), lambda t: 0.2 * (t > 0.6)))
     assert short["rise_time_s"] is None and short["settling_5_s"] is None and short["settling_2_s"] is None
     assert short["overshoot_rel"] == 0.0
@@ -101,8 +101,8 @@ def test_what_is_never_reached_is_none():
     assert near["settling_2_s"] is None and near["settling_5_s"] == pytest.approx(0.1, abs=2 * TICK)
 
 
-def test_rest_is_the_second_half_after_the_step():
-    """A ripple of whole periods about an offset, drowned before by something wild."""
+def test_steady_state_is_the_second_half_after_the_step():
+    """A ripple of whole periods about an offset, after a large disturbance in the first half."""
 
     def bend(t: np.ndarray) -> np.ndarray:
         calm = 0.4 + 0.01 + 0.02 * np.sin(2 * np.pi * 10 * t)
@@ -125,7 +125,7 @@ def test_rest_is_the_second_half_after_the_step():
     st.floats(-0.5, 0.5),
 )  # fmt: skip
 def test_amplitude_and_lag_of_a_sine_are_recovered(f, asked, phase, share, lag, offset):
-    """Periods are no multiple of the samples', the bend has its own offset, lags go all the way round."""
+    """Periods are not multiples of the sample period, the bend has an offset, lags cover a full circle."""
     reference = lambda t: 0.1 + asked * np.sin(2 * np.pi * f * t + phase)  # noqa: E731
     bend = lambda t: offset + share * asked * np.sin(2 * np.pi * f * t + phase - lag)  # noqa: E731
     found = tracking_metrics(run(reference, bend, duration=round(5 / f + 0.1, 3)))
@@ -137,23 +137,25 @@ def test_amplitude_and_lag_of_a_sine_are_recovered(f, asked, phase, share, lag, 
     assert named(found) >= SINE and not named(found) & (STEP | REST)
 
 
-def test_the_lowest_frequency_of_the_experiments_is_found_exactly():
+def test_frequency_of_a_short_sine_is_exact():
     time = TICK * np.arange(16001)
     for f in (0.25, 0.5, 1, 2, 4, 6, 123.0):
-        assert frequency_of(time, 0.3 + 0.6 * np.sin(2 * np.pi * f * time + 1)) == pytest.approx(f, rel=1e-9)
+        assert sine_frequency(time, 0.3 + 0.6 * np.sin(2 * np.pi * f * time + 1)) == pytest.approx(
+            f, rel=1e-9
+        )
 
 
 def test_only_pure_sines_count_as_sines():
     time = TICK * np.arange(4001)
     sine = np.sin(2 * np.pi * 2 * time)
-    assert frequency_of(time, np.sign(sine)) is None
-    assert frequency_of(time, np.clip(sine, -0.95, 0.95)) is None
-    assert frequency_of(time, sine + 0.01 * np.sin(2 * np.pi * 7 * time)) is None
-    assert frequency_of(time, time) is None
-    assert frequency_of(time, np.full_like(time, 0.2)) is None
+    assert sine_frequency(time, np.sign(sine)) is None
+    assert sine_frequency(time, np.clip(sine, -0.95, 0.95)) is None
+    assert sine_frequency(time, sine + 0.01 * np.sin(2 * np.pi * 7 * time)) is None
+    assert sine_frequency(time, time) is None
+    assert sine_frequency(time, np.full_like(time, 0.2)) is None
 
 
-def test_spread_and_residual_tell_noise_from_a_clean_sine():
+def test_spread_and_residual_measure_noise():
     rng = np.random.default_rng(1)
     clean = lambda t: 0.6 * np.sin(2 * np.pi * 2 * t)  # noqa: E731
     noisy = tracking_metrics(run(clean, lambda t: clean(t) + 0.02 * rng.standard_normal(len(t)), duration=40))
@@ -165,13 +167,13 @@ def test_spread_and_residual_tell_noise_from_a_clean_sine():
 
 
 def test_warm_up_is_left_out():
-    """Two periods at half the amplitude before five at the full one."""
+    """Two periods have half the amplitude of the following five."""
     sine = lambda t: 0.6 * np.sin(2 * np.pi * t)  # noqa: E731
     found = tracking_metrics(run(sine, lambda t: sine(t) * np.where(t < 2, 0.5, 1.0), duration=7.0))
     assert found["amplitude_rel"] == pytest.approx(1.0, abs=1e-9)
 
 
-def test_fewer_than_two_periods_have_no_fit_and_two_no_spread():
+def test_a_fit_needs_two_periods_and_a_spread_three():
     sine = lambda t: 0.6 * np.sin(2 * np.pi * t)  # noqa: E731
     assert not named(tracking_metrics(run(sine, sine, duration=1.9))) & SINE
     two = tracking_metrics(run(sine, sine, duration=2.0))
@@ -179,14 +181,14 @@ def test_fewer_than_two_periods_have_no_fit_and_two_no_spread():
     assert two["amplitude_spread_rel"] is None and two["phase_lag_spread_rad"] is None
 
 
-def test_a_square_has_its_error_and_openings_only():
+def test_a_square_wave_has_only_error_and_openings():
     square = lambda t: 0.6 * np.sign(np.sin(2 * np.pi * 2 * t + 1e-6))  # noqa: E731
     found = tracking_metrics(run(square, lambda t: 0.0, valve_switches=[[20, 22]]))
     assert named(found) == {"error_rms_rad", "inlet_openings"}
     assert found["error_rms_rad"] == pytest.approx(0.6) and found["inlet_openings"] == 21
 
 
-def test_outlets_are_counted_of_valves_that_hold_at_every_tick():
+def test_outlet_openings_need_hold_states_in_every_tick():
     trajectory = run(lambda t: 0.4, lambda t: 0.4, duration=0.01, tick_s=TICK, valve_switches=[[2, 0]])
     plus = np.array([-1, 1, 1, 0, -1, -1, 0, -1, 1, 0, 0], dtype=float)
     minus = np.array([-1, -1, 0, 0, -1, -1, 0, 0, 0, 0, -1], dtype=float)
@@ -212,8 +214,8 @@ def test_missing_columns_are_named(missing):
         tracking_metrics(Trajectory(columns))
 
 
-def test_fit_of_a_sine_is_the_least_squares_one():
-    """Nothing near it leaves less."""
+def test_sine_fit_minimises_the_squares():
+    """No sine with similar parameters has a smaller residual."""
     rng = np.random.default_rng(0)
     time = np.sort(rng.uniform(0, 3, 400))
     values = 0.2 + np.sin(7 * time) + 0.3 * rng.standard_normal(400)

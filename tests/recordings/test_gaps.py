@@ -11,7 +11,7 @@ pytestmark = pytest.mark.fast
 
 
 @pytest.mark.parametrize("missing", [1, 3, 7])
-def test_gap_lasts_from_the_last_sample_before_it_to_the_first_after_it(missing):
+def test_duration_of_a_gap_is_measured_between_its_neighbours(missing):
     time = 5.0 + 0.01 * np.arange(60)
     tracks = np.zeros((60, 2, 2))
     tracks[20 : 20 + missing, 1] = np.nan
@@ -22,8 +22,8 @@ def test_gap_lasts_from_the_last_sample_before_it_to_the_first_after_it(missing)
 
 @pytest.mark.parametrize("place", [0.0, 10.0])
 @pytest.mark.parametrize("hidden", [False, True], ids=["seen", "between gaps"])
-def test_outliers_are_found_wherever_the_track_is(place, hidden):
-    """A cubic track has none; 5 mm in any direction is one, also where only its neighbours are seen."""
+def test_outliers_are_detected_at_any_position(place, hidden):
+    """A cubic track has none; a jump of 5 mm in any direction is one, also with few visible neighbours."""
     s = np.linspace(-1, 1, 200)
     track = place + np.column_stack([s**3 - 0.2 * s, 0.3 * s**2 + s])
     points = np.stack([track, track[::-1]], axis=1)
@@ -36,8 +36,8 @@ def test_outliers_are_found_wherever_the_track_is(place, hidden):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_outlier_among_missing_samples_is_blamed_and_no_other(seed):
-    """Whichever samples are missing around it; near the ends there are too few to judge."""
+def test_only_the_outlier_among_missing_samples_is_detected(seed):
+    """Any samples around it may be missing; near the ends there are too few of them."""
     random, s = np.random.default_rng(seed), np.linspace(-1, 1, 200)
     points = np.column_stack([s**3 - 0.2 * s, 0.3 * s**2 + s])[:, None].copy()
     points[random.random(200) < 0.25] = np.nan

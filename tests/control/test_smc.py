@@ -1,4 +1,4 @@
-"""The sliding mode controllers of Chapter 4 against mock plants that share no code with the project's."""
+"""Sliding mode controllers of Chapter 4 with mock plants that share no code with the package."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from srs_twin.pneumatics.valves import LAYOUTS
 TICK = 1e-3
 DEGREE = math.pi / 180
 BOTH = [DirectSMC, IterativeSMC]
-# What a broken sensor may say, with what a good one says more often.
+# Readings of a faulty sensor, and more often those of a working one.
 readings = st.floats(-1.5, 1.5) | st.floats(allow_nan=True, allow_infinity=True)
 MODULES, EXAMPLES = 200, 25  # 2 controllers × 25 × 200 = 10,000 histories
 
@@ -36,7 +36,7 @@ def robot(segments: int) -> RobotSpec:
 
 
 def state(time: float, sensed: Any) -> Any:
-    """Return a state that holds nothing else: reading anything true would fail."""
+    """Return a state without true values, so that reading one would fail."""
     return SimpleNamespace(time=time, sensed=np.atleast_1d(np.asarray(sensed, dtype=float)))
 
 
@@ -65,8 +65,8 @@ def signals(controller: Controller) -> dict[str, np.ndarray]:
     st.integers(1, 60),
     st.sampled_from([Constant(0.3), Sine(0.6, 6.0), Square(0.6, 2.0), Step(0.4, -0.4, 0.01)]),
 )
-def test_whatever_is_sensed_valves_and_signals_stay_sound_and_nothing_winds_up(kind, rows, hold, reference):
-    """Each row lasts some ticks; then the bend stands 0.1 rad short, and the controller must push upwards."""
+def test_any_readings_give_valid_valves_and_no_wind_up(kind, rows, hold, reference):
+    """Each row lasts some ticks. Then the bend is 0.1 rad too small, and the controller must increase it."""
     controller = ready(kind(reference), MODULES)
     history = np.repeat(rows, hold, axis=0)
     for k, row in enumerate(history):
@@ -80,7 +80,7 @@ def test_whatever_is_sensed_valves_and_signals_stay_sound_and_nothing_winds_up(k
             assert (np.abs(now["mu"]) <= 1).all()
             assert ((now["duty_plus"] >= 0) & (now["duty_plus"] <= 1)).all()
             assert now["duty_plus"] + now["duty_minus"] == pytest.approx(1.0)
-    # Δμ is K D e an update and the way no longer than 2; the filter forgets within some of its lags.
+    # Δμ is K D e per update over a range of 2; the filter settles within a few of its lags.
     updates = math.ceil(2 / (0.042 * 16 * 0.1)) + 3
     ticks = math.ceil(updates / 60 / TICK) if kind is IterativeSMC else 150
     for k in range(len(history), len(history) + ticks):
@@ -93,13 +93,13 @@ def test_whatever_is_sensed_valves_and_signals_stay_sound_and_nothing_winds_up(k
 
 @settings(max_examples=10)
 @given(arrays(float, (20, MODULES), elements=st.floats(-1.5, 1.5)), st.sampled_from([1, 7, 40]))
-def test_direct_holds_once_the_error_is_gone(rows, hold):
+def test_direct_controller_holds_without_an_error(rows, hold):
     controller = ready(DirectSMC(Constant(0.3)), MODULES)
     fed(controller, np.repeat(rows, hold, axis=0))
     assert (fed(controller, np.full((200, MODULES), 0.3))[-1] == 0).all()
 
 
-def test_iterative_leaves_its_bound_at_once_however_long_it_was_there():
+def test_iterative_controller_leaves_saturation_immediately():
     after = []
     for ticks in (200, 5000):
         controller = ready(IterativeSMC(Constant(0.3)))
@@ -114,7 +114,7 @@ def test_iterative_leaves_its_bound_at_once_however_long_it_was_there():
 
 
 def integrator(controller: SlidingMode, seconds: float, speed: float) -> np.ndarray:
-    """Return the bend of a perfect module: it turns at one speed or stands still, at once."""
+    """Return the bend of a perfect module, which moves at a constant speed or not at all."""
     bend = [0.0]
     for k in range(round(seconds / TICK)):
         bend.append(bend[-1] + TICK * speed * controller.step(state(TICK * k, bend[-1]))[0, 0])
@@ -122,19 +122,19 @@ def integrator(controller: SlidingMode, seconds: float, speed: float) -> np.ndar
 
 
 @pytest.mark.parametrize("reference", [Constant(0.4), Step(-0.4, 0.2, 0.5), Sine(0.4, 0.5), Sine(0.4, 1.0)])
-def test_direct_follows_with_a_perfect_module_within_its_dead_zone(reference):
+def test_direct_controller_follows_within_its_dead_zone(reference):
     bend = integrator(ready(DirectSMC(reference)), 3.0, speed=6.0)
     time = TICK * np.arange(len(bend))
     jump = getattr(reference, "time", 0.0)
     late = (time > 0.4) & ((time < jump) | (time > jump + 0.4))
-    # ε/D, what the filter sees late of one tick's push, and the bend's curvature over the filter's lag.
+    # ε/D, the filter delay of one tick of motion, and the second derivative of the bend over the filter lag.
     lag = VelocityFilter(16.0, TICK).lag
     bend_over = 0.4 * (2 * math.pi * (reference.frequency_hz or 0)) ** 2 * lag**2
     allowed = 84 * DEGREE / 58 + 3 * TICK * 6.0 + bend_over
     assert np.abs(bend - reference.value(time))[late].max() <= allowed
 
 
-def test_iterative_leaves_no_error_with_a_module_of_one_lag():
+def test_iterative_controller_has_no_steady_error_on_a_first_order_module():
     """q̇ = (q_max (2d − 1) − q)/τ, d the mean duty of each tick."""
     controller, bend = ready(IterativeSMC(Constant(0.4))), 0.0
     for k in range(3000):
@@ -155,7 +155,7 @@ def test_dead_zone_is_epsilon_over_d_at_rest(off):
 
 
 @pytest.mark.parametrize("kind", BOTH)
-def test_mirrored_world_mirrored_valves(kind):
+def test_mirrored_readings_give_mirrored_valves(kind):
     rng = np.random.default_rng(0)
     sensed = rng.uniform(-0.8, 0.8, (300, 5))
     one = fed(ready(kind(Sine(0.5, 3.0)), 5), sensed)
@@ -169,7 +169,7 @@ def test_mirrored_world_mirrored_valves(kind):
 
 
 @pytest.mark.parametrize("kind", BOTH)
-def test_segments_do_not_know_of_each_other(kind):
+def test_segments_are_independent(kind):
     sensed = np.random.default_rng(1).uniform(-0.8, 0.8, (200, 3))
     together = fed(ready(kind(Constant(0.1)), 3), sensed)
     for j in range(3):
@@ -177,7 +177,7 @@ def test_segments_do_not_know_of_each_other(kind):
         assert all((a[..., j, :] == b[..., 0, :]).all() for a, b in zip(together, alone, strict=True))
 
 
-def test_gains_may_differ_from_segment_to_segment():
+def test_gains_may_differ_between_segments():
     sensed = np.random.default_rng(2).uniform(0.0, 0.4, (200, 1))
     many = DirectSMC(Constant(0.2), D=np.array([20.0, 60.0]), epsilon=np.array([1.0, 2.0]))
     together = fed(ready(many, 2), np.repeat(sensed, 2, axis=1))
@@ -187,7 +187,7 @@ def test_gains_may_differ_from_segment_to_segment():
 
 
 @pytest.mark.parametrize("kind", BOTH)
-def test_reset_begins_anew(kind):
+def test_reset_restores_the_initial_state(kind):
     sensed = np.random.default_rng(3).uniform(-1, 1, (150, 1))
     controller = ready(kind(Sine(0.5, 2.0)))
     first = fed(controller, sensed)
@@ -200,7 +200,7 @@ def test_reset_begins_anew(kind):
 
 @pytest.mark.parametrize("kind", BOTH)
 @pytest.mark.parametrize("lost", [math.nan, math.inf, -math.inf, 7.0])
-def test_a_lost_reading_is_the_last_good_one(kind, lost):
+def test_a_lost_reading_is_replaced_by_the_last_valid_one(kind, lost):
     sensed = np.linspace(0, 0.2, 100)[:, None].repeat(2, axis=1)
     held, broken = sensed.copy(), sensed.copy()
     held[40:60, 1], broken[40:60, 1] = sensed[39, 1], lost
@@ -215,8 +215,8 @@ def test_a_lost_reading_is_the_last_good_one(kind, lost):
 
 
 @pytest.mark.parametrize("kind", BOTH)
-def test_a_saturated_reference_says_so_once(kind):
-    controller = ready(kind(Sine(0.6, 2.0).within(0.5, "saturate")))
+def test_clipping_of_the_reference_is_reported_once(kind):
+    controller = ready(kind(Sine(0.6, 2.0).limited(0.5, "saturate")))
     fed(controller, np.zeros((1000, 1)))
     (event,) = controller.events()
     first = math.asin(0.5 / 0.6) / (2 * math.pi * 2.0)
@@ -234,7 +234,7 @@ def test_signals_have_the_same_names_before_the_first_tick(kind):
 
 
 @pytest.mark.parametrize("kind", BOTH)
-def test_recorded_reference_is_that_of_the_sample_at_the_end_of_the_tick(kind):
+def test_recorded_reference_belongs_to_the_end_of_the_tick(kind):
     sine = Sine(0.6, 6.0)
     controller = ready(kind(sine))
     fed(controller, np.zeros((20, 1)))
@@ -244,7 +244,7 @@ def test_recorded_reference_is_that_of_the_sample_at_the_end_of_the_tick(kind):
 # --- the law of Eq. 30, and what is refused -----------------------------------------------------------------
 
 
-def test_both_forms_are_one_law():
+def test_both_forms_are_equivalent():
     sensed = np.random.default_rng(4).uniform(0.0, 0.4, (300, 1))
     each = fed(ready(IterativeSMC(Constant(0.2), K=0.05, D=16.0, form=EQ_29)), sensed)
     first = fed(ready(IterativeSMC(Constant(0.2), K=0.05, D=0.8, form=EQ_30)), sensed)
@@ -252,7 +252,7 @@ def test_both_forms_are_one_law():
 
 
 def test_mu_is_proportional_and_integral():
-    """μ = (K/T) e + (K D/T) ∫ e dt for an error that grows straight, T the carrier period."""
+    """μ = (K/T) e + (K D/T) ∫ e dt for a linearly growing error and the carrier period T."""
     gain, slope, rise = 0.002, 5.0, 0.5
     controller = ready(IterativeSMC(Constant(0.0), K=gain, D=slope))
     ticks = 500
@@ -263,7 +263,7 @@ def test_mu_is_proportional_and_integral():
     assert signals(controller)["mu"][0] == pytest.approx(expected, rel=0.01)
 
 
-def test_layouts_are_those_that_the_valves_have():
+def test_controllers_name_their_valve_layouts():
     assert DirectSMC.layouts == ("in_out",) and IterativeSMC.layouts == ("3/2",)
     assert set(Controller.layouts) == set(LAYOUTS)
 
@@ -279,22 +279,22 @@ def test_layouts_are_those_that_the_valves_have():
         (IterativeSMC, "D"),
     ],
 )
-def test_refuses_gains_that_are_none(kind, name, bad):
+def test_invalid_gains_are_refused(kind, name, bad):
     with pytest.raises(
         InputError, match=rf"{kind.kind}: {name} .* is not allowed; it must be finite and above 0"
     ):
         kind(Constant(0.1), **{name: bad})
 
 
-def test_refuses_gains_for_other_segments():
+def test_gains_for_another_number_of_segments_are_refused():
     controller = DirectSMC(Constant(0.1), D=np.array([1.0, 2.0]))
     with pytest.raises(
-        InputError, match=r"direct_smc: D has shape \(2,\); give one number, or one for each of"
+        InputError, match=r"direct_smc: D has shape \(2,\); give one number, or one per segment"
     ):
         controller.reset(robot(3), TICK)
 
 
-def test_unknown_form_is_told_the_known_ones():
+def test_an_unknown_form_lists_the_known_ones():
     with pytest.raises(UnknownNameError, match=r"unknown form of Eq. 30 'K\(de \+ De\)'; did you mean"):
         IterativeSMC(Constant(0.1), form="K(de + De)")
 
@@ -312,8 +312,8 @@ def filtered(cutoff: float, values: np.ndarray, tick: float = TICK) -> tuple[np.
 
 
 @pytest.mark.parametrize("cutoff", [5.0, 16.0, 80.0, 400.0])
-def test_filter_is_the_analog_butterworth_filter_between_straight_readings(cutoff):
-    """scipy integrates the same transfer function by matrix exponentials, its input straight in between."""
+def test_filter_equals_the_analog_butterworth_filter_for_linear_readings(cutoff):
+    """SciPy integrates the same transfer function by matrix exponentials, for a linear input."""
     time = TICK * np.arange(800)
     values = np.cumsum(np.random.default_rng(5).standard_normal(800)) * 0.01
     values -= values[0]
@@ -324,7 +324,7 @@ def test_filter_is_the_analog_butterworth_filter_between_straight_readings(cutof
 
 
 @pytest.mark.parametrize("cutoff", [8.0, 25.0])
-def test_filter_leaves_as_much_noise_as_stated(cutoff):
+def test_filter_noise_is_as_stated(cutoff):
     noise = np.random.default_rng(6).standard_normal(400_000) * 0.2
     law = VelocityFilter(np.full(400, cutoff), TICK)
     rates = []
@@ -332,7 +332,7 @@ def test_filter_leaves_as_much_noise_as_stated(cutoff):
         law.step(row)
         if k > 200:
             rates.append(law.rate.copy())
-    # What one reading adds to all rates after it: scipy's response to a triangle two ticks wide.
+    # Response of the rate to one reading: that of SciPy's filter to a triangle two ticks wide.
     triangle = np.zeros(400)
     triangle[1] = 1.0
     numerator, denominator = signal.butter(2, 2 * math.pi * cutoff, analog=True)
@@ -342,7 +342,7 @@ def test_filter_leaves_as_much_noise_as_stated(cutoff):
     assert 0.93 * stated < np.std(rates) < stated < 0.05 * 0.2 * math.sqrt(2) / TICK  # plain differences
 
 
-def test_filter_comes_late_by_its_lag_and_no_more():
+def test_filter_delay_is_its_lag():
     time = TICK * np.arange(1000)
     value, rate = filtered(16.0, 3.0 * time)
     lag = float(VelocityFilter(16.0, TICK).lag)
@@ -351,13 +351,13 @@ def test_filter_comes_late_by_its_lag_and_no_more():
     assert lag == pytest.approx(math.sqrt(2) / (2 * math.pi * 16.0))
 
 
-def test_filter_takes_the_first_reading_to_be_at_rest():
+def test_filter_starts_at_rest_at_the_first_reading():
     value, rate = filtered(16.0, np.full(50, 0.7))
     assert (value == 0.7).all() and (rate == 0.0).all()
 
 
 @pytest.mark.parametrize("bad", [0.0, -5.0, math.nan])
-def test_filter_refuses_cutoffs_that_are_none(bad):
+def test_invalid_cutoffs_are_refused(bad):
     with pytest.raises(InputError, match="cutoff_hz"):
         VelocityFilter(bad, TICK)
 
@@ -370,7 +370,7 @@ def followed(kind: type[SlidingMode], reference: Reference, seconds: float, **mo
     return tracking_metrics(Module(**module).follow(controller(reference), seconds)[0])
 
 
-def test_step_direct_settles_first_and_iterative_overshoots():
+def test_direct_controller_settles_faster_and_only_iterative_overshoots():
     """Section 4.2, Fig. 42: 0.2 s without overshoot against 0.4 s with 40 % (here far less)."""
     step = Step(25 * DEGREE, time=0.1)
     direct, iterative = (followed(kind, step, 1.1) for kind in BOTH)
@@ -379,7 +379,7 @@ def test_step_direct_settles_first_and_iterative_overshoots():
     assert iterative["overshoot_rel"] > 0.03 and iterative["settling_5_s"] > direct["settling_5_s"]
 
 
-def test_sine_of_6_hz_direct_has_more_amplitude_less_lag_and_fewer_openings():
+def test_direct_controller_has_more_amplitude_and_less_lag_at_6_hz():
     """Fig. 43 to 45: 15 % more, 0.5 rad less, at most 0.5 rad, 67 against 349 openings."""
     direct, iterative = (followed(kind, Sine(34.3 * DEGREE, 6.0), 4.0) for kind in BOTH)
     assert direct["amplitude_rel"] > 1.05 * iterative["amplitude_rel"]
@@ -387,13 +387,13 @@ def test_sine_of_6_hz_direct_has_more_amplitude_less_lag_and_fewer_openings():
     assert iterative["inlet_openings"] >= 3.5 * direct["inlet_openings"]
 
 
-def test_square_of_2_hz_direct_opens_its_valves_far_less():
+def test_direct_controller_opens_its_valves_less_often_at_2_hz():
     """Fig. 46: 26 against 213 openings."""
     direct, iterative = (followed(kind, Square(34.3 * DEGREE, 2.0), 4.0) for kind in BOTH)
     assert iterative["inlet_openings"] >= 6 * direct["inlet_openings"]
 
 
-def test_at_rest_direct_stops_switching_and_a_leak_makes_it_worse_than_iterative():
+def test_direct_controller_stops_switching_at_rest_unless_a_chamber_leaks():
     """Fig. 46 and Section 4.3."""
     hold = Constant(25 * DEGREE)
     tight, leaking = followed(DirectSMC, hold, 3.0), followed(DirectSMC, hold, 3.0, leak_per_s=0.5)

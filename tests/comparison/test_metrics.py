@@ -1,3 +1,5 @@
+"""Metrics of a gait, compared with runs of prescribed speed, radius and bends."""
+
 import json
 import math
 import re
@@ -27,7 +29,7 @@ GAIT_METRICS = {
 }  # fmt: skip
 
 some = settings(deadline=None, max_examples=25)
-# Frequencies whose period is not a multiple of 10 ms, with the awkward as likely as the round.
+# Frequencies whose period is not a multiple of 10 ms are as likely as the others.
 frequencies = st.floats(0.8, 4.0).map(lambda f: round(f, 4))
 speeds = st.floats(0.02, 0.4)
 
@@ -46,17 +48,17 @@ def assert_metrics_close(
 
 @some
 @given(speed=speeds, frequency=frequencies, phase=st.floats(-3, 3), angle=st.floats(-3, 3))
-def test_a_straight_run_has_the_speed_it_was_given(speed, frequency, phase, angle):
+def test_speed_of_a_straight_run_is_recovered(speed, frequency, phase, angle):
     run = moved(Snake(speed=speed, frequency=frequency, phase=phase).trajectory(), 1.0, -2.0, angle)
     found = plant_metrics(run)
-    # The error is that of the spline through the sway, 3e-8 m/s at 4 Hz whatever the speed.
+    # The error is that of the spline through the lateral oscillation, 3e-8 m/s at 4 Hz for any speed.
     assert found["com_speed_m_s"] == pytest.approx(speed, rel=0, abs=1e-7)
     assert found["yaw_rate_rad_s"] == pytest.approx(0, abs=1e-6)
     assert found["turning_radius_m"] is None
 
 
 @pytest.mark.parametrize("record_hz", [25, 60, 100, 1000 / 7])
-def test_the_speed_does_not_hang_on_the_recording_rate(record_hz):
+def test_speed_does_not_depend_on_the_recording_rate(record_hz):
     run = Snake(speed=0.2, frequency=1.37, record_hz=record_hz, duration=8.4).trajectory()
     assert plant_metrics(run)["com_speed_m_s"] == pytest.approx(0.2, rel=2e-5 if record_hz < 60 else 1e-6)
 
@@ -68,36 +70,36 @@ def test_the_speed_does_not_hang_on_the_recording_rate(record_hz):
     frequency=frequencies,
     side=st.sampled_from([-1, 1]),
 )
-def test_a_circle_has_its_radius_and_yaw_rate(radius, yaw_rate, frequency, side):
+def test_radius_and_yaw_rate_of_a_circle_are_recovered(radius, yaw_rate, frequency, side):
     speed = radius * yaw_rate
     run = Snake(speed=speed, yaw_rate=side * yaw_rate, frequency=frequency, sway=(0, 0)).trajectory()
     found = plant_metrics(run)
     assert found["yaw_rate_rad_s"] == pytest.approx(side * yaw_rate, rel=1e-6, abs=1e-7)
     assert found["turning_radius_m"] == pytest.approx(side * radius, rel=1e-5)
-    # The averaged path runs inside the circle by the mean of a chord over its arc.
+    # The averaged path is inside the circle.
     inside = np.sinc(yaw_rate / frequency / 2 / np.pi)
     assert found["com_speed_m_s"] == pytest.approx(speed * inside, rel=1e-6)
 
 
-def test_swaying_on_a_circle_leaves_its_radius():
+def test_lateral_oscillation_does_not_change_the_radius():
     found = plant_metrics(Snake(speed=0.15, yaw_rate=0.3, frequency=1.3, duration=12).trajectory())
     assert found["turning_radius_m"] == pytest.approx(0.5, rel=1e-3)
 
 
-def test_a_radius_over_a_hundred_body_lengths_is_straight():
+def test_a_radius_above_100_body_lengths_is_straight():
     snake = Snake(speed=0.22, sway=(0, 0), duration=20.0)
     curved, straight = (0.22 / (share * 100 * snake.body_length) for share in (0.99, 1.01))
     assert plant_metrics(replace(snake, yaw_rate=curved).trajectory())["turning_radius_m"] > 0
     assert plant_metrics(replace(snake, yaw_rate=straight).trajectory())["turning_radius_m"] is None
 
 
-def test_a_snake_that_creeps_on_the_spot_has_no_radius():
+def test_creep_on_the_spot_has_no_radius():
     found = plant_metrics(Snake(speed=1e-6, yaw_rate=1e-4).trajectory())
     assert found["yaw_rate_rad_s"] == pytest.approx(1e-4, rel=1e-4)
     assert found["turning_radius_m"] is None
 
 
-def test_a_snake_that_spins_on_the_spot_has_radius_zero():
+def test_rotation_on_the_spot_has_radius_zero():
     run = Snake(speed=0.0, yaw_rate=0.5, sway=(0, 0)).trajectory()
     assert plant_metrics(run)["turning_radius_m"] == pytest.approx(0, abs=1e-9)
 
@@ -109,31 +111,32 @@ def test_a_snake_that_spins_on_the_spot_has_radius_zero():
     y=st.floats(-20, 20),
     angle=st.floats(-10, 10),
 )
-def test_metrics_do_not_see_where_the_world_frame_lies(yaw_rate, x, y, angle):
+def test_metrics_do_not_depend_on_the_world_frame(yaw_rate, x, y, angle):
     run = Snake(yaw_rate=yaw_rate, frequency=1.7).trajectory()
     assert_metrics_close(plant_metrics(moved(run, x, y, angle)), plant_metrics(run))
 
 
 @some
 @given(yaw_rate=st.floats(-0.5, 0.5), bias=st.floats(-0.3, 0.3), frequency=frequencies)
-def test_a_mirror_turns_left_into_right(yaw_rate, bias, frequency):
+def test_mirroring_swaps_left_and_right(yaw_rate, bias, frequency):
     run = Snake(yaw_rate=yaw_rate, bias=bias, frequency=frequency).trajectory()
     flipped = ("yaw_rate_rad_s", "turning_radius_m", "bend_bias_rad")
     assert_metrics_close(plant_metrics(mirrored(run)), plant_metrics(run), flipped=flipped)
 
 
-def test_a_reversed_wave_that_drives_it_back_has_negative_speed():
+def test_a_reversed_wave_has_negative_speed():
     run = Snake(speed=-0.1, yaw_rate=0.2, backward_wave=True, sway=(0, 0)).trajectory()
     found = plant_metrics(run)
     assert found["com_speed_m_s"] == pytest.approx(-0.1, rel=1e-3)
     assert found["yaw_rate_rad_s"] == pytest.approx(0.2, rel=1e-6)
-    # Its head is on the left of its path's tangent; the centre of the circle lies on the body's right.
+    # The head is to the left of the tangent of the path, and the centre of the circle to the right of the
+    # body.
     assert found["turning_radius_m"] == pytest.approx(-0.5, rel=1e-5)
 
 
 @some
 @given(speed=speeds, frequency=frequencies)
-def test_a_film_played_backwards_flips_speed_and_yaw(speed, frequency):
+def test_time_reversal_changes_the_signs_of_speed_and_yaw_rate(speed, frequency):
     run = Snake(speed=speed, yaw_rate=0.2, frequency=frequency, duration=6.0).trajectory()
     ahead, back = plant_metrics(run), plant_metrics(backwards(run))
     for name in ("com_speed_m_s", "yaw_rate_rad_s"):
@@ -148,7 +151,7 @@ def test_a_film_played_backwards_flips_speed_and_yaw(speed, frequency):
     frequency=frequencies,
     connectors=st.integers(2, 8),
 )
-def test_bends_have_the_amplitude_and_bias_they_were_given(amplitude, bias, frequency, connectors):
+def test_amplitude_and_bias_of_bends_are_recovered(amplitude, bias, frequency, connectors):
     snake = Snake(amplitude=amplitude, bias=bias, frequency=frequency, connectors=connectors)
     found = plant_metrics(snake.trajectory())
     assert found["bend_amplitude_rad"] == pytest.approx([amplitude] * (connectors - 1), rel=1e-3)
@@ -163,13 +166,13 @@ def test_bends_are_listed_head_first():
     assert found["bend_bias_rad"] == pytest.approx([0.0, 0.2], abs=1e-6)
 
 
-def test_a_drifting_bend_does_not_widen_its_amplitude():
+def test_drift_does_not_change_the_amplitude():
     run = Snake(connectors=2, duration=20.0).trajectory()
     drifting = with_columns(run, bend_1=run["bend_1"] + 0.02 * run.time)
     assert plant_metrics(drifting)["bend_amplitude_rad"][0] == pytest.approx(0.8, rel=0.01)
 
 
-def test_the_first_two_periods_do_not_count():
+def test_the_first_two_periods_are_left_out():
     run = Snake(speed=0.2, frequency=2.0).trajectory()
     late = run.time > 1.0
     started = with_columns(
@@ -179,18 +182,18 @@ def test_the_first_two_periods_do_not_count():
 
 
 @pytest.mark.parametrize("shift", [0.0, 3.7])
-def test_the_window_holds_all_whole_periods_after_the_warm_up(shift):
+def test_the_window_contains_all_whole_periods_after_the_warm_up(shift):
     run = Snake(frequency=1.7, duration=5.0).trajectory()
-    window = GaitWindow.of(with_columns(run, time=run.time + shift))
+    window = GaitWindow.from_trajectory(with_columns(run, time=run.time + shift))
     assert window.start == pytest.approx(shift + 2 / 1.7)
     assert window.periods == 6
     assert window.end == pytest.approx(shift + 8 / 1.7)
 
 
-def test_three_whole_periods_are_enough_and_fewer_are_not():
-    assert GaitWindow.of(Snake(frequency=0.5, duration=5.9).trajectory()) is None
+def test_a_window_needs_three_whole_periods():
+    assert GaitWindow.from_trajectory(Snake(frequency=0.5, duration=5.9).trajectory()) is None
     exactly = Snake(frequency=0.5, duration=6.0, speed=0.03).trajectory()
-    assert GaitWindow.of(exactly).periods == 2
+    assert GaitWindow.from_trajectory(exactly).periods == 2
     assert plant_metrics(exactly)["com_speed_m_s"] == pytest.approx(0.03, rel=1e-6)
 
 
@@ -203,7 +206,7 @@ def test_three_whole_periods_are_enough_and_fewer_are_not():
         pytest.param(Snake(frequency=2.0, record_hz=5.0), id="too sparse"),
     ],
 )
-def test_gait_metrics_are_null_where_no_gait_can_be_seen(snake):
+def test_gait_metrics_are_none_without_a_resolved_gait(snake):
     found = plant_metrics(snake.trajectory(), wall_s=2.0)
     learning = LEARNING_UNITS.keys() | LEARNING_LIST_UNITS.keys()
     others = TRACKING_UNITS.keys() | READING_UNITS.keys() | FOLLOWING_UNITS.keys()
@@ -219,7 +222,7 @@ def test_path_length_is_that_of_the_raw_path():
     assert plant_metrics(run)["path_length_m"] == pytest.approx(arc, rel=2e-3)
 
 
-def test_what_it_cost_and_what_was_counted_pass_through():
+def test_wall_time_and_valve_openings_are_passed_through():
     found = plant_metrics(Snake(duration=6.0).trajectory(), wall_s=1.5)
     assert found["wall_s"] == 1.5
     assert found["realtime_factor"] == pytest.approx(4.0)
@@ -250,7 +253,7 @@ def spoiled(name: str, index: int, value: float) -> Trajectory:
         (spoiled("com_y", 7, math.nan), "analytical: column 'com_y' is not finite at sample 7"),
         (spoiled("bend_2", 30, math.inf), "column 'bend' is not finite at sample 30"),
         (spoiled("time", 5, 0.0), "time must increase from sample to sample"),
-        (sampled(Snake().trajectory(), slice(0)), "holds no samples"),
+        (sampled(Snake().trajectory(), slice(0)), "has no samples"),
         (Trajectory({"time": np.arange(3.0)}), "trajectory: no column 'com_x'"),
         (with_metadata(Snake().trajectory(), body_length_m=None), "body_length_m is missing"),
         (
@@ -261,6 +264,6 @@ def spoiled(name: str, index: int, value: float) -> Trajectory:
         (with_metadata(Snake().trajectory(), gait_frequency_hz=math.nan), "gait_frequency_hz is nan"),
     ],
 )
-def test_a_run_that_cannot_be_measured_is_refused(run, words):
+def test_unusable_runs_are_refused(run, words):
     with pytest.raises(InputError, match=re.escape(words)):
         plant_metrics(run)

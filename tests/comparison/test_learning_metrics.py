@@ -1,4 +1,4 @@
-"""Metrics of iterative learning on runs that were prescribed, and of real ones seen in a mirror."""
+"""Metrics of iterative learning for prescribed runs, and for simulated runs and their mirror images."""
 
 from __future__ import annotations
 
@@ -10,7 +10,12 @@ import pytest
 from synthetic import Snake, mirrored, moved, numbered, with_columns, with_metadata
 
 from srs_twin import AnalyticalSnake, InputError, Trajectory, load_robot, rollout
-from srs_twin.comparison.learning import LEARNING_LIST_UNITS, LEARNING_UNITS, ChamberPeriods, learning_metrics
+from srs_twin.comparison.learning import (
+    LEARNING_LIST_UNITS,
+    LEARNING_UNITS,
+    PeriodAmplitudes,
+    learning_metrics,
+)
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.learning import ILC
 from srs_twin.studies.sweep.task import flat_metrics
@@ -41,7 +46,7 @@ def learnt(
                 own = (run.time > begin - 1e-6) & (run.time <= begin + 0.5 + 1e-6)
                 middle = np.abs(run.time - begin - 0.25) < 0.02
                 sensed[middle, j] = peak if side == 0 else -peak
-                # A sample shows what its tick was given, so those of a period begin after its begin.
+                # A sample is taken at the end of its tick, so the samples of a period begin after its start.
                 duty[own, j, side] = 1.0 if n < 3 else 0.5 + 0.01 * n
     columns = {
         **numbered("sensed", sensed),
@@ -84,12 +89,12 @@ def test_amplitudes_and_duties_by_period():
         ([0.06, 0.0, 0.06, 0.0] * 2 + [0] * 3, 8.0),
     ],
 )
-def test_converged_is_to_stay(errors, period):
+def test_convergence_requires_staying_within_the_tolerance(errors, period):
     errors = [0.06 * (e > 0.05) if e != 1.0 else e for e in errors]
     assert learning_metrics(learnt(RUN, amplitudes(errors)))["periods_to_converge"] == period
 
 
-def test_one_chamber_that_misses_is_enough_and_one_without_a_target_does_not_count():
+def test_every_chamber_with_a_target_must_converge():
     missed = amplitudes(FADING)
     missed[:, 1, 0] = 2.0
     run = learnt(RUN, missed)
@@ -101,7 +106,7 @@ def test_one_chamber_that_misses_is_enough_and_one_without_a_target_does_not_cou
     assert found["periods_to_converge"] == 7.0 and found["amplitude_error_rad"][5][1] == [None, None]
 
 
-def test_readings_that_are_lost_are_no_amplitudes():
+def test_lost_readings_are_ignored():
     run = learnt(RUN, amplitudes(FADING))
     gone = with_columns(run, sensed_3=np.where(run.time > 3.0, math.nan, run["sensed_3"]))
     found = learning_metrics(gone)
@@ -112,7 +117,7 @@ def test_readings_that_are_lost_are_no_amplitudes():
 @pytest.mark.parametrize(
     ("speed", "yaw_rate"), [(0.12, 0.3), (0.12, -0.3), (0.15, 0.08), (-0.1, 0.2), (0.1, 0.0)]
 )
-def test_the_path_is_the_prescribed_circle(speed, yaw_rate):
+def test_path_metrics_recover_the_prescribed_circle(speed, yaw_rate):
     found = learning_metrics(learnt(Snake(speed=speed, yaw_rate=yaw_rate), amplitudes(FADING)))
     assert found["path_curvature_per_m"] == pytest.approx(
         yaw_rate / speed, abs=2e-3 * abs(yaw_rate / speed) + 1e-6
@@ -134,8 +139,8 @@ def test_the_path_is_the_prescribed_circle(speed, yaw_rate):
 
 @pytest.mark.parametrize("yaw_rate", [0.4, -0.4, 0.0])
 @pytest.mark.parametrize("width", [None, 0.05])
-def test_box_edges_are_those_of_a_body_on_its_circle(yaw_rate, width):
-    """An arc of the path itself, prescribed without a wave: it sweeps nothing besides its width."""
+def test_box_edges_of_a_body_on_a_circle(yaw_rate, width):
+    """A path prescribed without a wave covers only the width of the body."""
     time = np.arange(601) / 100
     speed, bend = 0.12, 0.25
     lag = np.linspace(0.11, -0.11, 5) / speed
@@ -148,7 +153,7 @@ def test_box_edges_are_those_of_a_body_on_its_circle(yaw_rate, width):
     else:
         position = np.stack([speed * (time[:, None] + lag), np.zeros(angle.shape)], axis=-1)
         com = np.stack([speed * time, np.zeros(len(time))], axis=-1)
-    # One connector stands beside the path, to its left: that is the left edge.
+    # One connector is to the left of the path and determines the left edge.
     aside = np.stack([-np.sin(angle[:, 2]), np.cos(angle[:, 2])], axis=-1)
     position[:, 2] += 0.03 * aside
     run = learnt(Snake(speed=speed, yaw_rate=yaw_rate), amplitudes(FADING), width=width)
@@ -176,7 +181,7 @@ def real() -> Trajectory:
     return rollout(snake, ILC(1.0, 0.3, target=0.7), 14.0)
 
 
-def test_a_mirror_exchanges_the_sides(real):
+def test_mirroring_swaps_the_sides(real):
     columns = dict(real.columns)
     for name in ("duty", "target"):
         for j in range(1, 5):
@@ -201,32 +206,32 @@ def test_a_mirror_exchanges_the_sides(real):
     assert theirs["box_left_m"] == pytest.approx(-ours["box_right_m"], abs=1e-9)
 
 
-def test_of_a_real_run_everything_is_known(real):
+def test_a_real_run_has_all_metrics(real):
     found = plant_metrics(real)
-    # Equal modules go straight beforehand: nothing is left of a curl that was not there.
+    # Equal modules have a straight path before learning, so no ratio of curvatures is defined.
     assert {name for name in LEARNING_UNITS if found[name] is None} <= {"path_bend_left_rel"}
     assert found["path_bend_per_m"] == abs(found["path_curvature_per_m"])
     assert found["periods_to_converge"] <= 12
     assert found["path_radius_m"] == pytest.approx(1 / found["path_curvature_per_m"], rel=1e-6)
     assert found["box_left_m"] < 0 < found["box_right_m"]
-    controller = ChamberPeriods.of(real)
+    controller = PeriodAmplitudes.from_trajectory(real)
     assert controller.amplitude[-1, :, 0] == pytest.approx(real.stack("amplitude_plus")[-1], abs=0.02)
 
 
-def test_a_gait_has_none_of_it():
+def test_an_open_loop_gait_has_no_learning_metrics():
     found = plant_metrics(RUN.trajectory())
     assert all(found[name] is None for name in (*LEARNING_UNITS, *LEARNING_LIST_UNITS))
 
 
-def test_too_short_a_run_has_no_path():
+def test_a_short_run_has_no_path_metrics():
     found = learning_metrics(learnt(Snake(duration=1.0), amplitudes([0.0])))
     assert found["path_radius_m"] is None and found["path_curvature_before_per_m"] is None
 
 
 @pytest.mark.parametrize("begins", [None, [[0.0, 0.25]], "now", [[math.nan, 0.0]] * 4])
-def test_refuses_runs_that_do_not_tell_the_clocks(begins):
+def test_runs_without_fill_starts_are_refused(begins):
     run = with_metadata(learnt(RUN, amplitudes(FADING)), control={"fill_begins_s": begins})
-    with pytest.raises(InputError, match="metadata gait_frequency_hz and control.fill_begins_s are needed"):
+    with pytest.raises(InputError, match="metadata need gait_frequency_hz and control.fill_begins_s"):
         learning_metrics(run)
 
 
@@ -240,6 +245,6 @@ def test_a_sweep_has_a_column_for_every_number(real):
     assert all(value is None or isinstance(value, float) for value in flat.values())
 
 
-def test_growth_is_that_of_the_periods_before_a_duty_changes():
+def test_growth_uses_the_periods_before_the_first_update():
     rising = amplitudes([0.0, 0.2, 0.5, 0.1, 0.0, 0.0])
     assert learning_metrics(learnt(RUN, rising))["amplitude_growth_rel"] == pytest.approx(1.5, rel=1e-6)

@@ -1,4 +1,4 @@
-"""The gait: Eq. 13 with the wave from head to tail, edges where they belong, and what is refused."""
+"""Open-loop gait: wave of Eq. 13 from head to tail, times of its edges, and refused arguments."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def played(
 
 
 def commanded(gait: Gait, time: float) -> np.ndarray:
-    """Return the valves of the tick that begins at a time; a gait reads nothing else of the state."""
+    """Return the valves of the tick that begins at a time; a gait depends on no other state."""
     state: Any = SimpleNamespace(time=time)
     return gait.step(state)
 
 
 def crossings(f: float, offset: float, lag: float, duration: float) -> list[float]:
-    """Return when sin(2π f t − lag) + offset changes its sign within the duration, in order, s."""
+    """Return the times at which sin(2π f t − lag) + offset changes its sign, ascending, s."""
     up, down = -math.asin(offset), math.pi + math.asin(offset)
     times = [
         (angle + lag + 2 * math.pi * n) / (2 * math.pi * f) for angle in (up, down) for n in range(-5, 200)
@@ -53,7 +53,7 @@ def crossings(f: float, offset: float, lag: float, duration: float) -> list[floa
 
 @settings(max_examples=15)
 @given(st.sampled_from([1.0, 1.7, 2.0, 3.3]), st.floats(-0.9, 0.9), st.floats(-3, 3), st.integers(0, 3))
-def test_edges_land_where_the_sine_crosses_within_a_tenth_of_a_millisecond(f, offset, phase, j):
+def test_edges_are_at_the_zeros_of_the_sine_within_a_slot(f, offset, phase, j):
     time, signs = played(Gait(f, offset, phase=phase), 1.0)
     found = time[1:][np.diff(signs[:, j]) != 0]
     lag = j * math.pi / 2 - phase
@@ -69,7 +69,7 @@ def test_edges_land_where_the_sine_crosses_within_a_tenth_of_a_millisecond(f, of
 @pytest.mark.parametrize("offset", [-0.4, 0.0, 0.25, 0.7])
 @pytest.mark.parametrize("f", [0.33, 1.7, 2.0])
 def test_duty_follows_the_offset(f, offset):
-    """Share of + over whole periods: (π + 2 asin φ)/2π."""
+    """The fraction of + over whole periods is (π + 2 asin φ)/2π."""
     periods = 1 if f == 0.33 else 17
     duration = round(periods / f / TICK) * TICK
     time, signs = played(Gait(f, offset), duration)
@@ -80,7 +80,7 @@ def test_duty_follows_the_offset(f, offset):
 
 @pytest.mark.parametrize("connectors", [2, 5, 9])
 def test_wave_travels_from_head_to_tail(connectors):
-    """Segment j + 1 does what segment j did a lag β/(2π f) before."""
+    """Segment j + 1 repeats segment j with a delay of β/(2π f)."""
     spec, f, step = chain((0.03,) * connectors), 2.0, 2 * math.pi / 8
     _, signs = played(Gait(f, 0.2, phase_step=step), 2.0, spec=spec)
     delay = round(step / (2 * math.pi * f) / 1e-4)
@@ -88,8 +88,8 @@ def test_wave_travels_from_head_to_tail(connectors):
         assert (signs[delay:, j + 1] == signs[:-delay, j]).mean() > 0.9995
 
 
-def test_first_segment_starts_with_plus_and_sign_of_zero_is_plus():
-    # A tick of one slot is judged at its middle: shift the phase so that the sine is exactly 0 there.
+def test_wave_is_positive_at_its_zeros():
+    # A tick of one slot is evaluated at its centre: the phase makes the sine exactly 0 there.
     gait = Gait(2.0, phase=-2 * math.pi * 2.0 * 0.5e-4)
     gait.reset(robot(), 1e-4)
     valves = commanded(gait, 0.0)
@@ -98,7 +98,7 @@ def test_first_segment_starts_with_plus_and_sign_of_zero_is_plus():
     assert valves[:, 0].tolist() == [1, -1, 1, 1]
 
 
-def test_phase_step_comes_from_the_robot_unless_given():
+def test_default_phase_step_is_that_of_the_robot():
     _, own = played(Gait(1.0), 1.0, spec=robot("gen1"))
     _, same = played(Gait(1.0, phase_step=robot("gen1").phase_step), 1.0)
     _, other = played(Gait(1.0), 1.0)
@@ -110,14 +110,14 @@ def test_ticks_without_an_edge_have_no_slots():
     gait = Gait(2.0)
     gait.reset(robot(), TICK)
     shapes = [commanded(gait, k * TICK).shape for k in range(100)]
-    # 2 Hz and lags of a quarter: 16 edges every 125 ms, every fourth at a tick's end.
+    # With 2 Hz and phase steps of a quarter period, there are edges every 125 ms.
     assert set(shapes) == {(4, 2), (200, 4, 2)}
     assert sum(len(shape) == 3 for shape in shapes) == 16 - 4
     assert commanded(gait, 0.0).dtype == np.int8
 
 
-def test_short_pulses_inside_a_tick_are_not_lost():
-    """At an offset near 1 the − phase is shorter than a tick and would hide between its ends."""
+def test_pulses_shorter_than_a_tick_are_kept():
+    """At an offset near 1, the − phase is shorter than a tick and not visible at its ends."""
     gait, tick = Gait(2.0, 0.999), 0.1
     _, signs = played(gait, 2.0, tick=tick)
     expected = (math.pi - 2 * math.asin(0.999)) / (4 * math.pi)
@@ -125,7 +125,7 @@ def test_short_pulses_inside_a_tick_are_not_lost():
     assert (signs == -1).mean(axis=0) == pytest.approx(expected * 2, rel=0.05)
 
 
-def test_offset_may_change_while_it_runs():
+def test_offset_can_change_during_a_run():
     gait = Gait(2.0)
     assert gait.signals() == {"offset": 0.0}
     gait.offset = 0.3
@@ -133,20 +133,20 @@ def test_offset_may_change_while_it_runs():
     assert gait.kind == "gait" and gait.frequency == 2.0
 
 
-def test_opposite_offset_and_half_a_period_exchange_the_chambers():
+def test_opposite_offset_and_half_a_period_swap_the_chambers():
     _, left = played(Gait(1.7, 0.3), 1.0)
     _, right = played(Gait(1.7, -0.3, phase=math.pi), 1.0)
     assert (left == -right).all()
 
 
 @pytest.mark.parametrize("frequency", [0.0, -1.0, math.nan, math.inf])
-def test_refuses_frequencies_that_are_none(frequency):
+def test_invalid_frequencies_are_refused(frequency):
     with pytest.raises(InputError, match=r"gait frequency .* Hz .* finite and above 0"):
         Gait(frequency)
 
 
 @pytest.mark.parametrize("offset", [1.0, -1.0, 2.0, math.nan])
-def test_refuses_offsets_that_leave_no_wave(offset):
+def test_offsets_without_a_wave_are_refused(offset):
     with pytest.raises(InputError, match=r"gait offset .* is not allowed; it must lie between -1 and 1"):
         Gait(2.0, offset)
     gait = Gait(2.0)
@@ -155,7 +155,7 @@ def test_refuses_offsets_that_leave_no_wave(offset):
     assert gait.offset == 0.0
 
 
-def test_refuses_ticks_off_the_slot_raster():
+def test_ticks_that_are_no_multiple_of_a_slot_are_refused():
     with pytest.raises(InputError, match=r"tick 0.02005 s is not a multiple of valve slot 0.0001 s"):
         Gait(2.0).reset(robot(), 0.02005)
 
@@ -166,8 +166,8 @@ def test_refuses_ticks_off_the_slot_raster():
     shifts=st.lists(st.floats(-3, 3), min_size=4, max_size=4),
 )
 @settings(max_examples=50)
-def test_scripts_of_any_wave_are_what_its_ticks_give(rest, offset, shifts):
-    """The wave of a tick, slot by slot, is what the script has there."""
+def test_script_equals_the_valves_of_the_ticks(rest, offset, shifts):
+    """The slots of every tick equal those of the script."""
     spec = load_robot("gen2")
     gait = Gait(2.0, offset, phases=shifts, rest_share=rest)
     gait.reset(spec, 0.02)
@@ -181,7 +181,7 @@ def test_scripts_of_any_wave_are_what_its_ticks_give(rest, offset, shifts):
             assert (script.states[row] == slots[slot]).all()
 
 
-def test_a_rest_without_offset_vents_its_share():
+def test_rest_share_vents_that_fraction_of_the_period():
     gait = Gait(2.0, rest_share=0.3)
     gait.reset(load_robot("gen2"), 0.02)
     script = gait.script(1.0)
@@ -193,6 +193,6 @@ def test_a_rest_without_offset_vents_its_share():
     ("more", "why"),
     [({"rest_share": 1.0}, "gait rest 1.0"), ({"phases": [0.1, 0.2]}, "2 phases, but gen2 has 4")],
 )
-def test_waves_that_cannot_be_are_refused(more, why):
+def test_invalid_waves_are_refused(more, why):
     with pytest.raises(InputError, match=why):
         Gait(2.0, **more).reset(load_robot("gen2"), 0.02)

@@ -1,4 +1,4 @@
-"""Units of logs and markers through headers and maps: each is right or refused, none is silently wrong."""
+"""Units of logs and markers in headers and maps: each is read correctly or refused."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def mapped(**keys):
     return read_map({"log": keys})
 
 
-# Independent of the package's table: NIST SP 811.
+# NIST SP 811, independent of the table in the package.
 PASCALS = {
     "Pa": 1,
     "hPa": 1e2,
@@ -91,7 +91,7 @@ HEADERS = {
 
 @pytest.mark.parametrize(("header", "unit"), HEADERS.items())
 @pytest.mark.parametrize("key", ["pressure_plus_1", "pressure_kpa_plus_1", "setpoint_psi_plus_1"])
-def test_unit_in_header_survives_the_map(tmp_path, header, unit, key):
+def test_unit_in_the_header_has_precedence_over_the_key(tmp_path, header, unit, key):
     unit = unit or "bar"
     quoted = f'"{header}"' if "," in header else header
     scale = min(1.0, 1e6 / PASCALS[unit])
@@ -101,7 +101,7 @@ def test_unit_in_header_survives_the_map(tmp_path, header, unit, key):
     expected = PASCALS[unit] * scale * RAW
     assert found.values[:, 0, 0] == pytest.approx(expected, rel=1e-6)
     default = {"kpa": 1e3, "psi": 6894.757}.get(key.split("_")[1], PASCALS[unit])
-    assert any("as its name says" in note for note in found.corrections) == (PASCALS[unit] != default)
+    assert any("according to its name" in note for note in found.corrections) == (PASCALS[unit] != default)
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def test_unit_in_header_survives_the_map(tmp_path, header, unit, key):
 )
 def test_unknown_and_ambiguous_units_are_refused(tmp_path, header):
     path = log(tmp_path, f"time,{header},P2")
-    with pytest.raises(InputError, match="the unit of column .* is not known .*say it in the map"):
+    with pytest.raises(InputError, match="the unit of column .* is not known .*give it in the map"):
         read_valves(path, MODULE, mapped(pressure_kpa_plus_1=header, pressure_kpa_minus_1="P2"))
     given = mapped(pressure_kpa_plus_1={"column": header, "unit": "mbar"}, pressure_kpa_minus_1="P2")
     assert read_valves(path, MODULE, given).values[2, 0, 0] == 100.0
@@ -143,7 +143,7 @@ def test_unknown_and_ambiguous_units_are_refused(tmp_path, header):
         ("", "pressure_MPa_plus_1", 1e6),
     ],
 )
-def test_map_states_the_unit_where_the_header_has_none(tmp_path, unit, key, factor):
+def test_map_gives_the_unit_that_the_header_lacks(tmp_path, unit, key, factor):
     column = {"column": "P1", "unit": unit} if unit else "P1"
     found = read_valves(
         log(tmp_path, "time,P1,P2"), MODULE, mapped(**{key: column, "pressure_minus_1": "P2"})
@@ -151,7 +151,7 @@ def test_map_states_the_unit_where_the_header_has_none(tmp_path, unit, key, fact
     assert found.values[:, 0, 0] == pytest.approx(factor * RAW)
 
 
-def test_header_and_map_in_conflict_name_both(tmp_path):
+def test_conflict_of_header_and_map_names_both_units(tmp_path):
     path = log(tmp_path, "time,P1 (bar),P2")
     given = mapped(pressure_plus_1={"column": "P1 (bar)", "unit": "kpa"}, pressure_minus_1="P2")
     with pytest.raises(
@@ -159,10 +159,13 @@ def test_header_and_map_in_conflict_name_both(tmp_path):
     ):
         read_valves(path, MODULE, given)
     path.write_text("x_1 (cm),y_1 (cm),time\n" + "1,2,0\n" * 3)
-    with pytest.raises(InputError, match=r"'x_1 \(cm\)' is in cm by its name, in mm by the map or --units"):
+    with pytest.raises(
+        InputError,
+        match=r"'x_1 \(cm\)' is in cm according to its name, but in mm according to the map or --units",
+    ):
         read_markers(path, unit="mm")
     path.write_text("tip_x [cm],tip_y [cm],time\n" + "1,2,0\n" * 3)
-    with pytest.raises(InputError, match="is in cm by its name, in mm"):
+    with pytest.raises(InputError, match="is in cm according to its name, but in mm"):
         read_markers(path, unit="mm")
     assert read_markers(path, unit="cm").points[0, 0].tolist() == [0.01, 0.02]
 
@@ -182,7 +185,7 @@ def test_chambers_called_pa_and_pb_have_no_unit(tmp_path):
         ({"pressure_mpa_plus_1": "P1"}, "unit 'mpa' is not known"),
         ({"valve_bar_plus_1": "P1"}, "unit 'bar' is not known; allowed: none"),
         ({"time": {"column": "t", "unit": "kPa"}}, "unit 'kPa' is not known; allowed: s, ms"),
-        ({"ambient_kpa": "P1"}, "a number is wanted"),
+        ({"ambient_kpa": "P1"}, "the value must be a number"),
         ({"pressure_plus_1": {"column": "P1", "units": "bar"}}, "units"),
     ],
 )
@@ -226,7 +229,7 @@ def test_unit_of_the_time(tmp_path, name, factor, by_map):
     assert found.time == pytest.approx(factor * np.array([0, 1, 2, 4]), rel=1e-12)
 
 
-def test_unit_of_the_time_by_a_map(tmp_path):
+def test_unit_of_the_time_in_a_map(tmp_path):
     header = "clk,pressure_plus_1_kpa,pressure_minus_1_kpa"
     path = log(tmp_path, header, time=np.array([0.0, 10, 20, 30]))
     found = read_valves(path, MODULE, mapped(time={"column": "clk", "unit": "ms"}))
@@ -285,11 +288,11 @@ def test_unit_of_bends(tmp_path, unit, factor, way):
         ("P1 (Kilopascals)", PRESSURES, "kPa"),
     ],
 )
-def test_units_in_names(name, units, unit):
+def test_units_in_column_names(name, units, unit):
     assert stated_unit(name, units) == unit
 
 
-def test_clocks_by_name():
+def test_names_of_time_columns():
     for name in (*SECONDS, "field.header.stamp", "#timestamp [ns]", "timeStamp"):
         assert is_clock(name.lstrip("#")), name
     for name in ("clock", "time_to_contact", "t1", "x", "s", "min", "bend_1", "P1 (ms)", "timer", "rate"):
@@ -320,17 +323,17 @@ def facts_of(path, text, **known):
         ("pressure", [0.0, 0.3], "pressure, bar by its range"),
     ],
 )
-def test_inspect_takes_units_of_the_header_first(tmp_path, column, values, said):
+def test_inspect_prefers_units_in_the_header(tmp_path, column, values, said):
     rows = "".join(f"{k},{value}\n" for k, value in enumerate((*values, values[0])))
     facts = facts_of(tmp_path / "log.csv", f"time,{column}\n{rows}")
     assert facts["signals"][0]["looks_like"].startswith(said)
 
 
-def test_absolute_pressures_are_said_and_subtracted(tmp_path):
+def test_absolute_pressures_are_noted_and_converted(tmp_path):
     path = log(tmp_path, "time,pressure_plus_1_kpa,P2 (kPa)", 101.3 + 30 * RAW)
     path.write_text(path.read_text().replace(",0\n", ",101.3\n"))
     keys = {"pressure_minus_1": "P2 (kPa)"}
-    hint = r"pressures of 101.3 kPa and more: they look absolute: .*ambient_kpa: 101.3"
+    hint = r"the smallest pressure is 101.3 kPa: they look absolute: .*ambient_kpa: 101.3"
     assert any(hint[:30] in note for note in read_valves(path, MODULE, mapped(**keys)).corrections)
     found = read_valves(path, MODULE, mapped(**keys, ambient_kpa=101.3))
     assert found.values[:, 0, 0] == pytest.approx(3e4 * RAW, abs=1e-6)
@@ -349,13 +352,13 @@ def test_log_of_a_microcontroller(tmp_path):
     assert read_valves(path, MODULE, given).time[-1] == pytest.approx(3.99)
 
 
-def test_duties_in_per_cent_by_name(tmp_path):
+def test_duties_in_per_cent_are_recognised_by_name(tmp_path):
     path = log(tmp_path, "time,duty_plus_1 (%),duty_minus_1 (%)", np.array([0.0, 0.5, 1.0, 0.0]))
     found = read_valves(path, MODULE, read_map({"log": {"carrier_hz": 10.0}}))
     assert (found.at(np.arange(0.1005, 0.2, 0.001))[:, 0, 0] == 1).sum() <= 1  # half a per cent
 
 
-def test_signals_of_a_bag_take_the_unit_of_the_map(tmp_path):
+def test_signals_of_a_bag_have_the_unit_of_the_map(tmp_path):
     from mcap.writer import Writer
 
     path = tmp_path / "log.mcap"
@@ -378,11 +381,11 @@ def test_signals_of_a_bag_take_the_unit_of_the_map(tmp_path):
         given = mapped(**{f"pressure_{key}plus_1": plus, f"pressure_{key}minus_1": "/p.data[1]"})
         found = read_valves(path, spec, given)
         assert found.values[:, 0, 0] == pytest.approx(factor * RAW)
-        assert ("pressures without a unit taken as Pa" in found.corrections) == (not key)
+        assert ("pressures without a unit are assumed to be in Pa" in found.corrections) == (not key)
 
 
 @pytest.mark.parametrize("names", ["P{} (bar)", "pressure_{}_1_bar"])
-def test_bench_log_in_bar_holds_30_kpa(tmp_path, names):
+def test_bench_log_in_bar_contains_30_kpa(tmp_path, names):
     header = [names.format(side) for side in ((1, 2) if "P{}" in names else ("plus", "minus"))]
     time = 0.01 * np.arange(200)
     rows = [f"{t:.2f},{10 * np.sin(6 * t):.4f},{0.3 * (t > 0.5):.3f},0\n" for t in time]
