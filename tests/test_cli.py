@@ -19,7 +19,7 @@ from subsets import first_by_default
 from srs_twin.cli import main
 from srs_twin.cli.app import command
 from srs_twin.cli.progress import ScenarioProgress
-from srs_twin.cli.table import asks_why, rows
+from srs_twin.cli.table import needs_explanation, rows
 from srs_twin.cli.view import find_recording
 from srs_twin.compute.workers import Done
 from srs_twin.errors import DivergedError, InputError, TaskFailedError, WorkerDiedError
@@ -252,8 +252,8 @@ def test_words_keep_to_the_order_given_whoever_is_first(start):
         ("com_speed_rel", False, {"attribution": {}}, False),
     ],
 )
-def test_a_difference_that_was_not_expected_asks_why(metric, met, more, asks):
-    assert asks_why({"expectations": [{"metric": metric, "met": met}], **more}) is asks
+def test_a_difference_that_was_not_expected_needs_explanation(metric, met, more, asks):
+    assert needs_explanation({"expectations": [{"metric": metric, "met": met}], **more}) is asks
 
 
 KNOWN = f"comparison com_speed_rel = -0.2, allowed -0.12 to 0.12; known: {REASON}"
@@ -284,7 +284,7 @@ def test_what_is_not_judged_is_counted_apart_and_shown_with_its_reason(start):
         "not judged twin com_speed_m_s = none, allowed 0.1819 to 0.2461 (Table 10); reason: the run is short"
     )
     assert words in " ".join(left.out.split())
-    assert "why the plants differ" not in left.err
+    assert "to attribute the difference" not in left.err
     for option, code in (("--check", 0), ("--strict", 1)):
         quiet = start("run", "a", option, "-q", a="not_judged")
         assert (quiet.code, quiet.err.splitlines()[0]) == (code, words)
@@ -305,10 +305,10 @@ def test_an_interrupt_says_what_is_finished(start):
     endings = {"a": "met", "b": KeyboardInterrupt(), "c": "met"}
     left = start("run", "a", "b", "c", "--jobs", "1", **endings)
     assert left.code == 130
-    assert "interrupted; finished before: runs/a\n" in left.err
+    assert "interrupted; complete runs: runs/a\n" in left.err
     assert "run c" not in left.log
     # c was finished, its table waited for those of a and b.
-    assert "interrupted; finished before: runs/c\n" in start("run", "a", "b", "c", "-j", "2", **endings).err
+    assert "interrupted; complete runs: runs/c\n" in start("run", "a", "b", "c", "-j", "2", **endings).err
 
 
 @pytest.mark.parametrize("jobs", ["0", "-1", "two", "1.5"])
@@ -423,7 +423,7 @@ def test_view_looks_in_the_run_folder_and_under_runs(tmp_path, monkeypatch):
     recording.touch()
     for given in ("a", "runs/a", "runs/a/recording.rrd"):
         assert find_recording(given).resolve() == recording
-    with pytest.raises(InputError, match=r"^b: no recording there \(looked for b/recording.rrd, runs/b/"):
+    with pytest.raises(InputError, match=r"^b: no recording found \(looked for b/recording.rrd, runs/b/"):
         find_recording("b")
     (tmp_path / "x.csv").touch()
     with pytest.raises(InputError, match=r"^x.csv: not a recording"):

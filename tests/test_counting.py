@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from srs_twin.cli import progress
-from srs_twin.cli.progress import Counting
+from srs_twin.cli.progress import RunCounter
 from srs_twin.identification.fitting import Searching
 
 pytestmark = pytest.mark.fast
@@ -30,7 +30,7 @@ def clock(monkeypatch):
 
 
 def test_a_line_every_ten_seconds_with_rate_and_time_left(clock, capsys):
-    with Counting("grid", 100) as done:
+    with RunCounter("grid", 100) as done:
         for second in range(5, 55):
             clock.now = 100.0 + second
             done(failed=second == 20)
@@ -58,7 +58,7 @@ def test_a_search_tells_how_well_it_fits_every_ten_seconds(clock, capsys):
 
 @pytest.mark.parametrize("options", [{"quiet": True}, {}])
 def test_brief_or_quiet_ones_say_nothing(clock, capsys, options):
-    with Counting("grid", 3, **options) as done:
+    with RunCounter("grid", 3, **options) as done:
         for _ in range(3):
             clock.now += 20.0 if options else 0.5
             done(failed=False)
@@ -73,7 +73,7 @@ def test_a_terminal_shows_a_bar(clock, monkeypatch):
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setenv("COLUMNS", "100")
-    with Counting("grid", 4) as done:
+    with RunCounter("grid", 4) as done:
         for _ in range(4):
             clock.now += 3.0
             done(failed=False)

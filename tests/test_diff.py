@@ -54,7 +54,7 @@ def runs(tmp_path_factory):
 
 def test_a_run_is_the_same_as_itself(runs, capsys):
     code, out, err = call(capsys, "diff", str(runs / "a"), str(runs / "b"))
-    assert (code, err) == (0, "") and out.startswith("0 moved, ")
+    assert (code, err) == (0, "") and out.startswith("0 different, ")
     assert int(out.split()[2]) > 20  # wall times, which do differ, are left out
 
 
@@ -129,8 +129,8 @@ def test_a_verdict_that_changed_has_moved(capsys, tmp_path):
         outcome["verdict"] = verdict
         (tmp_path / f"{name}.json").write_text(json.dumps({"rows": rows, "versions": {"mujoco": name}}))
     code, out, err = call(capsys, "diff", str(tmp_path / "a.json"), str(tmp_path / "b.json"))
-    assert code == 1 and "row, twin" in out and "missed" in out and "1 moved, 1 the same" in out
-    assert err == "made with another mujoco: a → b\n"
+    assert code == 1 and "row, twin" in out and "missed" in out and "1 different, 1 equal" in out
+    assert err == "different versions of mujoco: a → b\n"
 
 
 @pytest.mark.parametrize("options", [(), ("--json",)])
@@ -155,7 +155,7 @@ def test_names_of_foreign_results_cannot_paint_the_terminal(capsys, tmp_path, op
         (("a", "a", "--abs", "nan"), "--abs nan is not allowed"),
         (("a", "a", "--tolerances", "bad.yaml"), "bad.yaml:1:6: rel: must be a number from 0 to 1"),
         (("a", "a", "--tolerances", "unknown.yaml"), "unknown metric of a tolerance 'com_sped_m_s'"),
-        (("a", "a", "--junit", "a.yaml"), "--junit a.yaml: not the name of a report"),
+        (("a", "a", "--junit", "a.yaml"), "--junit a.yaml: the file name of a report must end in .xml"),
     ],
 )
 def test_bad_input(runs, capsys, monkeypatch, words, said):

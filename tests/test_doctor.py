@@ -17,8 +17,15 @@ from conftest import ROOT, on_interrupt
 
 from srs_twin.cli import main
 from srs_twin.cli.doctor import checks, examination, probes
-from srs_twin.cli.doctor.checks import Answer, Check, ended, failing, free_memory, processor_share
-from srs_twin.cli.doctor.examination import REMEDIES, VIEWERS, ask, check_of
+from srs_twin.cli.doctor.checks import (
+    Check,
+    ProbeResult,
+    cpu_quota,
+    failed_checks,
+    free_memory,
+    result_of_exit,
+)
+from srs_twin.cli.doctor.examination import REMEDIES, VIEWERS, check_from, run_probes
 from srs_twin.io.files import shipped_names
 
 CPU_S = 5.0
@@ -26,7 +33,7 @@ CPU_S = 5.0
 
 
 def asked(name, installed="1.0", fits=True, extra=""):
-    return checks.Wanted(name, f"{name}>=1", installed, fits, extra)
+    return checks.RequiredPackage(name, f"{name}>=1", installed, fits, extra)
 
 
 def test_a_check_has_a_remedy_exactly_when_it_needs_one():
@@ -40,8 +47,8 @@ def test_only_what_is_necessary_decides():
     fine = Check("t", "a", "ok", "", necessary=True)
     optional = Check("t", "b", "missing", "", "get it")
     needed = Check("t", "c", "broken", "", "mend it", necessary=True)
-    assert failing([fine, optional]) == []
-    assert failing([fine, optional, needed]) == [needed]
+    assert failed_checks([fine, optional]) == []
+    assert failed_checks([fine, optional, needed]) == [needed]
 
 
 FAILURES = [
@@ -51,7 +58,7 @@ FAILURES = [
      "missing", "mujoco is missing", "uv sync"),
     (checks.packages_check([asked("mujoco", "4.0", False)], checkout=False),
      "broken", "mujoco is 4.0, but mujoco>=1", "pip install 'mujoco>=1'"),
-    (checks.processors_check(8, 1.5), "missing", "time of 1.5", "--jobs 2"),
+    (checks.processors_check(8, 1.5), "missing", "limits the time to that of 1.5", "--jobs 2"),
     (checks.memory_check(300 << 20), "missing", "300 MB", "--jobs 1"),
     (checks.disk_check(Path("runs"), free=5 << 20), "missing", "5 MB", "--out"),
 ]  # fmt: skip
@@ -80,24 +87,28 @@ def test_what_works_needs_no_remedy(check):
 
 
 def test_a_check_keeps_what_its_probe_says_and_adds_a_remedy():
-    assert check_of("kernels", Answer("ok", "fine")) == Check("simulation", "kernels", "ok", "fine", "", True)
-    assert check_of("kernels", Answer("broken", "torn")).remedy.startswith("install numba and llvmlite anew")
-    assert check_of("kernels", Answer("broken", "torn", "glue it")).remedy == "glue it"
+    assert check_from("kernels", ProbeResult("ok", "fine")) == Check(
+        "simulation", "kernels", "ok", "fine", "", True
+    )
+    assert check_from("kernels", ProbeResult("broken", "torn")).remedy.startswith(
+        "reinstall numba and llvmlite"
+    )
+    assert check_from("kernels", ProbeResult("broken", "torn", "glue it")).remedy == "glue it"
 
 
 def test_slow_is_undecided_and_fails_nothing():
     for code in (-signal.SIGALRM, -signal.SIGKILL):
-        check = check_of("kernels", ended(code))
+        check = check_from("kernels", result_of_exit(code))
         assert (check.status, check.necessary, "slow" in check.detail) == ("undecided", True, True)
         assert "run `srs-twin doctor` again" in check.remedy
-        assert failing([check]) == []
-    crashed = check_of("kernels", ended(-signal.SIGILL))
-    assert (crashed.status, crashed.detail) == ("broken", "was killed by SIGILL") and failing([crashed])
+        assert failed_checks([check]) == []
+    crashed = check_from("kernels", result_of_exit(-signal.SIGILL))
+    assert (crashed.status, crashed.detail) == ("broken", "was killed by SIGILL") and failed_checks([crashed])
 
 
 def fault(probe):
     found = probe()
-    assert isinstance(found, Answer)
+    assert isinstance(found, ProbeResult)
     return found.status, found.detail, found.remedy
 
 
@@ -128,7 +139,7 @@ def test_faults_of_kernels(monkeypatch):
 
     assert "machine code" in probes.kernels()
     monkeypatch.setattr(flow, "flow", Wrong())
-    assert fault(probes.kernels)[:2] == ("broken", "numba's machine code computes other numbers than Python")
+    assert fault(probes.kernels)[:2] == ("broken", "numba's machine code and Python give different results")
 
 
 def test_a_folder_for_machine_code(srs_twin_process, tmp_path):
@@ -142,7 +153,7 @@ def test_a_folder_for_machine_code(srs_twin_process, tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", broken], capture_output=True, text=True, check=True, cwd=tmp_path
     )
-    assert "works, but every start compiles it anew; export NUMBA_CACHE_DIR=" in done.stdout
+    assert "works, but is compiled again at every start; export NUMBA_CACHE_DIR=" in done.stdout
 
 
 @pytest.mark.parametrize(("name", "packages"), [("egl", "libegl1"), ("osmesa", "libosmesa6")])
@@ -165,26 +176,26 @@ def test_glfw_says_the_cause(monkeypatch):
 def test_viewers_that_do_not_draw_or_serve(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     script = "import sys; sys.exit(\"thread panicked at 'Failed to get render context'\")"
-    monkeypatch.setattr(probes, "_rerun", lambda: [sys.executable, "-c", script])
-    assert fault(probes.without_a_screen)[:2] == ("missing", "cannot draw (Failed to get render context)")
-    assert fault(probes.in_a_browser)[:2] == ("broken", "its page was not served on 127.0.0.1")
+    monkeypatch.setattr(probes, "_rerun_command", lambda: [sys.executable, "-c", script])
+    assert fault(probes.headless_viewer)[:2] == ("missing", "cannot draw (Failed to get render context)")
+    assert fault(probes.web_viewer)[:2] == ("broken", "its page was not served on 127.0.0.1")
     assert "mesa-vulkan-drivers" in REMEDIES[VIEWERS]["without a screen"]
     assert "report.html" in REMEDIES[VIEWERS]["in a browser"]
 
 
 def test_what_is_known_without_trying(monkeypatch):
-    assert examination.untried({"DISPLAY": ":0"}, "linux").keys() == {"rerun"}
-    blind = examination.untried({"DISPLAY": "", "MUJOCO_GL": "disabled"}, "linux")
+    assert examination.known_results({"DISPLAY": ":0"}, "linux").keys() == {"rerun"}
+    blind = examination.known_results({"DISPLAY": "", "MUJOCO_GL": "disabled"}, "linux")
     assert {blind[name].status for name in ("glfw", "in a window")} == {"missing"}
     assert "DISPLAY" in blind["glfw"].detail
-    chosen = examination.untried({"DISPLAY": ":0", "MUJOCO_GL": "egl"}, "linux")
+    chosen = examination.known_results({"DISPLAY": ":0", "MUJOCO_GL": "egl"}, "linux")
     assert (chosen["osmesa"].status, chosen["osmesa"].remedy) == (
         "undecided",
-        "unset MUJOCO_GL to have it tried",
+        "unset MUJOCO_GL to test it",
     )
-    assert examination.untried({}, "darwin").keys() == {"rerun", "egl", "osmesa"}
+    assert examination.known_results({}, "darwin").keys() == {"rerun", "egl", "osmesa"}
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
-    gone = examination.untried({}, "linux")
+    gone = examination.known_results({}, "linux")
     assert {gone[name].status for name in ("rerun", "in a window", "without a screen", "in a browser")} == {
         "missing"
     }
@@ -195,11 +206,11 @@ def test_requirements_are_compared_with_what_is_installed():
         "numpy>=2.0", "mujoco>=999", "no-such-thing>=1", "pytest>=1; extra == 'more'",
         "win-only; sys_platform == 'nowhere'",
     ]  # fmt: skip
-    found = {each.name: each for each in checks.wanted(given)}
+    found = {each.name: each for each in checks.required_packages(given)}
     assert list(found) == ["numpy", "mujoco", "no-such-thing", "pytest"]
     assert [bool(each.fault) for each in found.values()] == [False, True, True, False]
     assert found["pytest"].extra == "more"
-    some = checks.wanted(["numpy", "dm-control>=1", "no-such-thing", "ray; extra == 'ray'"])
+    some = checks.required_packages(["numpy", "dm-control>=1", "no-such-thing", "ray; extra == 'ray'"])
     assert checks.modules(some) == ["numpy", "dm_control"]
 
 
@@ -225,11 +236,11 @@ def test_limits_of_a_container_count(tmp_path):
     (tmp_path / "cpu.max").write_text("150000 100000\n")
     (tmp_path / "memory.max").write_text(f"{1 << 30}\n")
     (tmp_path / "memory.current").write_text(f"{1 << 29}\n")
-    assert processor_share(tmp_path) == 1.5
+    assert cpu_quota(tmp_path) == 1.5
     assert free_memory(tmp_path, tmp_path / "meminfo") == 1 << 29
     (tmp_path / "cpu.max").write_text("max 100000\n")
     (tmp_path / "memory.max").write_text("max\n")
-    assert processor_share(tmp_path) is None
+    assert cpu_quota(tmp_path) is None
     assert free_memory(tmp_path, tmp_path / "nothing") is None
 
 
@@ -282,12 +293,12 @@ def test_answers_of_children(monkeypatch):
         "leaves": lambda: sys.exit(3),
     }
     monkeypatch.setattr(probes, "PROBES", trials)
-    answers = ask(["json"], list(trials))
-    assert answers["imports"] == Answer("ok", "every package imports")
-    assert answers["talks"] == Answer("ok", "well")
-    assert answers["dies"] == Answer("broken", "was killed by SIGTERM")
-    assert answers["fails"] == Answer("broken", "OSError: libgomp.so.1: cannot be opened")
-    assert answers["leaves"] == Answer("broken", "ended with exit code 1")
+    answers = run_probes(["json"], list(trials))
+    assert answers["imports"] == ProbeResult("ok", "every package imports")
+    assert answers["talks"] == ProbeResult("ok", "well")
+    assert answers["dies"] == ProbeResult("broken", "was killed by SIGTERM")
+    assert answers["fails"] == ProbeResult("broken", "OSError: libgomp.so.1: cannot be opened")
+    assert answers["leaves"] == ProbeResult("broken", "result_of_exit with exit code 1")
 
 
 @pytest.mark.slow
@@ -295,7 +306,7 @@ def test_answers_of_children(monkeypatch):
 def test_a_slow_probe_is_undecided_and_costs_no_other(monkeypatch, tmp_path):
     place = tmp_path / "pid"
     monkeypatch.setattr(probes, "PROBES", {"sleeps": lambda: sleeps(place), "talks": talks})
-    answers = ask([], ["sleeps", "talks"], budget_s=3.0)
+    answers = run_probes([], ["sleeps", "talks"], time_limit_s=3.0)
     assert (answers["sleeps"].status, answers["talks"].status) == ("undecided", "ok")
     assert "slow" in answers["sleeps"].detail
     assert gone(int(place.read_text()))
@@ -317,7 +328,7 @@ def test_a_package_that_does_not_import(monkeypatch, tmp_path, source, status, d
     (tmp_path / "hardly.py").write_text(source)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setattr(probes, "PROBES", {"talks": talks})
-    answers = ask(["json", "hardly"], ["talks"], budget_s=3.0)
+    answers = run_probes(["json", "hardly"], ["talks"], time_limit_s=3.0)
     assert (answers["imports"].status, answers["imports"].detail) == (status, detail)
     survived = "ImportError" in source
     assert answers["talks"].status == ("ok" if survived else "undecided")
@@ -341,7 +352,7 @@ def test_no_room_for_temporary_files(srs_twin_process, tmp_path):
     (tmp_path / "sitecustomize.py").write_text(broken)
     done = srs_twin_process("doctor", cwd=tmp_path, PYTHONPATH=str(tmp_path))
     assert (done.returncode, done.stdout) == (2, "")
-    assert "set TMPDIR to a folder that can be written" in done.stderr
+    assert "set TMPDIR to a writable folder" in done.stderr
 
 
 def by_name(text):
@@ -350,7 +361,7 @@ def by_name(text):
 
 
 def test_command_on_this_machine(srs_twin_process, tmp_path):
-    ask([], ["kernels"])  # numba has compiled once
+    run_probes([], ["kernels"])  # numba has compiled once
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = srs_twin_process("doctor", "--json", "--out", str(tmp_path / "runs"), cwd=tmp_path)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -376,7 +387,7 @@ def test_command_on_a_broken_machine(srs_twin_process, tmp_path):
     (tmp_path / "runs").write_text("a file")
     done = srs_twin_process("doctor", cwd=tmp_path, PYTHONPATH=str(shadow), DISPLAY="")
     assert done.returncode == 2
-    assert done.stderr.startswith("not fit for runs: imports, ") and "results" in done.stderr
+    assert done.stderr.startswith("runs would fail: imports, ") and "results" in done.stderr
     assert "libopenblas.so.0" in done.stdout and "Traceback" not in done.stdout + done.stderr
     lines = done.stdout.splitlines()
     bad = [i for i, line in enumerate(lines) if line.startswith(("  missing", "  broken"))]
@@ -386,7 +397,7 @@ def test_command_on_a_broken_machine(srs_twin_process, tmp_path):
 def test_the_web_viewer_that_was_tried_out_ends_where_interrupts_are_ignored(tmp_path):
     with on_interrupt(signal.SIG_IGN):
         done = subprocess.run(
-            [sys.executable, "-c", "from srs_twin.cli.doctor import probes; print(probes.in_a_browser())"],
+            [sys.executable, "-c", "from srs_twin.cli.doctor import probes; print(probes.web_viewer())"],
             cwd=tmp_path, capture_output=True, text=True,
         )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")

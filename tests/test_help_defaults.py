@@ -34,7 +34,7 @@ PLACES = {
     "calibrate robot": ("calibrate robot fit.yaml --name mine", {"NAME": "mine"}),
 }  # fmt: skip
 PHRASES = {
-    "all but studies", "one a processor", "those of the scenario", "the scenario's", "the sweep's",
+    "all but studies", "one per processor", "those of the scenario", "the scenario's", "the sweep's",
     "the twin's", "NAME.valves.csv beside it", "the robot's", "the valves'", "estimated",
     "where it crawls to", "free", "none", "no motion capture", "Ctrl-C does", "this machine's",
     "the run's folder", "ROBOT_WHAT", "ROBOT_CONTROLLER", "3; 1 where the twin's shapes lead",

@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from srs_twin.cli import main
-from srs_twin.cli.batch import Case, CaseResult, failing
+from srs_twin.cli.batch import Case, CaseResult, failing_verdicts
 from srs_twin.cli.junit import report_path, write_junit
 from srs_twin.comparison.undefined import Undefined
 from srs_twin.errors import DivergedError, InputError, WorkerDiedError
@@ -52,7 +52,7 @@ def case(name, *, metrics=None, errors=(), ended=True):
     """A scenario with three expectations and what came of it."""
     found = Case(name, SimpleNamespace(label=name, expect=EXPECT), Path("runs") / name)
     result = None if metrics is None else RunResult(name, found.folder, {}, metrics)
-    found.ended = CaseResult(result, errors, 1.5) if ended else None
+    found.result = CaseResult(result, errors, 1.5) if ended else None
     return found
 
 
@@ -106,7 +106,7 @@ def test_every_kind_of_end(tmp_path):
         case("died", errors=(WorkerDiedError(-9, 3),)),
         case("unexplained", metrics=METRICS, errors=(flew,)),
         case("later", ended=False),
-        Case("./bad.yaml", ended=CaseResult(None, (InputError("bad.yaml:1:2: wrong\nbad.yaml:3:4: too"),))),
+        Case("./bad.yaml", result=CaseResult(None, (InputError("bad.yaml:1:2: wrong\nbad.yaml:3:4: too"),))),
         Case("./never_read.yaml"),
     ]
     write_junit(tmp_path / "r.xml", cases)
@@ -138,12 +138,12 @@ def test_what_is_known_to_be_missed_is_skipped_and_strictly_a_failure(tmp_path):
     known = tuple(each.model_copy(update={"known": "never <measured>"}) for each in EXPECT)
     scenario = SimpleNamespace(label="ran", expect=(*EXPECT, *known))
     rows = [each.check(FOUND) for each in scenario.expect]
-    ended = CaseResult(RunResult("ran", Path("runs/ran"), {}, FOUND | {"expectations": rows}), (), 1.5)
+    result = CaseResult(RunResult("ran", Path("runs/ran"), {}, FOUND | {"expectations": rows}), (), 1.5)
     for fails, of_known in (
         (frozenset({"missed"}), ["passed", "skipped", "passed"]),
         (frozenset({"missed", "known", "holds"}), ["failure", "failure", "failure"]),
     ):
-        write_junit(tmp_path / "r.xml", [Case("ran", scenario, ended=ended)], fails)
+        write_junit(tmp_path / "r.xml", [Case("ran", scenario, result=result)], fails)
         found = read(tmp_path / "r.xml")["ran"]
         assert kinds(found) == ["passed", "passed", "failure", "passed", *of_known]
         _, words = found["comparison com_speed_rel (3)"]
@@ -160,9 +160,13 @@ def test_what_is_known_to_be_missed_is_skipped_and_strictly_a_failure(tmp_path):
 def test_what_is_not_judged_is_skipped_and_strictly_a_failure(tmp_path):
     named = SimpleNamespace(label="ran", expect=())
     rows = [EXPECT[0].check({}, Undefined("the run is short")), EXPECT[0].check({})]
-    ended = CaseResult(RunResult("ran", Path("runs/ran"), {}, {"expectations": rows}), (), 1.5)
+    result = CaseResult(RunResult("ran", Path("runs/ran"), {}, {"expectations": rows}), (), 1.5)
     for strict, outcomes in ((False, ["passed", "skipped", "failure"]), (True, ["passed", *2 * ["failure"]])):
-        write_junit(tmp_path / "r.xml", [Case("ran", named, ended=ended)], failing(check=True, strict=strict))
+        write_junit(
+            tmp_path / "r.xml",
+            [Case("ran", named, result=result)],
+            failing_verdicts(check=True, strict=strict),
+        )
         found = read(tmp_path / "r.xml")["ran"]
         assert kinds(found) == outcomes
         words = {"skipped": "not judged: the run is short\n", "failure": "reason: the run is short"}
@@ -170,8 +174,8 @@ def test_what_is_not_judged_is_skipped_and_strictly_a_failure(tmp_path):
 
 
 def test_expectations_of_plants_that_did_not_run_are_no_test_cases(tmp_path):
-    ended = CaseResult(RunResult("ran", Path("runs/ran"), {}, METRICS | {"expectations": []}), (), 1.5)
-    write_junit(tmp_path / "r.xml", [Case("ran", SimpleNamespace(label="ran", expect=EXPECT), ended=ended)])
+    result = CaseResult(RunResult("ran", Path("runs/ran"), {}, METRICS | {"expectations": []}), (), 1.5)
+    write_junit(tmp_path / "r.xml", [Case("ran", SimpleNamespace(label="ran", expect=EXPECT), result=result)])
     assert list(read(tmp_path / "r.xml")["ran"]) == ["runs"]
 
 
@@ -179,7 +183,7 @@ def test_expectations_of_plants_that_did_not_run_are_no_test_cases(tmp_path):
 def test_any_text_becomes_xml_and_what_xml_can_write_stays(tmp_path_factory, name, words):
     path = tmp_path_factory.getbasetemp() / "any.xml"
     scenario = SimpleNamespace(label=name, expect=())
-    write_junit(path, [Case("x", scenario, ended=CaseResult(None, (InputError(words),)))])
+    write_junit(path, [Case("x", scenario, result=CaseResult(None, (InputError(words),)))])
     (suite,) = ElementTree.parse(path).getroot()
     message = suite.find("testcase/error").get("message")
     if all(ord(c) >= 32 and c not in "\ufffe\uffff" for c in name + words):
@@ -188,7 +192,7 @@ def test_any_text_becomes_xml_and_what_xml_can_write_stays(tmp_path_factory, nam
 
 def test_what_xml_cannot_write_is_shown_as_escapes(tmp_path):
     bad = CaseResult(None, (InputError("\x1b[31mred\x00 \ud800 \ufffe <&\"'> é 🐍"),))
-    write_junit(tmp_path / "r.xml", [Case("a\udcff.yaml", ended=bad)])
+    write_junit(tmp_path / "r.xml", [Case("a\udcff.yaml", result=bad)])
     (name,) = read(tmp_path / "r.xml")
     assert name == "a\\udcff"
     _, words = read(tmp_path / "r.xml")[name]["runs"]
@@ -198,7 +202,7 @@ def test_what_xml_cannot_write_is_shown_as_escapes(tmp_path):
 @pytest.mark.parametrize("name", ["", ".", "/", "out", "gen2.yaml", "reports/", ".xml"])
 def test_what_is_no_name_of_a_report_is_refused(name):
     # A scenario after a bare --junit must not be overwritten.
-    with pytest.raises(InputError, match=r"--junit .*: not the name of a report; give one that ends in .xml"):
+    with pytest.raises(InputError, match=r"--junit .*: the file name of a report must end in .xml"):
         report_path(name)
 
 
@@ -294,7 +298,7 @@ def test_after_an_interrupt_the_report_says_what_was_reached(tmp_path):
     os.killpg(child.pid, signal.SIGINT)
     _, said = child.communicate(timeout=300)
     assert child.returncode == 130, said
-    assert "interrupted; finished before: runs/brief\n" in said
+    assert "interrupted; complete runs: runs/brief\n" in said
     assert "Traceback" not in said
     found = read(tmp_path / "r.xml")
     assert kinds(found["long"]) == 3 * ["skipped"]

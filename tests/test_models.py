@@ -221,8 +221,8 @@ def test_from_the_command_line(srs_twin, tmp_path):
     done = srs_twin("models", "check", "here/gen4/scene.xml", "gen2", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     ours, shipped = done.stdout.splitlines()
-    assert ours.startswith("here/gen4/scene.xml: fit for use (")
-    assert "models/gen2/scene.xml: current and fit for use (" in shipped
+    assert ours.startswith("here/gen4/scene.xml: valid (")
+    assert "models/gen2/scene.xml: up to date and valid (" in shipped
 
 
 def test_a_shipped_model_that_is_not_current_is_reported(root, monkeypatch, capsys, tmp_path):
@@ -235,4 +235,6 @@ def test_a_shipped_model_that_is_not_current_is_reported(root, monkeypatch, caps
         models.check(models=["gen2"])
     assert stop.value.exit_code == 2
     said = capsys.readouterr().err
-    assert said.endswith("scene.xml: gen2.xml is not current; `srs-twin models export gen2` writes it anew\n")
+    assert said.endswith(
+        "scene.xml: gen2.xml is out of date; `srs-twin models export gen2` writes it again\n"
+    )

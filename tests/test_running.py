@@ -193,7 +193,7 @@ def test_an_interrupt_keeps_what_is_finished_and_exits_with_130(tmp_path):
     child.send_signal(signal.SIGINT)
     _, said = child.communicate(timeout=300)
     assert child.returncode == 130, said
-    assert "interrupted; finished before: runs/brief" in said
+    assert "interrupted; complete runs: runs/brief" in said
     assert "Traceback" not in said
     assert (tmp_path / "runs/brief/metrics.json").is_file()
     assert [path.name for path in (tmp_path / "runs/long").iterdir()] == [kept.name]
@@ -227,7 +227,7 @@ def test_a_command_that_is_started_to_ignore_interrupts_does_so(tmp_path):
         (["run", "./bad.yaml"], "bad.yaml:5:13: controller.frequency_hz: missing"),
         (["models", "check", "./none.xml"], "none.xml: no such file"),
         (["models", "check", "gen9"], "unknown robot or model file 'gen9'; did you mean gen"),
-        (["view", "nosuch"], "nosuch: no recording there"),
+        (["view", "nosuch"], "nosuch: no recording found"),
     ],
 )
 def test_bad_input_exits_with_2_and_writes_nothing(tmp_path, srs_twin, words, said):

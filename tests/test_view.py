@@ -22,7 +22,7 @@ from matplotlib.image import imread
 from screenshot import screenshots
 from viewing_runs import pair, robot
 
-from srs_twin.cli.view import named
+from srs_twin.cli.view import name_recordings
 from srs_twin.comparison.compare import compare
 from srs_twin.errors import InputError
 from srs_twin.viewing.plots.style import STYLES
@@ -85,10 +85,10 @@ def test_the_viewer_shows_them_side_by_side(recordings, tmp_path):
 
 def test_names_are_those_of_the_folders(tmp_path):
     one, two, file = (tmp_path / p for p in ("a/turn/recording.rrd", "b/turn/recording.rrd", "x.rrd"))
-    assert named([one, file]) == {"turn": one, "x.rrd": file}
-    assert list(named([one, two])) == ["a/turn", "b/turn"]
+    assert name_recordings([one, file]) == {"turn": one, "x.rrd": file}
+    assert list(name_recordings([one, two])) == ["a/turn", "b/turn"]
     with pytest.raises(InputError, match="a/turn: given twice"):
-        named([one, one])
+        name_recordings([one, one])
 
 
 def test_what_is_no_recording_of_ours_is_refused(recordings, tmp_path):

@@ -33,7 +33,7 @@ TYPED = [
         "unknown sweep 'gen2_straight' (available: 16 names; `srs-twin list sweeps` lists them)",
     ),
     ("plan gen2_straight", "it has no planner; add planner, and controller.kind: follow"),
-    ("view gen2_straight", "no recording there"),
+    ("view gen2_straight", "no recording found"),
     ("render gen2_straight", "give one of --video FILE.mp4"),
     ("diff a b", "a: no such file"),
     ("models export gen7", "unknown robot 'gen7'; did you mean gen"),
