@@ -20,7 +20,7 @@ from shapely import LineString
 from srs_twin.comparison.centre_line import centre_lines
 from srs_twin.robot.spec import Geometry, RobotSpec
 from srs_twin.trajectory import Trajectory
-from srs_twin.viewing.plots.from_above import outline, rows_at
+from srs_twin.viewing.plots.from_above import draw_body, samples_at
 from srs_twin.viewing.plots.signals import gait_period, period_speed, pressure_difference, wheel_centres
 from srs_twin.viewing.plots.style import MINUS_COLOR, PLUS_COLOR, finish, pressure_colors, style_of
 
@@ -63,7 +63,7 @@ def _frames(runs: Runs, geometry: Geometry, times: np.ndarray) -> Iterator[np.nd
         canvas = FigureCanvasAgg(figure)
         axes = figure.add_axes((0.0, _KEY / (tall + _KEY), 1.0, tall / (tall + _KEY)))
         for index, (plant, run) in enumerate(runs.items()):
-            style, (row,) = style_of(plant, index), rows_at(run, [float(time)])
+            style, (row,) = style_of(plant, index), samples_at(run, [float(time)])
             path = run.com[run.time <= time]
             axes.plot(*path.T, color=style.color, linestyle=style.dash, linewidth=2.0, zorder=1)
             if plant == "twin" or "twin" not in runs:
@@ -74,7 +74,7 @@ def _frames(runs: Runs, geometry: Geometry, times: np.ndarray) -> Iterator[np.nd
                     colors[plant][min(np.searchsorted(run.time, time - 1e-9), len(run) - 1)],
                 )
             else:
-                outline(axes, row, geometry, style, filled=True)
+                draw_body(axes, row, geometry, style, filled=True)
         axes.set(xlim=middle[0, k] + across * half, ylim=middle[1, 0] + up * half)
         _dress(axes, runs, float(time))
         canvas.draw()

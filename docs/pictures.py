@@ -26,7 +26,7 @@ from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.viewing.mujoco.strobe import write_strobe
 from srs_twin.viewing.plots.runs import attribution_plot
 from srs_twin.viewing.plots.style import STYLES
-from srs_twin.viewing.rerun.web import served
+from srs_twin.viewing.rerun.web import serve_recordings
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import browser  # noqa: E402
@@ -64,7 +64,7 @@ def look(scenario: Scenario, result: RunResult) -> None:
     recording = result.folder / "recording.rrd"
     (scene,) = screenshots(recording, [MOMENT_S], scene_only=True, size=(1300, 1000))
     hero_figure(scene, result.trajectories, MOMENT_S).savefig(IMAGES / "hero.png")
-    with served([recording]) as (address, serve), browser.chromium(1280, 800) as chromium:
+    with serve_recordings([recording]) as (address, serve), browser.chromium(1280, 800) as chromium:
         threading.Thread(target=serve, daemon=True).start()
         chromium.get(address)
         blue = STYLES["twin"].rgb

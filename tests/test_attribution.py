@@ -236,4 +236,4 @@ def test_the_command_shows_and_keeps_it(srs_twin, tmp_path):
     metrics = json.loads((tmp_path / "out/metrics.json").read_text("utf-8"))
     assert metrics["attribution"]["shares"][0]["name"] == "friction law"
     report = (tmp_path / "out/report.html").read_text("utf-8")
-    assert "Why the plants differ" in report and "springs that load and inertia deflect" in report
+    assert "Attribution of the difference" in report and "springs that load and inertia deflect" in report

@@ -57,7 +57,7 @@ def test_the_twin_is_slower_and_stiffness_takes_most_of_that_away(ran):
 def test_the_run_lies_in_its_folder_and_no_display_is_told(ran):
     cells, folder = ran
     assert "recording.rrd" in text(cells["keep"]) and (folder / "runs/gen2_straight/metrics.json").is_file()
-    assert "there is no display to open a viewer on" in text(cells["open"])
+    assert "no display found for the viewer" in text(cells["open"])
 
 
 def test_links_lead_somewhere():

@@ -98,7 +98,7 @@ def test_space_holds_the_time_and_backspace_begins_anew():
     run(window)
     ticks = [round(time / 0.02) for time, _, _ in window.shown]
     assert ticks == [1, 2, 3, 3, 3, 3, 4, 5, 6, 1, 2, 3]
-    assert "held" in window.shown[4][2][4][1] and "held" not in window.shown[7][2][4][1]
+    assert "paused" in window.shown[4][2][4][1] and "paused" not in window.shown[7][2][4][1]
     assert window.shown[8][1].frequency > window.shown[9][1].frequency
 
 
@@ -118,8 +118,8 @@ def test_what_takes_long_is_caught_up_but_not_without_end():
     snake = run(window, time)
     # Of the 5 s that one picture took, all but the quarter that is caught up is lost, on a raster of ticks.
     passed, crawled = time.now - 100.0, float(snake.state.time)
-    assert passed - crawled == pytest.approx(5.0 - live.LATEST_S, abs=0.05)
-    assert crawled == pytest.approx(2.0 + 0.1 + live.LATEST_S, abs=0.05)
+    assert passed - crawled == pytest.approx(5.0 - live.MAX_LAG_S, abs=0.05)
+    assert crawled == pytest.approx(2.0 + 0.1 + live.MAX_LAG_S, abs=0.05)
     assert np.min(time.slept) >= 0
 
 
@@ -143,8 +143,8 @@ def test_what_stands_on_the_screen_has_units():
 @pytest.mark.parametrize(
     ("display", "words"),
     [
-        ("", "there is no display to steer a snake on (neither DISPLAY nor WAYLAND_DISPLAY is set)"),
-        (":4711", "the display :4711 does not answer"),
+        ("", "no display found (neither DISPLAY nor WAYLAND_DISPLAY is set)"),
+        (":4711", "the display :4711 does not respond"),
     ],
 )
 def test_without_a_display_it_says_so(srs_twin_process, tmp_path, display, words):

@@ -18,7 +18,7 @@ from srs_twin.planning.metrics import following_metrics
 from srs_twin.trajectory import Event, Trajectory
 from srs_twin.viewing.plots.signals import kind_of, wheel_turns
 from srs_twin.viewing.plots.style import STYLES
-from srs_twin.viewing.rerun.recording import events_of, thinned, write_recording
+from srs_twin.viewing.rerun.recording import events_of, subsample, write_recording
 
 
 def told(run, *events, **metadata):
@@ -171,7 +171,7 @@ def test_spokes_turn_about_the_axle(tmp_path):
     (poses,) = (c for c in chunks(path) if c.entity_path == "/world/twin/spokes" and not c.is_static)
     flat = poses.to_record_batch().column("Boxes3D:quaternions").flatten().flatten()
     x, y, z, w = np.array(flat.to_numpy(zero_copy_only=False)).reshape(-1, 4).T
-    twin = thinned(runs["twin"], 50)
+    twin = subsample(runs["twin"], 50)
     # What the rotation makes of +y, the axle, and of +x, the bar.
     axle = np.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], axis=-1)
     theta = np.repeat(twin.stack("theta"), 2, axis=1).ravel()

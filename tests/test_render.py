@@ -232,8 +232,8 @@ REFUSED = {
     "two things asked": (("--strobe", "--image", "1"), "give one of"),
     "out with a video": (("--video", "a.mp4", "--out", "b.png"), "--out is for pictures"),
     "not a moment": (("--image", "t=two"), "--image t=two: not a moment; give seconds, such as t=2.5"),
-    "moment beyond": (("--image", "t=20"), "t = 20 s is not in the run, which goes from 0 to 3 s"),
-    "moment of none": (("--image", "nan"), "t = nan s is not in the run"),
+    "moment beyond": (("--image", "t=20"), "t = 20 s is outside the run, which lasts from 0 to 3 s"),
+    "moment of none": (("--image", "nan"), "t = nan s is outside the run"),
     "odd size": (("--strobe", "--size", "321x180"), "both even and from 64 to 4096"),
     "size of words": (("--strobe", "--size", "big"), "--size big: give width and height in pixels"),
     "another suffix": (("--video", "a.avi"), "a.avi: the file must end in .mp4"),
@@ -291,13 +291,13 @@ def test_interrupted_nothing_is_left(runs, tmp_path):
 def test_a_video_that_fails_leaves_the_earlier_one(tmp_path):
     path = tmp_path / "a.mp4"
     path.write_bytes(b"earlier")
-    with pytest.raises(RuntimeError), render.film(path, width=64, height=64, fps=1) as add:
+    with pytest.raises(RuntimeError), render.video_writer(path, width=64, height=64, fps=1) as add:
         add(np.zeros((64, 64, 3), dtype=np.uint8))
         raise RuntimeError
     assert path.read_bytes() == b"earlier" and list(tmp_path.iterdir()) == [path]
     with (
         pytest.raises(InputError, match="cannot be written"),
-        render.film(tmp_path / "a.mp4/b.mp4", width=64, height=64, fps=1),
+        render.video_writer(tmp_path / "a.mp4/b.mp4", width=64, height=64, fps=1),
     ):
         raise AssertionError("not reached")
 
@@ -313,7 +313,7 @@ def test_an_opengl_that_does_not_draw_is_named(runs, srs_twin_process, tmp_path)
         "render", str(runs / "gen2_straight"), "--strobe", cwd=tmp_path, MUJOCO_GL="vulkan"
     )
     assert done.returncode == 2
-    assert "MUJOCO_GL names does not draw here (vulkan: it is unknown" in done.stderr
+    assert "OpenGL backend in MUJOCO_GL does not work (vulkan: unknown backend" in done.stderr
 
 
 def test_where_none_draws_the_packages_are_named(monkeypatch):
@@ -323,7 +323,7 @@ def test_where_none_draws_the_packages_are_named(monkeypatch):
     with pytest.raises(InputError) as caught:
         opengl.usable_opengl.__wrapped__()
     assert str(caught.value) == (
-        "no OpenGL draws here without a screen (egl: no libegl; osmesa: no libosmesa); on Debian and Ubuntu: "
+        "no OpenGL backend renders off screen (egl: no libegl; osmesa: no libosmesa); on Debian and Ubuntu: "
         "apt-get install libegl1 libgl1-mesa-dri; or apt-get install libosmesa6"
     )
 
@@ -350,7 +350,7 @@ def test_both_draw_the_same(runs, name, tmp_path):
     camera = FollowCamera(stage.run, run.scenario.robot.geometry.body_length, bench=False)
     with Canvas(stage.model, 160, 90) as canvas:
         row = stage.row_at(2.0)
-        ours = stage.picture(canvas, camera.at(row), row).astype(int)
+        ours = stage.render(canvas, camera.at(row), row).astype(int)
     theirs = imread(tmp_path / "p.png")[..., :3] * 255
     assert np.abs(ours - theirs).mean() < 3.0
 

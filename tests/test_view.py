@@ -28,7 +28,7 @@ from srs_twin.errors import InputError
 from srs_twin.viewing.plots.style import STYLES
 from srs_twin.viewing.rerun.recording import write_recording, write_side_by_side
 from srs_twin.viewing.rerun.viewer import verify_recording
-from srs_twin.viewing.rerun.web import served
+from srs_twin.viewing.rerun.web import serve_recordings
 
 OPENER = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
@@ -98,7 +98,7 @@ def test_what_is_no_recording_of_ours_is_refused(recordings, tmp_path):
     memory = log.memory_recording()
     log.log("a/b", rr.TextLog("hello"))
     (tmp_path / "other.rrd").write_bytes(memory.drain_as_bytes())
-    with pytest.raises(InputError, match=r"other\.rrd: not a recording of srs-twin \(no snake is in it\)"):
+    with pytest.raises(InputError, match=r"other\.rrd: not a recording of srs-twin \(it contains no snake\)"):
         write_side_by_side(
             tmp_path / "both.rrd", {"a": recordings["left+1"], "other.rrd": tmp_path / "other.rrd"}
         )
@@ -106,7 +106,7 @@ def test_what_is_no_recording_of_ours_is_refused(recordings, tmp_path):
 
 
 def test_the_page_asks_for_nothing_from_outside(recordings):
-    with served([recordings["left+1"]]) as (address, serve):
+    with serve_recordings([recordings["left+1"]]) as (address, serve):
         threading.Thread(target=serve, daemon=True).start()
         with OPENER.open(address, timeout=120) as answer:
             page, policy = answer.read().decode(), answer.headers["Content-Security-Policy"]
@@ -154,16 +154,16 @@ def test_refusals(recordings, srs_twin, tmp_path):
     assert done.returncode == 2 and done.stderr.strip() == "--port is for --web"
     done = srs_twin("view", run, run, cwd=tmp_path)
     assert done.returncode == 2 and "given twice" in done.stderr
-    with served([recordings["left+1"]]) as (address, _):
+    with serve_recordings([recordings["left+1"]]) as (address, _):
         port = address.rstrip("/").rpartition(":")[2]
         done = srs_twin("view", run, "--web", "--port", port, cwd=tmp_path)
-    assert done.returncode == 2 and f"port {port} cannot be had" in done.stderr
+    assert done.returncode == 2 and f"cannot use port {port}" in done.stderr
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(bool(browser.missing()), reason=browser.missing() or "a browser is here")
 def test_a_browser_shows_the_recording_without_the_internet(recordings, srs_twin):
-    with served([recordings["straight on"]]) as (address, serve), browser.chromium() as chromium:
+    with serve_recordings([recordings["straight on"]]) as (address, serve), browser.chromium() as chromium:
         threading.Thread(target=serve, daemon=True).start()
         begun = time.monotonic()
         chromium.get(address)

@@ -40,7 +40,7 @@ from srs_twin.viewing.plots.signals import (
 from srs_twin.viewing.plots.style import MINUS_RGB, PLUS_RGB, STYLES, pressure_colors
 from srs_twin.viewing.rerun import viewer
 from srs_twin.viewing.rerun.blueprint import Layout, scene_view
-from srs_twin.viewing.rerun.recording import thinned, write_recording, write_side_by_side
+from srs_twin.viewing.rerun.recording import subsample, write_recording, write_side_by_side
 from srs_twin.viewing.rerun.scene import line_height
 from srs_twin.viewing.rerun.viewer import open_recording, verify_recording
 
@@ -183,7 +183,7 @@ def test_the_recording_holds_the_signals(recording, runs):
 
 def test_the_recording_shows_the_bodies_where_they_were(recording, spec, runs):
     found = read_back(recording)
-    twin = thinned(runs["twin"], 50)
+    twin = subsample(runs["twin"], 50)
     seconds, places = found["/world/twin/body/segment_2"]["Capsules3D:translations"]
     assert np.allclose(np.diff(seconds), 0.02)
     front = flat(places).reshape(len(twin), -1, 3)[:, 0, :2]
@@ -197,9 +197,9 @@ def test_the_recording_shows_the_bodies_where_they_were(recording, spec, runs):
     _, vertices = found["/world/analytical/body"]["Mesh3D:vertex_positions"]
     ghost = flat(vertices).reshape(len(twin), -1, 6, 3)
     middle = ghost.mean(axis=2)[..., :2]
-    assert np.allclose(middle, body_line(thinned(runs["analytical"], 50), spec.geometry, 6), atol=1e-6)
+    assert np.allclose(middle, body_line(subsample(runs["analytical"], 50), spec.geometry, 6), atol=1e-6)
     _, com = found["/world/analytical/com"]["Points3D:positions"]
-    assert np.allclose(flat(com).reshape(-1, 3)[:, :2], thinned(runs["analytical"], 50).com, atol=1e-6)
+    assert np.allclose(flat(com).reshape(-1, 3)[:, :2], subsample(runs["analytical"], 50).com, atol=1e-6)
 
 
 def test_the_camera_follows_the_middle_of_the_plants_and_keeps_both_in_the_picture(spec, runs, tmp_path):
@@ -220,8 +220,8 @@ def test_the_camera_follows_the_middle_of_the_plants_and_keeps_both_in_the_pictu
 
 def layout_of(spec, apart):
     return Layout(
-        plants=["analytical", "twin"], eye="eye", segments=4, start=np.zeros(2), heading=0.0,
-        body_length=spec.geometry.body_length, apart=apart, period=0.5, compared=True,
+        plants=["analytical", "twin"], camera_target="eye", segments=4, start=np.zeros(2), heading=0.0,
+        body_length=spec.geometry.body_length, separation=apart, period=0.5, compared=True,
     )  # fmt: skip
 
 
@@ -303,7 +303,7 @@ def test_odd_runs_can_be_seen_and_reported(tmp_path, name):
 
 @pytest.mark.parametrize("trajectories", [{}, {"twin": sampled(Snake().trajectory("twin"), slice(0))}])
 def test_nothing_to_show_is_refused(tmp_path, spec, trajectories):
-    with pytest.raises(InputError, match="nothing to show: .*(no plant left a trajectory|has no samples)"):
+    with pytest.raises(InputError, match="nothing to draw: .*(there is no trajectory|has no samples)"):
         write_recording(tmp_path / "r.rrd", spec=spec, trajectories=trajectories)
     assert not list(tmp_path.iterdir())
 
@@ -496,7 +496,7 @@ def test_report_needs_neither_rerun_nor_pyplot():
 
 
 def test_viewer_refusals_say_what_to_do_instead(tmp_path, recording, monkeypatch):
-    with pytest.raises(InputError, match="there is no such recording; 'srs-twin run SCENARIO' writes one"):
+    with pytest.raises(InputError, match="no such recording; 'srs-twin run SCENARIO' writes one"):
         open_recording(tmp_path / "none.rrd")
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
@@ -523,7 +523,7 @@ def test_viewer_is_bound_to_this_machine(recording, monkeypatch):
 
 def test_a_broken_recording_is_not_verified(tmp_path, recording):
     (tmp_path / "junk.rrd").write_bytes(b"junk")
-    with pytest.raises(InputError, match=r"junk\.rrd: not a whole recording \(0 files verified"):
+    with pytest.raises(InputError, match=r"junk\.rrd: incomplete or damaged recording \(0 files verified"):
         verify_recording(tmp_path / "junk.rrd")
 
 

@@ -48,11 +48,11 @@ def view(
 
 def _serve(recording: Path, port: int) -> None:
     """Serve a recording until an interrupt, which is a normal end."""
-    from srs_twin.viewing.rerun.web import served
+    from srs_twin.viewing.rerun.web import serve_recordings
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        with served([recording], port) as (address, serve):
+        with serve_recordings([recording], port) as (address, serve):
             typer.echo(address)
             sys.stdout.flush()
             print("open this address in a browser; Ctrl-C ends it", file=sys.stderr, flush=True)
@@ -121,9 +121,9 @@ def play(
     robot_file = resolve_robot(document, document.get("robot"), prefix=("robot",))
     document.finish()
     assert robot_file is not None, "`finish` raises if the robot is invalid"
-    from srs_twin.viewing.mujoco.live import MujocoWindow, refuse_without_display
+    from srs_twin.viewing.mujoco.live import MujocoWindow, require_display
 
-    refuse_without_display()
+    require_display()
     from srs_twin.viewing.mujoco.live import LiveSnake, steer
 
     before = {"robot": load_robot_file(robot).model_dump(mode="json")}
