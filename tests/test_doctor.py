@@ -298,7 +298,7 @@ def test_answers_of_children(monkeypatch):
     assert answers["talks"] == ProbeResult("ok", "well")
     assert answers["dies"] == ProbeResult("broken", "was killed by SIGTERM")
     assert answers["fails"] == ProbeResult("broken", "OSError: libgomp.so.1: cannot be opened")
-    assert answers["leaves"] == ProbeResult("broken", "result_of_exit with exit code 1")
+    assert answers["leaves"] == ProbeResult("broken", "ended with exit code 1")
 
 
 @pytest.mark.slow
@@ -315,7 +315,7 @@ def test_a_slow_probe_is_undecided_and_costs_no_other(monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     ("source", "status", "detail"),
     [
-        ("import time; time.sleep(60)", "undecided", "hardly: slow: no answer in time"),
+        ("import time; time.sleep(60)", "undecided", "hardly: slow: no result in time"),
         (
             "import os, signal; os.kill(os.getpid(), signal.SIGTERM)",
             "broken",

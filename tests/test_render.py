@@ -220,17 +220,17 @@ def test_the_bar_is_as_long_as_it_says(runs, opengl_here):
     stage = Stage(run.scenario, run.trajectories["twin"])
     camera = FollowCamera(stage.run, run.scenario.robot.geometry.body_length, bench=False).at(0)
     scene = mujoco.MjvScene(stage.model, maxgeom=10)
-    stage._add_scale(scene, camera)
+    stage._add_scale_bar(scene, camera)
     (bar,) = scene.geoms[: scene.ngeom]
     assert bar.label == "0.1 m" and 2 * (bar.size[0] - bar.size[1]) == pytest.approx(0.1)
 
 
 REFUSED = {
-    "ghost on a strobe": (("--strobe", "--ghost"), "--ghost is for --video and --image"),
-    "ghost of none": (("--image", "1", "--ghost"), "the analytical model did not run; leave out --ghost"),
+    "ghost on a strobe": (("--strobe", "--ghost"), "--ghost needs --video or --image"),
+    "ghost of none": (("--image", "1", "--ghost"), "the run contains no analytical model; omit --ghost"),
     "nothing asked": ((), "give one of --video FILE.mp4, --image t=2.5 and --strobe"),
     "two things asked": (("--strobe", "--image", "1"), "give one of"),
-    "out with a video": (("--video", "a.mp4", "--out", "b.png"), "--out is for pictures"),
+    "out with a video": (("--video", "a.mp4", "--out", "b.png"), "--out is for images"),
     "not a moment": (("--image", "t=two"), "--image t=two: not a moment; give seconds, such as t=2.5"),
     "moment beyond": (("--image", "t=20"), "t = 20 s is outside the run, which lasts from 0 to 3 s"),
     "moment of none": (("--image", "nan"), "t = nan s is outside the run"),

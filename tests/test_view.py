@@ -151,7 +151,7 @@ def test_the_page_is_served_until_it_is_ended(recordings, end):
 def test_refusals(recordings, srs_twin, tmp_path):
     run = str(recordings["left+1"].parent)
     done = srs_twin("view", run, "--port", "9000", cwd=tmp_path)
-    assert done.returncode == 2 and done.stderr.strip() == "--port is for --web"
+    assert done.returncode == 2 and done.stderr.strip() == "--port needs --web"
     done = srs_twin("view", run, run, cwd=tmp_path)
     assert done.returncode == 2 and "given twice" in done.stderr
     with serve_recordings([recordings["left+1"]]) as (address, _):

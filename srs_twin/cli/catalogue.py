@@ -22,7 +22,7 @@ def list_(
     kind: Annotated[str | None, argument("KIND")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List shipped scenarios, robots, sweeps and studies; controllers and metrics.
+    """List scenarios, robots, sweeps, controllers and metrics.
 
     Options:
         kind: Kind: scenarios, robots, sweeps, controllers, metrics or studies. [default: all but

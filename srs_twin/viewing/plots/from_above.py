@@ -25,7 +25,7 @@ def plan_view(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> Figure
     """Plot the paths of the centres of mass, with the bodies at a few equal times (after Fig. 36).
 
     Args:
-        trajectories: plant → trajectory; bodies of the twin are filled, all others are outlines.
+        trajectories: plant → trajectory; bodies of the twin are filled, those of other plants are outlines.
         spec: robot.
     """
     times = strobe_times(trajectories, spec.geometry)
