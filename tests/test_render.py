@@ -228,10 +228,10 @@ def test_the_bar_is_as_long_as_it_says(runs, opengl_here):
 REFUSED = {
     "ghost on a strobe": (("--strobe", "--ghost"), "--ghost needs --video or --image"),
     "ghost of none": (("--image", "1", "--ghost"), "the run contains no analytical model; omit --ghost"),
-    "nothing asked": ((), "give one of --video FILE.mp4, --image t=2.5 and --strobe"),
-    "two things asked": (("--strobe", "--image", "1"), "give one of"),
+    "nothing asked": ((), "give exactly one of --video FILE.mp4, --image t=2.5 and --strobe"),
+    "two things asked": (("--strobe", "--image", "1"), "give exactly one of"),
     "out with a video": (("--video", "a.mp4", "--out", "b.png"), "--out is for images"),
-    "not a moment": (("--image", "t=two"), "--image t=two: not a moment; give seconds, such as t=2.5"),
+    "not a moment": (("--image", "t=two"), "--image t=two: not a time; give seconds, such as t=2.5"),
     "moment beyond": (("--image", "t=20"), "t = 20 s is outside the run, which lasts from 0 to 3 s"),
     "moment of none": (("--image", "nan"), "t = nan s is outside the run"),
     "odd size": (("--strobe", "--size", "321x180"), "both even and from 64 to 4096"),
@@ -255,10 +255,10 @@ def test_what_is_no_run_is_refused(runs, srs_twin, tmp_path):
     alone = tmp_path / "alone"
     run_scenario(shortened("gen2_straight", 0.2), alone, plants=["analytical"])
     done = srs_twin("render", "alone", "--strobe", cwd=tmp_path)
-    assert done.returncode == 2 and "alone: the twin did not run" in done.stderr
+    assert done.returncode == 2 and "alone: the run contains no twin" in done.stderr
     two = [str(runs / "gen2_straight"), str(runs / "follow_gen4_a")]
     done = srs_twin("render", *two, "--video", "a.mp4", cwd=tmp_path)
-    assert done.returncode == 2 and "a.mp4: one file for 2 runs; give a folder" in done.stderr
+    assert done.returncode == 2 and "a.mp4: 2 runs cannot share one file; give a folder" in done.stderr
 
 
 def test_a_trajectory_of_another_robot_is_refused(runs):

@@ -106,7 +106,7 @@ def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
     in_contact = touched.any(axis=1)
     if not in_contact.any():
         return
-    # The viewer shows a row until the next one; therefore, the first sample after a contact removes the arrows.
+    # The viewer shows a row until the next one; the first sample after a contact removes the arrows.
     ended = np.append(False, in_contact[:-1]) & ~in_contact
     rows = np.flatnonzero(in_contact | ended)
     origins = _at_height(run.position[rows][touched[rows]], height)
