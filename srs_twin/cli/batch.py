@@ -23,7 +23,7 @@ from srs_twin.errors import InputError, SrsError
 
 if TYPE_CHECKING:
     from srs_twin.io.documents import Change
-    from srs_twin.scenario import Scenario
+    from srs_twin.scenario.scenario import Scenario
 
 RUNS_FOLDER = Path("runs")
 
@@ -161,7 +161,7 @@ def _load(
     """Load and check all scenarios; print the errors of invalid ones, return the valid ones."""
     from srs_twin.experiment import check_run
     from srs_twin.io.files import open_folder
-    from srs_twin.scenario import load_scenario
+    from srs_twin.scenario.loading import load_scenario
 
     base = Path(out) if out else RUNS_FOLDER
     folders: set[Path] = set()
