@@ -16,7 +16,7 @@ import pytest
 from srs_twin.cli.app import command
 from srs_twin.errors import InputError
 
-EXAMPLES = Path(__file__).parents[1] / "calibration/examples/my_snake"
+EXAMPLES = Path(__file__).parents[2] / "calibration/examples/my_snake"
 # Command → a way to start it, and the words that take the place of the capitals in the stated folder or file.
 PLACES = {
     "run": ("run gen2_straight", {"SCENARIO": "gen2_straight"}),
