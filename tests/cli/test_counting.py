@@ -1,4 +1,4 @@
-"""How far many runs are: what is said where stderr is no terminal, and what a terminal shows."""
+"""Progress of many runs: lines without a terminal, and the bar on a terminal."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def clock(monkeypatch):
     return clock
 
 
-def test_a_line_every_ten_seconds_with_rate_and_time_left(clock, capsys):
+def test_progress_line_every_ten_seconds_has_rate_and_remaining_time(clock, capsys):
     with RunCounter("grid", 100) as done:
         for second in range(5, 55):
             clock.now = 100.0 + second
@@ -57,7 +57,7 @@ def test_a_search_tells_how_well_it_fits_every_ten_seconds(clock, capsys):
 
 
 @pytest.mark.parametrize("options", [{"quiet": True}, {}])
-def test_brief_or_quiet_ones_say_nothing(clock, capsys, options):
+def test_short_or_quiet_runs_print_no_progress(clock, capsys, options):
     with RunCounter("grid", 3, **options) as done:
         for _ in range(3):
             clock.now += 20.0 if options else 0.5

@@ -1,4 +1,4 @@
-"""`srs-twin diff`: what moved between two sets of results."""
+"""`srs-twin diff`: differences between two sets of results."""
 
 from __future__ import annotations
 
@@ -52,19 +52,19 @@ def runs(tmp_path_factory):
     return folder
 
 
-def test_a_run_is_the_same_as_itself(runs, capsys):
+def test_run_has_no_difference_from_itself(runs, capsys):
     code, out, err = call(capsys, "diff", str(runs / "a"), str(runs / "b"))
     assert (code, err) == (0, "") and out.startswith("0 different, ")
     assert int(out.split()[2]) > 20  # wall times, which do differ, are left out
 
 
-def test_files_of_a_killed_run_are_no_results(runs, capsys, tmp_path):
+def test_files_of_a_killed_run_are_not_results(runs, capsys, tmp_path):
     shutil.copytree(runs / "a", tmp_path / "a")
     shutil.copytree(runs / "c/walk", tmp_path / "a/walk/.part-killed/.earlier")
     assert call(capsys, "diff", str(runs / "a"), str(tmp_path / "a"))[0] == 0
 
 
-def test_another_offset_moves_the_yaw_rate(runs, capsys, tmp_path):
+def test_changed_offset_changes_the_yaw_rate(runs, capsys, tmp_path):
     a, c = str(runs / "a/walk"), str(runs / "c/walk/metrics.json")
     report = tmp_path / "moved.xml"
     code, out, _ = call(capsys, "diff", a, c, "--json", "--junit", str(report))
@@ -86,7 +86,7 @@ def test_another_offset_moves_the_yaw_rate(runs, capsys, tmp_path):
     assert {each["metric"] for each in json.loads(out)["moved"]} == moved.keys() - {yaw["metric"]}
 
 
-def test_a_missing_scenario_has_moved(runs, capsys, tmp_path):
+def test_missing_scenario_is_a_difference(runs, capsys, tmp_path):
     shutil.copytree(runs / "a", tmp_path / "more")
     shutil.copytree(runs / "a/walk", tmp_path / "more/other")
     code, out, _ = call(capsys, "diff", str(runs / "a"), str(tmp_path / "more"), "--json")
@@ -111,7 +111,7 @@ def test_sweeps_are_paired_by_their_fields(capsys, tmp_path, monkeypatch):
     assert {each["where"] for each in moved} == {"supply.pressure_kpa=41", "supply.pressure_kpa=42"}
 
 
-def test_an_expectation_that_is_no_longer_judged_has_moved(capsys, tmp_path):
+def test_expectation_that_is_no_longer_judged_is_a_difference(capsys, tmp_path):
     row = {"metric": "com_speed_m_s", "of": "twin", "met": True}
     for name, found in (("a", row), ("b", row | {"met": False, "state": "not_judged"})):
         run = {"scenario": "walk", "plants": {}, "comparison": None, "expectations": [found], "versions": {}}
@@ -122,7 +122,7 @@ def test_an_expectation_that_is_no_longer_judged_has_moved(capsys, tmp_path):
     assert (code, moved["metric"], moved["a"], moved["b"]) == (1, "expectations[0].met", True, "not judged")
 
 
-def test_a_verdict_that_changed_has_moved(capsys, tmp_path):
+def test_changed_verdict_is_a_difference(capsys, tmp_path):
     outcome = {"verdict": "met", "value": 1.0, "values": [1.0], "error": 0.0, "why": ""}
     rows = [{"id": "row", "outcomes": {"twin": outcome}}]
     for name, verdict in (("a", "met"), ("b", "missed")):
@@ -134,7 +134,7 @@ def test_a_verdict_that_changed_has_moved(capsys, tmp_path):
 
 
 @pytest.mark.parametrize("options", [(), ("--json",)])
-def test_names_of_foreign_results_cannot_paint_the_terminal(capsys, tmp_path, options):
+def test_control_characters_in_results_are_escaped(capsys, tmp_path, options):
     for name, verdict in (("a", "met"), ("b", "[red]x\x1b[31m\x9b")):
         outcomes = {"twin": {"verdict": verdict, "value": 1.0}}
         document = {"rows": [{"id": "\x1b[31mrow\x7f", "outcomes": outcomes}], "versions": {}}
@@ -182,7 +182,7 @@ def test_every_value_is_counted_once(values, data):
     assert not diff(Results(values, {}), Results(values, {})).moved
 
 
-def test_two_runs_are_compared_whatever_they_are_called():
+def test_single_runs_are_compared_regardless_of_their_names():
     one, other = ({(name, "twin.com_speed_m_s"): 0.2, (name, "twin.yaw_rate_rad_s"): None} for name in "ab")
     assert diff(Results(one, {}), Results(other, {})).same == 2
     assert len(diff(Results(one | {("c", "x"): 1}, {}), Results(other, {})).moved) == 3
@@ -197,7 +197,7 @@ def test_the_tolerance_is_that_of_its_docstring(a, rel):
 
 
 @pytest.mark.slow
-def test_another_arithmetic_stays_within_the_default_tolerances(tmp_path):
+def test_rounding_differences_are_within_the_default_tolerances(tmp_path):
     """The C library's other variants of sin and exp: last digits differ, no metric moves."""
     (tmp_path / "sweep.yaml").write_text(SWEEP)
     results = {}
@@ -222,7 +222,7 @@ def test_documented_tolerances_load(tmp_path):
     assert allowed.of("twin.yaw_rate_rad_s").abs == 0.005 != allowed.of("analytical.yaw_rate_rad_s").abs
 
 
-def test_results_that_are_none_of_ours(tmp_path):
+def test_foreign_files_are_refused(tmp_path):
     with pytest.raises(InputError, match="holds no results"):
         read_results(tmp_path)
 
@@ -262,7 +262,7 @@ def test_json_of_something_else_is_refused(capsys, tmp_path, name, content):
     assert (code, out) == (2, "") and "not the results of a run, a sweep or a reproduction" in err
 
 
-def test_results_are_looked_for_however_deep(capsys, tmp_path, monkeypatch):
+def test_results_are_found_in_nested_folders(capsys, tmp_path, monkeypatch):
     levels = sys.getrecursionlimit() + 50
     monkeypatch.chdir(tmp_path)
     for _ in range(levels):

@@ -1,4 +1,4 @@
-"""srs-twin doctor: every remedy comes when its probe fails, slow is not broken, children end."""
+"""`srs-twin doctor`: failing probes have remedies, slow ones are undecided, and child processes end."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ def asked(name, installed="1.0", fits=True, extra=""):
     return checks.RequiredPackage(name, f"{name}>=1", installed, fits, extra)
 
 
-def test_a_check_has_a_remedy_exactly_when_it_needs_one():
+def test_check_has_remedy_unless_ok():
     with pytest.raises(ValueError, match="broken"):
         Check("topic", "name", "broken", "what")
     with pytest.raises(ValueError, match="ok"):
         Check("topic", "name", "ok", "what", "a remedy")
 
 
-def test_only_what_is_necessary_decides():
+def test_only_necessary_checks_fail():
     fine = Check("t", "a", "ok", "", necessary=True)
     optional = Check("t", "b", "missing", "", "get it")
     needed = Check("t", "c", "broken", "", "mend it", necessary=True)
@@ -82,11 +82,11 @@ def test_each_failure_has_its_remedy(check, status, finding, remedy):
     ],
     ids=lambda check: check.name,
 )
-def test_what_works_needs_no_remedy(check):
+def test_passed_check_has_no_remedy(check):
     assert (check.status, check.remedy) == ("ok", "")
 
 
-def test_a_check_keeps_what_its_probe_says_and_adds_a_remedy():
+def test_check_keeps_probe_result_and_adds_default_remedy():
     assert check_from("kernels", ProbeResult("ok", "fine")) == Check(
         "simulation", "kernels", "ok", "fine", "", True
     )
@@ -96,7 +96,7 @@ def test_a_check_keeps_what_its_probe_says_and_adds_a_remedy():
     assert check_from("kernels", ProbeResult("broken", "torn", "glue it")).remedy == "glue it"
 
 
-def test_slow_is_undecided_and_fails_nothing():
+def test_slow_probe_is_undecided():
     for code in (-signal.SIGALRM, -signal.SIGKILL):
         check = check_from("kernels", result_of_exit(code))
         assert (check.status, check.necessary, "slow" in check.detail) == ("undecided", True, True)
@@ -112,7 +112,7 @@ def fault(probe):
     return found.status, found.detail, found.remedy
 
 
-def test_faults_of_shipped_data(monkeypatch, tmp_path):
+def test_missing_or_damaged_shipped_data_is_reported(monkeypatch, tmp_path):
     assert f"{len(shipped_names('scenario'))} scenarios" in probes.data()
     monkeypatch.setattr("srs_twin.io.files.data_root", lambda: tmp_path)
     assert fault(probes.data)[:2] == ("missing", f"0 robots, 0 scenarios, 0 models in {tmp_path}")
@@ -128,7 +128,7 @@ def test_faults_of_shipped_data(monkeypatch, tmp_path):
     assert status == "broken" and "gen9: does not compile" in words and "srs-twin models check" in remedy
 
 
-def test_faults_of_kernels(monkeypatch):
+def test_wrong_machine_code_is_broken(monkeypatch):
     from srs_twin.pneumatics import flow
 
     class Wrong:
@@ -142,7 +142,7 @@ def test_faults_of_kernels(monkeypatch):
     assert fault(probes.kernels)[:2] == ("broken", "numba's machine code and Python give different results")
 
 
-def test_a_folder_for_machine_code(srs_twin_process, tmp_path):
+def test_kernels_without_cache_folder_report_a_remedy(srs_twin_process, tmp_path):
     """A package that cannot be written to, and no home: numba has no place to keep what it compiled."""
     broken = (
         "from numba.core import caching\n"
@@ -157,14 +157,14 @@ def test_a_folder_for_machine_code(srs_twin_process, tmp_path):
 
 
 @pytest.mark.parametrize(("name", "packages"), [("egl", "libegl1"), ("osmesa", "libosmesa6")])
-def test_an_opengl_that_is_not_installed(monkeypatch, name, packages):
+def test_missing_opengl_library_names_its_packages(monkeypatch, name, packages):
     monkeypatch.setattr(probes.ctypes.util, "find_library", lambda library: None)
     status, words, remedy = fault(probes.PROBES[name])
     assert (status, words) == ("missing", "its library is not installed")
     assert remedy.startswith(f"apt-get install {packages}")
 
 
-def test_glfw_says_the_cause(monkeypatch):
+def test_glfw_failure_reports_its_warning(monkeypatch):
     def draw_box(name):
         probes.warnings.warn("(65550) b'X11: Failed to open display :7'", stacklevel=1)
         raise RuntimeError("no context")
@@ -173,7 +173,7 @@ def test_glfw_says_the_cause(monkeypatch):
     assert fault(probes.PROBES["glfw"])[:2] == ("broken", "X11: Failed to open display :7")
 
 
-def test_viewers_that_do_not_draw_or_serve(monkeypatch, tmp_path):
+def test_failing_viewers_are_reported(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     script = "import sys; sys.exit(\"thread panicked at 'Failed to get render context'\")"
     monkeypatch.setattr(probes, "_rerun_command", lambda: [sys.executable, "-c", script])
@@ -183,7 +183,7 @@ def test_viewers_that_do_not_draw_or_serve(monkeypatch, tmp_path):
     assert "report.html" in REMEDIES[VIEWERS]["in a browser"]
 
 
-def test_what_is_known_without_trying(monkeypatch):
+def test_results_that_follow_from_the_environment(monkeypatch):
     assert examination.known_results({"DISPLAY": ":0"}, "linux").keys() == {"rerun"}
     blind = examination.known_results({"DISPLAY": "", "MUJOCO_GL": "disabled"}, "linux")
     assert {blind[name].status for name in ("glfw", "in a window")} == {"missing"}
@@ -214,7 +214,7 @@ def test_requirements_are_compared_with_what_is_installed():
     assert checks.modules(some) == ["numpy", "dm_control"]
 
 
-def test_extras_say_what_for_and_how():
+def test_extras_have_purpose_and_install_command():
     parts = [asked("ray", None, False, "ray"), asked("numpy")]
     (missing,) = checks.extra_checks(["ray"], parts, checkout=True)
     assert (missing.status, missing.remedy) == ("missing", "uv sync --extra ray")
@@ -230,7 +230,7 @@ def test_every_extra_has_a_purpose():
     assert set(project.get("optional-dependencies", {})) <= checks.PURPOSES.keys()
 
 
-def test_limits_of_a_container_count(tmp_path):
+def test_container_limits_apply(tmp_path):
     (tmp_path / "meminfo").write_text("MemTotal: 9000000 kB\nMemAvailable:  4000000 kB\n")
     assert free_memory(tmp_path, tmp_path / "meminfo") == 4_096_000_000
     (tmp_path / "cpu.max").write_text("150000 100000\n")
@@ -244,7 +244,7 @@ def test_limits_of_a_container_count(tmp_path):
     assert free_memory(tmp_path, tmp_path / "nothing") is None
 
 
-def test_trying_to_write_leaves_nothing(tmp_path):
+def test_output_check_leaves_no_files(tmp_path):
     (tmp_path / "old").mkdir()
     assert checks.output_check(tmp_path / "old").status == "ok"
     assert checks.output_check(tmp_path / "new/er/est").status == "ok"
@@ -285,7 +285,7 @@ def sleeps(place):
     return "too late"
 
 
-def test_answers_of_children(monkeypatch):
+def test_results_of_child_processes(monkeypatch):
     trials = {
         "talks": talks,
         "dies": lambda: signal.raise_signal(signal.SIGTERM),
@@ -334,7 +334,7 @@ def test_a_package_that_does_not_import(monkeypatch, tmp_path, source, status, d
     assert answers["talks"].status == ("ok" if survived else "undecided")
 
 
-def test_a_healthy_machine_that_is_slow_is_fit(monkeypatch, tmp_path, capsys):
+def test_slow_machine_passes(monkeypatch, tmp_path, capsys):
     """Every probe runs out of its time: nothing is known, and nothing is called broken."""
     slow = dict.fromkeys(probes.PROBES, lambda: signal.raise_signal(signal.SIGALRM))
     monkeypatch.setattr(probes, "PROBES", slow)
@@ -394,7 +394,7 @@ def test_command_on_a_broken_machine(srs_twin_process, tmp_path):
     assert len(bad) >= 4 and all(lines[i + 1].strip().startswith("→ ") for i in bad)
 
 
-def test_the_web_viewer_that_was_tried_out_ends_where_interrupts_are_ignored(tmp_path):
+def test_web_viewer_probe_ends_its_server_if_interrupts_are_ignored(tmp_path):
     with on_interrupt(signal.SIG_IGN):
         done = subprocess.run(
             [sys.executable, "-c", "from srs_twin.cli.doctor import probes; print(probes.web_viewer())"],

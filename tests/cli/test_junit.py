@@ -1,4 +1,4 @@
-"""JUnit reports: what GitHub, GitLab and Jenkins read from them, and that it is true."""
+"""JUnit reports: outcomes of runs and expectations as GitHub, GitLab and Jenkins read them."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def kinds(tests):
     return [kind for kind, _ in tests.values()]
 
 
-def test_every_kind_of_end(tmp_path):
+def test_each_outcome_becomes_its_junit_element(tmp_path):
     flew = DivergedError("twin", 1.5, "qpos is not finite")
     cases = [
         case("ran", metrics=METRICS),
@@ -134,7 +134,7 @@ def test_every_kind_of_end(tmp_path):
     assert "bad.yaml:1:2: wrong\nbad.yaml:3:4: too" in found["bad"]["runs"][1]
 
 
-def test_what_is_known_to_be_missed_is_skipped_and_strictly_a_failure(tmp_path):
+def test_known_miss_is_skipped_and_fails_with_strict(tmp_path):
     known = tuple(each.model_copy(update={"known": "never <measured>"}) for each in EXPECT)
     scenario = SimpleNamespace(label="ran", expect=(*EXPECT, *known))
     rows = [each.check(FOUND) for each in scenario.expect]
@@ -157,7 +157,7 @@ def test_what_is_known_to_be_missed_is_skipped_and_strictly_a_failure(tmp_path):
         )
 
 
-def test_what_is_not_judged_is_skipped_and_strictly_a_failure(tmp_path):
+def test_expectation_not_judged_is_skipped_and_fails_with_strict(tmp_path):
     named = SimpleNamespace(label="ran", expect=())
     rows = [EXPECT[0].check({}, Undefined("the run is short")), EXPECT[0].check({})]
     result = CaseResult(RunResult("ran", Path("runs/ran"), {}, {"expectations": rows}), (), 1.5)
@@ -173,14 +173,14 @@ def test_what_is_not_judged_is_skipped_and_strictly_a_failure(tmp_path):
         assert found["twin com_speed_m_s"][1].endswith(words[outcomes[1]])
 
 
-def test_expectations_of_plants_that_did_not_run_are_no_test_cases(tmp_path):
+def test_expectations_of_omitted_plants_are_not_test_cases(tmp_path):
     result = CaseResult(RunResult("ran", Path("runs/ran"), {}, METRICS | {"expectations": []}), (), 1.5)
     write_junit(tmp_path / "r.xml", [Case("ran", SimpleNamespace(label="ran", expect=EXPECT), result=result)])
     assert list(read(tmp_path / "r.xml")["ran"]) == ["runs"]
 
 
 @given(st.text(min_size=1), st.text(min_size=1))
-def test_any_text_becomes_xml_and_what_xml_can_write_stays(tmp_path_factory, name, words):
+def test_any_text_is_valid_xml(tmp_path_factory, name, words):
     path = tmp_path_factory.getbasetemp() / "any.xml"
     scenario = SimpleNamespace(label=name, expect=())
     write_junit(path, [Case("x", scenario, result=CaseResult(None, (InputError(words),)))])
@@ -190,7 +190,7 @@ def test_any_text_becomes_xml_and_what_xml_can_write_stays(tmp_path_factory, nam
         assert (suite.get("name"), message) == (name, words)
 
 
-def test_what_xml_cannot_write_is_shown_as_escapes(tmp_path):
+def test_characters_outside_xml_are_escaped(tmp_path):
     bad = CaseResult(None, (InputError("\x1b[31mred\x00 \ud800 \ufffe <&\"'> é 🐍"),))
     write_junit(tmp_path / "r.xml", [Case("a\udcff.yaml", result=bad)])
     (name,) = read(tmp_path / "r.xml")
@@ -200,7 +200,7 @@ def test_what_xml_cannot_write_is_shown_as_escapes(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["", ".", "/", "out", "gen2.yaml", "reports/", ".xml"])
-def test_what_is_no_name_of_a_report_is_refused(name):
+def test_report_name_without_xml_suffix_is_refused(name):
     # A scenario after a bare --junit must not be overwritten.
     with pytest.raises(InputError, match=r"--junit .*: the file name of a report must end in .xml"):
         report_path(name)
@@ -224,7 +224,7 @@ def both(tmp_path_factory, srs_twin):
     return room, many.stdout, one.getvalue()
 
 
-def test_the_truth_is_written_with_and_without_check(both):
+def test_files_do_not_depend_on_check(both):
     room, _, _ = both
     ran = ["passed", "passed", "failure"]
     for folder in ("many", "one"):
@@ -234,7 +234,7 @@ def test_the_truth_is_written_with_and_without_check(both):
         assert [path.name for path in (room / folder / "x").iterdir()] == ["out.xml"]
 
 
-def test_worker_processes_leave_the_same_files_and_words(both):
+def test_worker_processes_give_identical_files_and_output(both):
     room, many, one = both
     for name in "ab":
         files = [{path.name for path in (room / where / name).iterdir()} for where in ("many", "one")]
@@ -281,7 +281,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_simulating(tmp_path, s
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
-def test_after_an_interrupt_the_report_says_what_was_reached(tmp_path):
+def test_report_after_an_interrupt_marks_unfinished_runs(tmp_path):
     (tmp_path / "brief.yaml").write_text(SCENARIO)
     (tmp_path / "long.yaml").write_text(SCENARIO.replace("0.2", "600").replace("{}}", "{}, twin: {}}"))
     (tmp_path / "r.xml").write_text("of an earlier run")

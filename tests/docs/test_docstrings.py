@@ -1,4 +1,4 @@
-"""Public docstrings are complete: every argument, every field, and what is raised."""
+"""Public docstrings are complete: arguments, fields and errors."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_every_field_is_named(given):
 
 
 @pytest.mark.parametrize("given", CALLABLE, ids=lambda given: given.__qualname__)
-def test_what_is_raised_is_told(given):
+def test_raised_errors_are_documented(given):
     """Errors of ours that stand in its own body, themselves or what they are kinds of."""
     told = tuple(getattr(errors, name, KeyError) for name in section(given.__doc__, "Raises"))
     for name in re.findall(r"raise (\w+Error)\(", inspect.getsource(given)):

@@ -1,4 +1,4 @@
-"""What a recording holds besides bodies and bends, and that the viewer shows what matters."""
+"""Signals and events in recordings, and the plots of each kind of run."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def read_back(path):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_kind_is_told_by_its_signals(kind):
+def test_kind_of_run_follows_from_its_signals(kind):
     assert kind_of(of_kind(kind, duration=0.5)) == kind
 
 
@@ -111,7 +111,7 @@ def test_signals_of_each_kind(kind, tmp_path):
         assert not any("sensed" in each or "events" in each for each in found), "an ideal reading is the bend"
 
 
-def test_steps_are_kept_where_they_change(tmp_path):
+def test_step_signals_keep_their_changes(tmp_path):
     runs = of_kind("gait")
     path = tmp_path / "r.rrd"
     write_recording(path, spec=robot(), trajectories=runs)
@@ -126,7 +126,7 @@ def test_steps_are_kept_where_they_change(tmp_path):
         assert np.array_equal(drawn, state[1:, j])
 
 
-def test_events_stand_in_the_text_log(tmp_path):
+def test_events_are_in_the_text_log(tmp_path):
     runs = of_kind("learning")
     path = tmp_path / "r.rrd"
     write_recording(path, spec=robot(), trajectories=runs)
@@ -152,7 +152,7 @@ def test_contacts_are_events_and_metrics():
     assert second.connector == 1
 
 
-def test_wheels_turn_as_far_as_they_roll():
+def test_wheels_roll_without_slip():
     spec = robot()
     snake = pair(duration=2.0, amplitude=0.0, sway=(0.0, 0.0), heading_sway=0.0, yaw_rate=0.0)["analytical"]
     turns = wheel_turns(snake, spec.geometry)
@@ -164,7 +164,7 @@ def test_wheels_turn_as_far_as_they_roll():
     assert np.allclose(right - left, apart, rtol=1e-3), "on the way round to the left the right one leads"
 
 
-def test_spokes_turn_about_the_axle(tmp_path):
+def test_spokes_rotate_about_the_axle(tmp_path):
     spec, runs = robot(), pair(duration=1.0)
     path = tmp_path / "r.rrd"
     write_recording(path, spec=spec, trajectories=runs)
@@ -202,7 +202,7 @@ def test_the_viewer_shows_the_plots_of_each_kind(kind, tmp_path):
     assert all(third.sum() > 30 for third in thirds), "no row of plots is empty"
 
 
-def test_ten_seconds_of_everything_stay_small(tmp_path):
+def test_recording_with_all_signals_is_small(tmp_path):
     runs = {plant: learning(replace(run)) for plant, run in pair(duration=10.0).items()}
     path = tmp_path / "r.rrd"
     write_recording(path, spec=robot(), trajectories=runs)

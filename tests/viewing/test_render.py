@@ -1,4 +1,4 @@
-"""Videos and pictures that MuJoCo draws, from real runs, through the command line."""
+"""Videos and images rendered by MuJoCo from real runs, through the command line."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def alike(picture, rgb):
 
 
 @pytest.mark.slow
-def test_a_video_shows_the_snake_and_it_moves(runs, srs_twin, tmp_path):
+def test_video_shows_a_moving_snake(runs, srs_twin, tmp_path):
     done = srs_twin(
         *("render", str(runs / "gen2_straight"), "--video", "out.mp4", "--size", "320x180", "--fps", "5"),
         cwd=tmp_path,
@@ -83,7 +83,7 @@ def test_a_video_shows_the_snake_and_it_moves(runs, srs_twin, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gen2_straight", "follow_gen4_a", "module_step_iterative"])
-def test_pictures_of_every_kind_of_run(runs, srs_twin, tmp_path, name):
+def test_images_of_every_kind_of_run(runs, srs_twin, tmp_path, name):
     done = srs_twin("render", str(runs / name), "--image", "t=0.5", "--size", "320x180", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     picture = imread(runs / name / f"{name}-0.5s.png")[..., :3] * 255
@@ -173,7 +173,7 @@ def test_several_runs_go_into_a_folder(runs, srs_twin, tmp_path):
     assert sorted(p.name for p in (tmp_path / "films").iterdir()) == [f"{name}.mp4" for name in names]
 
 
-def test_the_camera_goes_along_without_swaying(runs, opengl_here):
+def test_camera_follows_smoothly(runs, opengl_here):
     run = load_run(runs / "gen2_straight")
     twin = run.trajectories["twin"]
     camera = FollowCamera(twin, run.scenario.robot.geometry.body_length, bench=False)
@@ -183,7 +183,7 @@ def test_the_camera_goes_along_without_swaying(runs, opengl_here):
     assert np.hypot(*(at[:, :2] - twin.com).T).max() < 0.15 * run.scenario.robot.geometry.body_length
 
 
-def test_stage_puts_the_snake_where_it_was(runs, opengl_here):
+def test_stage_restores_recorded_positions(runs, opengl_here):
     run = load_run(runs / "follow_gen4_a")
     twin = run.trajectories["twin"]
     stage = Stage(run.scenario, twin)
@@ -215,7 +215,7 @@ def test_a_ghost_a_scale_and_a_legend_are_in_the_picture(runs, opengl_here, tmp_
     assert camera.lookat[0] == pytest.approx(twin.com[0, 0] + 0.125, abs=0.02)
 
 
-def test_the_bar_is_as_long_as_it_says(runs, opengl_here):
+def test_scale_bar_has_the_stated_length(runs, opengl_here):
     run = load_run(runs / "gen2_straight")
     stage = Stage(run.scenario, run.trajectories["twin"])
     camera = FollowCamera(stage.run, run.scenario.robot.geometry.body_length, bench=False).at(0)
@@ -242,14 +242,14 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_refusals(runs, srs_twin, tmp_path, name):
+def test_invalid_options_are_refused(runs, srs_twin, tmp_path, name):
     options, words = REFUSED[name]
     done = srs_twin("render", str(runs / "gen2_straight"), *options, cwd=tmp_path)
     assert done.returncode == 2 and words in done.stderr, done.stderr
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_no_run_is_refused(runs, srs_twin, tmp_path):
+def test_missing_run_is_refused(runs, srs_twin, tmp_path):
     done = srs_twin("render", "nowhere", "--strobe", cwd=tmp_path)
     assert done.returncode == 2 and "nowhere: no run there (looked for" in done.stderr
     alone = tmp_path / "alone"
@@ -272,7 +272,7 @@ def test_a_trajectory_of_another_robot_is_refused(runs):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
-def test_interrupted_nothing_is_left(runs, tmp_path):
+def test_interrupt_leaves_no_files(runs, tmp_path):
     script = os.path.join(os.path.dirname(sys.executable), "srs-twin")
     command = [script, "render", str(runs / "gen2_straight"), "--video", "out.mp4", "--fps", "120"]
     started = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
@@ -286,7 +286,7 @@ def test_interrupted_nothing_is_left(runs, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_video_that_fails_leaves_the_earlier_one(tmp_path):
+def test_failed_video_keeps_the_existing_file(tmp_path):
     path = tmp_path / "a.mp4"
     path.write_bytes(b"earlier")
     with pytest.raises(RuntimeError), render.video_writer(path, width=64, height=64, fps=1) as add:
@@ -300,13 +300,13 @@ def test_a_video_that_fails_leaves_the_earlier_one(tmp_path):
         raise AssertionError("not reached")
 
 
-def test_without_an_encoder_the_message_says_how_to_get_it(monkeypatch):
+def test_missing_encoder_names_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(InputError, match=r"the encoder PyAV.*uv sync --extra video.*srs-twin\[video\]"):
         render.encoder()
 
 
-def test_an_opengl_that_does_not_draw_is_named(runs, srs_twin_process, tmp_path):
+def test_failing_opengl_backend_is_named(runs, srs_twin_process, tmp_path):
     done = srs_twin_process(
         "render", str(runs / "gen2_straight"), "--strobe", cwd=tmp_path, MUJOCO_GL="vulkan"
     )
@@ -314,7 +314,7 @@ def test_an_opengl_that_does_not_draw_is_named(runs, srs_twin_process, tmp_path)
     assert "OpenGL backend in MUJOCO_GL does not work (vulkan: unknown backend" in done.stderr
 
 
-def test_where_none_draws_the_packages_are_named(monkeypatch):
+def test_without_opengl_the_error_names_packages(monkeypatch):
     monkeypatch.setattr(opengl, "_test", lambda name: f"no lib{name}")
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setenv("MUJOCO_GL", "disabled")
@@ -328,7 +328,7 @@ def test_where_none_draws_the_packages_are_named(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["egl", "osmesa"])
-def test_both_draw_the_same(runs, name, tmp_path):
+def test_egl_and_osmesa_draw_equal_images(runs, name, tmp_path):
     """Two implementations, one picture; whichever is chosen, a run looks alike."""
     if opengl._complaint(name):
         pytest.skip(f"{name} does not draw here")
@@ -353,7 +353,7 @@ def test_both_draw_the_same(runs, name, tmp_path):
     assert np.abs(ours - theirs).mean() < 3.0
 
 
-def test_a_canvas_that_nobody_closes_ends_without_a_word(opengl_here):
+def test_unclosed_canvas_is_freed_silently_at_exit(opengl_here):
     program = (
         "import mujoco\n"
         "from srs_twin.viewing.mujoco.canvas import Canvas\n"
