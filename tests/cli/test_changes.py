@@ -202,7 +202,7 @@ CAUSE = {"name": "compliance", "com_speed_m_s": -0.03, "yaw_rate_rad_s": 0.0}
             "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s; compliance alone would slow "
             "it by 25 %).",
         ),
-        # A cause that acts the other way explains nothing.
+        # An assumption with the opposite effect is not a main cause.
         (
             both((0.2, 0.15), cause=CAUSE | {"com_speed_m_s": 0.03}),
             "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s).",

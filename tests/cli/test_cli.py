@@ -53,7 +53,7 @@ REASON = "the drag was never measured (docs/models.md)"
 
 
 def marked(*numbers):
-    """Return what a run gave whose expectations of these numbers are marked as known to be missed."""
+    """Return metrics in which the expectations with these numbers are marked as known misses."""
     expectations = METRICS["expectations"]
     known = [each | {"known": REASON if k in numbers else None} for k, each in enumerate(expectations)]
     return {**METRICS, "expectations": known}
@@ -73,7 +73,7 @@ EXPECTED = (
 
 @dataclass
 class Job:
-    """Stands in for a prepared run: does what a test tells it to."""
+    """Fake prepared run with a given outcome."""
 
     name: str
     folder: Path
@@ -90,11 +90,11 @@ class Job:
 
 
 def last_first(task, arguments, *, workers):
-    """Stand in for worker processes that finish in the least convenient order."""
+    """Fake worker processes that finish in reverse order."""
     for number in reversed(range(len(arguments))):
         try:
             done = Done(number, task(arguments[number]), None)
-            # What comes back was sent from one process to another.
+            # Results are pickled between processes.
             yield pickle.loads(pickle.dumps(done))
         except RuntimeError as error:
             yield Done(number, None, TaskFailedError(error))
@@ -104,7 +104,7 @@ def last_first(task, arguments, *, workers):
 
 @pytest.fixture
 def start(monkeypatch, capsys, tmp_path):
-    """Run `srs-twin` on stand-ins: scenario name → how it ends. Gives code, stdout, stderr and the log."""
+    """Run `srs-twin` with fake runs, scenario name → outcome; return exit code, stdout, stderr and log."""
     monkeypatch.chdir(tmp_path)
 
     def run(*words, **endings):

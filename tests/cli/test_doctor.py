@@ -143,7 +143,7 @@ def test_wrong_machine_code_is_broken(monkeypatch):
 
 
 def test_kernels_without_cache_folder_report_a_remedy(srs_twin_process, tmp_path):
-    """A package that cannot be written to, and no home: numba has no place to keep what it compiled."""
+    """Numba has no cache folder if neither the package nor the home folder is writable."""
     broken = (
         "from numba.core import caching\n"
         "caching.CacheImpl._locator_classes = []\n"
@@ -256,7 +256,7 @@ def test_output_check_leaves_no_files(tmp_path):
 
 
 def gone(pid):
-    """Whether a process is gone, or is what nobody has waited for yet; waits a moment for it."""
+    """Wait up to 5 s for the end of a process; return whether it has ended or is a zombie."""
     for _ in range(100):
         try:
             state = Path(f"/proc/{pid}/stat").read_text("ascii").rpartition(") ")[2][0]

@@ -26,7 +26,7 @@ from srs_twin.studies.sweep.loading import load_sweep
 BY_PATH = {page.path: page for page in PAGES}
 COMMANDS = [(page, line) for page in PAGES for line in (*page.commands, *page.mentions)]
 BLOCKS = [(page, block) for page in PAGES for block in page.blocks]
-# What else a reader types. A new program here needs a look at whether it can be checked.
+# Other programs in command blocks. Check whether a new program here can be tested.
 OTHERS = {"pip", "python3", "uv", "podman", "docker", ".ci/run", "python", "mosquitto"}
 GIVEN = {"scenario": "scenario", "scenarios": "scenario", "sweep": "sweep"}
 SCENARIO = set(ScenarioFile.model_fields)
@@ -232,7 +232,7 @@ def test_pages_contain_examples():
 
 
 def test_errata_that_the_project_names_are_listed():
-    """E1 to E29 stand in the errata once each, with a place and a remedy."""
+    """E1 to E29 are in the errata exactly once, with a location and a correction."""
     text = next(page.text for page in PAGES if page.name == "docs/errata.md")
     rows = [line.split(" | ") for line in text.splitlines() if re.match(r"\| E\d+ \|", line)]
     assert [row[0].strip("| ") for row in rows] == [f"E{n}" for n in range(1, 30)]
@@ -259,6 +259,6 @@ def test_known_misses_name_an_existing_section():
 
 def test_files_named_on_pages_exist():
     sources = [f"/{path.relative_to(ROOT)}" for path in ROOT.rglob("*.py") if ".venv" not in path.parts]
-    pages = [page for page in PAGES if "/add-a-" not in page.name]  # these make files of their own
+    pages = [page for page in PAGES if "/add-a-" not in page.name]  # these pages create files
     named = {(page.name, name) for page in pages for name in re.findall(r"`([\w/]+\.py)`", page.prose)}
     assert {each for each in named if not any(source.endswith(f"/{each[1]}") for source in sources)} == set()

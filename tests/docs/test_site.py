@@ -20,7 +20,7 @@ from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.studies.sweep.file import SweepFile
 
-# Attributes by which a browser fetches something without being asked; `href` only of these elements.
+# Attributes that make a browser load a resource automatically; `href` only in these elements.
 FETCHED = {"src", "srcset", "data", "poster", "action", "background"}
 FETCHING = {"link", "base", "image", "use"}
 

@@ -16,7 +16,7 @@ SPEC = robot()
 
 
 class FakeWindow:
-    """Is open for so many ticks, presses keys before some of them, and keeps what was shown."""
+    """Fake window that is open for some ticks, presses keys and records the displayed states."""
 
     def __init__(self, ticks: int, keys: dict[int, tuple[int, ...]] | None = None) -> None:
         self.ticks, self.keys, self.shown = ticks, keys or {}, []
@@ -34,7 +34,7 @@ class FakeWindow:
 
 
 class FakeTime:
-    """A clock that runs only when somebody sleeps, or works."""
+    """Simulated clock that advances only in `sleep` and by the simulated work."""
 
     def __init__(self) -> None:
         self.now, self.slept = 100.0, []

@@ -120,7 +120,7 @@ def test_step_signals_keep_their_changes(tmp_path):
     for j in range(4):
         seconds, values = found[f"/module/{j + 1}/valve/twin"]
         assert len(seconds) < len(twin) / 5 and seconds[-1] == twin.time[-1]
-        # Between samples, as a line of steps has it: what led to a sample has held since the one before.
+        # The value of a step signal has been valid since the previous sample.
         middle = (twin.time[1:] + twin.time[:-1]) / 2
         drawn = np.array(values)[np.searchsorted(seconds, middle) - 1]
         assert np.array_equal(drawn, state[1:, j])
@@ -172,7 +172,7 @@ def test_spokes_rotate_about_the_axle(tmp_path):
     flat = poses.to_record_batch().column("Boxes3D:quaternions").flatten().flatten()
     x, y, z, w = np.array(flat.to_numpy(zero_copy_only=False)).reshape(-1, 4).T
     twin = subsample(runs["twin"], 50)
-    # What the rotation makes of +y, the axle, and of +x, the bar.
+    # Rotated unit vectors +y (the axle) and +x (the bar).
     axle = np.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], axis=-1)
     theta = np.repeat(twin.stack("theta"), 2, axis=1).ravel()
     assert np.allclose(axle, np.stack([-np.sin(theta), np.cos(theta), 0 * theta], axis=-1), atol=1e-5)

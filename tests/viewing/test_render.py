@@ -123,7 +123,7 @@ def test_an_obstacle_does_not_hide_the_snake(runs, opengl_here):
     circle = run.scenario.world.obstacles[0]
     place = np.array([circle.x, circle.y]) - stage.run.com[row]
     camera = FollowCamera(stage.run, run.scenario.robot.geometry.body_length, bench=False).at(row)
-    # From behind the obstacle, with the snake in line, so low that the view goes through.
+    # A low camera behind the obstacle, which is in line with the snake.
     camera.azimuth = np.degrees(np.arctan2(-place[1], -place[0]))
     camera.elevation, camera.distance = -4.0, float(np.hypot(*place)) + 3 * circle.radius
     obstacle = stage.model.geom("obstacle_1").id
@@ -178,7 +178,7 @@ def test_camera_follows_smoothly(runs, opengl_here):
     twin = run.trajectories["twin"]
     camera = FollowCamera(twin, run.scenario.robot.geometry.body_length, bench=False)
     at = np.array([camera.at(row).lookat.copy() for row in range(len(twin))])
-    late = (twin.time > 1.0) & (twin.time < 2.5)  # where a whole period lies around
+    late = (twin.time > 1.0) & (twin.time < 2.5)  # at least half a period from both ends
     assert np.abs(np.diff(at[late, 1])).max() < 0.2 * np.abs(np.diff(twin["com_y"][late])).max()
     assert np.hypot(*(at[:, :2] - twin.com).T).max() < 0.15 * run.scenario.robot.geometry.body_length
 

@@ -134,7 +134,7 @@ def test_pressure_colours_distinguish_the_chambers():
 
 
 def read_back(path):
-    """Entity path → component name → (seconds, values a row) of a recording's changing columns."""
+    """Return entity path → component name → (seconds, values per row) of the temporal columns."""
     from rerun.chunk import RrdReader
 
     found: dict[str, dict[str, tuple[np.ndarray, list]]] = {}
@@ -189,7 +189,7 @@ def test_recording_contains_the_recorded_positions(recording, spec, runs):
     front = flat(places).reshape(len(twin), -1, 3)[:, 0, :2]
     assert np.allclose(front, twin.position[:, 1], atol=1e-6)
     x, y, z, w = flat(found["/world/twin/body/segment_2"]["Capsules3D:quaternions"][1]).reshape(-1, 4).T
-    # What the rotation makes of +z, a capsule's axis: it must lead to where the next capsule starts.
+    # The rotated axis +z of a capsule must end at the start of the next capsule.
     axis = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x)], axis=-1).reshape(len(twin), -1, 2)
     step = np.diff(flat(places).reshape(len(twin), -1, 3)[..., :2], axis=1)
     assert np.allclose(axis[:, :-1], step / np.linalg.norm(step, axis=-1, keepdims=True), atol=1e-3)
@@ -540,7 +540,7 @@ def test_viewer_shows_a_moving_snake(recording):
         for rgb in (PLUS_RGB, MINUS_RGB):
             alike = np.abs(hue - np.array(rgb) / max(rgb)).max(axis=-1) < 0.1
             assert alike.mean() > 0.002, "a pressurised segment is in the picture"
-    # The eye goes along: it is the trails and the ghost that change.
+    # The camera moves with the snake, so only trails and ghost change.
     assert (np.abs(before - after).max(axis=-1) > 0.1).mean() > 0.01
 
 
