@@ -85,7 +85,7 @@ PURPOSES = {
     "ray": "sweeps on several machines (`srs-twin sweep --engine ray`)",
     "live": "live twin over MQTT, journals",
     "recordings": "recordings in C3D and MCAP files and ROS bags",
-    "rl": "training of a policy (`examples/train_goto.py`)",
+    "optimize": "studies (`srs-twin optimize`)",
     "video": "videos (`srs-twin render RUN --video out.mp4`)",
 }
 """Purpose of each extra in pyproject.toml."""
