@@ -264,8 +264,8 @@ def test_known_misses_are_counted_separately(start):
     assert left.code == 1
     lines = [line for line in left.out.splitlines() if line.startswith(("met", "MISSED", "known", "HOLDS"))]
     assert [line.split()[0] for line in lines] == ["met", "MISSED", "met", "known", "HOLDS", "known"]
-    told = "expectations: 2 met, 1 missed, 2 known to be missed, 1 met though known to be missed"
-    assert f"{told} (take `known` out)\n" in left.err
+    summary = "expectations: 2 met, 1 missed, 2 known to be missed, 1 met though known to be missed"
+    assert f"{summary} (take `known` out)\n" in left.err
 
 
 def test_quiet_prints_failed_and_newly_met_expectations(start):

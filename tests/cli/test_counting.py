@@ -46,10 +46,10 @@ def test_progress_line_every_ten_seconds_has_rate_and_remaining_time(clock, caps
 
 
 def test_a_search_tells_how_well_it_fits_every_ten_seconds(clock, capsys):
-    with Searching("gen2_friction") as told:
+    with Searching("gen2_friction") as search:
         for runs in range(1, 24):
             clock.now += 1.0
-            told(runs, 10.0 / runs)
+            search(runs, 10.0 / runs)
     assert capsys.readouterr().err.splitlines() == [
         "gen2_friction: 10 runs of the model, weighted residuals 1 RMS at best",
         "gen2_friction: 20 runs of the model, weighted residuals 0.5 RMS at best",

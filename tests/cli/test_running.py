@@ -132,15 +132,15 @@ def test_unwritable_folder_is_reported_before_simulation(tmp_path):
 
 
 def test_progress_rises_to_the_end_for_each_plant(tmp_path):
-    told: dict[str, list[float]] = {}
+    progress: dict[str, list[float]] = {}
     text = SCENARIO.replace("duration_s: 2", "duration_s: 0.2").split("expect:")[0]
     run_scenario(
         load_scenario(write(tmp_path, "brief", text)),
         tmp_path / "out",
-        progress=lambda plant, part: told.setdefault(plant, []).append(part),
+        progress=lambda plant, fraction: progress.setdefault(plant, []).append(fraction),
     )
-    assert list(told) == ["analytical", "twin"]
-    for parts in told.values():
+    assert list(progress) == ["analytical", "twin"]
+    for parts in progress.values():
         assert parts == sorted(set(parts))
         assert (parts[0], parts[-1]) == (0.0, 1.0)
 

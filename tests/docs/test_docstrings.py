@@ -53,6 +53,6 @@ def test_every_field_is_named(given):
 @pytest.mark.parametrize("given", CALLABLE, ids=lambda given: given.__qualname__)
 def test_raised_errors_are_documented(given):
     """Return the errors of srs_twin that a function raises in its body, with their base classes."""
-    told = tuple(getattr(errors, name, KeyError) for name in section(given.__doc__, "Raises"))
+    documented = tuple(getattr(errors, name, KeyError) for name in section(given.__doc__, "Raises"))
     for name in re.findall(r"raise (\w+Error)\(", inspect.getsource(given)):
-        assert not hasattr(errors, name) or issubclass(getattr(errors, name), told), name
+        assert not hasattr(errors, name) or issubclass(getattr(errors, name), documented), name

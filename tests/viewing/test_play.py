@@ -135,9 +135,11 @@ def test_slow_pictures_do_not_slow_the_snake():
 
 
 def test_status_lines_have_units():
-    told = dict(LiveSnake(SPEC).status_lines())
-    assert told["frequency (up, down)"] == "1.50 Hz" and told["pressure (page up, page down)"] == "48.3 kPa"
-    assert told["offset (left, right)"] == "+0.00" and told["speed"] == "0.000 m/s"
+    status = dict(LiveSnake(SPEC).status_lines())
+    assert (
+        status["frequency (up, down)"] == "1.50 Hz" and status["pressure (page up, page down)"] == "48.3 kPa"
+    )
+    assert status["offset (left, right)"] == "+0.00" and status["speed"] == "0.000 m/s"
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from srs_twin.viewing.plots.style import STYLES
 from srs_twin.viewing.rerun.recording import events_of, subsample, write_recording
 
 
-def told(run, *events, **metadata):
+def with_events(run, *events, **metadata):
     return Trajectory(run.columns, run.units, tuple(events), {**run.metadata, **metadata})
 
 
@@ -39,7 +39,9 @@ def learning(run):
         **{k: v for name, values in columns.items() for k, v in numbered(name, values).items()},
         **numbered("sensed", run.stack("bend") * 1.01),
     )
-    return told(changed, Event(1.0, "ilc_update", "after period 2"), Event(2.0, "saturation", "segment 1"))
+    return with_events(
+        changed, Event(1.0, "ilc_update", "after period 2"), Event(2.0, "saturation", "segment 1")
+    )
 
 
 def following(run):
@@ -53,7 +55,7 @@ def following(run):
     about = {"following": {"plans": [plan], "footprint": footprint, "world": world, "goal": goal}}
     changed = with_columns(run, cross_track=0.01 * np.sin(run.time), offset_commanded=0.2 * np.cos(run.time))
     lengths = {"segment_length_m": Snake.segment_length, "rigid_gap_m": Snake.rigid_gap, "body_width_m": 0.04}
-    return told(changed, Event(1.5, "replanned", "a new way"), control=about, **lengths)
+    return with_events(changed, Event(1.5, "replanned", "a new way"), control=about, **lengths)
 
 
 KINDS = {"gait": lambda run: run, "bench": bench, "learning": learning, "following": following}
@@ -141,7 +143,7 @@ def test_contacts_are_events_and_metrics():
     force[50:60, 2], force[55, 3], force[65:70, 2] = 0.4, 0.9, 0.1  # 50 ms apart: one contact
     force[200:210, 0] = 0.2
     run = with_columns(run, **numbered("obstacle_force_x", force), **numbered("obstacle_force_y", 0 * force))
-    run = told(run, Event(1.5, "replanned", "a new way"), ended_by="controller")
+    run = with_events(run, Event(1.5, "replanned", "a new way"), ended_by="controller")
     first, second = touches(run)
     assert (first.begin, first.end, first.connector) == pytest.approx((0.5, 0.69, 4))
     assert first.force == pytest.approx(0.9)
