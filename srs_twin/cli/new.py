@@ -93,7 +93,7 @@ def robot(
     from srs_twin.robot.file import load_robot
 
     path = _write("robot.yaml", name, out, load_robot, title=title, **values)
-    _next(path, f"srs-twin new scenario {name}_straight --robot {path}")
+    _print_next_command(path, f"srs-twin new scenario {name}_straight --robot {path}")
 
 
 def scenario(
@@ -115,7 +115,7 @@ def scenario(
 
     values = {"robot": json.dumps(robot), "frequency": frequency, "duration": duration}
     path = _write("scenario.yaml", name, out, load_scenario, title=title, **values)
-    _next(path, f"srs-twin compare {path}")
+    _print_next_command(path, f"srs-twin compare {path}")
 
 
 def study(
@@ -130,7 +130,7 @@ def study(
     """
     check, title = load(LOADERS["study"]), f"{name}: fastest gait"
     path = _write("study.yaml", name, out, check, title=title, scenario=json.dumps(scenario))
-    _next(path, f"srs-twin optimize {path}")
+    _print_next_command(path, f"srs-twin optimize {path}")
 
 
 def controller(name: NameArgument, out: OutOption = None) -> None:
@@ -139,7 +139,7 @@ def controller(name: NameArgument, out: OutOption = None) -> None:
     path = _write(
         "controller.txt", name, out, lambda path: compile(path.read_text("utf-8"), path, "exec"), cls=cls
     )
-    _next(path, f"python {path}")
+    _print_next_command(path, f"python {path}")
 
 
 for _command in (robot, scenario, controller, study):
@@ -179,6 +179,6 @@ def _write(template: str, name: str, out: str | None, check: Callable[[Path], An
     return path
 
 
-def _next(path: Path, command: str) -> None:
+def _print_next_command(path: Path, command: str) -> None:
     say(f"wrote {path}; it is valid")
     print(f"next: {command}")
