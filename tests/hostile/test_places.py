@@ -199,7 +199,7 @@ def test_no_command_starts_in_a_removed_folder(tmp_path, monkeypatch, capsys, wo
         main(list(words))
     said = capsys.readouterr()
     assert (left.value.code, said.out) == (2, "")
-    assert said.err.startswith("the current folder cannot be used (No such file or directory)")
+    assert said.err.startswith("cannot use the current folder (No such file or directory)")
     assert shown(tmp_path / "x") == str(tmp_path / "x")  # of a folder that is removed later
 
 
