@@ -25,8 +25,10 @@ _GHOST = "analytical"
 """Plant that `--ghost` draws translucently."""
 
 _MIN_SIDE_PX = 64
+"""Smallest width and height of an image, pixels."""
+
 _MAX_SIDE_PX = 4096
-"""Limit of the offscreen buffers of common OpenGL drivers, pixels."""
+"""Largest width and height of an image, pixels."""
 
 
 def render(

@@ -21,11 +21,11 @@ from srs_twin.viewing.plots.from_above import strobe_times
 from srs_twin.viewing.plots.style import MINUS_COLOR, PLUS_COLOR, STYLES
 
 _DPI = 150
+# Margins of the figure, inches.
 _LEFT = 0.7
 _RIGHT = 0.15
 _TOP = 0.35
 _BOTTOM = 0.85
-"""Bottom margin of the figure, inches, as the other three."""
 
 _MAX_ASPECT = 5.0
 """Largest width per height of the drawn floor."""
