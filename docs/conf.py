@@ -1,8 +1,8 @@
-"""How Sphinx makes the site: the Markdown of the checkout, and reference pages made from the code.
+"""Sphinx configuration of the site: the Markdown files of the checkout, and reference pages from the code.
 
-`uv run --group docs sphinx-build -W -c docs . site` builds it; -W makes a broken link an error. Nothing of
-the site comes from elsewhere: the theme takes the reader's own fonts, and formulas are MathML in a font that
-comes with it (OFL).
+`uv run --group docs sphinx-build -W -c docs . site` builds the site; -W makes broken links errors. The site
+loads no external resources: the theme uses system fonts, and formulas are MathML in a font that is part of
+the site (OFL).
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ extensions = [
     "myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "generated", "docstrings",
 ]  # fmt: skip
 
-# The root of the checkout is the root of the site: a relative link between Markdown files leads to the same
-# place on a forge, in an editor and here.
+# The root of the checkout is the root of the site, so that relative links between Markdown files also work on
+# a forge and in an editor.
 root_doc = "docs/index"
 include_patterns = [
     "docs/**.md",
@@ -33,11 +33,11 @@ include_patterns = [
     "calibration/README.md",
     "examples/firmware/README.md",
 ]
-# What need not be looked through; links may lead there all the same.
+# Folders that Sphinx does not search; links to their files still work.
 exclude_patterns = [".*", "runs", "dist", "build", "site", "srs_twin", "tests", "benchmarks"]
 templates_path = ["_templates"]
 
-# Help texts and commands are copied from pages: quotes and dashes stay as typed.
+# Keep quotes and dashes, because readers copy commands from pages.
 smartquotes = False
 myst_enable_extensions = ["dollarmath", "attrs_inline"]
 myst_dmath_double_inline = True
@@ -54,7 +54,7 @@ napoleon_attr_annotations = False
 html_theme = "furo"
 html_title = "srs_twin"
 html_additional_pages = {"index": "home.html"}
-html_context = {"validated": VALIDATION}  # at the foot of each page
+html_context = {"validated": VALIDATION}  # in the footer of each page
 html_math_renderer = "mathml"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]

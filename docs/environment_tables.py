@@ -1,8 +1,8 @@
-"""Tables of actions and observations for docs/environments.md, from the tasks themselves.
+"""Tables of actions and observations in docs/environments.md, generated from the tasks.
 
     uv run python docs/environment_tables.py docs/environments.md
 
-writes them between their marks; a test holds that they are current.
+replaces the tables between their markers; a test checks that they are up to date.
 """
 
 from __future__ import annotations
@@ -14,24 +14,25 @@ from srs_twin.envs import TASKS, make_task
 from srs_twin.envs.task import Signals
 from srs_twin.io.files import atomic_write
 
-BEGIN, END = "<!-- signals: begin -->", "<!-- signals: end -->"
+BEGIN = "<!-- signals: begin -->"
+END = "<!-- signals: end -->"
 
 
 def tables() -> str:
     """Return the tables of all tasks."""
-    parts = []
+    sections = []
     for name in TASKS:
         task = make_task(name)
-        parts.append(
+        sections.append(
             f"### SRSTwin/{name}-v0\n\n"
             f"A step takes {task.step_s:g} s; an episode is truncated after {task.limit_s:g} s.\n\n"
             f"{_table('action', task.actions)}\n\n{_table('observation', task.observations)}"
         )
-    return "\n\n".join(parts)
+    return "\n\n".join(sections)
 
 
-def placed(page: str) -> str:
-    """Return a page with the tables between its marks."""
+def update_tables(page: str) -> str:
+    """Return a page with the current tables between its markers."""
     before, _, rest = page.partition(BEGIN)
     _, _, after = rest.partition(END)
     return f"{before}{BEGIN}\n{tables()}\n{END}{after}"
@@ -40,8 +41,8 @@ def placed(page: str) -> str:
 def _table(kind: str, signals: Signals) -> str:
     rows = [f"| {kind} | unit | minimum | maximum | meaning |", "|---|---|---|---|---|"]
     rows += [
-        f"| `{each.name}` | {each.unit} | {each.low:.4g} | {each.high:.4g} | {each.what} |"
-        for each in signals
+        f"| `{signal.name}` | {signal.unit} | {signal.low:.4g} | {signal.high:.4g} | {signal.what} |"
+        for signal in signals
     ]
     return "\n".join(rows)
 
@@ -49,8 +50,8 @@ def _table(kind: str, signals: Signals) -> str:
 def main(path: str) -> None:
     """Replace the tables of a page."""
     page = Path(path)
-    with atomic_write(page) as part:
-        Path(part).write_text(placed(page.read_text("utf-8")), "utf-8")
+    with atomic_write(page) as temporary:
+        Path(temporary).write_text(update_tables(page.read_text("utf-8")), "utf-8")
 
 
 if __name__ == "__main__":

@@ -18,32 +18,31 @@ ROOT = Path(__file__).parents[1]
 NAME = "reproduction"
 
 
-def remembered(claims: Sequence[Claim], baseline: Baseline) -> tuple[Judged, ...]:
-    """Return claims with the outcomes of the baseline."""
+def judged_claims(claims: Sequence[Claim], baseline: Baseline) -> tuple[Judged, ...]:
+    """Return the claims with the outcomes of the baseline."""
     return tuple(Judged(claim, baseline.outcomes.get(claim.id, {})) for claim in claims)
 
 
 def markdown(rows: Sequence[Judged]) -> str:
     """Return the tables of docs/reproduction.md: one section per category, with the causes of its misses."""
-    parts = []
+    sections = []
     for name, chosen in by_category(rows).items():
         lines = [
             f"### {TITLES[name]}",
             "",
             MEANINGS[name],
             "",
-            _counted(chosen),
+            _summary(chosen),
             "",
             "| row | statement | published | analytical | twin | could it have failed? |",
             "| --- | --- | --- | --- | --- | --- |",
             *map(_line, chosen),
         ]
-        why = list(dict.fromkeys(_reasons(chosen)))
-        parts += [
-            "\n".join(lines),
-            *(["\n".join(["Causes of missed and explained rows:", "", *why])] if why else []),
-        ]
-    return "\n\n".join(parts)
+        reasons = list(dict.fromkeys(_reasons(chosen)))
+        sections.append("\n".join(lines))
+        if reasons:
+            sections.append("\n".join(["Causes of missed and explained rows:", "", *reasons]))
+    return "\n\n".join(sections)
 
 
 def table(rows: Sequence[Judged]) -> str:
@@ -54,19 +53,19 @@ def table(rows: Sequence[Judged]) -> str:
     lines += [f"|{' --- |' * (len(columns) + 1)}"]
     for name, chosen in by_category(rows).items():
         counts = [count(chosen, column) for column in columns]
-        cells = [f"{each[MET]} of {each['all']}" if each["all"] else "" for each in counts]
+        cells = [f"{counted[MET]} of {counted['all']}" if counted["all"] else "" for counted in counts]
         title = f"**{TITLES[name]}**" if name == "headline" else TITLES[name]
         lines.append(f"| {title} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def _counted(rows: Sequence[Judged]) -> str:
-    told = []
+def _summary(rows: Sequence[Judged]) -> str:
+    parts = []
     for column, name in (("twin", "twin"), ("analytical", "analytical"), ("alone", "without a plant")):
-        found = count(rows, column)
-        if found["all"]:
-            told.append(f"{name} {found[MET]} of {found['all']} met, {found[EXPLAINED]} explained")
-    return f"{'; '.join(told)}."
+        counts = count(rows, column)
+        if counts["all"]:
+            parts.append(f"{name} {counts[MET]} of {counts['all']} met, {counts[EXPLAINED]} explained")
+    return f"{'; '.join(parts)}."
 
 
 def _line(row: Judged) -> str:
@@ -75,8 +74,8 @@ def _line(row: Judged) -> str:
     cells = [_marked(row.outcomes.get(name)) for name in ("analytical", "twin")]
     if "alone" in row.outcomes:
         cells = [_marked(row.outcomes["alone"]), ""]
-    says = f"{claim.says} ({claim.source})"
-    texts = [f"`{claim.id}`", says, f"{published(claim)}{unit}", *cells, claim.could_fail or ""]
+    statement = f"{claim.says} ({claim.source})"
+    texts = [f"`{claim.id}`", statement, f"{published(claim)}{unit}", *cells, claim.could_fail or ""]
     return f"| {' | '.join(texts)} |".replace("\n", " ")
 
 
@@ -88,21 +87,21 @@ def _marked(outcome: Outcome | None) -> str:
 
 
 def _reasons(rows: Sequence[Judged]) -> list[str]:
-    found: dict[tuple[str, str], list[str]] = {}
+    columns_of: dict[tuple[str, str], list[str]] = {}
     for row in rows:
         for column, outcome in row.outcomes.items():
             if outcome.verdict != MET:
-                why = outcome.why or "cause not known"
-                found.setdefault((row.claim.id, f"{outcome.verdict}: {why}"), []).append(column)
-    return [f"- `{name}` ({', '.join(columns)}) {why}" for (name, why), columns in found.items()]
+                reason = f"{outcome.verdict}: {outcome.why or 'cause not known'}"
+                columns_of.setdefault((row.claim.id, reason), []).append(column)
+    return [f"- `{name}` ({', '.join(columns)}) {reason}" for (name, reason), columns in columns_of.items()]
 
 
-def between(page: str, name: str, text: str) -> str:
-    """Return a page with the text between the marks of this name replaced.
+def replace_between(page: str, name: str, text: str) -> str:
+    """Return a page in which the text between two markers is replaced.
 
     Args:
-        page: with ``<!-- name: begin -->`` and ``<!-- name: end -->``.
-        name: name of the marks.
+        page: page with ``<!-- name: begin -->`` and ``<!-- name: end -->``.
+        name: name of the markers.
         text: new text.
     """
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
@@ -112,17 +111,17 @@ def between(page: str, name: str, text: str) -> str:
 
 
 def pages(rows: tuple[Judged, ...]) -> dict[Path, str]:
-    """Return the new text of both pages."""
+    """Return path → new text of both pages."""
     texts = {ROOT / "README.md": table(rows), ROOT / "docs/reproduction.md": markdown(rows)}
-    return {path: between(path.read_text("utf-8"), NAME, text) for path, text in texts.items()}
+    return {path: replace_between(path.read_text("utf-8"), NAME, text) for path, text in texts.items()}
 
 
 def main() -> None:
     """Write both pages."""
-    rows = remembered(load_claims(), load_baseline())
+    rows = judged_claims(load_claims(), load_baseline())
     for path, text in pages(rows).items():
-        with atomic_write(path) as part:
-            part.write_text(text, "utf-8")
+        with atomic_write(path) as temporary:
+            temporary.write_text(text, "utf-8")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Make the recordings of docs/your-robot.md: the twin with numbers that the walk-through does not know.
+"""Simulated recordings of docs/your-robot.md, with parameters that the walk-through has to identify.
 
-``uv run python docs/your_robot.py`` writes calibration/examples/my_snake; the same bytes every time.
+``uv run python docs/your_robot.py`` writes calibration/examples/my_snake, with equal bytes on every run.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from synthetic_takes import Take, write_motive  # noqa: E402
 
 FOLDER = Path(__file__).parents[1] / "calibration/examples/my_snake"
-SUPPLY = 48.3e3  # Pa
+SUPPLY_PA = 48.3e3
 HIDDEN = {
     "friction.mu_t": 0.055, "friction.mu_n": 0.48,
     "geometry.rigid_gap_m": 0.021, "bending.stiffness_nm_per_rad": 0.38,
@@ -33,18 +33,24 @@ HIDDEN = {
     "modules.gain_plus_3": 1.04, "modules.gain_minus_3": 1.08, "modules.bias_rad_3": 0.0,
     "modules.gain_plus_4": 0.96, "modules.gain_minus_4": 0.91, "modules.bias_rad_4": 0.025,
 }  # fmt: skip
-"""What the robot of the recordings has and `gen2` has not."""
+"""Parameters of the recorded robot that differ from `gen2`."""
 
-_SPRING, _MASS = 30.0, 0.15  # N/m, kg
-_SENSOR_NOISE = 0.003  # rad
-_RISE = 0.5  # s in which a regulator reaches a pressure
-_REST = 0.5  # s before the valves begin
-_BEND_NOISE = 0.004  # rad, of a protractor
-_OTHER_CLOCK = 12.3  # s: what the logs' clock shows more than the cameras'
+_SPRING_N_PER_M = 30.0
+_MASS_KG = 0.15
+_SENSOR_NOISE_RAD = 0.003
+_PROTRACTOR_NOISE_RAD = 0.004
+_RISE_S = 0.5
+"""Time in which a regulator reaches a pressure, s."""
+
+_REST_S = 0.5
+"""Time before the first valve command, s."""
+
+_CLOCK_OFFSET_S = 12.3
+"""Clock of the logs minus clock of the cameras, s."""
 
 
 def hidden_robot() -> RobotSpec:
-    """Return the robot that was recorded."""
+    """Return the recorded robot."""
     return with_values(load_robot("gen2"), HIDDEN)
 
 
@@ -54,45 +60,52 @@ def main(folder: Path) -> None:
     for name, seed in (("pulls", 1), ("pulls_check", 2)):
         write(folder / f"{name}.csv", pulls(seed))
     for name, seed, pressures in (("held", 3, (12, 24, 36, 48)), ("held_check", 4, (18, 42))):
-        write(folder / f"{name}.csv", held(robot, pressures, seed))
+        write(folder / f"{name}.csv", static_bends(robot, pressures, seed))
     for name, seed, pressures in (("levels", 12, (12, 24, 36, 48)), ("levels_check", 13, (18, 42))):
         write(folder / f"{name}.csv", levels(robot, pressures, seed))
     for name, seed, fills in (("steps", 5, (0.6, 0.35, 0.9)), ("steps_check", 6, (0.5, 0.8))):
         record(
             folder / name, robot, steps(robot, fills), "clamped", Take(layout="pair", labeled=True, seed=seed)
         )
-    shaken = Take(layout="head", swaps=8, lost=0.02, gap_frames=3.0)
+    degraded = Take(layout="head", swaps=8, lost=0.02, gap_frames=3.0)
     for name, seed, frequency, offset in (
         ("walk_straight", 7, 2.0, 0.0), ("walk_left", 8, 1.6, 0.25), ("walk_check", 9, 1.8, -0.15),
     ):  # fmt: skip
-        record(folder / name, robot, walk(robot, frequency, offset), "free", replace(shaken, seed=seed))
+        record(folder / name, robot, walk(robot, frequency, offset), "free", replace(degraded, seed=seed))
 
 
 def pulls(seed: int) -> str:
-    """Return a table of pulls whose spring and scale scatter by 4 %."""
+    """Return a table of pulls to measure friction, with a scatter of 4 %."""
     draw = np.random.default_rng(seed)
-    weight = _MASS * GRAVITY / _SPRING
+    weight = _MASS_KG * GRAVITY / _SPRING_N_PER_M
     rows = [
-        [1e3 * weight * HIDDEN[f"friction.mu_{way}"] * (1 + 0.04 * draw.standard_normal()) for way in "tn"]
+        [
+            1e3 * weight * HIDDEN[f"friction.mu_{direction}"] * (1 + 0.04 * draw.standard_normal())
+            for direction in "tn"
+        ]
         for _ in range(8)
     ]
     head = "along_mm,across_mm,spring_n_per_m,mass_kg,spring_error_n_per_m,mass_error_kg"
-    return "\n".join([head, *(f"{a:.2f},{b:.2f},{_SPRING:g},{_MASS:g},0.3,0.001" for a, b in rows), ""])
+    return "\n".join(
+        [head, *(f"{a:.2f},{b:.2f},{_SPRING_N_PER_M:g},{_MASS_KG:g},0.3,0.001" for a, b in rows), ""]
+    )
 
 
-def held(robot: RobotSpec, levels: tuple[int, ...], seed: int) -> str:
-    """Return the bends at rest of a robot that hangs by its head, one side filled to some pressures (kPa)."""
+def static_bends(robot: RobotSpec, levels: tuple[int, ...], seed: int) -> str:
+    """Return a table of static bends of a robot clamped at its head; levels: pressures of one side, kPa."""
     draw = np.random.default_rng(seed)
     rows = []
-    for level in (0, *levels, *(-each for each in levels)):
+    for level in (0, *levels, *(-level for level in levels)):
         valves = np.full((robot.segments, 2), -1, dtype=np.int8)
         valves[:, 0 if level > 0 else 1] = 1 if level else -1
         plant = TwinSnake(robot, supply_pa=max(1e3 * abs(level), 1.0), base="clamped")
         run = rollout(plant, Replay(Schedule(8.0, np.zeros(1), valves[None])), 8.0, record_hz=50)
-        # It swings for long: the mean is where it comes to rest.
-        bend = run.stack("bend")[200:].mean(axis=0) + _BEND_NOISE * draw.standard_normal(robot.segments)
+        # The robot oscillates for a long time; the mean is its static bend.
+        bend = run.stack("bend")[200:].mean(axis=0) + _PROTRACTOR_NOISE_RAD * draw.standard_normal(
+            robot.segments
+        )
         sides = (max(level, 0), max(-level, 0))
-        rows.append([*sides * robot.segments, *(f"{each:.4f}" for each in bend)])
+        rows.append([*sides * robot.segments, *(f"{angle:.4f}" for angle in bend)])
     numbers = range(1, robot.segments + 1)
     head = [f"pressure_{side}_{j}_kpa" for j in numbers for side in ("plus", "minus")]
     head += [f"bend_{j}_rad" for j in numbers]
@@ -100,90 +113,91 @@ def held(robot: RobotSpec, levels: tuple[int, ...], seed: int) -> str:
 
 
 def levels(robot: RobotSpec, levels: tuple[int, ...], seed: int) -> str:
-    """Return a log of bends and pressures (kPa) while a regulator holds one side of free segments at each."""
+    """Return a log of bends and pressures while a regulator fills one side of free segments; levels: kPa."""
     draw = np.random.default_rng(seed)
-    held = np.repeat([0, *levels, 0, *(-each for each in levels), 0], 2)
-    times = np.ravel([(2.5 * k - 2.5 + _RISE, 2.5 * k) for k in range(1, len(held) // 2 + 1)])
+    steps = np.repeat([0, *levels, 0, *(-level for level in levels), 0], 2)
+    times = np.ravel([(2.5 * k - 2.5 + _RISE_S, 2.5 * k) for k in range(1, len(steps) // 2 + 1)])
     time = np.arange(0.0, times[-1], 0.05)
-    level = np.interp(time, times, held)
+    level = np.interp(time, times, steps)
     sides = 1e3 * np.stack([np.maximum(level, 0), np.maximum(-level, 0)], axis=-1)
     pressure = np.repeat(sides[:, None], robot.segments, axis=1)
-    chambers = RecordedPressures(robot, time, pressure, supply_pa=SUPPLY)
+    chambers = RecordedPressures(robot, time, pressure, supply_pa=SUPPLY_PA)
     rest = Schedule(times[-1], np.zeros(1), _vented(robot)[None])
-    bend = chambers.advance(rest, time).bend + _SENSOR_NOISE * draw.standard_normal(
+    bend = chambers.advance(rest, time).bend + _SENSOR_NOISE_RAD * draw.standard_normal(
         (len(time), robot.segments)
     )
     numbers = range(1, robot.segments + 1)
     head = ["time", *(f"bend_{j}_rad" for j in numbers)]
     head += [f"pressure_{side}_{j}_kpa" for j in numbers for side in ("plus", "minus")]
-    read = np.hstack(
+    columns = np.hstack(
         [bend, pressure.reshape(len(time), -1) / 1e3 + 0.1 * draw.standard_normal((len(time), 1))]
     )
     rows = [
-        ",".join([f"{t:.2f}", *(f"{each:.4g}" for each in row)]) for t, row in zip(time, read, strict=True)
+        ",".join([f"{t:.2f}", *(f"{value:.4g}" for value in row)])
+        for t, row in zip(time, columns, strict=True)
     ]
     return "\n".join([",".join(head), *rows, ""])
 
 
 def steps(robot: RobotSpec, fills: tuple[float, ...]) -> Schedule:
-    """Return valves that fill one side of the last segment, then the other, each for some times (s)."""
-    states, starts, time = [_vented(robot)], [0.0], _REST
+    """Return a valve schedule that fills each side of the last segment in turn; fills: fill times, s."""
+    states, starts, time = [_vented(robot)], [0.0], _REST_S
     for fill in fills:
         for side in (0, 1):
-            for state, span in ((1, fill), (-1, 0.6)):
+            for state, duration in ((1, fill), (-1, 0.6)):
                 valves = _vented(robot)
                 valves[-1, side] = state
                 states.append(valves)
                 starts.append(time)
-                time += span
+                time += duration
     return Schedule(round(time + 0.2, 2), np.array(starts), np.array(states))
 
 
 def walk(robot: RobotSpec, frequency: float, offset: float, periods: int = 6) -> Schedule:
-    """Return valves that rest, crawl for some periods and rest again."""
+    """Return a valve schedule with a rest, some gait periods and another rest; frequency in Hz."""
     gait = Gait(frequency, offset)
     gait.reset(robot, 0.02)
     crawl = gait.script(round(periods / frequency / 0.02) * 0.02)
-    rest = Schedule(_REST, np.zeros(1), _vented(robot)[None])
-    return rest.followed_by(crawl).followed_by(rest)
+    rest = Schedule(_REST_S, np.zeros(1), _vented(robot)[None])
+    return rest.then(crawl).then(rest)
 
 
 def record(path: Path, robot: RobotSpec, valves: Schedule, base: str, take: Take) -> None:
-    """Run the robot, and write what cameras saw of it and what was commanded, on another clock."""
-    plant = TwinSnake(robot, supply_pa=SUPPLY, base=base)
+    """Simulate the robot; write the motion capture, and the valve commands on a different clock."""
+    plant = TwinSnake(robot, supply_pa=SUPPLY_PA, base=base)
     duration = round(valves.span / plant.tick) * plant.tick
     run = rollout(plant, Replay(valves), duration, pose=(0.4, -0.3, 0.6), record_hz=100)
-    write_motive(_finite(run), replace(take, digits=2), path.with_suffix(".csv"))
+    write_motive(_visible_columns(run), replace(take, digits=2), path.with_suffix(".csv"))
     write(path.with_name(path.name + ".valves.csv"), log(valves))
 
 
 def log(valves: Schedule) -> str:
-    """Return a log of valves: a row where one changes, and one at the end."""
+    """Return a valve log with one row per change and a last row at the end."""
     segments = valves.states.shape[1]
     head = [f"valve_{side}_{j}" for j in range(1, segments + 1) for side in ("plus", "minus")]
     times = [*valves.starts, valves.span]
     rows = [*valves.states, valves.states[-1]]
     lines = [
-        f"{time + _OTHER_CLOCK:.4f}," + ",".join(str(int(each)) for each in row.ravel())
+        f"{time + _CLOCK_OFFSET_S:.4f}," + ",".join(str(int(state)) for state in row.ravel())
         for time, row in zip(times, rows, strict=True)
     ]
     return "\n".join([",".join(["time", *head]), *lines, ""])
 
 
 def write(path: Path, text: str) -> None:
-    """Write a file, whole or not at all."""
-    with atomic_write(path) as part:
-        part.write_text(text, encoding="utf-8", newline="")
+    """Write a file atomically."""
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="")
 
 
 def _vented(robot: RobotSpec) -> np.ndarray:
     return np.full((robot.segments, 2), -1, dtype=np.int8)
 
 
-def _finite(run: Trajectory) -> Trajectory:
-    """Return the columns that a camera can see."""
-    kept = ("time", "x_", "y_", "theta_")
-    return Trajectory({name: each for name, each in run.columns.items() if name.startswith(kept)})
+def _visible_columns(run: Trajectory) -> Trajectory:
+    """Return the columns that motion capture can measure."""
+    prefixes = ("time", "x_", "y_", "theta_")
+    return Trajectory({name: column for name, column in run.columns.items() if name.startswith(prefixes)})
 
 
 if __name__ == "__main__":

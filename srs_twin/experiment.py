@@ -314,9 +314,9 @@ class ComparedRuns(Comparison):
         return headline(self.results)
 
     def _repr_html_(self) -> str:
-        from srs_twin.viewing.html.report import shown_run
+        from srs_twin.viewing.html.report import notebook_run
 
-        return shown_run(self.title, self.results, self.trajectories, self.spec)
+        return notebook_run(self.title, self.results, self.trajectories, self.spec)
 
     def show(self) -> None:
         """Show the page in a notebook; elsewhere print its sentence."""

@@ -54,7 +54,7 @@ def test_the_command_line_runs_a_file(tmp_path, srs_twin):
     assert found["periods_to_converge"] <= 12 and found["box_left_m"] < 0 < found["box_right_m"]
     assert len(found["duty"]) == len(found["amplitude_error_rad"]) == 11
     page = (tmp_path / "out/report.html").read_text("utf-8")
-    assert "What was learnt: amplitudes and duties of each module, by period." in page
+    assert "Learning: amplitudes and duties of each module per period." in page
     assert "same valve commands" not in page
     run = Trajectory.from_parquet(tmp_path / "out/analytical.parquet")
     assert {"ilc_update", "converged"} <= {event.kind for event in run.events}

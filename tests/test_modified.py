@@ -170,7 +170,7 @@ def test_nothing_that_a_run_leaves_claims_the_unmodified_scenario(slow_run):
     for field, was, now in (("controller.frequency_hz", 2, 1), ("duration_s", 10, 5)):
         assert f"<tr><td>{field}</td><td>{was}</td><td>{now}</td></tr>" in page
     assert f"gen2_straight {ALL_THREE}" in done.stdout
-    for text in (page.partition("How to read this")[0], done.stdout):
+    for text in (page.partition("Definitions")[0], done.stdout):
         assert "published" not in text.casefold() and "0.214" not in text
         assert "eft out: 2 expectations of the unmodified scenario" in text
     assert done.stderr.splitlines()[-1] == "expectations: none, 2 left out"

@@ -1,4 +1,4 @@
-"""Formulas as MathML, written at build time: browsers draw it themselves, no script and no font is loaded."""
+"""Sphinx extension that renders formulas as MathML at build time, so that pages need no scripts or fonts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command line: one module a verb, heavy imports inside the commands."""
+"""Command line: one module per command; commands import their dependencies when they run."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from srs_twin.io.files import check_printable
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
-_PYTHONS_WORDS = warnings.formatwarning
+_PYTHON_FORMATWARNING = warnings.formatwarning
 
-# Refusals of a path that no check of ours can foresee everywhere: a name too long, a full or read-only disk,
-# missing permission, a broken medium. A file that is missing or of another kind stays an internal error.
-_OF_THE_MACHINE = frozenset(
+# Errors of a path that no earlier check can exclude: a name too long, a full or read-only disk, missing
+# permission, a defective medium. A missing file, or a folder in place of a file, remains an internal error.
+_FILE_SYSTEM_ERRORS = frozenset(
     {
         errno.ENAMETOOLONG,
         errno.EROFS,
@@ -42,109 +42,111 @@ _OF_THE_MACHINE = frozenset(
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Run `srs-twin` and leave the process with its exit code.
+    """Run `srs-twin` and exit the process with its exit code.
 
-    0 done; 1 an expectation failed under ``--check``; 2 bad input; 3 a simulation diverged; 4 internal
-    error; 130 interrupted. Messages go to stderr, results to stdout; where nobody reads them any more
-    (``| head -1``), the work goes on and the exit code is that of its results.
+    Exit codes: 0 success; 1 an expectation failed under ``--check``; 2 invalid input; 3 a simulation
+    diverged; 4 internal error; 130 interrupted. Messages are printed on stderr, results on stdout. A closed
+    pipe (``| head -1``) neither stops the work nor changes the exit code.
 
     Args:
-        argv: the words after the program's name; None takes those of this process.
+        argv: arguments after the program name; default: those of this process.
     """
-    sys.stdout, sys.stderr = _guarded(sys.stdout), _guarded(sys.stderr)
-    warnings.formatwarning = _worded  # type: ignore[assignment]
+    sys.stdout, sys.stderr = _without_broken_pipes(sys.stdout), _without_broken_pipes(sys.stderr)
+    warnings.formatwarning = _format_warning  # type: ignore[assignment]
     try:
-        for word in sys.argv[1:] if argv is None else argv:
-            check_printable(word)
-        _refuse_removed_folder()
+        for argument in sys.argv[1:] if argv is None else argv:
+            check_printable(argument)
+        _check_current_folder()
         from srs_twin.cli.app import command
 
         try:
             command()(args=argv, prog_name="srs-twin")
         finally:
             if sys.stdout is not None:
-                sys.stdout.flush()  # now, while an error can still be said and decides the exit code
+                sys.stdout.flush()  # here an error can still be reported and determine the exit code
     except SrsError as error:
         show_traceback(error)
         say(str(error))
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
-    except Exception as error:  # the outermost edge: what nobody foresaw becomes one line and exit code 4
-        if _interrupted(error):
+    except Exception as error:  # last resort: an unexpected error becomes one line and exit code 4
+        if _is_interrupt(error):
             sys.exit(INTERRUPTED)
         show_traceback(error)
-        if isinstance(error, OSError) and error.filename and error.errno in _OF_THE_MACHINE:
+        if isinstance(error, OSError) and error.filename and error.errno in _FILE_SYSTEM_ERRORS:
             say(f"{os.fsdecode(error.filename)}: cannot be used ({error.strerror})")
             sys.exit(InputError.exit_code)
         say(f"srs-twin: {TaskFailedError(error)}; `srs-twin --debug …` shows the traceback")
         sys.exit(SrsError.exit_code)
 
 
-def _refuse_removed_folder() -> None:
-    """Refuse a current folder that was removed: relative paths mean nothing there.
+def _check_current_folder() -> None:
+    """Check that the current folder exists; relative paths depend on it.
 
     Raises:
-        InputError: the current folder cannot be found.
+        InputError: the current folder was removed.
     """
     try:
         os.getcwd()
     except OSError as error:
         raise InputError(
-            f"the current folder cannot be used ({error.strerror}): was it removed? Change to another one"
+            f"cannot use the current folder ({error.strerror}), it may have been removed; "
+            "change to another folder"
         ) from error
 
 
 class _StandardStream(io.FileIO):
-    """Where a standard stream of the process leads: once it cannot be written, to the null device.
+    """Standard stream that is redirected to the null device after a failed write.
 
-    A pipe whose reader leaves is no error; the disk behind it may be full, which is.
+    A pipe closed by its reader is not an error; a full disk is.
     """
 
     def write(self, data: ReadableBuffer, /) -> int:
-        """Write bytes; return how many were taken.
+        """Write bytes; return the number of bytes written.
 
         Raises:
-            InputError: they cannot be written.
+            InputError: the write failed.
         """
         if not memoryview(data).nbytes:
-            return 0  # a library finds out what kind of stream this is
+            return 0  # a library tests whether the stream is binary
         try:
             return super().write(data)
         except OSError as error:
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            # The descriptor itself: what libraries, child processes and the interpreter's end write to it
-            # goes there as well.
-            os.dup2(nowhere, self.fileno())
-            os.close(nowhere)
+            null = os.open(os.devnull, os.O_WRONLY)
+            # Replace the descriptor itself, so that later writes by libraries, child processes and the
+            # interpreter's shutdown also succeed.
+            os.dup2(null, self.fileno())
+            os.close(null)
             if isinstance(error, BrokenPipeError):
                 return super().write(data)
             name = "stdout" if self.fileno() == 1 else "stderr"
             raise InputError(f"{name}: cannot be written ({error.strerror})") from error
 
 
-def _guarded(stream: TextIO) -> TextIO:
-    """Return a standard stream of the process on a `_StandardStream`; any other, and none, as it is."""
+def _without_broken_pipes(stream: TextIO) -> TextIO:
+    """Return a standard stream of the process on a `_StandardStream`; return any other stream unchanged."""
     if not isinstance(stream, io.TextIOWrapper) or stream not in (sys.__stdout__, sys.__stderr__):
         return stream
     stream.flush()
     file: Any = _StandardStream(stream.fileno(), "wb", closefd=False)
-    kept = ("encoding", "errors", "line_buffering", "write_through")
-    options = {name: getattr(stream, name) for name in kept}
+    options = {
+        name: getattr(stream, name) for name in ("encoding", "errors", "line_buffering", "write_through")
+    }
     return io.TextIOWrapper(file if stream.write_through else io.BufferedWriter(file), **options)
 
 
-def _worded(message: Any, kind: type[Warning], *place: Any) -> str:
-    """Return a warning as it is printed: where in the code is of no use where the machine is meant."""
+def _format_warning(message: Any, category: type[Warning], *location: Any) -> str:
+    """Format a warning; warnings about the machine omit the location in the code."""
     return (
         f"warning: {message}\n"
-        if kind in (CacheWarning, EngineWarning, SessionWarning)
-        else _PYTHONS_WORDS(message, kind, *place)
+        if category in (CacheWarning, EngineWarning, SessionWarning)
+        else _PYTHON_FORMATWARNING(message, category, *location)
     )
 
 
-def _interrupted(error: BaseException | None) -> bool:
-    """Say whether an interrupt is behind an error: modules in C that are just loading make one of it."""
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Return whether an interrupt caused an error; C extensions may convert one during their import."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None

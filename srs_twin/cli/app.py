@@ -1,4 +1,4 @@
-"""The command line, put together from the commands of the core and of the extensions."""
+"""Typer application with the commands of the core and of the extensions."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from srs_twin.cli.catalogue import list_, schema, show
 from srs_twin.cli.console import DEBUG
 from srs_twin.cli.diff import diff
 from srs_twin.cli.doctor.command import doctor
-from srs_twin.cli.options import option, with_options
+from srs_twin.cli.options import expand_option_groups, option
 from srs_twin.cli.render import render
 from srs_twin.cli.run import compare, run
 from srs_twin.cli.view import play, view
 from srs_twin.extensions import COMMANDS, objects
 
-# Without rich's markup, help and usage errors are plain text: its boxes break file names over lines, and
-# importing it would double the time that `--help` takes.
+# Help and usage errors are plain text: the boxes of rich break file names across lines, and its import would
+# double the duration of `--help`.
 app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-_CORE = {
+_CORE_COMMANDS = {
     "list": list_,
     "show": show,
     "run": run,
@@ -42,21 +42,22 @@ _CORE = {
     "models": models.app,
     "new": new.app,
 }
-_ORDER = (
+_HELP_ORDER = (
     *("list", "show", "inspect", "run", "compare", "plan", "replay", "sweep", "optimize", "uncertainty"),
     *("reproduce", "view", "play", "emulate", "shadow", "render", "export", "diff", "schema", "doctor"),
     *("calibrate", "models", "new"),
 )
-"""Order in the help; other commands come last."""
+"""Order of the commands in the help; other commands come last."""
 
 
 def _add_commands() -> None:
-    commands: dict[str, Any] = _CORE | dict(objects(COMMANDS))
-    for name in sorted(commands, key=lambda name: _ORDER.index(name) if name in _ORDER else len(_ORDER)):
+    commands: dict[str, Any] = _CORE_COMMANDS | dict(objects(COMMANDS))
+    position = {name: index for index, name in enumerate(_HELP_ORDER)}
+    for name in sorted(commands, key=lambda name: position.get(name, len(position))):
         if isinstance(commands[name], typer.Typer):
             app.add_typer(commands[name], name=name)
         else:
-            app.command(name)(with_options(commands[name]))
+            app.command(name)(expand_option_groups(commands[name]))
 
 
 _add_commands()
@@ -64,23 +65,23 @@ _add_commands()
 
 @cache
 def command() -> Any:
-    """Return the whole command, to be called with ``args`` and ``prog_name``; it is put together once."""
+    """Return the click command of the application, built once; call it with ``args`` and ``prog_name``."""
     return typer.main.get_command(app)
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _print_version(requested: bool) -> None:
+    if requested:
         typer.echo(f"srs-twin {__version__}")
         raise typer.Exit
 
 
 @app.callback()
 def options(
-    debug: Annotated[bool, option("--debug", f"Show the traceback of an error (also {DEBUG}=1).")] = False,
+    debug: Annotated[bool, option("--debug", f"Show the traceback of an error (or set {DEBUG}=1).")] = False,
     version: Annotated[
-        bool, option("--version", "Print the version.", callback=_version, is_eager=True)
+        bool, option("--version", "Print the version.", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
-    """Soft robotic snake: the same valve commands drive an analytical model and a MuJoCo twin."""
+    """Simulate a soft robotic snake: equal valve commands drive an analytical model and a MuJoCo twin."""
     if debug:
         os.environ[DEBUG] = "1"

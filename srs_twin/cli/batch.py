@@ -1,4 +1,4 @@
-"""Runs scenarios, one here or several in worker processes: what `run`, `compare` and `replay` share."""
+"""Execution of scenarios by `run`, `compare` and `replay`: in this process or in worker processes."""
 
 from __future__ import annotations
 
@@ -18,57 +18,58 @@ import typer
 from srs_twin.cli.cases import Case, CaseResult
 from srs_twin.cli.console import interruptible, say, show_traceback
 from srs_twin.cli.options import print_json
-from srs_twin.cli.progress import Counting, ScenarioProgress
+from srs_twin.cli.progress import RunCounter, ScenarioProgress
 from srs_twin.errors import InputError, SrsError
 
 if TYPE_CHECKING:
     from srs_twin.io.documents import Override
     from srs_twin.scenario.scenario import Scenario
 
-RUNS = Path("runs")
+RUNS_FOLDER = Path("runs")
 
 
-def simulate(
-    order: tuple[Scenario, Path],
+def run_case(
+    task: tuple[Scenario, Path],
     progress: Callable[[str, float], None] | None = None,
     *,
     plants: Sequence[str] | None = None,
     explain: bool = False,
 ) -> CaseResult:
-    """Run a scenario, here or in a worker process.
+    """Run a scenario, in this process or in a worker process.
 
     Args:
-        order: the scenario and the folder for its files.
-        progress: as `PreparedRun.execute` takes it.
-        plants: which plants; None takes those that the scenario names.
-        explain: also say why the plants differ.
+        task: scenario and output folder.
+        progress: callback of `PreparedRun.execute`.
+        plants: plants to run; default: those of the scenario.
+        explain: add the attribution of the difference.
     """
     from srs_twin.experiment import prepare
 
     start = time.perf_counter()
-    asked: dict[str, Any] = {}
+    options: dict[str, Any] = {}
     if explain:
-        from srs_twin.attribution import explain as explanation
+        from srs_twin.attribution import explain as explain_difference
 
-        asked["explain"] = explanation
+        options["explain"] = explain_difference
     elif plants is not None and len(plants) > 1:
         from srs_twin.attribution import main_cause
 
-        asked["cause"] = main_cause
-    scenario, folder = order
+        options["cause"] = main_cause
+    scenario, folder = task
     try:
-        result = prepare(scenario, folder, plants=plants).execute(progress, **asked)
+        result = prepare(scenario, folder, plants=plants).execute(progress, **options)
     except InputError as error:
         return CaseResult(None, (error,), time.perf_counter() - start)
     errors = (*result.diverged, *result.unexplained)
-    for each in errors:
-        each.trajectory = each.history = None  # the file that it names holds them
+    for failure in errors:
+        # Their file contains them; a worker process should not send them again.
+        failure.trajectory = failure.history = None
     result = replace(result, trajectories={}, diverged=(), unexplained=())
     return CaseResult(result, errors, time.perf_counter() - start)
 
 
-def failing(*, check: bool, strict: bool) -> frozenset[str]:
-    """Return the verdicts on expectations (`scenario.expectation.verdict`) with which the exit code is 1."""
+def failing_verdicts(*, check: bool, strict: bool) -> frozenset[str]:
+    """Return the states of expectations (`scenario.expectation.verdict`) that set the exit code to 1."""
     return frozenset({"missed", "known", "holds", "not_judged"} if strict else {"missed"} if check else ())
 
 
@@ -85,69 +86,69 @@ def run_all(
     changes: Sequence[Override] = (),
     as_json: bool = False,
 ) -> None:
-    """Find what is bad in any scenario, then run the good ones; exit with the highest code.
+    """Check all scenarios, then run the valid ones; exit with the highest exit code.
 
-    What is printed keeps to the order in which the scenarios were given.
+    Results are printed in the order of the scenarios.
 
     Args:
-        cases: the scenarios, loaded or not.
-        out: where the files go; the folder itself for one scenario, a folder in it for each of several.
-        fails: the verdicts that decide the exit code, see `failing`.
+        cases: scenarios, loaded or not.
+        out: output folder; several scenarios get one subfolder each.
+        fails: states of expectations that set the exit code, see `failing_verdicts`.
         quiet: print errors only.
-        jobs: how many scenarios at once, in worker processes; 1: here, one after the other; None: one a
-            processor.
-        junit: a file for what came of each scenario and expectation, as JUnit XML.
-        plants: which plants; None takes those that each scenario names.
-        explain: also say why the plants differ.
-        changes: of fields of each scenario.
-        as_json: print what came of them as one document: of one scenario its metrics.json, of several
-            `{"runs": […]}`; of what failed `{"scenario", "errors"}`.
+        jobs: number of worker processes; 1: run sequentially in this process; default: one per processor.
+        junit: file for the results of scenarios and expectations as JUnit XML.
+        plants: plants to run; default: those of each scenario.
+        explain: add the attribution of the difference between the plants.
+        changes: overridden fields of each scenario.
+        as_json: print one document with the results: `metrics.json` of a single scenario, `{"runs": […]}` for
+            several; `{"scenario", "errors"}` for a scenario that failed.
 
     Raises:
-        InputError: the JUnit file or the folder for all cannot be written; nothing was simulated.
-        typer.Exit: with the exit code, where it is not 0.
+        InputError: the JUnit file or the output folder cannot be written; nothing was simulated.
+        typer.Exit: the exit code differs from 0.
     """
     from srs_twin.cli.junit import report_path, write_junit
 
-    def finished() -> str:
-        complete = [str(case.folder) for case in cases if case.ended and case.ended.metrics]
-        return f"finished before: {', '.join(complete) or 'nothing'}"
+    def completed() -> str:
+        folders = [str(case.folder) for case in cases if case.result and case.result.metrics]
+        return f"complete runs: {', '.join(folders) or 'none'}"
 
-    with ExitStack() as ends, interruptible(finished):
+    with ExitStack() as stack, interruptible(completed):
         if junit is not None:
             write = partial(write_junit, report_path(junit), cases, fails)
-            # Found out now that it cannot be written; and whatever ends this process, no old report is left.
+            # A first write reports an unusable path early and replaces the report of an earlier run.
             write()
-            ends.callback(write)
-        to_do = _load(cases, out, quiet, changes, plants)
-        with closing(_run(to_do, partial(simulate, plants=plants, explain=explain), jobs, quiet)) as run:
-            for case in run:
+            stack.callback(write)
+        valid = _load(cases, out, quiet, changes, plants)
+        with closing(_run(valid, partial(run_case, plants=plants, explain=explain), jobs, quiet)) as runs:
+            for case in runs:
                 _report(case, fails=fails, quiet=quiet, as_json=as_json, changes=changes)
     if as_json:
-        found = [case.document() for case in cases]
-        print_json(found[0] if len(found) == 1 else {"runs": found})
+        documents = [case.document() for case in cases]
+        print_json(documents[0] if len(documents) == 1 else {"runs": documents})
     if fails and not quiet:
         from srs_twin.scenario.expectation import tally
 
-        verdicts = sum((case.ended.verdicts for case in to_do if case.ended), Counter())
-        left_out = sum(len(case.ended.metrics.get("left_out", ())) for case in to_do if case.ended)
+        results = [case.result for case in valid if case.result]
+        verdicts = sum((result.verdicts for result in results), Counter())
+        left_out = sum(len(result.metrics.get("left_out", ())) for result in results)
         say(f"expectations: {tally(verdicts)}{f', {left_out} left out' if left_out else ''}")
-    if code := max((case.ended.exit_code(fails) for case in cases if case.ended), default=0):
+    if code := max((case.result.exit_code(fails) for case in cases if case.result), default=0):
         raise typer.Exit(code)
 
 
-def cases_of(given: Sequence[str]) -> list[Case]:
-    """Return a case for each scenario: shipped names, files, and the files of folders, sorted by name."""
+def make_cases(names: Sequence[str]) -> list[Case]:
+    """Return one case per scenario, for shipped names, files, and the files of folders in sorted order."""
     from srs_twin.io.files import shipped_names
 
-    found: list[str] = []
-    for each in given:
-        # A shipped scenario goes before a folder of its name.
-        # `isdir` says no of a name that is too long, where `glob` raises.
-        folder = each not in shipped_names("scenario") and os.path.isdir(each)
-        files = sorted(map(str, Path(each).glob("*.yaml"))) if folder else []
-        found += files or [each]
-    return [Case(each) for each in dict.fromkeys(found)]
+    sources: list[str] = []
+    for name in names:
+        # A shipped scenario takes precedence over a folder of the same name. Of names that are too long,
+        # `isdir` returns False, whereas `glob` raises.
+        is_folder = name not in shipped_names("scenario") and os.path.isdir(name)
+        files = sorted(map(str, Path(name).glob("*.yaml"))) if is_folder else []
+        sources += files or [name]
+    return [Case(source) for source in dict.fromkeys(sources)]
 
 
 def _load(
@@ -157,82 +158,79 @@ def _load(
     changes: Sequence[Override],
     plants: Sequence[str] | None,
 ) -> list[Case]:
-    """Load every scenario and see that it can run; say what is wrong with the bad ones, return the others."""
+    """Load and check all scenarios; print the errors of invalid ones, return the valid ones."""
     from srs_twin.experiment import check_run
     from srs_twin.io.files import check_output_folder
     from srs_twin.scenario.loading import load_scenario
 
-    base = Path(out) if out else RUNS
-    taken: set[Path] = set()
+    base = Path(out) if out else RUNS_FOLDER
+    folders: set[Path] = set()
     for case in cases:
-        with _ending(case):
+        with _record_input_errors(case):
             scenario = case.scenario or load_scenario(case.source, set=changes)
             case.scenario = scenario = scenario.run_on(plants)
             case.folder = base if out and len(cases) == 1 else base / scenario.name
-            if case.folder in taken:
+            if case.folder in folders:
                 raise InputError(
-                    f"{case.source}: another '{scenario.name}' is given, and both write to {case.folder}"
+                    f"{case.source}: another scenario is named '{scenario.name}' and uses {case.folder} too"
                 )
-            taken.add(case.folder)
-    good = [case for case in cases if case.ended is None]
-    if len(good) > 1:
-        # One word on a place where nothing can be written, not one for each scenario.
+            folders.add(case.folder)
+    valid = [case for case in cases if case.result is None]
+    if len(valid) > 1:
+        # Report a folder that cannot be written once, not once per scenario.
         check_output_folder(base)
-    for case in good:
-        with _ending(case):
+    for case in valid:
+        with _record_input_errors(case):
             assert case.scenario is not None
             check_run(case.scenario, case.folder)
-    good = [case for case in good if case.ended is None]
-    for case in good:
+    valid = [case for case in valid if case.result is None]
+    for case in valid:
         assert case.scenario is not None
-        say(*(f"warning: {each}" for each in case.scenario.warnings), quiet=quiet)
-    return good
+        say(*(f"warning: {warning}" for warning in case.scenario.warnings), quiet=quiet)
+    return valid
 
 
 @contextmanager
-def _ending(case: Case) -> Iterator[None]:
-    """Say what is wrong with a scenario and count it as ended."""
+def _record_input_errors(case: Case) -> Iterator[None]:
+    """Print an input error and record it as the result of the case."""
     try:
         yield
     except InputError as error:
         say(str(error))
-        case.ended = CaseResult(None, (error,))
+        case.result = CaseResult(None, (error,))
 
 
-Finished = Generator[Case, None, None]
-
-
-def _run(cases: Sequence[Case], task: Callable[..., CaseResult], jobs: int | None, quiet: bool) -> Finished:
-    """Run scenarios here or in worker processes; yield each when it and all before it have ended."""
+def _run(
+    cases: Sequence[Case], function: Callable[..., CaseResult], jobs: int | None, quiet: bool
+) -> Generator[Case, None, None]:
+    """Run cases in this process or in workers; yield a case when it and all previous ones are complete."""
     from srs_twin.compute.workers import processor_count, run_tasks
 
-    workers, orders = (
-        min(jobs or processor_count(), len(cases)),
-        [(case.scenario, case.folder) for case in cases],
-    )
+    workers = min(jobs or processor_count(), len(cases))
+    tasks = [(case.scenario, case.folder) for case in cases]
     if workers <= 1:
-        for case, order in zip(cases, orders, strict=True):
+        for case, task in zip(cases, tasks, strict=True):
             with ScenarioProgress(case.name, quiet=quiet) as progress:
-                case.ended = task(order, progress)
+                case.result = function(task, progress)
             yield case
         return
-    shown = 0
+    yielded = 0
     with (
-        Counting("scenarios", len(cases), quiet=quiet) as counting,
-        closing(run_tasks(task, orders, workers=workers)) as run,
+        RunCounter("scenarios", len(cases), quiet=quiet) as counter,
+        closing(run_tasks(function, tasks, workers=workers)) as results,
     ):
-        for done in run:
+        for done in results:
             case = cases[done.number]
-            case.ended = done.result or CaseResult(None, (_named(case, done.error),))
-            counting(failed=bool(case.ended.errors))
-            with counting.aside():
-                while shown < len(cases) and cases[shown].ended is not None:
-                    yield cases[shown]
-                    shown += 1
+            case.result = done.result or CaseResult(None, (_add_name(case, done.error),))
+            counter(failed=bool(case.result.errors))
+            with counter.hidden():
+                while yielded < len(cases) and cases[yielded].result is not None:
+                    yield cases[yielded]
+                    yielded += 1
 
 
-def _named(case: Case, error: Exception | None) -> SrsError:
-    """Say in the message which scenario it was."""
+def _add_name(case: Case, error: Exception | None) -> SrsError:
+    """Return the error with the name of the scenario in its message."""
     assert isinstance(error, SrsError)
     error.args = (f"{case.name}: {error}",)
     return error
@@ -241,24 +239,23 @@ def _named(case: Case, error: Exception | None) -> SrsError:
 def _report(
     case: Case, *, fails: frozenset[str], quiet: bool, as_json: bool, changes: Sequence[Override]
 ) -> None:
-    """Show what a run gave."""
-    from srs_twin.cli.table import asks_why, expectation_lines, show
+    """Print the results and errors of a case."""
+    from srs_twin.cli.table import expectation_lines, needs_explanation, show
 
-    ended = case.ended
-    assert ended is not None, "it has ended"
-    if ended.result is not None and ended.metrics:
+    result = case.result
+    assert result is not None, "the case is complete"
+    if result.run is not None and result.metrics:
         if not quiet:
             if not as_json:
-                show(ended.result)
+                show(result.run)
             say(f"files in {case.folder}; `srs-twin view {case.folder}` shows the run")
-            if asks_why(ended.metrics):
-                words = shlex.join(
-                    [case.source, *(word for each in changes for word in each.label.split(" ", 1))]
-                )
-                say(f"why the plants differ: `srs-twin compare {words} --explain`")
+            if needs_explanation(result.metrics):
+                overrides = (word for change in changes for word in change.label.split(" ", 1))
+                arguments = shlex.join([case.source, *overrides])
+                say(f"to attribute the difference: `srs-twin compare {arguments} --explain`")
         elif fails and not as_json:
-            for line in expectation_lines(ended.metrics, fails | {"holds", "not_judged"}):
+            for line in expectation_lines(result.metrics, fails | {"holds", "not_judged"}):
                 say(line)
-    for error in ended.errors:
+    for error in result.errors:
         show_traceback(error)
         say(str(error))

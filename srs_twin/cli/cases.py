@@ -1,4 +1,4 @@
-"""Scenarios that a command was given, and their results."""
+"""Scenarios on the command line, and their results."""
 
 from __future__ import annotations
 
@@ -15,69 +15,70 @@ if TYPE_CHECKING:
     from srs_twin.scenario.scenario import Scenario
 
 EXPECTATION_FAILED = 1
-"""Exit code where an expectation decides it."""
+"""Exit code of a failed expectation."""
 
 
 @dataclass(frozen=True)
 class CaseResult:
-    """Result of a scenario, small enough to travel between processes.
+    """Result of a case, small enough to be sent between processes.
 
     Attributes:
-        result: without trajectories; None where bad input or a dead worker left none.
-        errors: that stopped it or a part of it.
+        run: results without trajectories; None after invalid input or the death of a worker process.
+        errors: errors that stopped the run or one of its plants.
         wall_s: wall time, s.
     """
 
-    result: RunResult | None
+    run: RunResult | None
     errors: tuple[SrsError, ...] = ()
     wall_s: float = 0.0
 
     @property
     def metrics(self) -> Mapping[str, Any]:
-        """Content of metrics.json; empty if the folder does not hold a complete run."""
-        return {} if self.result is None else self.result.metrics
+        """Content of `metrics.json`; empty if the run is not complete."""
+        return {} if self.run is None else self.run.metrics
 
     @property
     def verdicts(self) -> Counter[str]:
-        """Number of expectations per verdict (`scenario.expectation.verdict`)."""
+        """Number of expectations in each state (`scenario.expectation.verdict`)."""
         from srs_twin.scenario.expectation import verdict
 
         return Counter(map(verdict, self.metrics.get("expectations", ())))
 
     def exit_code(self, fails: Set[str]) -> int:
-        """Return the highest of its errors' codes; verdicts that fail have one too."""
+        """Return the highest exit code of the errors and of expectations whose state is in `fails`."""
         failed = EXPECTATION_FAILED if fails & self.verdicts.keys() else 0
         return max([failed, *(error.exit_code for error in self.errors)])
 
 
 @dataclass
 class Case:
-    """A scenario that a command was given.
+    """A scenario on the command line.
 
     Attributes:
-        source: as it was given.
-        scenario: what it holds; None where it cannot be used.
-        folder: where its files go.
-        ended: its result; None until it has ended.
+        source: name or path on the command line.
+        scenario: loaded scenario; None if it is invalid.
+        folder: output folder.
+        result: result; None until the case is complete.
     """
 
     source: str
     scenario: Scenario | None = None
     folder: Path = Path()
-    ended: CaseResult | None = None
+    result: CaseResult | None = None
 
     @property
     def name(self) -> str:
-        """Name of the scenario, or of its file if the scenario cannot be used."""
+        """Name of the scenario, or of its file if the scenario is invalid."""
         return Path(self.source).stem if self.scenario is None else self.scenario.name
 
     @property
     def label(self) -> str:
-        """The name, with the changed fields."""
+        """Name of the scenario with its overridden fields."""
         return self.name if self.scenario is None else self.scenario.label
 
     def document(self) -> Mapping[str, Any]:
-        """Return the result as plain data: metrics.json, or the errors."""
-        ended = self.ended or CaseResult(None)
-        errors = {"scenario": self.name, "errors": [str(error) for error in ended.errors]}
-        return errors if ended.errors else ended.metrics
+        """Return the result as JSON data: `metrics.json` or the errors."""
+        result = self.result or CaseResult(None)
+        if result.errors:
+            return {"scenario": self.name, "errors": [str(error) for error in result.errors]}
+        return result.metrics

@@ -1,4 +1,4 @@
-"""`srs-twin list`, `show` and `schema`: what there is, what one of it holds, and what a file may hold."""
+"""`srs-twin list`, `show` and `schema`: shipped files, their contents, and JSON Schemas."""
 
 from __future__ import annotations
 
@@ -12,36 +12,38 @@ from srs_twin.errors import UnknownNameError
 from srs_twin.extensions import SCHEMAS, installed, load
 
 _KINDS = ("scenarios", "robots", "sweeps", "controllers", "metrics", "studies")
-_ALL = _KINDS[:-1]
-"""What is listed together: `--json` has these keys, which files of others rely on."""
-_SHIPPED = {"scenarios": "scenario", "robots": "robot", "sweeps": "sweep", "studies": "study"}
+_DEFAULT_KINDS = _KINDS[:-1]
+"""Kinds that are listed without an argument. They are the keys of `--json`, part of the public interface."""
+
+_FILE_KINDS = {"scenarios": "scenario", "robots": "robot", "sweeps": "sweep", "studies": "study"}
 
 
 def list_(
     kind: Annotated[str | None, argument("KIND")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List scenarios, robots, studies, metrics and the like.
+    """List scenarios, robots, sweeps, controllers and metrics.
 
     Options:
-        kind: scenarios, robots, sweeps, controllers, metrics or studies. [default: all but studies]
+        kind: Kind: scenarios, robots, sweeps, controllers, metrics or studies. [default: all but
+            studies]
     """
     if kind is not None and kind not in _KINDS:
         raise UnknownNameError("kind", kind, _KINDS)
-    found = {name: list(_listed(name)) for name in (_ALL if kind is None else (kind,))}
+    lists = {name: list(_rows(name)) for name in (_DEFAULT_KINDS if kind is None else (kind,))}
     if as_json:
-        print_json(found)
+        print_json(lists)
         return
-    for name, rows in found.items():
-        shown = new_table(*(key.replace("name", name) for key in rows[0]), left=range(3))
-        shown.columns[-1].no_wrap = False
+    for name, rows in lists.items():
+        table = new_table(*(key.replace("name", name) for key in rows[0]), left=range(3))
+        table.columns[-1].no_wrap = False
         for row in rows:
-            shown.add_row(*row.values())
-        console().print(shown)
+            table.add_row(*row.values())
+        console().print(table)
 
 
-def _listed(kind: str) -> Iterator[dict[str, str]]:
-    """Yield what there is of a kind: names, and what each is."""
+def _rows(kind: str) -> Iterator[dict[str, str]]:
+    """Yield name and description of each object of a kind."""
     from srs_twin.io.documents import load_yaml
     from srs_twin.io.files import find_file, shipped_names
 
@@ -58,21 +60,21 @@ def _listed(kind: str) -> Iterator[dict[str, str]]:
         for name, meaning in meanings().items():
             yield {"name": name, "unit": units[name], "meaning": meaning}
     else:
-        for name in shipped_names(_SHIPPED[kind]):
-            title = load_yaml(find_file(_SHIPPED[kind], name)).get("title")
+        for name in shipped_names(_FILE_KINDS[kind]):
+            title = load_yaml(find_file(_FILE_KINDS[kind], name)).get("title")
             yield {"name": name, "title": title or name}
 
 
 def show(
-    name: Annotated[str, argument("NAME", of=["scenario", "robot"])],
+    name: Annotated[str, argument("NAME", shipped=["scenario", "robot"])],
     as_json: JsonOption = False,
 ) -> None:
-    """Show what a scenario or robot holds, and its sources.
+    """Show all values of a scenario or robot, with sources.
 
-    Every default is written out.
+    Default values are included.
 
     Options:
-        name: A shipped scenario or robot, or a file of one.
+        name: Shipped scenario or robot, or a scenario or robot file.
     """
     document = _resolved(name)
     if as_json:
@@ -85,12 +87,12 @@ def show(
 
     width = console().width
     for loc, value in _leaves(document):
-        text = f"{format_path(loc)}: {_words(value)}"
+        text = f"{format_path(loc)}: {_text(value)}"
         if isinstance(value, Mapping):
             unit = "" if value["unit"] == "1" else f" {value['unit']}"
-            text = f"{format_path(loc)}: {_words(value['value'])}{unit}; {value['status']}: {value['source']}"
-            if doubt := {k: v for k, v in value.get("uncertain", {}).items() if k != "source"}:
-                text += f"; uncertain: {' '.join(_words(each) for each in doubt.values())}"
+            text = f"{format_path(loc)}: {_text(value['value'])}{unit}; {value['status']}: {value['source']}"
+            if prior := {k: v for k, v in value.get("uncertain", {}).items() if k != "source"}:
+                text += f"; uncertain: {' '.join(map(_text, prior.values()))}"
         for line in textwrap.wrap(
             escape_unprintable(text), width, subsequent_indent="    ", break_long_words=False
         ):
@@ -98,15 +100,15 @@ def show(
 
 
 def _resolved(name: str) -> dict[str, Any]:
-    """Return plain data of a scenario, or of a robot where no scenario has the name."""
+    """Return the JSON data of a scenario or robot with all defaults."""
     from srs_twin.io.documents import load_yaml
     from srs_twin.io.files import require_file, shipped_names
     from srs_twin.robot.file import load_robot_file
     from srs_twin.scenario.loading import load_scenario
 
     robots, scenarios = shipped_names("robot"), shipped_names("scenario")
-    a_file = "/" in name or name.endswith((".yaml", ".yml"))
-    if a_file:
+    is_path = "/" in name or name.endswith((".yaml", ".yml"))
+    if is_path:
         from pathlib import Path
 
         is_robot = load_yaml(require_file(Path(name))).get("geometry") is not None
@@ -120,23 +122,23 @@ def _resolved(name: str) -> dict[str, Any]:
 
 
 def _leaves(data: Any, loc: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:
-    """Yield path and value of what holds no more blocks; a number with its source is one."""
-    block = isinstance(data, Mapping) and "unit" not in data
-    if block or (isinstance(data, list) and any(isinstance(each, Mapping) for each in data)):
-        for part, value in data.items() if block else enumerate(data):
-            yield from _leaves(value, (*loc, part))
+    """Yield path and value of each leaf; a value with unit and source counts as one leaf."""
+    is_block = isinstance(data, Mapping) and "unit" not in data
+    if is_block or (isinstance(data, list) and any(isinstance(item, Mapping) for item in data)):
+        for key, value in data.items() if is_block else enumerate(data):
+            yield from _leaves(value, (*loc, key))
     else:
         yield loc, data
 
 
-def _words(value: Any) -> str:
+def _text(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
 
 def schema(
     kind: Annotated[str, argument("KIND")] = "scenario",
 ) -> None:
-    """Print the JSON Schema of input files or results.
+    """Print the JSON Schema of an input file or output document.
 
     Options:
         kind: Kind of document: scenario, sweep, study, setup or inspect.

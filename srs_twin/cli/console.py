@@ -17,30 +17,30 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 DEBUG = "SRS_TWIN_DEBUG"
-"""Environment variable that shows tracebacks."""
+"""Environment variable that enables tracebacks."""
 
 INTERRUPTED = 130
 """Exit code of an interrupted command."""
 
 
 def say(*lines: str, quiet: bool = False) -> None:
-    """Print lines to stderr at once, with control characters escaped; print nothing if `quiet`."""
+    """Print lines on stderr without buffering, control characters escaped; print nothing if `quiet`."""
     for line in () if quiet else lines:
         print(escape_unprintable(line, keep="\n\t"), file=sys.stderr, flush=True)
 
 
 @contextmanager
-def interruptible(words: Callable[[], str] | str) -> Iterator[None]:
-    """End an interrupted command with a message about the work that is kept."""
+def interruptible(message: Callable[[], str] | str) -> Iterator[None]:
+    """Exit with `INTERRUPTED` on Ctrl-C, after a message about the saved work."""
     try:
         yield
     except KeyboardInterrupt:
-        say(f"interrupted; {words if isinstance(words, str) else words()}")
+        say(f"interrupted; {message if isinstance(message, str) else message()}")
         raise SystemExit(INTERRUPTED) from None
 
 
 def console() -> Console:
-    """Return rich's console on stdout without markup, with control characters escaped."""
+    """Return a rich console on stdout without markup, control characters escaped."""
     import rich.console
 
     class Plain(rich.console.Console):
@@ -51,17 +51,23 @@ def console() -> Console:
 
 
 def new_table(*headings: str, left: Collection[int] = (0,), title: str | None = None) -> Table:
-    """Return an empty table whose columns do not wrap; those in `left` are left-aligned, others right."""
+    """Return an empty table whose columns do not wrap.
+
+    Args:
+        headings: column headings.
+        left: indices of the left-aligned columns; all other columns are right-aligned.
+        title: heading of the table.
+    """
     from rich import box
     from rich.table import Table
 
-    made = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for i, heading in enumerate(headings):
-        made.add_column(heading, justify="left" if i in left else "right", no_wrap=True)
-    return made
+        table.add_column(heading, justify="left" if i in left else "right", no_wrap=True)
+    return table
 
 
 def show_traceback(error: Exception) -> None:
-    """Print an error's traceback to stderr if `DEBUG` is set."""
+    """Print the traceback of an error on stderr if `DEBUG` is set."""
     if os.environ.get(DEBUG, "0") not in ("", "0"):
         say("".join(traceback.format_exception(error)).rstrip())

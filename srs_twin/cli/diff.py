@@ -1,4 +1,4 @@
-"""`srs-twin diff`: what moved from one set of results to another."""
+"""`srs-twin diff`: comparison of two sets of results."""
 
 from __future__ import annotations
 
@@ -14,8 +14,11 @@ from srs_twin.cli.options import JsonOption, argument, option, print_json
 if TYPE_CHECKING:
     from srs_twin.comparison.diff import Difference, Leaf
 
-MOVED = 1
-_SHOWN = 40
+EXIT_DIFFERENT = 1
+"""Exit code if a value differs by more than its tolerance."""
+
+_MAX_ROWS = 40
+"""Largest number of rows of the printed table."""
 
 
 def diff(
@@ -27,21 +30,21 @@ def diff(
     junit: Annotated[str | None, option("--junit FILE")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare results number by number; exit with 1 when one moved.
+    """Compare two sets of results value by value.
 
-    A and B are what `run`, `compare`, `replay`, `sweep` or `reproduce` left: metrics.json, results.parquet,
-    reproduce.json, or folders that hold such files.
+    The exit code is 1 if a value differs by more than its tolerance. A and B are results of `run`, `compare`,
+    `replay`, `sweep` or `reproduce`: metrics.json, results.parquet, reproduce.json, or folders of such files.
 
     Options:
-        a: Reference: a folder of results, or one file.
-        b: Results that are held against it.
-        rel: Relative tolerance. [default: 1e-6]
-        abs_: Absolute tolerance. [default: 1e-9]
-        tolerances: Tolerances by metric, a YAML file (docs/ci.md).
-        junit: Also write what moved as JUnit XML.
+        a: Reference results: a folder or a file.
+        b: Results to compare with the reference.
+        rel: Relative tolerance of all metrics. [default: 1e-6]
+        abs_: Absolute tolerance of all metrics. [default: 1e-9]
+        tolerances: YAML file with tolerances per metric (see docs/ci.md).
+        junit: Write a JUnit XML report of the differences.
     """
     from srs_twin.comparison.diff import Tolerances, load_tolerances, read_results
-    from srs_twin.comparison.diff import diff as difference
+    from srs_twin.comparison.diff import diff as compare_results
     from srs_twin.errors import InputError
     from srs_twin.io.files import check_output_folder
 
@@ -49,36 +52,36 @@ def diff(
     if report is not None:
         check_output_folder(report.parent, (report.name,), option="--junit")
     allowed = load_tolerances(tolerances) if tolerances else Tolerances()
-    given = {name: value for name, value in (("rel", rel), ("abs", abs_)) if value is not None}
-    for name, value in given.items():
+    overrides = {name: value for name, value in (("rel", rel), ("abs", abs_)) if value is not None}
+    for name, value in overrides.items():
         if not 0 <= value < float("inf"):
-            raise InputError(f"--{name} {value:g} is not allowed; it must be finite and 0 or more")
-    found = difference(read_results(a), read_results(b), allowed.model_copy(update=given))
-    for package, (old, new) in found.versions.items():
-        say(f"made with another {package}: {old} → {new}")
+            raise InputError(f"--{name} {value:g} is not allowed; it must be finite and not negative")
+    difference = compare_results(read_results(a), read_results(b), allowed.model_copy(update=overrides))
+    for package, (old, new) in difference.versions.items():
+        say(f"different versions of {package}: {old} → {new}")
     if as_json:
-        print_json(found.document())
+        print_json(difference.document())
     else:
-        _show(found)
+        _show(difference)
     if report is not None:
-        write_report(report, "srs-twin diff", [("diff", _test_cases(found))])
-    if found.moved:
-        raise typer.Exit(MOVED)
+        write_report(report, "srs-twin diff", [("diff", _test_cases(difference))])
+    if difference.moved:
+        raise typer.Exit(EXIT_DIFFERENT)
 
 
-def _show(found: Difference) -> None:
-    """Print what moved as a table, at most `_SHOWN` rows."""
-    lines = new_table("where", "metric", "a", "b", "(b − a)/|a|", left=(0, 1))
-    for column in lines.columns[:2]:
+def _show(difference: Difference) -> None:
+    """Print a table of the values that differ, at most `_MAX_ROWS` rows."""
+    table = new_table("where", "metric", "a", "b", "(b − a)/|a|", left=(0, 1))
+    for column in table.columns[:2]:
         column.no_wrap, column.overflow = False, "fold"
-    for each in found.moved[:_SHOWN]:
-        rel = "" if each.rel is None else f"{each.rel:+.2g}"
-        lines.add_row(each.where, each.metric, _text(each.a), _text(each.b), rel)
-    if found.moved:
-        console().print(lines)
-    if len(found.moved) > _SHOWN:
-        print(f"and {len(found.moved) - _SHOWN} more; --json lists them all")
-    print(f"{len(found.moved)} moved, {found.same} the same")
+    for change in difference.moved[:_MAX_ROWS]:
+        rel = "" if change.rel is None else f"{change.rel:+.2g}"
+        table.add_row(change.where, change.metric, _text(change.a), _text(change.b), rel)
+    if difference.moved:
+        console().print(table)
+    if len(difference.moved) > _MAX_ROWS:
+        print(f"and {len(difference.moved) - _MAX_ROWS} more; --json lists all of them")
+    print(f"{len(difference.moved)} different, {difference.same} equal")
 
 
 def _text(value: Leaf) -> str:
@@ -87,9 +90,9 @@ def _text(value: Leaf) -> str:
     return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
-def _test_cases(found: Difference) -> Iterator[TestCase]:
-    """Yield a test case a place, a failure where a value moved."""
-    for where in found.wheres:
-        lines = [f"{m.metric}: {_text(m.a)} → {_text(m.b)}" for m in found.moved if m.where == where]
-        failure = ("failure", f"{len(lines)} moved", "moved", "\n".join(lines)) if lines else ()
+def _test_cases(difference: Difference) -> Iterator[TestCase]:
+    """Yield one test case per compared run or row; it fails if a value differs."""
+    for where in difference.wheres:
+        lines = [f"{m.metric}: {_text(m.a)} → {_text(m.b)}" for m in difference.moved if m.where == where]
+        failure = ("failure", f"{len(lines)} different", "different", "\n".join(lines)) if lines else ()
         yield TestCase("diff", where, 0.0, *failure)

@@ -1,4 +1,4 @@
-"""What came of scenarios as JUnit XML, which GitHub, GitLab and Jenkins show: a test suite each."""
+"""Results as JUnit XML for GitHub, GitLab and Jenkins: one test suite per scenario."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write
 
 _OUTCOMES = {"failures": "failure", "errors": "error", "skipped": "skipped"}
-# What XML 1.0 has no way to write: control characters, and the halves of a file name that is not UTF-8.
-_UNWRITABLE = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+# Characters outside XML 1.0: control characters, and the surrogates of file names that are not UTF-8.
+_INVALID_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
-def report_path(given: str) -> Path:
-    """Return the file that a report goes to.
+def report_path(name: str) -> Path:
+    """Return the path of a report.
 
     Raises:
-        InputError: it does not end in .xml, as a scenario does that was taken for it.
+        InputError: the name does not end in .xml. The check protects a scenario file given by mistake.
     """
-    path = Path(given)
+    path = Path(name)
     if path.suffix.lower() != ".xml":
-        raise InputError(f"--junit {given}: not the name of a report; give one that ends in .xml")
+        raise InputError(f"--junit {name}: the file name of a report must end in .xml")
     return path
 
 
 class TestCase(NamedTuple):
-    """A test case of a report.
+    """Test case of a report.
 
     Attributes:
-        classname: what it belongs to.
-        name: of it.
-        wall_s: what it took, s.
-        outcome: "failure", "error" or "skipped"; empty where it passed.
-        message: what is said of the outcome, on a line.
-        kind: of the failure or error.
-        text: all that is said of it.
+        classname: group of the test case, e.g. the scenario.
+        name: name of the test case.
+        wall_s: duration, s.
+        outcome: "failure", "error" or "skipped"; empty: passed.
+        message: reason of the outcome in one line.
+        kind: type of the failure or error.
+        text: full description of the failure or error.
     """
 
     classname: str
@@ -54,94 +54,95 @@ class TestCase(NamedTuple):
 
 
 def write_report(path: Path, name: str, suites: Iterable[tuple[str, Iterable[TestCase]]]) -> None:
-    """Write a report, whole or not at all.
+    """Write a report atomically.
 
     Args:
-        path: the file; an earlier one is replaced.
-        name: of the report.
-        suites: the name and the test cases of each.
+        path: file; an existing file is replaced.
+        name: name of the report.
+        suites: name and test cases of each suite.
 
     Raises:
-        InputError: it cannot be written.
+        InputError: the file cannot be written.
     """
     root = Element("testsuites", name=name)
     for title, cases in suites:
-        suite = SubElement(root, "testsuite", name=_writable(title))
-        for each in cases:
-            names = {"classname": _writable(each.classname), "name": _writable(each.name)}
-            case = SubElement(suite, "testcase", names, time=f"{each.wall_s:.3f}")
-            if each.outcome:
-                about = {"message": _writable(each.message)} | ({"type": each.kind} if each.kind else {})
-                SubElement(case, each.outcome, about).text = _writable(each.text) or None
+        suite = SubElement(root, "testsuite", name=_escape(title))
+        for case in cases:
+            names = {"classname": _escape(case.classname), "name": _escape(case.name)}
+            test = SubElement(suite, "testcase", names, time=f"{case.wall_s:.3f}")
+            if case.outcome:
+                attributes = {"message": _escape(case.message)} | ({"type": case.kind} if case.kind else {})
+                SubElement(test, case.outcome, attributes).text = _escape(case.text) or None
     for element in (*root, root):
         tests = list(element.iter("testcase"))
         element.set("tests", str(len(tests)))
-        for counted, tag in _OUTCOMES.items():
-            element.set(counted, str(len(list(element.iter(tag)))))
+        for attribute, tag in _OUTCOMES.items():
+            element.set(attribute, str(len(list(element.iter(tag)))))
         element.set("time", f"{sum(float(test.get('time', 0)) for test in tests):.3f}")
     tree = ElementTree.ElementTree(root)
     ElementTree.indent(tree)
-    with atomic_write(path) as part:
-        tree.write(part, encoding="utf-8", xml_declaration=True)
+    with atomic_write(path) as temporary:
+        tree.write(temporary, encoding="utf-8", xml_declaration=True)
 
 
 def write_junit(path: Path, cases: Sequence[Case], fails: Set[str] = frozenset()) -> None:
-    """Write a report: a suite for each scenario, a test case for its run and for each of its expectations.
+    """Write a report with one suite per scenario, and test cases for its run and its expectations.
 
-    A missed expectation is a failure; a divergence, bad input or a dead worker is an error of the test case
-    ``runs``. An expectation that was not reached, is not judged or is known to be missed is skipped.
+    A missed expectation is a failure; a divergence, invalid input or a dead worker process is an error of the
+    test case ``runs``. Expectations that were not reached, are not judged or are known to be missed are
+    skipped.
 
     Args:
-        path: the file; an earlier one is replaced.
-        cases: the scenarios, whether they have ended or not.
-        fails: verdicts on expectations that are failures besides "missed".
+        path: file; an existing file is replaced.
+        cases: scenarios, complete or not.
+        fails: states of expectations that are failures, in addition to "missed".
 
     Raises:
-        InputError: it cannot be written.
+        InputError: the file cannot be written.
     """
     write_report(path, "srs-twin", [(case.label, _test_cases(case, fails | {"missed"})) for case in cases])
 
 
 def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
-    run = TestCase(case.label, "runs", case.ended.wall_s if case.ended else 0.0)
-    if case.ended is None:
+    run = TestCase(case.label, "runs", case.result.wall_s if case.result else 0.0)
+    if case.result is None:
         run = run._replace(outcome="skipped", message="not finished")
-    elif case.ended.errors:
-        words, kind = "\n".join(map(str, case.ended.errors)), type(case.ended.errors[0]).__name__
-        run = run._replace(outcome="error", message=words, kind=kind, text=words)
+    elif case.result.errors:
+        text, kind = "\n".join(map(str, case.result.errors)), type(case.result.errors[0]).__name__
+        run = run._replace(outcome="error", message=text, kind=kind, text=text)
     yield run
-    metrics = case.ended.metrics if case.ended else {}
+    metrics = case.result.metrics if case.result else {}
     expected = case.scenario.expect if case.scenario else ()
-    rows = [{"of": each.subject, "metric": each.metric} for each in expected]
-    # As they were judged: of plants that did not run there are none.
+    rows = [{"of": expectation.subject, "metric": expectation.metric} for expectation in expected]
+    # The metrics contain no expectations of plants that did not run.
     rows = metrics["expectations"] if metrics else rows
-    seen: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for row in rows:
         name = f"{row['of']} {row['metric']}"
-        seen[name] += 1
-        test = TestCase(case.label, f"{name} ({seen[name]})" if seen[name] > 1 else name)
+        counts[name] += 1
+        test = TestCase(case.label, f"{name} ({counts[name]})" if counts[name] > 1 else name)
         yield (
-            _judged(test, row, fails)
+            _add_outcome(test, row, fails)
             if metrics
-            else test._replace(outcome="skipped", message="there is no whole run to measure")
+            else test._replace(outcome="skipped", message="the run is not complete")
         )
 
 
-def _judged(test: TestCase, row: Mapping[str, Any], fails: Set[str]) -> TestCase:
-    """Return the test case of an expectation with its verdict."""
+def _add_outcome(test: TestCase, row: Mapping[str, Any], fails: Set[str]) -> TestCase:
+    """Return the test case of an expectation with its outcome."""
     from srs_twin.scenario.expectation import in_words, verdict
 
-    found = verdict(row)
-    if found in fails:
-        given = {key: row[key] for key in ("reason", "known") if row.get(key)}
-        about = {"value": row["value"], "allowed": row["allowed"], "source": row["source"] or "ours"} | given
-        text = "\n".join(f"{key}: {value}" for key, value in about.items())
+    state = verdict(row)
+    if state in fails:
+        remarks = {key: row[key] for key in ("reason", "known") if row.get(key)}
+        values = {"value": row["value"], "allowed": row["allowed"], "source": row["source"] or "ours"}
+        text = "\n".join(f"{key}: {value}" for key, value in (values | remarks).items())
         message = f"{test.name} {in_words(row)}"
         return test._replace(outcome="failure", message=message, kind="expectation", text=text)
     skipped = {"known": f"known: {row.get('known')}", "not_judged": f"not judged: {row.get('reason')}"}
-    return test._replace(outcome="skipped", message=skipped[found]) if found in skipped else test
+    return test._replace(outcome="skipped", message=skipped[state]) if state in skipped else test
 
 
-def _writable(text: str) -> str:
-    """Return a text with escapes for what XML cannot write."""
-    return _UNWRITABLE.sub(lambda found: ascii(found[0])[1:-1], text)
+def _escape(text: str) -> str:
+    """Return a text in which escapes replace the characters that XML does not allow."""
+    return _INVALID_XML.sub(lambda match: ascii(match[0])[1:-1], text)

@@ -1,4 +1,4 @@
-"""`srs-twin models`: MJCF from the robots' numbers, and whether MJCF or URDF is fit for use."""
+"""`srs-twin models`: export of robots as MJCF, and checks of MJCF and URDF models."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli.options import JsonOption, argument, option, print_json, with_options
+from srs_twin.cli.options import JsonOption, argument, expand_option_groups, option, print_json
 from srs_twin.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -18,18 +18,18 @@ app = typer.Typer(rich_markup_mode=None, no_args_is_help=True, help="MJCF models
 
 
 @app.command()
-@with_options
+@expand_option_groups
 def export(
-    names: Annotated[list[str] | None, argument("NAME", of=["robot"])] = None,
+    names: Annotated[list[str] | None, argument("NAME", shipped=["robot"])] = None,
     out: Annotated[str, option("--out DIR")] = "models",
     contact: Annotated[str, option("--contact NAME")] = "preloaded",
 ) -> None:
-    """Write robots as MJCF, each in a folder of its own.
+    """Write robots as MJCF, one folder per robot.
 
     Options:
-        names: Robots, or files of robots; default all.
-        out: Where models/<robot>/ go.
-        contact: How the floor holds the snake; `preloaded`, the only one that an MJCF file can carry.
+        names: Robots, or robot files; default all.
+        out: Output folder; each robot gets a subfolder.
+        contact: Contact model; MJCF files support only `preloaded`.
     """
     from srs_twin.io.files import check_output_folder, escape_unprintable, shipped_names
     from srs_twin.plants.twin.mjcf.export import SCENE, export_robot
@@ -38,8 +38,8 @@ def export(
 
     if as_contact(contact).name != "preloaded":
         raise InputError(
-            "--contact loaded is not allowed: its friction is a law of srs_twin's own, which no MJCF file "
-            "carries; without it the snake would slide freely. Only preloaded can be written"
+            "--contact loaded is not allowed: srs_twin computes its friction, so an MJCF file would contain "
+            "none and the snake would slide freely; use --contact preloaded"
         )
     robots = [load_robot(name) for name in names or shipped_names("robot")]
     folders = {Path(out) / robot.name: robot for robot in robots}
@@ -51,14 +51,14 @@ def export(
 
 
 @app.command()
-@with_options
+@expand_option_groups
 def check(
-    models: Annotated[list[str] | None, argument("FILE|NAME", of=["robot"])] = None,
+    models: Annotated[list[str] | None, argument("FILE|NAME", shipped=["robot"])] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compile models and give each a second of random control.
+    """Compile models and simulate 1 s of random control.
 
-    Shipped ones must be what an export of their robots would write.
+    Shipped models must also equal the export of their robots.
 
     Options:
         models: MJCF or URDF files, or robots; default all.
@@ -68,35 +68,35 @@ def check(
     from srs_twin.plants.twin.mjcf.export import stale_files
     from srs_twin.robot.file import load_robot
 
-    bad, reports = 0, []
+    failed, reports = 0, []
     for model in models or shipped_names("robot"):
-        path, robot = _find(model)
+        path, robot = _find_model(model)
         report = check_mjcf(path)
         faults = list(report.faults)
         if robot is not None:
-            remedy = f"is not current; `srs-twin models export {robot}` writes it anew"
+            remedy = f"is out of date; `srs-twin models export {robot}` writes it again"
             faults += [f"{name} {remedy}" for name in stale_files(load_robot(robot), path.parent)]
-        bad += bool(faults)
+        failed += bool(faults)
         reports.append({"model": model, "faults": faults, "notes": list(report.notes), **report.sizes})
-        for line in faults or [_praise(report, current=robot is not None), *report.notes]:
+        for line in faults or [_success_message(report, current=robot is not None), *report.notes]:
             typer.echo(f"{display_path(path)}: {escape_unprintable(line)}", err=bool(faults) or as_json)
     if as_json:
         print_json({"models": reports})
-    if bad:
+    if failed:
         raise typer.Exit(InputError.exit_code)
 
 
-def _praise(report: ModelReport, *, current: bool) -> str:
-    s = report.sizes
+def _success_message(report: ModelReport, *, current: bool) -> str:
+    sizes = report.sizes
     return (
-        f"{'current and ' if current else ''}fit for use ({s['bodies']} bodies, {s['joints']} joints, "
-        f"{s['actuators']} actuators, {s['mass_kg']:.4g} kg, {1e3 * s['timestep_s']:g} ms; "
-        "1 s of random control without a warning)"
+        f"{'up to date and ' if current else ''}valid ({sizes['bodies']} bodies, {sizes['joints']} joints, "
+        f"{sizes['actuators']} actuators, {sizes['mass_kg']:.4g} kg, {1e3 * sizes['timestep_s']:g} ms; "
+        "1 s of random control without warnings)"
     )
 
 
-def _find(model: str) -> tuple[Path, str | None]:
-    """Return the scene of a shipped robot and the robot's name, or the file that a path means."""
+def _find_model(model: str) -> tuple[Path, str | None]:
+    """Return the scene and the name of a shipped robot, or the path of a model file and None."""
     from srs_twin.io.files import data_root, shipped_names
     from srs_twin.plants.twin.mjcf.check import MODEL_SUFFIXES
 

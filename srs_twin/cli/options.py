@@ -1,4 +1,4 @@
-"""Options that several commands share, and classes of options that commands take as one parameter."""
+"""Options shared by several commands, and dataclasses that group options of a command."""
 
 from __future__ import annotations
 
@@ -17,144 +17,156 @@ if TYPE_CHECKING:
     from srs_twin.io.documents import Override
 
 
-def option(words: str, help: str | None = None, **more: Any) -> Any:
+def option(declaration: str, help: str | None = None, **settings: Any) -> Any:
     """Return an option of a command.
 
     Args:
-        words: as help shows it: "--robot -r ROBOT"; a flag: "--check".
-        help: what it is; None: said in the docstring, see `with_options`.
-        more: as `typer.Option` takes it.
+        declaration: flags and value as the help shows them, "--robot -r ROBOT"; without a value for a switch,
+            "--check".
+        help: help text; default: taken from the docstring, see `expand_option_groups`.
+        settings: further settings of `typer.Option`.
     """
-    flags = [word for word in words.split() if word.startswith("-")]
-    value = [word for word in words.split() if not word.startswith("-")]
-    return typer.Option(*flags, metavar=" ".join(value) or None, help=help, **more)
+    words = declaration.split()
+    flags = [word for word in words if word.startswith("-")]
+    metavar = " ".join(word for word in words if not word.startswith("-"))
+    return typer.Option(*flags, metavar=metavar or None, help=help, **settings)
 
 
-def argument(name: str, help: str | None = None, *, of: Sequence[str] = ()) -> Any:
+def argument(metavar: str, help: str | None = None, *, shipped: Sequence[str] = ()) -> Any:
     """Return an argument of a command.
 
     Args:
-        name: as help shows it.
-        help: as in `option`.
-        of: kinds of shipped files whose names a shell may complete: "scenario", "robot", "sweep".
+        metavar: name of the argument in the help.
+        help: help text, as in `option`.
+        shipped: kinds of shipped files whose names complete the argument in a shell: "scenario", "robot",
+            "sweep".
     """
 
-    def names(incomplete: str) -> list[str]:
+    def complete(incomplete: str) -> list[str]:
         from srs_twin.io.files import shipped_names
 
-        return [each for kind in of for each in shipped_names(kind) if each.startswith(incomplete)]
+        return [name for kind in shipped for name in shipped_names(kind) if name.startswith(incomplete)]
 
-    return typer.Argument(metavar=name, help=help, autocompletion=names if of else None)
-
-
-def at_once(words: str) -> Any:
-    """Return the option that says how many of a command's runs go on at once."""
-    return option(words, "Runs at once; 1: one after the other. [default: one a processor]", min=1, max=4096)
+    return typer.Argument(metavar=metavar, help=help, autocompletion=complete if shipped else None)
 
 
-ScenarioArgument = Annotated[str, argument("SCENARIO", "A shipped scenario or a file.", of=["scenario"])]
-RobotArgument = Annotated[str, argument("ROBOT", "A shipped robot or a file.", of=["robot"])]
-OneOutOption = Annotated[str | None, option("--out DIR", "Folder for the files. [default: runs/SCENARIO]")]
-CheckOption = Annotated[bool, option("--check", "Exit with 1 when an expectation fails.")]
-_STRICT = "Like --check, and also fail on expectations marked `known` or not judged."
+def jobs_option(declaration: str) -> Any:
+    """Return the option for the number of parallel runs."""
+    return option(
+        declaration, "Number of parallel runs; 1: sequential. [default: one per processor]", min=1, max=4096
+    )
+
+
+ScenarioArgument = Annotated[
+    str, argument("SCENARIO", "Shipped scenario or scenario file.", shipped=["scenario"])
+]
+RobotArgument = Annotated[str, argument("ROBOT", "Shipped robot or robot file.", shipped=["robot"])]
+OneOutOption = Annotated[str | None, option("--out DIR", "Output folder. [default: runs/SCENARIO]")]
+CheckOption = Annotated[bool, option("--check", "Exit with code 1 if an expectation is missed.")]
+_STRICT = "Like --check, but expectations marked `known` or not judged also fail."
 StrictOption = Annotated[bool, option("--strict", _STRICT)]
-QuietOption = Annotated[bool, option("--quiet -q", "No table and no progress; errors only.")]
-JobsOption = Annotated[int | None, at_once("--jobs -j N")]
+QuietOption = Annotated[bool, option("--quiet -q", "Print errors only, no table and no progress.")]
+JobsOption = Annotated[int | None, jobs_option("--jobs -j N")]
 JsonOption = Annotated[bool, option("--json", "Print one JSON document instead of tables.")]
-OverwriteOption = Annotated[bool, option("--overwrite", "Replace another file.")]
+OverwriteOption = Annotated[bool, option("--overwrite", "Replace an existing file.")]
 
-PressureOption = Annotated[float | None, option("--pressure KPA", "Of the supply. [default: the robot's]")]
-_FLOOR = "Of the analytical plant's floor. [default: wheel]"
-FloorOption = Annotated[str | None, option("--law NAME", _FLOOR)]
+_PRESSURE = "Supply pressure, kPa. [default: the robot's]"
+PressureOption = Annotated[float | None, option("--pressure KPA", _PRESSURE)]
+_FRICTION = "Friction law of the analytical plant. [default: wheel]"
+FloorOption = Annotated[str | None, option("--law NAME", _FRICTION)]
 
 
 def print_json(document: Any) -> None:
-    """Print one JSON document on stdout; NumPy's numbers and arrays become Python's."""
+    """Print a JSON document on stdout; NumPy numbers and arrays become Python numbers and lists."""
     import json
 
-    # ASCII alone: a terminal obeys what control characters foreign names hold.
+    # ASCII only: names from foreign files may contain control characters that a terminal would execute.
     typer.echo(json.dumps(document, indent=2, allow_nan=False, default=lambda value: value.tolist()))
 
 
-def plants_of(given: str | None) -> list[str] | None:
-    """Return the plants that `--plants` names, None where it was not given."""
-    known = ("analytical", "twin")
-    wanted = given and [each.strip() for each in given.split(",")]
-    for each in wanted or ():
-        check_choice("--plants:", each, known)
-    return [each for each in known if each in wanted] if wanted else None
+def parse_plants(text: str | None) -> list[str] | None:
+    """Return the plants named by `--plants`, in a fixed order; None if the option was not given."""
+    plants = ("analytical", "twin")
+    names = [name.strip() for name in text.split(",")] if text else []
+    for name in names:
+        check_choice("--plants:", name, plants)
+    return [plant for plant in plants if plant in names] or None
 
 
 @dataclass(frozen=True)
 class ChangeOptions:
-    """What is to be other than in the file.
+    """Options that override fields of a scenario.
 
     Options:
-        change: Another value of a field, as controller.frequency_hz=1.5; repeatable.
-        duration: Simulated time.
-        seed: Of all that is random.
+        set: Override a scenario field, e.g. controller.frequency_hz=1.5 (repeatable).
+        duration: Simulated time, s.
+        seed: Random seed.
     """
 
-    change: Annotated[list[str] | None, option("--set FIELD=VALUE")] = None
+    set: Annotated[list[str] | None, option("--set FIELD=VALUE")] = None
     duration: Annotated[str | None, option("--duration S")] = None
     seed: Annotated[str | None, option("--seed N")] = None
 
     def changes(self) -> list[Override]:
-        """Return what was given, as fields of a scenario.
+        """Return the overridden fields.
 
         Raises:
-            InputError: what was given is no field with a value.
+            InputError: an override does not have the form FIELD=VALUE.
         """
         from srs_twin.io.documents import Override
 
-        found = []
-        for text in self.change or ():
+        changes = []
+        for text in self.set or ():
             field, sign, value = text.partition("=")
-            found.append(Override.parse(f"--set {text}", field.strip() if sign else "", value))
-        for field, given in (("duration_s", self.duration), ("seed", self.seed)):
-            if given is not None:
-                found.append(Override.parse(f"--{field.removesuffix('_s')} {given}", field, given))
-        return found
+            changes.append(Override.parse(f"--set {text}", field.strip() if sign else "", value))
+        if self.duration is not None:
+            changes.append(Override.parse(f"--duration {self.duration}", "duration_s", self.duration))
+        if self.seed is not None:
+            changes.append(Override.parse(f"--seed {self.seed}", "seed", self.seed))
+        return changes
 
 
 NO_CHANGES = ChangeOptions()
 
 
-def with_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command whose options are complete.
+def expand_option_groups(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command in the form that typer expects, with all options and help texts.
 
-    A parameter that is a class of options becomes these options. What the section "Options:" of the
-    command's or the class's docstring says of an option becomes its help.
+    Typer supports neither groups of options nor help texts in docstrings. A parameter whose type is a
+    dataclass is therefore replaced by the fields of the dataclass, and a help text that the annotation lacks
+    is taken from the section "Options:" in the docstring of the command or of the dataclass.
     """
-    about, texts = _documented(command)
+    description, help_texts = _parse_docstring(command)
     hints = get_type_hints(command, include_extras=True)
     groups = {name: kind for name, kind in hints.items() if isinstance(kind, type) and is_dataclass(kind)}
     parameters: list[inspect.Parameter] = []
     for name, parameter in inspect.signature(command).parameters.items():
-        of, annotations = [parameter], hints
+        members, annotations = [parameter], hints
         if name in groups:
-            of = list(inspect.signature(groups[name]).parameters.values())
+            members = list(inspect.signature(groups[name]).parameters.values())
             annotations = get_type_hints(groups[name], include_extras=True)
-            texts |= _documented(groups[name])[1]
+            help_texts |= _parse_docstring(groups[name])[1]
         keyword = inspect.Parameter.KEYWORD_ONLY
-        parameters += [each.replace(kind=keyword, annotation=annotations[each.name]) for each in of]
-    for each in parameters:
-        for info in getattr(each.annotation, "__metadata__", ()):
-            info.help = info.help or texts.get(each.name)
+        parameters += [
+            member.replace(kind=keyword, annotation=annotations[member.name]) for member in members
+        ]
+    for parameter in parameters:
+        for info in getattr(parameter.annotation, "__metadata__", ()):
+            info.help = info.help or help_texts.get(parameter.name)
 
     @wraps(command)
-    def run(**given: Any) -> None:
+    def run(**values: Any) -> None:
         for name, kind in groups.items():
-            given[name] = kind(**{field: given.pop(field) for field in inspect.signature(kind).parameters})
-        command(**given)
+            values[name] = kind(**{field: values.pop(field) for field in inspect.signature(kind).parameters})
+        command(**values)
 
-    run.__doc__, run.__annotations__ = about, {}
+    run.__doc__, run.__annotations__ = description, {}
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return run
 
 
-def _documented(described: object) -> tuple[str, dict[str, str]]:
-    """Return a docstring without its section "Options:", and the text of each of these."""
-    about, _, listed = (inspect.getdoc(described) or "").partition("\n\nOptions:\n")
-    texts = re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", listed, re.MULTILINE)
-    return about, {name: " ".join(text.split()) for name, text in texts}
+def _parse_docstring(documented: object) -> tuple[str, dict[str, str]]:
+    """Return a docstring without its section "Options:", and the help text of each option in it."""
+    description, _, section = (inspect.getdoc(documented) or "").partition("\n\nOptions:\n")
+    entries = re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
+    return description, {name: " ".join(text.split()) for name, text in entries}

@@ -1,4 +1,4 @@
-"""How far something is that takes longer than two seconds, on stderr: a bar on a terminal, else lines."""
+"""Progress of tasks that take longer than two seconds, on stderr: a bar on a terminal, else lines."""
 
 from __future__ import annotations
 
@@ -11,149 +11,152 @@ from typing import Any, Self
 
 from srs_twin.cli.console import say
 
-PATIENCE_S = 2.0
-LINE_EVERY_S = 10.0
+DISPLAY_DELAY_S = 2.0
+"""Shortest duration after which progress is displayed, s."""
+
+LINE_INTERVAL_S = 10.0
+"""Interval between two lines, s."""
 
 
 class Display(ABC):
-    """Shows how far something is that takes longer than two seconds; a context manager.
+    """Context manager that displays the progress of a task.
 
     Attributes:
-        title: of what takes so long.
-        first_line_s: when the first line comes at the earliest, s.
+        title: name of the task.
+        first_line_s: earliest time of the first line, s.
     """
 
-    first_line_s = LINE_EVERY_S
+    first_line_s = LINE_INTERVAL_S
 
     def __init__(self, title: str, *, quiet: bool = False) -> None:
         self.title, self._quiet = title, quiet
         self._start, self._next_line = time.monotonic(), self.first_line_s
-        self._drawn: Any = None
+        self._progress: Any = None
         self._bars: dict[str, Any] = {}
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
-        if self._drawn is not None:
-            self._drawn.stop()
+        if self._progress is not None:
+            self._progress.stop()
 
     def _elapsed(self) -> float:
         """Return the time since the start, s."""
         return time.monotonic() - self._start
 
     def _show(self) -> None:
-        """Draw, or say a line, where it is time for it."""
+        """Update the bar, or print a line if one is due."""
         elapsed = self._elapsed()
-        if self._quiet or elapsed < PATIENCE_S:
+        if self._quiet or elapsed < DISPLAY_DELAY_S:
             return
         if sys.stderr.isatty():
             self._draw()
         elif elapsed >= self._next_line:
-            self._next_line = elapsed + LINE_EVERY_S
+            self._next_line = elapsed + LINE_INTERVAL_S
             say(self._line())
 
     @abstractmethod
     def _line(self) -> str:
-        """Return how far it is, in words."""
+        """Return the progress as text."""
 
     @abstractmethod
     def _bar(self) -> tuple[str, float | None, str]:
-        """Return what a bar is of, how much is done (0 to 1; None: nobody knows), and the words beside it."""
+        """Return the title, the completed fraction (0 to 1; None: unknown) and the status text of a bar."""
 
     def _draw(self) -> None:
-        """Draw the bar; rich is imported here, because that takes as long as a short run."""
+        """Draw the bar; rich is imported only here because its import takes as long as a short run."""
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-        if self._drawn is None:
-            title, beside = (
-                TextColumn(f"{{task.{key}}}", markup=False) for key in ("description", "fields[words]")
-            )
-            columns = (title, BarColumn(), beside, TimeRemainingColumn())
-            self._drawn = Progress(*columns, console=Console(stderr=True), transient=True)
-            self._drawn.start()
-        text, part, words = self._bar()
-        if text not in self._bars:
-            total = None if part is None else 1.0
-            self._bars[text] = self._drawn.add_task(text, total=total, words=words)
-        self._drawn.update(self._bars[text], completed=part, words=words)
+        if self._progress is None:
+            title_column = TextColumn("{task.description}", markup=False)
+            status_column = TextColumn("{task.fields[status]}", markup=False)
+            columns = (title_column, BarColumn(), status_column, TimeRemainingColumn())
+            self._progress = Progress(*columns, console=Console(stderr=True), transient=True)
+            self._progress.start()
+        title, fraction, status = self._bar()
+        if title not in self._bars:
+            total = None if fraction is None else 1.0
+            self._bars[title] = self._progress.add_task(title, total=total, status=status)
+        self._progress.update(self._bars[title], completed=fraction, status=status)
 
 
-class Counting(Display):
-    """Counts runs.
+class RunCounter(Display):
+    """Progress of a number of runs; called once per completed run.
 
     Attributes:
-        total: how many there are.
+        total: number of runs.
     """
 
     def __init__(
-        self, title: str, total: int, *, quiet: bool = False, beside: Callable[[], str] = str
+        self, title: str, total: int, *, quiet: bool = False, status: Callable[[], str] = str
     ) -> None:
+        """Create a counter; `status` returns additional text for each update."""
         super().__init__(title, quiet=quiet)
-        self.total, self._beside = total, beside
+        self.total, self._status = total, status
         self._done = self._failed = 0
-        self._first = 0.0  # s, when the first run was done: workers take a while to start
+        self._first_done_s = 0.0
 
     def __call__(self, *, failed: bool) -> None:
-        """Take note of one more run that is finished."""
+        """Count a completed run."""
         if not self._done:
-            self._first = self._elapsed()
+            self._first_done_s = self._elapsed()
         self._done += 1
         self._failed += failed
         self._show()
 
     @contextmanager
-    def aside(self) -> Iterator[None]:
-        """Take the bar off the terminal while something else is printed there (`run` prints tables)."""
-        if self._drawn is not None:
-            self._drawn.stop()
+    def hidden(self) -> Iterator[None]:
+        """Hide the bar while the block prints to the terminal."""
+        if self._progress is not None:
+            self._progress.stop()
         yield
-        if self._drawn is not None:
-            self._drawn.start()
+        if self._progress is not None:
+            self._progress.start()
 
     def _rate(self) -> float:
-        """Return runs a second since the first was done; before a second is, since the start."""
+        """Return the runs per second; the start of the workers is excluded once two runs are complete."""
         if self._done < 2:
             return self._done / max(self._elapsed(), 1e-3)
-        return (self._done - 1) / max(self._elapsed() - self._first, 1e-3)
+        return (self._done - 1) / max(self._elapsed() - self._first_done_s, 1e-3)
 
-    def _pace(self) -> str:
+    def _rate_text(self) -> str:
         failed = f", {self._failed} failed" if self._failed else ""
-        beside = f", {said}" if (said := self._beside()) else ""
-        return f"{failed}, {self._rate():.3g}/s{beside}"
+        status = f", {text}" if (text := self._status()) else ""
+        return f"{failed}, {self._rate():.3g}/s{status}"
 
     def _line(self) -> str:
-        left = max(self.total - self._done, 0) / self._rate()
-        return f"{self.title}: {self._done} of {self.total}{self._pace()}, {left:.0f} s left"
+        remaining_s = max(self.total - self._done, 0) / self._rate()
+        return f"{self.title}: {self._done} of {self.total}{self._rate_text()}, {remaining_s:.0f} s left"
 
     def _bar(self) -> tuple[str, float, str]:
-        return self.title, self._done / self.total, f"{self._done}/{self.total}{self._pace()}"
+        return self.title, self._done / self.total, f"{self._done}/{self.total}{self._rate_text()}"
 
 
 class ScenarioProgress(Display):
-    """Shows how far a scenario is; a callback for `run_scenario`. The title stands before the stage."""
+    """Progress of one scenario, as a callback for `PreparedRun.execute`."""
 
     first_line_s = 0.0
 
     def __init__(self, title: str, *, quiet: bool = False) -> None:
         super().__init__(title, quiet=quiet)
-        self._stage, self._part = "", 0.0
+        self._stage, self._fraction = "", 0.0
 
     def __enter__(self) -> Self:
         from srs_twin.compute.compiled import notify_first_compilation
 
-        text = f"{self.title}: compiling the kernels for this machine, once; about half a minute"
+        text = f"{self.title}: compiling the kernels for this machine (only once, about 30 s)"
         notify_first_compilation(lambda: say(text, quiet=self._quiet))
         return super().__enter__()
 
-    def __call__(self, stage: str, part: float) -> None:
-        """Take note that a part (0 to 1) of a stage is done."""
-        self._stage, self._part = stage, part
+    def __call__(self, stage: str, fraction: float) -> None:
+        """Update the completed fraction (0 to 1) of a stage."""
+        self._stage, self._fraction = stage, fraction
         self._show()
 
     def _line(self) -> str:
-        return f"{self.title}: {self._stage} {self._part:.0%}"
+        return f"{self.title}: {self._stage} {self._fraction:.0%}"
 
     def _bar(self) -> tuple[str, float, str]:
-        return f"{self.title}: {self._stage}", self._part, f"{self._part:.0%}"
+        return f"{self.title}: {self._stage}", self._fraction, f"{self._fraction:.0%}"

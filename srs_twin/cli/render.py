@@ -1,4 +1,4 @@
-"""`srs-twin render`: a video or a picture of finished runs, drawn by MuJoCo without a screen."""
+"""`srs-twin render`: off-screen video or image of finished runs, rendered by MuJoCo."""
 
 from __future__ import annotations
 
@@ -19,9 +19,16 @@ if TYPE_CHECKING:
     from srs_twin.experiment import FinishedRun
     from srs_twin.viewing.mujoco.render import Size
 
-VIDEO, PICTURE = ".mp4", ".png"
+VIDEO_SUFFIX = ".mp4"
+IMAGE_SUFFIX = ".png"
 _GHOST = "analytical"
-_SMALLEST, _LARGEST = 64, 4096  # pixels
+"""Plant that `--ghost` draws translucently."""
+
+_MIN_SIDE_PX = 64
+"""Smallest width and height of an image, pixels."""
+
+_MAX_SIDE_PX = 4096
+"""Largest width and height of an image, pixels."""
 
 
 def render(
@@ -36,95 +43,95 @@ def render(
     speed: Annotated[float, option("--speed X", min=0.001, max=1000)] = 1.0,
     quiet: QuietOption = False,
 ) -> None:
-    """Draw finished runs with MuJoCo, no screen needed.
+    """Render a video or image of finished runs with MuJoCo.
 
     Options:
-        runs: Run folders, or names in runs/.
-        video: A video; of several runs, their folder.
-        image: A picture of that moment, s.
-        strobe: A picture from above of several moments.
-        ghost: The analytical model as well, see-through.
-        out: Where the picture goes; of several runs, a folder. [default: the run's folder]
-        size: Pixels; of --strobe the width counts.
-        fps: Pictures a second of a video.
-        speed: Of a video; 0.25: slow motion.
+        runs: Run folders, or names of folders in runs/.
+        video: Output video; with several runs, output folder.
+        image: Render an image at this time, s.
+        strobe: Render several times in one image from above.
+        ghost: Also draw the analytical model, translucently.
+        out: Output image; with several runs, output folder. [default: the run's folder]
+        size: Width and height, pixels; --strobe uses the width only.
+        fps: Frame rate of the video, Hz.
+        speed: Playback speed of the video; 0.25: slow motion.
     """
     if sum((video is not None, image is not None, strobe)) != 1:
-        raise InputError("give one of --video FILE.mp4, --image t=2.5 and --strobe")
+        raise InputError("give exactly one of --video FILE.mp4, --image t=2.5 and --strobe")
     if video is not None and out is not None:
-        raise InputError("--out is for pictures; the video goes where --video says")
+        raise InputError("--out is for images; --video already names the output of a video")
     if ghost and strobe:
-        raise InputError("--ghost is for --video and --image")
+        raise InputError("--ghost needs --video or --image")
     from srs_twin.viewing.mujoco.opengl import usable_opengl
 
-    usable_opengl()  # first: MuJoCo, imported from here on, refuses a name in MUJOCO_GL that it does not know
+    usable_opengl()  # before the import of MuJoCo, which fails for an unknown name in MUJOCO_GL
     from srs_twin.experiment import load_run
     from srs_twin.io.files import check_output_folder
 
-    ending, write = _writing(video, image, _size(size), fps, speed)
-    suffix = VIDEO if video is not None else PICTURE
-    given = video if video is not None else out
-    target = None if given is None else Path(given)
+    name_suffix, write = _writer(video, image, _parse_size(size), fps, speed)
+    suffix = VIDEO_SUFFIX if video is not None else IMAGE_SUFFIX
+    output = video if video is not None else out
+    target = None if output is None else Path(output)
     if target is not None and target.suffix == suffix and len(runs) > 1:
-        raise InputError(f"{target}: one file for {len(runs)} runs; give a folder")
+        raise InputError(f"{target}: {len(runs)} runs cannot share one file; give a folder")
     if target is not None and target.suffix not in ("", suffix):
         raise InputError(f"{target}: the file must end in {suffix}")
-    work: list[tuple[FinishedRun, Path]] = []
+    jobs: list[tuple[FinishedRun, Path]] = []
     for run in map(load_run, runs):
-        one = target is not None and target.suffix
-        path = target if target and one else (target or run.folder) / f"{run.name}{ending}"
-        work.append((run, path))
-    for run, path in work:
+        is_file = target is not None and target.suffix
+        path = target if target and is_file else (target or run.folder) / f"{run.name}{name_suffix}"
+        jobs.append((run, path))
+    for run, path in jobs:
         if "twin" not in run.trajectories:
             raise InputError(
-                f"{display_path(run.folder)}: the twin did not run, and MuJoCo draws nothing else; "
+                f"{display_path(run.folder)}: the run contains no twin, and MuJoCo renders only the twin; "
                 "`srs-twin view` shows the analytical model"
             )
         if ghost and _GHOST not in run.trajectories:
             raise InputError(
-                f"{display_path(run.folder)}: the analytical model did not run; leave out --ghost"
+                f"{display_path(run.folder)}: the run contains no analytical model; omit --ghost"
             )
         check_output_folder(path.parent, (path.name,))
-    for run, path in work:
+    for run, path in jobs:
         with ScenarioProgress(run.name, quiet=quiet) as progress:
-            told: dict[str, Any] = {"progress": partial(progress, "drawing")} if video is not None else {}
-            told |= {"ghost": (_GHOST, run.trajectories[_GHOST])} if ghost else {}
-            write(path, run.scenario, run.trajectories["twin"], **told)
+            options: dict[str, Any] = {"progress": partial(progress, "drawing")} if video is not None else {}
+            options |= {"ghost": (_GHOST, run.trajectories[_GHOST])} if ghost else {}
+            write(path, run.scenario, run.trajectories["twin"], **options)
         if not quiet:
             typer.echo(escape_unprintable(str(path)))
 
 
-def _writing(
+def _writer(
     video: str | None, image: str | None, size: Size, fps: int, speed: float
 ) -> tuple[str, Callable[..., object]]:
-    """Return how a file's name ends after that of the run, and what writes it; a video takes `progress`."""
+    """Return the suffix that follows the run in a file name, and the function that writes the file."""
     from srs_twin.viewing.mujoco.render import write_image, write_video
     from srs_twin.viewing.mujoco.strobe import write_strobe
 
     if video is not None:
-        return VIDEO, partial(write_video, size=size, fps=fps, speed=speed)
+        return VIDEO_SUFFIX, partial(write_video, size=size, fps=fps, speed=speed)
     if image is not None:
-        time = _moment(image)
-        return f"-{time:g}s{PICTURE}", partial(write_image, time=time, size=size)
-    return f"-strobe{PICTURE}", partial(write_strobe, width=size.width)
+        time = _parse_time(image)
+        return f"-{time:g}s{IMAGE_SUFFIX}", partial(write_image, time=time, size=size)
+    return f"-strobe{IMAGE_SUFFIX}", partial(write_strobe, width=size.width)
 
 
-def _moment(given: str) -> float:
-    """Return the time that 't=2.5' or '2.5' means, s."""
+def _parse_time(text: str) -> float:
+    """Return the time in 't=2.5' or '2.5', s."""
     try:
-        return float(given.strip().removeprefix("t="))
+        return float(text.strip().removeprefix("t="))
     except ValueError as error:
-        raise InputError(f"--image {given}: not a moment; give seconds, such as t=2.5") from error
+        raise InputError(f"--image {text}: not a time; give seconds, such as t=2.5") from error
 
 
-def _size(given: str) -> Size:
+def _parse_size(text: str) -> Size:
     from srs_twin.viewing.mujoco.render import Size
 
-    match = re.fullmatch(r"(\d{1,5})[x×](\d{1,5})", given)
+    match = re.fullmatch(r"(\d{1,5})[x×](\d{1,5})", text)
     sides = [int(side) for side in match.groups()] if match else []
-    if not sides or not all(_SMALLEST <= side <= _LARGEST and side % 2 == 0 for side in sides):
+    if not sides or not all(_MIN_SIDE_PX <= side <= _MAX_SIDE_PX and side % 2 == 0 for side in sides):
         raise InputError(
-            f"--size {given}: give width and height in pixels, such as 1280x720, "
-            f"both even and from {_SMALLEST} to {_LARGEST}"
+            f"--size {text}: give width and height in pixels, such as 1280x720, "
+            f"both even and from {_MIN_SIDE_PX} to {_MAX_SIDE_PX}"
         )
     return Size(*sides)

@@ -1,10 +1,10 @@
-"""`srs-twin run`: scenarios on the plants that each names; `compare`: on both, and how far apart they are."""
+"""`srs-twin run` and `compare`: execution of scenarios, and comparison of the two plants."""
 
 from __future__ import annotations
 
 from typing import Annotated
 
-from srs_twin.cli.batch import cases_of, failing, run_all
+from srs_twin.cli.batch import failing_verdicts, make_cases, run_all
 from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,
@@ -17,7 +17,7 @@ from srs_twin.cli.options import (
     StrictOption,
     argument,
     option,
-    plants_of,
+    parse_plants,
 )
 
 
@@ -34,15 +34,14 @@ def compare(
     """Run a scenario on both plants and measure the difference.
 
     Options:
-        explain: Say why they differ: each assumption's share.
+        explain: Attribute the difference to modelling assumptions.
     """
-    cases, fails, both = cases_of([scenario]), failing(check=check, strict=strict), ("analytical", "twin")
     run_all(
-        cases,
+        make_cases([scenario]),
         out=out,
-        fails=fails,
+        fails=failing_verdicts(check=check, strict=strict),
         quiet=quiet,
-        plants=both,
+        plants=("analytical", "twin"),
         explain=explain,
         changes=changed.changes(),
         as_json=as_json,
@@ -50,7 +49,7 @@ def compare(
 
 
 def run(
-    scenarios: Annotated[list[str], argument("SCENARIO", of=["scenario"])],
+    scenarios: Annotated[list[str], argument("SCENARIO", shipped=["scenario"])],
     out: Annotated[str | None, option("--out DIR")] = None,
     check: CheckOption = False,
     strict: StrictOption = False,
@@ -61,23 +60,23 @@ def run(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run scenarios on the plants they name.
+    """Run scenarios on the plants that they select.
 
     Options:
-        scenarios: Shipped scenarios, files, folders of files.
-        out: Folder for the files; of several scenarios, one each in it. [default: runs/SCENARIO]
-        junit: Write a JUnit report: expectations, divergences, bad input.
-        plants: analytical, twin or both. [default: those of the scenario]
+        scenarios: Shipped scenarios, scenario files, or folders of files.
+        out: Output folder; several scenarios get one subfolder each. [default: runs/SCENARIO]
+        junit: Write a JUnit XML report of runs and expectations.
+        plants: Plants to run: analytical, twin, or both separated by a comma. [default: those of the
+            scenario]
     """
-    cases, fails = cases_of(scenarios), failing(check=check, strict=strict)
     run_all(
-        cases,
+        make_cases(scenarios),
         out=out,
-        fails=fails,
+        fails=failing_verdicts(check=check, strict=strict),
         quiet=quiet,
         jobs=jobs,
         junit=junit,
-        plants=plants_of(plants),
+        plants=parse_plants(plants),
         changes=changed.changes(),
         as_json=as_json,
     )

@@ -1,4 +1,4 @@
-"""What a run gave, for the terminal: one short table, then the expectations; 80 columns."""
+"""Result of a run on a terminal of 80 columns: a table of metrics, events and expectations."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from srs_twin.experiment import RunResult
 
-# What is said where the words of a metric's name alone would not do.
-_HEADINGS = {
+# Labels of metrics that their names would not describe well.
+_LABELS = {
     "amplitude_error_end_rel": "amplitude error, end",
     "path_speed_m_s": "speed at the end",
     "path_curvature_before_per_m": "curvature before",
@@ -32,7 +32,7 @@ _HEADINGS = {
     "ripple_pp_rad": "ripple, peak-peak",
     "fit_residual_rad": "from a sine, RMS",
     "reading_r_squared": "reading: R² of a line",
-    "reading_backstep_rad": "reading: turns back",
+    "reading_backstep_rad": "reading: backstep",
     "reading_range_t": "reading: field range",
     "cross_track_rms_m": "cross-track, RMS",
     "cross_track_max_m": "cross-track, largest",
@@ -40,72 +40,80 @@ _HEADINGS = {
     "inside_50mm_share": "inside 50 mm",
     "replans": "new plans",
 }
-WORDS = {"met": "met", "missed": "MISSED", "known": "known", "holds": "HOLDS", "not_judged": "not judged"}
-"""Verdict on an expectation → how a line begins."""
+STATE_LABELS = {
+    "met": "met",
+    "missed": "MISSED",
+    "known": "known",
+    "holds": "HOLDS",
+    "not_judged": "not judged",
+}
+"""State of an expectation → label at the beginning of its line."""
 
 _EXPLAINABLE = {"com_speed_rel", "yaw_rate_abs"}
-"""Differences of the plants that `compare --explain` takes apart."""
+"""Differences that `compare --explain` attributes to assumptions."""
+
+_ZERO = 5e-6
+"""Absolute value below which a difference is printed as 0; in m, m/s, rad and rad/s alike."""
 
 
 def rows(metrics: Mapping[str, Any]) -> list[list[str]]:
-    """Choose and format the lines of the table: metric, unit, a value a plant, difference, published.
+    """Return the rows of the table: metric, unit, one value per plant, difference, published value.
 
     Args:
-        metrics: what stands in metrics.json.
+        metrics: content of `metrics.json`.
     """
-    plants, stated = metrics["plants"], published(metrics["expectations"])
-    found = [
-        [_heading(name), unit, *texts, apart, _number(stated.get(name, (None,))[0])]
-        for name, unit, texts, apart in result_rows(metrics, chosen(plants), _number)
+    plants, published_values = metrics["plants"], published(metrics["expectations"])
+    lines = [
+        [_label(name), unit, *texts, difference, _number(published_values.get(name, (None,))[0])]
+        for name, unit, texts, difference in result_rows(metrics, chosen(plants), _number)
     ]
     if (factor := (metrics["comparison"] or {}).get("gap_factor", 1.0)) != 1.0:
-        nothing = [""] * (len(plants) + 1)
-        found.insert(1, ["… by the gap factor", "1", f"× {factor:.4g}", *nothing])
-    return found
+        empty = [""] * (len(plants) + 1)
+        lines.insert(1, ["… by the gap factor", "1", f"× {factor:.4g}", *empty])
+    return lines
 
 
-def _heading(metric: str) -> str:
-    """Return 'CoM speed' for com_speed_m_s: the unit has a column of its own."""
-    return _HEADINGS.get(metric) or metric_label(metric).partition(" (")[0]
+def _label(metric: str) -> str:
+    """Return the label of a metric without its unit, e.g. 'CoM speed' for `com_speed_m_s`."""
+    return _LABELS.get(metric) or metric_label(metric).partition(" (")[0]
 
 
 def show(result: RunResult) -> None:
-    """Print the table and the expectations of a run to stdout."""
+    """Print the table, the events and the expectations of a run on stdout."""
     terminal = console()
     print(*textwrap.wrap(headline(result.metrics), terminal.width), "", sep="\n")
     lines, plants = rows(result.metrics), result.metrics["plants"]
-    needless = {"difference": len(plants) < 2, "published": not any(line[-1] for line in lines)}
+    omitted = {"difference": len(plants) < 2, "published": not any(line[-1] for line in lines)}
     headings = ["metric", "unit", *plants, "difference", "published"]
-    kept = [k for k, heading in enumerate(headings) if not needless.get(heading)]
-    shown = new_table(
-        *(headings[k] for k in kept), left=(0, 1), title=marked(result.name, result.metrics["changes"])
-    )
+    columns = [k for k, heading in enumerate(headings) if not omitted.get(heading)]
+    title = marked(result.name, result.metrics["changes"])
+    table = new_table(*(headings[k] for k in columns), left=(0, 1), title=title)
     for line in lines:
-        shown.add_row(*(line[k] for k in kept))
-    terminal.print(shown)
+        table.add_row(*(line[k] for k in columns))
+    terminal.print(table)
     if "attribution" in result.metrics:
-        terminal.print(_why(result.metrics["attribution"]))
+        terminal.print(_attribution_table(result.metrics["attribution"]))
     left_out = left_out_line(result.metrics["left_out"])
     for text in [*event_lines(result.metrics), *expectation_lines(result.metrics), *left_out]:
-        for part in textwrap.wrap(text, terminal.width, subsequent_indent=" " * 7, break_long_words=False):
-            print(part)
+        for wrapped in textwrap.wrap(text, terminal.width, subsequent_indent=" " * 7, break_long_words=False):
+            print(wrapped)
 
 
-def _why(attribution: Mapping[str, Any]) -> Table:
-    """Return the table of what each assumption contributes to the gap."""
+def _attribution_table(attribution: Mapping[str, Any]) -> Table:
+    """Return the table of the contributions of the assumptions to the difference."""
     headings = ["\n".join(MEASURES[measure]) for measure in attribution["measures"]]
-    title = "why they differ: twin − analytical, and the share of each assumption"
-    shown = new_table("assumption", *headings, title=title)
+    title = "attribution: twin − analytical, and the contribution of each assumption"
+    table = new_table("assumption", *headings, title=title)
     for share in attribution["shares"]:
-        shown.add_row(share["name"], *map(_signed, share["value"]))
-    shown.add_row("not explained", *map(_signed, attribution["remainder"]), end_section=True)
-    shown.add_row("gap", *map(_signed, attribution["gap"]))
-    shown.add_row("matched (stiff bends)", *map(_signed, attribution["matched"]))
-    return shown
+        table.add_row(share["name"], *map(_signed, share["value"]))
+    table.add_row("not explained", *map(_signed, attribution["remainder"]), end_section=True)
+    table.add_row("difference", *map(_signed, attribution["gap"]))
+    table.add_row("matched (stiff bends)", *map(_signed, attribution["matched"]))
+    return table
 
 
 def _signed(value: float) -> str:
-    return f"{value:+.2g}" if abs(value) >= 5e-6 else "0"
+    return f"{value:+.2g}" if abs(value) >= _ZERO else "0"
 
 
 def _number(value: float | None) -> str:
@@ -113,23 +121,26 @@ def _number(value: float | None) -> str:
 
 
 def event_lines(metrics: Mapping[str, Any]) -> list[str]:
-    """Return a line for each event that a person should know of."""
-    events = [(plant, each) for plant, listed in metrics.get("events", {}).items() for each in listed]
-    return [f"{each['kind']:6} {plant} at {each['time']:.4g} s: {each['text']}" for plant, each in events]
+    """Return one line per event."""
+    return [
+        f"{event['kind']:6} {plant} at {event['time']:.4g} s: {event['text']}"
+        for plant, events in metrics.get("events", {}).items()
+        for event in events
+    ]
 
 
-def expectation_lines(metrics: Mapping[str, Any], verdicts: Container[str] = WORDS) -> list[str]:
-    """Return a line for each expectation of these verdicts: what came out, what is allowed, says who."""
-    return [_expectation(each) for each in metrics["expectations"] if verdict(each) in verdicts]
+def expectation_lines(metrics: Mapping[str, Any], verdicts: Container[str] = STATE_LABELS) -> list[str]:
+    """Return one line per expectation in these states: value, allowed range and source."""
+    return [_expectation_line(row) for row in metrics["expectations"] if verdict(row) in verdicts]
 
 
-def asks_why(metrics: Mapping[str, Any]) -> bool:
-    """Say whether the plants differ by more than was expected, and nobody has said why yet."""
-    missed = {each["metric"] for each in metrics["expectations"] if verdict(each) in ("missed", "known")}
+def needs_explanation(metrics: Mapping[str, Any]) -> bool:
+    """Return whether the plants differ more than expected and the attribution is missing."""
+    missed = {row["metric"] for row in metrics["expectations"] if verdict(row) in ("missed", "known")}
     return bool(missed & _EXPLAINABLE) and "attribution" not in metrics
 
 
-def _expectation(each: Mapping[str, Any]) -> str:
-    source = f" ({each['source']})" if each.get("source") else ""
-    why = [f"; {key}: {each[key]}" for key in ("reason", "known") if each.get(key)]
-    return f"{WORDS[verdict(each)]:6} {each['of']} {each['metric']} {in_words(each)}{source}{''.join(why)}"
+def _expectation_line(row: Mapping[str, Any]) -> str:
+    source = f" ({row['source']})" if row.get("source") else ""
+    remarks = "".join(f"; {key}: {row[key]}" for key in ("reason", "known") if row.get(key))
+    return f"{STATE_LABELS[verdict(row)]:6} {row['of']} {row['metric']} {in_words(row)}{source}{remarks}"

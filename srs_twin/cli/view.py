@@ -1,4 +1,4 @@
-"""`srs-twin view`: finished runs in Rerun; `play`: steer a robot's twin by keys."""
+"""`srs-twin view` and `play`: finished runs in Rerun, and keyboard control of a twin."""
 
 from __future__ import annotations
 
@@ -21,38 +21,38 @@ def view(
     web: Annotated[bool, option("--web")] = False,
     port: Annotated[int | None, option("--port N", min=1, max=65535)] = None,
 ) -> None:
-    """Open the recordings of runs.
+    """Open recordings of runs in Rerun.
 
     Options:
-        runs: Run folders, recordings, or names in runs/; several stand side by side.
-        web: Serve it for a browser on this machine, until Ctrl-C.
-        port: Of the page. [default: free]
+        runs: Run folders, recordings, or names of folders in runs/; several are shown side by side.
+        web: Serve the viewer to a browser on this machine until Ctrl-C.
+        port: TCP port of the web viewer. [default: free]
     """
     recordings = [find_recording(run) for run in runs]
     if port is not None and not web:
-        raise InputError("--port is for --web")
+        raise InputError("--port needs --web")
     with tempfile.TemporaryDirectory(prefix="srs-twin-view-") as folder:
-        shown = recordings[0]
+        recording = recordings[0]
         if len(recordings) > 1:
             from srs_twin.viewing.rerun.recording import write_side_by_side
 
-            shown = Path(folder) / "side-by-side.rrd"
-            write_side_by_side(shown, named(recordings))
+            recording = Path(folder) / "side-by-side.rrd"
+            write_side_by_side(recording, name_recordings(recordings))
         if web:
-            _serve(shown, port or 0)
+            _serve(recording, port or 0)
         else:
             from srs_twin.viewing.rerun.viewer import open_recording
 
-            open_recording(shown)
+            open_recording(recording)
 
 
 def _serve(recording: Path, port: int) -> None:
-    """Serve a recording until somebody ends it, which is no failure."""
-    from srs_twin.viewing.rerun.web import served
+    """Serve a recording until an interrupt, which is a normal end."""
+    from srs_twin.viewing.rerun.web import serve_recordings
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        with served([recording], port) as (address, serve):
+        with serve_recordings([recording], port) as (address, serve):
             typer.echo(address)
             sys.stdout.flush()
             print("open this address in a browser; Ctrl-C ends it", file=sys.stderr, flush=True)
@@ -62,74 +62,74 @@ def _serve(recording: Path, port: int) -> None:
 
 
 def find_recording(run: str) -> Path:
-    """Return the recording that a run left.
+    """Return the path of the recording of a run.
 
     Args:
-        run: the run's folder, the recording itself, or a scenario that ran into ``./runs``.
+        run: run folder, recording, or name of a folder in ``./runs``.
 
     Raises:
-        InputError: there is none.
+        InputError: no recording was found.
     """
-    looked = [Path(run), Path(run) / "recording.rrd", Path("runs") / run / "recording.rrd"]
-    for path in looked:
+    candidates = [Path(run), Path(run) / "recording.rrd", Path("runs") / run / "recording.rrd"]
+    for path in candidates:
         if os.path.isfile(path):
             if path.suffix != ".rrd":
                 raise InputError(f"{path}: not a recording; give a run folder or a file that ends in .rrd")
             return path
-    tried = ", ".join(str(path) for path in looked[1:])
-    raise InputError(f"{run}: no recording there (looked for {tried}); `srs-twin run SCENARIO` makes one")
+    searched = ", ".join(str(path) for path in candidates[1:])
+    raise InputError(f"{run}: no recording found (looked for {searched}); `srs-twin run SCENARIO` writes one")
 
 
-def named(recordings: Sequence[Path]) -> dict[str, Path]:
-    """Give recordings the names of their folders, longer where these are alike.
+def name_recordings(recordings: Sequence[Path]) -> dict[str, Path]:
+    """Return unique name → recording; a name has as many trailing parts of the path as needed.
 
     Raises:
-        InputError: one is given twice.
+        InputError: a recording is given twice.
     """
-    places = [path.resolve() for path in recordings]
-    places = [path.parent if path.name == "recording.rrd" else path for path in places]
-    if len(set(places)) < len(places):
-        twice = next(path for path in places if places.count(path) > 1)
-        raise InputError(f"{twice}: given twice")
+    paths = [path.resolve() for path in recordings]
+    paths = [path.parent if path.name == "recording.rrd" else path for path in paths]
+    if len(set(paths)) < len(paths):
+        duplicate = next(path for path in paths if paths.count(path) > 1)
+        raise InputError(f"{duplicate}: given twice")
     count = 1
-    while len({path.parts[-count:] for path in places}) < len(places):
+    while len({path.parts[-count:] for path in paths}) < len(paths):
         count += 1
-    return dict(zip(("/".join(path.parts[-count:]) for path in places), recordings, strict=True))
+    return dict(zip(("/".join(path.parts[-count:]) for path in paths), recordings, strict=True))
 
 
 def play(
     robot: RobotArgument,
-    change: Annotated[list[str] | None, option("--set FIELD=VALUE")] = None,
+    set_: Annotated[list[str] | None, option("--set FIELD=VALUE")] = None,
 ) -> None:
-    """Steer the twin of a robot live, in MuJoCo's viewer.
+    """Control the twin of a robot by keyboard in MuJoCo's viewer.
 
     Keys: arrows, page up and page down.
 
     Options:
-        change: Another value of a field, as robot.friction.mu_t=0.1; repeatable.
+        set_: Override a robot field, e.g. robot.friction.mu_t=0.1 (repeatable).
     """
     from srs_twin.io.documents import Document
     from srs_twin.robot.file import load_robot_file, resolve_robot
     from srs_twin.scenario.modified import changed_fields, changes_text
 
     document = Document(robot, {"robot": robot})
-    changed = ChangeOptions(change).changes()
-    for each in changed:
-        if each.loc[0] != "robot":
-            raise InputError(f"{each.label}: play has no scenario; set a field of robot")
-        document.apply(each)
-    found = resolve_robot(document, document.get("robot"), prefix=("robot",))
+    overrides = ChangeOptions(set_).changes()
+    for override in overrides:
+        if override.loc[0] != "robot":
+            raise InputError(f"{override.label}: play has no scenario; set a field of robot")
+        document.apply(override)
+    robot_file = resolve_robot(document, document.get("robot"), prefix=("robot",))
     document.raise_problems()
-    assert found is not None, "a robot without a problem was resolved"
-    from srs_twin.viewing.mujoco.live import MujocoWindow, refuse_without_display
+    assert robot_file is not None, "`finish` raises if the robot is invalid"
+    from srs_twin.viewing.mujoco.live import MujocoWindow, require_display
 
-    refuse_without_display()
+    require_display()
     from srs_twin.viewing.mujoco.live import LiveSnake, steer
 
     before = {"robot": load_robot_file(robot).model_dump(mode="json")}
-    after = {"robot": found.model_dump(mode="json")}
-    changes = changed_fields(before, after, [each.loc for each in changed])
-    # MuJoCo's font has ASCII alone.
-    snake = LiveSnake(found.spec(), modified=changes_text(changes).replace("→", "to"))
+    after = {"robot": robot_file.model_dump(mode="json")}
+    changes = changed_fields(before, after, [override.loc for override in overrides])
+    # The font of MuJoCo contains only ASCII.
+    snake = LiveSnake(robot_file.spec(), modified=changes_text(changes).replace("→", "to"))
     with MujocoWindow(snake) as window:
         steer(snake, window)

@@ -23,13 +23,13 @@ from srs_twin.cli.options import (
     RobotArgument,
     ScenarioArgument,
     argument,
-    at_once,
+    expand_option_groups,
+    jobs_option,
     option,
-    plants_of,
+    parse_plants,
     print_json,
-    with_options,
 )
-from srs_twin.cli.progress import Counting
+from srs_twin.cli.progress import RunCounter
 from srs_twin.errors import InputError
 from srs_twin.identification.fitting import (
     NOTHING_WRITTEN,
@@ -67,7 +67,7 @@ def calibrate() -> None:
 
 
 @app.command()
-@with_options
+@expand_option_groups
 def friction(
     context: typer.Context,
     files: FilesArgument,
@@ -112,7 +112,7 @@ def friction(
 
 
 @app.command()
-@with_options
+@expand_option_groups
 def design(
     robot: RobotArgument,
     want: Annotated[str, option("--want NAMES")],
@@ -162,7 +162,7 @@ def design(
 
 
 @app.command()
-@with_options
+@expand_option_groups
 def actuator(
     context: typer.Context,
     files: FilesArgument,
@@ -220,7 +220,7 @@ def actuator(
 
 
 @app.command()
-@with_options
+@expand_option_groups
 def locomotion(
     context: typer.Context,
     files: FilesArgument,
@@ -282,7 +282,7 @@ def locomotion(
 
 
 @app.command()
-@with_options
+@expand_option_groups
 def robot(
     fits: Annotated[list[str], argument("FIT")],
     name: Annotated[str, option("--name NAME")],
@@ -367,7 +367,7 @@ def _needless(given: object, option: str, why: str) -> None:
 
 
 @app.command()
-@with_options
+@expand_option_groups
 def footprint(
     robot: RobotArgument,
     controller: Annotated[str, option("--controller NAME")] = "gait",
@@ -381,7 +381,7 @@ def footprint(
     transients: Annotated[bool, option("--transients/--no-transients")] = True,
     periods: Annotated[int, option("--periods N")] = 6,
     phases: Annotated[int, option("--phases N")] = 4,
-    threads: Annotated[int | None, at_once("--threads -j N")] = None,
+    threads: Annotated[int | None, jobs_option("--threads -j N")] = None,
     out: Annotated[str, option("--out DIR")] = FOOTPRINTS,
     name: Annotated[str | None, option("--name NAME")] = None,
     overwrite: OverwriteOption = False,
@@ -426,7 +426,7 @@ def footprint(
     if not overwrite:
         refuse_other(path, study, robot, called)
     check_output_folder(path.parent, (path.name,))
-    with interruptible(NOTHING_WRITTEN), Counting(called, study.runs, quiet=quiet) as counting:
+    with interruptible(NOTHING_WRITTEN), RunCounter(called, study.runs, quiet=quiet) as counting:
         measured = study.measure(threads=threads, progress=lambda done: counting(failed=False))
     file = footprint_file(measured, called)
     if as_json:
@@ -438,7 +438,7 @@ def footprint(
 
 
 @app.command()
-@with_options
+@expand_option_groups
 def margin(
     scenario: ScenarioArgument,
     runs: Annotated[int, option("--runs N", min=20, max=10_000)] = 100,
@@ -469,12 +469,12 @@ def margin(
     # Whatever margin the scenario wants, it is not what is measured.
     none = Override("a margin to be measured", ("planner", "margin_probability"), None)
     found = load_scenario(scenario, set=[*changes.changes(), none])
-    chosen = plants_of(plants) or list(found.plants)
+    chosen = parse_plants(plants) or list(found.plants)
     assert found.file.section("planner") is not None, "a margin of it was set"
     place = find_file("footprint", found.file.section("planner").footprint)
     path = Path(out) / f"{load_footprint_file(place).name}.yaml"
     check_output_folder(path.parent, (path.name,))
-    with interruptible(NOTHING_WRITTEN), Counting(found.name, runs * len(chosen), quiet=quiet) as counting:
+    with interruptible(NOTHING_WRITTEN), RunCounter(found.name, runs * len(chosen), quiet=quiet) as counting:
         measured = [
             excursions(found, plant, runs, workers=jobs, progress=lambda: counting(failed=False))
             for plant in chosen

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srs_twin.viewing.html.page import Picture, Table, picture, piece, render
+from srs_twin.viewing.html.page import Picture, Table, notebook_output, picture, render
 from srs_twin.viewing.plots.style import finish, panels
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def fit_report(fit: FitFile, estimate: Estimate) -> str:
 
 def fit_page(fit: Estimate | FitFile) -> str:
     """Return a fit as HTML for a notebook."""
-    return piece(getattr(fit, "title", "Fit"), parameter_table(fit.parameters))
+    return notebook_output(getattr(fit, "title", "Fit"), parameter_table(fit.parameters))
 
 
 def residual_plot(residuals: Sequence[Residual]) -> Figure:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from srs_twin.cli.batch import RUNS, failing, run_all
+from srs_twin.cli.batch import RUNS_FOLDER, failing_verdicts, run_all
 from srs_twin.cli.cases import Case
 from srs_twin.cli.console import say
 from srs_twin.cli.options import (
@@ -21,7 +21,7 @@ from srs_twin.cli.options import (
     StrictOption,
     argument,
     option,
-    plants_of,
+    parse_plants,
 )
 from srs_twin.errors import InputError
 from srs_twin.recordings.options import FrequencyOption, OffsetOption, ReadingOptions
@@ -74,7 +74,7 @@ def replay(
     from srs_twin.io.files import results_name
     from srs_twin.scenario.loading import parse_scenario
 
-    fails = failing(check=check, strict=strict)
+    fails = failing_verdicts(check=check, strict=strict)
     if fails and expect is None:
         asked = "--check" if check else "--strict"
         raise InputError(f"{asked}: nothing is expected; give --expect FILE.yaml")
@@ -98,7 +98,7 @@ def replay(
         document["supply"] = {"pressure_kpa": pressure}
     scenario = parse_scenario(document, name="replay", set=changed.changes())
     cases = [Case(scenario.name, scenario)]
-    run_all(cases, out=out or str(RUNS / name), fails=fails, quiet=quiet, as_json=as_json)
+    run_all(cases, out=out or str(RUNS_FOLDER / name), fails=fails, quiet=quiet, as_json=as_json)
 
 
 def _robot(robot: str, fits: Sequence[str]) -> RobotFile:
@@ -138,7 +138,7 @@ def _plants(names: str, model: str, law: str | None, bench: bool) -> dict[str, A
         raise InputError("--law: take it out; on a bench there is no floor")
     floor = {} if bench else {"friction": law or "wheel"}
     settings: dict[str, Any] = {"analytical": {"model": model, **floor}, "twin": {}}
-    return {name: settings[name] for name in plants_of(names) or settings}
+    return {name: settings[name] for name in parse_plants(names) or settings}
 
 
 def _expectations(path: str) -> list[Any]:

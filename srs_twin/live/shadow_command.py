@@ -219,7 +219,7 @@ def _session(
         from srs_twin.viewing.rerun.live import live_view
 
         keep = None if out is None else create_numbered_file(out, RECORDINGS)
-        view, shown = stack.enter_context(live_view(spec, keep=keep, window=window, web=web))
+        view, shown = stack.enter_context(live_view(spec, recording=keep, window=window, web=web))
         views.append(view)
     session = Session(twin, links, out=out, steering=steering, commands=commands, views=views, keys=keys)
     return session, shown

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from srs_twin.cli.batch import RUNS
+from srs_twin.cli.batch import RUNS_FOLDER
 from srs_twin.cli.cases import EXPECTATION_FAILED
 from srs_twin.cli.console import say
 from srs_twin.cli.options import (
@@ -51,7 +51,7 @@ def plan(
         check: Exit with 1 when an expectation of the plan fails, or no plan is found.
         search: Also a picture and a recording of what the search explored and rejected.
     """
-    from srs_twin.cli.table import WORDS
+    from srs_twin.cli.table import STATE_LABELS
     from srs_twin.io.file_sets import replace_files
     from srs_twin.io.files import check_output_folder
     from srs_twin.planning.metrics import plan_metrics
@@ -62,7 +62,7 @@ def plan(
     loaded = load_scenario(scenario, set=changed.changes())
     if loaded.planner is None:
         raise InputError(f"{scenario}: it has no planner; add planner, and controller.kind: follow")
-    folder = Path(out) if out else RUNS / loaded.name
+    folder = Path(out) if out else RUNS_FOLDER / loaded.name
     files = (PLAN, PICTURE, *((SEARCH, RECORDING) if search else ()))
     check_output_folder(folder, files)
     with loaded.named_in_errors():
@@ -81,7 +81,7 @@ def plan(
     missed = [each for each in checked if verdict(each) == "missed"]
     for each in checked if not quiet else missed if check else ():
         (say if as_json else print)(
-            f"{WORDS[verdict(each)]:6} {each['metric']} = {each['value']}, allowed {each['allowed']}"
+            f"{STATE_LABELS[verdict(each)]:6} {each['metric']} = {each['value']}, allowed {each['allowed']}"
         )
     left_out = [each for each in loaded.left_out if each["metric"] in metrics]
     for line in left_out_line(left_out) if not quiet else ():

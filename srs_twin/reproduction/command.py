@@ -12,7 +12,7 @@ import typer
 from srs_twin.cli.console import interruptible, say
 from srs_twin.cli.junit import TestCase, write_report
 from srs_twin.cli.options import JobsOption, JsonOption, QuietOption, option
-from srs_twin.cli.progress import Counting
+from srs_twin.cli.progress import RunCounter
 
 if TYPE_CHECKING:
     from srs_twin.reproduction.claims import Claim
@@ -113,7 +113,7 @@ def _show_scorecard(*, as_json: bool) -> None:
 @contextmanager
 def _counting(title: str, *, quiet: bool) -> Iterator[Callable[[int], Callable[[Row], None]]]:
     """Yield what takes the number of further runs and returns what counts each that is finished."""
-    with Counting(title, 0, quiet=quiet) as counting:
+    with RunCounter(title, 0, quiet=quiet) as counting:
 
         def progress(row: Row) -> None:
             counting(failed=row.exit_code != 0)

@@ -32,8 +32,8 @@ from srs_twin.viewing.plots.runs import (
     bend_plot,
     error_plot,
     learning_plot,
+    runs_with_styles,
     speed_plot,
-    styled,
     tracking_plot,
 )
 from srs_twin.viewing.plots.style import finish, panels
@@ -140,7 +140,7 @@ def _sweep(store: Store, picture: Picture) -> Figure:
 
 def _over_time(runs: Trajectories, value: Callable[[Trajectory], np.ndarray], label: str) -> Figure:
     figure, (axes,) = panels(3.0)
-    for style, run in styled(runs):
+    for style, run in runs_with_styles(runs):
         axes.plot(run.time, value(run), **style.line)
     finish(axes, label, "time (s)")
     axes.legend(loc="best", fontsize=8, frameon=False)
@@ -156,7 +156,7 @@ def _readings(runs: Trajectories) -> Figure:
     """Draw what the embedded sensors read beside the bends (Fig. 40, 47)."""
     count = next(iter(runs.values())).stack("bend").shape[1]
     figure, rows = panels(1.2 + 1.3 * count, count, share_y=True)
-    for style, run in styled(runs):
+    for style, run in runs_with_styles(runs):
         seen = run.time >= run.time[-1] - 2.0
         for j, axes in enumerate(rows, start=1):
             axes.plot(run.time[seen], run[f"sensed_{j}"][seen], color=style.color, linewidth=0.5, alpha=0.4)
@@ -186,7 +186,7 @@ def _paths(store: Store, picture: Picture) -> Figure:
     figure, (axes,) = panels(4.5)
     colors = colormaps["viridis"](np.linspace(0.0, 0.9, len(picture.of)))
     for name, color, runs in zip(picture.names, colors, picture.of, strict=True):
-        for style, run in styled(_trajectories(store, runs)):
+        for style, run in runs_with_styles(_trajectories(store, runs)):
             axes.plot(*run.com.T, color=color, linestyle=style.dash, label=f"{name}, {style.label}")
     axes.set_aspect("equal", adjustable="datalim")
     finish(axes, "y (m)", "x (m)", title="Paths of the centre of mass")

@@ -1,1 +1,1 @@
-"""Recordings, plots and reports of finished runs."""
+"""Recordings, plots, images and reports of runs."""

@@ -1,4 +1,4 @@
-"""What extensions add to the pictures of runs."""
+"""Additions of extensions to the plots and recordings of runs."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 
 class FloorLine(NamedTuple):
-    """A line on the floor.
+    """Line on the floor.
 
     Attributes:
-        name: of the entity in a recording.
-        strips: polylines of shape (n, 2), m.
-        color: #rrggbb.
-        radius: half the width, m.
+        name: name of its entity in a recording.
+        strips: polylines, each of shape (n, 2), m.
+        color: colour, #rrggbb.
+        radius: half of the line width, m.
     """
 
     name: str
@@ -33,13 +33,13 @@ class FloorLine(NamedTuple):
 
 
 class FollowedSignal(NamedTuple):
-    """A recorded signal with a plot of its own.
+    """Recorded signal with a separate plot.
 
     Attributes:
-        column: of the trajectory.
-        entity: in a recording.
-        factor: shown value over SI value.
-        title: of the plot.
+        column: column of the trajectory.
+        entity: name of its entity in a recording.
+        factor: plotted value per SI value.
+        title: title of the plot.
     """
 
     column: str
@@ -49,12 +49,12 @@ class FollowedSignal(NamedTuple):
 
 
 class RunPictures:
-    """Additions to the pictures of runs of one kind. Each hook adds nothing by default.
+    """Additions to the plots and recordings of one kind of run. By default, all methods add nothing.
 
     Attributes:
-        kind: of the experiment.
-        legend: line on the floor → colour, #rrggbb.
-        signals: plotted in recordings.
+        kind: kind of experiment.
+        legend: name of a line on the floor → colour, #rrggbb.
+        signals: signals that recordings plot.
     """
 
     kind: ClassVar[str] = ""
@@ -66,11 +66,11 @@ class RunPictures:
         return False
 
     def figures(self, runs: Mapping[str, Trajectory], spec: RobotSpec) -> dict[str, Figure]:
-        """Return caption → figure for the report; runs: plant → trajectory."""
+        """Return caption → figure for the report, given plant → trajectory."""
         return {}
 
     def floor_lines(self, run: Trajectory) -> list[FloorLine]:
-        """Return lines that lie on the floor of a run."""
+        """Return the lines on the floor of a run."""
         return []
 
 
@@ -81,5 +81,5 @@ def additions() -> tuple[RunPictures, ...]:
 
 
 def added_to(run: Trajectory) -> RunPictures | None:
-    """Return the additions to the pictures of a run."""
+    """Return the additions to a run; None if no extension adds anything."""
     return next((pictures for pictures in additions() if pictures.applies(run)), None)

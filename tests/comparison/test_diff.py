@@ -1,4 +1,8 @@
+<<<<<<<< HEAD:tests/comparison/test_diff.py
 """`srs-twin diff`: changed values between two sets of results."""
+========
+"""`srs-twin diff`: differences between two sets of results."""
+>>>>>>>> c6:tests/cli/test_diff.py
 
 from __future__ import annotations
 
@@ -52,19 +56,31 @@ def runs(tmp_path_factory):
     return folder
 
 
+<<<<<<<< HEAD:tests/comparison/test_diff.py
 def test_a_run_equals_itself(runs, capsys):
+========
+def test_run_has_no_difference_from_itself(runs, capsys):
+>>>>>>>> c6:tests/cli/test_diff.py
     code, out, err = call(capsys, "diff", str(runs / "a"), str(runs / "b"))
-    assert (code, err) == (0, "") and out.startswith("0 moved, ")
+    assert (code, err) == (0, "") and out.startswith("0 different, ")
     assert int(out.split()[2]) > 20  # wall times, which do differ, are left out
 
 
+<<<<<<<< HEAD:tests/comparison/test_diff.py
 def test_files_of_a_killed_run_are_ignored(runs, capsys, tmp_path):
+========
+def test_files_of_a_killed_run_are_not_results(runs, capsys, tmp_path):
+>>>>>>>> c6:tests/cli/test_diff.py
     shutil.copytree(runs / "a", tmp_path / "a")
     shutil.copytree(runs / "c/walk", tmp_path / "a/walk/.part-killed/.earlier")
     assert call(capsys, "diff", str(runs / "a"), str(tmp_path / "a"))[0] == 0
 
 
+<<<<<<<< HEAD:tests/comparison/test_diff.py
 def test_a_different_offset_changes_the_yaw_rate(runs, capsys, tmp_path):
+========
+def test_changed_offset_changes_the_yaw_rate(runs, capsys, tmp_path):
+>>>>>>>> c6:tests/cli/test_diff.py
     a, c = str(runs / "a/walk"), str(runs / "c/walk/metrics.json")
     report = tmp_path / "moved.xml"
     code, out, _ = call(capsys, "diff", a, c, "--json", "--junit", str(report))
@@ -86,7 +102,11 @@ def test_a_different_offset_changes_the_yaw_rate(runs, capsys, tmp_path):
     assert {each["metric"] for each in json.loads(out)["moved"]} == moved.keys() - {yaw["metric"]}
 
 
+<<<<<<<< HEAD:tests/comparison/test_diff.py
 def test_a_missing_scenario_is_a_change(runs, capsys, tmp_path):
+========
+def test_missing_scenario_is_a_difference(runs, capsys, tmp_path):
+>>>>>>>> c6:tests/cli/test_diff.py
     shutil.copytree(runs / "a", tmp_path / "more")
     shutil.copytree(runs / "a/walk", tmp_path / "more/other")
     code, out, _ = call(capsys, "diff", str(runs / "a"), str(tmp_path / "more"), "--json")
@@ -111,7 +131,11 @@ def test_sweeps_are_paired_by_their_fields(capsys, tmp_path, monkeypatch):
     assert {each["where"] for each in moved} == {"supply.pressure_kpa=41", "supply.pressure_kpa=42"}
 
 
+<<<<<<<< HEAD:tests/comparison/test_diff.py
 def test_an_expectation_that_is_no_longer_judged_is_a_change(capsys, tmp_path):
+========
+def test_expectation_that_is_no_longer_judged_is_a_difference(capsys, tmp_path):
+>>>>>>>> c6:tests/cli/test_diff.py
     row = {"metric": "com_speed_m_s", "of": "twin", "met": True}
     for name, found in (("a", row), ("b", row | {"met": False, "state": "not_judged"})):
         run = {"scenario": "walk", "plants": {}, "comparison": None, "expectations": [found], "versions": {}}
@@ -122,19 +146,27 @@ def test_an_expectation_that_is_no_longer_judged_is_a_change(capsys, tmp_path):
     assert (code, moved["metric"], moved["a"], moved["b"]) == (1, "expectations[0].met", True, "not judged")
 
 
+<<<<<<<< HEAD:tests/comparison/test_diff.py
 def test_a_changed_verdict_is_a_change(capsys, tmp_path):
+========
+def test_changed_verdict_is_a_difference(capsys, tmp_path):
+>>>>>>>> c6:tests/cli/test_diff.py
     outcome = {"verdict": "met", "value": 1.0, "values": [1.0], "error": 0.0, "why": ""}
     rows = [{"id": "row", "outcomes": {"twin": outcome}}]
     for name, verdict in (("a", "met"), ("b", "missed")):
         outcome["verdict"] = verdict
         (tmp_path / f"{name}.json").write_text(json.dumps({"rows": rows, "versions": {"mujoco": name}}))
     code, out, err = call(capsys, "diff", str(tmp_path / "a.json"), str(tmp_path / "b.json"))
-    assert code == 1 and "row, twin" in out and "missed" in out and "1 moved, 1 the same" in out
-    assert err == "made with another mujoco: a → b\n"
+    assert code == 1 and "row, twin" in out and "missed" in out and "1 different, 1 equal" in out
+    assert err == "different versions of mujoco: a → b\n"
 
 
 @pytest.mark.parametrize("options", [(), ("--json",)])
+<<<<<<<< HEAD:tests/comparison/test_diff.py
 def test_control_characters_in_names_are_not_printed(capsys, tmp_path, options):
+========
+def test_control_characters_in_results_are_escaped(capsys, tmp_path, options):
+>>>>>>>> c6:tests/cli/test_diff.py
     for name, verdict in (("a", "met"), ("b", "[red]x\x1b[31m\x9b")):
         outcomes = {"twin": {"verdict": verdict, "value": 1.0}}
         document = {"rows": [{"id": "\x1b[31mrow\x7f", "outcomes": outcomes}], "versions": {}}
@@ -155,7 +187,7 @@ def test_control_characters_in_names_are_not_printed(capsys, tmp_path, options):
         (("a", "a", "--abs", "nan"), "--abs nan is not allowed"),
         (("a", "a", "--tolerances", "bad.yaml"), "bad.yaml:1:6: rel: must be a number from 0 to 1"),
         (("a", "a", "--tolerances", "unknown.yaml"), "unknown metric of a tolerance 'com_sped_m_s'"),
-        (("a", "a", "--junit", "a.yaml"), "--junit a.yaml: not the name of a report"),
+        (("a", "a", "--junit", "a.yaml"), "--junit a.yaml: the file name of a report must end in .xml"),
     ],
 )
 def test_invalid_arguments_are_reported(runs, capsys, monkeypatch, words, said):
@@ -197,8 +229,13 @@ def test_tolerance_follows_its_definition(a, rel):
 
 
 @pytest.mark.slow
+<<<<<<<< HEAD:tests/comparison/test_diff.py
 def test_default_tolerances_allow_another_arithmetic(tmp_path):
     """Other variants of sin and exp in the C library change the last digits, but no metric."""
+========
+def test_rounding_differences_are_within_the_default_tolerances(tmp_path):
+    """The C library's other variants of sin and exp: last digits differ, no metric moves."""
+>>>>>>>> c6:tests/cli/test_diff.py
     (tmp_path / "sweep.yaml").write_text(SWEEP)
     results = {}
     for name, tunables in (("own", ""), ("other", "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4")):
@@ -231,7 +268,11 @@ def test_documented_tolerances_load(tmp_path):
 
 
 def test_foreign_files_are_refused(tmp_path):
+<<<<<<<< HEAD:tests/comparison/test_diff.py
     with pytest.raises(InputError, match="the folder has no results"):
+========
+    with pytest.raises(InputError, match="holds no results"):
+>>>>>>>> c6:tests/cli/test_diff.py
         read_results(tmp_path)
 
 
@@ -271,7 +312,11 @@ def test_foreign_json_is_refused(capsys, tmp_path, name, content):
     assert (code, out) == (2, "") and "not the results of a run, a sweep or a reproduction" in err
 
 
+<<<<<<<< HEAD:tests/comparison/test_diff.py
 def test_results_are_searched_in_deep_folders(capsys, tmp_path, monkeypatch):
+========
+def test_results_are_found_in_nested_folders(capsys, tmp_path, monkeypatch):
+>>>>>>>> c6:tests/cli/test_diff.py
     levels = sys.getrecursionlimit() + 50
     monkeypatch.chdir(tmp_path)
     for _ in range(levels):

@@ -161,7 +161,7 @@ def test_the_report_shows_readings_only_with_a_sensor(tmp_path):
 
     bend = there_and_back(1.0)
     figure = reading_plot({"twin": run(bend, bend), "analytical": run(bend, bend)})
-    assert [axes.get_ylabel() for axes in figure.axes] == ["sensed (°)", "mean less bend (°)"]
+    assert [axes.get_ylabel() for axes in figure.axes] == ["sensed (°)", "mean − bend (°)"]
     assert reading_plot({"twin": run(bend, bend, {"kind": "ideal"})}) is None
     figure = reading_plot({"twin": run([0.0, 0.1], [np.nan, np.nan])})
     figure.savefig(tmp_path / "lost.png")

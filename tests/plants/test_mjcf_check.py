@@ -286,10 +286,10 @@ def test_welded_urdf_base_is_noted_with_a_remedy(tmp_path, srs_twin):
     )
     done = srs_twin("models", "check", "fixed.urdf", "dot.mjcf", cwd=tmp_path)
     fit, base, ball = done.stdout.splitlines()
-    assert fit.startswith("fixed.urdf: fit for use (1 bodies, 1 joints, 0 actuators, 0.4 kg")
+    assert fit.startswith("fixed.urdf: valid (1 bodies, 1 joints, 0 actuators, 0.4 kg")
     assert base.startswith("fixed.urdf: its root link 'base' is welded to the world, as MuJoCo does")
     assert "for a free base, join it to a root link without mass by a joint of type floating" in base
-    assert ball.startswith("dot.mjcf: fit for use (1 bodies, 1 joints") and done.returncode == 0
+    assert ball.startswith("dot.mjcf: valid (1 bodies, 1 joints") and done.returncode == 0
     done = srs_twin("models", "check", "one.urdf", "--json", cwd=tmp_path)
     (actual,) = json.loads(done.stdout)["models"]
     assert done.returncode == 2 and len(actual["faults"]) == len(actual["notes"]) == 1

@@ -356,7 +356,7 @@ def test_report_shows_reference_tracking(tmp_path):
     assert {"overshoot, relative", "rise, 10 to 90 %", "inlet openings"} <= headings
     assert not headings & {"CoM speed", "path length", "yaw rate"}
     page = (tmp_path / "report.html").read_text("utf-8")
-    assert "How the first segment follows its reference." in page and "Speed of the centre" not in page
+    assert "Bend of the first segment and its reference." in page and "Speed of the centre" not in page
     assert (tmp_path / "recording.rrd").stat().st_size > 10_000
     assert load_scenario(tmp_path / "scenario.resolved.yaml") == scenario
 

@@ -264,7 +264,7 @@ def test_replay_command(tmp_path, srs_twin):
     )
     assert "measured shape RMS" in done.stdout and "met    analytical measured_shape_rms_m" in done.stdout
     report = (run / "report.html").read_text("utf-8")
-    assert "How far each plant is from what was measured" in report
+    assert "Difference of each plant from the measured robot" in report
     assert b"world/measured/connectors" in (run / "recording.rrd").read_bytes()
     assert "measured.parquet" in {path.name for path in run.iterdir()}
 

@@ -235,7 +235,7 @@ def test_bench_replay_command(bench, srs_twin, tmp_path):
     recording = (run / "recording.rrd").read_bytes()
     assert b"measured/bend/twin" in recording and b"measured/shape/" not in recording
     report = (run / "report.html").read_text("utf-8")
-    assert "How far each plant is from what was measured" in report and "measured bend RMS" in report
+    assert "Difference of each plant from the measured robot" in report and "measured bend RMS" in report
     again = srs_twin("run", str(run / "scenario.resolved.yaml"), "--check", "--out", "x", "-q", cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     refused = srs_twin(*words, "--bench", "--law", "axis", cwd=tmp_path)

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 import pytest
 from conftest import ROOT
-from reproduction import between, markdown, remembered, table
+from reproduction import judged_claims, markdown, replace_between, table
 
 from srs_twin.cli import main
 from srs_twin.reproduction.claims import load_claims
@@ -112,13 +112,13 @@ def test_a_verdict_that_changed_is_exit_code_1_better_or_worse(before, tmp_path,
 # What stands in the documents is what the committed baseline says.
 
 CLAIMS, BASELINE = load_claims(), load_baseline()
-ROWS = remembered(CLAIMS, BASELINE)
+ROWS = judged_claims(CLAIMS, BASELINE)
 
 
 @pytest.mark.parametrize(("page", "text"), [("README.md", table), ("docs/reproduction.md", markdown)])
 def test_pages_say_what_the_baseline_says(page, text):
     found = (ROOT / page).read_text("utf-8")
-    assert found == between(found, "reproduction", text(ROWS)), (
+    assert found == replace_between(found, "reproduction", text(ROWS)), (
         "uv run python docs/reproduction.py writes it anew"
     )
 

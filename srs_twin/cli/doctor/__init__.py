@@ -1,5 +1,5 @@
-"""What is installed, what of it works here, and what to do about what does not.
+"""Checks of the installation and the machine for `srs-twin doctor`, with remedies.
 
-Whatever could crash, hang or leave something behind runs in processes of its own (`probes`); `examination`
-starts them and puts their answers beside what this process finds out by itself (`checks`).
+`checks` contains what this process can find out itself. Tests that may crash, hang or leave files behind are
+probes (`probes`) and run in child processes; `examination` starts them and collects all checks.
 """

@@ -1,8 +1,6 @@
-"""Checks: one thing looked at each, whether it works, and the remedy where it does not.
+"""Checks that need no child process: Python, packages, extras, processors, memory and disk space.
 
-What this process finds out by itself: Python, the packages that srs_twin asks for and its extras, as
-installed; the machine as a run sees it, where limits of a container count: processors, memory, room for
-results.
+The limits of a container count where they are lower than those of the machine.
 """
 
 from __future__ import annotations
@@ -24,22 +22,24 @@ from typing import Literal
 from srs_twin.errors import InputError, describe_exit
 from srs_twin.io.files import check_output_folder, display_path
 
-INSTALLATION, MACHINE, EXTRAS = "installation", "machine", "extras"
+INSTALLATION = "installation"
+MACHINE = "machine"
+EXTRAS = "extras"
 Status = Literal["ok", "missing", "broken", "undecided"]
 
 
 @dataclass(frozen=True)
 class Check:
-    """One line of what `srs-twin doctor` says.
+    """Result of one check of `srs-twin doctor`.
 
     Attributes:
-        topic: what it belongs to.
-        name: what was looked at, unique.
-        status: "ok"; "missing": not there, or too little of it; "broken": there, but it does not work;
-            "undecided": no answer in time, or not tried, which says nothing about whether it works.
-        detail: what was found.
-        remedy: a command or a sentence; empty where, and only where, all is well.
-        necessary: whether runs fail without it.
+        topic: group of the check.
+        name: unique name of the check.
+        status: "ok"; "missing": absent or insufficient; "broken": present but not working; "undecided": no
+            result in time, or not tested.
+        detail: observation.
+        remedy: command or sentence; empty if and only if the status is "ok".
+        necessary: whether runs require it.
     """
 
     topic: str
@@ -51,48 +51,50 @@ class Check:
 
     def __post_init__(self) -> None:
         if bool(self.remedy) == (self.status == "ok"):
-            raise ValueError(f"{self.name}: {self.status}, but its remedy is {self.remedy!r}")
+            raise ValueError(f"{self.name}: remedy {self.remedy!r} does not match status {self.status}")
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What came of a probe; fields as in `Check`, the remedy empty where the probe knows none itself."""
+class ProbeResult:
+    """Result of a probe; fields as in `Check`, but the remedy may be empty for every status."""
 
     status: Status
     detail: str
     remedy: str = ""
 
 
-def ended(code: int) -> Answer:
-    """Return what the end of a process says that gave no answer; below 0 the signal that ended it."""
-    if code in (-signal.SIGALRM, -signal.SIGKILL):  # SIGKILL: by a system short of memory
-        remedy = "this machine is busy, or very slow: run `srs-twin doctor` again when it is not"
-        return Answer("undecided", "slow: no answer in time", remedy)
-    return Answer("broken", describe_exit(code))
+def result_of_exit(code: int) -> ProbeResult:
+    """Return the result of a process that exited without reporting one; a negative code is a signal."""
+    if code in (-signal.SIGALRM, -signal.SIGKILL):  # SIGKILL: sent by a system that is short of memory
+        remedy = "this machine is busy or very slow: run `srs-twin doctor` again later"
+        return ProbeResult("undecided", "slow: no result in time", remedy)
+    return ProbeResult("broken", describe_exit(code))
 
 
-def failing(checks: Iterable[Check]) -> list[Check]:
-    """Return those that are necessary and do not work; a slow machine is no reason to refuse it."""
+def failed_checks(checks: Iterable[Check]) -> list[Check]:
+    """Return the necessary checks that failed; undecided checks do not fail."""
     return [check for check in checks if check.necessary and check.status in ("missing", "broken")]
 
 
 DISTRIBUTION = "srs-twin"
 
 PURPOSES = {
-    "envs": "environments for agents (docs/environments.md)",
-    "gpu": "twins on an accelerator (`srs-twin sweep --engine warp`)",
-    "ompl": "a baseline beside the project's own planner (`planner: {kind: ompl}`)",
+    "envs": "reinforcement-learning environments (docs/environments.md)",
+    "gpu": "twins on a GPU (`srs-twin sweep --engine warp`)",
+    "ompl": "OMPL as a baseline planner (`planner: {kind: ompl}`)",
     "ray": "sweeps on several machines (`srs-twin sweep --engine ray`)",
-    "live": "a robot on the air (MQTT), journals",
-    "recordings": "recordings in the formats C3D and MCAP, bags of ROS",
+    "live": "live twin over MQTT, journals",
+    "recordings": "recordings in C3D and MCAP files and ROS bags",
     "optimize": "studies (`srs-twin optimize`)",
     "video": "videos (`srs-twin render RUN --video out.mp4`)",
 }
-"""What each extra of pyproject.toml is for."""
+"""Purpose of each extra in pyproject.toml."""
 
-_DECIDING = ("mujoco", "dm-control", "numpy", "scipy", "numba", "pyarrow", "matplotlib", "rerun-sdk")
+_LISTED_PACKAGES = ("mujoco", "dm-control", "numpy", "scipy", "numba", "pyarrow", "matplotlib", "rerun-sdk")
+"""Packages whose versions are printed; they affect results most."""
 
-# Others are called like their package. Rerun's half in Python takes as long to import as all others together.
+# Modules whose names differ from their package. Of rerun-sdk only the bindings are imported: its Python part
+# takes as long to import as all other packages together.
 _MODULES = {
     "rerun-sdk": "rerun_bindings",
     "ruamel-yaml": "ruamel.yaml",
@@ -102,15 +104,15 @@ _MODULES = {
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """A package that srs_twin asks for.
+class RequiredPackage:
+    """Package that srs_twin requires.
 
     Attributes:
-        name: of the distribution.
-        requirement: as a package manager takes it, e.g. "mujoco<4,>=3.17".
-        installed: version, None where there is none.
-        fits: whether that version is one of those asked for.
-        extra: name of the extra that it belongs to; empty: always asked for.
+        name: name of the distribution.
+        requirement: requirement in the syntax of pip, e.g. "mujoco<4,>=3.17".
+        installed: installed version; None if it is not installed.
+        fits: whether the installed version satisfies the requirement.
+        extra: extra that requires it; empty: always required.
     """
 
     name: str
@@ -121,84 +123,90 @@ class Wanted:
 
     @property
     def fault(self) -> str:
-        """What is wrong with it, empty where nothing is."""
+        """Problem with the installed version; empty if there is none."""
         if self.installed is None:
             return f"{self.name} is missing"
-        return "" if self.fits else f"{self.name} is {self.installed}, but {self.requirement} is asked for"
+        return "" if self.fits else f"{self.name} is {self.installed}, but {self.requirement} is required"
 
 
-def wanted(requirements: Sequence[str]) -> list[Wanted]:
-    """Return the packages of requirements that hold on this machine, with what of them is installed."""
+def required_packages(requirements: Sequence[str]) -> list[RequiredPackage]:
+    """Return the packages of the requirements that apply to this machine, with their installed versions."""
     from packaging.requirements import Requirement
 
-    found = []
+    packages = []
     for requirement in map(Requirement, requirements):
         extra = _extra_of(str(requirement.marker or ""))
         if requirement.marker is None or requirement.marker.evaluate({"extra": extra}):
             installed = _installed(requirement.name)
             fits = installed is not None and requirement.specifier.contains(installed, prereleases=True)
             text = f"{requirement.name}{requirement.specifier}"
-            found.append(Wanted(requirement.name, text, installed, fits, extra))
-    return found
+            packages.append(RequiredPackage(requirement.name, text, installed, fits, extra))
+    return packages
 
 
-def modules(packages: Sequence[Wanted]) -> list[str]:
-    """Return the top modules of the packages that are always asked for, those that are not there left out."""
-    there = (each.name for each in packages if not each.extra and each.installed is not None)
-    return [_MODULES.get(name, name.replace("-", "_")) for name in there]
+def modules(packages: Sequence[RequiredPackage]) -> list[str]:
+    """Return the modules of the installed packages that are always required."""
+    names = (package.name for package in packages if not package.extra and package.installed is not None)
+    return [_MODULES.get(name, name.replace("-", "_")) for name in names]
 
 
 def python_check(version: str, allowed: str) -> Check:
-    """Judge Python's version.
+    """Check the version of Python.
 
     Args:
-        version: e.g. "3.11.7".
-        allowed: what pyproject.toml asks for, e.g. ">=3.11,<3.13".
+        version: running version, e.g. "3.11.7".
+        allowed: `requires-python` of pyproject.toml, e.g. ">=3.11,<3.13".
     """
     from packaging.specifiers import SpecifierSet
 
-    about = f"{version} ({platform.python_implementation()}, {platform.system()} {platform.machine()})"
+    detail = f"{version} ({platform.python_implementation()}, {platform.system()} {platform.machine()})"
     if SpecifierSet(allowed).contains(version, prereleases=True):
-        return Check(INSTALLATION, "Python", "ok", about, necessary=True)
+        return Check(INSTALLATION, "Python", "ok", detail, necessary=True)
     remedy = (
-        f"make the environment anew with Python {allowed}, e.g. `uv venv --python 3.12`, and install again"
+        f"create the environment again with Python {allowed}, e.g. `uv venv --python 3.12`, and reinstall"
     )
-    return Check(INSTALLATION, "Python", "broken", f"{about}; {allowed} is needed", remedy, necessary=True)
+    return Check(INSTALLATION, "Python", "broken", f"{detail}; {allowed} is required", remedy, necessary=True)
 
 
-def packages_check(packages: Sequence[Wanted], *, checkout: bool) -> Check:
-    """Judge whether every package that is always asked for is there in a version that will do."""
-    always = [each for each in packages if not each.extra]
-    listed = ", ".join(f"{each.name} {each.installed}" for each in always if each.name in _DECIDING)
-    fine = f"all {len(always)} that are asked for; {listed}"
+def packages_check(packages: Sequence[RequiredPackage], *, checkout: bool) -> Check:
+    """Check that every package that is always required is installed in a suitable version."""
+    always = [package for package in packages if not package.extra]
+    versions = _versions(package for package in always if package.name in _LISTED_PACKAGES)
+    detail = f"all {len(always)} required packages; {versions}"
     command = "uv sync" if checkout else ""
-    return _installed_check(INSTALLATION, "packages", always, fine, command)
+    return _installed_check(INSTALLATION, "packages", always, detail, command)
 
 
-def extra_checks(extras: Sequence[str], packages: Sequence[Wanted], *, checkout: bool) -> Iterator[Check]:
-    """Judge which extras are installed."""
+def extra_checks(
+    extras: Sequence[str], packages: Sequence[RequiredPackage], *, checkout: bool
+) -> Iterator[Check]:
+    """Yield one check per extra."""
     for extra in extras:
-        parts = [each for each in packages if each.extra == extra]
-        fine = ", ".join(f"{each.name} {each.installed}" for each in parts)
+        members = [package for package in packages if package.extra == extra]
         command = f"uv sync --extra {extra}" if checkout else ""
-        yield _installed_check(EXTRAS, extra, parts, fine, command, f"{PURPOSES.get(extra, 'optional')}: ")
+        prefix = f"{PURPOSES.get(extra, 'optional')}: "
+        yield _installed_check(EXTRAS, extra, members, _versions(members), command, prefix)
+
+
+def _versions(packages: Iterable[RequiredPackage]) -> str:
+    return ", ".join(f"{package.name} {package.installed}" for package in packages)
 
 
 def _installed_check(
-    topic: str, name: str, packages: Sequence[Wanted], fine: str, command: str, before: str = ""
+    topic: str, name: str, packages: Sequence[RequiredPackage], detail: str, command: str, prefix: str = ""
 ) -> Check:
-    """Judge packages; `command` installs what is missing, or else pip."""
-    faults = [each for each in packages if each.fault]
-    if not faults:
-        return Check(topic, name, "ok", before + fine, necessary=topic == INSTALLATION)
-    status: Status = "missing" if any(each.installed is None for each in faults) else "broken"
-    remedy = command or shlex.join(["pip", "install", *(each.requirement for each in faults)])
-    detail = before + "; ".join(each.fault for each in faults)
+    """Check packages; the remedy is `command`, or by default an installation with pip."""
+    faulty = [package for package in packages if package.fault]
+    if not faulty:
+        return Check(topic, name, "ok", prefix + detail, necessary=topic == INSTALLATION)
+    status: Status = "missing" if any(package.installed is None for package in faulty) else "broken"
+    remedy = command or shlex.join(["pip", "install", *(package.requirement for package in faulty)])
+    detail = prefix + "; ".join(package.fault for package in faulty)
     return Check(topic, name, status, detail, remedy, topic == INSTALLATION)
 
 
-def about_srs_twin() -> Message:
-    """Return what the installation says of srs_twin; empty where it runs from files that nobody installed."""
+def installed_metadata() -> Message:
+    """Return the metadata of the installed srs_twin; empty if it runs from files without installation."""
     try:
         return metadata.metadata(DISTRIBUTION)  # type: ignore[return-value]
     except metadata.PackageNotFoundError:
@@ -207,8 +215,8 @@ def about_srs_twin() -> Message:
 
 def _extra_of(marker: str) -> str:
     """Return 'ray' for a marker like `python_version < "3.13" and extra == "ray"`."""
-    _, found, rest = marker.partition('extra == "')
-    return rest.partition('"')[0] if found else ""
+    _, _, rest = marker.partition('extra == "')
+    return rest.partition('"')[0]
 
 
 def _installed(name: str) -> str | None:
@@ -218,73 +226,74 @@ def _installed(name: str) -> str | None:
         return None
 
 
-LEAST_MEMORY_BYTES = 1 << 30
-LEAST_DISK_BYTES = 512 << 20
-_GROUP = Path("/sys/fs/cgroup")
+MIN_MEMORY_BYTES = 1 << 30
+"""Free memory below which the system may kill runs."""
+
+MIN_DISK_BYTES = 512 << 20
+"""Free disk space below which a sweep may not fit."""
+
+_CGROUP = Path("/sys/fs/cgroup")
 _MEMINFO = Path("/proc/meminfo")
 
 
-def processor_share(group: Path = _GROUP) -> float | None:
-    """Return how many processors this process is given the time of; None where no container limits it.
+def cpu_quota(cgroup: Path = _CGROUP) -> float | None:
+    """Return the processor time per wall time that a container allows; None without a limit.
 
     Args:
-        group: folder of the control group (version 2) that this process sees as its own.
+        cgroup: folder of the control group (version 2) of this process.
     """
-    quota, _, period = _words(group / "cpu.max").partition(" ")
+    quota, _, period = _read(cgroup / "cpu.max").partition(" ")
     return int(quota) / int(period) if quota.isdigit() and period.isdigit() else None
 
 
-def free_memory(group: Path = _GROUP, meminfo: Path = _MEMINFO) -> int | None:
-    """Return the memory that new programs can have without swapping, bytes; None where nobody says.
+def free_memory(cgroup: Path = _CGROUP, meminfo: Path = _MEMINFO) -> int | None:
+    """Return the memory available without swapping, bytes; None if it is unknown.
 
     Args:
-        group: as in `processor_share`.
-        meminfo: the kernel's table of memory.
+        cgroup: as in `cpu_quota`.
+        meminfo: memory table of the kernel.
     """
-    limit, used = (_words(group / name) for name in ("memory.max", "memory.current"))
-    free = [
-        1024 * int(kilobytes) for kilobytes in re.findall(r"^MemAvailable:\s*(\d+)", _words(meminfo), re.M)
-    ]
+    limit, used = (_read(cgroup / name) for name in ("memory.max", "memory.current"))
+    free = [1024 * int(kib) for kib in re.findall(r"^MemAvailable:\s*(\d+)", _read(meminfo), re.M)]
     if limit.isdigit() and used.isdigit():
         free.append(int(limit) - int(used))
     return min(free, default=None)
 
 
-def _words(path: Path) -> str:
+def _read(path: Path) -> str:
     try:
         return path.read_text("ascii").strip()
     except OSError:
         return ""
 
 
-def processors_check(usable: int, share: float | None) -> Check:
-    """Judge the processors; one is enough."""
+def processors_check(usable: int, quota: float | None) -> Check:
+    """Check the number of processors against the quota of the container."""
     detail = f"{usable} usable"
-    if share is not None and share < usable:
-        detail += f", with the time of {share:.3g}"
-        if math.ceil(share) < usable:
-            remedy = f"more workers than that only wait: give --jobs {math.ceil(share)}"
+    if quota is not None and quota < usable:
+        detail += f", but the container limits the time to that of {quota:.3g}"
+        if math.ceil(quota) < usable:
+            remedy = f"more workers would only wait: use --jobs {math.ceil(quota)}"
             return Check(MACHINE, "processors", "missing", detail, remedy)
     return Check(MACHINE, "processors", "ok", detail)
 
 
 def memory_check(free: int | None) -> Check:
-    """Judge the free memory, bytes."""
+    """Check the free memory, bytes."""
     if free is None:
-        return Check(MACHINE, "memory", "ok", "this system does not say how much is free")
-    least = _size(LEAST_MEMORY_BYTES)
-    remedy = f"below {least} runs may be ended by the system: close programs, or give --jobs 1"
-    return _room_check("memory", free, LEAST_MEMORY_BYTES, remedy)
+        return Check(MACHINE, "memory", "ok", "this system does not report the free memory")
+    remedy = f"below {_size(MIN_MEMORY_BYTES)} the system may kill runs: close programs, or use --jobs 1"
+    return _space_check("memory", free, MIN_MEMORY_BYTES, remedy)
 
 
-def _room_check(name: str, free: int, least: int, remedy: str) -> Check:
-    if free >= least:
+def _space_check(name: str, free: int, minimum: int, remedy: str) -> Check:
+    if free >= minimum:
         return Check(MACHINE, name, "ok", f"{_size(free)} free")
     return Check(MACHINE, name, "missing", f"{_size(free)} free", remedy)
 
 
 def output_check(folder: Path) -> Check:
-    """Judge whether results can be written to a folder, by writing there; leave nothing behind."""
+    """Check that a folder can be written, by a temporary file."""
     try:
         check_output_folder(folder)
     except InputError as error:
@@ -294,18 +303,19 @@ def output_check(folder: Path) -> Check:
 
 
 def disk_check(folder: Path, free: int | None = None) -> Check:
-    """Judge the free disk where results go.
+    """Check the free disk space for results.
 
     Args:
-        folder: where they go, or would.
-        free: bytes; None: ask the system.
+        folder: output folder; it need not exist.
+        free: free space, bytes; default: that of the disk of `folder`.
     """
-    present = next(each for each in (folder.absolute(), *folder.absolute().parents) if os.path.isdir(each))
-    free = shutil.disk_usage(present).free if free is None else free
-    least = _size(LEAST_DISK_BYTES)
-    remedy = f"below {least} a sweep may not fit: make room, or give another disk with --out"
-    return _room_check("disk", free, LEAST_DISK_BYTES, remedy)
+    existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if os.path.isdir(path))
+    free = shutil.disk_usage(existing).free if free is None else free
+    remedy = (
+        f"below {_size(MIN_DISK_BYTES)} a sweep may not fit: free some space, or use another disk with --out"
+    )
+    return _space_check("disk", free, MIN_DISK_BYTES, remedy)
 
 
-def _size(count: int) -> str:
-    return f"{count / (1 << 30):.3g} GB" if count >= 1 << 30 else f"{count / (1 << 20):.3g} MB"
+def _size(bytes_: int) -> str:
+    return f"{bytes_ / (1 << 30):.3g} GB" if bytes_ >= 1 << 30 else f"{bytes_ / (1 << 20):.3g} MB"

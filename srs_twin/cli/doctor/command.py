@@ -1,4 +1,4 @@
-"""`srs-twin doctor`: what is installed, what of it works here, and what to do about what does not."""
+"""`srs-twin doctor`: check of the installation and the machine, with remedies."""
 
 from __future__ import annotations
 
@@ -24,40 +24,39 @@ def doctor(
     out: Annotated[str, option("--out DIR")] = "runs",
     as_json: JsonOption = False,
 ) -> None:
-    """Say what works on this machine, and how to mend the rest.
+    """Check the installation and this machine, with remedies.
 
     Options:
-        out: Where results would go, to see if they can.
+        out: Output folder to check for write access and disk space.
     """
-    from srs_twin.cli.doctor.checks import failing
-    from srs_twin.cli.doctor.examination import examine
+    from srs_twin.cli.doctor.checks import failed_checks
+    from srs_twin.cli.doctor.examination import run_checks
 
-    checks = examine(Path(out))
-    bad = failing(checks)
+    checks = run_checks(Path(out))
+    failed = failed_checks(checks)
     if as_json:
-        document = {"works": not bad, "checks": [asdict(check) for check in checks]}
-        print_json(document)
+        print_json({"works": not failed, "checks": [asdict(check) for check in checks]})
     else:
         _show(checks)
-    if bad:
-        named = ", ".join(check.name for check in bad)
-        raise InputError(f"not fit for runs: {named}; the remedies stand above")
+    if failed:
+        names = ", ".join(check.name for check in failed)
+        raise InputError(f"runs would fail: {names}; see the remedies above")
     if not as_json:
-        typer.echo("\neverything that a run needs works")
+        typer.echo("\nall requirements of a run are met")
 
 
 def _show(checks: Sequence[Check]) -> None:
-    """Print a line a check under its topic, the remedy below where there is one."""
+    """Print one line per check, grouped by topic, with its remedy on the next line."""
     width = shutil.get_terminal_size((100, 24)).columns if sys.stdout.isatty() else 10_000
-    longest = max(len(check.name) for check in checks)
+    name_width = max(len(check.name) for check in checks)
     for topic, group in groupby(checks, key=lambda check: check.topic):
-        typer.echo(f"{topic}")
+        typer.echo(topic)
         for check in group:
-            head = f"  {check.status:10}{check.name:{longest}}  "
-            inset = " " * len(head)
-            words = textwrap.TextWrapper(width, initial_indent=head, subsequent_indent=inset)
-            words.break_on_hyphens = words.break_long_words = False
-            typer.echo(words.fill(check.detail))
+            head = f"  {check.status:10}{check.name:{name_width}}  "
+            indent = " " * len(head)
+            wrapper = textwrap.TextWrapper(width, initial_indent=head, subsequent_indent=indent)
+            wrapper.break_on_hyphens = wrapper.break_long_words = False
+            typer.echo(wrapper.fill(check.detail))
             if check.remedy:
-                # Not wrapped: a command is to be copied as it stands.
-                typer.echo(f"{inset}→ {check.remedy}")
+                # Not wrapped, so that commands can be copied.
+                typer.echo(f"{indent}→ {check.remedy}")

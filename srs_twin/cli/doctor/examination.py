@@ -1,4 +1,4 @@
-"""examine: try everything at once in child processes, beside what this process finds out by itself."""
+"""Execution of all checks; probes run in child processes."""
 
 from __future__ import annotations
 
@@ -14,200 +14,211 @@ from pathlib import Path
 
 from srs_twin import __version__
 from srs_twin.cli.doctor import checks, probes
-from srs_twin.cli.doctor.checks import Answer, Check, ended
+from srs_twin.cli.doctor.checks import Check, ProbeResult, result_of_exit
 from srs_twin.cli.doctor.probes import LIBRARIES, PROBES
 from srs_twin.compute.workers import processor_count
 from srs_twin.errors import InputError
 from srs_twin.io.files import data_root
 from srs_twin.viewing.rerun.viewer import rerun_executable
 
-SIMULATION, VIEWERS = "simulation", "Rerun's viewer"
-RENDERING = "pictures by MuJoCo, off screen (one of them is enough)"
+SIMULATION = "simulation"
+VIEWERS = "Rerun viewer"
+RENDERING = "off-screen rendering by MuJoCo (one backend is enough)"
 _REINSTALL = "`uv sync --reinstall` in a checkout, else `pip install --force-reinstall`"
 _DRIVER = (
-    "install a driver: apt-get install libegl1 libgl1-mesa-dri (Debian, Ubuntu; draws on the processor); "
-    "with an NVIDIA card in a container start that with NVIDIA_DRIVER_CAPABILITIES=all"
+    "install a driver: apt-get install libegl1 libgl1-mesa-dri (Debian, Ubuntu; software rendering); "
+    "for an NVIDIA GPU in a container, start the container with NVIDIA_DRIVER_CAPABILITIES=all"
 )
 REMEDIES = {
     checks.INSTALLATION: {
-        "imports": f"install it anew ({_REINSTALL}); where a system library is missing, "
-        "the error names it; one about OpenGL: `unset MUJOCO_GL`"
+        "imports": f"reinstall the package ({_REINSTALL}), or the system library that the error names; "
+        "for errors of OpenGL: `unset MUJOCO_GL`"
     },
     SIMULATION: {
-        "shipped data": f"install srs-twin anew: {_REINSTALL}",
-        "kernels": f"install numba and llvmlite anew: {_REINSTALL}",
-        "MuJoCo": f"install MuJoCo anew: {_REINSTALL}",
+        "shipped data": f"reinstall srs-twin: {_REINSTALL}",
+        "kernels": f"reinstall numba and llvmlite: {_REINSTALL}",
+        "MuJoCo": f"reinstall MuJoCo: {_REINSTALL}",
     },
     RENDERING: {
         "egl": _DRIVER,
         "osmesa": "apt-get install --reinstall libosmesa6, or use egl",
-        "glfw": "needs a screen; without one `export MUJOCO_GL=egl`, or put `xvfb-run -a` before the command",
+        "glfw": "needs a display; without one `export MUJOCO_GL=egl`, or run the command under `xvfb-run -a`",
     },
     VIEWERS: {
         "rerun": "pip install --force-reinstall 'rerun-sdk>=0.41,<0.42', or `uv sync --reinstall`",
-        "in a window": "open report.html of a run in a browser, or serve the recording: "
+        "in a window": "open report.html of a run in a browser, or serve the recording with "
         "`srs-twin view RUN --web`",
         "without a screen": "apt-get install mesa-vulkan-drivers (Debian, Ubuntu), "
         "or any other Vulkan driver",
-        "in a browser": "install rerun-sdk anew; report.html of a run needs nothing but a browser",
+        "in a browser": "reinstall rerun-sdk; report.html of a run needs only a browser",
     },
 }
-"""Topic → probe → what to do where it fails without knowing a remedy itself; in the order of the output."""
+"""Topic → probe → default remedy, in the order of the output."""
 
-BUDGET_S = 60.0
-"""Wall time of one probe, s. It needs less than 1 s of a processor, of which a busy machine gives a part."""
+PROBE_TIMEOUT_S = 60.0
+"""Time limit of a probe, s. A probe takes less than 1 s on an idle machine."""
 
 
-def examine(folder: Path, *, budget_s: float = BUDGET_S) -> list[Check]:
-    """Look at everything; takes some seconds and changes nothing.
+def run_checks(folder: Path, *, time_limit_s: float = PROBE_TIMEOUT_S) -> list[Check]:
+    """Run all checks; takes some seconds and leaves no files behind.
 
     Args:
-        folder: where results would go.
-        budget_s: wall time that each probe may take, s.
+        folder: output folder to check.
+        time_limit_s: time limit of each probe, s.
 
     Raises:
-        InputError: there is no room for temporary files.
+        InputError: temporary files cannot be written.
     """
-    about = checks.about_srs_twin()
+    metadata = checks.installed_metadata()
     checkout = (data_root() / "pyproject.toml").is_file()
-    wanted = checks.wanted(about.get_all("Requires-Dist") or [])
-    tried = _tried(checks.modules(wanted), budget_s)
+    packages = checks.required_packages(metadata.get_all("Requires-Dist") or [])
+    probed = _run_all_probes(checks.modules(packages), time_limit_s)
     return [
-        _installation(bool(about), checkout=checkout),
-        *([checks.python_check(platform.python_version(), about["Requires-Python"])] if about else []),
-        checks.packages_check(wanted, checkout=checkout),
-        *(check for check in tried if check.topic in (checks.INSTALLATION, SIMULATION)),
+        _installation_check(bool(metadata), checkout=checkout),
+        *([checks.python_check(platform.python_version(), metadata["Requires-Python"])] if metadata else []),
+        checks.packages_check(packages, checkout=checkout),
+        *(check for check in probed if check.topic in (checks.INSTALLATION, SIMULATION)),
         checks.output_check(folder),
         checks.disk_check(folder),
-        checks.processors_check(processor_count(), checks.processor_share()),
+        checks.processors_check(processor_count(), checks.cpu_quota()),
         checks.memory_check(checks.free_memory()),
-        *(check for check in tried if check.topic in (RENDERING, VIEWERS)),
-        *checks.extra_checks(about.get_all("Provides-Extra") or [], wanted, checkout=checkout),
+        *(check for check in probed if check.topic in (RENDERING, VIEWERS)),
+        *checks.extra_checks(metadata.get_all("Provides-Extra") or [], packages, checkout=checkout),
     ]
 
 
-def _installation(known: bool, *, checkout: bool) -> Check:
-    where = f"{__version__}, {'checkout' if checkout else 'wheel'} in {data_root()}"
-    if known:
-        return Check(checks.INSTALLATION, "srs_twin", "ok", where, necessary=True)
+def _installation_check(installed: bool, *, checkout: bool) -> Check:
+    detail = f"{__version__}, {'checkout' if checkout else 'wheel'} in {data_root()}"
+    if installed:
+        return Check(checks.INSTALLATION, "srs_twin", "ok", detail, necessary=True)
     remedy = "uv sync" if checkout else "pip install the wheel again"
-    detail = f"{where}; it is not installed, so that nobody knows which packages it asks for"
+    detail += "; it is not installed, so its required packages are unknown"
     return Check(checks.INSTALLATION, "srs_twin", "missing", detail, remedy, necessary=True)
 
 
-def _tried(modules: Sequence[str], budget_s: float) -> list[Check]:
-    known = untried(os.environ, sys.platform)
-    answers = ask(modules, [name for name in PROBES if name not in known], budget_s=budget_s) | known
-    answers.setdefault("in a window", answers["glfw"])
-    names = [name for remedies in REMEDIES.values() for name in remedies]
-    return [check_of(name, answers[name]) for name in names if name in answers]
+def _run_all_probes(modules: Sequence[str], time_limit_s: float) -> list[Check]:
+    known = known_results(os.environ, sys.platform)
+    names = [name for name in PROBES if name not in known]
+    results = run_probes(modules, names, time_limit_s=time_limit_s) | known
+    results.setdefault("in a window", results["glfw"])
+    ordered = [name for remedies in REMEDIES.values() for name in remedies]
+    return [check_from(name, results[name]) for name in ordered if name in results]
 
 
-def check_of(name: str, answer: Answer) -> Check:
-    """Return the check that a probe decides, given what came of it."""
+def check_from(name: str, result: ProbeResult) -> Check:
+    """Return the check with the result of a probe and a remedy."""
     topic = next(topic for topic, remedies in REMEDIES.items() if name in remedies)
-    remedy = "" if answer.status == "ok" else answer.remedy or REMEDIES[topic][name]
+    remedy = "" if result.status == "ok" else result.remedy or REMEDIES[topic][name]
     necessary = topic in (checks.INSTALLATION, SIMULATION)
-    return Check(topic, name, answer.status, answer.detail, remedy, necessary)
+    return Check(topic, name, result.status, result.detail, remedy, necessary)
 
 
-def untried(env: Mapping[str, str], system: str) -> dict[str, Answer]:
-    """Return what is known of probes without trying them.
+def known_results(env: Mapping[str, str], platform: str) -> dict[str, ProbeResult]:
+    """Return the results that follow from the environment without running the probes.
 
     Args:
-        env: variables of this process.
-        system: as `sys.platform` names it.
+        env: environment variables.
+        platform: `sys.platform`.
     """
-    known, chosen = {}, env.get("MUJOCO_GL", "")
+    known, selected = {}, env.get("MUJOCO_GL", "")
     for name in LIBRARIES:
-        if chosen in (*LIBRARIES, "glfw") and chosen != name:
-            # PyOpenGL keeps to the first one that it has been told.
-            known[name] = Answer(
-                "undecided", f"not tried: MUJOCO_GL is {chosen}", "unset MUJOCO_GL to have it tried"
-            )
-        elif not system.startswith("linux"):
-            known[name] = Answer("missing", "is Linux's")
-    if system.startswith("linux") and not (env.get("DISPLAY") or env.get("WAYLAND_DISPLAY")):
-        blind = Answer("missing", "no screen: neither DISPLAY nor WAYLAND_DISPLAY is set")
-        known |= {"glfw": blind, "in a window": blind}
+        if selected in (*LIBRARIES, "glfw") and selected != name:
+            # PyOpenGL cannot change its backend within a process.
+            remedy = "unset MUJOCO_GL to test it"
+            known[name] = ProbeResult("undecided", f"not tested: MUJOCO_GL is {selected}", remedy)
+        elif not platform.startswith("linux"):
+            known[name] = ProbeResult("missing", "available only on Linux")
+    if platform.startswith("linux") and not (env.get("DISPLAY") or env.get("WAYLAND_DISPLAY")):
+        no_display = ProbeResult("missing", "no display: neither DISPLAY nor WAYLAND_DISPLAY is set")
+        known |= {"glfw": no_display, "in a window": no_display}
     try:
-        known["rerun"] = Answer("ok", str(rerun_executable()))
+        known["rerun"] = ProbeResult("ok", str(rerun_executable()))
     except InputError as error:
-        gone = Answer("missing", str(error))
-        known |= dict.fromkeys(("rerun", "in a window", "without a screen", "in a browser"), gone)
+        missing = ProbeResult("missing", str(error))
+        known |= dict.fromkeys(("rerun", "in a window", "without a screen", "in a browser"), missing)
     return known
 
 
-def ask(modules: Sequence[str], names: Sequence[str], *, budget_s: float = BUDGET_S) -> dict[str, Answer]:
-    """Import modules, then try all probes at once; return the answers by name, "imports" among them.
+def run_probes(
+    modules: Sequence[str], names: Sequence[str], *, time_limit_s: float = PROBE_TIMEOUT_S
+) -> dict[str, ProbeResult]:
+    """Import modules, then run probes; return the results by name, including "imports".
 
-    One child imports the modules and forks a process for every probe, so that importing is paid once. A
-    probe that crashes or takes too long costs only its own answer. However this ends, also by Ctrl-C, no
-    child and nothing that a child started is left.
+    One child process imports the modules and forks a process per probe, so the modules are imported only
+    once. A crash or timeout of a probe affects only its own result. All processes have ended on return, also
+    after Ctrl-C.
 
     Args:
-        modules: what to import.
+        modules: modules to import.
         names: keys of `probes.PROBES`.
-        budget_s: wall time that each probe may take, s.
+        time_limit_s: time limit of each probe, s.
 
     Raises:
-        InputError: there is no room for temporary files.
+        InputError: temporary files cannot be written.
     """
     try:
-        room, said = tempfile.TemporaryDirectory(prefix="srs-twin-doctor-"), tempfile.TemporaryFile()
+        folder, output = tempfile.TemporaryDirectory(prefix="srs-twin-doctor-"), tempfile.TemporaryFile()
     except OSError as error:
         raise InputError(
-            f"cannot write temporary files ({error.strerror}); set TMPDIR to a folder that can be written"
+            f"cannot write temporary files ({error.strerror}); set TMPDIR to a writable folder"
         ) from error
-    with room, said:
+    with folder, output:
         sys.stdout.flush()
         sys.stderr.flush()
         pid = os.fork()
         if pid == 0:
             try:
-                _become_child(room.name, said.fileno())
-                probes.main(modules, names, budget_s)
+                _prepare_child(folder.name, output.fileno())
+                probes.main(modules, names, time_limit_s)
             finally:
-                os._exit(1)  # code 0 or not, it has said what it found; nobody's clean-up is its business
+                os._exit(1)  # skips exit handlers; the results are already written
         try:
             code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
         except BaseException:
-            os.kill(pid, signal.SIGKILL)  # it may not have a group of its own yet
+            os.kill(pid, signal.SIGKILL)  # it may not have its own process group yet
             os.waitpid(pid, 0)
             raise
         finally:
-            # What is left of all that it started. macOS says PermissionError of what has only just ended.
+            # Kill all remaining processes. macOS raises PermissionError for processes that have just ended.
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(pid, signal.SIGKILL)
-        said.seek(0)
-        return _answers(said.read().decode("utf-8", "replace").splitlines(), code, names)
+        output.seek(0)
+        return _parse_output(output.read().decode("utf-8", "replace").splitlines(), code, names)
 
 
-def _become_child(folder: str, said: int) -> None:
-    """Make a group of its own of this process, in a folder that goes away; what it says goes to a file."""
+def _prepare_child(folder: str, output: int) -> None:
+    """Move this process to a new process group and a temporary folder; redirect its output to a file."""
     os.setsid()
     os.chdir(folder)
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    for stream, to in ((nothing, 0), (said, 1), (said, 2)):
-        os.dup2(stream, to)
-    # As runs have it: MuJoCo loads a library of OpenGL at its import where the variable names one.
+    null = os.open(os.devnull, os.O_RDONLY)
+    for source, target in ((null, 0), (output, 1), (output, 2)):
+        os.dup2(source, target)
+    # As in a run: with another value, MuJoCo loads an OpenGL library during its import.
     os.environ.setdefault("MUJOCO_GL", "disabled")
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # threads do not survive a fork
 
 
-def _answers(lines: Sequence[str], code: int, names: Sequence[str]) -> dict[str, Answer]:
-    """Return the answers in what a child printed; libraries print other things there too."""
-    found: dict[str, Answer] = {}
-    importing, other = "Python", ""
+def _parse_output(lines: Sequence[str], code: int, names: Sequence[str]) -> dict[str, ProbeResult]:
+    """Return the results in the output of a child process; lines of libraries are ignored.
+
+    Args:
+        lines: output of the child.
+        code: exit code of the child; negative: signal.
+        names: probes that should have run.
+    """
+    results: dict[str, ProbeResult] = {}
+    importing, last_noise = "Python", ""
     for line in lines:
-        noise, _, text = line.partition(probes.MARK)
-        other = noise.strip() or other
-        said = json.loads(text) if text else {}
-        importing = said.pop("importing", importing)
-        if name := said.pop("name", ""):
-            found[name] = Answer(**said)
-    if "imports" not in found:
-        how = ended(code)
-        found["imports"] = Answer(how.status, f"{importing}: {other if code > 0 and other else how.detail}")
-    untried = Answer("undecided", f"not tried: {found['imports'].detail}", "mend `imports` first")
-    return {name: found.get(name, untried) for name in ("imports", *names)}
+        noise, _, text = line.partition(probes.MARKER)
+        last_noise = noise.strip() or last_noise
+        fields = json.loads(text) if text else {}
+        importing = fields.pop("importing", importing)
+        if name := fields.pop("name", ""):
+            results[name] = ProbeResult(**fields)
+    if "imports" not in results:
+        # The child ended during an import; its last line usually contains the error.
+        exit_result = result_of_exit(code)
+        reason = last_noise if code > 0 and last_noise else exit_result.detail
+        results["imports"] = ProbeResult(exit_result.status, f"{importing}: {reason}")
+    not_run = ProbeResult("undecided", f"not tested: {results['imports'].detail}", "fix `imports` first")
+    return {name: results.get(name, not_run) for name in ("imports", *names)}

@@ -123,8 +123,8 @@ def robot_markers(
     possible = [layout]
     if layout == "auto":
         # Count the markers on the same frame: a marker that was hidden for long may have become two tracks.
-        at_once = visible[:, candidates].sum(axis=1)
-        count = int(np.quantile(at_once, 0.95, method="lower")) if candidates.size else 0
+        jobs_option = visible[:, candidates].sum(axis=1)
+        count = int(np.quantile(jobs_option, 0.95, method="lower")) if candidates.size else 0
         possible = [name for name, required in counts.items() if required == count]
     required = counts[possible[0]] if possible else -1
     if required < 0 or len(candidates) < required:

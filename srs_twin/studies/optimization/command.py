@@ -12,11 +12,11 @@ from srs_twin.cli.options import (
     JsonOption,
     QuietOption,
     argument,
-    at_once,
+    jobs_option,
     option,
     print_json,
 )
-from srs_twin.cli.progress import Counting
+from srs_twin.cli.progress import RunCounter
 
 if TYPE_CHECKING:
     from srs_twin.studies.optimization.answer import Answer
@@ -28,10 +28,10 @@ _COLUMNS = 6
 
 
 def optimize(
-    given: Annotated[str, argument("STUDY", of=["study"])],
+    given: Annotated[str, argument("STUDY", shipped=["study"])],
     out: Annotated[str | None, option("--out DIR")] = None,
     engine: Annotated[str, option("--engine NAME")] = "local",
-    workers: Annotated[int | None, at_once("--workers N")] = None,
+    workers: Annotated[int | None, jobs_option("--workers N")] = None,
     address: Annotated[str | None, option("--address HOST:PORT")] = None,
     changed: Annotated[bool, option("--changed")] = False,
     changed_fields: ChangeOptions = NO_CHANGES,
@@ -64,7 +64,7 @@ def optimize(
     total = budget.twin + (budget.compliant if "compliant" in study.experiments else 0)
     total += 1 + TOLD * (2 + budget.uncertain) + budget.uncertain  # of what the best are worth
     best = _Best(study)
-    with Counting(study.name, total, quiet=quiet, beside=best.text) as counting:
+    with RunCounter(study.name, total, quiet=quiet, status=best.text) as counting:
 
         def told(part: str, row: Row) -> None:
             best.take(part, row)

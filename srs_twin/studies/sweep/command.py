@@ -15,12 +15,12 @@ from srs_twin.cli.options import (
     JsonOption,
     QuietOption,
     argument,
-    at_once,
+    jobs_option,
     option,
-    plants_of,
+    parse_plants,
     print_json,
 )
-from srs_twin.cli.progress import Counting
+from srs_twin.cli.progress import RunCounter
 from srs_twin.errors import InputError
 from srs_twin.io.files import display_path
 
@@ -38,10 +38,10 @@ _MOST_PUBLISHED = 30  # rows of published values; more are for the report
 
 
 def sweep(
-    given: Annotated[str, argument("SWEEP", of=["sweep"])],
+    given: Annotated[str, argument("SWEEP", shipped=["sweep"])],
     out: Annotated[str | None, option("--out DIR")] = None,
     engine: Annotated[str, option("--engine NAME")] = "local",
-    workers: Annotated[int | None, at_once("--workers N")] = None,
+    workers: Annotated[int | None, jobs_option("--workers N")] = None,
     address: Annotated[str | None, option("--address HOST:PORT")] = None,
     retry_failed: Annotated[bool, option("--retry-failed")] = False,
     changed: Annotated[bool, option("--changed")] = False,
@@ -70,7 +70,7 @@ def sweep(
     from srs_twin.studies.sweep.execution import open_sweep
     from srs_twin.studies.sweep.loading import load_sweep
 
-    found = load_sweep(given, set=changed_fields.changes(), plants=plants_of(plants))
+    found = load_sweep(given, set=changed_fields.changes(), plants=parse_plants(plants))
     for warning in () if quiet else found.warnings:
         say(f"warning: {warning}")
     folder = Path(out) if out else SWEEPS / found.name
@@ -87,7 +87,7 @@ def sweep(
             return f"{rows} of {summary.points} rows are kept, start again to go on"
 
         with interruptible(kept):
-            with Counting(found.name, len(missing), quiet=quiet) as counting:
+            with RunCounter(found.name, len(missing), quiet=quiet) as counting:
                 opened.run(chosen, missing, lambda row: counting(failed=row.exit_code != 0))
             summary = opened.finish()
     if as_json:

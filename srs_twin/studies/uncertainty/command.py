@@ -14,12 +14,12 @@ from srs_twin.cli.options import (
     JsonOption,
     QuietOption,
     ScenarioArgument,
-    at_once,
+    jobs_option,
     option,
-    plants_of,
+    parse_plants,
     print_json,
 )
-from srs_twin.cli.progress import Counting
+from srs_twin.cli.progress import RunCounter
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def uncertainty(
     without: Annotated[list[str] | None, option("--without NAME")] = None,
     form: Annotated[list[str] | None, option("--form FIELD=A,B")] = None,
     engine: Annotated[str, option("--engine NAME")] = "local",
-    workers: Annotated[int | None, at_once("--workers N")] = None,
+    workers: Annotated[int | None, jobs_option("--workers N")] = None,
     write: Annotated[bool, option("--write")] = False,
     changed: Annotated[bool, option("--changed")] = False,
     changes: ChangeOptions = NO_CHANGES,
@@ -80,7 +80,7 @@ def uncertainty(
         fields = ", ".join(dict.fromkeys(field for each in found.left_out for field in each["because"]))
         raise InputError(f"--write keeps intervals of unmodified scenarios, but {fields} was changed")
     priors = Priors.from_robot(RobotFile.model_validate(found.document["robot"]), without=without or ())
-    chosen = tuple(plants_of(plants) or found.plants)
+    chosen = tuple(parse_plants(plants) or found.plants)
     study = Study(
         found,
         priors,
@@ -96,7 +96,7 @@ def uncertainty(
 
     @contextmanager
     def counting(part: str, count: int) -> Iterator[Callable[[Row], Any]]:
-        with Counting(f"{found.name}, {part}", count, quiet=quiet) as shown:
+        with RunCounter(f"{found.name}, {part}", count, quiet=quiet) as shown:
             yield lambda row: shown(failed=row.exit_code != 0)
 
     with interruptible(f"what was run is kept in {folder}, start again to go on"):

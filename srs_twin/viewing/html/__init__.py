@@ -1,1 +1,1 @@
-"""Reports: one page of HTML each, which needs nothing but a browser."""
+"""Reports as single HTML pages without external resources."""

@@ -1,4 +1,4 @@
-"""Pages of HTML from templates; each is one file that needs nothing but a browser."""
+"""HTML pages from templates, each a single file without external resources."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 
 
 class Table(NamedTuple):
-    """A table of text, as the templates take it.
+    """Table of a page.
 
     Attributes:
-        headings: one a column, with the unit.
-        rows: cells, as text or `Markup`.
-        numbers: indices of the columns set to the right.
-        note: what a reader must know: what it does not show, how numbers compare.
-        title: what it is of, where the page does not say so.
+        headings: column headings with units.
+        rows: cells, text or `Markup`.
+        numbers: indices of the right-aligned columns.
+        note: remark below the table, e.g. on omitted rows.
+        title: title, if the page does not name the content elsewhere.
     """
 
     headings: Sequence[str]
@@ -39,11 +39,11 @@ class Table(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """A picture inside the page.
+    """Image embedded in a page.
 
     Attributes:
-        source: its content as a ``data:`` address.
-        caption: what it shows.
+        source: content as a ``data:`` URL.
+        caption: caption.
     """
 
     source: str
@@ -51,20 +51,22 @@ class Picture(NamedTuple):
 
 
 def render(template: str, **content: Any) -> str:
-    """Return a page; text is escaped, `Markup` is not.
+    """Return a page from a template; text is escaped, `Markup` is not.
 
     Args:
-        template: path of the template below the package's folder.
-        content: what the template names.
+        template: path of the template relative to the package.
+        content: variables of the template.
     """
     return _environment().get_template(template).render(content, validated=VALIDATION)
 
 
-def piece(words: str, table: Table, shown: Picture | None = None) -> str:
-    """Return a part of a page, as a notebook shows it: a line, a table, a picture."""
-    parts: Any = _environment().get_template("viewing/html/parts.html").module
-    pictures = parts.pictures([shown]) if shown else ""
-    return str(Markup("<p><b>{}</b></p>{}{}").format(escape_unprintable(words), parts.table(table), pictures))
+def notebook_output(summary: str, table: Table, plot: Picture | None = None) -> str:
+    """Return HTML for the output cell of a notebook: a summary, a table and an optional plot."""
+    macros: Any = _environment().get_template("viewing/html/parts.html").module
+    pictures = macros.pictures([plot]) if plot else ""
+    return str(
+        Markup("<p><b>{}</b></p>{}{}").format(escape_unprintable(summary), macros.table(table), pictures)
+    )
 
 
 @cache
@@ -76,18 +78,18 @@ def _environment() -> Environment:
 
 
 def _clean(value: Any) -> Any:
-    # No control characters: HTML may not hold them, and a terminal that prints the file obeys them.
+    # HTML does not allow control characters, and a terminal that prints the file would execute them.
     return value if isinstance(value, Markup) else escape_unprintable(str(value), keep="\t\n")
 
 
 def colored(text: str, color: str) -> Markup:
-    """Return text as a cell in a colour of the page: "met", "missed" or "sub"."""
+    """Return text in a CSS class of the page: "met", "missed" or "sub"."""
     return Markup('<span class="{}">{}</span>').format(color, text)
 
 
 def picture(figure: Figure, caption: str) -> Picture:
-    """Return a figure as SVG; the same figure gives the same bytes."""
-    # A page without pictures need not wait for it.
+    """Return a figure as SVG; equal figures give equal bytes."""
+    # The import is slow, and pages without figures do not need it.
     import matplotlib
 
     buffer = io.BytesIO()
@@ -97,12 +99,12 @@ def picture(figure: Figure, caption: str) -> Picture:
 
 
 def image(content: bytes, kind: str, caption: str) -> Picture:
-    """Return a picture from its file's content, "svg+xml" or "png"."""
+    """Return an image from the content of its file, of kind "svg+xml" or "png"."""
     return Picture(f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}", caption)
 
 
 def cell(value: Any) -> str:
-    """Return a JSON value for people; a dash where there is none."""
+    """Format a JSON value as the text of a table cell; None becomes a dash."""
     match value:
         case None:
             return "–"
@@ -112,6 +114,6 @@ def cell(value: Any) -> str:
             return json.dumps(value, ensure_ascii=False)
         case list() | tuple():
             return ", ".join(
-                f"[{cell(each)}]" if isinstance(each, list | tuple) else cell(each) for each in value
+                f"[{cell(item)}]" if isinstance(item, list | tuple) else cell(item) for item in value
             )
     return str(value)

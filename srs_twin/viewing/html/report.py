@@ -1,4 +1,4 @@
-"""report.html of a run: what ran, what came out, how far the plants lie apart and why, and plots of it."""
+"""Report of a run as HTML: settings, metrics, expectations, differences with their attribution, and plots."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from srs_twin.scenario.expectation import tally, verdict
 from srs_twin.scenario.modified import Changes, left_out_line, text_of
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import added_to
-from srs_twin.viewing.html.page import Picture, Table, cell, colored, picture, piece, render
+from srs_twin.viewing.html.page import Picture, Table, cell, colored, notebook_output, picture, render
 from srs_twin.viewing.plots.from_above import lines_plot, plan_view
 from srs_twin.viewing.plots.labels import metric_title
 from srs_twin.viewing.plots.runs import (
@@ -49,7 +49,8 @@ if TYPE_CHECKING:
 
     from srs_twin.comparison.compare import Attribution, Comparison, MeasuredDifference
 
-_NOTHING = 5e-6  # in m, m/s, rad and rad/s alike: below what any two of these runs mean
+_ZERO = 5e-6
+"""Absolute value below which a difference is printed as 0; in m, m/s, rad and rad/s alike."""
 
 
 def write_report(
@@ -63,25 +64,25 @@ def write_report(
     attribution: Attribution | None = None,
     measured: Mapping[str, MeasuredDifference] | None = None,
 ) -> None:
-    """Write the report of one run; it needs nothing from outside itself.
+    """Write the report of one run as a single file without external resources.
 
     Args:
-        path: file to write; an existing one is replaced.
-        scenario_title: one line for people.
-        spec: the robot that ran.
-        trajectories: plant → what it did.
-        metrics: what stands in metrics.json.
-        comparison: adds the plot of differences over time.
-        attribution: adds why the plants differ.
-        measured: plant → how far it is from the measured robot; adds the plot of it.
+        path: output file; an existing file is replaced.
+        scenario_title: title of the scenario.
+        spec: robot.
+        trajectories: plant → trajectory.
+        metrics: content of `metrics.json`.
+        comparison: adds the plot of the differences over time.
+        attribution: adds the attribution of the differences.
+        measured: plant → difference from the measured robot; adds a plot.
 
     Raises:
-        InputError: there is no trajectory, or one of them is empty.
+        InputError: there is no trajectory, or a trajectory is empty.
     """
     check_drawable(trajectories)
     duration = max(float(run.time[-1]) for run in trajectories.values())
     expectations = metrics.get("expectations") or ()
-    verdicts = [verdict(each) for each in expectations]
+    verdicts = [verdict(row) for row in expectations]
     tracked = all(run.has("reference_1") for run in trajectories.values())
     page = render(
         "viewing/html/report.html",
@@ -90,11 +91,11 @@ def write_report(
         headline=headline(metrics),
         changes=_changes(metrics.get("changes") or ()),
         results=_results(metrics, chosen(metrics["plants"])),
-        every=_results(metrics, METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS),
+        all_metrics=_results(metrics, METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS),
         tally=tally(Counter(verdicts)),
         expectations=_expectations(expectations, verdicts),
         left_out=left_out_line(metrics.get("left_out") or ()),
-        **_why(attribution),
+        **_attribution(attribution),
         plots=_plots(trajectories, spec, comparison, measured, tracked=tracked),
         kind="tracking" if tracked else kind_of(trajectories),
         settings=_settings(spec, trajectories, metrics.get("versions") or {}),
@@ -102,12 +103,14 @@ def write_report(
     Path(path).write_text(page, encoding="utf-8")
 
 
-def shown_run(
+def notebook_run(
     title: str, metrics: Mapping[str, Any], trajectories: Mapping[str, Trajectory], spec: RobotSpec
 ) -> str:
-    """Return what a notebook shows of a run: the sentence, the table, the bodies from above."""
-    above = picture(plan_view(trajectories, spec), "Paths and bodies from above.")
-    return piece(f"{title}: {headline(metrics)}", _results(metrics, chosen(metrics["plants"])), above)
+    """Return a run as HTML for a notebook: headline, table of metrics and plan view."""
+    view = picture(plan_view(trajectories, spec), "Paths and bodies from above.")
+    return notebook_output(
+        f"{title}: {headline(metrics)}", _results(metrics, chosen(metrics["plants"])), view
+    )
 
 
 def page_of_run(trajectory: Trajectory) -> str:
@@ -115,9 +118,9 @@ def page_of_run(trajectory: Trajectory) -> str:
     plant = str(trajectory.metadata.get("plant", "run"))
     metrics = {"plants": {plant: plant_metrics(trajectory)}}
     lines = {"centre of mass": trajectory.com, "body at the end": trajectory.position[-1]}
-    path = picture(lines_plot(lines), "The centre of mass, and the body at the end.")
-    words = f"{plant}, {trajectory.time[-1]:g} s, {len(trajectory)} samples"
-    return piece(words, _results(metrics, chosen(metrics["plants"])), path)
+    path = picture(lines_plot(lines), "Path of the centre of mass, and the body at the end.")
+    summary = f"{plant}, {trajectory.time[-1]:g} s, {len(trajectory)} samples"
+    return notebook_output(summary, _results(metrics, chosen(metrics["plants"])), path)
 
 
 def page_of_comparison(comparison: Comparison) -> str:
@@ -126,24 +129,27 @@ def page_of_comparison(comparison: Comparison) -> str:
         [metric_title(name), COMPARISON_UNITS[name], cell(value)]
         for name, value in comparison.metrics.items()
     ]
-    return piece("Twin less analytical model", Table(["metric", "unit", "value"], rows, [2]))
+    return notebook_output("Twin − analytical model", Table(["metric", "unit", "value"], rows, [2]))
 
 
 def _results(metrics: Mapping[str, Any], names: Iterable[str]) -> Table:
-    """Return a table of these metrics: one column a plant, the difference, and what was published."""
-    plants, stated = metrics["plants"], published(metrics.get("expectations") or ())
+    """Return a table of metrics: one column per plant, the difference, and the published value."""
+    plants, published_values = metrics["plants"], published(metrics.get("expectations") or ())
     both = {"analytical", "twin"} <= plants.keys()
-    headings = ["metric", "unit", *plants, *["difference"] * both, *["published"] * bool(stated)]
+    headings = ["metric", "unit", *plants, *["difference"] * both, *["published"] * bool(published_values)]
     rows = []
-    for name, unit, values, apart in result_rows(metrics, names, cell):
-        said = f"{cell(stated[name][0])} ({stated[name][1]})" if name in stated else ""
-        rows.append([metric_title(name), unit, *values, *[apart] * both, *[said] * bool(stated)])
+    for name, unit, values, difference in result_rows(metrics, names, cell):
+        row = [metric_title(name), unit, *values, *[difference] * both]
+        if published_values:
+            value, source = published_values.get(name, (None, ""))
+            row.append(f"{cell(value)} ({source})" if name in published_values else "")
+        rows.append(row)
     return Table(headings, rows, range(2, len(headings)))
 
 
 def _changes(changes: Changes) -> Table:
-    """Return the table of the fields that differ from the scenario's file."""
-    rows = [[each["field"], text_of(each["from"]), text_of(each["to"])] for each in changes]
+    """Return the table of the fields that differ from the scenario file."""
+    rows = [[change["field"], text_of(change["from"]), text_of(change["to"])] for change in changes]
     return Table(["changed field", "in the scenario", "in this run"], rows)
 
 
@@ -151,44 +157,44 @@ def _expectations(expectations: Sequence[Mapping[str, Any]], verdicts: Sequence[
     keys = ["allowed", "source", *["known"] * bool({"known", "holds"} & set(verdicts))]
     keys += ["reason"] * ("not_judged" in verdicts)
     rows = []
-    for word, each in zip(verdicts, expectations, strict=True):
-        color = "missed" if word == "missed" else "met" if each["met"] else "sub"
-        texts = [each.get(key) or "" for key in ("of", *keys)]
-        title, value = metric_title(each["metric"]), cell(tidy(each["metric"], each.get("value")))
-        rows.append([colored(word.replace("_", " "), color), title, texts[0], value, *texts[1:]])
+    for state, row in zip(verdicts, expectations, strict=True):
+        color = "missed" if state == "missed" else "met" if row["met"] else "sub"
+        texts = [row.get(key) or "" for key in ("of", *keys)]
+        title, value = metric_title(row["metric"]), cell(tidy(row["metric"], row.get("value")))
+        rows.append([colored(state.replace("_", " "), color), title, texts[0], value, *texts[1:]])
     return Table(["", "metric", "of", "value", *keys], rows, numbers=[3])
 
 
-def _why(attribution: Attribution | None) -> dict[str, Any]:
-    """Return the part of the page that says why the plants differ: picture, table, what they share."""
+def _attribution(attribution: Attribution | None) -> dict[str, Any]:
+    """Return the content of the section on the attribution: plot, table and identical assumptions."""
     if attribution is None:
-        return {"why": None}
-    headings = ["assumption", "what it is", "how", *(f"{t}, {u}" for t, u in MEASURES.values())]
+        return {"attribution": None}
+    headings = ["assumption", "description", "method", *(f"{t}, {u}" for t, u in MEASURES.values())]
     rows = [
-        [share.name, share.title, share.how, *map(_share, share.value, share.low, share.high)]
+        [share.name, share.title, share.how, *map(_contribution, share.value, share.low, share.high)]
         for share in attribution.shares
     ]
-    matched = "stiff bends and the same friction on both sides: what is left"
-    for name, what, values in (
+    matched = "remaining difference with stiff bends and equal friction in both plants"
+    for name, description, values in (
         ("not explained", "", attribution.remainder),
-        ("gap", "", attribution.gap),
+        ("difference", "", attribution.gap),
         ("matched (stiff bends)", matched, attribution.matched),
     ):
-        rows.append([name, what, "", *map(_signed, values)])
-    caption = "Contributions to twin − analytical; thin lines: least and most over the orders of switching."
+        rows.append([name, description, "", *map(_signed, values)])
+    caption = "Contributions to twin − analytical; thin lines: minimum and maximum over all orders."
     return {
-        "why": Table(headings, rows, range(3, len(headings))),
+        "attribution": Table(headings, rows, range(3, len(headings))),
         "shares": picture(attribution_plot(attribution), caption),
         "same": ", ".join(attribution.same),
     }
 
 
-def _share(value: float, low: float, high: float) -> str:
+def _contribution(value: float, low: float, high: float) -> str:
     return _signed(value) + ("" if low == high else f" [{_signed(low)}, {_signed(high)}]")
 
 
 def _signed(value: float) -> str:
-    return f"{value:+.3g}" if abs(value) >= _NOTHING else "0"
+    return f"{value:+.3g}" if abs(value) >= _ZERO else "0"
 
 
 def _plots(
@@ -199,58 +205,63 @@ def _plots(
     *,
     tracked: bool,
 ) -> list[Picture]:
-    """Return the plots that there is something to draw in, those of what was asked of the robot first."""
-    learnt = all(map(is_learning, runs.values()))
+    """Return the available plots; those of the robot's task come first."""
+    is_learning_run = all(map(is_learning, runs.values()))
     compared = comparison if comparison is not None and len(comparison.time) else None
     added = next(filter(None, map(added_to, runs.values())), None)
-    learning = "What was learnt: amplitudes and duties of each module, by period."
-    made: dict[str, Figure | None] = {
-        "How far each plant is from what was measured, over time.": measured_plot(measured or {}),
+    learning = "Learning: amplitudes and duties of each module per period."
+    figures: dict[str, Figure | None] = {
+        "Difference of each plant from the measured robot over time.": measured_plot(measured or {}),
         **(added.figures(runs, spec) if added else {}),
-        learning: learning_plot(runs) if learnt else None,
-        "How the first segment follows its reference.": tracking_plot(runs) if tracked else None,
+        learning: learning_plot(runs) if is_learning_run else None,
+        "Bend of the first segment and its reference.": tracking_plot(runs) if tracked else None,
         "Paths and bodies from above. Forward is from tail to head.": plan_view(runs, spec),
         "Speed of the centre of mass.": None if tracked else speed_plot(runs),
         "Bend of each segment; positive bends the head end to the left.": bend_plot(runs),
-        "Pressure of the + chamber less that of the − chamber.": pressure_plot(runs),
-        "What the first segment's sensor reads over what it is bent by.": reading_plot(runs),
-        "How far the twin is from the analytical model.": error_plot(compared, spec) if compared else None,
+        "Pressure of the + chamber minus that of the − chamber.": pressure_plot(runs),
+        "Sensor reading of the first segment over its bend.": reading_plot(runs),
+        "Distance between the twin and the analytical model.": error_plot(compared, spec)
+        if compared
+        else None,
     }
-    return [picture(figure, caption) for caption, figure in made.items() if figure is not None]
+    return [picture(figure, caption) for caption, figure in figures.items() if figure is not None]
 
 
 def _settings(
     spec: RobotSpec, trajectories: Mapping[str, Trajectory], versions: Mapping[str, Any]
 ) -> dict[str, Table]:
-    about = {plant: run.metadata for plant, run in trajectories.items()}
-    keys = dict.fromkeys(key for metadata in about.values() for key in metadata)
-    runs = [[key, *(cell(metadata.get(key)) for metadata in about.values())] for key in keys]
+    settings = {plant: run.metadata for plant, run in trajectories.items()}
+    keys = dict.fromkeys(key for metadata in settings.values() for key in metadata)
+    rows = [[key, *(cell(metadata.get(key)) for metadata in settings.values())] for key in keys]
     return {
-        "Plants and controller": Table(["setting", *about], runs),
+        "Plants and controller": Table(["setting", *settings], rows),
         f"Robot {spec.name}": robot_table(spec),
         "Versions": Table(["package", "version"], list(versions.items())),
     }
 
 
 def robot_table(spec: RobotSpec) -> Table:
-    """Return the table of a robot's parameters with their units."""
+    """Return the table of the parameters of a robot, with units."""
     units = _robot_units()
     rows = [[name, units.get(name, ""), cell(value)] for name, value in _leaves(asdict(spec))]
     return Table(["parameter", "unit", "value"], rows)
 
 
 def _robot_units() -> dict[str, str]:
-    """Return parameter of a `RobotSpec` → unit: those of robot files in SI, and of numbers made from them."""
-    found = {"actuator.gain": "rad/Pa", "chamber.displacement": "m³/rad"}
+    """Return parameter of a `RobotSpec` → SI unit, for the keys of robot files and for derived parameters."""
+    units = {"actuator.gain": "rad/Pa", "chamber.displacement": "m³/rad"}
     for section in RobotFile.model_fields:
-        inside = {"modules": "variation.", "gait": ""}.get(section, f"{section}.")
-        found |= {f"{inside}{split_unit(key)[0]}": si_unit(key) for key in section_units(section)}
-    return {name: unit.replace("*", "·") for name, unit in found.items()}
+        prefix = {"modules": "variation.", "gait": ""}.get(section, f"{section}.")
+        units |= {f"{prefix}{split_unit(key)[0]}": si_unit(key) for key in section_units(section)}
+    return {name: unit.replace("*", "·") for name, unit in units.items()}
 
 
-def _leaves(tree: Mapping[str, Any], above: str = "") -> list[tuple[str, Any]]:
-    """Return ('geometry.width', 0.03)… of nested mappings."""
-    found: list[tuple[str, Any]] = []
+def _leaves(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    """Return path and value of each leaf of nested mappings, e.g. ('geometry.width', 0.03)."""
+    leaves: list[tuple[str, Any]] = []
     for name, value in tree.items():
-        found += _leaves(value, f"{above}{name}.") if isinstance(value, Mapping) else [(above + name, value)]
-    return found
+        if isinstance(value, Mapping):
+            leaves += _leaves(value, f"{prefix}{name}.")
+        else:
+            leaves.append((prefix + name, value))
+    return leaves

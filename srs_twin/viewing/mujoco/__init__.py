@@ -1,1 +1,1 @@
-"""The twin as MuJoCo draws it: pictures, videos, and a window to steer it in."""
+"""Images and videos of the twin rendered by MuJoCo, and a window for keyboard control."""

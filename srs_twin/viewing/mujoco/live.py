@@ -1,8 +1,7 @@
-"""A twin that a person steers by keys while it crawls, in real time, and MuJoCo's viewer as its window.
+"""Keyboard control of a twin in real time, in a window of MuJoCo's viewer.
 
-Left and right change the offset, up and down the frequency, page up and page down the supply's pressure;
-home has it go straight, space holds the time, backspace begins anew. Keys are GLFW's numbers, which MuJoCo's
-viewer reports.
+Left and right change the offset, up and down the frequency, page up and page down the supply pressure; home
+resets the offset, space pauses, backspace restarts. Key codes are those of GLFW, which the viewer reports.
 """
 
 from __future__ import annotations
@@ -21,10 +20,17 @@ from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.viewing.rerun.viewer import lacks_display
 
-SPACE, BACKSPACE, HOME = 32, 259, 268
-RIGHT, LEFT, DOWN, UP, PAGE_UP, PAGE_DOWN = 262, 263, 264, 265, 266, 267
+SPACE = 32
+BACKSPACE = 259
+RIGHT = 262
+LEFT = 263
+DOWN = 264
+UP = 265
+PAGE_UP = 266
+PAGE_DOWN = 267
+HOME = 268
 
-_CHANGES = {
+_KEY_STEPS = {
     LEFT: ("offset", 16),
     RIGHT: ("offset", -16),
     UP: ("frequency", 10),
@@ -32,100 +38,104 @@ _CHANGES = {
     PAGE_UP: ("pressure", 14),
     PAGE_DOWN: ("pressure", -14),
 }
-"""How many presses lead from one limit to the other, negative downwards: 0.05, 0.1 Hz, about 1 kPa."""
+"""Key → command and number of steps between its limits: 0.05 for the offset, 0.1 Hz, about 1 kPa."""
 
-LATEST_S = 0.25
-"""Of what the simulation lags behind the clock, no more than this is caught up."""
+MAX_LAG_S = 0.25
+"""Largest delay of the simulation that is made up for by faster simulation, s."""
 
 
 class LiveSnake:
-    """A twin under a person's commands.
+    """Twin controlled by keys.
 
     Attributes:
-        twin: what crawls.
-        state: of it, now.
-        limits: of the commands.
-        command: the one that holds.
-        held: whether time stands still.
+        twin: plant.
+        state: current state of the plant.
+        limits: limits of the commands.
+        command: current command.
+        paused: whether the simulation is paused.
     """
 
     state: SnakeState
     command: GaitCommand
-    held: bool
+    paused: bool
     _gait: CommandedGait
 
     def __init__(self, spec: RobotSpec, *, modified: str = "") -> None:
-        """Lay a robot down, with a gait in the middle of its limits.
+        """Create a twin with a gait in the middle of its limits.
 
         Args:
-            spec: the robot.
-            modified: its changed fields, which the screen shows.
+            spec: robot.
+            modified: overridden fields, shown in the window.
 
         Raises:
-            InputError: a robot that the twin cannot be made of.
+            InputError: the twin does not support this robot.
         """
         self.limits = limits = GaitLimits.for_robot(spec)
         self._modified = modified
-        self._first = GaitCommand(0.0, *(sum(ends) / 2 for ends in (limits.frequency, limits.pressure)))
+        self._initial_command = GaitCommand(
+            0.0, *(sum(ends) / 2 for ends in (limits.frequency, limits.pressure))
+        )
         self.twin = TwinSnake(spec, supply_pa=limits.pressure[1])
-        self._pressed: deque[int] = deque()
-        self._begin()
+        self._keys: deque[int] = deque()
+        self._reset()
 
     def press(self, key: int) -> None:
-        """Take a key, from any thread; it takes effect with the next tick. Others than ours are ignored."""
-        self._pressed.append(key)
+        """Queue a key, from any thread, for the next control tick. Unknown keys are ignored."""
+        self._keys.append(key)
 
     def advance(self) -> SnakeState:
-        """Obey the keys and go on by a tick; return the state.
+        """Handle the queued keys, simulate one control tick and return the state.
 
         Raises:
             DivergedError: as `TwinSnake.step`.
         """
-        while self._pressed:
-            self._obey(self._pressed.popleft())
-        if not self.held:
+        while self._keys:
+            self._handle(self._keys.popleft())
+        if not self.paused:
             self.state = self.twin.step(self._gait.valves(float(self.state.time), self.command))
         return self.state
 
     def status_lines(self) -> list[tuple[str, str]]:
-        """Return what stands on the screen: name and value of each line."""
+        """Return label and value of each line in the window."""
         command, speed = self.command, self.state.com_velocity
         return [
             ("offset (left, right)", f"{command.offset:+.2f}"),
             ("frequency (up, down)", f"{command.frequency:.2f} Hz"),
             ("pressure (page up, page down)", f"{command.pressure / 1e3:.1f} kPa"),
             ("speed", f"{float((speed**2).sum()) ** 0.5:.3f} m/s"),
-            ("time (space holds it)", f"{float(self.state.time):.1f} s{', held' if self.held else ''}"),
-            ("home: straight, backspace: anew", ""),
+            ("time (space: pause)", f"{float(self.state.time):.1f} s{', paused' if self.paused else ''}"),
+            ("home: straight, backspace: restart", ""),
             *([("modified", self._modified)] if self._modified else []),
         ]
 
-    def _begin(self) -> None:
-        self.state, self.command, self.held = self.twin.reset(), self._first, False
-        self._gait = CommandedGait(self.twin.spec, self.twin.tick, self.twin.pneumatics, self._first)
+    def _reset(self) -> None:
+        self.state, self.command, self.paused = self.twin.reset(), self._initial_command, False
+        self._gait = CommandedGait(
+            self.twin.spec, self.twin.tick, self.twin.pneumatics, self._initial_command
+        )
 
-    def _obey(self, key: int) -> None:
+    def _handle(self, key: int) -> None:
         if key == BACKSPACE:
-            self._begin()
+            self._reset()
         elif key == SPACE:
-            self.held = not self.held
+            self.paused = not self.paused
         elif key == HOME:
             self.command = replace(self.command, offset=0.0)
-        elif key in _CHANGES:
-            name, presses = _CHANGES[key]
+        elif key in _KEY_STEPS:
+            name, steps = _KEY_STEPS[key]
             low, high = getattr(self.limits, name)
-            value = getattr(self.command, name) + (high - low) / presses
+            value = getattr(self.command, name) + (high - low) / steps
             self.command = self.limits.clipped(replace(self.command, **{name: value}))
 
 
 class Window(Protocol):
-    """What shows a snake to a person."""
+    """Window that displays a snake."""
 
     def is_open(self) -> bool:
-        """Say whether it has not been closed."""
+        """Return whether the window is open."""
 
     def show(self, snake: LiveSnake) -> None:
-        """Show the snake as it is now."""
+        """Draw the current state."""
 
 
 def steer(
@@ -135,47 +145,50 @@ def steer(
     clock: Callable[[], float] = wall.perf_counter,
     sleep: Callable[[float], None] = wall.sleep,
 ) -> None:
-    """Let a snake crawl in a window, a second a second, until the window is closed.
+    """Simulate and draw a snake in real time until the window is closed.
 
-    What has fallen behind the clock, since a picture took long, is caught up without pictures.
+    When drawing takes too long, ticks are simulated without drawing until the simulation is on time again.
 
     Args:
-        snake: what crawls.
-        window: where it is shown, once a tick where there is time for it.
-        clock: tells the time, s.
-        sleep: waits, s.
+        snake: snake to simulate.
+        window: window, redrawn after each control tick if time permits.
+        clock: function that returns the time, s.
+        sleep: function that waits for a given time, s.
 
     Raises:
         DivergedError: as `LiveSnake.advance`.
     """
     tick, due = snake.twin.tick, clock()
-    unseen = 0.0
+    undrawn = 0.0  # simulated time since the last drawing, s
     while window.is_open():
         snake.advance()
-        due = max(due + tick, clock() - LATEST_S)
-        unseen += tick
-        if due >= clock() or unseen >= LATEST_S:
+        due = max(due + tick, clock() - MAX_LAG_S)
+        undrawn += tick
+        if due >= clock() or undrawn >= MAX_LAG_S:
             window.show(snake)
-            unseen = 0.0
-        ahead = due - clock()
-        if ahead > 0:
-            sleep(ahead)
+            undrawn = 0.0
+        remaining = due - clock()
+        if remaining > 0:
+            sleep(remaining)
 
 
-_LENGTHS = 4.0
-_AZIMUTH, _ELEVATION = 90.0, -35.0
+_DISTANCE_LENGTHS = 4.0
+"""Camera distance, body lengths."""
+
+_AZIMUTH_DEG = 90.0
+_ELEVATION_DEG = -35.0
 
 
 class MujocoWindow:
-    """Shows a snake and hands keys on to it; a context manager."""
+    """Window of MuJoCo's viewer that displays a snake and forwards keys; a context manager."""
 
     def __init__(self, snake: LiveSnake) -> None:
         """Open the window.
 
         Raises:
-            InputError: there is no display, or the viewer cannot be opened on it.
+            InputError: there is no display, or the viewer cannot be opened.
         """
-        refuse_without_display()
+        require_display()
         import mujoco
         import mujoco.viewer
 
@@ -188,13 +201,13 @@ class MujocoWindow:
                 model, data, key_callback=snake.press, show_left_ui=False, show_right_ui=False
             )
         except RuntimeError as error:
-            raise InputError(f"MuJoCo's viewer cannot be opened here: {error}") from error
+            raise InputError(f"cannot open MuJoCo's viewer: {error}") from error
         self._skins = Skins(model, snake.twin.spec.segments)
         camera = self._viewer.cam
         camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
         camera.trackbodyid = model.body("connector_1").rootid[0]
-        camera.distance = _LENGTHS * snake.twin.spec.geometry.body_length
-        camera.azimuth, camera.elevation = _AZIMUTH, _ELEVATION
+        camera.distance = _DISTANCE_LENGTHS * snake.twin.spec.geometry.body_length
+        camera.azimuth, camera.elevation = _AZIMUTH_DEG, _ELEVATION_DEG
 
     def __enter__(self) -> MujocoWindow:
         return self
@@ -214,25 +227,25 @@ class MujocoWindow:
         self._viewer.sync()
 
 
-def refuse_without_display() -> None:
-    """Refuse to open a window where there is no display.
+def require_display() -> None:
+    """Check that a window can be opened.
 
     Raises:
-        InputError: there is none, or it does not answer.
+        InputError: there is no display, or it does not respond.
     """
     if lacks_display():
         raise InputError(
-            "there is no display to steer a snake on (neither DISPLAY nor WAYLAND_DISPLAY is set); on a "
-            "machine with a screen this opens MuJoCo's viewer, and `srs-twin run SCENARIO` needs none"
+            "no display found (neither DISPLAY nor WAYLAND_DISPLAY is set); run this command on a machine "
+            "with a screen, or use `srs-twin run SCENARIO`, which needs no display"
         )
     import warnings
 
     import glfw
 
-    with warnings.catch_warnings(record=True) as heard:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         usable = glfw.init()
     if not usable:
-        said = str(heard[-1].message) if heard else "GLFW cannot be used"
-        shown = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-        raise InputError(f"the display {shown} does not answer ({said}); DISPLAY must name one that does")
+        reason = str(caught[-1].message) if caught else "GLFW cannot be used"
+        display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+        raise InputError(f"the display {display} does not respond ({reason}); set DISPLAY to one that does")

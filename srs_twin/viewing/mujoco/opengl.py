@@ -1,9 +1,9 @@
-"""OpenGL without a screen: which one draws here, and a context of it.
+"""Selection of an OpenGL backend for off-screen rendering.
 
-MuJoCo takes its OpenGL from the variable MUJOCO_GL, and physics alone runs with "disabled". Here one is
-chosen when the first picture is drawn, whether MuJoCo has been imported by then or not. What is installed
-does not tell what draws, so each candidate draws a small picture in a process of its own: a library that
-cannot may end its process, and PyOpenGL keeps to the first one that it has tried.
+MuJoCo reads its backend from the variable MUJOCO_GL; simulations without rendering use "disabled". The
+backend is selected before the first image, whether MuJoCo has been imported or not. An installed library need
+not work, so each candidate renders a small image in a separate process: a faulty library may crash its
+process, and PyOpenGL cannot change its backend within a process.
 """
 
 from __future__ import annotations
@@ -20,79 +20,83 @@ import numpy as np
 from srs_twin.errors import InputError
 
 PACKAGES = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
-"""What Debian and Ubuntu call the libraries."""
+"""Backend → packages of Debian and Ubuntu."""
 
 _MODULES = {"egl": "mujoco.egl", "osmesa": "mujoco.osmesa", "glfw": "mujoco.glfw", "cgl": "mujoco.cgl"}
-_BY_PLATFORM = {"linux": ("egl", "osmesa"), "darwin": ("cgl",)}
-_NONE_CHOSEN = ("", "0", "off", "false", "disable", "disabled", "on", "true", "1", "enable", "enabled")
-_PATIENCE_S = 60.0
+_CANDIDATES = {"linux": ("egl", "osmesa"), "darwin": ("cgl",)}
+_UNSPECIFIED = ("", "0", "off", "false", "disable", "disabled", "on", "true", "1", "enable", "enabled")
+"""Values of MUJOCO_GL that do not select a backend."""
+
+_TIMEOUT_S = 60.0
+"""Time limit of the test of a backend, s."""
 
 
 @lru_cache(maxsize=1)
 def usable_opengl() -> str:
-    """Return the OpenGL to draw with, and name it in MUJOCO_GL.
+    """Return a working OpenGL backend, and set MUJOCO_GL to it.
 
-    One that the user named there is taken if it draws; else the first that does of egl and osmesa.
+    A backend selected by MUJOCO_GL is used if it works; without a selection, the first working one of egl and
+    osmesa.
 
     Raises:
-        InputError: none does; says why and what to install.
+        InputError: no backend works; the message has the reasons and the packages to install.
     """
-    given = os.environ.get("MUJOCO_GL", "").lower().strip()
-    wanted = _BY_PLATFORM.get(sys.platform, ("glfw",)) if given in _NONE_CHOSEN else (given,)
-    reasons = {}
-    for name in wanted:
-        complaint = _complaint(name)
-        if not complaint:
+    selected = os.environ.get("MUJOCO_GL", "").lower().strip()
+    candidates = _CANDIDATES.get(sys.platform, ("glfw",)) if selected in _UNSPECIFIED else (selected,)
+    failures = {}
+    for name in candidates:
+        failure = _test(name)
+        if not failure:
             os.environ["MUJOCO_GL"] = name
             return name
-        reasons[name] = complaint
-    found = "; ".join(f"{name}: {reason}" for name, reason in reasons.items())
-    if given in _NONE_CHOSEN:
+        failures[name] = failure
+    reasons = "; ".join(f"{name}: {failure}" for name, failure in failures.items())
+    if selected in _UNSPECIFIED:
         remedy = "; or ".join(f"apt-get install {packages}" for packages in PACKAGES.values())
-        raise InputError(f"no OpenGL draws here without a screen ({found}); on Debian and Ubuntu: {remedy}")
+        raise InputError(f"no OpenGL backend renders off screen ({reasons}); on Debian and Ubuntu: {remedy}")
     raise InputError(
-        f"the OpenGL that MUJOCO_GL names does not draw here ({found}); unset it to have one chosen "
-        f"({' or '.join(PACKAGES)})"
+        f"the OpenGL backend in MUJOCO_GL does not work ({reasons}); unset the variable to choose "
+        f"{' or '.join(PACKAGES)} automatically"
     )
 
 
 def new_context(name: str, width: int, height: int) -> Any:
-    """Return a context of an OpenGL that draws here; it has `make_current` and `free`."""
+    """Return a context of a working OpenGL backend; it has the methods `make_current` and `free`."""
     return importlib.import_module(_MODULES[name]).GLContext(width, height)
 
 
-def _complaint(name: str) -> str:
-    """Return why an OpenGL does not draw here, empty where it does."""
+def _test(name: str) -> str:
+    """Return the reason why an OpenGL backend does not work; empty if it works."""
     if name not in _MODULES:
-        return f"it is unknown; known are {', '.join(_MODULES)}"
+        return f"unknown backend; allowed are {', '.join(_MODULES)}"
     command = [sys.executable, "-m", __spec__.name, name]
     environment = {**os.environ, "MUJOCO_GL": name}
     try:
-        tried = subprocess.run(
-            command, env=environment, capture_output=True, text=True, errors="replace", timeout=_PATIENCE_S
+        done = subprocess.run(
+            command, env=environment, capture_output=True, text=True, errors="replace", timeout=_TIMEOUT_S
         )
     except subprocess.TimeoutExpired:
-        return f"no picture within {_PATIENCE_S:g} s"
-    if tried.returncode == 0:
+        return f"no image within {_TIMEOUT_S:g} s"
+    if done.returncode == 0:
         return ""
-    said = [line for line in tried.stderr.splitlines() if line and not line.startswith(" ")]
-    errors = [line for line in said if "Error" in line]
-    return (errors or said or [f"ended with code {tried.returncode}"])[0]
+    lines = [line for line in done.stderr.splitlines() if line and not line.startswith(" ")]
+    errors = [line for line in lines if "Error" in line]
+    return (errors or lines or [f"ended with code {done.returncode}"])[0]
 
 
 def draw_box(name: str) -> None:
-    """Draw a white box on black, in a process that ends soon: a library that cannot draw may end it.
+    """Render a white box on black; call it in a child process, because a faulty library may crash.
 
     Args:
-        name: which OpenGL, as MUJOCO_GL names it.
+        name: OpenGL backend, named as in MUJOCO_GL.
 
     Raises:
-        InputError: every pixel has the same colour; libraries raise errors of many other types.
+        InputError: all pixels have the same colour. Libraries may raise errors of any type.
     """
     import mujoco
 
     model = mujoco.MjModel.from_xml_string(
-        # Shadows and several samples a pixel cost a driver without a card most of the time.
+        # Shadows and multisampling would dominate the time of software rendering.
         "<mujoco><visual><quality shadowsize='0' offsamples='0'/></visual>"
         "<worldbody><geom type='box' size='.1 .1 .1' rgba='1 1 1 1'/></worldbody></mujoco>"
     )
@@ -101,17 +105,17 @@ def draw_box(name: str) -> None:
     mujoco.mjv_defaultFreeCamera(model, camera)
     all_kinds = mujoco.mjtCatBit.mjCAT_ALL.value
     mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, all_kinds, scene)
-    size, picture = mujoco.MjrRect(0, 0, 16, 16), np.empty((16, 16, 3), dtype=np.uint8)
+    size, pixels = mujoco.MjrRect(0, 0, 16, 16), np.empty((16, 16, 3), dtype=np.uint8)
     context = new_context(name, 16, 16)
     context.make_current()
-    drawing = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50.value)
-    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, drawing)
-    mujoco.mjr_render(size, scene, drawing)
-    mujoco.mjr_readPixels(picture, None, size, drawing)
-    drawing.free()
+    renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50.value)
+    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, renderer)
+    mujoco.mjr_render(size, scene, renderer)
+    mujoco.mjr_readPixels(pixels, None, size, renderer)
+    renderer.free()
     context.free()
-    if picture.max() == picture.min():
-        raise InputError("every pixel has the same colour")
+    if pixels.max() == pixels.min():
+        raise InputError("all pixels have the same colour")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Stage: a finished run of the twin, set up again in MuJoCo and looked at sample by sample."""
+"""Scene of a finished run of the twin in MuJoCo, drawn sample by sample."""
 
 from __future__ import annotations
 
@@ -26,62 +26,69 @@ from srs_twin.viewing.plots.style import (
 )
 
 Ghost = tuple[str, Trajectory]
-"""Name of a plant and what it did."""
+"""Name and trajectory of a plant that is drawn translucently."""
 
-_MOST_PIECES = 400
+_MAX_TRAIL_POINTS = 400
 _OBSTACLE_ALPHA = 0.35
-_INK, _GHOST_ALPHA, _PIECES = "#30333a", 0.13, 6  # four or five capsules lie on each other
-_SCALE_M = 0.1
-_LINE = 0.001  # thickness of lines on the floor and half of their width, m
+_TEXT_COLOR = "#30333a"
+_GHOST_ALPHA = 0.13
+"""Opacity of a capsule of the ghost; four or five capsules overlap at each point."""
+
+_GHOST_CHORDS = 6
+"""Capsules per segment of the ghost."""
+
+_SCALE_BAR_M = 0.1
+_LINE_M = 0.001
+"""Thickness and half width of lines on the floor, m."""
 
 
 class Stage:
-    """The scene of a run: robot and world as they were built, at the positions that the run recorded.
+    """Scene of a run: robot and world of the scenario at the recorded positions.
 
-    Segments have the colour of their pressure difference; the centre of mass leaves a trail, and what the
-    snake was to follow lies on the floor. Another plant may be there as a ghost.
+    The colour of a segment is that of its pressure difference. The scene contains the trail of the centre of
+    mass, the lines on the floor that extensions add, and optionally another plant as a ghost.
 
     Attributes:
-        run: the twin's trajectory.
-        model: of MuJoCo, the stage's own.
-        data: where everything is now.
-        bench: whether the head is clamped, in the air.
-        ghost: another plant; None: there is none.
+        run: trajectory of the twin.
+        model: MuJoCo model, not shared.
+        data: current state.
+        bench: whether the head is clamped.
+        ghost: another plant; None: no ghost.
     """
 
     def __init__(self, scenario: Scenario, run: Trajectory, ghost: Ghost | None = None) -> None:
         """Build the scene.
 
         Args:
-            scenario: what was run.
-            run: what the twin did, with its ``qpos`` columns.
-            ghost: name of another plant and what it did.
+            scenario: scenario of the run.
+            run: trajectory of the twin, with its ``qpos`` columns.
+            ghost: name and trajectory of another plant.
 
         Raises:
-            InputError: no samples, no ``qpos`` columns, or not of this robot.
+            InputError: the run has no samples or no ``qpos`` columns, or those of another robot.
         """
         if not run.has("qpos") or not len(run):
-            raise InputError("no positions of the twin were recorded (columns qpos_1…): nothing to draw")
+            raise InputError("nothing to draw: the run has no positions of the twin (columns qpos_1…)")
         self.run, self.bench = run, scenario.file.bench
         self.ghost = ghost
         self._labels = _legend(run, ghost, bench=self.bench)
         if ghost is not None:
-            self._ghost_line = body_line(ghost[1], scenario.robot.geometry, _PIECES)
+            self._ghost_line = body_line(ghost[1], scenario.robot.geometry, _GHOST_CHORDS)
         plant: Any = scenario.build_plant("twin")
         self.model = plant.physics.model.ptr
         self.data = mujoco.MjData(self.model)
         self._qpos = run.stack("qpos")
         if self._qpos.shape[1] != self.model.nq:
             raise InputError(
-                f"the trajectory has {self._qpos.shape[1]} columns qpos_1…, the scenario's twin "
-                f"{self.model.nq}: they do not belong together; run the scenario again"
+                f"the trajectory has {self._qpos.shape[1]} columns qpos_1…, but the twin of the scenario has "
+                f"{self.model.nq} positions; run the scenario again"
             )
         self._skins = Skins(self.model, scenario.robot.segments)
-        _see_through(self.model)
+        _make_obstacles_translucent(self.model)
         self._colors = pressure_colors(pressure_difference(run)) / np.float32(255)
-        every = max(1, -(-len(run) // _MOST_PIECES))
-        self._marks = np.arange(0, len(run), every)
-        self._fixed = _on_the_floor(run)
+        step = max(1, -(-len(run) // _MAX_TRAIL_POINTS))
+        self._trail_rows = np.arange(0, len(run), step)
+        self._floor_lines = _floor_lines(run)
 
     @property
     def duration(self) -> float:
@@ -90,55 +97,55 @@ class Stage:
 
     @property
     def legend(self) -> Mapping[str, str]:
-        """Line on the floor → colour."""
+        """Name of a line on the floor → colour."""
         pictures = added_to(self.run)
         return pictures.legend if pictures else {}
 
     def row_at(self, time: float) -> int:
-        """Return the sample that is nearest to a time, s."""
+        """Return the sample nearest to a time, s."""
         return int(np.abs(self.run.time - time).argmin())
 
     def show(self, row: int) -> None:
-        """Put everything where it was at a sample."""
+        """Set the state to that of a sample."""
         self.data.qpos[:] = self._qpos[row]
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
         self._skins.paint(self._colors[row])
 
-    def picture(self, canvas: Canvas, camera: mujoco.MjvCamera, row: int) -> np.ndarray:
-        """Return a picture of a sample, shape (height, width, 3), bytes."""
+    def render(self, canvas: Canvas, camera: mujoco.MjvCamera, row: int) -> np.ndarray:
+        """Return an image of a sample, shape (height, width, 3), bytes."""
         self.show(row)
 
         def add(scene: mujoco.MjvScene) -> None:
             self.add_lines(scene, row)
-            self._add_scale(scene, camera)
+            self._add_scale_bar(scene, camera)
             self._add_ghost(scene, row)
 
-        time = Label(f"t = {self.run.time[row]:.2f} s", _INK)
+        time = Label(f"t = {self.run.time[row]:.2f} s", _TEXT_COLOR)
         return canvas.draw(self.data, camera, add, [time, *self._labels])
 
-    def add_lines(self, scene: mujoco.MjvScene, row: int, half: float = _LINE) -> None:
-        """Draw the trail up to a sample, and what the snake was to follow, in lines of half a width in m."""
+    def add_lines(self, scene: mujoco.MjvScene, row: int, half_width: float = _LINE_M) -> None:
+        """Add the trail up to a sample and the lines on the floor; half_width: m."""
         if not self.bench:
-            seen = np.append(self._marks[self._marks < row], row)
-            add_line(scene, self.run.com[seen], STYLES["twin"].color, half, level=2)
-        for points, color in self._fixed:
-            add_line(scene, points, color, half)
+            rows = np.append(self._trail_rows[self._trail_rows < row], row)
+            add_line(scene, self.run.com[rows], STYLES["twin"].color, half_width, level=2)
+        for points, color in self._floor_lines:
+            add_line(scene, points, color, half_width)
 
-    def _add_scale(self, scene: mujoco.MjvScene, camera: mujoco.MjvCamera) -> None:
-        """Draw a bar of 0.1 m across the view, nearer than what the camera looks at, with its length."""
+    def _add_scale_bar(self, scene: mujoco.MjvScene, camera: mujoco.MjvCamera) -> None:
+        """Add a scale bar of 0.1 m with a label, between the camera and its target."""
         azimuth = math.radians(camera.azimuth)
-        ahead, right = (np.array([math.cos(a), math.sin(a)]) for a in (azimuth, azimuth - math.pi / 2))
-        middle = np.array(camera.lookat[:2]) - 0.25 * camera.distance * ahead
+        forward, right = (np.array([math.cos(a), math.sin(a)]) for a in (azimuth, azimuth - math.pi / 2))
+        centre = np.array(camera.lookat[:2]) - 0.25 * camera.distance * forward
         first = scene.ngeom
-        ends = middle + _SCALE_M * np.array([[-0.5], [0.5]]) * right
-        add_line(scene, ends, _INK, 0.003 * camera.distance)
+        ends = centre + _SCALE_BAR_M * np.array([[-0.5], [0.5]]) * right
+        add_line(scene, ends, _TEXT_COLOR, 0.003 * camera.distance)
         if scene.ngeom > first:
-            scene.geoms[first].label = f"{_SCALE_M:g} m"
+            scene.geoms[first].label = f"{_SCALE_BAR_M:g} m"
 
     def _add_ghost(self, scene: mujoco.MjvScene, row: int) -> None:
-        """Draw the body of the ghost at the time of a sample; it stays where its run ended."""
+        """Add the ghost at the time of a sample; after its run, it remains at its last position."""
         if self.ghost is None:
             return
         plant, run = self.ghost
@@ -146,44 +153,46 @@ class Stage:
         color = np.array(unit_rgba(style_of(plant).color, _GHOST_ALPHA), dtype=np.float32)
         skin = self._skins.geoms[0][0]
         points = np.pad(line, ((0, 0), (0, 1)), constant_values=self.data.geom_xpos[skin, 2])
-        # A little thinner than the twin, so that two at the same place do not flicker.
+        # Slightly thinner than the twin, so that coincident surfaces do not flicker.
         radius = 0.92 * self.model.geom_size[skin, 0]
         for begin, end in zip(points, points[1:], strict=False):
             if scene.ngeom == scene.maxgeom:
                 return
-            geom, piece = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_CAPSULE
-            mujoco.mjv_initGeom(geom, piece, np.zeros(3), np.zeros(3), np.zeros(9), color)
-            mujoco.mjv_connector(geom, piece, radius, begin, end)
+            geom, capsule = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_CAPSULE
+            mujoco.mjv_initGeom(geom, capsule, np.zeros(3), np.zeros(3), np.zeros(9), color)
+            mujoco.mjv_connector(geom, capsule, radius, begin, end)
             scene.ngeom += 1
 
 
-def add_line(scene: mujoco.MjvScene, points: np.ndarray, color: str, half: float, level: int = 1) -> None:
-    """Add a line on the floor to a scene, as far as there is room.
+def add_line(
+    scene: mujoco.MjvScene, points: np.ndarray, color: str, half_width: float, level: int = 1
+) -> None:
+    """Add a line on the floor to a scene, until the scene is full.
 
-    It is made of flat boxes: capsules would take longer to draw than everything else. Each lies a little
-    higher than the one before: MuJoCo lights faces at the same depth twice.
+    The line consists of flat boxes, because capsules would take longer to draw than the rest of the scene.
+    Each box is slightly higher than the previous one, because MuJoCo lights coincident faces twice.
 
     Args:
-        scene: of a picture that is being made.
-        points: (n, 2), m.
-        color: as #rrggbb.
-        half: of its width, m.
-        level: lines of a higher one lie on those of a lower one.
+        scene: scene of an image.
+        points: points of the line, shape (n, 2), m.
+        color: colour, #rrggbb.
+        half_width: half of the line width, m.
+        level: layer; lines of higher layers cover those of lower ones.
     """
     box, rgba = mujoco.mjtGeom.mjGEOM_BOX, np.array(unit_rgba(color), dtype=np.float32)
-    heights = _LINE * np.linspace(level, level + 1, len(points))
+    heights = _LINE_M * np.linspace(level, level + 1, len(points))
     for begin, end, height in zip(points, points[1:], heights, strict=False):
         if scene.ngeom == scene.maxgeom:
             return
         (x, y), length = end - begin, math.hypot(*(end - begin))
         c, s = (x / length, y / length) if length else (1.0, 0.0)
-        size, place = [length / 2 + half, half, _LINE / 2], [*(begin + end) / 2, height]
-        mujoco.mjv_initGeom(scene.geoms[scene.ngeom], box, size, place, [c, -s, 0, s, c, 0, 0, 0, 1], rgba)
+        size, position = [length / 2 + half_width, half_width, _LINE_M / 2], [*(begin + end) / 2, height]
+        mujoco.mjv_initGeom(scene.geoms[scene.ngeom], box, size, position, [c, -s, 0, s, c, 0, 0, 0, 1], rgba)
         scene.ngeom += 1
 
 
 def _legend(run: Trajectory, ghost: Ghost | None, *, bench: bool) -> list[Label]:
-    """Return what the colours mean."""
+    """Return the labels that explain the colours."""
     labels = [Label("p+ > p-", PLUS_COLOR), Label("p+ < p-", MINUS_COLOR)]
     labels += [] if bench else [Label("twin, CoM", STYLES["twin"].color)]
     if pictures := added_to(run):
@@ -191,22 +200,22 @@ def _legend(run: Trajectory, ghost: Ghost | None, *, bench: bool) -> list[Label]
     return labels + ([] if ghost is None else [Label(ghost[0], style_of(ghost[0]).color)])
 
 
-def _see_through(model: mujoco.MjModel) -> None:
-    """Let the camera see a snake behind an obstacle."""
+def _make_obstacles_translucent(model: mujoco.MjModel) -> None:
+    """Make obstacles translucent, so that a snake behind them is visible."""
     for geom in range(model.ngeom):
         if re.match(r"(obstacle|polygon)_\d", model.geom(geom).name):
             model.geom_rgba[geom, 3] = _OBSTACLE_ALPHA
 
 
 class Skins:
-    """What is drawn of the segments of a model, lit so that a colour stands for a pressure.
+    """Visible geoms of the segments, coloured by pressure.
 
     Attributes:
-        geoms: of each segment.
+        geoms: indices of the geoms of each segment.
     """
 
     def __init__(self, model: mujoco.MjModel, segments: int) -> None:
-        """Find them, and let no more light fall on anything than white reflects."""
+        """Find the geoms, and limit the lights so that colours are not overexposed."""
         model.vis.headlight.ambient, model.vis.headlight.diffuse = [0.45] * 3, [0.2] * 3
         model.light_diffuse[:], model.light_specular[:] = 0.45, 0.0
         model.mat_reflectance[:] = 0.0
@@ -217,18 +226,23 @@ class Skins:
                 self.geoms[int(match[1]) - 1].append(geom)
 
     def paint(self, colors: np.ndarray) -> None:
-        """Give each segment a colour, shape (segments, 4), 0 to 1."""
+        """Set the colours of the segments, shape (segments, 4), 0 to 1."""
         for geoms, color in zip(self.geoms, colors, strict=True):
             self._model.geom_rgba[geoms] = color
 
-    def show(self, pressure: np.ndarray, most: float) -> None:
-        """Show pressures (segments, 2) of the + and − chambers; `most` is what has the full colour."""
-        self.paint(pressure_colors(pressure[:, 0] - pressure[:, 1], most) / np.float32(255))
+    def show(self, pressure: np.ndarray, full_scale: float) -> None:
+        """Set the colours from the pressures of the + and − chambers.
+
+        Args:
+            pressure: pressures, shape (segments, 2), any unit.
+            full_scale: pressure difference with the full colour.
+        """
+        self.paint(pressure_colors(pressure[:, 0] - pressure[:, 1], full_scale) / np.float32(255))
 
 
-def _on_the_floor(run: Trajectory) -> list[tuple[np.ndarray, str]]:
-    """Return the lines on the floor that extensions add, with their colours; only those of the legend."""
+def _floor_lines(run: Trajectory) -> list[tuple[np.ndarray, str]]:
+    """Return points and colour of the lines on the floor that extensions add and list in their legend."""
     pictures = added_to(run)
     lines = [] if pictures is None else pictures.floor_lines(run)
-    shown = [line for line in lines if pictures and line.color in pictures.legend.values()]
-    return [(strip, line.color) for line in shown for strip in line.strips]
+    listed = [line for line in lines if pictures and line.color in pictures.legend.values()]
+    return [(strip, line.color) for line in listed for strip in line.strips]

@@ -1,4 +1,4 @@
-"""The stroboscopic figure: a run in one picture from above, the snake at several moments (after Fig. 36)."""
+"""Stroboscopic figure: the snake at several times of a run in one plan view (after Fig. 36)."""
 
 from __future__ import annotations
 
@@ -21,72 +21,89 @@ from srs_twin.viewing.plots.from_above import strobe_times
 from srs_twin.viewing.plots.style import MINUS_COLOR, PLUS_COLOR, STYLES
 
 _DPI = 150
-_LEFT, _RIGHT, _TOP, _BOTTOM = 0.7, 0.15, 0.35, 0.85  # margins, inches
-_FLATTEST, _TALLEST = 5.0, 1.0  # width over height of the floor that is shown
+# Margins of the figure, inches.
+_LEFT = 0.7
+_RIGHT = 0.15
+_TOP = 0.35
+_BOTTOM = 0.85
+
+_MAX_ASPECT = 5.0
+"""Largest width per height of the drawn floor."""
+
+_MIN_ASPECT = 1.0
 _LINE_PIXELS = 3.0
-_MARGIN = 0.35  # of a body length around everything
+_MARGIN_LENGTHS = 0.35
+"""Margin around bodies and obstacles, body lengths."""
 
 
 def write_strobe(path: Path, scenario: Scenario, run: Trajectory, *, width: int = 1280) -> None:
     """Write the stroboscopic figure of a run as PNG.
 
-    MuJoCo draws the snakes without perspective, so that the axes in metres hold everywhere on the floor.
+    The projection is orthographic, so that the axes in metres hold everywhere on the floor.
 
     Args:
-        path: of the file.
-        scenario: what was run.
-        run: what the twin did.
-        width: of the whole figure, pixels.
+        path: output file.
+        scenario: scenario of the run.
+        run: trajectory of the twin.
+        width: width of the figure, pixels.
 
     Raises:
-        InputError: nothing to draw, no OpenGL, or the file cannot be written.
+        InputError: there is nothing to draw or no OpenGL, or the file cannot be written.
     """
     stage = Stage(scenario, run)
-    moments = strobe_times({"twin": run}, scenario.robot.geometry)
-    rows = [stage.row_at(moment) for moment in moments]
-    low, high = _floor(scenario, run)
-    across, up = high - low
-    inside = width / _DPI - _LEFT - _RIGHT
-    tall = inside * up / across
-    pixels = 2 * round(inside * _DPI / 2), 2 * round(tall * _DPI / 2)
-    picture = _from_above(stage, rows, (low + high) / 2, float(up), pixels)
-    figure = Figure(figsize=(width / _DPI, tall + _TOP + _BOTTOM), dpi=_DPI)
-    whole = figure.get_size_inches()
-    axes = figure.add_axes((_LEFT / whole[0], _BOTTOM / whole[1], inside / whole[0], tall / whole[1]))
-    axes.imshow(picture, extent=(low[0], high[0], low[1], high[1]), interpolation="antialiased")
-    for moment, row in zip(moments, rows, strict=True):
+    times = strobe_times({"twin": run}, scenario.robot.geometry)
+    rows = [stage.row_at(time) for time in times]
+    low, high = _floor_corners(scenario, run)
+    floor_width, floor_height = high - low
+    axes_width = width / _DPI - _LEFT - _RIGHT
+    axes_height = axes_width * floor_height / floor_width
+    pixels = 2 * round(axes_width * _DPI / 2), 2 * round(axes_height * _DPI / 2)
+    image = _render_from_above(stage, rows, (low + high) / 2, float(floor_height), pixels)
+    figure = Figure(figsize=(width / _DPI, axes_height + _TOP + _BOTTOM), dpi=_DPI)
+    size = figure.get_size_inches()
+    axes = figure.add_axes((_LEFT / size[0], _BOTTOM / size[1], axes_width / size[0], axes_height / size[1]))
+    axes.imshow(image, extent=(low[0], high[0], low[1], high[1]), interpolation="antialiased")
+    for time, row in zip(times, rows, strict=True):
         x, y = run.com[row]
-        reach = run.position[row, :, 1].max() - y + 1.8 * scenario.robot.geometry.half_track
-        axes.annotate(f"{moment:.3g} s", (x, y + reach), ha="center", va="bottom", fontsize=8)
+        label_offset = run.position[row, :, 1].max() - y + 1.8 * scenario.robot.geometry.half_track
+        axes.annotate(f"{time:.3g} s", (x, y + label_offset), ha="center", va="bottom", fontsize=8)
     axes.set_xlabel("x (m)", fontsize=9)
     axes.set_ylabel("y (m)", fontsize=9)
     axes.tick_params(labelsize=8)
     axes.set_title(scenario.title, fontsize=9, loc="left", wrap=True)
-    _add_key(figure, stage.legend)
-    with atomic_write(path) as part:
-        figure.savefig(part, dpi=_DPI)
+    _add_legend(figure, stage.legend)
+    with atomic_write(path) as temporary:
+        figure.savefig(temporary, dpi=_DPI)
 
 
-def _floor(scenario: Scenario, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners of the floor that is shown, m: all of the run and of the world, not too slim."""
+def _floor_corners(scenario: Scenario, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lower left and upper right corner of a floor that contains the run and the world, m."""
     points = [run.position.reshape(-1, 2)]
     points += [np.array(polygon.corners) for polygon in scenario.world.polygons]
     circles: list[Any] = [*scenario.world.obstacles, *filter(None, [scenario.world.goal])]
     for circle in circles:
         points += [np.array([[circle.x, circle.y]]) + side * circle.radius for side in (-1, 1)]
-    every = np.concatenate(points)
-    low, high = every.min(axis=0), every.max(axis=0)
-    margin = _MARGIN * scenario.robot.geometry.body_length
+    corners = np.concatenate(points)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    margin = _MARGIN_LENGTHS * scenario.robot.geometry.body_length
     low, high = low - margin, high + margin
-    size, middle = high - low, (low + high) / 2
-    size = np.array([max(size[0], _TALLEST * size[1]), max(size[1], size[0] / _FLATTEST)])
-    return middle - size / 2, middle + size / 2
+    size, centre = high - low, (low + high) / 2
+    size = np.array([max(size[0], _MIN_ASPECT * size[1]), max(size[1], size[0] / _MAX_ASPECT)])
+    return centre - size / 2, centre + size / 2
 
 
-def _from_above(
+def _render_from_above(
     stage: Stage, rows: list[int], centre: np.ndarray, height: float, pixels: tuple[int, int]
 ) -> np.ndarray:
-    """Return a picture straight from above without perspective that shows all these samples at once."""
+    """Return an orthographic image from above that shows several samples at once.
+
+    Args:
+        stage: scene of the run.
+        rows: samples to draw.
+        centre: centre of the view, m.
+        height: height of the view, m.
+        pixels: width and height of the image.
+    """
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.azimuth, camera.elevation, camera.distance = 90.0, -90.0, 2.0
@@ -107,7 +124,7 @@ def _from_above(
         return canvas.draw(stage.data, camera, add)
 
 
-def _add_key(figure: Figure, floor_lines: Mapping[str, str]) -> None:
+def _add_legend(figure: Figure, floor_lines: Mapping[str, str]) -> None:
     handles = [
         Line2D([], [], color=STYLES["twin"].color, label="CoM"),
         *(Line2D([], [], color=color, label=name) for name, color in floor_lines.items()),

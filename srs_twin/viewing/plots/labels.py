@@ -1,4 +1,4 @@
-"""What people call a field of a scenario and a metric, with its unit: labels of axes."""
+"""Labels of scenario fields and metrics, with units."""
 
 from __future__ import annotations
 
@@ -12,32 +12,41 @@ from srs_twin.comparison.sampling import split_unit as split_metric
 from srs_twin.robot.sourced import split_unit
 from srs_twin.scenario.file import ScenarioFile
 
-# How names of metrics end, and what is said instead.
-_ENDINGS = {
+# Suffix of a metric name → its text in a label.
+_SUFFIXES = {
     "_rel": ", relative difference",
     "_abs": ", size of difference",
     "_body": " over body length",
 }
-_SENTENCES = ("What ", "Which ", "How ")
-_LONGEST = 36  # characters of a title from the schema; longer ones are sentences
+_SENTENCE_STARTS = ("What ", "Which ", "How ")
+"""First words of titles in the schema that are sentences, not labels."""
+
+_MAX_TITLE = 36
+"""Largest number of characters of a title in the schema that serves as a label."""
 
 
 def field_label(path: str) -> str:
-    """Return 'gait frequency (Hz)' for controller.frequency_hz; what nobody titled is called by its key."""
-    parts = path.split(".")
-    name, unit = split_unit(parts[-1])
+    """Return the label of a field, e.g. 'gait frequency (Hz)' for `controller.frequency_hz`.
+
+    The label is the title in the schema if there is a short one, else the key.
+    """
+    keys = path.split(".")
+    name, unit = split_unit(keys[-1])
     title = re.split(r" \(|[,:]", _title(path))[0]
-    if not 0 < len(title) <= _LONGEST or title.startswith(_SENTENCES):
-        group = parts[-2] if len(parts) > 1 and parts[0] != "plants" else ""
+    if not 0 < len(title) <= _MAX_TITLE or title.startswith(_SENTENCE_STARTS):
+        group = keys[-2] if len(keys) > 1 and keys[0] != "plants" else ""
         title = f"{group} {_spaced(name)}".strip()
     title = title if title[:2].isupper() else title[:1].lower() + title[1:]
-    if parts[0] == "plants" and len(parts) > 2:
-        title = f"{title}, {parts[1]}"
+    if keys[0] == "plants" and len(keys) > 2:
+        title = f"{title}, {keys[1]}"
     return _with_unit(title, unit)
 
 
 def metric_label(metric: str) -> str:
-    """Return 'CoM speed (m/s)' for com_speed_m_s, and 'bend amplitude 2 (rad)' for a list's second."""
+    """Return the label of a metric, e.g. 'CoM speed (m/s)' for `com_speed_m_s`.
+
+    A number after the name selects an element of a list: 'bend amplitude 2 (rad)'.
+    """
     units = METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS
     stem, _, number = metric.rpartition("_")
     if metric not in units and number.isdigit() and stem in units:
@@ -46,12 +55,12 @@ def metric_label(metric: str) -> str:
 
 
 def metric_title(metric: str) -> str:
-    """Return 'CoM speed' for com_speed_m_s."""
+    """Return the label of a metric without its unit, e.g. 'CoM speed' for `com_speed_m_s`."""
     name, _ = split_metric(metric)
-    for ending, words in _ENDINGS.items():
-        if name.endswith(ending):
-            words = ", relative" if ending == "_rel" and metric not in COMPARISON_UNITS else words
-            name = name.removesuffix(ending) + words
+    for suffix, text in _SUFFIXES.items():
+        if name.endswith(suffix):
+            text = ", relative" if suffix == "_rel" and metric not in COMPARISON_UNITS else text
+            name = name.removesuffix(suffix) + text
     title = _spaced(name.replace("com_", "CoM ").replace("_rms", " RMS"))
     return {"wall": "time to compute", "plan": "time to plan"}.get(title, title)
 
@@ -68,11 +77,11 @@ def _spaced(name: str) -> str:
 
 
 def _title(path: str) -> str:
-    """Return the title that the schema of scenario files gives a field, empty where it gives none."""
+    """Return the title of a field in the schema of scenario files; empty without a title."""
     nodes = [_schema()]
-    for part in path.split("."):
-        below = (option.get("properties", {}).get(part) for node in nodes for option in _options(node))
-        nodes = [node for node in below if node is not None]
+    for key in path.split("."):
+        children = (option.get("properties", {}).get(key) for node in nodes for option in _options(node))
+        nodes = [node for node in children if node is not None]
     return str(next((node["title"] for node in nodes if "title" in node), ""))
 
 
@@ -82,7 +91,7 @@ def _schema() -> dict[str, Any]:
 
 
 def _options(node: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """Yield what a node of the schema may be: itself, what it refers to, its alternatives."""
+    """Yield a node of the schema, its reference and its alternatives, recursively."""
     yield node
     if "$ref" in node:
         yield from _options(_schema()["$defs"][node["$ref"].rsplit("/", 1)[1]])

@@ -1,4 +1,4 @@
-"""Picture files."""
+"""Figures as image files."""
 
 from __future__ import annotations
 
@@ -14,14 +14,18 @@ FORMATS = (".png", ".svg")
 
 
 def save(figure: Figure, path: str | Path) -> None:
-    """Write a picture as PNG or SVG, by the suffix, whole or not at all; equal ones give equal bytes.
+    """Write a figure as PNG or SVG atomically; equal figures give equal bytes.
+
+    Args:
+        figure: figure.
+        path: output file; its suffix selects the format.
 
     Raises:
-        InputError: another suffix, or the place cannot be written.
+        InputError: the suffix is not supported, or the file cannot be written.
     """
     target = Path(path)
     if target.suffix not in FORMATS:
-        raise InputError(f"{target.name}: pictures are written as {' or '.join(FORMATS)}")
-    about = {"Software": None} if target.suffix == ".png" else {"Date": None}
-    with atomic_write(target) as part, rc_context({"svg.hashsalt": "srs-twin", "svg.fonttype": "none"}):
-        figure.savefig(part, format=target.suffix[1:], dpi=130, metadata=about)
+        raise InputError(f"{target.name}: the name of an image must end in {' or '.join(FORMATS)}")
+    metadata = {"Software": None} if target.suffix == ".png" else {"Date": None}
+    with atomic_write(target) as temporary, rc_context({"svg.hashsalt": "srs-twin", "svg.fonttype": "none"}):
+        figure.savefig(temporary, format=target.suffix[1:], dpi=130, metadata=metadata)

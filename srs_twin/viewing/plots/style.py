@@ -1,6 +1,6 @@
-"""Colours, lines and margins, the same in every picture.
+"""Colours, line styles and margins of all plots.
 
-Margins are given in inches: matplotlib's automatic layouts double the time to draw.
+Margins are fixed, in inches, because the automatic layouts of matplotlib double the drawing time.
 """
 
 from __future__ import annotations
@@ -13,10 +13,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-Place = Literal["left", "center"]
+Alignment = Literal["left", "center"]
 _NO_PRESSURE = (225, 225, 222)
-# Of pressures; neither is a plant's colour.
-PLUS_COLOR, MINUS_COLOR = "#aa3377", "#009e73"
+"""Colour of a segment without pressure difference, RGB."""
+
+PLUS_COLOR = "#aa3377"
+"""Colour of a higher pressure in the + chamber; differs from the colours of the plants."""
+
+MINUS_COLOR = "#009e73"
+"""Colour of a higher pressure in the − chamber."""
+
 GOAL_COLOR = "#b03030"
 
 
@@ -27,24 +33,25 @@ def rgb(color: str) -> tuple[int, int, int]:
 
 
 def unit_rgba(color: str, alpha: float = 1.0) -> tuple[float, float, float, float]:
-    """Return a colour #rrggbb as MuJoCo takes it: red, green, blue, opacity, 0 to 1."""
+    """Return a colour #rrggbb as red, green, blue and opacity from 0 to 1, the format of MuJoCo."""
     red, green, blue = rgb(color)
     return red / 255, green / 255, blue / 255, alpha
 
 
-PLUS_RGB, MINUS_RGB = rgb(PLUS_COLOR), rgb(MINUS_COLOR)
+PLUS_RGB = rgb(PLUS_COLOR)
+MINUS_RGB = rgb(MINUS_COLOR)
 
 
 @dataclass(frozen=True)
 class Style:
-    """How one plant, or what is said of both, looks in every picture (Okabe and Ito's palette).
+    """Style of a plant or another source of data in all plots (palette of Okabe and Ito).
 
     Attributes:
         label: name in legends.
-        color: as #rrggbb.
-        dash: matplotlib line style; differs between plants so that grey print can be read.
+        color: colour, #rrggbb.
+        dash: matplotlib line style; differs between plants for greyscale prints.
         width: line width, points.
-        marker: of points.
+        marker: marker of points.
     """
 
     label: str
@@ -65,7 +72,7 @@ class Style:
 
     @property
     def zorder(self) -> float:
-        """Dashed lines lie on solid ones: where both agree, both are seen."""
+        """Drawing order: dashed lines above solid ones, so that coincident lines are both visible."""
         return 2.0 if self.dash == "-" else 2.1
 
 
@@ -77,54 +84,63 @@ STYLES = {
     "plan": Style("plan", "#222222", "-", 1.5),
 }
 REFERENCE = Style("reference", "#000000", "-", 0.9)
-"""What the bends are to follow."""
+"""Style of the reference bend."""
 
 PUBLISHED_COLOR = "#000000"
-"""Of values from a publication; its marker is no plant's either."""
+"""Colour of published values."""
 
-_MORE = ("#CC79A7", "#56B4E9", "#E69F00")
+_FURTHER_COLORS = ("#CC79A7", "#56B4E9", "#E69F00")
 
 
 def style_of(plant: str, index: int = 0) -> Style:
-    """Return a plant's style; names that are not known take a further colour by their index."""
-    return STYLES.get(plant) or Style(plant, _MORE[index % len(_MORE)], "-.", 1.5)
+    """Return the style of a plant; the index selects a further colour for unknown names."""
+    return STYLES.get(plant) or Style(plant, _FURTHER_COLORS[index % len(_FURTHER_COLORS)], "-.", 1.5)
 
 
-def pressure_colors(difference: np.ndarray, most: float | None = None) -> np.ndarray:
-    """Return RGBA bytes, shape (…, 4): purple for p⁺ above p⁻, green below, light grey between.
+def pressure_colors(difference: np.ndarray, full_scale: float | None = None) -> np.ndarray:
+    """Return RGBA bytes, shape (…, 4): from light grey to purple for p⁺ > p⁻ and to green for p⁺ < p⁻.
 
     Args:
-        difference: p⁺ − p⁻, any unit; NaN is grey.
-        most: which magnitude has the full colour; default the largest one.
+        difference: p⁺ − p⁻, any unit; NaN becomes grey.
+        full_scale: magnitude with the full colour; default: the largest one.
     """
-    known = np.nan_to_num(difference)
-    most = float(np.max(np.abs(known), initial=0.0)) if most is None else most
-    share = np.clip(known / max(most, 1e-12), -1.0, 1.0)[..., None]
-    full = np.where(share > 0, PLUS_RGB, MINUS_RGB)
-    rgb = np.rint(_NO_PRESSURE + np.abs(share) * (full - np.array(_NO_PRESSURE)))
-    return np.concatenate([rgb, np.full_like(share, 255)], axis=-1).astype(np.uint8)
+    finite = np.nan_to_num(difference)
+    full_scale = float(np.max(np.abs(finite), initial=0.0)) if full_scale is None else full_scale
+    fraction = np.clip(finite / max(full_scale, 1e-12), -1.0, 1.0)[..., None]
+    full = np.where(fraction > 0, PLUS_RGB, MINUS_RGB)
+    rgb = np.rint(_NO_PRESSURE + np.abs(fraction) * (full - np.array(_NO_PRESSURE)))
+    return np.concatenate([rgb, np.full_like(fraction, 255)], axis=-1).astype(np.uint8)
 
 
 _WIDTH = 9.0
-_LEFT, _TOP, _BOTTOM = 0.75, 0.42, 0.5
+"""Width of all figures, inches."""
+
+_LEFT = 0.75
+"""Default margin for the labels of the y axis, inches."""
+
+_TOP = 0.42
+"""Default margin for the title, inches."""
+
+_BOTTOM = 0.5
+"""Default margin for the labels of the x axis, inches."""
 
 
 def panels(
     height: float, rows: int = 1, *, right: float = 0.2, share_y: bool = False, heights: Sequence[float] = ()
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure of the report's width and its panels, top first, with a common time axis.
+    """Return a figure with panels in one column that share the x axis, and the panels from top to bottom.
 
     Args:
-        height: of the whole figure, inches.
+        height: height of the figure, inches.
         rows: number of panels.
-        right: margin for a second axis there, inches.
-        share_y: whether all panels have the same range.
-        heights: of the panels over each other; default equal ones.
+        right: right margin, inches.
+        share_y: whether the panels also share the y axis.
+        heights: relative heights of the panels; default: equal heights.
     """
-    figure, made = side_by_side(
+    figure, grid = side_by_side(
         height, 1, rows, right=right, space=0.18, sharex=True, sharey=share_y, height_ratios=heights or None
     )
-    return figure, list(made[:, 0])
+    return figure, list(grid[:, 0])
 
 
 def side_by_side(
@@ -137,20 +153,20 @@ def side_by_side(
     top: float = _TOP,
     bottom: float = _BOTTOM,
     space: float = 0.08,
-    **shared: Any,
+    **options: Any,
 ) -> tuple[Figure, np.ndarray]:
-    """Return a figure of the report's width and its panels, shape (rows, columns).
+    """Return a figure with a grid of panels, and the panels, shape (rows, columns).
 
     Args:
-        height: of the whole figure, inches.
+        height: height of the figure, inches.
         columns: number of panels in a row.
         rows: number of rows.
-        left: margin there, inches.
-        right: margin there, inches.
-        top: margin there, inches.
-        bottom: margin there, inches.
-        space: between panels, over their size.
-        shared: what `Figure.subplots` is told besides.
+        left: left margin, inches.
+        right: right margin, inches.
+        top: top margin, inches.
+        bottom: bottom margin, inches.
+        space: gap between panels relative to their size.
+        options: further arguments of `Figure.subplots`.
     """
     figure = Figure(figsize=(_WIDTH, height))
     margins = {
@@ -161,22 +177,22 @@ def side_by_side(
         "hspace": space,
         "wspace": space,
     }
-    return figure, figure.subplots(rows, columns, squeeze=False, gridspec_kw=margins, **shared)
+    return figure, figure.subplots(rows, columns, squeeze=False, gridspec_kw=margins, **options)
 
 
-def finish(axes: Axes, label: str, below: str = "", *, title: str = "", loc: Place = "center") -> None:
-    """Name the axes and lay a light grid.
+def finish(axes: Axes, label: str, x_label: str = "", *, title: str = "", loc: Alignment = "center") -> None:
+    """Set the labels and the title of a panel, and add a grid.
 
     Args:
-        axes: of a panel.
-        label: of the y axis.
-        below: label of the x axis.
-        title: above the panel.
-        loc: where it stands, "center" or "left".
+        axes: panel.
+        label: label of the y axis.
+        x_label: label of the x axis.
+        title: title above the panel.
+        loc: alignment of the title, "center" or "left".
     """
     axes.set_ylabel(label, fontsize=9)
-    if below:
-        axes.set_xlabel(below)
+    if x_label:
+        axes.set_xlabel(x_label)
     if title:
         axes.set_title(title, fontsize=10, loc=loc)
     axes.grid(True, linewidth=0.4, alpha=0.5)

@@ -1,1 +1,1 @@
-"""Finished runs as Rerun recordings, and the viewer that shows them."""
+"""Rerun recordings of runs, and the Rerun viewer."""

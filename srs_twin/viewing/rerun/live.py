@@ -1,8 +1,9 @@
-"""A robot on the air, streamed to Rerun as it runs: estimate with its spread, what comes next, faults.
+"""Live view of a robot in Rerun: estimate with its uncertainty, prediction, innovations and detected faults.
 
-Entity tree: `world/floor`, `world/robot/{body, connectors, spread, trail}`, `world/next/{path, fan}`, `lamps`
-(a text: what was named), `bend/segment_j`, `off/{bends, poses, pressures}` (by how many standard deviations
-measurements were off). The time line is `sim_time`: seconds from the beginning.
+Entities: `world/floor`, `world/robot/{body, connectors, spread, trail}`, `world/next/{path, fan}`, `lamps`
+    (text with the
+detected faults), `bend/segment_j`, `off/{bends, poses, pressures}` (innovations in standard deviations). The
+timeline is `sim_time`, seconds since the start.
 """
 
 from __future__ import annotations
@@ -25,15 +26,24 @@ from srs_twin.viewing.plots.style import STYLES, rgb
 from srs_twin.viewing.rerun.blueprint import TIMELINE
 from srs_twin.viewing.rerun.recording import APPLICATION
 from srs_twin.viewing.rerun.viewer import HOST, free_port, lacks_display, running_rerun
-from srs_twin.viewing.rerun.web import served
+from srs_twin.viewing.rerun.web import serve_recordings
 
-_HEIGHT, _FLAT = 0.02, 0.003
-_TRAIL = 300
-_NEXT, _FAN, _FINE, _FAULTY = (242, 142, 43), (242, 142, 43, 60), (80, 170, 90), (208, 32, 32)
+_BODY_HEIGHT_M = 0.02
+_FLOOR_HEIGHT_M = 0.003
+"""Height of lines and discs on the floor, m; prevents flicker."""
+
+_MAX_TRAIL_POINTS = 300
+_PREDICTION_COLOR = (242, 142, 43)
+_PREDICTION_ALPHA = 60
+_LOST_COLOR = (208, 32, 32)
+"""Colour of a body whose estimate is not reliable."""
+
+_Z95 = 1.96
+"""Half width of a 95 % interval of a normal distribution, standard deviations."""
 
 
 class LiveEstimate(Protocol):
-    """State of a robot as it is known now; `live.shadow.Estimate`."""
+    """Current state estimate of a robot; `live.shadow.Estimate`."""
 
     @property
     def time(self) -> float:
@@ -41,31 +51,31 @@ class LiveEstimate(Protocol):
 
     @property
     def connectors(self) -> np.ndarray:
-        """Poses of the connectors, shape (N, 3): m, m, rad."""
+        """Poses of the connectors, shape (N, 3), m, m, rad."""
 
     @property
     def bend(self) -> np.ndarray:
-        """Bends, rad."""
+        """Bends, shape (segments,), rad."""
 
     @property
     def pose(self) -> np.ndarray:
-        """Pose of the centre of mass: m, m, rad."""
+        """Pose, shape (3,), m, m, rad."""
 
     @property
     def pose_sd(self) -> np.ndarray:
-        """Standard deviations of the pose."""
+        """Standard deviations of the pose, shape (3,)."""
 
     @property
     def lost(self) -> str | None:
-        """Reason why the estimate is not to be relied on; empty or None where it is."""
+        """Reason why the estimate is not reliable; empty or None if it is."""
 
     @property
     def off(self) -> Mapping[str, float]:
-        """Kind of measurement → error of its prediction, standard deviations."""
+        """Kind of measurement → innovation, standard deviations."""
 
     @property
     def faults(self) -> tuple[tuple[str, str, float], ...]:
-        """Part, fault and probability of each fault that is named."""
+        """Component, fault and probability of each detected fault."""
 
 
 class LiveForecast(Protocol):
@@ -73,116 +83,117 @@ class LiveForecast(Protocol):
 
     @property
     def pose(self) -> np.ndarray:
-        """Poses of the centre of mass, shape (times, 3): m, m, rad."""
+        """Poses, shape (times, 3), m, m, rad."""
 
     @property
     def pose_sd(self) -> np.ndarray:
-        """Their standard deviations."""
+        """Standard deviations of the poses, shape (times, 3)."""
 
 
 class LiveView:
-    """Logs estimates and predictions to a stream."""
+    """Logger of estimates and predictions, called once per estimate."""
 
     def __init__(self, spec: RobotSpec, log: rr.RecordingStream) -> None:
-        """Lay out the views.
+        """Send the layout.
 
         Args:
-            spec: the robot.
-            log: where to.
+            spec: robot.
+            log: stream of the viewer.
         """
-        self._log, self._spec, self._begun = log, spec, float("nan")
+        self._log, self._spec, self._start = log, spec, float("nan")
         self._trail: list[list[float]] = []
-        self._told: tuple[tuple[str, str, float], ...] | None = None
-        n = range(1, spec.segments + 1)
+        self._logged_faults: tuple[tuple[str, str, float], ...] | None = None
         scene = rrb.Spatial3DView(origin="world", name="Robot, estimate (orange: next second)")
         bends = rrb.TimeSeriesView(origin="bend", name="Bends, rad", axis_y=rrb.ScalarAxis(range=(-1.6, 1.6)))
-        off = rrb.TimeSeriesView(origin="off", name="Measurements off by, standard deviations")
-        lamps = rrb.TextDocumentView(origin="lamps", name="Faults")
-        right = rrb.Vertical(lamps, bends, off, row_shares=[1, 2, 2])
+        innovations = rrb.TimeSeriesView(origin="off", name="Innovations, standard deviations")
+        faults = rrb.TextDocumentView(origin="lamps", name="Faults")
+        right = rrb.Vertical(faults, bends, innovations, row_shares=[1, 2, 2])
         log.send_blueprint(
             rrb.Blueprint(rrb.Horizontal(scene, right, column_shares=[3, 2]), collapse_panels=True)
         )
         log.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        for j in n:
+        for j in range(1, spec.segments + 1):
             log.log(f"bend/segment_{j}", rr.SeriesLines(names=f"segment {j}"), static=True)
 
-    def __call__(self, found: LiveEstimate, coming: LiveForecast | None) -> None:
-        """Show what is known now, and what comes next."""
+    def __call__(self, estimate: LiveEstimate, prediction: LiveForecast | None) -> None:
+        """Log an estimate and a prediction."""
         log = self._log
-        if np.isnan(self._begun):
-            self._begun = found.time
-        log.set_time(TIMELINE, duration=found.time - self._begun)
-        g = self._spec.geometry
-        place, bend = found.connectors, found.bend
-        names = [f"{column}_{i}" for i in range(1, len(place) + 1) for column in ("x", "y", "theta")]
-        line = body_line(Trajectory(dict(zip(names, place.reshape(-1, 1), strict=True))), g)[0]
-        color = _FAULTY if found.lost else rgb(STYLES["twin"].color)
+        if np.isnan(self._start):
+            self._start = estimate.time
+        log.set_time(TIMELINE, duration=estimate.time - self._start)
+        width, poses = self._spec.geometry.width, estimate.connectors
+        names = [f"{column}_{i}" for i in range(1, len(poses) + 1) for column in ("x", "y", "theta")]
+        line = body_line(
+            Trajectory(dict(zip(names, poses.reshape(-1, 1), strict=True))), self._spec.geometry
+        )[0]
+        color = _LOST_COLOR if estimate.lost else rgb(STYLES["twin"].color)
         log.log(
-            "world/robot/body", rr.LineStrips3D([_raised(line, _HEIGHT)], colors=[color], radii=g.width / 4)
+            "world/robot/body",
+            rr.LineStrips3D([_at_height(line, _BODY_HEIGHT_M)], colors=[color], radii=width / 4),
         )
-        spread = np.full(len(place), 1.96 * float(np.hypot(*found.pose_sd[:2])) + g.width / 4)
+        spread = np.full(len(poses), _Z95 * float(np.hypot(*estimate.pose_sd[:2])) + width / 4)
         log.log(
             "world/robot/spread",
-            rr.Points3D(_raised(place[:, :2], _FLAT), radii=spread, colors=[(*color, 50)]),
+            rr.Points3D(_at_height(poses[:, :2], _FLOOR_HEIGHT_M), radii=spread, colors=[(*color, 50)]),
         )
-        self._trail = [*self._trail[-_TRAIL:], [*found.pose[:2].tolist(), _FLAT]]
+        self._trail = [*self._trail[-_MAX_TRAIL_POINTS:], [*estimate.pose[:2].tolist(), _FLOOR_HEIGHT_M]]
         log.log("world/robot/trail", rr.LineStrips3D([self._trail], colors=[color], radii=0.001))
-        if coming is not None:
+        if prediction is not None:
+            points = _at_height(prediction.pose[:, :2], _FLOOR_HEIGHT_M)
             log.log(
                 "world/next/path",
-                rr.LineStrips3D([_raised(coming.pose[:, :2], _FLAT)], colors=[_NEXT], radii=0.002),
+                rr.LineStrips3D([points], colors=[_PREDICTION_COLOR], radii=0.002),
             )
-            wide = 1.96 * np.hypot(coming.pose_sd[:, 0], coming.pose_sd[:, 1])
-            log.log(
-                "world/next/fan", rr.Points3D(_raised(coming.pose[:, :2], _FLAT), radii=wide, colors=[_FAN])
-            )
-        for j, each in enumerate(bend.tolist(), start=1):
-            log.log(f"bend/segment_{j}", rr.Scalars(each))
-        for kind, value in found.off.items():
-            log.log(f"off/{kind}", rr.Scalars(value))
-        if found.faults != self._told:
-            self._told = found.faults
-            lines = [f"- 🔴 **{part}**: {fault} ({share:.0%})" for part, fault, share in found.faults]
-            lost = f"\n\n🔴 {found.lost}" if found.lost else ""
+            radii = _Z95 * np.hypot(prediction.pose_sd[:, 0], prediction.pose_sd[:, 1])
+            color_of_fan = (*_PREDICTION_COLOR, _PREDICTION_ALPHA)
+            log.log("world/next/fan", rr.Points3D(points, radii=radii, colors=[color_of_fan]))
+        for j, bend in enumerate(estimate.bend.tolist(), start=1):
+            log.log(f"bend/segment_{j}", rr.Scalars(bend))
+        for kind, innovation in estimate.off.items():
+            log.log(f"off/{kind}", rr.Scalars(innovation))
+        if estimate.faults != self._logged_faults:
+            self._logged_faults = estimate.faults
+            lines = [f"- 🔴 **{name}**: {fault} ({share:.0%})" for name, fault, share in estimate.faults]
+            lost = f"\n\n🔴 {estimate.lost}" if estimate.lost else ""
             text = "\n".join(lines or ["🟢 none"]) + lost
             log.log("lamps", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
 
 @contextmanager
 def live_view(
-    spec: RobotSpec, *, keep: Path | None, window: bool, web: bool
+    spec: RobotSpec, *, recording: Path | None, window: bool, web: bool
 ) -> Iterator[tuple[LiveView, str]]:
-    """Stream to a viewer and a file while the block runs; give the view, and the page's address if any.
+    """Stream to viewers and a file during the block; yield the view, and the URL of the page or "".
 
     Args:
-        spec: the robot.
-        keep: recording to write; None: none.
-        window: whether Rerun's own window opens.
-        web: whether a page is served on this machine.
+        spec: robot.
+        recording: file to write; None: no file.
+        window: whether to open the native viewer.
+        web: whether to serve the web viewer on this machine.
 
     Raises:
-        InputError: Rerun does not start, or a window without a display.
+        InputError: Rerun does not start, or there is no display for a window.
     """
     log = rr.RecordingStream(APPLICATION)
-    sinks: list[rr.FileSink | rr.GrpcSink] = [] if keep is None else [rr.FileSink(str(keep))]
+    sinks: list[rr.FileSink | rr.GrpcSink] = [] if recording is None else [rr.FileSink(str(recording))]
     port = free_port()
     address = f"rerun+http://{HOST}:{port}/proxy"
     if window and lacks_display():
-        raise InputError("there is no display to open a viewer on; --web serves a page instead")
+        raise InputError("no display found for the viewer; use --web to serve it to a browser")
     viewer = running_rerun("--port", str(port)) if window else nullcontext()
-    page = served((), data=port) if web else nullcontext(("", None))
-    with viewer, page as (shown, serve):
+    page = serve_recordings((), data_port=port) if web else nullcontext(("", None))
+    with viewer, page as (url, serve):
         if serve is not None:
             Thread(target=serve, daemon=True).start()
         if window or web:
             sinks.append(rr.GrpcSink(address))
         log.set_sinks(*sinks)
         try:
-            yield LiveView(spec, log), shown
+            yield LiveView(spec, log), url
         finally:
             log.flush()
             log.disconnect()
 
 
-def _raised(points: np.ndarray, height: float) -> np.ndarray:
+def _at_height(points: np.ndarray, height: float) -> np.ndarray:
     return np.column_stack([points, np.full(len(points), height)])

@@ -1,6 +1,6 @@
-"""Rerun's viewer as a process beside this one, and the check that a recording is whole.
+"""The Rerun viewer as a child process, and the verification of recordings.
 
-The process listens on this machine alone and ends with whoever needs it.
+The viewer accepts connections from this machine only and ends with the block that started it.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from srs_twin.errors import InputError
 
 
 def rerun_executable() -> Path:
-    """Return the `rerun` program that was installed with the package Python uses.
+    """Return the path of the program `rerun` in the environment of the running Python.
 
     Raises:
-        InputError: it is not beside the running Python.
+        InputError: the program is missing.
     """
     program = Path(sys.executable).parent / ("rerun.exe" if os.name == "nt" else "rerun")
     if not program.is_file():
@@ -32,104 +32,109 @@ def rerun_executable() -> Path:
 
 
 def lacks_display() -> bool:
-    """Say whether no window can be opened, as on a machine without a screen."""
-    named = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    return sys.platform.startswith("linux") and not named
+    """Return whether the machine has no display for a window."""
+    display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    return sys.platform.startswith("linux") and not display
 
 
 def open_recording(path: str | Path) -> None:
-    """Show a recording in the native viewer and wait until it is closed.
+    """Open a recording in the native viewer and wait until the viewer is closed.
 
     Raises:
-        InputError: there is no such recording, no display to show it on, or the viewer would not start.
+        InputError: there is no such recording or no display, or the viewer failed.
     """
     recording = _recording(path)
     program = rerun_executable()
     if lacks_display():
         raise InputError(
-            "there is no display to open a viewer on (neither DISPLAY nor WAYLAND_DISPLAY is set); "
-            f"open {recording.parent / 'report.html'} in a browser instead, or the recording by "
+            "no display found for the viewer (neither DISPLAY nor WAYLAND_DISPLAY is set); "
+            f"open {recording.parent / 'report.html'} in a browser, serve the recording with "
             f"`srs-twin view {recording} --web`, or copy {recording} to a machine with a "
             f"screen and run 'rerun {recording.name}' there"
         )
-    # Rerun would listen on every network interface.
-    ended = subprocess.run([program, "--bind", "127.0.0.1", recording], check=False).returncode
-    if ended > 0:
-        raise InputError(f"the viewer ended with code {ended}; its message stands above")
+    # The default address would accept connections from the network.
+    exit_code = subprocess.run([program, "--bind", "127.0.0.1", recording], check=False).returncode
+    if exit_code > 0:
+        raise InputError(f"the viewer ended with exit code {exit_code}; see its message above")
 
 
 def verify_recording(path: str | Path) -> None:
-    """Let Rerun read a recording from end to end.
+    """Verify a recording with `rerun rrd verify`.
 
     Raises:
-        InputError: there is no such recording, or it is not a whole one; with Rerun's words.
+        InputError: there is no such recording, or it is incomplete or damaged.
     """
     recording = _recording(path)
     command = [str(rerun_executable()), "rrd", "verify", str(recording)]
-    said = subprocess.run(command, check=False, capture_output=True, text=True)
-    # A file of junk also ends with 0, with "0 files verified".
-    if "1 file verified" not in said.stdout + said.stderr:
-        words = (said.stderr or said.stdout).strip().splitlines()
-        raise InputError(f"{path}: not a whole recording ({words[-1] if words else 'rerun said nothing'})")
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    # The exit code is also 0 for files of other formats, with "0 files verified".
+    if "1 file verified" not in done.stdout + done.stderr:
+        lines = (done.stderr or done.stdout).strip().splitlines()
+        raise InputError(
+            f"{path}: incomplete or damaged recording ({lines[-1] if lines else 'no output of rerun'})"
+        )
 
 
 def _recording(path: str | Path) -> Path:
     recording = Path(path)
     if not recording.is_file():
-        raise InputError(f"{path}: there is no such recording; 'srs-twin run SCENARIO' writes one")
+        raise InputError(f"{path}: no such recording; 'srs-twin run SCENARIO' writes one")
     return recording
 
 
 HOST = "127.0.0.1"
-_END_S = 10.0
+"""Address on which the viewer accepts connections."""
+
+_STOP_TIMEOUT_S = 10.0
+"""Time after SIGTERM before the viewer is killed, s."""
 
 Rerun = subprocess.Popen[bytes]
 
 
 @contextmanager
 def running_rerun(*arguments: str) -> Iterator[tuple[Rerun, IO[bytes]]]:
-    """Run Rerun; yield the process, and the file that what it says goes to.
+    """Run Rerun; yield the process and the file with its output.
 
-    However the block ends, Rerun ends with it, and so does all that it has started.
+    Rerun and its child processes have ended when the block has ended.
 
     Args:
-        arguments: besides the address that it listens on.
+        arguments: arguments of Rerun, in addition to its address.
 
     Raises:
-        InputError: it is not installed.
+        InputError: Rerun is not installed.
     """
     command = [str(rerun_executable()), "--bind", HOST, *arguments]
-    with tempfile.TemporaryFile() as said:
-        # `rerun` is a script that starts the real program: both are one group.
+    with tempfile.TemporaryFile() as output:
+        # `rerun` is a script that starts the actual program; a process group allows stopping both.
         rerun = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=said, stderr=said, start_new_session=True
+            command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
         )
         try:
-            yield rerun, said
+            yield rerun, output
         finally:
-            _end(rerun)
+            _stop(rerun)
 
 
 def free_port() -> int:
-    """Return a port of this machine that nobody uses now."""
+    """Return a free TCP port of this machine."""
     with socket.socket() as probe:
         probe.bind((HOST, 0))
         return int(probe.getsockname()[1])
 
 
-def output_lines(said: IO[bytes]) -> list[str]:
-    """Return the lines that Rerun has said, one at least."""
-    said.seek(0)
-    return said.read().decode(errors="replace").strip().splitlines() or ["it said nothing"]
+def output_lines(output: IO[bytes]) -> list[str]:
+    """Return the lines of the output of Rerun, at least one."""
+    output.seek(0)
+    return output.read().decode(errors="replace").strip().splitlines() or ["no output"]
 
 
-def _end(rerun: Rerun) -> None:
-    """End Rerun, by force where it does not heed."""
-    for way in (signal.SIGTERM, signal.SIGKILL):
+def _stop(rerun: Rerun) -> None:
+    """Terminate Rerun, and kill it if it does not end in time."""
+    for signal_number in (signal.SIGTERM, signal.SIGKILL):
         if rerun.poll() is not None:
             return
-        os.killpg(rerun.pid, way)
+        os.killpg(rerun.pid, signal_number)
         try:
-            rerun.wait(timeout=_END_S)
+            rerun.wait(timeout=_STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             continue

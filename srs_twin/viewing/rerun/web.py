@@ -1,8 +1,8 @@
-"""A recording in the browser: Rerun's viewer as a page on this machine, which needs nothing from outside.
+"""Local web server for the Rerun viewer, without requests to other hosts.
 
-Rerun serves its viewer and the recording itself, but its page asks for fonts from the internet: offline that
-may hold it up, online it tells others. So the page goes through a small server of ours, which drops these
-requests and lets the browser forbid all others by a Content-Security-Policy.
+Rerun serves its viewer and the recording, but its page loads fonts from the internet, which delays it offline
+and discloses its use online. A proxy server therefore removes these links and adds a Content-Security-Policy
+that makes the browser block all requests to other hosts.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from urllib.parse import quote, urlsplit
 from srs_twin.errors import InputError
 from srs_twin.viewing.rerun.viewer import HOST, Rerun, free_port, output_lines, running_rerun
 
-_START_S = 30.0
-_FETCH_S = 30.0
-# The viewer is WebAssembly, starts by a script in the page, and talks to the recording's port.
+_START_TIMEOUT_S = 30.0
+_FETCH_TIMEOUT_S = 30.0
+# The viewer is WebAssembly, is started by an inline script, and connects to the port of the recording.
 _POLICY = "; ".join(
     (
         "default-src 'self'",
@@ -35,94 +35,92 @@ _POLICY = "; ".join(
         f"connect-src 'self' data: blob: http://{HOST}:*",
     )
 )
-_OUTSIDE = re.compile(r"<link\b[^>]*https?://[^>]*>")
+_EXTERNAL_LINK = re.compile(r"<link\b[^>]*https?://[^>]*>")
 
 
 @contextmanager
-def served(
-    recordings: Sequence[Path], port: int = 0, data: int | None = None
+def serve_recordings(
+    recordings: Sequence[Path], port: int = 0, data_port: int | None = None
 ) -> Iterator[tuple[str, Callable[[], None]]]:
-    """Serve recordings on 127.0.0.1; give the page's address and what serves until it is interrupted.
+    """Serve recordings on 127.0.0.1; yield the URL and a function that serves until it is interrupted.
 
-    However the block ends, everything that was started ends with it.
+    All processes have ended when the block has ended.
 
     Args:
-        recordings: files of `write_recording`.
-        port: of the page; 0 takes a free one.
-        data: port of the viewer's data, to which a running program may stream; default a free one.
+        recordings: recordings of `write_recording`.
+        port: port of the page; 0: a free port.
+        data_port: port to which a running program may stream data; default: a free port.
 
     Raises:
-        InputError: the port is taken, or Rerun does not start; with its last words.
+        InputError: the port is in use, or Rerun does not start.
     """
-    data, page = data or free_port(), free_port()
-    ports = ("--port", str(data), "--web-viewer-port", str(page))
-    recording = quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
-    upstream = f"http://{HOST}:{page}"
+    data_port, viewer_port = data_port or free_port(), free_port()
+    ports = ("--port", str(data_port), "--web-viewer-port", str(viewer_port))
+    recording = quote(f"rerun+http://{HOST}:{data_port}/proxy", safe="")
+    upstream = f"http://{HOST}:{viewer_port}"
     try:
-        server = ThreadingHTTPServer((HOST, port), partial(_Page, upstream, f"url={recording}"))
+        server = ThreadingHTTPServer((HOST, port), partial(_ProxyHandler, upstream, f"url={recording}"))
     except (OSError, OverflowError) as error:
-        raise InputError(
-            f"port {port} cannot be had ({error}); without --port a free one is taken"
-        ) from error
-    with server, running_rerun("--serve-web", *ports, *map(str, recordings)) as (rerun, said):
-        _wait(rerun, f"{upstream}/", said)
+        raise InputError(f"cannot use port {port} ({error}); omit --port to use a free one") from error
+    with server, running_rerun("--serve-web", *ports, *map(str, recordings)) as (rerun, output):
+        _wait_until_served(rerun, f"{upstream}/", output)
         yield f"http://{HOST}:{server.server_port}/", server.serve_forever
 
 
-class _Page(BaseHTTPRequestHandler):
-    """Hands on what Rerun serves, without what is from outside."""
+class _ProxyHandler(BaseHTTPRequestHandler):
+    """Request handler that forwards the files of Rerun without links to other hosts."""
 
     def __init__(self, source: str, query: str, *request: Any) -> None:
-        """Answer a request.
+        """Handle a request.
 
         Args:
-            source: where Rerun serves its viewer.
-            query: what tells the viewer which recording to open.
-            request: what the server hands over.
+            source: URL of the viewer that Rerun serves.
+            query: query that selects the recording in the viewer.
+            request: arguments of `BaseHTTPRequestHandler`.
         """
         self.source, self.query = source, query
         super().__init__(*request)
 
     def do_GET(self) -> None:
-        """Answer with Rerun's file; the bare address leads to the recording."""
-        asked = urlsplit(self.path)
-        if asked.path == "/" and asked.query != self.query:
+        """Return a file of Rerun; redirect the root to the recording."""
+        url = urlsplit(self.path)
+        if url.path == "/" and url.query != self.query:
             self.send_response(302)
             self.send_header("Location", f"/?{self.query}")
             self.end_headers()
             return
         try:
-            with _opener().open(self.source + quote(asked.path), timeout=_FETCH_S) as answer:
-                kind, content = answer.headers.get_content_type(), answer.read()
+            with _opener().open(self.source + quote(url.path), timeout=_FETCH_TIMEOUT_S) as response:
+                kind, content = response.headers.get_content_type(), response.read()
         except (urllib.error.URLError, OSError) as error:
             self.send_error(getattr(error, "code", 502))
             return
         if kind == "text/html":
-            content = _OUTSIDE.sub("", content.decode("utf-8")).encode("utf-8")
+            content = _EXTERNAL_LINK.sub("", content.decode("utf-8")).encode("utf-8")
         self.send_response(200)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(content)))
         self.send_header("Content-Security-Policy", _POLICY)
         self.end_headers()
-        with suppress(ConnectionError):  # a page that was closed while it loaded
+        with suppress(ConnectionError):  # the page was closed while loading
             self.wfile.write(content)
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002
-        """Say nothing of requests."""
+        """Log nothing."""
 
 
 def _opener() -> urllib.request.OpenerDirector:
-    """Return what fetches from this machine: a proxy has nothing to do with that."""
+    """Return an opener without proxies, for requests to this machine."""
     return urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
 
-def _wait(rerun: Rerun, address: str, said: IO[bytes]) -> None:
+def _wait_until_served(rerun: Rerun, address: str, output: IO[bytes]) -> None:
     """Wait until Rerun serves its page."""
-    deadline = time.monotonic() + _START_S
+    deadline = time.monotonic() + _START_TIMEOUT_S
     while rerun.poll() is None and time.monotonic() < deadline:
         try:
             _opener().open(address, timeout=2.0).close()
             return
         except (urllib.error.URLError, OSError):
             time.sleep(0.1)
-    raise InputError(f"Rerun does not serve its viewer: {output_lines(said)[-1]}")
+    raise InputError(f"Rerun does not serve its viewer: {output_lines(output)[-1]}")

@@ -1,4 +1,4 @@
-"""What a recording holds besides bodies and bends, and that the viewer shows what matters."""
+"""Signals and events in recordings, and the plots of each kind of run."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from srs_twin.planning.metrics import following_metrics
 from srs_twin.trajectory import Event, Trajectory
 from srs_twin.viewing.plots.signals import kind_of, wheel_turns
 from srs_twin.viewing.plots.style import STYLES
-from srs_twin.viewing.rerun.recording import events_of, thinned, write_recording
+from srs_twin.viewing.rerun.recording import events_of, subsample, write_recording
 
 
-def told(run, *events, **metadata):
+def with_events(run, *events, **metadata):
     return Trajectory(run.columns, run.units, tuple(events), {**run.metadata, **metadata})
 
 
@@ -39,7 +39,9 @@ def learning(run):
         **{k: v for name, values in columns.items() for k, v in numbered(name, values).items()},
         **numbered("sensed", run.stack("bend") * 1.01),
     )
-    return told(changed, Event(1.0, "ilc_update", "after period 2"), Event(2.0, "saturation", "segment 1"))
+    return with_events(
+        changed, Event(1.0, "ilc_update", "after period 2"), Event(2.0, "saturation", "segment 1")
+    )
 
 
 def following(run):
@@ -53,7 +55,7 @@ def following(run):
     about = {"following": {"plans": [plan], "footprint": footprint, "world": world, "goal": goal}}
     changed = with_columns(run, cross_track=0.01 * np.sin(run.time), offset_commanded=0.2 * np.cos(run.time))
     lengths = {"segment_length_m": Snake.segment_length, "rigid_gap_m": Snake.rigid_gap, "body_width_m": 0.04}
-    return told(changed, Event(1.5, "replanned", "a new way"), control=about, **lengths)
+    return with_events(changed, Event(1.5, "replanned", "a new way"), control=about, **lengths)
 
 
 KINDS = {"gait": lambda run: run, "bench": bench, "learning": learning, "following": following}
@@ -84,7 +86,7 @@ def read_back(path):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_kind_is_told_by_its_signals(kind):
+def test_kind_of_run_follows_from_its_signals(kind):
     assert kind_of(of_kind(kind, duration=0.5)) == kind
 
 
@@ -111,7 +113,7 @@ def test_signals_of_each_kind(kind, tmp_path):
         assert not any("sensed" in each or "events" in each for each in found), "an ideal reading is the bend"
 
 
-def test_steps_are_kept_where_they_change(tmp_path):
+def test_step_signals_keep_their_changes(tmp_path):
     runs = of_kind("gait")
     path = tmp_path / "r.rrd"
     write_recording(path, spec=robot(), trajectories=runs)
@@ -120,13 +122,13 @@ def test_steps_are_kept_where_they_change(tmp_path):
     for j in range(4):
         seconds, values = found[f"/module/{j + 1}/valve/twin"]
         assert len(seconds) < len(twin) / 5 and seconds[-1] == twin.time[-1]
-        # Between samples, as a line of steps has it: what led to a sample has held since the one before.
+        # The value of a step signal has been valid since the previous sample.
         middle = (twin.time[1:] + twin.time[:-1]) / 2
         drawn = np.array(values)[np.searchsorted(seconds, middle) - 1]
         assert np.array_equal(drawn, state[1:, j])
 
 
-def test_events_stand_in_the_text_log(tmp_path):
+def test_events_are_in_the_text_log(tmp_path):
     runs = of_kind("learning")
     path = tmp_path / "r.rrd"
     write_recording(path, spec=robot(), trajectories=runs)
@@ -141,7 +143,7 @@ def test_contacts_are_events_and_metrics():
     force[50:60, 2], force[55, 3], force[65:70, 2] = 0.4, 0.9, 0.1  # 50 ms apart: one contact
     force[200:210, 0] = 0.2
     run = with_columns(run, **numbered("obstacle_force_x", force), **numbered("obstacle_force_y", 0 * force))
-    run = told(run, Event(1.5, "replanned", "a new way"), ended_by="controller")
+    run = with_events(run, Event(1.5, "replanned", "a new way"), ended_by="controller")
     first, second = touches(run)
     assert (first.begin, first.end, first.connector) == pytest.approx((0.5, 0.69, 4))
     assert first.force == pytest.approx(0.9)
@@ -152,7 +154,7 @@ def test_contacts_are_events_and_metrics():
     assert second.connector == 1
 
 
-def test_wheels_turn_as_far_as_they_roll():
+def test_wheels_roll_without_slip():
     spec = robot()
     snake = pair(duration=2.0, amplitude=0.0, sway=(0.0, 0.0), heading_sway=0.0, yaw_rate=0.0)["analytical"]
     turns = wheel_turns(snake, spec.geometry)
@@ -164,15 +166,15 @@ def test_wheels_turn_as_far_as_they_roll():
     assert np.allclose(right - left, apart, rtol=1e-3), "on the way round to the left the right one leads"
 
 
-def test_spokes_turn_about_the_axle(tmp_path):
+def test_spokes_rotate_about_the_axle(tmp_path):
     spec, runs = robot(), pair(duration=1.0)
     path = tmp_path / "r.rrd"
     write_recording(path, spec=spec, trajectories=runs)
     (poses,) = (c for c in chunks(path) if c.entity_path == "/world/twin/spokes" and not c.is_static)
     flat = poses.to_record_batch().column("Boxes3D:quaternions").flatten().flatten()
     x, y, z, w = np.array(flat.to_numpy(zero_copy_only=False)).reshape(-1, 4).T
-    twin = thinned(runs["twin"], 50)
-    # What the rotation makes of +y, the axle, and of +x, the bar.
+    twin = subsample(runs["twin"], 50)
+    # Rotated unit vectors +y (the axle) and +x (the bar).
     axle = np.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], axis=-1)
     theta = np.repeat(twin.stack("theta"), 2, axis=1).ravel()
     assert np.allclose(axle, np.stack([-np.sin(theta), np.cos(theta), 0 * theta], axis=-1), atol=1e-5)
@@ -202,7 +204,7 @@ def test_the_viewer_shows_the_plots_of_each_kind(kind, tmp_path):
     assert all(third.sum() > 30 for third in thirds), "no row of plots is empty"
 
 
-def test_ten_seconds_of_everything_stay_small(tmp_path):
+def test_recording_with_all_signals_is_small(tmp_path):
     runs = {plant: learning(replace(run)) for plant, run in pair(duration=10.0).items()}
     path = tmp_path / "r.rrd"
     write_recording(path, spec=robot(), trajectories=runs)

@@ -1,4 +1,4 @@
-"""Public docstrings are complete: every argument, every field, and what is raised."""
+"""Public docstrings are complete: arguments, fields and errors."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def section(text, title):
 
 @pytest.mark.parametrize("given", CALLABLE, ids=lambda given: given.__qualname__)
 def test_every_argument_is_named(given):
-    """A single one may stand in the sentence."""
+    """A single argument may be described in the first sentence."""
     named = section(given.__doc__, "Args")
     arguments = {name for name in inspect.signature(given).parameters if name != "self"}
     assert named == arguments or (not named and len(arguments) < 2)
@@ -51,8 +51,8 @@ def test_every_field_is_named(given):
 
 
 @pytest.mark.parametrize("given", CALLABLE, ids=lambda given: given.__qualname__)
-def test_what_is_raised_is_told(given):
-    """Errors of ours that stand in its own body, themselves or what they are kinds of."""
-    told = tuple(getattr(errors, name, KeyError) for name in section(given.__doc__, "Raises"))
+def test_raised_errors_are_documented(given):
+    """Return the errors of srs_twin that a function raises in its body, with their base classes."""
+    documented = tuple(getattr(errors, name, KeyError) for name in section(given.__doc__, "Raises"))
     for name in re.findall(r"raise (\w+Error)\(", inspect.getsource(given)):
-        assert not hasattr(errors, name) or issubclass(getattr(errors, name), told), name
+        assert not hasattr(errors, name) or issubclass(getattr(errors, name), documented), name

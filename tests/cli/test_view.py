@@ -1,4 +1,4 @@
-"""`srs-twin view`: several runs side by side, and in a browser."""
+"""`srs-twin view`: several runs side by side, and the web viewer."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from matplotlib.image import imread
 from screenshot import screenshots
 from viewing_runs import pair, robot
 
-from srs_twin.cli.view import named
+from srs_twin.cli.view import name_recordings
 from srs_twin.comparison.compare import compare
 from srs_twin.errors import InputError
 from srs_twin.viewing.plots.style import STYLES
 from srs_twin.viewing.rerun.recording import write_recording, write_side_by_side
 from srs_twin.viewing.rerun.viewer import verify_recording
-from srs_twin.viewing.rerun.web import served
+from srs_twin.viewing.rerun.web import serve_recordings
 
 OPENER = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
@@ -53,7 +53,7 @@ def entities(path):
     return {chunk.entity_path for chunk in RrdReader(path).stream().to_chunks()}
 
 
-def test_side_by_side_holds_all_of_each(recordings, tmp_path):
+def test_side_by_side_recording_contains_all_entities(recordings, tmp_path):
     path = tmp_path / "both.rrd"
     write_side_by_side(path, recordings)
     verify_recording(path)
@@ -66,7 +66,7 @@ def test_side_by_side_holds_all_of_each(recordings, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_viewer_shows_them_side_by_side(recordings, tmp_path):
+def test_viewer_shows_runs_side_by_side(recordings, tmp_path):
     path = tmp_path / "both.rrd"
     write_side_by_side(path, recordings)
     try:
@@ -85,28 +85,28 @@ def test_the_viewer_shows_them_side_by_side(recordings, tmp_path):
 
 def test_names_are_those_of_the_folders(tmp_path):
     one, two, file = (tmp_path / p for p in ("a/turn/recording.rrd", "b/turn/recording.rrd", "x.rrd"))
-    assert named([one, file]) == {"turn": one, "x.rrd": file}
-    assert list(named([one, two])) == ["a/turn", "b/turn"]
+    assert name_recordings([one, file]) == {"turn": one, "x.rrd": file}
+    assert list(name_recordings([one, two])) == ["a/turn", "b/turn"]
     with pytest.raises(InputError, match="a/turn: given twice"):
-        named([one, one])
+        name_recordings([one, one])
 
 
-def test_what_is_no_recording_of_ours_is_refused(recordings, tmp_path):
+def test_foreign_recording_is_refused(recordings, tmp_path):
     import rerun as rr
 
     log = rr.RecordingStream("another")
     memory = log.memory_recording()
     log.log("a/b", rr.TextLog("hello"))
     (tmp_path / "other.rrd").write_bytes(memory.drain_as_bytes())
-    with pytest.raises(InputError, match=r"other\.rrd: not a recording of srs-twin \(no snake is in it\)"):
+    with pytest.raises(InputError, match=r"other\.rrd: not a recording of srs-twin \(it contains no snake\)"):
         write_side_by_side(
             tmp_path / "both.rrd", {"a": recordings["left+1"], "other.rrd": tmp_path / "other.rrd"}
         )
     assert not (tmp_path / "both.rrd").exists()
 
 
-def test_the_page_asks_for_nothing_from_outside(recordings):
-    with served([recordings["left+1"]]) as (address, serve):
+def test_web_page_requests_no_other_hosts(recordings):
+    with serve_recordings([recordings["left+1"]]) as (address, serve):
         threading.Thread(target=serve, daemon=True).start()
         with OPENER.open(address, timeout=120) as answer:
             page, policy = answer.read().decode(), answer.headers["Content-Security-Policy"]
@@ -133,7 +133,7 @@ def test_the_page_asks_for_nothing_from_outside(recordings):
 
 @pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
-def test_the_page_is_served_until_it_is_ended(recordings, end):
+def test_page_is_served_until_interrupted(recordings, end):
     script = os.path.join(os.path.dirname(sys.executable), "srs-twin")
     command = [script, "view", str(recordings["left+1"].parent), "--web"]
     started = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -148,22 +148,22 @@ def test_the_page_is_served_until_it_is_ended(recordings, end):
         OPENER.open(address, timeout=5)
 
 
-def test_refusals(recordings, srs_twin, tmp_path):
+def test_invalid_options_are_refused(recordings, srs_twin, tmp_path):
     run = str(recordings["left+1"].parent)
     done = srs_twin("view", run, "--port", "9000", cwd=tmp_path)
-    assert done.returncode == 2 and done.stderr.strip() == "--port is for --web"
+    assert done.returncode == 2 and done.stderr.strip() == "--port needs --web"
     done = srs_twin("view", run, run, cwd=tmp_path)
     assert done.returncode == 2 and "given twice" in done.stderr
-    with served([recordings["left+1"]]) as (address, _):
+    with serve_recordings([recordings["left+1"]]) as (address, _):
         port = address.rstrip("/").rpartition(":")[2]
         done = srs_twin("view", run, "--web", "--port", port, cwd=tmp_path)
-    assert done.returncode == 2 and f"port {port} cannot be had" in done.stderr
+    assert done.returncode == 2 and f"cannot use port {port}" in done.stderr
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(bool(browser.missing()), reason=browser.missing() or "a browser is here")
-def test_a_browser_shows_the_recording_without_the_internet(recordings, srs_twin):
-    with served([recordings["straight on"]]) as (address, serve), browser.chromium() as chromium:
+def test_browser_shows_recording_offline(recordings, srs_twin):
+    with serve_recordings([recordings["straight on"]]) as (address, serve), browser.chromium() as chromium:
         threading.Thread(target=serve, daemon=True).start()
         begun = time.monotonic()
         chromium.get(address)

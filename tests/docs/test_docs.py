@@ -1,4 +1,4 @@
-"""What the pages tell a reader is so: commands parse, files load, examples run (links: the site's build)."""
+"""Pages: commands parse, files load, examples run. The build of the site checks links."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from srs_twin.studies.sweep.loading import load_sweep
 BY_PATH = {page.path: page for page in PAGES}
 COMMANDS = [(page, line) for page in PAGES for line in (*page.commands, *page.mentions)]
 BLOCKS = [(page, block) for page in PAGES for block in page.blocks]
-# What else a reader types. A new program here needs a look at whether it can be checked.
+# Other programs in command blocks. Check whether a new program here can be tested.
 OTHERS = {"pip", "python3", "uv", "podman", "docker", ".ci/run", "python", "mosquitto"}
 GIVEN = {"scenario": "scenario", "scenarios": "scenario", "sweep": "sweep"}
 SCENARIO = set(ScenarioFile.model_fields)
@@ -86,7 +86,7 @@ def check_script(words):
 
 
 @pytest.mark.parametrize(("page", "line"), COMMANDS, ids=lambda value: name_of(value) or str(value))
-def test_commands_parse_and_what_they_name_is_there(page, line):
+def test_documented_commands_parse_and_their_files_exist(page, line):
     for part in line.split(" && "):
         words = words_of(part)
         if "srs-twin" in words and "build" not in words:
@@ -103,7 +103,7 @@ def test_commands_parse_and_what_they_name_is_there(page, line):
     "line",
     ["compare gen2_strait", "run scenarios/gone.yaml", "compare gen2_turn --explian", "colour gen2_turn"],
 )
-def test_the_rule_catches_what_is_not_there(line):
+def test_checker_finds_missing_descriptions(line):
     with pytest.raises((AssertionError, TyperException)):
         check_srs_twin(PAGES[0], line.split())
 
@@ -111,7 +111,7 @@ def test_the_rule_catches_what_is_not_there(line):
 @pytest.mark.parametrize(
     ("page", "block"), [each for each in BLOCKS if each[1].language == "python"], ids=name_of
 )
-def test_python_names_what_there_is(page, block):
+def test_python_errors_list_the_available_names(page, block):
     for node in ast.walk(ast.parse(block.text)):
         if isinstance(node, ast.Import):
             for each in node.names:
@@ -188,7 +188,7 @@ def test_python_runs_as_a_script(page, tmp_path):
     page.run_script(tmp_path)
 
 
-def test_the_first_command_is_the_main_job_and_gives_what_the_readme_says(tmp_path, srs_twin):
+def test_first_readme_command_gives_the_documented_output(tmp_path, srs_twin):
     README.save_files(tmp_path)
     first, again = README.commands[:2]
     assert first == "pip install uv && uv run srs-twin compare scenarios/gen2_straight.yaml"
@@ -217,14 +217,14 @@ def test_one_test_command_everywhere():
     assert "uv run --group dev pytest" in (ROOT / ".ci/run").read_text("utf-8")
 
 
-def test_a_script_that_fails_is_noticed(tmp_path):
+def test_failing_script_is_detected(tmp_path):
     path = tmp_path / "page.md"
     path.write_text("```python\nnumber = 1\n```\n\n```python\nassert number == 2\n```\n")
     with pytest.raises(AssertionError, match="assert number == 2"):
         Page(path).run_script(tmp_path)
 
 
-def test_the_pages_have_examples():
+def test_pages_contain_examples():
     assert {page.name for page in COMMANDED} >= {"README.md", "docs/quickstart.md", "docs/add-a-robot.md"}
     assert {page.name for page in SCRIPTED} >= {
         "README.md", "docs/quickstart.md", "docs/add-a-controller.md", "docs/sweeps.md", "docs/logs.md"
@@ -232,7 +232,7 @@ def test_the_pages_have_examples():
 
 
 def test_errata_that_the_project_names_are_listed():
-    """E1 to E29 stand in the errata once each, with a place and a remedy."""
+    """E1 to E29 are in the errata exactly once, with a location and a correction."""
     text = next(page.text for page in PAGES if page.name == "docs/errata.md")
     rows = [line.split(" | ") for line in text.splitlines() if re.match(r"\| E\d+ \|", line)]
     assert [row[0].strip("| ") for row in rows] == [f"E{n}" for n in range(1, 30)]
@@ -249,7 +249,7 @@ def test_errata_that_the_project_names_are_listed():
     assert named and named <= set(range(1, 30))
 
 
-def test_what_is_known_to_be_missed_names_the_section_that_shows_why():
+def test_known_misses_name_an_existing_section():
     reasons = {each.known for name in shipped_names("scenario") for each in load_scenario(name).expect}
     for reason in reasons - {None}:
         named = re.search(r"\((docs/[\w-]+\.md)#([\w-]+)\)$", reason)
@@ -257,8 +257,8 @@ def test_what_is_known_to_be_missed_names_the_section_that_shows_why():
         assert named[2] in BY_PATH[ROOT / named[1]].anchors, reason
 
 
-def test_every_source_that_a_page_names_exists():
+def test_files_named_on_pages_exist():
     sources = [f"/{path.relative_to(ROOT)}" for path in ROOT.rglob("*.py") if ".venv" not in path.parts]
-    pages = [page for page in PAGES if "/add-a-" not in page.name]  # these make files of their own
+    pages = [page for page in PAGES if "/add-a-" not in page.name]  # these pages create files
     named = {(page.name, name) for page in pages for name in re.findall(r"`([\w/]+\.py)`", page.prose)}
     assert {each for each in named if not any(source.endswith(f"/{each[1]}") for source in sources)} == set()

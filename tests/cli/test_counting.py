@@ -1,4 +1,4 @@
-"""How far many runs are: what is said where stderr is no terminal, and what a terminal shows."""
+"""Progress of many runs: lines without a terminal, and the bar on a terminal."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from srs_twin.cli import progress
-from srs_twin.cli.progress import Counting
+from srs_twin.cli.progress import RunCounter
 from srs_twin.identification.fitting import Searching
 
 pytestmark = pytest.mark.fast
@@ -29,8 +29,8 @@ def clock(monkeypatch):
     return clock
 
 
-def test_a_line_every_ten_seconds_with_rate_and_time_left(clock, capsys):
-    with Counting("grid", 100) as done:
+def test_progress_line_every_ten_seconds_has_rate_and_remaining_time(clock, capsys):
+    with RunCounter("grid", 100) as done:
         for second in range(5, 55):
             clock.now = 100.0 + second
             done(failed=second == 20)
@@ -46,10 +46,10 @@ def test_a_line_every_ten_seconds_with_rate_and_time_left(clock, capsys):
 
 
 def test_a_search_tells_how_well_it_fits_every_ten_seconds(clock, capsys):
-    with Searching("gen2_friction") as told:
+    with Searching("gen2_friction") as search:
         for runs in range(1, 24):
             clock.now += 1.0
-            told(runs, 10.0 / runs)
+            search(runs, 10.0 / runs)
     assert capsys.readouterr().err.splitlines() == [
         "gen2_friction: 10 runs of the model, weighted residuals 1 RMS at best",
         "gen2_friction: 20 runs of the model, weighted residuals 0.5 RMS at best",
@@ -57,8 +57,8 @@ def test_a_search_tells_how_well_it_fits_every_ten_seconds(clock, capsys):
 
 
 @pytest.mark.parametrize("options", [{"quiet": True}, {}])
-def test_brief_or_quiet_ones_say_nothing(clock, capsys, options):
-    with Counting("grid", 3, **options) as done:
+def test_short_or_quiet_runs_print_no_progress(clock, capsys, options):
+    with RunCounter("grid", 3, **options) as done:
         for _ in range(3):
             clock.now += 20.0 if options else 0.5
             done(failed=False)
@@ -73,7 +73,7 @@ def test_a_terminal_shows_a_bar(clock, monkeypatch):
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setenv("COLUMNS", "100")
-    with Counting("grid", 4) as done:
+    with RunCounter("grid", 4) as done:
         for _ in range(4):
             clock.now += 3.0
             done(failed=False)

@@ -16,7 +16,7 @@ import pytest
 from srs_twin.cli.app import command
 from srs_twin.errors import InputError
 
-EXAMPLES = Path(__file__).parents[1] / "calibration/examples/my_snake"
+EXAMPLES = Path(__file__).parents[2] / "calibration/examples/my_snake"
 # Command → a way to start it, and the words that take the place of the capitals in the stated folder or file.
 PLACES = {
     "run": ("run gen2_straight", {"SCENARIO": "gen2_straight"}),
@@ -34,7 +34,7 @@ PLACES = {
     "calibrate robot": ("calibrate robot fit.yaml --name mine", {"NAME": "mine"}),
 }  # fmt: skip
 PHRASES = {
-    "all but studies", "one a processor", "those of the scenario", "the scenario's", "the sweep's",
+    "all but studies", "one per processor", "those of the scenario", "the scenario's", "the sweep's",
     "the twin's", "NAME.valves.csv beside it", "the robot's", "the valves'", "estimated",
     "where it crawls to", "free", "none", "no motion capture", "run until Ctrl-C", "this machine's",
     "the run's folder", "ROBOT_WHAT", "ROBOT_CONTROLLER", "3; 1 where the twin's shapes lead",
@@ -92,7 +92,7 @@ LIVE = {
 }
 
 
-def test_every_stated_default_is_checked_or_names_no_value():
+def test_documented_defaults_are_checked():
     checked = {*values(), *LIVE}
     rest = {
         each for each in stated()
@@ -101,13 +101,13 @@ def test_every_stated_default_is_checked_or_names_no_value():
     assert rest == set()
 
 
-def test_stated_values_are_those_that_the_commands_take():
+def test_documented_defaults_equal_those_of_the_commands():
     texts = {each[:2]: each[2] for each in stated()}
     assert {key: texts[key] for key in values()} == values()
 
 
 @pytest.mark.parametrize("name", PLACES)
-def test_without_out_a_command_writes_where_its_help_says(name, srs_twin, tmp_path):
+def test_default_output_is_the_documented_one(name, srs_twin, tmp_path):
     """A file blocks the stated folder: the command must report it before it runs anything."""
     (template,) = (text for of, parameter, text in stated() if (of, parameter) == (name, "out"))
     words, meant = PLACES[name]
@@ -121,9 +121,7 @@ def test_without_out_a_command_writes_where_its_help_says(name, srs_twin, tmp_pa
 
 
 @pytest.mark.parametrize(("words", "address"), [("shadow gen2", "127.0.0.1:1883"), ("emulate gen2", None)])
-def test_a_live_command_takes_name_and_broker_that_its_help_says(
-    words, address, srs_twin, tmp_path, monkeypatch
-):
+def test_live_command_uses_documented_name_and_broker(words, address, srs_twin, tmp_path, monkeypatch):
     from srs_twin.live import session
 
     asked: list[tuple[Any, ...]] = []
@@ -143,7 +141,7 @@ def test_a_live_command_takes_name_and_broker_that_its_help_says(
         assert broker == address == texts[name, "mqtt"].partition(",")[0]
 
 
-def test_bodies_are_connectors_unless_others_are_named():
+def test_rigid_bodies_are_connectors_by_default():
     from srs_twin.live.shadow import Shadow
     from srs_twin.robot.file import load_robot
 

@@ -1,4 +1,4 @@
-"""JUnit reports: what GitHub, GitLab and Jenkins read from them, and that it is true."""
+"""JUnit reports: outcomes of runs and expectations as GitHub, GitLab and Jenkins read them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from srs_twin.cli import main
-from srs_twin.cli.batch import Case, CaseResult, failing
+from srs_twin.cli.batch import Case, CaseResult, failing_verdicts
 from srs_twin.cli.junit import report_path, write_junit
 from srs_twin.comparison.undefined import Undefined
 from srs_twin.errors import DivergedError, InputError, WorkerDiedError
@@ -52,7 +52,7 @@ def case(name, *, metrics=None, errors=(), ended=True):
     """A scenario with three expectations and what came of it."""
     found = Case(name, SimpleNamespace(label=name, expect=EXPECT), Path("runs") / name)
     result = None if metrics is None else RunResult(name, found.folder, {}, metrics)
-    found.ended = CaseResult(result, errors, 1.5) if ended else None
+    found.result = CaseResult(result, errors, 1.5) if ended else None
     return found
 
 
@@ -98,7 +98,7 @@ def kinds(tests):
     return [kind for kind, _ in tests.values()]
 
 
-def test_every_kind_of_end(tmp_path):
+def test_each_outcome_becomes_its_junit_element(tmp_path):
     flew = DivergedError("twin", 1.5, "qpos is not finite")
     cases = [
         case("ran", metrics=METRICS),
@@ -106,7 +106,7 @@ def test_every_kind_of_end(tmp_path):
         case("died", errors=(WorkerDiedError(-9, 3),)),
         case("unexplained", metrics=METRICS, errors=(flew,)),
         case("later", ended=False),
-        Case("./bad.yaml", ended=CaseResult(None, (InputError("bad.yaml:1:2: wrong\nbad.yaml:3:4: too"),))),
+        Case("./bad.yaml", result=CaseResult(None, (InputError("bad.yaml:1:2: wrong\nbad.yaml:3:4: too"),))),
         Case("./never_read.yaml"),
     ]
     write_junit(tmp_path / "r.xml", cases)
@@ -134,16 +134,16 @@ def test_every_kind_of_end(tmp_path):
     assert "bad.yaml:1:2: wrong\nbad.yaml:3:4: too" in found["bad"]["runs"][1]
 
 
-def test_what_is_known_to_be_missed_is_skipped_and_strictly_a_failure(tmp_path):
+def test_known_miss_is_skipped_and_fails_with_strict(tmp_path):
     known = tuple(each.model_copy(update={"known": "never <measured>"}) for each in EXPECT)
     scenario = SimpleNamespace(label="ran", expect=(*EXPECT, *known))
     rows = [each.check(FOUND) for each in scenario.expect]
-    ended = CaseResult(RunResult("ran", Path("runs/ran"), {}, FOUND | {"expectations": rows}), (), 1.5)
+    result = CaseResult(RunResult("ran", Path("runs/ran"), {}, FOUND | {"expectations": rows}), (), 1.5)
     for fails, of_known in (
         (frozenset({"missed"}), ["passed", "skipped", "passed"]),
         (frozenset({"missed", "known", "holds"}), ["failure", "failure", "failure"]),
     ):
-        write_junit(tmp_path / "r.xml", [Case("ran", scenario, ended=ended)], fails)
+        write_junit(tmp_path / "r.xml", [Case("ran", scenario, result=result)], fails)
         found = read(tmp_path / "r.xml")["ran"]
         assert kinds(found) == ["passed", "passed", "failure", "passed", *of_known]
         _, words = found["comparison com_speed_rel (3)"]
@@ -157,38 +157,42 @@ def test_what_is_known_to_be_missed_is_skipped_and_strictly_a_failure(tmp_path):
         )
 
 
-def test_what_is_not_judged_is_skipped_and_strictly_a_failure(tmp_path):
+def test_expectation_not_judged_is_skipped_and_fails_with_strict(tmp_path):
     named = SimpleNamespace(label="ran", expect=())
     rows = [EXPECT[0].check({}, Undefined("the run is short")), EXPECT[0].check({})]
-    ended = CaseResult(RunResult("ran", Path("runs/ran"), {}, {"expectations": rows}), (), 1.5)
+    result = CaseResult(RunResult("ran", Path("runs/ran"), {}, {"expectations": rows}), (), 1.5)
     for strict, outcomes in ((False, ["passed", "skipped", "failure"]), (True, ["passed", *2 * ["failure"]])):
-        write_junit(tmp_path / "r.xml", [Case("ran", named, ended=ended)], failing(check=True, strict=strict))
+        write_junit(
+            tmp_path / "r.xml",
+            [Case("ran", named, result=result)],
+            failing_verdicts(check=True, strict=strict),
+        )
         found = read(tmp_path / "r.xml")["ran"]
         assert kinds(found) == outcomes
         words = {"skipped": "not judged: the run is short\n", "failure": "reason: the run is short"}
         assert found["twin com_speed_m_s"][1].endswith(words[outcomes[1]])
 
 
-def test_expectations_of_plants_that_did_not_run_are_no_test_cases(tmp_path):
-    ended = CaseResult(RunResult("ran", Path("runs/ran"), {}, METRICS | {"expectations": []}), (), 1.5)
-    write_junit(tmp_path / "r.xml", [Case("ran", SimpleNamespace(label="ran", expect=EXPECT), ended=ended)])
+def test_expectations_of_omitted_plants_are_not_test_cases(tmp_path):
+    result = CaseResult(RunResult("ran", Path("runs/ran"), {}, METRICS | {"expectations": []}), (), 1.5)
+    write_junit(tmp_path / "r.xml", [Case("ran", SimpleNamespace(label="ran", expect=EXPECT), result=result)])
     assert list(read(tmp_path / "r.xml")["ran"]) == ["runs"]
 
 
 @given(st.text(min_size=1), st.text(min_size=1))
-def test_any_text_becomes_xml_and_what_xml_can_write_stays(tmp_path_factory, name, words):
+def test_any_text_is_valid_xml(tmp_path_factory, name, words):
     path = tmp_path_factory.getbasetemp() / "any.xml"
     scenario = SimpleNamespace(label=name, expect=())
-    write_junit(path, [Case("x", scenario, ended=CaseResult(None, (InputError(words),)))])
+    write_junit(path, [Case("x", scenario, result=CaseResult(None, (InputError(words),)))])
     (suite,) = ElementTree.parse(path).getroot()
     message = suite.find("testcase/error").get("message")
     if all(ord(c) >= 32 and c not in "\ufffe\uffff" for c in name + words):
         assert (suite.get("name"), message) == (name, words)
 
 
-def test_what_xml_cannot_write_is_shown_as_escapes(tmp_path):
+def test_characters_outside_xml_are_escaped(tmp_path):
     bad = CaseResult(None, (InputError("\x1b[31mred\x00 \ud800 \ufffe <&\"'> é 🐍"),))
-    write_junit(tmp_path / "r.xml", [Case("a\udcff.yaml", ended=bad)])
+    write_junit(tmp_path / "r.xml", [Case("a\udcff.yaml", result=bad)])
     (name,) = read(tmp_path / "r.xml")
     assert name == "a\\udcff"
     _, words = read(tmp_path / "r.xml")[name]["runs"]
@@ -196,9 +200,9 @@ def test_what_xml_cannot_write_is_shown_as_escapes(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["", ".", "/", "out", "gen2.yaml", "reports/", ".xml"])
-def test_what_is_no_name_of_a_report_is_refused(name):
+def test_report_name_without_xml_suffix_is_refused(name):
     # A scenario after a bare --junit must not be overwritten.
-    with pytest.raises(InputError, match=r"--junit .*: not the name of a report; give one that ends in .xml"):
+    with pytest.raises(InputError, match=r"--junit .*: the file name of a report must end in .xml"):
         report_path(name)
 
 
@@ -220,7 +224,7 @@ def both(tmp_path_factory, srs_twin):
     return room, many.stdout, one.getvalue()
 
 
-def test_the_truth_is_written_with_and_without_check(both):
+def test_files_do_not_depend_on_check(both):
     room, _, _ = both
     ran = ["passed", "passed", "failure"]
     for folder in ("many", "one"):
@@ -230,7 +234,7 @@ def test_the_truth_is_written_with_and_without_check(both):
         assert [path.name for path in (room / folder / "x").iterdir()] == ["out.xml"]
 
 
-def test_worker_processes_leave_the_same_files_and_words(both):
+def test_worker_processes_give_identical_files_and_output(both):
     room, many, one = both
     for name in "ab":
         files = [{path.name for path in (room / where / name).iterdir()} for where in ("many", "one")]
@@ -277,7 +281,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_simulating(tmp_path, s
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
-def test_after_an_interrupt_the_report_says_what_was_reached(tmp_path):
+def test_report_after_an_interrupt_marks_unfinished_runs(tmp_path):
     (tmp_path / "brief.yaml").write_text(SCENARIO)
     (tmp_path / "long.yaml").write_text(SCENARIO.replace("0.2", "600").replace("{}}", "{}, twin: {}}"))
     (tmp_path / "r.xml").write_text("of an earlier run")
@@ -294,7 +298,7 @@ def test_after_an_interrupt_the_report_says_what_was_reached(tmp_path):
     os.killpg(child.pid, signal.SIGINT)
     _, said = child.communicate(timeout=300)
     assert child.returncode == 130, said
-    assert "interrupted; finished before: runs/brief\n" in said
+    assert "interrupted; complete runs: runs/brief\n" in said
     assert "Traceback" not in said
     found = read(tmp_path / "r.xml")
     assert kinds(found["long"]) == 3 * ["skipped"]

@@ -1,4 +1,4 @@
-"""Videos and pictures that MuJoCo draws, from real runs, through the command line."""
+"""Videos and images rendered by MuJoCo from real runs, through the command line."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def alike(picture, rgb):
 
 
 @pytest.mark.slow
-def test_a_video_shows_the_snake_and_it_moves(runs, srs_twin, tmp_path):
+def test_video_shows_a_moving_snake(runs, srs_twin, tmp_path):
     done = srs_twin(
         *("render", str(runs / "gen2_straight"), "--video", "out.mp4", "--size", "320x180", "--fps", "5"),
         cwd=tmp_path,
@@ -83,7 +83,7 @@ def test_a_video_shows_the_snake_and_it_moves(runs, srs_twin, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gen2_straight", "follow_gen4_a", "module_step_iterative"])
-def test_pictures_of_every_kind_of_run(runs, srs_twin, tmp_path, name):
+def test_images_of_every_kind_of_run(runs, srs_twin, tmp_path, name):
     done = srs_twin("render", str(runs / name), "--image", "t=0.5", "--size", "320x180", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     picture = imread(runs / name / f"{name}-0.5s.png")[..., :3] * 255
@@ -123,7 +123,7 @@ def test_an_obstacle_does_not_hide_the_snake(runs, opengl_here):
     circle = run.scenario.world.obstacles[0]
     place = np.array([circle.x, circle.y]) - stage.run.com[row]
     camera = FollowCamera(stage.run, run.scenario.robot.geometry.body_length, bench=False).at(row)
-    # From behind the obstacle, with the snake in line, so low that the view goes through.
+    # A low camera behind the obstacle, which is in line with the snake.
     camera.azimuth = np.degrees(np.arctan2(-place[1], -place[0]))
     camera.elevation, camera.distance = -4.0, float(np.hypot(*place)) + 3 * circle.radius
     obstacle = stage.model.geom("obstacle_1").id
@@ -173,17 +173,17 @@ def test_several_runs_go_into_a_folder(runs, srs_twin, tmp_path):
     assert sorted(p.name for p in (tmp_path / "films").iterdir()) == [f"{name}.mp4" for name in names]
 
 
-def test_the_camera_goes_along_without_swaying(runs, opengl_here):
+def test_camera_follows_smoothly(runs, opengl_here):
     run = load_run(runs / "gen2_straight")
     twin = run.trajectories["twin"]
     camera = FollowCamera(twin, run.scenario.robot.geometry.body_length, bench=False)
     at = np.array([camera.at(row).lookat.copy() for row in range(len(twin))])
-    late = (twin.time > 1.0) & (twin.time < 2.5)  # where a whole period lies around
+    late = (twin.time > 1.0) & (twin.time < 2.5)  # at least half a period from both ends
     assert np.abs(np.diff(at[late, 1])).max() < 0.2 * np.abs(np.diff(twin["com_y"][late])).max()
     assert np.hypot(*(at[:, :2] - twin.com).T).max() < 0.15 * run.scenario.robot.geometry.body_length
 
 
-def test_stage_puts_the_snake_where_it_was(runs, opengl_here):
+def test_stage_restores_recorded_positions(runs, opengl_here):
     run = load_run(runs / "follow_gen4_a")
     twin = run.trajectories["twin"]
     stage = Stage(run.scenario, twin)
@@ -215,25 +215,25 @@ def test_a_ghost_a_scale_and_a_legend_are_in_the_picture(runs, opengl_here, tmp_
     assert camera.lookat[0] == pytest.approx(twin.com[0, 0] + 0.125, abs=0.02)
 
 
-def test_the_bar_is_as_long_as_it_says(runs, opengl_here):
+def test_scale_bar_has_the_stated_length(runs, opengl_here):
     run = load_run(runs / "gen2_straight")
     stage = Stage(run.scenario, run.trajectories["twin"])
     camera = FollowCamera(stage.run, run.scenario.robot.geometry.body_length, bench=False).at(0)
     scene = mujoco.MjvScene(stage.model, maxgeom=10)
-    stage._add_scale(scene, camera)
+    stage._add_scale_bar(scene, camera)
     (bar,) = scene.geoms[: scene.ngeom]
     assert bar.label == "0.1 m" and 2 * (bar.size[0] - bar.size[1]) == pytest.approx(0.1)
 
 
 REFUSED = {
-    "ghost on a strobe": (("--strobe", "--ghost"), "--ghost is for --video and --image"),
-    "ghost of none": (("--image", "1", "--ghost"), "the analytical model did not run; leave out --ghost"),
-    "nothing asked": ((), "give one of --video FILE.mp4, --image t=2.5 and --strobe"),
-    "two things asked": (("--strobe", "--image", "1"), "give one of"),
-    "out with a video": (("--video", "a.mp4", "--out", "b.png"), "--out is for pictures"),
-    "not a moment": (("--image", "t=two"), "--image t=two: not a moment; give seconds, such as t=2.5"),
-    "moment beyond": (("--image", "t=20"), "t = 20 s is not in the run, which goes from 0 to 3 s"),
-    "moment of none": (("--image", "nan"), "t = nan s is not in the run"),
+    "ghost on a strobe": (("--strobe", "--ghost"), "--ghost needs --video or --image"),
+    "ghost of none": (("--image", "1", "--ghost"), "the run contains no analytical model; omit --ghost"),
+    "nothing asked": ((), "give exactly one of --video FILE.mp4, --image t=2.5 and --strobe"),
+    "two things asked": (("--strobe", "--image", "1"), "give exactly one of"),
+    "out with a video": (("--video", "a.mp4", "--out", "b.png"), "--out is for images"),
+    "not a moment": (("--image", "t=two"), "--image t=two: not a time; give seconds, such as t=2.5"),
+    "moment beyond": (("--image", "t=20"), "t = 20 s is outside the run, which lasts from 0 to 3 s"),
+    "moment of none": (("--image", "nan"), "t = nan s is outside the run"),
     "odd size": (("--strobe", "--size", "321x180"), "both even and from 64 to 4096"),
     "size of words": (("--strobe", "--size", "big"), "--size big: give width and height in pixels"),
     "another suffix": (("--video", "a.avi"), "a.avi: the file must end in .mp4"),
@@ -242,30 +242,28 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_refusals(runs, srs_twin, tmp_path, name):
+def test_invalid_options_are_refused(runs, srs_twin, tmp_path, name):
     options, words = REFUSED[name]
     done = srs_twin("render", str(runs / "gen2_straight"), *options, cwd=tmp_path)
     assert done.returncode == 2 and words in done.stderr, done.stderr
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_no_run_is_refused(runs, srs_twin, tmp_path):
+def test_missing_run_is_refused(runs, srs_twin, tmp_path):
     done = srs_twin("render", "nowhere", "--strobe", cwd=tmp_path)
     assert done.returncode == 2 and "nowhere: no run there (looked for" in done.stderr
     alone = tmp_path / "alone"
     run_scenario(shortened("gen2_straight", 0.2), alone, plants=["analytical"])
     done = srs_twin("render", "alone", "--strobe", cwd=tmp_path)
-    assert done.returncode == 2 and "alone: the twin did not run" in done.stderr
+    assert done.returncode == 2 and "alone: the run contains no twin" in done.stderr
     two = [str(runs / "gen2_straight"), str(runs / "follow_gen4_a")]
     done = srs_twin("render", *two, "--video", "a.mp4", cwd=tmp_path)
-    assert done.returncode == 2 and "a.mp4: one file for 2 runs; give a folder" in done.stderr
+    assert done.returncode == 2 and "a.mp4: 2 runs cannot share one file; give a folder" in done.stderr
 
 
 def test_a_trajectory_of_another_robot_is_refused(runs):
     run, other = load_run(runs / "gen2_straight"), load_run(runs / "module_step_iterative")
-    with pytest.raises(
-        InputError, match=r"columns qpos_1…, the scenario's twin \d+: they do not belong together"
-    ):
+    with pytest.raises(InputError, match=r"columns qpos_1…, but the twin of the scenario has \d+ positions"):
         Stage(run.scenario, other.trajectories["twin"])
     columns = {k: v for k, v in run.trajectories["twin"].columns.items() if not k.startswith("qpos")}
     with pytest.raises(InputError, match="nothing to draw"):
@@ -274,7 +272,7 @@ def test_a_trajectory_of_another_robot_is_refused(runs):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
-def test_interrupted_nothing_is_left(runs, tmp_path):
+def test_interrupt_leaves_no_files(runs, tmp_path):
     script = os.path.join(os.path.dirname(sys.executable), "srs-twin")
     command = [script, "render", str(runs / "gen2_straight"), "--video", "out.mp4", "--fps", "120"]
     started = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
@@ -288,49 +286,49 @@ def test_interrupted_nothing_is_left(runs, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_video_that_fails_leaves_the_earlier_one(tmp_path):
+def test_failed_video_keeps_the_existing_file(tmp_path):
     path = tmp_path / "a.mp4"
     path.write_bytes(b"earlier")
-    with pytest.raises(RuntimeError), render.film(path, width=64, height=64, fps=1) as add:
+    with pytest.raises(RuntimeError), render.video_writer(path, width=64, height=64, fps=1) as add:
         add(np.zeros((64, 64, 3), dtype=np.uint8))
         raise RuntimeError
     assert path.read_bytes() == b"earlier" and list(tmp_path.iterdir()) == [path]
     with (
         pytest.raises(InputError, match="cannot be written"),
-        render.film(tmp_path / "a.mp4/b.mp4", width=64, height=64, fps=1),
+        render.video_writer(tmp_path / "a.mp4/b.mp4", width=64, height=64, fps=1),
     ):
         raise AssertionError("not reached")
 
 
-def test_without_an_encoder_the_message_says_how_to_get_it(monkeypatch):
+def test_missing_encoder_names_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(InputError, match=r"the encoder PyAV.*uv sync --extra video.*srs-twin\[video\]"):
         render.encoder()
 
 
-def test_an_opengl_that_does_not_draw_is_named(runs, srs_twin_process, tmp_path):
+def test_failing_opengl_backend_is_named(runs, srs_twin_process, tmp_path):
     done = srs_twin_process(
         "render", str(runs / "gen2_straight"), "--strobe", cwd=tmp_path, MUJOCO_GL="vulkan"
     )
     assert done.returncode == 2
-    assert "MUJOCO_GL names does not draw here (vulkan: it is unknown" in done.stderr
+    assert "OpenGL backend in MUJOCO_GL does not work (vulkan: unknown backend" in done.stderr
 
 
-def test_where_none_draws_the_packages_are_named(monkeypatch):
-    monkeypatch.setattr(opengl, "_complaint", lambda name: f"no lib{name}")
+def test_without_opengl_the_error_names_packages(monkeypatch):
+    monkeypatch.setattr(opengl, "_test", lambda name: f"no lib{name}")
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setenv("MUJOCO_GL", "disabled")
     with pytest.raises(InputError) as caught:
         opengl.usable_opengl.__wrapped__()
     assert str(caught.value) == (
-        "no OpenGL draws here without a screen (egl: no libegl; osmesa: no libosmesa); on Debian and Ubuntu: "
+        "no OpenGL backend renders off screen (egl: no libegl; osmesa: no libosmesa); on Debian and Ubuntu: "
         "apt-get install libegl1 libgl1-mesa-dri; or apt-get install libosmesa6"
     )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["egl", "osmesa"])
-def test_both_draw_the_same(runs, name, tmp_path):
+def test_egl_and_osmesa_draw_equal_images(runs, name, tmp_path):
     """Two implementations, one picture; whichever is chosen, a run looks alike."""
     if opengl._complaint(name):
         pytest.skip(f"{name} does not draw here")
@@ -350,12 +348,12 @@ def test_both_draw_the_same(runs, name, tmp_path):
     camera = FollowCamera(stage.run, run.scenario.robot.geometry.body_length, bench=False)
     with Canvas(stage.model, 160, 90) as canvas:
         row = stage.row_at(2.0)
-        ours = stage.picture(canvas, camera.at(row), row).astype(int)
+        ours = stage.render(canvas, camera.at(row), row).astype(int)
     theirs = imread(tmp_path / "p.png")[..., :3] * 255
     assert np.abs(ours - theirs).mean() < 3.0
 
 
-def test_a_canvas_that_nobody_closes_ends_without_a_word(opengl_here):
+def test_unclosed_canvas_is_freed_silently_at_exit(opengl_here):
     program = (
         "import mujoco\n"
         "from srs_twin.viewing.mujoco.canvas import Canvas\n"

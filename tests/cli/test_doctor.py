@@ -1,4 +1,4 @@
-"""srs-twin doctor: every remedy comes when its probe fails, slow is not broken, children end."""
+"""`srs-twin doctor`: failing probes have remedies, slow ones are undecided, and child processes end."""
 
 from __future__ import annotations
 
@@ -17,8 +17,15 @@ from conftest import ROOT, on_interrupt
 
 from srs_twin.cli import main
 from srs_twin.cli.doctor import checks, examination, probes
-from srs_twin.cli.doctor.checks import Answer, Check, ended, failing, free_memory, processor_share
-from srs_twin.cli.doctor.examination import REMEDIES, VIEWERS, ask, check_of
+from srs_twin.cli.doctor.checks import (
+    Check,
+    ProbeResult,
+    cpu_quota,
+    failed_checks,
+    free_memory,
+    result_of_exit,
+)
+from srs_twin.cli.doctor.examination import REMEDIES, VIEWERS, check_from, run_probes
 from srs_twin.io.files import shipped_names
 
 CPU_S = 5.0
@@ -26,22 +33,22 @@ CPU_S = 5.0
 
 
 def asked(name, installed="1.0", fits=True, extra=""):
-    return checks.Wanted(name, f"{name}>=1", installed, fits, extra)
+    return checks.RequiredPackage(name, f"{name}>=1", installed, fits, extra)
 
 
-def test_a_check_has_a_remedy_exactly_when_it_needs_one():
+def test_check_has_remedy_unless_ok():
     with pytest.raises(ValueError, match="broken"):
         Check("topic", "name", "broken", "what")
     with pytest.raises(ValueError, match="ok"):
         Check("topic", "name", "ok", "what", "a remedy")
 
 
-def test_only_what_is_necessary_decides():
+def test_only_necessary_checks_fail():
     fine = Check("t", "a", "ok", "", necessary=True)
     optional = Check("t", "b", "missing", "", "get it")
     needed = Check("t", "c", "broken", "", "mend it", necessary=True)
-    assert failing([fine, optional]) == []
-    assert failing([fine, optional, needed]) == [needed]
+    assert failed_checks([fine, optional]) == []
+    assert failed_checks([fine, optional, needed]) == [needed]
 
 
 FAILURES = [
@@ -51,7 +58,7 @@ FAILURES = [
      "missing", "mujoco is missing", "uv sync"),
     (checks.packages_check([asked("mujoco", "4.0", False)], checkout=False),
      "broken", "mujoco is 4.0, but mujoco>=1", "pip install 'mujoco>=1'"),
-    (checks.processors_check(8, 1.5), "missing", "time of 1.5", "--jobs 2"),
+    (checks.processors_check(8, 1.5), "missing", "limits the time to that of 1.5", "--jobs 2"),
     (checks.memory_check(300 << 20), "missing", "300 MB", "--jobs 1"),
     (checks.disk_check(Path("runs"), free=5 << 20), "missing", "5 MB", "--out"),
 ]  # fmt: skip
@@ -75,33 +82,37 @@ def test_each_failure_has_its_remedy(check, status, finding, remedy):
     ],
     ids=lambda check: check.name,
 )
-def test_what_works_needs_no_remedy(check):
+def test_passed_check_has_no_remedy(check):
     assert (check.status, check.remedy) == ("ok", "")
 
 
-def test_a_check_keeps_what_its_probe_says_and_adds_a_remedy():
-    assert check_of("kernels", Answer("ok", "fine")) == Check("simulation", "kernels", "ok", "fine", "", True)
-    assert check_of("kernels", Answer("broken", "torn")).remedy.startswith("install numba and llvmlite anew")
-    assert check_of("kernels", Answer("broken", "torn", "glue it")).remedy == "glue it"
+def test_check_keeps_probe_result_and_adds_default_remedy():
+    assert check_from("kernels", ProbeResult("ok", "fine")) == Check(
+        "simulation", "kernels", "ok", "fine", "", True
+    )
+    assert check_from("kernels", ProbeResult("broken", "torn")).remedy.startswith(
+        "reinstall numba and llvmlite"
+    )
+    assert check_from("kernels", ProbeResult("broken", "torn", "glue it")).remedy == "glue it"
 
 
-def test_slow_is_undecided_and_fails_nothing():
+def test_slow_probe_is_undecided():
     for code in (-signal.SIGALRM, -signal.SIGKILL):
-        check = check_of("kernels", ended(code))
+        check = check_from("kernels", result_of_exit(code))
         assert (check.status, check.necessary, "slow" in check.detail) == ("undecided", True, True)
         assert "run `srs-twin doctor` again" in check.remedy
-        assert failing([check]) == []
-    crashed = check_of("kernels", ended(-signal.SIGILL))
-    assert (crashed.status, crashed.detail) == ("broken", "was killed by SIGILL") and failing([crashed])
+        assert failed_checks([check]) == []
+    crashed = check_from("kernels", result_of_exit(-signal.SIGILL))
+    assert (crashed.status, crashed.detail) == ("broken", "was killed by SIGILL") and failed_checks([crashed])
 
 
 def fault(probe):
     found = probe()
-    assert isinstance(found, Answer)
+    assert isinstance(found, ProbeResult)
     return found.status, found.detail, found.remedy
 
 
-def test_faults_of_shipped_data(monkeypatch, tmp_path):
+def test_missing_or_damaged_shipped_data_is_reported(monkeypatch, tmp_path):
     assert f"{len(shipped_names('scenario'))} scenarios" in probes.data()
     monkeypatch.setattr("srs_twin.io.files.data_root", lambda: tmp_path)
     assert fault(probes.data)[:2] == ("missing", f"0 robots, 0 scenarios, 0 models in {tmp_path}")
@@ -117,7 +128,7 @@ def test_faults_of_shipped_data(monkeypatch, tmp_path):
     assert status == "broken" and "gen9: does not compile" in words and "srs-twin models check" in remedy
 
 
-def test_faults_of_kernels(monkeypatch):
+def test_wrong_machine_code_is_broken(monkeypatch):
     from srs_twin.pneumatics import flow
 
     class Wrong:
@@ -128,11 +139,11 @@ def test_faults_of_kernels(monkeypatch):
 
     assert "machine code" in probes.kernels()
     monkeypatch.setattr(flow, "flow", Wrong())
-    assert fault(probes.kernels)[:2] == ("broken", "numba's machine code computes other numbers than Python")
+    assert fault(probes.kernels)[:2] == ("broken", "numba's machine code and Python give different results")
 
 
-def test_a_folder_for_machine_code(srs_twin_process, tmp_path):
-    """A package that cannot be written to, and no home: numba has no place to keep what it compiled."""
+def test_kernels_without_cache_folder_report_a_remedy(srs_twin_process, tmp_path):
+    """Numba has no cache folder if neither the package nor the home folder is writable."""
     broken = (
         "from numba.core import caching\n"
         "caching.CacheImpl._locator_classes = []\n"
@@ -142,18 +153,18 @@ def test_a_folder_for_machine_code(srs_twin_process, tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", broken], capture_output=True, text=True, check=True, cwd=tmp_path
     )
-    assert "works, but every start compiles it anew; export NUMBA_CACHE_DIR=" in done.stdout
+    assert "works, but is compiled again at every start; export NUMBA_CACHE_DIR=" in done.stdout
 
 
 @pytest.mark.parametrize(("name", "packages"), [("egl", "libegl1"), ("osmesa", "libosmesa6")])
-def test_an_opengl_that_is_not_installed(monkeypatch, name, packages):
+def test_missing_opengl_library_names_its_packages(monkeypatch, name, packages):
     monkeypatch.setattr(probes.ctypes.util, "find_library", lambda library: None)
     status, words, remedy = fault(probes.PROBES[name])
     assert (status, words) == ("missing", "its library is not installed")
     assert remedy.startswith(f"apt-get install {packages}")
 
 
-def test_glfw_says_the_cause(monkeypatch):
+def test_glfw_failure_reports_its_warning(monkeypatch):
     def draw_box(name):
         probes.warnings.warn("(65550) b'X11: Failed to open display :7'", stacklevel=1)
         raise RuntimeError("no context")
@@ -162,29 +173,29 @@ def test_glfw_says_the_cause(monkeypatch):
     assert fault(probes.PROBES["glfw"])[:2] == ("broken", "X11: Failed to open display :7")
 
 
-def test_viewers_that_do_not_draw_or_serve(monkeypatch, tmp_path):
+def test_failing_viewers_are_reported(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     script = "import sys; sys.exit(\"thread panicked at 'Failed to get render context'\")"
-    monkeypatch.setattr(probes, "_rerun", lambda: [sys.executable, "-c", script])
-    assert fault(probes.without_a_screen)[:2] == ("missing", "cannot draw (Failed to get render context)")
-    assert fault(probes.in_a_browser)[:2] == ("broken", "its page was not served on 127.0.0.1")
+    monkeypatch.setattr(probes, "_rerun_command", lambda: [sys.executable, "-c", script])
+    assert fault(probes.headless_viewer)[:2] == ("missing", "cannot draw (Failed to get render context)")
+    assert fault(probes.web_viewer)[:2] == ("broken", "its page was not served on 127.0.0.1")
     assert "mesa-vulkan-drivers" in REMEDIES[VIEWERS]["without a screen"]
     assert "report.html" in REMEDIES[VIEWERS]["in a browser"]
 
 
-def test_what_is_known_without_trying(monkeypatch):
-    assert examination.untried({"DISPLAY": ":0"}, "linux").keys() == {"rerun"}
-    blind = examination.untried({"DISPLAY": "", "MUJOCO_GL": "disabled"}, "linux")
+def test_results_that_follow_from_the_environment(monkeypatch):
+    assert examination.known_results({"DISPLAY": ":0"}, "linux").keys() == {"rerun"}
+    blind = examination.known_results({"DISPLAY": "", "MUJOCO_GL": "disabled"}, "linux")
     assert {blind[name].status for name in ("glfw", "in a window")} == {"missing"}
     assert "DISPLAY" in blind["glfw"].detail
-    chosen = examination.untried({"DISPLAY": ":0", "MUJOCO_GL": "egl"}, "linux")
+    chosen = examination.known_results({"DISPLAY": ":0", "MUJOCO_GL": "egl"}, "linux")
     assert (chosen["osmesa"].status, chosen["osmesa"].remedy) == (
         "undecided",
-        "unset MUJOCO_GL to have it tried",
+        "unset MUJOCO_GL to test it",
     )
-    assert examination.untried({}, "darwin").keys() == {"rerun", "egl", "osmesa"}
+    assert examination.known_results({}, "darwin").keys() == {"rerun", "egl", "osmesa"}
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
-    gone = examination.untried({}, "linux")
+    gone = examination.known_results({}, "linux")
     assert {gone[name].status for name in ("rerun", "in a window", "without a screen", "in a browser")} == {
         "missing"
     }
@@ -195,15 +206,15 @@ def test_requirements_are_compared_with_what_is_installed():
         "numpy>=2.0", "mujoco>=999", "no-such-thing>=1", "pytest>=1; extra == 'more'",
         "win-only; sys_platform == 'nowhere'",
     ]  # fmt: skip
-    found = {each.name: each for each in checks.wanted(given)}
+    found = {each.name: each for each in checks.required_packages(given)}
     assert list(found) == ["numpy", "mujoco", "no-such-thing", "pytest"]
     assert [bool(each.fault) for each in found.values()] == [False, True, True, False]
     assert found["pytest"].extra == "more"
-    some = checks.wanted(["numpy", "dm-control>=1", "no-such-thing", "ray; extra == 'ray'"])
+    some = checks.required_packages(["numpy", "dm-control>=1", "no-such-thing", "ray; extra == 'ray'"])
     assert checks.modules(some) == ["numpy", "dm_control"]
 
 
-def test_extras_say_what_for_and_how():
+def test_extras_have_purpose_and_install_command():
     parts = [asked("ray", None, False, "ray"), asked("numpy")]
     (missing,) = checks.extra_checks(["ray"], parts, checkout=True)
     assert (missing.status, missing.remedy) == ("missing", "uv sync --extra ray")
@@ -219,21 +230,21 @@ def test_every_extra_has_a_purpose():
     assert set(project.get("optional-dependencies", {})) <= checks.PURPOSES.keys()
 
 
-def test_limits_of_a_container_count(tmp_path):
+def test_container_limits_apply(tmp_path):
     (tmp_path / "meminfo").write_text("MemTotal: 9000000 kB\nMemAvailable:  4000000 kB\n")
     assert free_memory(tmp_path, tmp_path / "meminfo") == 4_096_000_000
     (tmp_path / "cpu.max").write_text("150000 100000\n")
     (tmp_path / "memory.max").write_text(f"{1 << 30}\n")
     (tmp_path / "memory.current").write_text(f"{1 << 29}\n")
-    assert processor_share(tmp_path) == 1.5
+    assert cpu_quota(tmp_path) == 1.5
     assert free_memory(tmp_path, tmp_path / "meminfo") == 1 << 29
     (tmp_path / "cpu.max").write_text("max 100000\n")
     (tmp_path / "memory.max").write_text("max\n")
-    assert processor_share(tmp_path) is None
+    assert cpu_quota(tmp_path) is None
     assert free_memory(tmp_path, tmp_path / "nothing") is None
 
 
-def test_trying_to_write_leaves_nothing(tmp_path):
+def test_output_check_leaves_no_files(tmp_path):
     (tmp_path / "old").mkdir()
     assert checks.output_check(tmp_path / "old").status == "ok"
     assert checks.output_check(tmp_path / "new/er/est").status == "ok"
@@ -245,7 +256,7 @@ def test_trying_to_write_leaves_nothing(tmp_path):
 
 
 def gone(pid):
-    """Whether a process is gone, or is what nobody has waited for yet; waits a moment for it."""
+    """Wait up to 5 s for the end of a process; return whether it has ended or is a zombie."""
     for _ in range(100):
         try:
             state = Path(f"/proc/{pid}/stat").read_text("ascii").rpartition(") ")[2][0]
@@ -274,7 +285,7 @@ def sleeps(place):
     return "too late"
 
 
-def test_answers_of_children(monkeypatch):
+def test_results_of_child_processes(monkeypatch):
     trials = {
         "talks": talks,
         "dies": lambda: signal.raise_signal(signal.SIGTERM),
@@ -282,12 +293,12 @@ def test_answers_of_children(monkeypatch):
         "leaves": lambda: sys.exit(3),
     }
     monkeypatch.setattr(probes, "PROBES", trials)
-    answers = ask(["json"], list(trials))
-    assert answers["imports"] == Answer("ok", "every package imports")
-    assert answers["talks"] == Answer("ok", "well")
-    assert answers["dies"] == Answer("broken", "was killed by SIGTERM")
-    assert answers["fails"] == Answer("broken", "OSError: libgomp.so.1: cannot be opened")
-    assert answers["leaves"] == Answer("broken", "ended with exit code 1")
+    answers = run_probes(["json"], list(trials))
+    assert answers["imports"] == ProbeResult("ok", "every package imports")
+    assert answers["talks"] == ProbeResult("ok", "well")
+    assert answers["dies"] == ProbeResult("broken", "was killed by SIGTERM")
+    assert answers["fails"] == ProbeResult("broken", "OSError: libgomp.so.1: cannot be opened")
+    assert answers["leaves"] == ProbeResult("broken", "ended with exit code 1")
 
 
 @pytest.mark.slow
@@ -295,7 +306,7 @@ def test_answers_of_children(monkeypatch):
 def test_a_slow_probe_is_undecided_and_costs_no_other(monkeypatch, tmp_path):
     place = tmp_path / "pid"
     monkeypatch.setattr(probes, "PROBES", {"sleeps": lambda: sleeps(place), "talks": talks})
-    answers = ask([], ["sleeps", "talks"], budget_s=3.0)
+    answers = run_probes([], ["sleeps", "talks"], time_limit_s=3.0)
     assert (answers["sleeps"].status, answers["talks"].status) == ("undecided", "ok")
     assert "slow" in answers["sleeps"].detail
     assert gone(int(place.read_text()))
@@ -304,7 +315,7 @@ def test_a_slow_probe_is_undecided_and_costs_no_other(monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     ("source", "status", "detail"),
     [
-        ("import time; time.sleep(60)", "undecided", "hardly: slow: no answer in time"),
+        ("import time; time.sleep(60)", "undecided", "hardly: slow: no result in time"),
         (
             "import os, signal; os.kill(os.getpid(), signal.SIGTERM)",
             "broken",
@@ -317,13 +328,13 @@ def test_a_package_that_does_not_import(monkeypatch, tmp_path, source, status, d
     (tmp_path / "hardly.py").write_text(source)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setattr(probes, "PROBES", {"talks": talks})
-    answers = ask(["json", "hardly"], ["talks"], budget_s=3.0)
+    answers = run_probes(["json", "hardly"], ["talks"], time_limit_s=3.0)
     assert (answers["imports"].status, answers["imports"].detail) == (status, detail)
     survived = "ImportError" in source
     assert answers["talks"].status == ("ok" if survived else "undecided")
 
 
-def test_a_healthy_machine_that_is_slow_is_fit(monkeypatch, tmp_path, capsys):
+def test_slow_machine_passes(monkeypatch, tmp_path, capsys):
     """Every probe runs out of its time: nothing is known, and nothing is called broken."""
     slow = dict.fromkeys(probes.PROBES, lambda: signal.raise_signal(signal.SIGALRM))
     monkeypatch.setattr(probes, "PROBES", slow)
@@ -341,7 +352,7 @@ def test_no_room_for_temporary_files(srs_twin_process, tmp_path):
     (tmp_path / "sitecustomize.py").write_text(broken)
     done = srs_twin_process("doctor", cwd=tmp_path, PYTHONPATH=str(tmp_path))
     assert (done.returncode, done.stdout) == (2, "")
-    assert "set TMPDIR to a folder that can be written" in done.stderr
+    assert "set TMPDIR to a writable folder" in done.stderr
 
 
 def by_name(text):
@@ -350,7 +361,7 @@ def by_name(text):
 
 
 def test_command_on_this_machine(srs_twin_process, tmp_path):
-    ask([], ["kernels"])  # numba has compiled once
+    run_probes([], ["kernels"])  # numba has compiled once
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = srs_twin_process("doctor", "--json", "--out", str(tmp_path / "runs"), cwd=tmp_path)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -376,17 +387,17 @@ def test_command_on_a_broken_machine(srs_twin_process, tmp_path):
     (tmp_path / "runs").write_text("a file")
     done = srs_twin_process("doctor", cwd=tmp_path, PYTHONPATH=str(shadow), DISPLAY="")
     assert done.returncode == 2
-    assert done.stderr.startswith("not fit for runs: imports, ") and "results" in done.stderr
+    assert done.stderr.startswith("runs would fail: imports, ") and "results" in done.stderr
     assert "libopenblas.so.0" in done.stdout and "Traceback" not in done.stdout + done.stderr
     lines = done.stdout.splitlines()
     bad = [i for i, line in enumerate(lines) if line.startswith(("  missing", "  broken"))]
     assert len(bad) >= 4 and all(lines[i + 1].strip().startswith("→ ") for i in bad)
 
 
-def test_the_web_viewer_that_was_tried_out_ends_where_interrupts_are_ignored(tmp_path):
+def test_web_viewer_probe_ends_its_server_if_interrupts_are_ignored(tmp_path):
     with on_interrupt(signal.SIG_IGN):
         done = subprocess.run(
-            [sys.executable, "-c", "from srs_twin.cli.doctor import probes; print(probes.in_a_browser())"],
+            [sys.executable, "-c", "from srs_twin.cli.doctor import probes; print(probes.web_viewer())"],
             cwd=tmp_path, capture_output=True, text=True,
         )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")

@@ -1,4 +1,4 @@
-"""docs/your-robot.md works as printed, and finds the numbers that its recordings were made with."""
+"""docs/your-robot.md runs as printed and identifies the hidden parameters of its recordings."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def walked_through(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_what_was_hidden_lies_in_the_intervals(walked_through):
+def test_hidden_parameters_are_in_the_intervals(walked_through):
     seen = set()
     for name in ("my_friction", "my_gains", "my_levels", "my_lags", "my_body"):
         fit = load_fit(walked_through / f"calibration/fits/{name}.yaml")
@@ -66,7 +66,7 @@ def test_what_was_hidden_lies_in_the_intervals(walked_through):
 
 
 @pytest.mark.slow
-def test_the_robot_of_the_page_is_the_hidden_one(walked_through):
+def test_identified_robot_is_the_hidden_one(walked_through):
     robot = load_robot(walked_through / "robots/my_snake.yaml")
     found = [name for name in HIDDEN if name.startswith(("friction", "actuator", "modules"))]
     for unknown in unknowns(robot, found):
@@ -75,7 +75,7 @@ def test_the_robot_of_the_page_is_the_hidden_one(walked_through):
 
 
 @pytest.mark.slow
-def test_the_replay_is_nearer_to_the_robot_than_the_one_it_began_with(walked_through, monkeypatch):
+def test_fitted_robot_replays_more_accurately_than_the_initial_one(walked_through, monkeypatch):
     monkeypatch.chdir(walked_through)
     with pytest.raises(SystemExit):
         main(["replay", f"{RECORDINGS}/walk_check.csv", "-r", "gen2", "--plants", "analytical", "-q",

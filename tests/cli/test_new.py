@@ -48,7 +48,7 @@ def test_a_new_study_and_controller_are_valid(srs_twin, tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("robot", "Worm"), "'Worm' is not a name"),
+        (("robot", "Worm"), "'Worm' is not allowed as a name"),
         (("robot", "worm", "--mass", "-1"), "must be positive"),
         (("robot", "worm", "--segments", "0"), "must be positive"),
         (("scenario", "walk", "--robot", "gen9"), "gen9"),

@@ -1,4 +1,4 @@
-"""docs/ci.md: its workflow files are sound, and what they and the Containerfile call exists."""
+"""docs/ci.md: its workflow files are valid, and the files that they and the Containerfile use exist."""
 
 from __future__ import annotations
 
@@ -74,12 +74,12 @@ def test_commands_and_options_exist(line):
         whole.commands[verb].make_context(verb, rest)
 
 
-def test_the_rule_catches_options_that_are_not_there():
+def test_checker_finds_unknown_options():
     with pytest.raises(TyperException, match="No such option: --junitt"):
         command().commands["run"].make_context("run", ["scenarios/", "--junitt", "out.xml"])
 
 
-def test_the_workflows_of_the_page_use_what_is_there():
+def test_documented_workflows_use_existing_files():
     (job,) = workflow("github")["jobs"].values()
     checkout, ours = job["steps"]
     assert (ROOT / ours["uses"] / "action.yml").is_file() and checkout["uses"] == "actions/checkout@v4"
@@ -199,7 +199,7 @@ def test_the_script_of_the_template_runs(room, least, code):
     assert (room / artifacts["reports"]["junit"]).is_file() and (room / artifacts["paths"][0]).is_dir()
 
 
-def test_workflows_use_a_python_that_is_allowed():
+def test_workflows_use_a_supported_python():
     allowed = re.search(
         r'requires-python = ">=3\.(\d+),<3\.(\d+)"', (ROOT / "pyproject.toml").read_text("utf-8")
     )
@@ -217,7 +217,7 @@ def test_exit_codes_are_those_of_the_readme():
     assert codes(DOCS) == codes((ROOT / "README.md").read_text("utf-8")) == ["0", "1", "2", "3", "4", "130"]
 
 
-def test_containerfile_copies_what_is_there_and_runs_as_nobody_special():
+def test_containerfile_copies_existing_files_and_runs_unprivileged():
     copied = [words.split()[:-1] for words in re.findall(r"^COPY (?!--from)(.*)$", CONTAINERFILE, re.M)]
     sources = {source for each in copied for source in each}
     assert sources >= {"pyproject.toml", "srs_twin", "calibration", "models", "scenarios"}
@@ -284,7 +284,7 @@ def test_the_container_starts_with_private_caches():
     assert "CACHE_DIR" not in last and os.access(ROOT / "ci/container.sh", os.X_OK)
 
 
-def test_containerfile_installs_what_the_doctor_asks_for():
+def test_containerfile_installs_the_remedies_of_doctor():
     remedies = [f"apt-get install {names} (Debian" for names in PACKAGES.values()]
     remedies.append(REMEDIES[VIEWERS]["without a screen"])
     asked = {

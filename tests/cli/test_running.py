@@ -1,4 +1,4 @@
-"""The real thing, started as a person starts it: what a run leaves behind, also when it ends badly."""
+"""Runs started as a user starts them: files, messages and exit codes, also after failures."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def compared(tmp_path_factory, srs_twin_process):
     return room, done
 
 
-def test_the_folder_holds_everything_and_what_was_there(compared):
+def test_output_folder_is_complete_and_keeps_other_files(compared):
     room, done = compared
     assert done.returncode == 1, done.stderr
     assert {path.name for path in (room / "out").iterdir()} == {*PRODUCTS, "notes.txt"}
@@ -79,7 +79,7 @@ def test_metrics_follow_from_the_trajectories(compared):
     assert metrics["comparison"]["com_speed_rel"] == pytest.approx(relative, abs=0.02)
 
 
-def test_the_terminal_shows_what_metrics_json_holds(compared):
+def test_terminal_output_agrees_with_metrics_json(compared):
     room, done = compared
     metrics = json.loads((room / "out/metrics.json").read_text())
     speed = f"{metrics['plants']['twin']['com_speed_m_s']:.4g}"
@@ -92,7 +92,7 @@ def test_the_terminal_shows_what_metrics_json_holds(compared):
     assert "files in out;" in done.stderr
 
 
-def test_recording_and_report_are_whole(compared):
+def test_recording_and_report_are_complete(compared):
     room, _ = compared
     verify_recording(room / "out/recording.rrd")
     report = (room / "out/report.html").read_text()
@@ -100,14 +100,14 @@ def test_recording_and_report_are_whole(compared):
     assert report.rstrip().endswith("</html>")
 
 
-def test_the_resolved_scenario_runs_to_the_same_bytes(compared, tmp_path):
+def test_resolved_scenario_gives_identical_files(compared, tmp_path):
     room, _ = compared
     again = run_scenario(load_scenario(room / "out/scenario.resolved.yaml"), tmp_path / "again")
     for name in ("analytical.parquet", "twin.parquet"):
         assert (again.folder / name).read_bytes() == (room / "out" / name).read_bytes(), name
 
 
-def test_one_plant_alone_leaves_no_trace_of_a_former_run_with_two(compared, tmp_path):
+def test_single_plant_run_removes_files_of_earlier_runs(compared, tmp_path):
     room, _ = compared
     folder = tmp_path / "out"
     folder.mkdir()
@@ -120,7 +120,7 @@ def test_one_plant_alone_leaves_no_trace_of_a_former_run_with_two(compared, tmp_
     assert result.metrics["comparison"] is None
 
 
-def test_a_place_that_cannot_be_written_is_found_before_simulating(tmp_path):
+def test_unwritable_folder_is_reported_before_simulation(tmp_path):
     scenario = load_scenario(write(tmp_path, "short"))
     (tmp_path / "file").touch()
     for folder in (tmp_path / "file", tmp_path / "file/below"):
@@ -132,20 +132,20 @@ def test_a_place_that_cannot_be_written_is_found_before_simulating(tmp_path):
 
 
 def test_progress_rises_to_the_end_for_each_plant(tmp_path):
-    told: dict[str, list[float]] = {}
+    progress: dict[str, list[float]] = {}
     text = SCENARIO.replace("duration_s: 2", "duration_s: 0.2").split("expect:")[0]
     run_scenario(
         load_scenario(write(tmp_path, "brief", text)),
         tmp_path / "out",
-        progress=lambda plant, part: told.setdefault(plant, []).append(part),
+        progress=lambda plant, fraction: progress.setdefault(plant, []).append(fraction),
     )
-    assert list(told) == ["analytical", "twin"]
-    for parts in told.values():
+    assert list(progress) == ["analytical", "twin"]
+    for parts in progress.values():
         assert parts == sorted(set(parts))
         assert (parts[0], parts[-1]) == (0.0, 1.0)
 
 
-def test_a_plant_that_diverges_leaves_its_trajectory_and_the_other_still_runs(tmp_path):
+def test_diverged_plant_keeps_its_trajectory_and_the_other_runs(tmp_path):
     job = prepare(load_scenario(write(tmp_path, "short")), tmp_path / "out")
     plant = job.parts["analytical"][0]
     sound = plant.play
@@ -180,7 +180,7 @@ def test_a_plant_that_diverges_leaves_its_trajectory_and_the_other_still_runs(tm
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
-def test_an_interrupt_keeps_what_is_finished_and_exits_with_130(tmp_path):
+def test_interrupt_keeps_complete_runs_and_exits_with_130(tmp_path):
     long = SCENARIO.replace("duration_s: 2", "duration_s: 600").replace("analytical: {}, ", "")
     brief = SCENARIO.replace("duration_s: 2", "duration_s: 0.2").split("expect:")[0]
     words = ["run", write(tmp_path, "brief", brief), write(tmp_path, "long", long.split("expect:")[0])]
@@ -195,7 +195,7 @@ def test_an_interrupt_keeps_what_is_finished_and_exits_with_130(tmp_path):
     child.send_signal(signal.SIGINT)
     _, said = child.communicate(timeout=300)
     assert child.returncode == 130, said
-    assert "interrupted; finished before: runs/brief" in said
+    assert "interrupted; complete runs: runs/brief" in said
     assert "Traceback" not in said
     assert (tmp_path / "runs/brief/metrics.json").is_file()
     assert [path.name for path in (tmp_path / "runs/long").iterdir()] == [kept.name]
@@ -203,7 +203,7 @@ def test_an_interrupt_keeps_what_is_finished_and_exits_with_130(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_command_that_is_started_to_ignore_interrupts_does_so(tmp_path):
+def test_command_keeps_ignored_interrupts(tmp_path):
     """As in the background of a script; so do its workers."""
     for name, duration in (("brief", "0.2"), ("long", "5")):
         document = SCENARIO.replace("duration_s: 2", f"duration_s: {duration}").split("expect:")[0]
@@ -229,7 +229,7 @@ def test_a_command_that_is_started_to_ignore_interrupts_does_so(tmp_path):
         (["run", "./bad.yaml"], "bad.yaml:5:13: controller.frequency_hz: missing"),
         (["models", "check", "./none.xml"], "none.xml: no such file"),
         (["models", "check", "gen9"], "unknown robot or model file 'gen9'; did you mean gen"),
-        (["view", "nosuch"], "nosuch: no recording there"),
+        (["view", "nosuch"], "nosuch: no recording found"),
     ],
 )
 def test_bad_input_exits_with_2_and_writes_nothing(tmp_path, srs_twin, words, said):
@@ -242,6 +242,6 @@ def test_bad_input_exits_with_2_and_writes_nothing(tmp_path, srs_twin, words, sa
     assert [path.name for path in tmp_path.iterdir()] == ["bad.yaml"]
 
 
-def test_schema_is_json_that_knows_the_keys(tmp_path, srs_twin):
+def test_schema_is_json_with_the_keys(tmp_path, srs_twin):
     schema = json.loads(srs_twin("schema", cwd=tmp_path).stdout)
     assert {"robot", "duration_s", "controller", "plants", "expect"} <= schema["properties"].keys()

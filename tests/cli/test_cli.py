@@ -1,4 +1,4 @@
-"""The command line: exit codes, where the words go, what stays behind."""
+"""Command line: exit codes, output, and files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from subsets import first_by_default
 from srs_twin.cli import main
 from srs_twin.cli.app import command
 from srs_twin.cli.progress import ScenarioProgress
-from srs_twin.cli.table import asks_why, rows
+from srs_twin.cli.table import needs_explanation, rows
 from srs_twin.cli.view import find_recording
 from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import DivergedError, InputError, TaskFailedError, WorkerDiedError
@@ -53,7 +53,7 @@ REASON = "the drag was never measured (docs/models.md)"
 
 
 def marked(*numbers):
-    """Return what a run gave whose expectations of these numbers are marked as known to be missed."""
+    """Return metrics in which the expectations with these numbers are marked as known misses."""
     expectations = METRICS["expectations"]
     known = [each | {"known": REASON if k in numbers else None} for k, each in enumerate(expectations)]
     return {**METRICS, "expectations": known}
@@ -73,7 +73,7 @@ EXPECTED = (
 
 @dataclass
 class Job:
-    """Stands in for a prepared run: does what a test tells it to."""
+    """Fake prepared run with a given outcome."""
 
     name: str
     folder: Path
@@ -90,11 +90,11 @@ class Job:
 
 
 def last_first(task, arguments, *, workers):
-    """Stand in for worker processes that finish in the least convenient order."""
+    """Fake worker processes that finish in reverse order."""
     for number in reversed(range(len(arguments))):
         try:
             done = TaskResult(number, task(arguments[number]), None)
-            # What comes back was sent from one process to another.
+            # Results are pickled between processes.
             yield pickle.loads(pickle.dumps(done))
         except RuntimeError as error:
             yield TaskResult(number, None, TaskFailedError(error))
@@ -104,7 +104,7 @@ def last_first(task, arguments, *, workers):
 
 @pytest.fixture
 def start(monkeypatch, capsys, tmp_path):
-    """Run `srs-twin` on stand-ins: scenario name → how it ends. Gives code, stdout, stderr and the log."""
+    """Run `srs-twin` with fake runs, scenario name → outcome; return exit code, stdout, stderr and log."""
     monkeypatch.chdir(tmp_path)
 
     def run(*words, **endings):
@@ -135,7 +135,7 @@ def start(monkeypatch, capsys, tmp_path):
     return run
 
 
-def test_the_command_line_loads_nothing_heavy():
+def test_command_line_imports_nothing_heavy():
     code = f"import sys, srs_twin.cli.app as a; a.command(); print([m for m in {HEAVY} if m in sys.modules])"
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
 
@@ -151,7 +151,7 @@ HELPS = [words for words, _ in commands()]
 
 
 @pytest.mark.parametrize("words", HELPS, ids=" ".join)
-def test_help_is_whole_and_says_each_thing_once(start, monkeypatch, words):
+def test_help_is_complete_and_not_truncated(start, monkeypatch, words):
     monkeypatch.setenv("COLUMNS", "80")
     left = start(*words, "--help")
     assert left.code == 0
@@ -173,7 +173,7 @@ def test_help_is_whole_and_says_each_thing_once(start, monkeypatch, words):
         (["compare", "a", "b"], "unexpected extra argument"),
     ],
 )
-def test_usage_errors_are_plain_and_exit_with_2(start, words, said):
+def test_usage_error_exits_with_2(start, words, said):
     left = start(*words)
     assert left.code == 2
     assert said in left.err
@@ -207,7 +207,7 @@ def test_exit_codes(start, words, ending, code):
     assert start(*words, a=ending).code == code
 
 
-def test_bad_input_is_said_before_anything_runs_and_stops_nothing_else(start):
+def test_invalid_scenario_is_reported_first_and_does_not_stop_the_rest(start):
     endings = {"a": "met", "bad": InputError("bad.yaml:3:1: wrong"), "c": "missed"}
     left = start("run", "a", "bad", "c", "--jobs", "1", **endings)
     assert left.log == ["load a", "load bad", "load c", "run a", "run c"]
@@ -219,7 +219,7 @@ def test_bad_input_is_said_before_anything_runs_and_stops_nothing_else(start):
 
 
 @pytest.mark.parametrize("jobs", ["1", "2", "7"])
-def test_the_highest_code_wins_whatever_the_order(start, jobs):
+def test_exit_code_is_the_highest_of_all_scenarios(start, jobs):
     diverged = DivergedError("twin", 1.5, "qpos is not finite", history=[1])
     left = start("run", "a", "b", "c", "--check", "-j", jobs, a="missed", b=diverged, c="met")
     assert left.code == 3
@@ -227,7 +227,7 @@ def test_the_highest_code_wins_whatever_the_order(start, jobs):
     assert {"run a", "run b", "run c"} <= set(left.log)
 
 
-def test_words_keep_to_the_order_given_whoever_is_first(start):
+def test_output_follows_the_order_of_the_scenarios(start):
     endings = {name: "met" for name in "abcd"} | {"b": DivergedError("twin", 1.5, "b flew")}
     one, many = (start("run", *"abcd", "--jobs", jobs, **endings) for jobs in ("1", "4"))
     assert one.log == [*(f"load {name}" for name in "abcd"), *(f"run {name}" for name in "abcd")]
@@ -252,23 +252,23 @@ def test_words_keep_to_the_order_given_whoever_is_first(start):
         ("com_speed_rel", False, {"attribution": {}}, False),
     ],
 )
-def test_a_difference_that_was_not_expected_asks_why(metric, met, more, asks):
-    assert asks_why({"expectations": [{"metric": metric, "met": met}], **more}) is asks
+def test_unexpected_difference_needs_explanation(metric, met, more, asks):
+    assert needs_explanation({"expectations": [{"metric": metric, "met": met}], **more}) is asks
 
 
 KNOWN = f"comparison com_speed_rel = -0.2, allowed -0.12 to 0.12; known: {REASON}"
 
 
-def test_what_is_known_to_be_missed_is_counted_apart(start):
+def test_known_misses_are_counted_separately(start):
     left = start("run", *"abc", "--check", a="missed", b="known", c="holds")
     assert left.code == 1
     lines = [line for line in left.out.splitlines() if line.startswith(("met", "MISSED", "known", "HOLDS"))]
     assert [line.split()[0] for line in lines] == ["met", "MISSED", "met", "known", "HOLDS", "known"]
-    told = "expectations: 2 met, 1 missed, 2 known to be missed, 1 met though known to be missed"
-    assert f"{told} (take `known` out)\n" in left.err
+    summary = "expectations: 2 met, 1 missed, 2 known to be missed, 1 met though known to be missed"
+    assert f"{summary} (take `known` out)\n" in left.err
 
 
-def test_quiet_tells_what_fails_and_what_begins_to_hold(start):
+def test_quiet_prints_failed_and_newly_met_expectations(start):
     left = start("run", *"ab", "--check", "-q", a="known", b="holds")
     assert (left.code, left.out) == (0, "")
     holds = f"twin com_speed_m_s = 0.2, allowed 0.1819 to 0.2461 (Table 10); known: {REASON}"
@@ -277,21 +277,21 @@ def test_quiet_tells_what_fails_and_what_begins_to_hold(start):
     assert (left.code, left.err) == (1, f"known  {KNOWN}\nHOLDS  {holds}\nknown  {KNOWN}\n")
 
 
-def test_what_is_not_judged_is_counted_apart_and_shown_with_its_reason(start):
+def test_expectations_not_judged_are_counted_with_their_reason(start):
     left = start("run", *"ab", "--check", a="met", b="not_judged")
     assert left.code == 0 and "expectations: 1 met, 2 not judged\n" in left.err
     words = (
         "not judged twin com_speed_m_s = none, allowed 0.1819 to 0.2461 (Table 10); reason: the run is short"
     )
     assert words in " ".join(left.out.split())
-    assert "why the plants differ" not in left.err
+    assert "to attribute the difference" not in left.err
     for option, code in (("--check", 0), ("--strict", 1)):
         quiet = start("run", "a", option, "-q", a="not_judged")
         assert (quiet.code, quiet.err.splitlines()[0]) == (code, words)
     assert start("run", "a", a="not_judged").code == 0
 
 
-def test_a_dead_worker_and_a_fault_cost_their_own_scenario_only(start):
+def test_worker_death_and_internal_error_affect_only_their_scenario(start):
     endings = {"a": "met", "b": MemoryError(), "c": RuntimeError("nobody foresaw this"), "d": "met"}
     left = start("run", *"abcd", "--jobs", "2", **endings)
     assert left.code == 4
@@ -301,14 +301,14 @@ def test_a_dead_worker_and_a_fault_cost_their_own_scenario_only(start):
     assert "files in runs/d;" in left.err
 
 
-def test_an_interrupt_says_what_is_finished(start):
+def test_interrupt_names_complete_runs(start):
     endings = {"a": "met", "b": KeyboardInterrupt(), "c": "met"}
     left = start("run", "a", "b", "c", "--jobs", "1", **endings)
     assert left.code == 130
-    assert "interrupted; finished before: runs/a\n" in left.err
+    assert "interrupted; complete runs: runs/a\n" in left.err
     assert "run c" not in left.log
     # c was finished, its table waited for those of a and b.
-    assert "interrupted; finished before: runs/c\n" in start("run", "a", "b", "c", "-j", "2", **endings).err
+    assert "interrupted; complete runs: runs/c\n" in start("run", "a", "b", "c", "-j", "2", **endings).err
 
 
 @pytest.mark.parametrize("jobs", ["0", "-1", "two", "1.5"])
@@ -320,7 +320,7 @@ def test_an_impossible_number_of_jobs_is_a_usage_error(start, jobs):
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
-def test_the_report_is_written_however_the_batch_ends(start, tmp_path, jobs):
+def test_junit_report_is_written_for_every_outcome(start, tmp_path, jobs):
     def outcomes():
         tests = ElementTree.parse(tmp_path / "r.xml").iter("testcase")
         return [(t.get("classname"), t.get("name"), t[0].tag if len(t) else "passed") for t in tests]
@@ -349,14 +349,14 @@ def test_a_report_that_cannot_be_written_is_refused_before_anything_is_read(star
         assert (left.code, left.log) == (2, [])
 
 
-def test_one_word_on_a_place_where_nothing_can_be_written(start, tmp_path):
+def test_unwritable_folder_is_reported_once(start, tmp_path):
     (tmp_path / "file").touch()
     left = start("run", "a", "b", "--out", "file/below", a="met", b="met")
     assert (left.code, left.log) == (2, ["load a", "load b"])
     assert left.err == "file/below: cannot write there (Not a directory); give another folder with --out\n"
 
 
-def test_internal_errors_are_one_line_with_where_to_report(start, monkeypatch):
+def test_internal_error_is_one_line_with_contact(start, monkeypatch):
     left = start("run", "a", a=RuntimeError("two\nlines"))
     lines = [line for line in left.err.splitlines() if "warn" not in line]
     assert len(lines) == 1
@@ -366,7 +366,7 @@ def test_internal_errors_are_one_line_with_where_to_report(start, monkeypatch):
     assert "Traceback (most recent call last)" in start("run", "a", a=RuntimeError("x")).err
 
 
-def test_several_runs_get_a_folder_each_and_one_gets_the_folder_itself(start):
+def test_several_runs_get_subfolders(start):
     assert "files in out;" in start("run", "a", "--out", "out", a="met").err
     several = start("run", "a", "b", "--out", "out", "--jobs", "1", a="met", b="met").err
     assert "files in out/a;" in several
@@ -374,7 +374,7 @@ def test_several_runs_get_a_folder_each_and_one_gets_the_folder_itself(start):
     assert "files in runs/a;" in start("run", "a", a="met").err
 
 
-def test_folders_stand_for_the_files_in_them(start, tmp_path):
+def test_folder_argument_runs_all_its_files(start, tmp_path):
     (tmp_path / "set").mkdir()
     for name in ("b.yaml", "a.yaml", "notes.txt"):
         (tmp_path / "set" / name).touch()
@@ -382,7 +382,7 @@ def test_folders_stand_for_the_files_in_them(start, tmp_path):
     assert [each for each in left.log if each.startswith("load")] == ["load set/a.yaml", "load set/b.yaml"]
 
 
-def test_the_table_fits_80_columns_and_says_what_was_missed(start, monkeypatch):
+def test_table_fits_80_columns_and_marks_missed_expectations(start, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     left = start("compare", "a", a="missed")
     assert all(len(line) <= 80 for line in left.out.splitlines())
@@ -402,7 +402,7 @@ def test_quiet_leaves_stdout_and_stderr_empty(start):
     assert missed.err == "MISSED comparison com_speed_rel = -0.2, allowed -0.12 to 0.12\n"
 
 
-def test_progress_keeps_quiet_for_two_seconds_then_writes_plain_lines(monkeypatch, capsys):
+def test_progress_starts_after_two_seconds(monkeypatch, capsys):
     now = [100.0]
     monkeypatch.setattr("srs_twin.cli.progress.time.monotonic", lambda: now[0])
     with ScenarioProgress("gen2") as progress:
@@ -423,7 +423,7 @@ def test_view_looks_in_the_run_folder_and_under_runs(tmp_path, monkeypatch):
     recording.touch()
     for given in ("a", "runs/a", "runs/a/recording.rrd"):
         assert find_recording(given).resolve() == recording
-    with pytest.raises(InputError, match=r"^b: no recording there \(looked for b/recording.rrd, runs/b/"):
+    with pytest.raises(InputError, match=r"^b: no recording found \(looked for b/recording.rrd, runs/b/"):
         find_recording("b")
     (tmp_path / "x.csv").touch()
     with pytest.raises(InputError, match=r"^x.csv: not a recording"):
@@ -452,7 +452,7 @@ def into_closed_pipe(words, folder, closed):
 
 
 @pytest.mark.parametrize("words", first_by_default(2, ["schema", "models check gen2", "--help", "--version"]))
-def test_a_closed_pipe_is_no_error(tmp_path, words):
+def test_closed_pipe_is_not_an_error(tmp_path, words):
     done = into_closed_pipe(words.split(), tmp_path, ["stdout"])
     assert (done.returncode, done.stderr) == (0, "")
 
@@ -461,7 +461,7 @@ def test_a_closed_pipe_is_no_error(tmp_path, words):
 @pytest.mark.parametrize(
     ("last", "code", "closed"), [("1", 0, ["stdout"]), ("none", 2, ["stdout", "stderr"])]
 )
-def test_a_closed_pipe_ends_printing_and_no_work(tmp_path, last, code, closed):
+def test_closed_pipe_stops_output_but_not_the_runs(tmp_path, last, code, closed):
     for name, limit in (("a", "1"), ("b", "1"), ("c", last)):
         (tmp_path / f"{name}.yaml").write_text(BRIEF.replace("LIMIT", limit))
     words = ("run", "./a.yaml", "./b.yaml", "./c.yaml", "--check", "--jobs", "2", "--junit", "r.xml")
@@ -477,6 +477,6 @@ def test_a_closed_pipe_ends_printing_and_no_work(tmp_path, last, code, closed):
     ("comparison", "shown"),
     [(None, False), ({}, False), ({"gap_factor": 1.0}, False), ({"gap_factor": 0.9}, True)],
 )
-def test_the_gap_factor_has_a_row_only_where_it_acts(comparison, shown):
+def test_gap_factor_has_a_row_only_if_it_is_used(comparison, shown):
     metrics = {"plants": {"twin": {"com_speed_m_s": 0.1}}, "comparison": comparison, "expectations": []}
     assert any("gap factor" in heading for heading, *_ in rows(metrics)) == shown

@@ -1,4 +1,4 @@
-"""The site: it builds without a warning, a broken link is one, nothing of it comes from elsewhere."""
+"""The site builds without warnings, detects broken links, and loads no external resources."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.studies.sweep.file import SweepFile
 
-# Attributes by which a browser fetches something without being asked; `href` only of these elements.
+# Attributes that make a browser load a resource automatically; `href` only in these elements.
 FETCHED = {"src", "srcset", "data", "poster", "action", "background"}
 FETCHING = {"link", "base", "image", "use"}
 
@@ -74,7 +74,7 @@ def is_foreign(target):
 
 
 @pytest.mark.slow
-def test_nothing_is_fetched_from_elsewhere(site):
+def test_site_loads_no_external_resources(site):
     pages = list(site.rglob("*.html"))
     assert len(pages) > len(PAGES)
     for path in [*pages, *site.rglob("*.css")]:
@@ -83,7 +83,7 @@ def test_nothing_is_fetched_from_elsewhere(site):
     assert not [path for path in site.rglob("*") if "mathjax" in path.name.lower()]
 
 
-def test_the_rule_catches_what_would_be_fetched():
+def test_checker_finds_external_resources():
     page = """<link rel="stylesheet" href="//fonts.example/a.css"><script src='https://cdn.example/x.js'></script>
     <style>@import "http://a.example/b.css"; body { background: url(https://c.example/d.png) }</style>
     <a href="https://fine.example">a link</a> <img src="../_images/hero.png">"""
@@ -91,7 +91,7 @@ def test_the_rule_catches_what_would_be_fetched():
 
 
 @pytest.mark.slow
-def test_scripts_load_nothing_by_themselves(site):
+def test_scripts_import_nothing_heavy(site):
     """The theme's scripts and the search index are all there is, and name no address to fetch from."""
     scripts = list(site.rglob("*.js"))
     assert scripts
@@ -103,14 +103,14 @@ def test_scripts_load_nothing_by_themselves(site):
 
 
 @pytest.mark.slow
-def test_every_page_is_in_it(site):
+def test_every_page_is_in_the_site(site):
     for page in PAGES:
         assert (site / page.name).with_suffix(".html").is_file(), page.name
     assert "docs/index.html" in (site / "index.html").read_text("utf-8")
 
 
 @pytest.mark.slow
-def test_formulas_are_drawn_without_a_script(site):
+def test_formulas_need_no_scripts(site):
     shown = (site / "docs/models.html").read_text("utf-8")
     formulas = re.findall(r"(?<!\w)\$\$", next(p for p in PAGES if p.name == "docs/models.md").prose)
     assert shown.count('<div class="math">') == len(formulas) / 2 > 5
@@ -127,7 +127,7 @@ def keys_of(schema):
 @pytest.mark.parametrize(
     ("page", "model"), [("scenario", ScenarioFile), ("sweep", SweepFile), ("robot", RobotFile)]
 )
-def test_every_key_stands_in_the_reference(site, page, model):
+def test_every_key_is_in_the_reference(site, page, model):
     shown = (site / f"docs/reference/{page}.html").read_text("utf-8")
     rows = re.findall(r"<tr class=\"row-\w+\"><td>(.*?)</tr>", shown, re.S)
     cells = [[re.sub(r"<[^>]+>", "", cell).strip() for cell in row.split("<td>")] for row in rows]
@@ -154,7 +154,7 @@ def commands_in(given, words=("srs-twin",)):
 
 
 @pytest.mark.slow
-def test_every_command_and_option_stands_in_the_reference(site):
+def test_every_command_and_option_is_in_the_reference(site):
     shown = html.unescape(re.sub(r"<[^>]+>", "", (site / "docs/reference/commands.html").read_text("utf-8")))
     _, *parts = re.split(r"\n(srs-twin[\w -]*)¶\n", shown)
     sections = dict(zip(parts[::2], parts[1::2], strict=True))
@@ -165,7 +165,7 @@ def test_every_command_and_option_stands_in_the_reference(site):
 
 
 @pytest.mark.slow
-def test_every_public_name_stands_in_the_python_reference(site):
+def test_every_public_name_is_in_the_python_reference(site):
     text = next(page.text for page in PAGES if page.name == "docs/reference/api.md")
     named = re.findall(r"^\.\. auto\w+:: srs_twin\.(\w+)$", text, re.M)
     assert sorted(named) == sorted(set(srs_twin.__all__) - {"__version__"})

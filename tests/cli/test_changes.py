@@ -1,4 +1,4 @@
-"""Values set besides a file, by options and from Python; lists of what there is; JSON; the sentence."""
+"""Overridden fields by options and from Python; `list`, `show` and JSON output; the headline."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from srs_twin.scenario.loading import parse_scenario
 SHORT = {"duration_s": 1.0}
 
 
-def test_what_is_set_is_what_a_file_would_say_and_stands_with_who_set_it():
+def test_override_equals_the_same_value_in_a_file():
     soft = load_scenario("gen2_straight", set={"robot.bending.stiffness_nm_per_rad": 0.22, "seed": 7})
     assert (soft.robot.bending.stiffness, soft.seed) == (0.22, 7)
     record = soft.document["robot"]["bending"]["stiffness_nm_per_rad"]
@@ -96,7 +96,7 @@ def test_a_shell_completes_commands_options_and_shipped_names(typed, offered):
     assert set(done.stdout.split()) == offered, done.stderr
 
 
-def test_a_number_a_thousand_times_off_its_robots_is_asked_about():
+def test_value_with_a_likely_unit_error_is_reported():
     def warned(value):
         return load_scenario("gen2_straight", set={"robot.bending.stiffness_nm_per_rad": value}).warnings
 
@@ -117,7 +117,7 @@ def test_a_change_of_a_list_and_of_a_new_block():
     assert str(caught.value).splitlines() == ["second: c.d.e: wrong", "x.yaml:1:9: a.b[0]: wrong"]
 
 
-def test_one_plant_alone_is_not_judged_by_what_was_said_of_the_other(srs_twin, tmp_path):
+def test_single_plant_has_no_expectations_of_the_other(srs_twin, tmp_path):
     words = ["run", "gen2_straight", "--plants", "analytical", "--duration", "3", "--json", "--check"]
     done = srs_twin(*words, cwd=tmp_path)
     found = json.loads(done.stdout)
@@ -128,7 +128,7 @@ def test_one_plant_alone_is_not_judged_by_what_was_said_of_the_other(srs_twin, t
     assert found == stored
 
 
-def test_of_several_runs_json_has_each_and_what_stopped_it(srs_twin, tmp_path):
+def test_json_of_several_runs_includes_errors(srs_twin, tmp_path):
     words = ["run", "gen2_straight", "gen2_strait", "--duration", "0.5", "--plants", "analytical", "--json"]
     done = srs_twin(*words, cwd=tmp_path)
     first, second = json.loads(done.stdout)["runs"]
@@ -152,7 +152,7 @@ def test_every_metric_is_listed_with_unit_and_meaning(srs_twin, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["gen2_turn", "gen2"])
-def test_show_tells_every_number_with_its_source(srs_twin, tmp_path, name):
+def test_show_prints_every_value_with_its_source(srs_twin, tmp_path, name):
     document = json.loads(srs_twin("show", name, "--json", cwd=tmp_path).stdout)
     snake = document if name == "gen2" else document["robot"]
     assert snake["friction"]["mu_t"]["source"]
@@ -162,7 +162,7 @@ def test_show_tells_every_number_with_its_source(srs_twin, tmp_path, name):
     )
 
 
-def test_show_of_what_there_is_not(srs_twin, tmp_path):
+def test_show_of_an_unknown_name_is_refused(srs_twin, tmp_path):
     done = srs_twin("show", "gen2_strait", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (
         2,
@@ -202,7 +202,7 @@ CAUSE = {"name": "compliance", "com_speed_m_s": -0.03, "yaw_rate_rad_s": 0.0}
             "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s; compliance alone would slow "
             "it by 25 %).",
         ),
-        # A cause that acts the other way explains nothing.
+        # An assumption with the opposite effect is not a main cause.
         (
             both((0.2, 0.15), cause=CAUSE | {"com_speed_m_s": 0.03}),
             "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s).",
@@ -214,14 +214,14 @@ CAUSE = {"name": "compliance", "com_speed_m_s": -0.03, "yaw_rate_rad_s": 0.0}
         ),
     ],
 )
-def test_the_sentence_says_who_is_faster_by_how_much_and_why(metrics, said):
+def test_headline_names_difference_and_main_cause(metrics, said):
     assert headline(metrics) == said
 
 
 @pytest.mark.parametrize("averaged", [False, True])
 @pytest.mark.parametrize("twin", [0.05, 0.1234, 0.15, 0.196, 0.2049, 0.25, 0.31])
 @pytest.mark.parametrize("effect", [-1.7, -1.0, -0.5049, -0.26, 0.26, 0.505, 1.0, 1.004, 1.243, 2.5])
-def test_the_per_cents_of_the_sentence_add_up(averaged, twin, effect):
+def test_percentages_of_the_headline_add_up(averaged, twin, effect):
     change = effect * (twin - 0.2)
     share = {"name": "compliance", "value": [change, 0.0]}
     why = {"attribution": {"measures": ["com_speed_m_s", "yaw_rate_rad_s"], "shares": [share]}}
@@ -238,7 +238,7 @@ def test_the_per_cents_of_the_sentence_add_up(averaged, twin, effect):
         assert ("alone would" in said) != averaged
 
 
-def test_every_run_has_a_sentence_of_its_plants():
+def test_headline_of_every_run_names_its_plants():
     assert headline({"plants": {"twin": {"com_speed_m_s": 0.1, "yaw_rate_rad_s": 0.3}}}) == (
         "The twin crawls at 0.1 m/s, turning by 0.3 rad/s."
     )

@@ -1,4 +1,4 @@
-"""The site shows every word of a page: MyST drops no line that other Markdown programs show."""
+"""The site contains all text of a page: MyST drops no line that other Markdown programs show."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_a_construct_that_drops_text_is_found(dropped):
     assert lost(f"# Title\n\n{dropped}\n") != []
 
 
-def test_text_in_code_and_formulas_is_not_taken_for_such_a_construct():
+def test_code_and_formulas_are_not_dropped_text():
     text = (
         "# Title\n\n```\n% comment\n+++\n[a]: b\n```\n\n50 % of $x_i\\,y^*$ and\n\n$$ a_i + \\frac{b}{c} $$\n"
     )

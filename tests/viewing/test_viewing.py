@@ -1,4 +1,4 @@
-"""Recordings, plots and reports, of synthetic runs; the geometry against an independent integration."""
+"""Recordings, plots and reports of synthetic runs; geometry compared with an independent integration."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from srs_twin.viewing.plots.signals import (
 from srs_twin.viewing.plots.style import MINUS_RGB, PLUS_RGB, STYLES, pressure_colors
 from srs_twin.viewing.rerun import viewer
 from srs_twin.viewing.rerun.blueprint import Layout, scene_view
-from srs_twin.viewing.rerun.recording import thinned, write_recording, write_side_by_side
+from srs_twin.viewing.rerun.recording import subsample, write_recording, write_side_by_side
 from srs_twin.viewing.rerun.scene import line_height
 from srs_twin.viewing.rerun.viewer import open_recording, verify_recording
 
@@ -99,7 +99,7 @@ def test_segments_keep_their_length(spec, runs):
     assert np.allclose(lengths, spec.geometry.pitch, rtol=1e-4)
 
 
-def test_wheels_stand_across_the_heading(spec, runs):
+def test_wheels_are_perpendicular_to_the_heading(spec, runs):
     snake = runs["twin"]
     wheels = wheel_centres(snake, spec.geometry)
     apart = wheels[:, :, 0] - wheels[:, :, 1]
@@ -126,7 +126,7 @@ def test_period_speed_needs_a_period():
     assert [len(part) for part in period_speed(snake, 0.5)] == [0, 0]
 
 
-def test_pressure_colours_tell_the_sides_apart():
+def test_pressure_colours_distinguish_the_chambers():
     plus, none, minus, unknown = pressure_colors(np.array([5e4, 0.0, -5e4, np.nan])).astype(int)
     assert plus[0] > 150 > plus[1] and minus[1] > 150 > minus[0]
     assert np.array_equal(none, unknown) and none[:3].min() > 200
@@ -134,7 +134,7 @@ def test_pressure_colours_tell_the_sides_apart():
 
 
 def read_back(path):
-    """Entity path → component name → (seconds, values a row) of a recording's changing columns."""
+    """Return entity path → component name → (seconds, values per row) of the temporal columns."""
     from rerun.chunk import RrdReader
 
     found: dict[str, dict[str, tuple[np.ndarray, list]]] = {}
@@ -161,7 +161,7 @@ def recording(tmp_path_factory, spec, runs):
     return path
 
 
-def test_ten_seconds_are_small_and_whole(recording):
+def test_recording_of_ten_seconds_is_small_and_valid(recording):
     assert recording.stat().st_size < 5e6
     verify_recording(recording)
 
@@ -181,15 +181,15 @@ def test_the_recording_holds_the_signals(recording, runs):
     assert {"/comparison/shape", "/comparison/path"} <= found.keys()
 
 
-def test_the_recording_shows_the_bodies_where_they_were(recording, spec, runs):
+def test_recording_contains_the_recorded_positions(recording, spec, runs):
     found = read_back(recording)
-    twin = thinned(runs["twin"], 50)
+    twin = subsample(runs["twin"], 50)
     seconds, places = found["/world/twin/body/segment_2"]["Capsules3D:translations"]
     assert np.allclose(np.diff(seconds), 0.02)
     front = flat(places).reshape(len(twin), -1, 3)[:, 0, :2]
     assert np.allclose(front, twin.position[:, 1], atol=1e-6)
     x, y, z, w = flat(found["/world/twin/body/segment_2"]["Capsules3D:quaternions"][1]).reshape(-1, 4).T
-    # What the rotation makes of +z, a capsule's axis: it must lead to where the next capsule starts.
+    # The rotated axis +z of a capsule must end at the start of the next capsule.
     axis = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x)], axis=-1).reshape(len(twin), -1, 2)
     step = np.diff(flat(places).reshape(len(twin), -1, 3)[..., :2], axis=1)
     assert np.allclose(axis[:, :-1], step / np.linalg.norm(step, axis=-1, keepdims=True), atol=1e-3)
@@ -197,9 +197,9 @@ def test_the_recording_shows_the_bodies_where_they_were(recording, spec, runs):
     _, vertices = found["/world/analytical/body"]["Mesh3D:vertex_positions"]
     ghost = flat(vertices).reshape(len(twin), -1, 6, 3)
     middle = ghost.mean(axis=2)[..., :2]
-    assert np.allclose(middle, body_line(thinned(runs["analytical"], 50), spec.geometry, 6), atol=1e-6)
+    assert np.allclose(middle, body_line(subsample(runs["analytical"], 50), spec.geometry, 6), atol=1e-6)
     _, com = found["/world/analytical/com"]["Points3D:positions"]
-    assert np.allclose(flat(com).reshape(-1, 3)[:, :2], thinned(runs["analytical"], 50).com, atol=1e-6)
+    assert np.allclose(flat(com).reshape(-1, 3)[:, :2], subsample(runs["analytical"], 50).com, atol=1e-6)
 
 
 def test_the_camera_follows_the_middle_of_the_plants_and_keeps_both_in_the_picture(spec, runs, tmp_path):
@@ -220,12 +220,12 @@ def test_the_camera_follows_the_middle_of_the_plants_and_keeps_both_in_the_pictu
 
 def layout_of(spec, apart):
     return Layout(
-        plants=["analytical", "twin"], eye="eye", segments=4, start=np.zeros(2), heading=0.0,
-        body_length=spec.geometry.body_length, apart=apart, period=0.5, compared=True,
+        plants=["analytical", "twin"], camera_target="eye", segments=4, start=np.zeros(2), heading=0.0,
+        body_length=spec.geometry.body_length, separation=apart, period=0.5, compared=True,
     )  # fmt: skip
 
 
-def test_the_recording_shows_forces_of_obstacles_while_they_last(tmp_path, spec):
+def test_recording_shows_contact_forces_during_contacts(tmp_path, spec):
     twin = run("twin", Snake(duration=2.0))
     force = np.zeros((2, 5, len(twin)))
     force[:, 0, 50:53] = [[0.3], [-0.4]]
@@ -252,7 +252,7 @@ def test_the_recording_shows_forces_of_obstacles_while_they_last(tmp_path, spec)
     assert np.allclose(np.array(origins[1].as_py())[0, :2], expected, atol=1e-6)
 
 
-def test_a_run_that_touched_nothing_has_no_arrows(recording):
+def test_run_without_contacts_has_no_arrows(recording):
     assert not [entity for entity in read_back(recording) if entity.endswith("/contact")]
 
 
@@ -282,7 +282,7 @@ ODD_RUNS = {
         for name in ODD_RUNS
     ],
 )
-def test_odd_runs_can_be_seen_and_reported(tmp_path, name):
+def test_unusual_runs_have_recording_and_report(tmp_path, name):
     runs = ODD_RUNS[name]()
     spec = robot(next(iter(runs.values())).position.shape[1])
     both = compare(runs["analytical"], runs["twin"]) if {"analytical", "twin"} <= runs.keys() else None
@@ -302,8 +302,8 @@ def test_odd_runs_can_be_seen_and_reported(tmp_path, name):
 
 
 @pytest.mark.parametrize("trajectories", [{}, {"twin": sampled(Snake().trajectory("twin"), slice(0))}])
-def test_nothing_to_show_is_refused(tmp_path, spec, trajectories):
-    with pytest.raises(InputError, match="nothing to show: .*(no plant left a trajectory|has no samples)"):
+def test_missing_trajectories_are_refused(tmp_path, spec, trajectories):
+    with pytest.raises(InputError, match="nothing to draw: .*(there is no trajectory|has no samples)"):
         write_recording(tmp_path / "r.rrd", spec=spec, trajectories=trajectories)
     assert not list(tmp_path.iterdir())
 
@@ -323,14 +323,14 @@ def test_bends_are_plotted_as_recorded_over_the_last_periods(runs):
     assert figure.axes[-1].get_xlabel() == "time (s)" and "(rad)" in figure.axes[0].get_ylabel()
 
 
-def test_plants_differ_in_print_too(runs):
+def test_plants_differ_in_greyscale(runs):
     for figure in (bend_plot(runs), pressure_plot(runs)):
         ours, theirs = (lines_of(figure, STYLES[plant].label)[0] for plant in runs)
         assert ours.get_linestyle() != theirs.get_linestyle()
         assert ours.get_color() != theirs.get_color()
 
 
-def test_a_long_body_shows_some_segments_and_says_so():
+def test_plot_of_long_body_names_the_number_of_plotted_segments():
     figure = pressure_plot(pair(duration=1.0, connectors=13))
     assert len(figure.axes) == 8
     assert "8 of 12 segments" in figure.axes[0].get_title(loc="left")
@@ -350,7 +350,7 @@ def test_errors_are_plotted_in_mm_and_body_lengths(spec, runs):
     assert path.get_ylim()[0] == 0 and "(mm)" in path.get_ylabel()
 
 
-def test_strobe_bodies_keep_apart(spec, runs):
+def test_strobe_bodies_do_not_overlap(spec, runs):
     times = strobe_times(runs, spec.geometry)
     places = np.interp(times, runs["twin"].time, runs["twin"]["com_x"])
     assert len(times) == 6 and times[0] == 0 and times[-1] == 10
@@ -455,12 +455,12 @@ def test_report_is_one_small_file(report, parsed):
     assert not re.search(r"https?://|@import|url\(", report)
 
 
-def test_report_escapes_what_people_wrote(report):
+def test_report_escapes_user_text(report):
     assert "<script>" not in report
     assert report.count("&lt;script&gt;alert(&#39;x&#39;)&lt;/script&gt; &amp; Co") == 2
 
 
-def test_report_tells_results_and_expectations(report, parsed):
+def test_report_contains_results_and_expectations(report, parsed):
     rows = {row[0]: row for row in parsed.rows if row}
     assert rows["metric"] == ["metric", "unit", "analytical", "twin", "difference", "published"]
     assert rows["CoM speed"][1:] == ["m/s", "0.22", "0.2002", "-9.0 %", "0.214 (Table 10)"]
@@ -495,13 +495,13 @@ def test_report_needs_neither_rerun_nor_pyplot():
     assert said.stdout.strip() == "set()"
 
 
-def test_viewer_refusals_say_what_to_do_instead(tmp_path, recording, monkeypatch):
-    with pytest.raises(InputError, match="there is no such recording; 'srs-twin run SCENARIO' writes one"):
+def test_viewer_errors_name_alternatives(tmp_path, recording, monkeypatch):
+    with pytest.raises(InputError, match="no such recording; 'srs-twin run SCENARIO' writes one"):
         open_recording(tmp_path / "none.rrd")
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(InputError, match=r"no display .* open .*report\.html in a browser instead"):
+    with pytest.raises(InputError, match=r"no display .* open .*report\.html in a browser"):
         open_recording(recording)
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
     with pytest.raises(InputError, match=r"rerun is missing; install it with: pip install 'rerun-sdk>=0\.41"):
@@ -523,11 +523,11 @@ def test_viewer_is_bound_to_this_machine(recording, monkeypatch):
 
 def test_a_broken_recording_is_not_verified(tmp_path, recording):
     (tmp_path / "junk.rrd").write_bytes(b"junk")
-    with pytest.raises(InputError, match=r"junk\.rrd: not a whole recording \(0 files verified"):
+    with pytest.raises(InputError, match=r"junk\.rrd: incomplete or damaged recording \(0 files verified"):
         verify_recording(tmp_path / "junk.rrd")
 
 
-def test_the_viewer_draws_the_snake_and_it_moves(recording):
+def test_viewer_shows_a_moving_snake(recording):
     try:
         pictures = screenshots(recording, [1.0, 6.0], scene_only=True, size=(1000, 600))
     except InputError as error:
@@ -540,11 +540,11 @@ def test_the_viewer_draws_the_snake_and_it_moves(recording):
         for rgb in (PLUS_RGB, MINUS_RGB):
             alike = np.abs(hue - np.array(rgb) / max(rgb)).max(axis=-1) < 0.1
             assert alike.mean() > 0.002, "a pressurised segment is in the picture"
-    # The eye goes along: it is the trails and the ghost that change.
+    # The camera moves with the snake, so only trails and ghost change.
     assert (np.abs(before - after).max(axis=-1) > 0.1).mean() > 0.01
 
 
-def test_without_vulkan_the_message_says_what_to_install(recording, monkeypatch):
+def test_missing_vulkan_names_its_packages(recording, monkeypatch):
     for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
         monkeypatch.setenv(name, "/nonexistent")
     with pytest.raises(InputError, match="no Vulkan driver .* apt-get install mesa-vulkan-drivers"):
@@ -565,7 +565,7 @@ def test_recordings_leave_no_threads_behind(tmp_path):
     assert threads() <= before
 
 
-def test_a_wide_body_is_drawn_on_the_floor_and_a_narrow_one_at_its_centre_of_mass(spec):
+def test_height_of_body_is_at_least_half_its_width(spec):
     low = replace(spec.geometry, width=0.2, com_height=0.03)
     assert line_height(low) == pytest.approx(0.1)  # half its width: it must not sink in
     assert line_height(replace(low, width=0.04)) == 0.03
