@@ -40,8 +40,8 @@ def placed(page: str) -> str:
 def _table(kind: str, signals: Signals) -> str:
     rows = [f"| {kind} | unit | least | greatest | what |", "|---|---|---|---|---|"]
     rows += [
-        f"| `{each.name}` | {each.unit} | {each.low:.4g} | {each.high:.4g} | {each.what} |"
-        for each in signals
+        f"| `{signal.name}` | {signal.unit} | {signal.low:.4g} | {signal.high:.4g} | {signal.description} |"
+        for signal in signals
     ]
     return "\n".join(rows)
 
