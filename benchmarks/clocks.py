@@ -26,7 +26,7 @@ from synthetic_takes import Take, write_motive
 from srs_twin import AnalyticalSnake, Gait, InputError, RobotSpec, Trajectory, load_robot, rollout
 from srs_twin.control.replay import Replay
 from srs_twin.identification import join, read_motion, read_valves
-from srs_twin.identification.unknowns import with_values
+from srs_twin.identification.parameters import with_values
 from srs_twin.pneumatics import Schedule
 
 CASES = ("start", "end", "change", "steady", "log start", "motion start")

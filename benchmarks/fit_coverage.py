@@ -30,7 +30,7 @@ from srs_twin import Gait, RobotSpec, load_robot, rollout
 from srs_twin.errors import InputError
 from srs_twin.identification import read_motion
 from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion
-from srs_twin.identification.unknowns import with_values
+from srs_twin.identification.parameters import with_values
 from srs_twin.recordings.takes import measured_length
 
 NAMES = (

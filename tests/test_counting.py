@@ -9,7 +9,7 @@ import pytest
 
 from srs_twin.cli import progress
 from srs_twin.cli.progress import Counting
-from srs_twin.identification.fitting import Searching
+from srs_twin.identification.fitting import FitProgress
 
 pytestmark = pytest.mark.fast
 
@@ -46,13 +46,13 @@ def test_a_line_every_ten_seconds_with_rate_and_time_left(clock, capsys):
 
 
 def test_a_search_tells_how_well_it_fits_every_ten_seconds(clock, capsys):
-    with Searching("gen2_friction") as told:
+    with FitProgress("gen2_friction") as told:
         for runs in range(1, 24):
             clock.now += 1.0
             told(runs, 10.0 / runs)
     assert capsys.readouterr().err.splitlines() == [
-        "gen2_friction: 10 runs of the model, weighted residuals 1 RMS at best",
-        "gen2_friction: 20 runs of the model, weighted residuals 0.5 RMS at best",
+        "gen2_friction: 10 model runs, smallest weighted RMS 1",
+        "gen2_friction: 20 model runs, smallest weighted RMS 0.5",
     ]
 
 

@@ -233,7 +233,7 @@ def sweep_of(path, value: float):
     import pyarrow.parquet as pq
 
     row = {"key": ["k"], "seed": [1], "status": ["done"], "exit_code": [0], "twin.com_speed_m_s": [value]}
-    pq.write_table(pa.table(row).replace_schema_metadata({"srs_twin.studies.sweep": '{"versions": {}}'}), path)
+    pq.write_table(pa.table(row).replace_schema_metadata({"srs_twin.sweep": '{"versions": {}}'}), path)
     return str(path)
 
 

@@ -16,7 +16,7 @@ from srs_twin.cli import main
 from srs_twin.comparison.compare import MeasuredDifference
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError, InputFileError
-from srs_twin.identification.unknowns import with_values
+from srs_twin.identification.parameters import with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.recorded import RecordedPressures
 from srs_twin.scenario import parse_scenario

@@ -14,7 +14,7 @@ from srs_twin.comparison.compare import MeasuredDifference
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.identification.actuator import Response
-from srs_twin.identification.unknowns import with_values
+from srs_twin.identification.parameters import with_values
 from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.signals.logs import on_bench
@@ -137,7 +137,7 @@ def test_a_sensor_log_where_the_chain_is_longer_has_the_geometry_of_the_plant(tm
 def test_a_sensor_log_fits_actuators_too(bench):
     motion, log = str(bench / "sensor.csv"), str(bench / "sensor.valves.csv")
     take = RecordingReader(offset_s=0.0).take(motion, log, MODULE)
-    response = Response.of_recording(take, "sensor", SUPPLY)
+    response = Response.from_recording(take, "sensor", SUPPLY)
     assert response.bend.shape == (2001, 1) and np.isfinite(response.bend).all()
     with pytest.raises(InputError, match="sensor: bends alone do not tell where a robot crawled"):
         gait_run(take, "sensor", SUPPLY)

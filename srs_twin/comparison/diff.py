@@ -274,14 +274,14 @@ def _leaves(value: Any, name: str) -> Iterator[tuple[str, Leaf]]:
 
 def _sweep(path: Path) -> tuple[list[tuple[Place, Leaf]], dict[str, str]]:
     def check(schema: Any) -> None:
-        if b"srs_twin.studies.sweep" not in (schema.metadata or {}):
+        if b"srs_twin.sweep" not in (schema.metadata or {}):
             raise ValueError("a Parquet file of something else")
 
     try:
         table = read_table(path, "the results of a sweep", check)
     except InputError as error:
         raise ValueError("no results of a sweep") from error
-    about = parse_json(table.schema.metadata[b"srs_twin.studies.sweep"].decode(), shown(path))
+    about = parse_json(table.schema.metadata[b"srs_twin.sweep"].decode(), shown(path))
     names = table.column_names
     fields = names[1 : names.index("status")]
     metrics = ["status", *names[names.index("exit_code") + 1 :]]

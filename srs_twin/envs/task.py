@@ -24,7 +24,7 @@ import numpy as np
 
 from srs_twin.errors import DivergedError, InputError, UnknownNameError, whole_steps
 from srs_twin.identification.fit_file import FitFile, load_fit
-from srs_twin.identification.unknowns import unknowns, with_values
+from srs_twin.identification.parameters import free_parameters, with_values
 from srs_twin.io.saved_state import Remembers, SavedState, names
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
@@ -425,7 +425,7 @@ class Variation:
                     f"{name}: the range {low:g} to {high:g} is not allowed; give the lower limit first"
                 )
             for limit in (low, high):
-                unknowns(spec, [name], starts={name: limit})  # raises if a robot cannot have this value
+                free_parameters(spec, [name], starts={name: limit})  # raises if not allowed
         return variation
 
     def draw(self, rng: np.random.Generator) -> RobotSpec:
@@ -444,7 +444,8 @@ def _draw_fitted_values(fit: FitFile, spec: RobotSpec, rng: np.random.Generator)
     covariance = np.array(fit.correlation, dtype=float) * np.outer(errors, errors)
     # Eigenvalues, because correlations of 1 make the covariance singular.
     drawn = rng.multivariate_normal(values, covariance, method="eigh") if fitted else values
-    bounds = {unknown.name: unknown for unknown in unknowns(spec, (parameter.name for parameter in fitted))}
+    unknowns = free_parameters(spec, (parameter.name for parameter in fitted))
+    bounds = {unknown.name: unknown for unknown in unknowns}
     result = {name: value for name, value in fit.held.items() if name == "actuator.bend_rad"}
     for parameter, value in zip(fitted, drawn, strict=True):
         bound = bounds[parameter.name]

@@ -105,13 +105,13 @@ def replay(
 
 def _robot(robot: str, fits: Sequence[str]) -> RobotFile:
     """Return a robot with what fits found of it."""
-    from srs_twin.identification.fitted_robot import overrides_of
+    from srs_twin.identification.fitted_robot import merge_overrides
     from srs_twin.io.documents import Document
     from srs_twin.robot.file import load_robot_file, resolve_robot
 
     if not fits:
         return load_robot_file(robot)
-    document = Document("--fit", overrides_of(fits, base=robot))
+    document = Document("--fit", merge_overrides(fits, base=robot))
     found = resolve_robot(document, document.data, prefix=())
     document.finish()
     assert found is not None, "a robot without a problem was resolved"

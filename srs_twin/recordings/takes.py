@@ -17,10 +17,10 @@ import numpy as np
 
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError
-from srs_twin.identification.estimate import IDENTIFIED, Parameter, Verdict
+from srs_twin.identification.estimate import IDENTIFIED_ERROR, Parameter, Verdict
 from srs_twin.identification.least_squares import LEVEL
 from srs_twin.identification.locomotion import GaitRun
-from srs_twin.identification.unknowns import unknowns
+from srs_twin.identification.parameters import free_parameters
 from srs_twin.plants.base import Pose
 from srs_twin.pneumatics import Pneumatics, Schedule
 from srs_twin.pneumatics.recorded import RecordedPressures
@@ -241,7 +241,7 @@ def measured_length(takes: Sequence[Recording], spec: RobotSpec, names: Sequence
         return None
     from scipy import stats
 
-    unknown, count = unknowns(spec, asked)[0], spec.segments
+    unknown, count = free_parameters(spec, asked)[0], spec.segments
     straight = np.empty((len(seen), count))
     for row, take in zip(straight, seen, strict=True):
         bend, length = take.trajectory.stack("bend"), take.trajectory.stack("length")
@@ -253,7 +253,7 @@ def measured_length(takes: Sequence[Recording], spec: RobotSpec, names: Sequence
     error = math.hypot(spread / math.sqrt(count), math.sqrt(2) * noise / count)
     reach = float(stats.t.ppf(0.5 + LEVEL / 2, max(count - 1, 1))) * error
     value, low, high = (unknown.value(unknown.coordinate(v)) for v in (value, value - reach, value + reach))
-    verdict: Verdict = "identified" if error <= IDENTIFIED * unknown.slope(value) else "weakly identified"
+    verdict: Verdict = "identified" if error <= IDENTIFIED_ERROR * unknown.slope(value) else "weakly identified"
     return Parameter(unknown.name, unknown.unit, verdict, value, error, low, high, FROM_MARKERS)
 
 

@@ -1,15 +1,15 @@
-"""The dissertation's claims as rows: each one statement, the runs that produce it, and a verdict a plant."""
+"""Reproduction of the dissertation: claims, the runs that they need, and a verdict for each plant."""
 
 from srs_twin.reproduction.claims import Claim, load_claims
-from srs_twin.reproduction.runs import Store, open_store
-from srs_twin.reproduction.verdicts import Baseline, Judged, Outcome, judge, load_baseline
+from srs_twin.reproduction.runs import RunStore, open_store
+from srs_twin.reproduction.verdicts import Baseline, JudgedClaim, Outcome, judge, load_baseline
 
 __all__ = [
     "Baseline",
     "Claim",
-    "Judged",
+    "JudgedClaim",
     "Outcome",
-    "Store",
+    "RunStore",
     "judge",
     "load_baseline",
     "load_claims",

@@ -12,7 +12,7 @@ from srs_twin import InputError
 from srs_twin.envs import make_task
 from srs_twin.envs.gymnasium import SnakeEnv
 from srs_twin.envs.task import Variation
-from srs_twin.identification.estimate import Estimate, Parameter
+from srs_twin.identification.estimate import FitEstimate, Parameter
 from srs_twin.identification.fit_file import DataSet, fit_file, write_fit
 from srs_twin.io.documents import dump_yaml
 from srs_twin.pneumatics import make_pneumatics
@@ -29,7 +29,7 @@ def parameter(name: str, value: float, error: float, unit: str) -> Parameter:
 def fit(tmp_path: Path) -> Path:
     """A fit of gen2's friction with correlated coefficients."""
     parameters = (parameter("friction.mu_t", 0.05, 0.005, "1"), parameter("friction.mu_n", 0.6, 0.02, "1"))
-    estimate = Estimate(parameters, np.array([[1.0, -0.9], [-0.9, 1.0]]))
+    estimate = FitEstimate(parameters, np.array([[1.0, -0.9], [-0.9, 1.0]]))
     fit = fit_file(
         estimate, name="floor", title="Floor", robot="gen2", method="pulls", command="x", versions={},
         data=[DataSet("a.csv", "a" * 64, "fit", 10)],

@@ -12,8 +12,8 @@ from hostile_yaml import edited
 from hypothesis import strategies as st
 
 from srs_twin import load_robot
-from srs_twin.identification.actuator import StaticTable, read_static
-from srs_twin.identification.estimate import Estimate, Parameter
+from srs_twin.identification.actuator import StaticTable, read_static_table
+from srs_twin.identification.estimate import FitEstimate, Parameter
 from srs_twin.identification.fit_file import DataSet, FitFile, fit_file
 
 FIT = f"""\
@@ -39,25 +39,25 @@ quality: {{samples: 20, independent_samples: 20.0, rms: 1.0, converged: true}}
 FIT_MALFORMED: tuple[Malformed, ...] = edited(
     FIT,
     {
-        "a number of what is not identifiable": ("not identifiable, why", "not identifiable, value: 0.1, why", "parameters[2].value: what is not identifiable has no number"),
+        "a number of what is not identifiable": ("not identifiable, why", "not identifiable, value: 0.1, why", "parameters[2].value: a parameter that is not identifiable has no value"),
         "no number of what is identified": ("value: 0.0966, ", "", "parameters[0].verdict: identified, but value is missing"),
         "half an interval": (", high: 0.0977", "", "parameters[0].verdict: identified, but high is missing"),
-        "a value beyond its interval": ("value: 0.0966", "value: 0.2", ":12:66: parameters[0].value: must lie between low and high, 0.0955 and 0.0977"),
+        "a value beyond its interval": ("value: 0.0966", "value: 0.2", ":12:66: parameters[0].value: must be between low and high, 0.0955 and 0.0977"),
         "an interval the wrong way round": ("low: 0.4, high: 0.9", "low: 0.9, high: 0.4", "parameters[1].value: must lie between"),
         "a verdict of one's own": ("verdict: identified", "verdict: certain", "parameters[0].verdict: must be one of identified, weakly identified, cannot tell, not identifiable, not text 'certain'"),
         "a parameter that no robot has": ("friction.mu_t", "friction.mu_x", "parameters[0].name: "),
         "a parameter without a number": ("connectors_kg_5, unit", "connectors_kg_0, unit", "parameters[2].name: "),
-        "one parameter twice": ("friction.mu_n", "friction.mu_t", "parameters: friction.mu_t stands here 2 times"),
+        "one parameter twice": ("friction.mu_n", "friction.mu_t", "parameters: friction.mu_t is listed 2 times"),
         "another unit": ('mu_t, unit: "1"', "mu_t, unit: N", "parameters[0].unit: must be 1, not N"),
         "the same data in both roles": ("b" * 64, "a" * 64, ":8:3: data: later.csv: the same data as pulls.csv"),
         "a role of one's own": ("role: validation", "role: test", "data[1].role: must be one of fit, validation, not text 'test'"),
-        "nothing fitted": ("role: fit", "role: validation", "data: none of role fit"),
+        "nothing fitted": ("role: fit", "role: validation", "data: no data of role fit"),
         "a short hash": ("a" * 64, "a" * 63, "data[0].sha256: "),
         "a hash in capitals": ("a" * 64, "A" * 64, "data[0].sha256: "),
-        "half a stretch": (", to_s: 5.0", "", "data[1]: from_s and to_s stand together"),
+        "half a stretch": (", to_s: 5.0", "", "data[1]: from_s and to_s belong together"),
         "a stretch backwards": ("to_s: 5.0", "to_s: -5.0", "data[1].to_s: must be 0 or more"),
         "a correlation above 1": ("0.2, 1.0]]", "1.5, 1.0]]", "correlation[1][0]: must be a number from -1 to 1"),
-        "a correlation that is not symmetric": ("0.2, 1.0]]", "0.3, 1.0]]", "correlation[1][0]: must be 0.2, as across the diagonal"),
+        "a correlation that is not symmetric": ("0.2, 1.0]]", "0.3, 1.0]]", "correlation[1][0]: must be 0.2, as the matrix is symmetric"),
         "a correlation with itself of a half": ("[[1.0, 0.2]", "[[0.5, 0.2]", "correlation[0][0]: must be 1 on the diagonal"),
         "a correlation of another size": ("[[1.0, 0.2], [0.2, 1.0]]", "[[1.0]]", "correlation: must have 2 rows of 2"),
         "a negative error": ("standard_error: 0.1", "standard_error: -0.1", "parameters[1].standard_error: must be a number from 0"),
@@ -86,7 +86,7 @@ TABLE_MALFORMED: tuple[Malformed, ...] = (
 
 def table(path: Path) -> StaticTable:
     """Read a table of one module."""
-    return read_static(path, SPEC)
+    return read_static_table(path, SPEC)
 
 
 def same_tables(one: StaticTable, other: StaticTable) -> bool:
@@ -128,7 +128,7 @@ def fits(draw: st.DrawFn) -> FitFile:
         for k in range(draw(st.integers(1, 4)))
     ]
     return fit_file(
-        Estimate(tuple(parameters), correlation, samples=draw(st.integers(0, 10**9)), held={"mass_kg": draw(st.floats(-1e9, 1e9))}),
+        FitEstimate(tuple(parameters), correlation, samples=draw(st.integers(0, 10**9)), held={"mass_kg": draw(st.floats(-1e9, 1e9))}),
         name="any", title=draw(text), robot=draw(text), method="pulls", command=draw(text),
         versions={"srs_twin": draw(text)}, data=data,
     )  # fmt: skip

@@ -49,7 +49,9 @@ def verdicts(fault, names, folder):
     claims = chosen(load_claims(), tuple(names), quick=True)
     with open_store(folder, altered) as store:
         found = judge(claims, store, workers=1)
-    return {(row.claim.id, column): each.verdict for row in found for column, each in row.outcomes.items()}
+    return {
+        (row.claim.id, column): outcome.verdict for row in found for column, outcome in row.outcomes.items()
+    }
 
 
 @pytest.mark.slow

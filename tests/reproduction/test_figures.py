@@ -40,7 +40,7 @@ FIGURE = "- {figure: '38', caption: Speed, draw: sweep, metric: com_speed_m_s, o
 def test_a_bad_file_is_refused_in_words(old, new, words, tmp_path):
     path = tmp_path / "figures.yaml"
     path.write_text(FIGURE)
-    assert [each.figure for each in load_pictures(path)] == ["38"]
+    assert [load_picture.figure for load_picture in load_pictures(path)] == ["38"]
     path.write_text(FIGURE.replace(old, new, 1))
     with pytest.raises(InputFileError, match=re.escape(words)):
         load_pictures(path)

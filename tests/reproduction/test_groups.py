@@ -84,7 +84,7 @@ def test_limitations_are_those_of_the_runs(claim):
 def test_a_row_that_is_missed_is_said_to_be_able_to_fail():
     outcomes = load_baseline().outcomes
     for claim in CLAIMS:
-        if any(each.verdict != MET for each in outcomes[claim.id].values()):
+        if any(outcome.verdict != MET for outcome in outcomes[claim.id].values()):
             assert claim.falsifiable, claim.id
 
 
@@ -104,7 +104,7 @@ def test_a_line_through_the_fitted_rows_of_table_8_meets_what_is_said_of_it():
 
     def met(value):
         measured = {offset: value(run) for offset, run in runs.items()}
-        line = {at: np.interp(at, fitted, [measured[each] for each in fitted]) for at in measured}
+        line = {at: np.interp(at, fitted, [measured[key] for key in fitted]) for at in measured}
         return [abs(line[at] / measured[at] - 1) <= 0.2 for at in runs if at not in fitted]
 
     assert all(met(lambda run: run.speed_m_s))
@@ -141,7 +141,7 @@ def test_mirror_image_of_a_gait_shifts_the_phase_by_half_a_period():
 def test_readme_counts_the_rows_of_the_claims_file(title):
     readme = (ROOT / "README.md").read_text("utf-8")
     (line,) = re.findall(rf"^\| \**{re.escape(title)}\** \| (.*?) \| (.*?) \|(.*)\|$", readme, re.M)
-    (category,) = (name for name, each in TITLES.items() if each == title)
+    (category,) = (name for name, value in TITLES.items() if value == title)
     outcomes = load_baseline().outcomes
     for column, cell in zip(("twin", "analytical", "alone"), line, strict=True):
         assert column in COLUMNS

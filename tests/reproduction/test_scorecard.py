@@ -16,7 +16,7 @@ from srs_twin.reproduction.verdicts import Baseline
 def with_verdict(baseline, names, verdict):
     """Return a baseline in which rows of these names have another verdict."""
     outcomes = {
-        name: {k: replace(each, verdict=verdict) for k, each in row.items()} if name in names else row
+        name: {k: replace(outcome, verdict=verdict) for k, outcome in row.items()} if name in names else row
         for name, row in baseline.outcomes.items()
     }
     return Baseline(outcomes, baseline.versions)

@@ -1,11 +1,12 @@
-r"""What is not known of a robot, as distributions that can be drawn from.
+r"""Priors: probability distributions of a robot's uncertain parameters.
 
-A robot file says of a number how well it is known (`Uncertain`). Numbers are made from standard normal
-variables ζ with the file's correlations (a Gaussian copula), each by its own distribution function F:
+A robot file states the distribution of a parameter (`Uncertain`). Parameters are computed from standard
+normal variables ζ with the correlations of the file (a Gaussian copula), by their distribution functions F:
 
 $$ x_i = F_i^{-1}(\Phi(\zeta_i)), \qquad \zeta = L z, \quad L L^T = R, \quad z_i = \Phi^{-1}(u_i), $$
 
-with u uniform and independent. Normal and lognormal distributions end where robot files do not allow more.
+with u uniform and independent. Normal and lognormal distributions are truncated to the range that robot files
+allow.
 """
 
 from __future__ import annotations
@@ -21,20 +22,21 @@ from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.sourced import Uncertain
 
-_EDGE = 1e-9  # of shares, which must stay inside of 0 to 1
+_EDGE = 1e-9
+"""Smallest distance of a probability from 0 and 1, at which the normal quantile is infinite."""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of one number.
+    """Prior of one parameter.
 
     Attributes:
-        path: of the number in a robot file.
-        value: what the file says it is.
-        unit: of that.
-        uncertain: its distribution.
-        bounds: what a robot file allows.
-        source: where the distribution comes from.
+        path: path of the parameter in a robot file.
+        value: value in the robot file.
+        unit: unit of the value.
+        uncertain: distribution.
+        bounds: range that robot files allow.
+        source: source of the distribution.
     """
 
     path: str
@@ -45,102 +47,105 @@ class Prior:
     source: str
 
     def at(self, shares: np.ndarray) -> np.ndarray:
-        """Return the numbers below which these shares of the distribution lie."""
-        given = self.uncertain
-        if given.low is not None and given.high is not None:
-            return given.low + (given.high - given.low) * np.asarray(shares)
-        if given.factor is not None:
-            to_z = np.log(np.maximum(self.bounds, 1e-300) / self.value) / np.log(given.factor)
-            return np.asarray(self.value * given.factor ** _between(to_z, shares))
-        assert given.sd is not None, "checked by the file's model"
-        to_z = (np.array(self.bounds) - self.value) / given.sd
-        return np.asarray(self.value + given.sd * _between(to_z, shares))
+        """Return the quantiles at these probabilities."""
+        distribution = self.uncertain
+        if distribution.low is not None and distribution.high is not None:
+            return distribution.low + (distribution.high - distribution.low) * np.asarray(shares)
+        if distribution.factor is not None:
+            z_bounds = np.log(np.maximum(self.bounds, 1e-300) / self.value) / np.log(distribution.factor)
+            return np.asarray(self.value * distribution.factor ** _truncated_normal(z_bounds, shares))
+        assert distribution.sd is not None, "checked by the file's model"
+        z_bounds = (np.array(self.bounds) - self.value) / distribution.sd
+        return np.asarray(self.value + distribution.sd * _truncated_normal(z_bounds, shares))
 
     def shares_of(self, values: np.ndarray) -> np.ndarray:
-        """Return the shares at which these numbers lie, what is beyond the distribution at its ends."""
+        """Return the cumulative probabilities of values, 0 or 1 outside the distribution."""
         table = np.linspace(0.0, 1.0, 4001)
         return np.interp(values, self.at(table), table)
 
     def measured(self, value: float, sd: float) -> Prior:
-        """Return what is known after a measurement that says `value`, with this standard deviation."""
+        """Return the prior after a measurement of `value` with the standard deviation `sd`."""
         return replace(self, value=value, uncertain=Uncertain.model_validate({"kind": "normal", "sd": sd}))
 
 
-def _between(ends: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """Return standard normal numbers by shares of what lies between two ends."""
-    low, high = ndtr(ends)
+def _truncated_normal(bounds: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Return the quantiles of the standard normal distribution truncated to bounds."""
+    low, high = ndtr(bounds)
     return np.asarray(ndtri(low + (high - low) * np.clip(shares, _EDGE, 1 - _EDGE)))
 
 
 @dataclass(frozen=True)
 class Priors:
-    """What is known of a robot's uncertain numbers, together.
+    """Joint prior of a robot's uncertain parameters.
 
     Attributes:
-        each: one for each number.
-        correlation: of the normal variables behind them, shape (d, d).
+        members: priors of the parameters.
+        correlation: correlation of the underlying normal variables, shape (d, d).
     """
 
-    each: tuple[Prior, ...]
+    members: tuple[Prior, ...]
     correlation: np.ndarray
 
     @classmethod
     def of(cls, robot: RobotFile, *, without: Collection[str] = ()) -> Priors:
-        """Return what a robot file says.
+        """Return the priors of a robot file.
 
         Args:
-            robot: the file.
-            without: paths of numbers that are taken as they are.
+            robot: robot file.
+            without: paths of parameters that keep their value.
 
         Raises:
             UnknownNameError: one of them is not uncertain.
-            InputError: nothing is uncertain, or the correlations contradict each other.
+            InputError: no parameter is uncertain, or the correlations are inconsistent.
         """
-        found = {path: record for path, record in robot.records().items() if record.uncertain is not None}
+        records = {path: record for path, record in robot.records().items() if record.uncertain is not None}
         for path in without:
-            if path not in found:
-                raise UnknownNameError("uncertain number", path, found)
-        each = []
-        for path, record in found.items():
+            if path not in records:
+                raise UnknownNameError("uncertain number", path, records)
+        priors = []
+        for path, record in records.items():
             if path not in without:
                 section, key = path.split(".")
                 bounds = getattr(robot, section).bounds[key]
-                given = record.uncertain
-                source = (given.source if given else None) or record.source
-                each.append(Prior(path, record.value, record.unit, given, bounds, source))  # type: ignore[arg-type]
-        if not each:
+                distribution = record.uncertain
+                source = (distribution.source if distribution else None) or record.source
+                prior = Prior(path, record.value, record.unit, distribution, bounds, source)  # type: ignore
+                priors.append(prior)
+        if not priors:
             raise InputError(
-                f"robot {robot.name}: nothing is said to be uncertain; add `uncertain:` to its numbers "
+                f"robot {robot.name}: no parameter is uncertain; add `uncertain:` to its records "
                 "(docs/uncertainty.md)"
             )
-        place = {prior.path: i for i, prior in enumerate(each)}
-        correlation = np.eye(len(each))
+        index = {prior.path: i for i, prior in enumerate(priors)}
+        correlation = np.eye(len(priors))
         for pair in robot.correlated or ():
-            if all(path in place for path in pair.of):
-                i, j = (place[path] for path in pair.of)
+            if all(path in index for path in pair.of):
+                i, j = (index[path] for path in pair.of)
                 correlation[i, j] = correlation[j, i] = pair.r
         if np.linalg.eigvalsh(correlation)[0] <= 1e-9:
-            raise InputError(f"robot {robot.name}: its correlations contradict each other")
-        return cls(tuple(each), correlation)
+            raise InputError(
+                f"robot {robot.name}: its correlations are inconsistent; the matrix must be positive definite"
+            )
+        return cls(tuple(priors), correlation)
 
     @property
     def paths(self) -> tuple[str, ...]:
-        """Of the numbers."""
-        return tuple(prior.path for prior in self.each)
+        """Paths of the parameters."""
+        return tuple(prior.path for prior in self.members)
 
     @property
     def independent(self) -> bool:
-        """Whether no two go together."""
-        return bool((self.correlation == np.eye(len(self.each))).all())
+        """Whether no two parameters are correlated."""
+        return bool((self.correlation == np.eye(len(self.members))).all())
 
     def at(self, shares: np.ndarray) -> np.ndarray:
-        """Return the numbers that independent shares u stand for, shape (…, d)."""
+        """Return the parameters at points u of the unit cube, shape (…, d)."""
         normal = ndtri(np.clip(shares, _EDGE, 1 - _EDGE)) @ np.linalg.cholesky(self.correlation).T
-        columns = [prior.at(ndtr(normal[..., i])) for i, prior in enumerate(self.each)]
+        columns = [prior.at(ndtr(normal[..., i])) for i, prior in enumerate(self.members)]
         return np.stack(columns, axis=-1)
 
     def document(self) -> list[dict[str, Any]]:
-        """Return plain data of it, for digests and results."""
+        """Return the priors as JSON values, for hashes and results."""
         rows = [
             {
                 "parameter": p.path,
@@ -149,7 +154,7 @@ class Priors:
                 **p.uncertain.model_dump(),
                 "source": p.source,
             }
-            for p in self.each
+            for p in self.members
         ]
         correlated = [] if self.independent else [{"correlation": self.correlation.tolist()}]
         return [*rows, *correlated]

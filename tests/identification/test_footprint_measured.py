@@ -1,4 +1,4 @@
-"""Measured footprints: prescribed paths are recovered, real ones hold against mirror and refinement."""
+"""FootprintMeasurement footprints: prescribed paths are recovered, real ones hold against mirror and refinement."""
 
 from __future__ import annotations
 
@@ -20,12 +20,20 @@ from srs_twin.comparison.learning import PathFit, box_edges
 from srs_twin.identification.footprint import (
     RECORD_HZ,
     TICK,
-    Drive,
-    changes_between,
+    GaitSetup,
+    default_changes,
+    footprint_study,
     steady_path,
-    study,
 )
-from srs_twin.identification.paths import SETTLED, Change, Poses, SteadyPath, mean_path, transient, widest
+from srs_twin.identification.paths import (
+    SETTLED,
+    OffsetChange,
+    Poses,
+    SteadyPath,
+    average_repeats,
+    combine_transients,
+    measure_transient,
+)
 from srs_twin.planning.footprint import Footprint, Transient, checked
 
 PERIODS = 6
@@ -35,7 +43,7 @@ def steady(crawl: Crawl, run: Trajectory | None = None) -> SteadyPath:
     run = crawl.trajectory() if run is None else run
     window = GaitWindow.last(run, crawl.period, float(run.time[-1]), PERIODS)
     assert window is not None
-    return SteadyPath.of(run, crawl.geometry, window)
+    return SteadyPath.measure(run, crawl.geometry, window)
 
 
 def edges_of_a_bar(crawl: Crawl, curvature: float) -> tuple[float, float, float, float]:
@@ -101,13 +109,13 @@ def test_the_edges_are_those_of_the_metrics_where_the_body_is_straight():
 def test_a_snake_that_gets_nowhere_or_backward_has_no_footprint():
     with pytest.raises(InputError, match="mm ahead in a gait period"):
         steady(Crawl(speed=0.0, sway=(0.003, 0.005)))
-    with pytest.raises(InputError, match="the snake goes -75 mm ahead"):
+    with pytest.raises(InputError, match="the snake moves -75 mm ahead"):
         steady(Crawl(speed=-0.15))
 
 
 def test_repeats_are_put_together_as_means_and_farthest_edges():
     a, b = SteadyPath(0.1, 1.0, 0.03, 0.04, 0.1, 0.2), SteadyPath(0.2, 2.0, 0.05, 0.02, 0.3, 0.1)
-    path, spread = mean_path([a, b])
+    path, spread = average_repeats([a, b])
     assert astuple(path) == pytest.approx((0.15, 1.5, 0.05, 0.04, 0.3, 0.2))
     assert astuple(spread) == pytest.approx((0.05, 0.5, 0.01, 0.01, 0.1, 0.05))
 
@@ -118,10 +126,10 @@ def test_repeats_are_put_together_as_means_and_farthest_edges():
 )  # fmt: skip
 def test_motions_along_arcs_and_coordinates_about_them(curvature, length, u, w, heading):
     here = Poses(np.array([0.3 - 0.2j]), np.array([heading]))
-    there = here.then(Poses.arc(curvature, length))
-    back = there.then(Poses.arc(curvature, -length))
+    there = here.compose(Poses.arc(curvature, length))
+    back = there.compose(Poses.arc(curvature, -length))
     assert back.place == pytest.approx(here.place) and back.heading == pytest.approx(here.heading)
-    nothing = there.inverse().then(there)
+    nothing = there.inverse().compose(there)
     assert abs(nothing.place[0]) < 1e-12 and abs(nothing.heading[0]) < 1e-12
     # From the centre of the circle the pose and the point are seen at their radii and angle.
     point = here.place[0] + (u + 1j * w) * cmath.exp(1j * heading)
@@ -139,19 +147,21 @@ def test_motions_along_arcs_and_coordinates_about_them(curvature, length, u, w, 
 LATE = 0.604  # s, between the command and the turn; no whole number of samples
 
 
-def late(before: float, after: float, **settings: object) -> tuple[Crawl, Change]:
+def late(before: float, after: float, **settings: object) -> tuple[Crawl, OffsetChange]:
     """Return a snake that obeys a change of offset only after a while, then at once."""
     crawl = Crawl((before, after), (4.0 + LATE,), duration=8.0, **settings)  # type: ignore[arg-type]
-    return crawl, Change(4.0, -0.1, 0.1)
+    return crawl, OffsetChange(4.0, -0.1, 0.1)
 
 
-def measured(crawl: Crawl, change: Change, run: Trajectory | None = None, *, seen: bool = False) -> Transient:
+def measured(
+    crawl: Crawl, change: OffsetChange, run: Trajectory | None = None, *, seen: bool = False
+) -> Transient:
     paths = []
     for curvature in crawl.curvatures:
         alone = Crawl((curvature,), speed=crawl.speed, sway=crawl.sway)
         paths.append(steady(alone, mirrored(alone.trajectory()) if seen else None))
     run = crawl.trajectory() if run is None else run
-    return transient(run, crawl.geometry, crawl.period, change, (paths[0], paths[1]))
+    return measure_transient(run, crawl.geometry, crawl.period, change, (paths[0], paths[1]))
 
 
 @pytest.mark.parametrize(("before", "after"), [(-3.0, 3.0), (0.0, 2.0), (2.0, 0.0), (1.0, -1.0)])
@@ -195,7 +205,7 @@ def test_a_turn_that_comes_late_is_recovered(before, after):
 
 def test_a_change_at_once_costs_nothing():
     crawl = Crawl((-2.0, 2.0), (4.0,), duration=8.0)
-    found = measured(crawl, Change(4.0, -0.1, 0.1))
+    found = measured(crawl, OffsetChange(4.0, -0.1, 0.1))
     assert (found.dx, found.dy, found.dheading) == pytest.approx((0, 0, 0), abs=2e-3)
     assert found.length < 0.02
     # A bar on two arcs at once is on neither; what sticks out is less than its width.
@@ -235,15 +245,15 @@ def test_followers_get_how_late_a_path_turns():
 def test_a_path_that_does_not_settle_is_refused():
     crawl = Crawl((0.0, 2.0), (7.0,), duration=8.0)
     with pytest.raises(InputError, match="not settled 8 gait periods after it"):
-        measured(crawl, Change(4.0, -0.1, 0.1))
+        measured(crawl, OffsetChange(4.0, -0.1, 0.1))
     with pytest.raises(InputError, match="needs 4 gait periods before it"):
-        measured(crawl, Change(1.0, -0.1, 0.1))
+        measured(crawl, OffsetChange(1.0, -0.1, 0.1))
 
 
 def test_repeats_of_a_change_count_at_their_widest_and_longest():
     a = Transient(0, 0.3, 0.01, 0.0, 0.2, 0.1, 0.0, 3.1)
     b = Transient(0, 0.3, 0.0, 0.02, 0.1, 0.3, 0.2, -3.1)
-    found = widest([a, b])
+    found = combine_transients([a, b])
     assert astuple(found)[:7] == pytest.approx((0, 0.3, 0.01, 0.02, 0.2, 0.2, 0.1))
     assert abs(found.dheading) == pytest.approx(math.pi)
 
@@ -251,8 +261,8 @@ def test_repeats_of_a_change_count_at_their_widest_and_longest():
 def twin(offset: float, *, phase: float = 0.0, timestep: float | None = None) -> SteadyPath:
     spec = load_robot("gen2")
     more = {} if timestep is None else {"timestep": timestep}
-    drive = Drive(spec, 2.0, spec.supply.nominal, plant=partial(TwinSnake, spec, tick=TICK, **more))
-    job = drive.steady_job(drive.plant_maker(), offset, phase, 3)
+    drive = GaitSetup(spec, 2.0, spec.supply.nominal, plant=partial(TwinSnake, spec, tick=TICK, **more))
+    job = drive.steady_job(drive.plant_factory(), offset, phase, 3)
     run = rollout(job.plant(), job.controller(), job.duration, record_hz=RECORD_HZ)
     return steady_path(drive, run, 3)
 
@@ -282,7 +292,9 @@ def test_the_twin_turns_right_as_it_turns_left(turning):
 def measure(robot, *, frequency, supply_pa=None, controller="gait", target=0.7, plant="twin", **more):
     run = {key: more.pop(key) for key in ("threads", "progress") if key in more}
     supply = robot.supply.nominal if supply_pa is None else supply_pa
-    return study(Drive(robot, frequency, supply, controller, target, plant), **more).measure(**run)
+    return footprint_study(GaitSetup(robot, frequency, supply, controller, target, plant), **more).measure(
+        **run
+    )
 
 
 def footprint_of(measured) -> Footprint:
@@ -316,12 +328,12 @@ def test_a_whole_footprint_is_one_for_the_planner():
 
 
 def test_which_changes_are_measured():
-    pairs = changes_between((-0.4, -0.2, -0.1, 0.0, 0.2, 0.4))
+    pairs = default_changes((-0.4, -0.2, -0.1, 0.0, 0.2, 0.4))
     assert set(pairs) == {
         (-0.4, 0.0), (-0.4, 0.4), (0.0, -0.4), (0.0, 0.4), (0.4, -0.4), (0.4, 0.0),
         (0.0, -0.2), (-0.2, 0.0), (0.0, 0.2), (0.2, 0.0),
     }  # fmt: skip
-    assert set(changes_between((-0.3, -0.1, 0.3))) == {(-0.3, 0.3), (0.3, -0.3)}
+    assert set(default_changes((-0.3, -0.1, 0.3))) == {(-0.3, 0.3), (0.3, -0.3)}
 
 
 GEN2 = load_robot("gen2")
@@ -333,7 +345,7 @@ GEN2 = load_robot("gen2")
         ({"offsets": [0.0, 0.1, 0.2]}, "on both sides of 0"),
         ({"offsets": [-0.1, 0.1]}, "a planner needs 3 to 101"),
         ({"offsets": []}, r"offsets \(none\) are not allowed"),
-        ({"offsets": [-0.1, 0.1, 0.1]}, "each must be there once, rising"),
+        ({"offsets": [-0.1, 0.1, 0.1]}, "give each once, in ascending order"),
         ({"offsets": [-0.1, math.nan, 0.1]}, "gait offset nan is not allowed"),
         ({"offsets": [-1.0, 0.0, 0.1]}, "gait offset -1.0 is not allowed"),
         ({"controller": "ilc", "offsets": [-0.4, 0.0, 0.3]}, "ilc offset -0.4 is not allowed"),
@@ -342,12 +354,12 @@ GEN2 = load_robot("gen2")
         ({"supply_pa": 600e3}, "pressure 600 kPa is above the"),
         ({"supply_pa": math.nan}, "pressure nan kPa is not allowed"),
         ({"frequency": 0.0}, "frequency 0 Hz is not allowed"),
-        ({"frequency": 5.0}, "4 Hz is the most"),
+        ({"frequency": 5.0}, "it must be 4 Hz or less"),
         ({"controller": "ilc", "target": -1.0}, "ilc target -1.0 is not allowed"),
         ({"periods": 2}, "periods 2 is not allowed; it must be from 3 to 200"),
         ({"phases": 0}, "phases 0 is not allowed"),
-        ({"changes": [(0.1, 0.1)]}, "a change from offset 0.1 to 0.1 is none"),
-        ({"changes": [(0.1, 0.15)]}, "a change from offset 0.1 to 0.15 is none"),
+        ({"changes": [(0.1, 0.1)]}, "a change from offset 0.1 to 0.1 is not allowed"),
+        ({"changes": [(0.1, 0.15)]}, "a change from offset 0.1 to 0.15 is not allowed"),
         ({"threads": 0}, "threads: 0 is not allowed"),
     ],
 )
@@ -358,9 +370,9 @@ def test_what_cannot_be_measured_is_refused_before_anything_runs(changes, words)
 
 
 def test_the_number_of_runs_is_known():
-    drive = Drive(GEN2, 2.0, GEN2.supply.nominal)
-    assert study(drive, phases=3).runs == 3 * (9 + 10)
-    assert study(drive, offsets=(-0.1, 0, 0.2), changes=(), phases=1).runs == 3
+    drive = GaitSetup(GEN2, 2.0, GEN2.supply.nominal)
+    assert footprint_study(drive, phases=3).runs == 3 * (9 + 10)
+    assert footprint_study(drive, offsets=(-0.1, 0, 0.2), changes=(), phases=1).runs == 3
 
 
 def test_steady_runs_begin_at_equally_spaced_phases(monkeypatch):
@@ -374,7 +386,7 @@ def test_steady_runs_begin_at_equally_spaced_phases(monkeypatch):
         raise Enough
 
     monkeypatch.setattr("srs_twin.identification.footprint.run_many", none)
-    drive = Drive(GEN2, 2.0, GEN2.supply.nominal)
+    drive = GaitSetup(GEN2, 2.0, GEN2.supply.nominal)
     with pytest.raises(Enough):
-        study(drive, offsets=(-0.1, 0, 0.2), changes=(), phases=4).measure()
+        footprint_study(drive, offsets=(-0.1, 0, 0.2), changes=(), phases=4).measure()
     assert begun == pytest.approx([0, math.pi / 2, math.pi, 3 * math.pi / 2] * 3)

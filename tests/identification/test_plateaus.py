@@ -16,17 +16,17 @@ from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError
 from srs_twin.identification.actuator import (
     StaticTable,
-    _scatter,
+    _noise_scale,
     fit_static,
-    is_static,
-    merged,
-    read_static,
-    static_tables,
-    write_static,
+    is_static_table,
+    merge_tables,
+    plateau_tables,
+    read_static_table,
+    write_static_table,
 )
-from srs_twin.identification.estimate import Estimate
+from srs_twin.identification.estimate import FitEstimate
 from srs_twin.identification.fit_file import load_fit
-from srs_twin.identification.unknowns import with_values
+from srs_twin.identification.parameters import with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.pneumatics.recorded import RecordedPressures
@@ -107,7 +107,7 @@ def taken(path: Path, spec: RobotSpec, log: Path | None = None, **how: object) -
     return path.name, RecordingReader(**how).take(str(path), str(log or path), spec)
 
 
-def hits(found: Estimate, truth: dict[str, float]) -> int:
+def hits(found: FitEstimate, truth: dict[str, float]) -> int:
     return sum(found[name].low <= value <= found[name].high for name, value in truth.items())
 
 
@@ -117,7 +117,7 @@ def test_modules_come_back_from_bend_logs(tmp_path):
     total, time_and_pressure = 0, regulated(levels(4))
     for seed in range(5):
         path = log_of_bends(tmp_path, TRUE_CHAIN, *time_and_pressure, seed=seed)
-        (table,) = static_tables([taken(path, SPEC)], SPEC, 48e3)
+        (table,) = plateau_tables([taken(path, SPEC)], SPEC, 48e3)
         assert table.bend.shape == (12, 4) and np.isfinite(table.bend).all()
         # About 115 frames of white noise follow the first 5 τ.
         assert np.median(table.bend_error) == pytest.approx(1e-3 / 115**0.5, rel=0.25)
@@ -145,7 +145,7 @@ def test_modules_come_back_from_markers(tmp_path, robot, truth):
     time = np.arange(len(pressure)) / RATE + 3.7
     (tmp_path / "take.valves.csv").write_text(csv(time, air(pressure + noise)))
     take = taken(tmp_path / "take.csv", spec, tmp_path / "take.valves.csv", head="snake:1a")
-    (table,) = static_tables([take], spec, 48e3)
+    (table,) = plateau_tables([take], spec, 48e3)
     assert len(table.bend) == 12
     error = np.median(take[1].trajectory.stack("bend_error"))
     # What does not average out counts: so many frames would make it less.
@@ -185,10 +185,10 @@ def test_the_table_gives_the_same_fit_from_the_command_line(tmp_path, srs_twin):
     assert again.returncode == 0, again.stderr
     assert load_fit(tmp_path / "again.yaml").parameters == fit.parameters
     takes = [taken(tmp_path / f"held_{seed}.csv", MODULE) for seed in range(2)]
-    table, read = merged(static_tables(takes, MODULE, 48e3)), read_static(path, MODULE)
+    table, read = merge_tables(plateau_tables(takes, MODULE, 48e3)), read_static_table(path, MODULE)
     for name in ("pressure", "bend", "bend_error"):
         assert (getattr(table, name) == getattr(read, name)).all()
-    assert is_static(path) and not is_static(tmp_path / "held_0.csv")
+    assert is_static_table(path) and not is_static_table(tmp_path / "held_0.csv")
     words = ["calibrate", "actuator", str(path), "-r", "gen4_module"]
     refused = srs_twin(*words, "--static", cwd=tmp_path)
     assert refused.returncode == 2 and "--static: take it out; tables of held" in refused.stderr
@@ -211,8 +211,8 @@ def test_points_that_were_not_measured_stay_empty(tmp_path):
     table = StaticTable(
         "x", "0" * 64, np.arange(8.0).reshape(2, 2, 2) / 3, np.array([[0.1, np.nan], [np.nan, 1 / 3]])
     )
-    write_static(table, tmp_path / "x.table.csv")
-    read = read_static(tmp_path / "x.table.csv", SPEC)
+    write_static_table(table, tmp_path / "x.table.csv")
+    read = read_static_table(tmp_path / "x.table.csv", SPEC)
     assert (read.pressure[:, :2] == table.pressure).all() and np.isnan(read.bend_error).all()
     assert read.bend[:, :2] == pytest.approx(table.bend, abs=0, nan_ok=True)
 
@@ -221,7 +221,7 @@ def test_points_that_were_not_measured_stay_empty(tmp_path):
 def test_each_segment_counts_by_its_own_errors(tmp_path):
     """Without errors all count alike."""
     time, pressure = regulated(levels(4))
-    (table,) = static_tables(
+    (table,) = plateau_tables(
         [taken(log_of_bends(tmp_path, TRUE_CHAIN, time, pressure, noise=3e-3), SPEC)], SPEC, 48e3
     )
     scales = [each.scale for each in fit_static([table], SPEC).residuals]
@@ -241,7 +241,7 @@ def test_valves_that_fill_or_vent_for_long_hold_pressures_too(tmp_path):
     valves = states[np.minimum((time / 2 + 1e-9).astype(int), 4)]
     path = tmp_path / "valves.csv"
     path.write_text(csv(time, columns | air(valves, "valve", "", 1)))
-    (table,) = static_tables([taken(path, MODULE)], MODULE, 40e3)
+    (table,) = plateau_tables([taken(path, MODULE)], MODULE, 40e3)
     assert table.pressure[:, 0].tolist() == [[0, 0], [40e3, 0], [0, 0], [0, 40e3], [0, 0]]
     found = fit_static([table], MODULE)
     assert hits(found, OF_MODULE) >= 2
@@ -253,14 +253,14 @@ def test_valves_that_fill_or_vent_for_long_hold_pressures_too(tmp_path):
     with pytest.raises(
         InputError, match=r"valves.csv: no plateau: .*a valve that is held \(0\) nobody knows"
     ):
-        static_tables([taken(path, MODULE)], MODULE, 40e3)
+        plateau_tables([taken(path, MODULE)], MODULE, 40e3)
 
 
 def test_what_makes_no_table(tmp_path):
     def refused(pressure: np.ndarray, time: np.ndarray, match: str, spec: RobotSpec = MODULE) -> None:
         path = log_of_bends(tmp_path, TRUE_MODULE, time, pressure)
         with pytest.raises(InputError, match=match):
-            static_tables([taken(path, spec)], spec, 48e3)
+            plateau_tables([taken(path, spec)], spec, 48e3)
 
     time, _ = regulated(levels(1))
     wave = np.zeros((len(time), 1, 2))
@@ -283,7 +283,7 @@ def test_what_makes_no_table(tmp_path):
     with pytest.raises(
         InputError, match=r"creep.csv: no plateau: .* for 30 s at most; .* are wanted, bends at rest"
     ):
-        static_tables([taken(path, MODULE)], MODULE, 48e3)
+        plateau_tables([taken(path, MODULE)], MODULE, 48e3)
 
 
 @pytest.mark.parametrize("rows", [2, 3, 4, 20])
@@ -300,7 +300,7 @@ def test_held_pressures_come_back_from_a_log_with_few_rows_per_hold(tmp_path, ro
     noise = 1e-3 * np.random.default_rng(2).standard_normal((len(time), 1))
     bend = TRUE_MODULE.modules.array("bias") + air_bend(TRUE_MODULE, pressure) + noise
     (tmp_path / "bends.csv").write_text(csv(time, {"bend_1": bend[:, 0]}))
-    (table,) = static_tables([taken(tmp_path / "bends.csv", MODULE, tmp_path / "log.csv")], MODULE, 48e3)
+    (table,) = plateau_tables([taken(tmp_path / "bends.csv", MODULE, tmp_path / "log.csv")], MODULE, 48e3)
     assert table.pressure[:, 0, 0] == pytest.approx(held, abs=1.0)
 
 
@@ -309,9 +309,9 @@ def test_scatter_of_a_log_is_that_of_white_noise(ramp, step, share):
     """Ramps do not count. A share of differences that are steps moves the median to a higher quantile."""
     row = np.arange(20_000)
     noise = np.random.default_rng(0).standard_normal(len(row))
-    found = _scatter((noise + ramp * row + step * (row // 5 % 7))[:, None])
+    found = _noise_scale((noise + ramp * row + step * (row // 5 % 7))[:, None])
     assert found == pytest.approx(6**0.5 * stats.norm.ppf(0.5 + 0.25 / (1 - share)), rel=0.03)
-    assert np.isfinite(_scatter(noise[:2]))
+    assert np.isfinite(_noise_scale(noise[:2]))
 
 
 def test_the_start_of_a_creep_is_left_out(tmp_path):
@@ -320,5 +320,5 @@ def test_the_start_of_a_creep_is_left_out(tmp_path):
     bend = 0.5 - 0.1 * np.exp(-time) + 1e-3 * np.random.default_rng(0).standard_normal(len(time))
     path = tmp_path / "slow.csv"
     path.write_text(csv(time, {"bend_1": bend} | air(np.full((len(time), 1, 2), 10e3))))
-    (table,) = static_tables([taken(path, MODULE)], MODULE, 48e3)
+    (table,) = plateau_tables([taken(path, MODULE)], MODULE, 48e3)
     assert table.bend[0, 0] == pytest.approx(0.5, abs=1e-3)

@@ -59,7 +59,7 @@ def test_each_row_holds_the_distances_of_its_own_run(swept, tmp_path):
     columns = {name.partition(".")[2] for name in table if name.startswith("analytical.")}
     assert columns == {"measured_shape_rms_m", "measured_path_rms_m", "measured_bend_rms_rad"}
     row = table["robot.geometry.rigid_gap_m"].index(0.026)
-    point = next(each for each in swept.points if each.key == table["key"][row])
+    point = next(candidate for candidate in swept.points if candidate.key == table["key"][row])
     scenario = parse_scenario(swept.experiment.document(point.changes))
     run = rollout(
         scenario.build_plant("analytical"), scenario.build_controller(), scenario.duration,

@@ -51,7 +51,7 @@ def test_a_row_of_the_same_key_replaces_the_other(tmp_path):
         assert store.keys(failed=True) == {"a", "b"} and store.keys(failed=False) == {"b"}
         store.add(Row("a", DONE, {"x": 1.0}))
         assert [row.status for row in store.rows()] == [DONE, DONE]
-        store.keep(["a"])
+        store.retain(["a"])
         assert store.keys(failed=True) == {"a"}
 
 
@@ -100,7 +100,7 @@ def test_what_a_store_made_does_not_stay_without_a_row(tmp_path):
         with RowStore(tmp_path / "new") as store:
             store.add(row)
     with RowStore(tmp_path / "new") as store:
-        store.keep(())
+        store.retain(())
     assert [path.name for path in tmp_path.rglob("*")] == ["new", FILE]
 
 

@@ -15,7 +15,7 @@ from small import SMALL, diverges, execute, here, write
 from srs_twin.compute.workers import Done
 from srs_twin.errors import DivergedError
 from srs_twin.studies.sweep import load_sweep
-from srs_twin.studies.sweep.report import MOST_RUNS, means, run_tables
+from srs_twin.studies.sweep.report import MAX_RUNS, mean_tables, run_tables
 from srs_twin.studies.sweep.table import SweepTable
 
 PICTURE = (
@@ -129,7 +129,7 @@ def test_equal_rows_give_equal_pages(tmp_path):
 
 def table(x, value, failed=()):
     status = ["failed" if i in failed else "done" for i in range(len(x))]
-    return SweepTable.of(
+    return SweepTable.from_columns(
         {"key": list(map(str, range(len(x)))), "seed": x, "status": status, f"twin.{SPEED}": value}
     )
 
@@ -143,35 +143,37 @@ def test_means_are_over_seeds_alone():
     )
     value = rng.normal(5, 2, 300)
     status = ["failed" if i == 7 else "done" for i in range(300)]
-    rows = SweepTable.of({"key": range(300), **columns, "status": status, f"twin.{SPEED}": value})
+    rows = SweepTable.from_columns({"key": range(300), **columns, "status": status, f"twin.{SPEED}": value})
     assert [found.rows for found in run_tables(rows, [SPEED])] == [()]
-    (found,) = means(rows, [SPEED])
+    (found,) = mean_tables(rows, [SPEED])
     assert found.headings[:3] == ("steering offset", "gait frequency (Hz)", "runs")
     assert [line[:2] for line in found.rows] == list(product(("0.1", "0.2"), ("1", "1.5", "2")))
     for k, line in enumerate(found.rows):
         own = np.delete(value[50 * k : 50 * k + 50], [7] if k == 0 else [])
         assert line[2:] == (str(len(own)), f"{own.mean():.4g} ± {own.std(ddof=1):.2g}")
-    many = SweepTable.of(
+    many = SweepTable.from_columns(
         {"key": range(402), "seed": [0, 1] * 201, "a.b": np.repeat(range(201), 2), "status": ["done"] * 402}
     )
-    assert [(found.rows, found.note[:16]) for found in means(many, [SPEED])] == [((), "201 combinations")]
+    assert [(found.rows, found.note[:16]) for found in mean_tables(many, [SPEED])] == [
+        ((), "201 combinations")
+    ]
 
 
 def test_as_many_runs_as_a_page_holds_are_shown():
-    rows = table(list(range(MOST_RUNS))[::-1], [float(i) for i in range(MOST_RUNS)])
+    rows = table(list(range(MAX_RUNS))[::-1], [float(i) for i in range(MAX_RUNS)])
     (found,) = run_tables(rows, [SPEED])
-    assert [int(line[0]) for line in found.rows] == list(range(MOST_RUNS))
-    alone = SweepTable.of(
-        {name: each for name, each in rows.columns.items() if name != "seed"}
-        | {"controller.offset": list(range(MOST_RUNS))}
+    assert [int(line[0]) for line in found.rows] == list(range(MAX_RUNS))
+    alone = SweepTable.from_columns(
+        {name: column for name, column in rows.columns.items() if name != "seed"}
+        | {"controller.offset": list(range(MAX_RUNS))}
     )
-    assert means(alone, [SPEED]) == []  # each has one run, and that is shown
+    assert mean_tables(alone, [SPEED]) == []  # each has one run, and that is shown
 
 
 def test_runs_without_the_metric_are_counted():
     given = table([1, 2, 3, 1, 2], [1.0, None, 3.0, None, None]).columns
     rows = SweepTable({**given, "a.b": [1, 1, 1, 2, 2]})
-    (found,) = means(rows, [SPEED, "path_radius_m"])
+    (found,) = mean_tables(rows, [SPEED, "path_radius_m"])
     assert found.rows == (("1", "3", "2 ± 1.4 (2)"), ("2", "2", "–"))
 
 
@@ -184,7 +186,7 @@ def test_wide_tables_are_cut_for_the_page():
     metrics = [SPEED, "path_length_m", "yaw_rate_rad_s", "path_speed_m_s"]
     given = {"key": ["a"], "seed": [1], "status": ["done"]}
     given |= {f"{plant}.{metric}": [1.0] for metric in metrics for plant in ("analytical", "twin")}
-    tables = run_tables(SweepTable.of(given), metrics)
+    tables = run_tables(SweepTable.from_columns(given), metrics)
     assert [len(found.headings) for found in tables] == [7, 3]
     assert sorted(h for found in tables for h in found.headings[1:])[0] == "CoM speed (m/s), analytical"
 

@@ -8,18 +8,18 @@ import math
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from srs_twin.studies.optimization.answer import StudyResult
 
 from srs_twin.compute.workers import Done
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.files import shipped_names
 from srs_twin.scenario import load_scenario, parse_scenario
 from srs_twin.studies.optimization import load_study, search
-from srs_twin.studies.optimization.answer import Answer
 from srs_twin.studies.optimization.file import VariableFile
-from srs_twin.studies.optimization.report import bound_lines, write_answer
-from srs_twin.studies.optimization.runs import Runs
+from srs_twin.studies.optimization.report import bound_lines, write_result
+from srs_twin.studies.optimization.runs import StudyRuns
 from srs_twin.studies.optimization.search import front
-from srs_twin.studies.optimization.space import Space
+from srs_twin.studies.optimization.space import DesignSpace
 from srs_twin.studies.sweep.task import DONE, FAILED, Row
 
 STUDY = """
@@ -86,7 +86,7 @@ class Engine:
 
 
 def answered(asked, folder, engine=None):
-    with Runs(asked, folder, engine or Engine()) as runs:
+    with StudyRuns(asked, folder, engine or Engine()) as runs:
         return search(asked, runs)
 
 
@@ -133,22 +133,22 @@ def test_a_design_on_a_bound_is_marked_in_the_document_and_in_a_sentence(tmp_pat
     )
     path.write_text(text, "utf-8")
     asked = load_study(path)
-    with Runs(asked, tmp_path / "out", Engine(speed=slope)) as runs:
-        answer = Answer.of(asked, search(asked, runs), runs)
+    with StudyRuns(asked, tmp_path / "out", Engine(speed=slope)) as runs:
+        answer = StudyResult.evaluate(asked, search(asked, runs), runs)
     best, *_ = answer.document()["best"]
     row = {"bound": "high", "value": 2.8, "source": "highest frequency measured"}
     assert best["on_bound"] == {"controller.frequency_hz": row}
     first, *_, last = bound_lines(answer)
     assert "best/1" in first and "is on its high bound 2.8 (highest frequency measured)" in first
     assert "beyond a bound" in last
-    write_answer(answer, tmp_path / "written")
+    write_result(answer, tmp_path / "written")
     assert "2.8†" in (tmp_path / "written/report.html").read_text("utf-8")
 
 
 @pytest.mark.parametrize(("share", "bound"), [(0.0, "low"), (0.009, "low"), (0.011, None), (0.995, "high")])
 @pytest.mark.parametrize("scale", ["linear", "log"])
 def test_a_bound_is_a_hundredth_of_the_range(share, bound, scale):
-    space = Space({"a": VariableFile(low=1, high=100, scale=scale)}, {})
+    space = DesignSpace({"a": VariableFile(low=1, high=100, scale=scale)}, {})
     assert space.bounds(np.array([share])) == ({} if bound is None else {"a": bound})
 
 
@@ -159,7 +159,7 @@ def test_shares_map_to_both_bounds_and_back(scale, whole):
         name: VariableFile(low=low, high=high, scale=scale, whole=whole)
         for name, low, high in (("a", 1, 7), ("b", 3, 4000), ("c", 20, 21))
     }
-    space = Space(ranges, {})
+    space = DesignSpace(ranges, {})
     assert space.values(np.zeros(3)) == (1, 3, 20) and space.values(np.ones(3)) == (7, 4000, 21)
     assert space.values(np.full(3, -0.1)) == (1, 3, 20) and space.values(np.full(3, 1.1)) == (7, 4000, 21)
     for share in np.linspace(0, 1, 11):
@@ -225,7 +225,7 @@ def test_a_front_is_that_of_the_formulas(tmp_path):
         return float(np.sum(np.maximum.accumulate(order[:, 0]) * (least - order[:, 1])))
 
     f = np.linspace(0.5, 2.0, 400)  # beyond, it is slower and costs more
-    truth = np.array([[speed(each, 1.45, "twin"), cost(each, 1.45, "twin")] for each in f])
+    truth = np.array([[speed(frequency, 1.45, "twin"), cost(frequency, 1.45, "twin")] for frequency in f])
     assert area(found) > 0.93 * area(truth)
 
 
@@ -311,4 +311,4 @@ def test_shipped_studies_load_and_their_designs_are_scenarios(name):
     for share in (0.0, 0.5, 1.0):
         design = asked.space.changes(np.full(asked.space.size, share))
         assert parse_scenario(asked.experiments["twin"].document(design)).robot.segments >= 2
-    assert all(each.bounds_source for each in asked.file.variables.values())
+    assert all(variable.bounds_source for variable in asked.file.variables.values())

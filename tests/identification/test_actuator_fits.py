@@ -19,14 +19,14 @@ from srs_twin.identification import join, read_valves
 from srs_twin.identification.actuator import (
     Response,
     StaticTable,
-    actuator_unknowns,
+    default_actuator_parameters,
     fit_actuator,
     fit_static,
-    read_static,
+    read_static_table,
 )
-from srs_twin.identification.fit_file import data_sets, fingerprint, fit_file, trajectory_hash, write_fit
+from srs_twin.identification.fit_file import array_hash, data_sets, fit_file, trajectory_hash, write_fit
 from srs_twin.identification.fitted_robot import fitted_robot
-from srs_twin.identification.unknowns import names_of_fields, unknowns, with_values
+from srs_twin.identification.parameters import free_parameters, parameter_names, with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.recordings.signals.valve_log import ValveLog
@@ -58,7 +58,7 @@ def response(truth=TRUTH, *, noise=0.0, seed=0, name="step") -> Response:
     time = np.arange(0.0, 3.0, 0.01)
     bend, _ = free_bends(with_values(MODULE, truth), time)
     bend = bend + noise * np.random.default_rng(seed).normal(size=bend.shape)
-    return Response(name, fingerprint(bend), STEPS, SUPPLY, time, bend)
+    return Response(name, array_hash(bend), STEPS, SUPPLY, time, bend)
 
 
 def response_of(run: Trajectory) -> Response:
@@ -100,9 +100,11 @@ def test_responses_cover_the_truth():
 
 
 def test_all_gains_and_the_nominal_one_cancel():
-    found = fit_actuator([response()], MODULE, names=[*actuator_unknowns(MODULE), "actuator.bend_rad"])
+    found = fit_actuator(
+        [response()], MODULE, names=[*default_actuator_parameters(MODULE), "actuator.bend_rad"]
+    )
     for name in ("modules.gain_plus_1", "modules.gain_minus_1", "actuator.bend_rad"):
-        assert found[name].verdict == "not identifiable" and "cancels" in found[name].why
+        assert found[name].verdict == "not identifiable" and "combination" in found[name].why
     for name in ("actuator.tau_fill_s", "actuator.tau_mode_s", "modules.bias_rad_1"):
         assert found[name].value == pytest.approx(TRUTH[name], rel=1e-4)
 
@@ -111,7 +113,7 @@ def test_a_chamber_that_was_never_filled_is_not_known():
     one_sided = Schedule(3.0, np.array([0.0, 1.5]), np.array([[[1, -1]], [[-1, -1]]], dtype=np.int8))
     time = np.arange(0.0, 3.0, 0.01)
     bend, _ = free_bends(with_values(MODULE, TRUTH), time, one_sided)
-    found = fit_actuator([Response("x", fingerprint(bend), one_sided, SUPPLY, time, bend)], MODULE)
+    found = fit_actuator([Response("x", array_hash(bend), one_sided, SUPPLY, time, bend)], MODULE)
     assert found["modules.gain_minus_1"].why == "the residuals do not depend on it"
     assert found["modules.gain_plus_1"].value == pytest.approx(1.2, rel=1e-4)
 
@@ -127,7 +129,7 @@ def test_measured_pressures_tell_the_mode_from_the_filling():
     time = np.arange(0.0, 3.0, 0.01)
     truth = TRUTH | {"actuator.tau_fill_s": 0.04, "actuator.tau_vent_s": 0.04, "actuator.tau_mode_s": 0.06}
     bend, pressure = free_bends(with_values(MODULE, truth), time)
-    seen = Response("x", fingerprint(bend), STEPS, SUPPLY, time, bend, pressure)
+    seen = Response("x", array_hash(bend), STEPS, SUPPLY, time, bend, pressure)
     found = fit_actuator([seen], MODULE)
     for name, value in truth.items():
         assert found[name].value == pytest.approx(value, rel=1e-3), name
@@ -137,7 +139,7 @@ def test_a_log_of_pressures_tells_gains_and_biases():
     time = np.arange(0.0, 3.0, 0.01)
     bend, pressure = free_bends(with_values(MODULE, TRUTH | {"actuator.tau_mode_s": 0.004}), time)
     log = ValveLog("pressure", time, pressure, "p.csv", "0" * 64, ())
-    found = fit_actuator([Response("x", fingerprint(bend), log, SUPPLY, time, bend)], MODULE)
+    found = fit_actuator([Response("x", array_hash(bend), log, SUPPLY, time, bend)], MODULE)
     for name in ("modules.gain_plus_1", "modules.gain_minus_1", "modules.bias_rad_1"):
         assert found[name].value == pytest.approx(TRUTH[name], rel=0.01, abs=5e-4)
     assert found["actuator.tau_fill_s"].value is None and found["actuator.tau_vent_s"].value is None
@@ -174,16 +176,16 @@ def test_a_recording_with_a_clock_of_its_own(tmp_path: Path):
     log.write_text(valve_csv(truth, 0.0, 3.0, 0.37))
     recording = recorded(tmp_path, Take(layout="pair", noise=1e-4, seed=2), truth)
     joined = join(recording, read_valves(log, SPEC), SPEC)
-    data = Response.of_recording(joined, "take", 48e3)
+    data = Response.from_recording(joined, "take", 48e3)
     assert not data.clock_known
     # A valve column tells what led to its sample, a log what holds from then on: one sample between them.
     names = ("actuator.tau_fill_s", "actuator.tau_vent_s", "actuator.bend_rad")
     found = fit_actuator([data], SPEC, names=names)
     for name in names:
-        expected = unknowns(SPEC, [name])[0].start
+        expected = free_parameters(SPEC, [name])[0].start
         assert found[name].value == pytest.approx(expected, rel=0.05), (name, 1 / RATE)
     with pytest.raises(InputError, match="no log of valves or pressures"):
-        Response.of_recording(recording, "take", 48e3)
+        Response.from_recording(recording, "take", 48e3)
 
 
 def table(limit: float, noise: float = 0.0, seed: int = 0, most: float = 90e3) -> StaticTable:
@@ -193,7 +195,7 @@ def table(limit: float, noise: float = 0.0, seed: int = 0, most: float = 90e3) -
     x = MODULE.actuator.gain * (1.2 * pressure[..., 0] - 0.8 * pressure[..., 1])
     bend = 0.05 + x * (1 + (x / limit) ** 4) ** -0.25
     bend = bend + noise * np.random.default_rng(seed).normal(size=bend.shape)
-    return StaticTable("table", fingerprint(bend), pressure, bend)
+    return StaticTable("table", array_hash(bend), pressure, bend)
 
 
 STATIC = {
@@ -236,7 +238,7 @@ def convex(curve, noise: float = 0.004) -> StaticTable:
     share = (1.2 * pressure[..., 0] - 0.8 * pressure[..., 1]) / 60e3
     bend = 0.05 + np.sign(share) * curve(np.abs(share))
     bend = bend + noise * np.random.default_rng(3).normal(size=bend.shape)
-    return StaticTable("convex", fingerprint(bend), pressure, bend, np.full(bend.shape, noise))
+    return StaticTable("convex", array_hash(bend), pressure, bend, np.full(bend.shape, noise))
 
 
 @pytest.mark.slow
@@ -307,7 +309,7 @@ def test_a_static_test_knows_no_mass_and_no_time():
 
 
 def test_data_are_kept_apart():
-    with pytest.raises(InputError, match="the same data as step, which the fit is made from"):
+    with pytest.raises(InputError, match="the same data as step, to which the model is fitted"):
         fit_actuator([response()], MODULE, validation=[response(name="again")])
     with pytest.raises(InputError, match="must be new to it"):
         fit_static([table(1.4)], MODULE, validation=[table(1.4)])
@@ -321,35 +323,35 @@ def test_what_cannot_be_fitted_is_refused():
     with pytest.raises(InputError, match="modules.bias_rad_2: gen4_module has 1 segments"):
         fit_actuator([response()], MODULE, names=["modules.bias_rad_2"])
     with pytest.raises(InputError, match="given twice"):
-        unknowns(MODULE, ["friction.mu_t", "friction.mu_t"])
+        free_parameters(MODULE, ["friction.mu_t", "friction.mu_t"])
     with pytest.raises(InputError, match="1 bends; gen2 has 4 segments"):
         fit_actuator([response()], SPEC)
-    with pytest.raises(InputError, match="none was given"):
+    with pytest.raises(InputError, match="give at least one"):
         fit_actuator([], MODULE)
 
 
-@pytest.mark.parametrize("name", names_of_fields())
+@pytest.mark.parametrize("name", parameter_names())
 def test_every_field_is_put_where_it_is_read(name):
     """What is put is read again, and nothing else of the robot's unknowns changes."""
     spec = replace(SPEC, actuator=replace(SPEC.actuator, bend_limit=2.0))
     name = name.replace("_N", "_2")
-    everything = [each.replace("_N", "_2") for each in names_of_fields()]
-    (before,) = unknowns(spec, [name])
+    everything = [each.replace("_N", "_2") for each in parameter_names()]
+    (before,) = free_parameters(spec, [name])
     changed = with_values(spec, {name: before.start * 1.25 if before.scale is None else before.start + 0.01})
-    (after,) = unknowns(changed, [name])
+    (after,) = free_parameters(changed, [name])
     assert after.start == pytest.approx(before.start * 1.25 if before.scale is None else before.start + 0.01)
     for other in everything:
         if other != name and not (other.startswith("mass.") and name.startswith("mass.")):
-            assert unknowns(changed, [other])[0].start == unknowns(spec, [other])[0].start
+            assert free_parameters(changed, [other])[0].start == free_parameters(spec, [other])[0].start
 
 
 def test_a_table_from_a_file(tmp_path: Path):
     path = tmp_path / "table.csv"
     path.write_text("pressure_plus_1_kpa,bend_1_deg,note\n0,0\n10,9\n20,\n")
     with pytest.raises(InputError, match=r"table.csv:2: 2 cells where the header has 3"):
-        read_static(path, MODULE)
+        read_static_table(path, MODULE)
     path.write_text("pressure_plus_1_kpa,bend_1_deg\n0,0\n10,9\n20,\n")
-    found = read_static(path, MODULE)
+    found = read_static_table(path, MODULE)
     assert found.pressure[:, 0].tolist() == [[0, 0], [10e3, 0], [20e3, 0]]
     assert found.bend[:2, 0] == pytest.approx([0, np.pi / 20]) and np.isnan(found.bend[2, 0])
     assert found.data_set("fit").samples == 2

@@ -10,15 +10,15 @@ from snakes import GRAVITY
 
 from srs_twin import load_robot
 from srs_twin.errors import InputError
-from srs_twin.identification.design import PULL_SHARE, _information, candidates, design
+from srs_twin.identification.design import PULL_SHARE, _information, candidates, choose_experiments
 from srs_twin.identification.friction import Pulls, fit_pulls
 
 SPEC = load_robot("gen2")
 
 
 def test_a_foretold_interval_is_the_scatter_of_fits_to_what_it_says_to_record():
-    found = design(SPEC, {}, {"friction.mu_n": 0.04})
-    assert [each.what for each in found.chosen][0].startswith("10 pulls across")
+    found = choose_experiments(SPEC, {}, {"friction.mu_n": 0.04})
+    assert [each.description for each in found.chosen][0].startswith("10 pulls across")
     rng, fits = np.random.default_rng(0), []
     force = SPEC.friction.mu_n * SPEC.mass.total * GRAVITY
     for _ in range(300):
@@ -34,7 +34,7 @@ def test_no_walk_tells_mass_from_stiffness():
     names = ["mass.connectors_kg", "bending.stiffness_nm_per_rad", "friction.mu_t"]
     values = {"mass.connectors_kg": 0.03, "bending.stiffness_nm_per_rad": 0.44, "friction.mu_t": 0.043}
     scale = np.array([values[name] for name in names])
-    walks = [each for each in candidates(SPEC) if each.what.startswith("walk")]
+    walks = [each for each in candidates(SPEC) if each.description.startswith("walk")]
     for walk in walks[2:4]:
         found = _information(walk, SPEC, names, values, scale)
         alike = np.array([1.0, 1.0, 0.0])
@@ -44,8 +44,8 @@ def test_no_walk_tells_mass_from_stiffness():
 
 def test_drag_is_told_from_the_wheels_by_a_load():
     known = {"friction.mu_t": (0.043, 0.01), "friction.drag_n": (0.0, 0.03)}
-    found = design(SPEC, known, {"friction.mu_t": 0.06})
-    loads = [each.what for each in found.chosen if each.what.startswith("10 pulls along")]
+    found = choose_experiments(SPEC, known, {"friction.mu_t": 0.06})
+    loads = [each.description for each in found.chosen if each.description.startswith("10 pulls along")]
     assert any("300 g" in each for each in loads) and any("g on it" not in each for each in loads)
     assert found.unmet == ()
     assert list(found.after["friction.mu_t"]) == sorted(found.after["friction.mu_t"], reverse=True)
@@ -63,4 +63,4 @@ def test_what_cannot_be_reached_is_said(srs_twin, tmp_path):
     assert wrong.returncode == 2
     assert "must be NAME=PERCENT" in wrong.stderr
     with pytest.raises(InputError, match="names nothing"):
-        design(SPEC, {}, {})
+        choose_experiments(SPEC, {}, {})

@@ -7,35 +7,41 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from srs_twin.studies.uncertainty.metric_uncertainty import (
+    MIN_BOUNDING_SAMPLES,
+    predict_twin,
+    sampling_errors,
+)
 
 from srs_twin.robot.sourced import Uncertain
 from srs_twin.scenario import load_scenario
-from srs_twin.studies.uncertainty import Prior, Priors, Propagation, Spread, Study
+from srs_twin.studies.uncertainty import MetricUncertainty, Prior, Priors, Propagation, UncertaintyStudy
 from srs_twin.studies.uncertainty.plots import draw_intervals
-from srs_twin.studies.uncertainty.spreads import BOUNDING, predicted, sampling_errors
 
 SPEED = "com_speed_m_s"
 Law = Callable[[np.ndarray], np.ndarray]
 
 
-def study_of(dimensions: int, samples: int, *, value: float = 0.5, seed: int = 0) -> Study:
+def study_of(dimensions: int, samples: int, *, value: float = 0.5, seed: int = 0) -> UncertaintyStudy:
     """Return a study with numbers that are uniform from 0 to 1; the robot file has each at `value`."""
     uniform = Uncertain.model_validate({"kind": "uniform", "low": 0.0, "high": 1.0})
     each = tuple(
         Prior(f"friction.number_{i}", value, "1", uniform, (0.0, 1.0), "this test") for i in range(dimensions)
     )
     scenario = replace(load_scenario("gen2_straight"))
-    return Study(scenario, Priors(each, np.eye(dimensions)), ("analytical",), samples=samples, seed=seed)
+    return UncertaintyStudy(
+        scenario, Priors(each, np.eye(dimensions)), ("analytical",), samples=samples, seed=seed
+    )
 
 
-def result_of(study: Study, law: Law) -> Propagation:
+def result_of(study: UncertaintyStudy, law: Law) -> Propagation:
     """Return the result of a study whose speed is a known function of the shares; the step has no error."""
     own = np.full((3, len(study.names)), 0.5)
     own[1:] = study.priors.each[0].value
     return Propagation(study, {"analytical": {SPEED: law(np.concatenate([study.shares, own]))}})
 
 
-def spread_of(study: Study, law: Law) -> Spread:
+def spread_of(study: UncertaintyStudy, law: Law) -> MetricUncertainty:
     return result_of(study, law).plants["analytical"][SPEED]
 
 
@@ -69,8 +75,8 @@ def test_errors_of_both_ends_follow_the_law_of_order_statistics(power):
 def test_the_error_of_the_time_step_is_the_distance_from_the_limit():
     """Euler's method for y' = −y at t = 1, whose limit is known."""
     coarse, fine = (1 - 1 / 200) ** 200, (1 - 1 / 400) ** 400
-    spread = replace(spread_of(study_of(1, 16), weighted(np.ones(1))), value=coarse, halved=fine)
-    assert spread.numerical == pytest.approx(abs(coarse - np.exp(-1)), rel=0.01)
+    spread = replace(spread_of(study_of(1, 16), weighted(np.ones(1))), value=coarse, half_timestep=fine)
+    assert spread.numerical_error == pytest.approx(abs(coarse - np.exp(-1)), rel=0.01)
 
 
 def test_stated_errors_cover_the_ends_of_independent_samples():
@@ -96,7 +102,7 @@ def test_stated_errors_cover_the_ends_that_a_surrogate_predicts():
     shares, found, stated, of_surrogate = study_of(5, 512).shares, [], [], []
     for seed in range(12):
         x = shares[np.random.default_rng(seed).permutation(512)]
-        samples, surrogate = predicted(x, cheap(x), costly(x[:32]))
+        samples, surrogate = predict_twin(x, cheap(x), costly(x[:32]))
         found.append(np.quantile(samples, [0.025, 0.975]))
         stated.append(np.hypot(sampling_errors(samples), surrogate)[2:])
         of_surrogate.append(surrogate[2:])
@@ -120,7 +126,7 @@ def test_both_parts_of_the_errors_reach_both_ends_of_the_result():
 def test_a_surrogate_that_predicts_nothing_adds_no_error():
     shares = study_of(2, 64).shares
     noise = np.random.default_rng(0).normal(size=64)
-    samples, surrogate = predicted(shares, shares[:, 0], noise[:32])
+    samples, surrogate = predict_twin(shares, shares[:, 0], noise[:32])
     assert np.isfinite(samples).sum() == 32
     assert not surrogate.any()
 
@@ -133,10 +139,10 @@ def test_a_shift_by_the_mean_of_eight_runs_has_the_error_of_a_mean(monkeypatch):
     ) -> tuple[np.ndarray, None]:
         return cheap + np.mean(costly - cheap[: len(costly)]), None
 
-    monkeypatch.setattr("srs_twin.studies.uncertainty.spreads.corrected", shifted)
+    monkeypatch.setattr("srs_twin.studies.uncertainty.metric_uncertainty.corrected", shifted)
     rng = np.random.default_rng(4)
     cheap, off = rng.normal(size=64), rng.normal(size=8)
-    _, surrogate = predicted(rng.random((64, 2)), cheap, cheap[:8] + off)
+    _, surrogate = predict_twin(rng.random((64, 2)), cheap, cheap[:8] + off)
     assert surrogate == pytest.approx(np.full(4, np.std(off, ddof=1) / np.sqrt(8)), rel=1e-9)
 
 
@@ -154,7 +160,7 @@ LAWS: dict[str, Law] = {
 def test_the_proposed_number_of_samples_is_enough(law, samples):
     few = result_of(study_of(4, samples), LAWS[law]).limits
     assert bool(few["warnings"]) == bool(few["remedy"])
-    assert few["warnings"] or samples > BOUNDING
+    assert few["warnings"] or samples > MIN_BOUNDING_SAMPLES
     enough = result_of(study_of(4, few["remedy"].get("samples", samples)), LAWS[law]).limits
     assert enough["warnings"] == []
 
@@ -169,7 +175,7 @@ def test_few_samples_warn_with_their_number_and_the_reason_of_each_limit():
 
 
 def test_as_many_samples_as_bound_an_interval_leave_none_beyond_an_end_once_in_forty():
-    missed = [(1 - 0.025) ** count for count in (BOUNDING - 1, BOUNDING)]
+    missed = [(1 - 0.025) ** count for count in (MIN_BOUNDING_SAMPLES - 1, MIN_BOUNDING_SAMPLES)]
     assert missed[0] > 0.025 >= missed[1]
 
 

@@ -20,8 +20,8 @@ from srs_twin.io.validation import validate
 from srs_twin.robot.file import RobotFile, load_robot_file
 from srs_twin.scenario import load_scenario
 from srs_twin.studies.sweep.execution import OpenSweep, local
-from srs_twin.studies.uncertainty import Priors, Study, propagate
-from srs_twin.studies.uncertainty.surrogates import Chaos, GaussianProcess, corrected
+from srs_twin.studies.uncertainty import Priors, UncertaintyStudy, propagate
+from srs_twin.studies.uncertainty.surrogates import GaussianProcess, PolynomialChaos, predict_high_fidelity
 
 SHARES = (np.arange(4000) + 0.5) / 4000
 
@@ -48,7 +48,7 @@ def robot(**uncertain: dict[str, Any]) -> RobotFile:
     ],
 )
 def test_numbers_follow_the_distribution_that_the_file_says(spread, expected):
-    (prior,) = Priors.of(robot(friction__mu_t=spread)).each
+    (prior,) = Priors.of(robot(friction__mu_t=spread)).members
     assert prior.at(SHARES) == pytest.approx(expected.ppf(SHARES), rel=1e-9)
 
 
@@ -134,10 +134,10 @@ def test_sensitivities_of_ishigamis_function():
     shares = stats.qmc.Sobol(3, rng=1).random(1024)
     x = np.pi * (2 * shares - 1)
     y = np.sin(x[:, 0]) + 7 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
-    found = Chaos.fit(shares, y[:, None])
+    found = PolynomialChaos.fit(shares, y[:, None])
     expected = np.array([[0.3139, 0.4424, 0.0], [0.5576, 0.4424, 0.2437]])
     assert found.indices[..., 0] == pytest.approx(expected, abs=2e-4)
-    assert (np.abs(found.indices[..., 0] - expected) < found.error[..., 0] + 1e-4).all()
+    assert (np.abs(found.indices[..., 0] - expected) < found.index_half_width[..., 0] + 1e-4).all()
 
 
 def test_errors_of_indices_cover_what_few_samples_do_to_them():
@@ -148,8 +148,8 @@ def test_errors_of_indices_cover_what_few_samples_do_to_them():
         y = 2 * shares[:, 0] + shares[:, 1] + 0.3 * shares[:, 0] * shares[:, 2] + 0.05 * noise
         plain = np.array([2.15, 1.0, 0.15]) ** 2
         share = plain / (plain.sum() + 0.3**2 / 12)
-        found = Chaos.fit(shares, y[:, None])
-        held.append(np.abs(found.indices[0, :, 0] - share) <= found.error[0, :, 0])
+        found = PolynomialChaos.fit(shares, y[:, None])
+        held.append(np.abs(found.indices[0, :, 0] - share) <= found.index_half_width[0, :, 0])
     assert np.mean(held) >= 0.9
 
 
@@ -165,7 +165,9 @@ def test_sensitivities_of_the_complete_model_by_brute_force(tmp_path):
     document = {**found.document, "robot": file.model_dump(mode="json")}
     from srs_twin.scenario import parse_scenario
 
-    study = Study(parse_scenario(document, name="brute"), Priors.of(file), ("analytical",), samples=512)
+    study = UncertaintyStudy(
+        parse_scenario(document, name="brute"), Priors.of(file), ("analytical",), samples=512
+    )
     spread = propagate(study, tmp_path, local(2)).plants["analytical"]["com_speed_m_s"]
     rng, priors = np.random.default_rng(0), study.priors
     a, b = rng.random((2, 1000, 3))
@@ -202,7 +204,7 @@ def test_sensitivities_of_the_complete_model_by_brute_force(tmp_path):
         errors = np.std(again, axis=0)
         assert errors.max() < 0.06
         found = np.array([spread.first[i], spread.total[i]])
-        assert (np.abs(found - indices(np.arange(len(a)))) < 3 * errors + spread.doubt[:, i]).all()
+        assert (np.abs(found - indices(np.arange(len(a)))) < 3 * errors + spread.index_half_width[:, i]).all()
 
 
 def test_a_process_without_a_smooth_part_is_ridge_regression():
@@ -210,7 +212,7 @@ def test_a_process_without_a_smooth_part_is_ridge_regression():
     rng = np.random.default_rng(5)
     x, y, new = rng.normal(size=(7, 2)), 3 + rng.normal(size=7), rng.normal(size=(4, 2))
     b, n = 0.7, 0.9
-    process = GaussianProcess(x, y, chosen=np.log([1e-9, b, n, 1.0, 1.0]))
+    process = GaussianProcess(x, y, log_hyperparameters=np.log([1e-9, b, n, 1.0, 1.0]))
     known, asked = (np.column_stack([np.ones(len(each)), each]) for each in (x, new))
     precision = known.T @ known / n**2 + np.eye(3) / b**2
     assert process.at(new) == pytest.approx(asked @ np.linalg.solve(precision, known.T @ y) / n**2, rel=1e-6)
@@ -228,7 +230,7 @@ def test_a_costly_result_follows_from_a_cheap_one_and_few_of_its_own():
         return np.asarray(0.8 * cheap(u) + 0.3 * np.sin(3 * u[:, 1]) + 0.1 * u[:, 4] * u[:, 0])
 
     shares = stats.qmc.Sobol(5, rng=3).random(2048)
-    found, _ = corrected(shares, cheap(shares), costly(shares[:64]))
+    found, _ = predict_high_fidelity(shares, cheap(shares), costly(shares[:64]))
     ends, expected = (np.quantile(each, [0.025, 0.975]) for each in (found, costly(shares)))
     assert np.abs(ends - expected).max() < 0.03 * np.ptp(expected)
     assert found == pytest.approx(costly(shares), abs=0.05)
@@ -311,7 +313,7 @@ def test_the_command_keeps_intervals_that_expectations_use_until_the_scenario_ch
 
 def test_a_second_start_runs_nothing_and_says_the_same(short, tmp_path):
     found = load_scenario(short())
-    study = Study(
+    study = UncertaintyStudy(
         found, Priors.of(RobotFile.model_validate(found.document["robot"])), ("analytical",), samples=32
     )
     first = propagate(study, tmp_path / "out", local(1)).document()
@@ -337,7 +339,12 @@ def test_a_result_is_unmarked_before_the_rows_below_it_change(short, tmp_path, m
 
     monkeypatch.setattr(OpenSweep, "finish", watched)
     for samples, changed in ((17, False), (17, False), (16, True)):
-        propagate(Study(found, priors, ("analytical",), samples=samples), folder, local(1), changed=changed)
+        propagate(
+            UncertaintyStudy(found, priors, ("analytical",), samples=samples),
+            folder,
+            local(1),
+            changed=changed,
+        )
         (folder / "intervals.json").write_text("{}")
     assert marked == [False, True, False]
 
@@ -347,7 +354,7 @@ def test_measuring_a_number_narrows_the_interval_as_foretold(short, tmp_path):
     """The number that it names, measured wherever in its prior: the mean width comes within 20 %."""
     found = load_scenario(short())
     file = RobotFile.model_validate(found.document["robot"])
-    study = Study(found, Priors.of(file), ("analytical",), samples=128)
+    study = UncertaintyStudy(found, Priors.of(file), ("analytical",), samples=128)
     before = propagate(study, tmp_path / "before", local(2))
     best = before.measure_next()[0]
     section, key = best["parameter"].split(".")
@@ -360,7 +367,7 @@ def test_measuring_a_number_narrows_the_interval_as_foretold(short, tmp_path):
             "uncertain": {"kind": "normal", "sd": 0.1 / 1.96 * float(centre)},
         }
         measured = load_scenario(short(robot=data))
-        after = Study(
+        after = UncertaintyStudy(
             measured,
             Priors.of(RobotFile.model_validate(measured.document["robot"])),
             ("analytical",),
@@ -399,7 +406,7 @@ def test_the_value_at_the_medians_is_a_run_with_the_numbers_there(short, tmp_pat
 
     found = load_scenario(short())
     priors = Priors.of(RobotFile.model_validate(found.document["robot"]))
-    study = Study(found, priors, ("analytical",), samples=16)
+    study = UncertaintyStudy(found, priors, ("analytical",), samples=16)
     spread = propagate(study, tmp_path / "out", local(1)).plants["analytical"]["com_speed_m_s"]
     medians = {f"robot.{prior.path}": float(prior.at(np.array([0.5]))[0]) for prior in study.priors.each}
     assert medians["robot.friction.mu_t"] == pytest.approx(0.045)  # of the uniform 0.03 to 0.06

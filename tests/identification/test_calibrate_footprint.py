@@ -13,15 +13,15 @@ from srs_twin.cli import main
 from srs_twin.identification import footprint as study_module
 from srs_twin.identification.footprint import (
     RECORD_HZ,
-    Drive,
-    Measured,
-    Study,
-    command,
+    FootprintMeasurement,
+    FootprintStudy,
+    GaitSetup,
+    calibrate_command,
     footprint_file,
-    header,
+    footprint_study,
+    header_lines,
     robot_hash,
     steady_path,
-    study,
 )
 from srs_twin.identification.paths import SteadyPath
 from srs_twin.io.documents import dump_yaml, parse_yaml
@@ -64,7 +64,7 @@ def test_a_short_measurement_from_the_command_line(srs_twin, tmp_path, monkeypat
     assert (tmp_path / FILE).read_bytes() == before
     other = srs_twin(*SHORT, "--periods", "4", cwd=tmp_path)
     assert other.returncode == 2 and other.stderr == (
-        f"{FILE}: another footprint stands there; --overwrite replaces it, --name and --out lead elsewhere\n"
+        f"{FILE}: the file exists with another footprint; --overwrite replaces it; --name or --out choose another file\n"
     )
     assert (tmp_path / FILE).read_bytes() == before
     monkeypatch.chdir(tmp_path)
@@ -81,8 +81,8 @@ def test_a_short_measurement_from_the_command_line(srs_twin, tmp_path, monkeypat
         (["gen9"], "unknown robot 'gen9'; did you mean gen"),
         (["gen2", "--controller", "gate"], "unknown controller 'gate'; did you mean gait?"),
         (["gen2", "--plant", "real"], "unknown plant 'real'"),
-        (["gen2", "--offsets=a,b"], "--offsets: 'a,b' is no list of numbers such as -0.3,0,0.3"),
-        (["gen2", "--offsets="], "--offsets: '' is no list of numbers"),
+        (["gen2", "--offsets=a,b"], "--offsets: 'a,b' is not a list of numbers such as -0.3,0,0.3"),
+        (["gen2", "--offsets="], "--offsets: '' is not a list of numbers"),
         (["gen2", "--offsets=nan,0,0.3"], "offset nan is not allowed"),
         (["gen2", "--offsets=0,0.3"], "on both sides of 0"),
         (["gen2", "--pressure", "1e9"], "is above the"),
@@ -90,7 +90,7 @@ def test_a_short_measurement_from_the_command_line(srs_twin, tmp_path, monkeypat
         (["gen2", "--frequency", "-1"], "frequency -1 Hz is not allowed"),
         (["gen4", "--controller", "ilc", "--target", "0"], "ilc target 0.0 is not allowed"),
         (["gen2", "--contact", "lose"], "did you mean loaded?"),
-        (["gen2", "--plant", "analytical", "--contact", "loaded"], "contact 'loaded' belongs to the twin"),
+        (["gen2", "--plant", "analytical", "--contact", "loaded"], "contact 'loaded' is only for the twin"),
         (["gen2", "--periods", "-3"], "periods -3 is not allowed"),
         (["gen2", "--chambers", "orifce"], "unknown chambers 'orifce'; did you mean orifice?"),
         (["gen2", "--phases", "1000000"], "phases 1000000 is not allowed; it must be from 1 to 64"),
@@ -123,12 +123,12 @@ def test_an_interrupt_leaves_nothing_and_says_so(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize("contact", ["preloaded", "loaded"])
 def test_a_measurement_records_the_contact_of_its_twin(contact):
-    drive = Drive(load_robot("gen2"), 2.0, 48.3e3, contact=contact)
-    assert drive.plant_maker()().contact.name == contact
-    asked = study(drive, offsets=(-0.2, 0.0, 0.2), changes=(), periods=3, phases=1)
-    assert f" --contact {contact} " in command(asked, "gen2", "short")
+    drive = GaitSetup(load_robot("gen2"), 2.0, 48.3e3, contact=contact)
+    assert drive.plant_factory()().contact.name == contact
+    asked = footprint_study(drive, offsets=(-0.2, 0.0, 0.2), changes=(), periods=3, phases=1)
+    assert f" --contact {contact} " in calibrate_command(asked, "gen2", "short")
     path = SteadyPath(*[0.1] * len(fields(SteadyPath)))
-    measured = Measured(drive, asked.offsets, (path,) * 3, (path,) * 3, (), 1, 3)
+    measured = FootprintMeasurement(drive, asked.offsets, (path,) * 3, (path,) * 3, (), 1, 3)
     assert footprint_file(measured, "short").contact == contact
 
 
@@ -156,12 +156,12 @@ def test_rows_of_numbers_are_written_as_rows_and_read_back():
 
 
 def test_a_measurement_with_transients_goes_through_its_file(tmp_path):
-    drive = Drive(load_robot("gen2"), 2.0, 48.3e3, plant="analytical")
-    planned = study(drive, offsets=(-0.2, 0.0, 0.2), changes=[(-0.2, 0.2)], periods=3, phases=1)
+    drive = GaitSetup(load_robot("gen2"), 2.0, 48.3e3, plant="analytical")
+    planned = footprint_study(drive, offsets=(-0.2, 0.0, 0.2), changes=[(-0.2, 0.2)], periods=3, phases=1)
     measured = planned.measure()
     path = tmp_path / "x.yaml"
     save_footprint(
-        footprint_file(measured, "x"), path, header=header(planned, "gen2", "x", {"srs_twin": "1"})
+        footprint_file(measured, "x"), path, header=header_lines(planned, "gen2", "x", {"srs_twin": "1"})
     )
     body = load_footprint(path)
     columns = {"curvatures": "curvature", "speeds": "speed", "left": "left", "right": "right"}
@@ -205,12 +205,14 @@ def test_shipped_measurements_are_current(name):
     assert f"--pressure {supply / 1000:g} " in first and " --no-transients" not in first
     assert second.endswith(robot_hash(spec)), "the robot has changed; measure it again with the command above"
 
-    drive = Drive(
+    drive = GaitSetup(
         spec, frequency, supply, controller, chambers=chambers, contact=load_footprint_file(name).twin_contact
     )
-    job = drive.steady_job(drive.plant_maker(), offset, 0.0, Study.periods)
+    job = drive.steady_job(drive.plant_factory(), offset, 0.0, FootprintStudy.periods)
     again = steady_path(
-        drive, rollout(job.plant(), job.controller(), job.duration, record_hz=RECORD_HZ), Study.periods
+        drive,
+        rollout(job.plant(), job.controller(), job.duration, record_hz=RECORD_HZ),
+        FootprintStudy.periods,
     )
     file = load_footprint_file(name)
     row = file.offset.value.index(offset)

@@ -66,7 +66,7 @@ def test_published_values_decide_no_row(tmp_path):
 
 
 def test_the_table_holds_means_over_seeds_and_differences():
-    seeds = SweepTable.of({"seed" if name == F else name: column for name, column in TABLE.items()})
+    seeds = SweepTable.from_columns({"seed" if name == F else name: column for name, column in TABLE.items()})
     found = published_table(
         published("here", {P: [20.0, 30.0, 40.0, 50.0]}, {SPEED: [0.1, 0.5, 0.1, None]}), seeds
     )
@@ -105,18 +105,22 @@ def test_texts_and_truth_are_found():
     given = {"key": list("ab"), "a.kind": ["x", "y"], "a.on": [True, False], "status": ["done"] * 2}
     given[f"twin.{SPEED}"] = [1.0, 2.0]
     for field, first in (("a.kind", "y"), ("a.on", False)):
-        found = published_table(published("here", {field: [first]}, {SPEED: [1.0]}), SweepTable.of(given))
+        found = published_table(
+            published("here", {field: [first]}, {SPEED: [1.0]}), SweepTable.from_columns(given)
+        )
         assert found.rows[0][2:] == ("1", "2", "+100.0 %")
 
 
 def test_a_table_without_runs_has_published_values_only():
     nothing = {name: [] for name in ("key", P, "status")}
-    found = published_table(published("here", {P: [20, 30]}, {SPEED: [0.1, None]}), SweepTable.of(nothing))
+    found = published_table(
+        published("here", {P: [20, 30]}, {SPEED: [0.1, None]}), SweepTable.from_columns(nothing)
+    )
     assert [row[1:] for row in found.rows] == [("20", "0.1"), ("30", "–")]
 
 
 def rows():
-    return SweepTable.of(TABLE)
+    return SweepTable.from_columns(TABLE)
 
 
 def stars(axes):
@@ -128,8 +132,8 @@ def stars(axes):
 def legends(axes):
     return [
         text.get_text()
-        for each in axes.findobj(match=lambda a: hasattr(a, "get_texts"))
-        for text in each.get_texts()
+        for artist in axes.findobj(match=lambda a: hasattr(a, "get_texts"))
+        for text in artist.get_texts()
     ]
 
 

@@ -14,7 +14,7 @@ from srs_twin.errors import InputFileError
 from srs_twin.planning import Primitives, Problem, load_footprint, plan
 from srs_twin.planning.fields import FIG54_GOAL, FIG54_START, fig54_world
 from srs_twin.studies.sweep import load_sweep, open_sweep
-from srs_twin.studies.sweep.store import digest
+from srs_twin.studies.sweep.store import rows_digest
 
 WORLDS = """\
 scenario: plan_fig54_8
@@ -56,7 +56,7 @@ def test_the_digest_does_not_know_how_long_planning_took(tmp_path):
         rows = [done.result for done in here(opened.sweep.experiment, opened.missing()[:4])]
     slower = [replace(row, values={**row.values, "plan.plan_s": 9.0}) for row in rows]
     longer = [replace(row, values={**row.values, "plan.plan_nodes": 9.0}) for row in rows]
-    assert digest(rows) == digest(slower) != digest(longer)
+    assert rows_digest(rows) == rows_digest(slower) != rows_digest(longer)
 
 
 @pytest.mark.slow

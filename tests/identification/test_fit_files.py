@@ -12,11 +12,11 @@ from test_actuator_fits import MODULE, response
 
 from srs_twin import load_robot
 from srs_twin.errors import InputError, InputFileError
-from srs_twin.identification.actuator import actuator_unknowns, fit_actuator
-from srs_twin.identification.estimate import Estimate, Parameter, Residual
+from srs_twin.identification.actuator import default_actuator_parameters, fit_actuator
+from srs_twin.identification.estimate import FitEstimate, Parameter, Residual
 from srs_twin.identification.fit_file import DataSet, FitFile, fit_file, load_fit, write_fit
-from srs_twin.identification.fitted_robot import fitted, robot_override
-from srs_twin.identification.unknowns import names_of_fields, unit_of, unknowns, with_values
+from srs_twin.identification.fitted_robot import apply_fit, robot_override
+from srs_twin.identification.parameters import free_parameters, parameter_names, parameter_unit, with_values
 from srs_twin.io.documents import dump_yaml, parse_yaml
 from srs_twin.robot.file import RobotFile, resolve_robot
 
@@ -29,7 +29,7 @@ DATA = [DataSet("a.csv", "a" * 64, "fit", 300), DataSet("b.csv", "b" * 64, "vali
 
 @cache
 def bench() -> FitFile:
-    names = [*actuator_unknowns(MODULE), "mass.connectors_kg_1"]
+    names = [*default_actuator_parameters(MODULE), "mass.connectors_kg_1"]
     found = fit_actuator(
         [response(noise=0.005)], MODULE, names=names, validation=[response(noise=0.005, seed=7)]
     )
@@ -68,22 +68,24 @@ def test_a_fit_becomes_the_robot_of_a_scenario():
     robot = resolved(robot_override(fit)).spec()
     for each in fit.parameters:
         if each.value is not None:
-            assert unknowns(robot, [each.name])[0].start == pytest.approx(each.value, rel=1e-8), each.name
+            assert free_parameters(robot, [each.name])[0].start == pytest.approx(each.value, rel=1e-8), (
+                each.name
+            )
     assert robot.mass == MODULE.mass
     assert robot.actuator.gain == pytest.approx(MODULE.actuator.gain)
 
 
-@pytest.mark.parametrize("name", names_of_fields())
+@pytest.mark.parametrize("name", parameter_names())
 def test_every_parameter_reaches_the_robot(name):
     """Through the file and the override: the number, its unit, its status and its source."""
     spec = load_robot("gen2")
     name = name.replace("_N", "_2")
-    start = unknowns(replace(spec, actuator=replace(spec.actuator, bend_limit=2.0)), [name])[0]
+    start = free_parameters(replace(spec, actuator=replace(spec.actuator, bend_limit=2.0)), [name])[0]
     value = start.start * 1.1 if start.scale is None else start.start + 0.01
-    found = Parameter(name, unit_of(name), "identified", value, 0.001, value - 0.002, value + 0.002)
-    fit = fit_file(Estimate((found,), np.eye(1)), **(ABOUT | {"robot": "gen2"}), data=DATA)
+    found = Parameter(name, parameter_unit(name), "identified", value, 0.001, value - 0.002, value + 0.002)
+    fit = fit_file(FitEstimate((found,), np.eye(1)), **(ABOUT | {"robot": "gen2"}), data=DATA)
     file = resolved(robot_override(fit))
-    assert unknowns(file.spec(), [name])[0].start == pytest.approx(value, rel=1e-8)
+    assert free_parameters(file.spec(), [name])[0].start == pytest.approx(value, rel=1e-8)
     changed = [r for path, r in file.records().items() if "fit bench" in r.source]
     assert changed and all(record.status == "calibrated" for record in changed)
     expected = with_values(spec, {name: value})
@@ -93,23 +95,23 @@ def test_every_parameter_reaches_the_robot(name):
 def test_what_a_model_does_not_explain_stands_in_the_file(tmp_path: Path):
     unsure = Parameter("friction.mu_t", "1", "cannot tell", 0.05, 0.01, 0.03, 0.08, "spread")
     left = Residual("walk.csv yaw_rate", "rad/s", np.array([0.05]), 0.01)
-    estimate = Estimate((unsure,), np.eye(1), (left,), residual_scale=5.0)
+    estimate = FitEstimate((unsure,), np.eye(1), (left,), residual_scale=5.0)
     file = fit_file(estimate, **(ABOUT | {"robot": "gen2"}), data=DATA)
     again = load_fit(write_fit(file, tmp_path / "x.yaml"))
     assert again.parameters[0].verdict == "cannot tell"
     assert again.quality.misfit == [
         "the model does not explain the data; these intervals do not hold",
-        "left of yaw_rate: 5 times the noise, most in walk.csv",
+        "residuals of yaw_rate: 5 times the noise, most in walk.csv",
     ]
-    with pytest.raises(InputError, match="nothing in it is identified"):
+    with pytest.raises(InputError, match="no parameter is identified"):
         robot_override(file, weak=False)
 
 
 def test_weak_numbers_may_be_left_out():
     weak = Parameter("friction.mu_t", "1", "weakly identified", 0.05, 0.01, 0.03, 0.08)
-    fit = fit_file(Estimate((weak,), np.eye(1)), **(ABOUT | {"robot": "gen2"}), data=DATA)
+    fit = fit_file(FitEstimate((weak,), np.eye(1)), **(ABOUT | {"robot": "gen2"}), data=DATA)
     assert robot_override(fit)["friction"]["mu_t"]["value"] == pytest.approx(0.05)
-    with pytest.raises(InputError, match="nothing in it is identified"):
+    with pytest.raises(InputError, match="no parameter is identified"):
         robot_override(fit, weak=False)
 
 
@@ -118,12 +120,12 @@ def test_what_a_fit_held_elsewhere_than_its_robot_goes_along_with_what_it_found(
     found = Parameter("friction.mu_t", "1", "identified", 0.05, 0.001, 0.04, 0.06)
     spec = load_robot("gen2")
     held = {"geometry.segment_length_m": 0.2, "friction.mu_n": spec.friction.mu_n, "spin_share": 0.5}
-    fit = fit_file(Estimate((found,), np.eye(1), held=held), **(ABOUT | {"robot": "gen2"}), data=DATA)
+    fit = fit_file(FitEstimate((found,), np.eye(1), held=held), **(ABOUT | {"robot": "gen2"}), data=DATA)
     block = robot_override(fit)
     assert set(block) == {"base", "friction", "geometry"} and set(block["friction"]) == {"mu_t"}
     robot = resolved(block)
     expected = with_values(spec, held | {"friction.mu_t": 0.05})
-    assert fitted(fit, spec) == expected
+    assert apply_fit(fit, spec) == expected
     assert replace(robot.spec(), title=spec.title) == expected
     length = robot.records()["geometry.segment_length_m"]
     assert length.status == "estimated" and "held in fit bench" in length.source
@@ -133,27 +135,25 @@ def test_nothing_is_predicted_without_a_number_for_what_was_looked_for(tmp_path:
     lost = Parameter("friction.mu_n", "1", "not identifiable", why="only the ratio acts")
     found = Parameter("friction.mu_t", "1", "identified", 0.05, 0.001, 0.04, 0.06)
     about = ABOUT | {"robot": "gen2", "data": DATA, "averages": {"a.csv": ({"speed": 1.0}, {"speed": 1.1})}}
-    estimate = Estimate((found, lost), np.eye(2))
-    with pytest.raises(InputError, match=r"bench: friction.mu_n got no number, so that nothing can be pred"):
+    estimate = FitEstimate((found, lost), np.eye(2))
+    with pytest.raises(InputError, match=r"bench: friction.mu_n has no value, so nothing can be pred"):
         fit_file(estimate, **about)
     whole = fit_file(replace(estimate, held={"friction.mu_n": 0.57}), **about)
     path = write_fit(whole, tmp_path / "x.yaml")
     assert load_fit(path) == whole
     path.write_text(path.read_text().replace("  friction.mu_n: 0.57", "  friction.mu_x: 0.57"))
-    with pytest.raises(
-        InputFileError, match=r"x.yaml:\d+:\d+: .*predicted without a number for friction.mu_n"
-    ):
+    with pytest.raises(InputFileError, match=r"x.yaml:\d+:\d+: .*predicted without a value of friction.mu_n"):
         load_fit(path)
 
 
 def test_a_robot_that_draws_its_gains_is_no_base(tmp_path: Path):
-    text = (Path(__file__).parents[1] / "calibration/robots/gen4_module.yaml").read_text()
+    text = (Path(__file__).parents[2] / "calibration/robots/gen4_module.yaml").read_text()
     spread = '{gain_spread: {value: 0.1, unit: "1", status: estimated, source: x}}'
     (tmp_path / "drawn.yaml").write_text(text + f"\nmodules: {spread}\n")
     found = Parameter("modules.gain_plus_1", "1", "identified", 1.1, 0.001, 1.0, 1.2)
     about = ABOUT | {"robot": str(tmp_path / "drawn.yaml")}
     with pytest.raises(InputError, match="draws modules.gain at random"):
-        robot_override(fit_file(Estimate((found,), np.eye(1)), **about, data=DATA))
+        robot_override(fit_file(FitEstimate((found,), np.eye(1)), **about, data=DATA))
 
 
 def test_the_format_keeps_data_apart(tmp_path: Path):
@@ -181,12 +181,12 @@ def test_what_a_fit_leaves_unknown_stands_in_the_robot(tmp_path):
         Parameter(name, unit, "identified", value, 0.05 * value, value / 1.1, value * 1.1)
         for name, unit, value in zip(names, ("1", "N*m/rad"), (0.05, 0.4), strict=True)
     ]
-    estimate = Estimate(tuple(found), np.array([[1.0, -0.6], [-0.6, 1.0]]))
+    estimate = FitEstimate(tuple(found), np.array([[1.0, -0.6], [-0.6, 1.0]]))
     path = tmp_path / "mine.yaml"
     write_fit(fit_file(estimate, **ABOUT | {"robot": "gen2"}, data=DATA), path)
     priors = Priors.of(fitted_robot([path], "mine"))
     i, j = (priors.paths.index(name) for name in names)
     assert priors.correlation[i, j] == -0.6
-    ends = priors.each[i].at(np.array([0.025, 0.975]))
+    ends = priors.members[i].at(np.array([0.025, 0.975]))
     assert ends == pytest.approx([0.05 / 1.1, 0.05 * 1.1], rel=1e-3)
     assert ends == pytest.approx(lognorm(np.log(1.1) / 1.96, scale=0.05).ppf([0.025, 0.975]), rel=1e-3)

@@ -15,7 +15,7 @@ from srs_twin.compute.workers import Done
 from srs_twin.errors import InputError, WorkerDiedError
 from srs_twin.scenario import parse_scenario
 from srs_twin.studies.sweep import load_sweep, open_sweep
-from srs_twin.studies.sweep.store import digest
+from srs_twin.studies.sweep.store import rows_digest
 from srs_twin.studies.sweep.task import Row
 
 
@@ -160,9 +160,9 @@ def test_both_plants_are_compared(tmp_path):
 def test_the_digest_knows_neither_order_nor_wall_times():
     rows = [Row("a", "done", {"x": 1.0, "y": None}, 0.1), Row("b", "failed", {}, 0.2, "boom", 3)]
     slower = [Row("b", "failed", {}, 9.0, "boom", 3), Row("a", "done", {"y": None, "x": 1.0}, 9.0)]
-    assert digest(rows) == digest(slower)
+    assert rows_digest(rows) == rows_digest(slower)
     for other in (Row("a", "done", {"x": 1.0000000000000002, "y": None}), Row("a", "done", {"x": 1.0})):
-        assert digest([other, rows[1]]) != digest(rows)
+        assert rows_digest([other, rows[1]]) != rows_digest(rows)
 
 
 @pytest.mark.parametrize(

@@ -108,7 +108,7 @@ def project(tmp_path, monkeypatch):
     for plant in BOTH:
         earlier_run(0.01).to_parquet(tmp_path / f"earlier/{plant}.parquet")
     steps = np.arange(0, 151) / 100
-    rows = [f"{each:.2f},{0.2 * (each > 0.45)}" for each in steps]
+    rows = [f"{step:.2f},{0.2 * (step > 0.45)}" for step in steps]
     (tmp_path / "bend.csv").write_text("time,bend_1\n" + "\n".join(rows) + "\n")
     (tmp_path / "bend.valves.csv").write_text(
         "time,valve_plus_1,valve_minus_1\n0,-1,-1\n0.4,1,-1\n1.5,1,-1\n"
@@ -162,11 +162,11 @@ def test_every_file_that_a_point_opens_is_in_its_key(project, tmp_path, case):
         watching.clear()
     assert row.status == DONE, row.reason
     document = sweep.experiment.document(sweep.points[0].changes)
-    known = {str(Path(each).absolute()) for each in file_digests(document)}
+    known = {str(Path(file_digest).absolute()) for file_digest in file_digests(document)}
     programs = [*map(str, sysconfig.get_paths().values()), sys.base_prefix, str(ROOT / "srs_twin"), "/proc"]
     data = {path for path in opened if not path.startswith(tuple(programs)) and Path(path).is_file()}
     assert data <= known
-    named = {str(tmp_path / name) for each, name, *_ in EDITS if each == case}
+    named = {str(tmp_path / name) for edit, name, *_ in EDITS if edit == case}
     assert named - {str(tmp_path / "scenario.yaml"), str(tmp_path / "mine.yaml")} <= known
 
 

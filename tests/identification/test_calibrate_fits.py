@@ -22,7 +22,7 @@ from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError
 from srs_twin.identification import ValveLog, join, read_valves
 from srs_twin.identification.fit_file import load_fit
-from srs_twin.identification.friction import is_pulls, read_pulls
+from srs_twin.identification.friction import is_pull_table, read_pull_table
 from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.takes import gait_run, logs_of, repeats, start_pose, starts_at_rest
 from srs_twin.robot.spec import GRAVITY
@@ -38,11 +38,11 @@ def pulls_file(folder: Path, text: str = PULLS, name: str = "pulls.csv") -> Path
 
 
 def test_a_table_of_pulls(tmp_path):
-    pulls = read_pulls(pulls_file(tmp_path))
+    pulls = read_pull_table(pulls_file(tmp_path))
     assert list(pulls.along) == pytest.approx([3e-3, 2.5e-3, 2.8e-3])
     assert list(pulls.across) == pytest.approx([26e-3, 25e-3])
     assert pulls.coefficients("along")[0] == pytest.approx(30 * 3e-3 / (0.15 * GRAVITY))
-    assert is_pulls(tmp_path / "pulls.csv") and not is_pulls(EXAMPLE / "held.csv")
+    assert is_pull_table(tmp_path / "pulls.csv") and not is_pull_table(EXAMPLE / "held.csv")
 
 
 @pytest.mark.parametrize(
@@ -50,18 +50,18 @@ def test_a_table_of_pulls(tmp_path):
     [
         (PULLS.replace("2.5,25", "2.5,x"), r"pulls.csv:3:2: 'x' is no number"),
         (PULLS.replace("2.5,25", "-2.5,25"), r"pulls.csv:3:1: along_mm: -2.5 is not allowed; a deformation"),
-        (PULLS.replace("2.5,25,30", "2.5,25,31"), r"pulls.csv:3:3: spring_n_per_m: 31 here and 30 before"),
+        (PULLS.replace("2.5,25,30", "2.5,25,31"), r"pulls.csv:3:3: spring_n_per_m: 31 here and 30 above"),
         (PULLS.replace("along_mm", "along_kg"), r"pulls.csv:1:1: along_kg: unit 'kg' is not known"),
         (PULLS.replace(",mass_kg", ",weight"), r"pulls.csv:1: no column 'mass_kg'"),
         (PULLS.replace("along_mm", "along_1_mm"), r"pulls.csv:1:1: along_1_mm: these columns have no"),
         ("along_mm,spring_n_per_m,mass_kg\n3,30,0.15\n", r"pulls.csv: one pull along does not show"),
-        ("along_mm,spring_n_per_m,mass_kg\n3,,0.15\n4,,0.15\n", r"pulls.csv:2:2: spring_n_per_m: no number"),
+        ("along_mm,spring_n_per_m,mass_kg\n3,,0.15\n4,,0.15\n", r"pulls.csv:2:2: spring_n_per_m: the column has no number"),
         (PULLS.replace("2.5,25,30,0.15", "2.5,25,30"), r"pulls.csv:3: 3 cells where the header has 4"),
     ],
 )  # fmt: skip
 def test_pulls_that_cannot_be_read(tmp_path, text, message):
     with pytest.raises(InputError, match=message):
-        read_pulls(pulls_file(tmp_path, text))
+        read_pull_table(pulls_file(tmp_path, text))
 
 
 def test_residuals_stand_on_a_line_each_with_their_path_whole(tmp_path, monkeypatch, capsys):
@@ -99,7 +99,7 @@ def test_pulls_from_the_command_line(tmp_path, srs_twin):
     again = srs_twin(*words, "-q", cwd=tmp_path)
     assert (again.returncode, again.stdout, again.stderr) == (0, "", "")
     other = srs_twin(*words[:3], "--robot", "gen2", cwd=tmp_path)
-    assert other.returncode == 2 and "another fit stands there (srs-twin calibrate friction" in other.stderr
+    assert other.returncode == 2 and "another fit (srs-twin calibrate friction" in other.stderr
     assert load_fit(tmp_path / "calibration/fits/gen2_friction.yaml") == fit
 
 
@@ -108,16 +108,16 @@ def test_pulls_from_the_command_line(tmp_path, srs_twin):
     [
         (
             ["friction", "p.csv", "--validate", "p.csv"],
-            "p.csv: the same data as p.csv, which the fit is made",
+            "p.csv: the same data as p.csv, to which the model is fitted",
         ),
         (
             ["friction", "p.csv", "q.csv"],
-            "q.csv: one table of pulls makes a fit; give others with --validate",
+            "q.csv: a fit uses one table of pulls; give further ones with --validate",
         ),
         (["friction", "none.csv"], "none.csv: no such file"),
         (
             ["friction", "p.csv", "h.csv"],
-            "p.csv is one of tables of pulls, h.csv one of recordings of throws",
+            "p.csv is a table of pulls, h.csv a recording of a coasting test",
         ),
         (["friction", "p.csv", "--name", "No"], "--name: 'No' is not allowed"),
         (
@@ -125,13 +125,13 @@ def test_pulls_from_the_command_line(tmp_path, srs_twin):
             "--out names the fit, without --name: 'My-Fit' is not allowed",
         ),
         (["friction", "p.csv", "--out", "x.txt"], "--out: x.txt is not allowed; a fit file ends in .yaml"),
-        (["actuator", "h.csv", "--valves", "p.csv"], "--valves: take it out; tables of held pressures"),
+        (["actuator", "h.csv", "--valves", "p.csv"], "--valves: remove this option; tables of constant pressures"),
         (["actuator", "h.csv", "--find", "modules.gan_plus_1"], "did you mean modules.gain_plus_N"),
         (["actuator", "h.csv", "--find", ","], "--find: ',' names nothing"),
         (["locomotion", "w.csv"], "w.valves.csv: no such file"),
         (["locomotion", "w.csv", "--valves", "a", "--valves", "b"], "2 logs of valves for 1 recordings"),
         (["locomotion", "w.csv", "--plant", "twn"], "unknown plant 'twn'; did you mean twin"),
-        (["locomotion", "w.csv", "--plant", "twin", "--law", "wheel"], "--law: take it out"),
+        (["locomotion", "w.csv", "--plant", "twin", "--law", "wheel"], "--law: remove this option"),
         (["locomotion", "w.csv", "--pressure", "nan"], "--pressure: nan kPa is not allowed"),
     ],
 )

@@ -12,7 +12,7 @@ from snakes import GRAVITY, robot, throw, vented
 
 from srs_twin import AnalyticalSnake, Plant, PreloadedContact, Trajectory, TwinSnake
 from srs_twin.errors import InputError
-from srs_twin.identification.friction import Coasting, Pulls, fit_coasting, fit_pulls
+from srs_twin.identification.friction import CoastingTest, Pulls, fit_coasting, fit_pulls
 from srs_twin.plants.analytical.floor import slide, spin_share
 
 SPEC = robot(stiffness=20.0)
@@ -47,14 +47,14 @@ def test_what_all_pulls_share_does_not_average_out():
 def test_a_direction_that_was_not_pulled_is_not_identifiable():
     found = fit_pulls(pulls([0.1, 0.11], []))
     assert found["friction.mu_n"].verdict == "not identifiable" and found["friction.mu_n"].value is None
-    assert found["friction.mu_n"].why == "nothing was pulled across"
+    assert found["friction.mu_n"].why == "there are no pulls across"
     assert found["friction.mu_t"].value == pytest.approx(0.105)
 
 
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"along": [0.1]}, "one pull along does not show its scatter"),
+        ({"along": [0.1]}, "one pull along does not show the scatter"),
         ({"along": [0.1, math.nan]}, "pulls along must be a list of lengths"),
         ({"along": [0.1, -0.1]}, "0 or more"),
         ({"mass": 0.0}, "mass 0.0 with error 0.0 is not allowed"),
@@ -79,7 +79,7 @@ def test_pulls_cover_the_truth():
 
 def thrown(
     velocity, *, noise=0.0, seed=0, law="wheel", share=None, heading=0.3, seconds=1.0, mu=(MU_T, MU_N)
-) -> Coasting:
+) -> CoastingTest:
     """Return a throw as a camera at 100 Hz would have seen it."""
     time = np.arange(0.0, seconds, 0.01)
     share = spin_share(SPEC) if share is None else share
@@ -88,7 +88,7 @@ def thrown(
     place = way @ np.array([[c, s], [-s, c]]) + [3.0, -2.0]
     place = place + noise * np.random.default_rng(seed).normal(size=place.shape)
     columns = {"time": time + 7.0, "com_x": place[:, 0], "com_y": place[:, 1]}
-    return Coasting.of(
+    return CoastingTest.from_trajectory(
         Trajectory(columns | {"heading": np.full_like(time, heading)}), f"throw_{seed}", start=7.0
     )
 
@@ -157,7 +157,7 @@ def test_throws_to_validate_with_are_only_looked_at():
         fit_coasting(runs, SPEC, validation=[runs[0]])
 
 
-def coasted(plant: Plant, velocity: tuple[float, float], seconds: float) -> Coasting:
+def coasted(plant: Plant, velocity: tuple[float, float], seconds: float) -> CoastingTest:
     """Throw a plant and record where it goes."""
     throw(plant, velocity)
     states = [plant.step(vented(SPEC)) for _ in range(round(seconds / plant.tick))]
@@ -165,7 +165,7 @@ def coasted(plant: Plant, velocity: tuple[float, float], seconds: float) -> Coas
     time = plant.tick * np.arange(len(states))
     heading = np.array([state.heading for state in states])
     columns = {"time": time, "com_x": com[:, 0], "com_y": com[:, 1], "heading": heading}
-    return Coasting.of(Trajectory(columns), f"{plant.name} {velocity}", start=0.0)
+    return CoastingTest.from_trajectory(Trajectory(columns), f"{plant.name} {velocity}", start=0.0)
 
 
 def test_the_analytical_plant_gives_back_its_coefficients():
@@ -189,15 +189,17 @@ def test_the_twin_gives_back_its_coefficients(wheels, law):
 def test_throws_that_cannot_be_used():
     time = np.arange(0.0, 1.0, 0.01)
     still = {"time": time, "com_x": 0 * time, "com_y": 0 * time, "heading": 0 * time}
-    with pytest.raises(InputError, match="it moves at 0 m/s at most"):
-        Coasting.of(Trajectory(still), "x")
+    with pytest.raises(InputError, match="the largest speed is 0 m/s"):
+        CoastingTest.from_trajectory(Trajectory(still), "x")
     with pytest.raises(InputError, match="it turns by"):
-        Coasting.of(Trajectory(still | {"com_x": 0.3 * time, "heading": time}), "x", start=0.0)
+        CoastingTest.from_trajectory(
+            Trajectory(still | {"com_x": 0.3 * time, "heading": time}), "x", start=0.0
+        )
     with pytest.raises(InputError, match="x: 4 samples; 8 or more are wanted"):
-        Coasting.of(Trajectory({name: each[:4] for name, each in still.items()}), "x")
+        CoastingTest.from_trajectory(Trajectory({name: each[:4] for name, each in still.items()}), "x")
     with pytest.raises(InputError, match="2 samples after the throw"):
-        Coasting.of(Trajectory(still), "x", start=0.98)
+        CoastingTest.from_trajectory(Trajectory(still), "x", start=0.98)
     with pytest.raises(InputError, match="law 'viscous' is unknown here"):
         fit_coasting([thrown((0.5, 0.0))], SPEC, law="viscous")
-    with pytest.raises(InputError, match="none was given"):
+    with pytest.raises(InputError, match="give at least one"):
         fit_coasting([], SPEC)

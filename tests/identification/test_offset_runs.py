@@ -27,9 +27,9 @@ from srs_twin import load_robot
 from srs_twin.errors import InputError
 from srs_twin.identification.fit_file import fit_file
 from srs_twin.identification.fitted_robot import robot_override
-from srs_twin.identification.footprint import Drive
+from srs_twin.identification.footprint import GaitSetup
+from srs_twin.identification.parameters import with_values
 from srs_twin.identification.paths import SteadyPath
-from srs_twin.identification.unknowns import with_values
 from srs_twin.io.documents import dump_yaml, parse_yaml
 from srs_twin.robot.file import resolve_robot
 
@@ -54,7 +54,7 @@ def lawful(monkeypatch):
         return [law(drive.spec, offset) for offset in offsets]
 
     monkeypatch.setattr(module, "predicted", told)
-    return Drive(load_robot("gen4"), 1.5, 131e3, "ilc", 0.7, "analytical"), asked
+    return GaitSetup(load_robot("gen4"), 1.5, 131e3, "ilc", 0.7, "analytical"), asked
 
 
 def measured(offsets, truth=TRUTH, noise=0.0):
@@ -106,15 +106,15 @@ def test_what_cancels_has_no_number_and_nothing_is_predicted_with_the_robots_own
     assert found.rms("fit") < 0.01 and found.rms("validation") < 0.01
     about = {"name": "x", "title": "x", "robot": "gen4", "method": "offsets", "command": "x", "versions": {}}
     data = [run.data_set("fit") for run in measured(OFFSETS)]
-    assert fit_file(found, **about, data=data).withheld() == ["friction.mu_t", "friction.mu_n"]
-    with pytest.raises(InputError, match=r"x: friction.mu_t, friction.mu_n got no number, .* hold one"):
+    assert fit_file(found, **about, data=data).unidentified() == ["friction.mu_t", "friction.mu_n"]
+    with pytest.raises(InputError, match=r"x: friction.mu_t, friction.mu_n has no value, .* fix one"):
         fit_file(found, **about, data=data, averages={"offset 0": ({"speed_m_s": 0.1}, {"speed_m_s": 0.1})})
 
 
 def test_the_same_row_cannot_fit_and_validate(lawful):
     with pytest.raises(InputError, match="must be new to it"):
         fit_offsets(measured(OFFSETS), lawful[0], TRUTH, validation=measured((0.3,)))
-    with pytest.raises(InputError, match="none was given"):
+    with pytest.raises(InputError, match="give at least one"):
         fit_offsets([], lawful[0], TRUTH)
 
 
@@ -143,7 +143,7 @@ def test_all_studies_ship():
 @pytest.mark.parametrize("study", FITS)
 def test_a_shipped_fit_states_each_unknown_once_found_or_held(study):
     fit = FITS[study]
-    assert set(TRUTH) <= numbers(fit).keys() and fit.withheld() == []
+    assert set(TRUTH) <= numbers(fit).keys() and fit.unidentified() == []
     for name, value in held_values(study).items():
         assert fit.held[name] == value and f"{name} held" in fit.title
     assert numbers(FITS["twin"])[LENGTH] == numbers(FITS["analytical"])[LENGTH]
@@ -197,6 +197,6 @@ def test_a_shipped_fit_becomes_a_robot(study):
 
 
 def test_the_page_shows_the_tables_of_the_shipped_fits():
-    page = (Path(__file__).parents[1] / "docs/dissertation-data.md").read_text("utf-8")
+    page = (Path(__file__).parents[2] / "docs/dissertation-data.md").read_text("utf-8")
     for shown in (values_table, rows_table, pairs_table):
         assert shown(FITS) in page, shown.__name__

@@ -13,15 +13,15 @@ from scipy import stats
 from srs_twin.errors import InputError
 from srs_twin.identification.estimate import Parameter, Residual, correlation_time
 from srs_twin.identification.least_squares import SearchOptions, least_squares
-from srs_twin.identification.unknowns import Unknown
+from srs_twin.identification.parameters import FreeParameter
 
 pytestmark = pytest.mark.fast
 
 TIME = np.linspace(0.0, 1.0, 60)
 
 
-def unknown(name: str, start: float, scale: float | None = 1.0, low: float = -50.0) -> Unknown:
-    return Unknown(name, "1", start, low if scale else 1e-3, 50.0, scale)
+def unknown(name: str, start: float, scale: float | None = 1.0, low: float = -50.0) -> FreeParameter:
+    return FreeParameter(name, "1", start, low if scale else 1e-3, 50.0, scale)
 
 
 def line(measured: np.ndarray, noise: float = 1.0):
@@ -104,7 +104,7 @@ def test_what_only_acts_as_a_product_is_not_identifiable_and_has_no_number():
     for name in ("m", "k", "c"):
         assert found[name].verdict == "not identifiable"
         assert found[name].value is None and found[name].standard_error is None and found[name].low is None
-    assert "together with k" in found["m"].why and "m" not in found["c"].why.split()
+    assert "combination of it with k" in found["m"].why and "m" not in found["c"].why.split()
     assert found["c"].why == "the residuals do not depend on it"
     product = next(row for row in found.cancels if "m" in row)
     assert product["m"] == pytest.approx(-product["k"]) and "c" not in product
@@ -136,7 +136,7 @@ def test_what_the_data_want_beyond_its_bounds_has_no_number():
         [unknown("a", 1.0, low=0.0)],
     )
     assert found["a"].verdict == "not identifiable"
-    assert "the least that is allowed, 0 1, or beyond" in found["a"].why
+    assert "at the lower bound, 0 1, or beyond" in found["a"].why
 
 
 @pytest.mark.parametrize("lacks", [False, True])
@@ -157,7 +157,7 @@ def test_a_model_that_lacks_an_effect_cannot_tell(lacks):
     assert found["b"].verdict == "cannot tell" and found["b"].value is not None
     assert "spread about the best value under a wrong model" in found["b"].why
     assert found.misfit[0] == "the model does not explain the data; these intervals do not hold"
-    assert found.misfit[1].startswith("left of path: ") and found.misfit[1].endswith("growing with time")
+    assert found.misfit[1].startswith("residuals of path: ") and found.misfit[1].endswith("growing with time")
     assert found.misfit[0] in found.text()
 
 
@@ -171,7 +171,7 @@ def test_one_kind_of_signal_that_is_not_explained_is_enough():
 
     found = least_squares(residuals, [unknown("a", 0.0)])
     assert found.residual_scale < 1.2 and found["a"].verdict == "cannot tell"
-    assert found.misfit[1].startswith("left of yaw_rate: 4")
+    assert found.misfit[1].startswith("residuals of yaw_rate: 4")
 
 
 @pytest.mark.parametrize("bias", [0.0, 0.05, 0.3])
@@ -185,7 +185,7 @@ def test_a_reference_widens_intervals_by_the_error_of_the_model(bias):
     assert found.value == alone.value
     assert found.standard_error == pytest.approx(math.hypot(alone.standard_error, bias), rel=1e-6)
     assert found.verdict == ("weakly identified" if bias > 0.1 else "identified")
-    assert ("the model's error" in found.why) == (bias > 0)
+    assert ("model error" in found.why) == (bias > 0)
 
 
 @pytest.mark.parametrize("slope", [-0.7, 0.0, 0.5])
@@ -225,7 +225,7 @@ def test_data_for_validation_have_no_say():
 
 
 def test_what_cannot_be_fitted_is_refused():
-    with pytest.raises(InputError, match="60 samples cannot tell 60 unknowns"):
+    with pytest.raises(InputError, match="60 samples cannot determine 60 parameters"):
         least_squares(lambda v: [Residual("x", "1", TIME, 1.0)], [unknown(f"a{k}", 0.0) for k in range(60)])
     with pytest.raises(InputError, match="not finite where the search starts"):
         least_squares(lambda v: [Residual("x", "1", TIME * np.nan, 1.0)], [unknown("a", 0.0)])
@@ -257,7 +257,9 @@ def test_a_guide_leads_past_minima_that_are_not_the_least():
     astray = least_squares(_wrapped(20.0, []), start)
     assert abs(astray["a"].value - 2.0) > 0.2
     led = least_squares(
-        _wrapped(20.0, []), start, options=SearchOptions(coarse=1e-3, guide=lambda each: each.name == "even")
+        _wrapped(20.0, []),
+        start,
+        options=SearchOptions(coarse_step=1e-3, first_stage=lambda residual: residual.name == "even"),
     )
     assert led["a"].value == pytest.approx(2.0, abs=1e-9)
 
@@ -278,7 +280,7 @@ def test_what_a_guide_says_nothing_of_stays():
     found = least_squares(
         watched,
         [unknown("a", 0.0), unknown("b", 0.5)],
-        options=SearchOptions(guide=lambda each: each.name == "led"),
+        options=SearchOptions(first_stage=lambda residual: residual.name == "led"),
     )
     assert found["b"].value == pytest.approx(3.0) and found["a"].value == pytest.approx(1.0)
     assert np.abs(np.array(led[:8]) - 0.5).max() < 1e-3
@@ -286,11 +288,11 @@ def test_what_a_guide_says_nothing_of_stays():
 
 def test_a_search_ends_by_its_runs_or_where_nothing_is_left():
     told: list[float] = []
-    spent = least_squares(_wrapped(20.0, told), [unknown("a", 0.0)], options=SearchOptions(most_runs=4))
+    spent = least_squares(_wrapped(20.0, told), [unknown("a", 0.0)], options=SearchOptions(max_runs=4))
     # Four, one before them to look at the data, and five for what the data tell.
     assert not spent.converged and len(told) <= 1 + 4 + 5
     told.clear()
-    enough = least_squares(_wrapped(0.1, told), [unknown("a", 0.0)], options=SearchOptions(enough=0.5))
+    enough = least_squares(_wrapped(0.1, told), [unknown("a", 0.0)], options=SearchOptions(target_rms=0.5))
     assert enough.converged
     exact: list[float] = []
     least_squares(_wrapped(0.1, exact), [unknown("a", 0.0)])
@@ -308,7 +310,7 @@ def test_over_the_width_that_data_leave_open_ripple_is_no_doubt():
     near = [unknown("a", 2.0)]
     small = least_squares(residuals, near, options=SearchOptions(step=1e-3))
     assert small["a"].verdict == "not identifiable"
-    found = least_squares(residuals, near, options=SearchOptions(step=1e-3, telling=0.3))
+    found = least_squares(residuals, near, options=SearchOptions(step=1e-3, identifiability_step=0.3))
     assert found["a"].verdict == "identified"
     error = 0.1 / np.linalg.norm(TIME)
     assert 0.5 * error < found["a"].standard_error < 2 * error
