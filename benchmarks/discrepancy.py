@@ -12,8 +12,9 @@ import re
 
 import numpy as np
 
-from srs_twin.reproduction import load_baseline, load_claims
-from srs_twin.studies.uncertainty import Discrepancy
+from srs_twin.reproduction.claims import load_claims
+from srs_twin.reproduction.verdicts import load_baseline
+from srs_twin.studies.uncertainty.discrepancy import Discrepancy
 
 SIZE, LENGTH, NOISE = 0.2, 0.2, 0.05
 

@@ -13,13 +13,15 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from srs_twin.studies.uncertainty.metric_uncertainty import predict_twin, sampling_errors
+from srs_twin.studies.uncertainty.spreads import predict_twin, sampling_errors
 
 from srs_twin.robot.file import RobotFile
-from srs_twin.scenario import load_scenario
+from srs_twin.robot.priors import Priors
+from srs_twin.scenario.loading import load_scenario
 from srs_twin.studies.sweep.execution import local
-from srs_twin.studies.uncertainty import Priors, UncertaintyStudy, propagate
-from srs_twin.studies.uncertainty.propagation import REFERENCE_ROWS
+from srs_twin.studies.uncertainty.metric_uncertainty import predict_twin, sampling_errors
+from srs_twin.studies.uncertainty.propagation import REFERENCE_ROWS, propagate
+from srs_twin.studies.uncertainty.study import UncertaintyStudy
 
 FEW, SETS = 64, 10
 ENDS = [0.025, 0.975]

@@ -28,10 +28,10 @@ from synthetic_takes import Take, write_motive
 
 from srs_twin import Gait, RobotSpec, load_robot, rollout
 from srs_twin.errors import InputError
-from srs_twin.identification import read_motion
 from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion
 from srs_twin.identification.parameters import with_values
-from srs_twin.recordings.takes import measured_length
+from srs_twin.identification.recorded_runs import measured_length
+from srs_twin.recordings.recording import read_motion
 
 NAMES = (
     "friction.mu_t", "friction.mu_n", "bending.stiffness_nm_per_rad", "geometry.rigid_gap_m",
@@ -155,7 +155,12 @@ def main() -> None:
         with given.out.open("a", encoding="utf-8") as file:
             file.write(json.dumps(done[seed]) + "\n")
     head = ["model", "parameter", "fits", "identified, %", "cannot tell, %"]
-    print(table(head + ["of identified: holds, %", "lower 95 % bound, %"], list(rows([*done.values()]))))
+    print(
+        table(
+            head + ["coverage of identified values, %", "lower 95 % bound of the coverage, %"],
+            list(rows([*done.values()])),
+        )
+    )
     if some := [each["fits"][m]["seconds"] for each in done.values() for m in each["fits"]]:
         print(f"\n{len(done)} robots, {math.fsum(some) / len(some):.1f} s a fit")
 

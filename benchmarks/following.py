@@ -23,11 +23,11 @@ from grid import table
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.compute.workers import each
 from srs_twin.io.files import atomic_write
-from srs_twin.planning import load_footprint
+from srs_twin.planning.footprint import load_footprint
 from srs_twin.planning.metrics import following_metrics, legs
 from srs_twin.planning.route import Route
 from srs_twin.rollout import rollout
-from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.trajectory import Trajectory
 
 FIELDS = ("follow_gen4_a", "follow_gen4_b", "follow_gen4_c")
@@ -129,9 +129,9 @@ def least_clearance(rows: list[dict[str, Any]]) -> str:
 
 HEADINGS = (
     "field", "plant", "follower", "reached without contact", "reached", "cross-track RMS, median, mm",
-    "largest, mm", "after 4 s, mm", "inside, median, %", "inside text's box, %", "least clearance, mm",
-    "from goal, median, mm",
-    "heading, median, rad", "time, median, s", "new plans in all",
+    "largest, mm", "largest after 4 s, mm", "inside, median, %", "inside the dissertation's box, %",
+    "minimum clearance, mm", "distance from the goal, median, mm", "heading error, median, rad",
+    "time, median, s", "new plans, total",
 )  # fmt: skip
 
 

@@ -18,10 +18,9 @@ import pyarrow.parquet as pq
 from grid import table
 from matplotlib.figure import Figure
 
-from srs_twin.studies.sweep import load_sweep, open_sweep
-from srs_twin.studies.sweep.execution import local
-from srs_twin.studies.sweep.plots import save
-from srs_twin.viewing.plots.style import finish
+from srs_twin.studies.sweep.execution import local, open_sweep
+from srs_twin.studies.sweep.loading import load_sweep
+from srs_twin.viewing.plots.style import finish, save
 
 FREQUENCY = "controller.reference.frequency_hz"
 CONTROLLERS = {"direct": "#0072B2", "iterative": "#D55E00"}

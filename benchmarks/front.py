@@ -39,9 +39,15 @@ FINEST: dict[str, dict[str, Any]] = {
 }
 SETTINGS: dict[str, list[tuple[str, dict[str, Any]]]] = {
     "analytical": [
-        ("2 ms, cut at 0.2 mm/s, ε 0.25 mm/s (default)", {}),
-        *((f"cut at {1e3 * most:g} mm/s", {"tolerance": most}) for most in (0.00005, 0.0001, 0.0004, 0.0008)),
-        *((f"{1e3 * step:g} ms, never cut", {"timestep": step, "tolerance": 1.0}) for step in (0.001, 0.002)),
+        ("2 ms, tolerance 0.2 mm/s, ε 0.25 mm/s (default)", {}),
+        *(
+            (f"tolerance {1e3 * most:g} mm/s", {"tolerance": most})
+            for most in (0.00005, 0.0001, 0.0004, 0.0008)
+        ),
+        *(
+            (f"{1e3 * step:g} ms, no subdivision", {"timestep": step, "tolerance": 1.0})
+            for step in (0.001, 0.002)
+        ),
         *((f"{1e3 * step:g} ms", {"timestep": step}) for step in (0.001, 0.004)),
         *((f"ε {1e3 * slip:g} mm/s", {"slip_speed": slip}) for slip in (0.0001, 0.001)),
     ],
@@ -68,7 +74,7 @@ CONTACTS: list[tuple[str, dict[str, Any]]] = [
         (f"preloaded, {1e3 * step:g} ms", {"contact": "preloaded", "timestep": step})
         for step in (0.001, 0.002)
     ),
-    ("loaded, 1 ms, law of the static load", {"contact": LoadedContact(load="static")}),
+    ("loaded, 1 ms, static loads", {"contact": LoadedContact(load="static")}),
 ]
 
 

@@ -72,11 +72,11 @@ def with_masses(spec: RobotSpec, masses: np.ndarray) -> RobotSpec:
 
 
 SWITCHES: list[tuple[str, tuple[Change, ...], dict[str, Any]]] = [
-    ("everything on", (), {}),
-    ("tail as the others", (equal_tail,), {}),
+    ("none", (), {}),
+    ("light tail", (equal_tail,), {}),
     ("point masses", (), {"inertia": "point"}),
     ("a tenth of the inertia", (quasi_static,), {}),
-    ("both: light tail, a tenth of the inertia", (equal_tail, quasi_static), {}),
+    ("light tail and a tenth of the inertia", (equal_tail, quasi_static), {}),
     ("no friction", (frictionless,), {}),
     ("`axis` law", (), {"friction": "axis"}),
     ("`ellipse` law", (), {"friction": "ellipse"}),
@@ -176,7 +176,7 @@ def over_gaits() -> None:
         [f"{f:g}", f"{offset:g}", *map(row, group), remarks(group[0])]
         for (f, offset), group in zip(GAITS, groups, strict=True)
     ]
-    print(table(["f Hz", "offset", *PLANTS, "what the twin shows"], rows), end="\n\n")
+    print(table(["f Hz", "offset", *PLANTS, "observations, twin"], rows), end="\n\n")
 
 
 def over_stiffness() -> np.ndarray:
@@ -187,7 +187,7 @@ def over_stiffness() -> np.ndarray:
         [f"{k:g}", row(twin), row(compliant), remarks(twin)]
         for k, twin, compliant in zip(STIFFNESS, *both, strict=True)
     ]
-    print(table(["k, N·m/rad", *PLANTS[:2], "what the twin shows"], rows), end="\n\n")
+    print(table(["k, N·m/rad", *PLANTS[:2], "observations, twin"], rows), end="\n\n")
     return both
 
 
@@ -202,7 +202,7 @@ def over_damping() -> dict[str, np.ndarray]:
     groups = [found[len(kinds) * i :][: len(kinds)] for i in range(len(settings))]
     rows = [[name, *map(row, group), remarks(group[2])] for name, group in zip(names, groups, strict=True)]
     heads = [f"{plant}, {f:g} Hz" for plant, f in kinds]
-    print(table(["", *heads, "what the twin shows at 2 Hz"], rows), end="\n\n")
+    print(table(["damping", *heads, "observations, twin at 2 Hz"], rows), end="\n\n")
     shown = (0, DAMPING.index(SILICONE), len(DAMPING) + DAMPING.index(SILICONE))
     return {names[i]: groups[i][2] for i in shown}
 
@@ -222,7 +222,8 @@ def switched_off() -> None:
         [name, row(a), remarks(a), row(b), remarks(b)]
         for (name, _, _), a, b in zip(SWITCHES, slow, fast, strict=True)
     ]
-    print(table(["", *(cell for f in gaits for cell in (f"{f:g} Hz", "shows"))], rows), end="\n\n")
+    head = ["change", *(cell for f in gaits for cell in (f"{f:g} Hz", "observations"))]
+    print(table(head, rows), end="\n\n")
 
 
 def loads_by_height() -> dict[float, np.ndarray]:
@@ -230,8 +231,8 @@ def loads_by_height() -> dict[float, np.ndarray]:
     cases = [Case("twin", f, height=height) for height in HEIGHTS for f in (0.75, 1.0)]
     with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
         found = list(pool.map(Case.loads, cases))
-    head = ["height mm", "f Hz", "mean", "least", "std", "% of the time without load",
-            "tail's acceleration along, g: RMS, most", "across"]  # fmt: skip
+    head = ["height mm", "f Hz", "mean", "minimum", "standard deviation", "time without load, %",
+            "acceleration of the tail along the heading, g: RMS, maximum", "across the heading"]  # fmt: skip
     print(table(head, [load_row(*each) for each in zip(cases, found, strict=True)]))
     return {
         case.height or 0.0: loads
@@ -279,7 +280,8 @@ def on_two_axles() -> None:
     with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
         found = list(pool.map(lifted, *zip(*cases, strict=True)))
     names = ["one axle" if tail is None else f"two, {1e3 * tail.com_height:g} mm" for tail, _, _ in cases]
-    head = ["f Hz", "c/k ms", "tail", "mm/s", "amplitudes", "shows", "% one front wheel up", "both"]
+    lifts = ["one front wheel lifted, %", "both, %"]
+    head = ["f Hz", "c/k ms", "tail", "mm/s", "amplitudes, rad", "observations", *lifts]
     rows = [
         [f"{f:g}", f"{1e3 * lag:g}", name, *cells]
         for (_, f, lag), name, cells in zip(cases, names, found, strict=True)

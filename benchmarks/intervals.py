@@ -122,7 +122,7 @@ def main(repetitions: int) -> None:
         ("static table", static, STATIC, repetitions),
         ("gait runs, complete", gaits(), GAIT, repetitions),
     )
-    print("| data | parameter | held the truth | no number | mean error over its standard error |")
+    print("| data | parameter | true value in the interval | no value | mean error / standard error |")
     print("|---|---|---|---|---|")
     for name, fit, truth, count in fits:
         found = [fit(np.random.default_rng([seed, 8])) for seed in range(count)]

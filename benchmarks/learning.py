@@ -16,8 +16,8 @@ import pyarrow.parquet as pq
 from grid import table
 
 from srs_twin.io.files import atomic_write
-from srs_twin.studies.sweep import load_sweep
 from srs_twin.studies.sweep.execution import local, open_sweep
+from srs_twin.studies.sweep.loading import load_sweep
 
 CARRIERS_HZ = (60, 120)
 CURLS = 0.2  # 1/m

@@ -20,7 +20,7 @@ from synthetic_takes import Take, write_motive
 from timing import ROUNDS
 
 from srs_twin import AnalyticalSnake, Gait, Trajectory, load_robot, rollout
-from srs_twin.identification import Recording, read_motion
+from srs_twin.recordings.recording import Recording, read_motion
 
 RATE = 120.0
 SPEC = load_robot("gen2")

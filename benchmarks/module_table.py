@@ -5,7 +5,7 @@
 
 What the runs gave goes to docs/module.json, and the table between two marks in docs/module.md. Tests hold
 that the table is the one that these numbers give, and that the shipped scenarios still give these numbers.
-Bold: not met. `apart`: the largest difference of the benches in that line over the analytical one's number.
+Bold: not met. `difference`: largest difference of the benches in a line, relative to the analytical value.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def figures(draws: int) -> dict[str, Any]:
 
 def report(found: Mapping[str, Any]) -> str:
     """Return the table."""
-    head = ["what", "text", *PLANTS, "apart", "scenario"]
+    head = ["quantity", "dissertation", *PLANTS, "difference", "scenario"]
     return table(head, [line.cells(found) for line in LINES])
 
 

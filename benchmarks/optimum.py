@@ -23,10 +23,9 @@ import cma
 import numpy as np
 from grid import table
 
-from srs_twin.studies.optimization import load_study, search
-from srs_twin.studies.optimization.loading import OptimizationStudy
+from srs_twin.studies.optimization.loading import OptimizationStudy, load_study
 from srs_twin.studies.optimization.runs import Run, StudyRuns
-from srs_twin.studies.optimization.search import costs, excesses, front
+from srs_twin.studies.optimization.search import costs, excesses, front, search
 from srs_twin.studies.sweep.execution import local
 
 POPULATION = 12

@@ -17,7 +17,7 @@ from grid import table
 from plan_sampling import TOUCH, deepest, misses
 from witnessed_worlds import bodies, walls
 
-from srs_twin.planning import plan
+from srs_twin.planning.planner import plan
 
 RATIOS = (1.05, 1.1, 1.3, 1.8)
 

@@ -6,7 +6,9 @@ import math
 
 import numpy as np
 
-from srs_twin.planning import Footprint, Plan, Problem
+from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.plan import Plan
+from srs_twin.planning.problem import Problem
 from srs_twin.robot.world import World
 
 TOUCH = 1e-6

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.planning import Footprint, Problem, load_footprint
-from srs_twin.planning.fields import strewn
-from srs_twin.planning.footprint import Transient
+from srs_twin.planning.footprint import Footprint, Transient, load_footprint
+from srs_twin.planning.problem import Problem
+from srs_twin.robot.drawn_worlds import strewn
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 BODIES = ("gen2_section52", "gen4_table8", "gen4_table9")

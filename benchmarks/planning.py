@@ -30,8 +30,19 @@ from plan_worlds import drawn_problem
 from timing import machine
 
 from srs_twin.io.files import atomic_write
-from srs_twin.planning import Plan, Primitives, Problem, Settings, load_footprint, plan
-from srs_twin.planning.fields import FIG54_BOUNDS, FIG54_GOAL, FIG54_SITES, FIG54_START, fig54_world, strewn
+from srs_twin.planning.arcs import Primitives
+from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.plan import Plan
+from srs_twin.planning.planner import plan
+from srs_twin.planning.problem import Problem, Settings
+from srs_twin.robot.drawn_worlds import (
+    FIG54_BOUNDS,
+    FIG54_GOAL,
+    FIG54_SITES,
+    FIG54_START,
+    fig54_world,
+    strewn,
+)
 from srs_twin.robot.world import Bounds, Goal, Polygon, Pose, World
 from srs_twin.scenario.map_file import read_map
 
@@ -201,8 +212,8 @@ def tables(found: dict[str, Any]) -> str:
         ]
         for name, r in ((name, found[name]) for name in names)
     ]  # fmt: skip
-    head = ["planner", f"solved of {total}", "of these drivable", "of those any solved"]
-    head += ["misses of greedy's", "median ms", "p95 ms", "most ms", "mean length m"]
+    head = ["planner", f"solved of {total}", "drivable", "of the worlds that any planner solves"]
+    head += ["unsolved, but solved by greedy", "median, ms", "95 %, ms", "max, ms", "mean length, m"]
     by_count = [[name, *(f"{100 * share:.0f}" for share in success[name].values())] for name in names]
     return f"{table(head, rows)}\n\n{table(['success %', *map(str, success[names[0]])], by_count)}"
 

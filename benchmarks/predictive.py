@@ -20,10 +20,11 @@ import numpy as np
 from scipy.stats import binomtest
 
 from srs_twin.robot.file import RobotFile
-from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.robot.priors import Priors
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.studies.sweep.execution import local
-from srs_twin.studies.uncertainty import Priors, Propagation, UncertaintyStudy, propagate
-from srs_twin.studies.uncertainty.propagation import REFERENCE_ROWS
+from srs_twin.studies.uncertainty.propagation import REFERENCE_ROWS, Propagation, propagate
+from srs_twin.studies.uncertainty.study import UncertaintyStudy
 from srs_twin.studies.uncertainty.surrogates import PolynomialChaos
 
 FINER: dict[str, Any] = {"hinges_per_segment": 4, "timestep_s": 0.0005}

@@ -19,10 +19,12 @@ import numpy as np
 from grid import table
 from witnessed_worlds import KINDS, bodies, drawn
 
-from srs_twin.planning import Footprint, Problem, load_footprint, plan
 from srs_twin.planning.collision import surroundings
+from srs_twin.planning.footprint import Footprint, load_footprint
 from srs_twin.planning.free_space import disconnected
+from srs_twin.planning.planner import plan
 from srs_twin.planning.pockets import COARSE, FINE, shut_in
+from srs_twin.planning.problem import Problem
 from srs_twin.robot.world import Polygon, Pose, World
 
 

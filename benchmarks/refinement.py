@@ -24,13 +24,13 @@ HALF_SLIP = {"contact": LoadedContact(slip_speed=LoadedContact.slip_speed / 2)}
 
 CASES: dict[str, list[tuple[str, dict[str, Any]]]] = {
     "analytical": [
-        ("default: 2 ms, cut at 0.2 mm/s, ε 0.25 mm/s", {}),
+        ("default: 2 ms, tolerance 0.2 mm/s, ε 0.25 mm/s", {}),
         ("time step halved", {"timestep": 0.001}),
         ("time step quartered", {"timestep": 0.0005}),
-        ("cut at half", {"tolerance": 0.0001}),
+        ("tolerance halved", {"tolerance": 0.0001}),
         ("ε halved", {"slip_speed": 0.000125}),
         (
-            "time step an eighth, cut at a tenth, ε quartered",
+            "time step 1/8, tolerance 1/10, ε 1/4",
             {"timestep": 0.00025, "slip_speed": 0.0000625, "tolerance": 0.00002},
         ),
     ],

@@ -59,7 +59,7 @@ def reach(of: Strip) -> float:
 
 def cell(of: Strip) -> str:
     found = line(of)
-    turns = "" if found.monotonic else ", turns back"
+    turns = "" if found.monotonic else ", not monotonic"
     return f"{reach(of):.2f}, {found.r_squared:.4f}, {np.degrees(found.worst_error):.1f}{turns}"
 
 
@@ -154,12 +154,13 @@ def by_chamber() -> None:
                 f"{found.voltage_range[0]:.2f} to {found.voltage_range[1]:.2f}",
                 f"{found.r_squared:.4f}",
                 f"{np.degrees(found.worst_error):.1f}",
-                f"{back.min():.0f} to {back.max():.0f}" if len(back) else "nowhere",
+                f"{back.min():.0f} to {back.max():.0f}" if len(back) else "–",
                 f"{per_volt * sensor.gain * sensor.noise:.2f}",
                 f"{per_volt * sensor.step:.2f}",
             ]
         )
-    head = ["chamber", "V", "R²", "worst °", "turns back °", "noise RMS °", "converter's step °"]
+    angles = ["largest error, °", "not monotonic, °", "noise RMS, °", "converter's step, °"]
+    head = ["chamber", "V", "R²", *angles]
     print("\n" + table(head, rows), flush=True)
 
 

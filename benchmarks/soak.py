@@ -25,8 +25,8 @@ import numpy as np
 
 from srs_twin import Trajectory, TwinBatch, load_robot, load_scenario, run_batch
 from srs_twin.experiment import run_scenario
-from srs_twin.studies.sweep import load_sweep, open_sweep
-from srs_twin.studies.sweep.execution import local
+from srs_twin.studies.sweep.execution import local, open_sweep
+from srs_twin.studies.sweep.loading import load_sweep
 
 SWEEP = """\
 scenario: gen2_straight

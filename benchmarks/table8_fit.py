@@ -218,7 +218,7 @@ def value_text(fit: FitFile, name: str) -> str:
     each = next((each for each in fit.parameters if each.name == name), None)
     if each and each.value is not None:
         return f"{each.value:.3g} ({each.low:.2g} to {each.high:.2g}), {each.verdict}"
-    return f"{fit.held[name]:.3g}, held" + (f": {each.verdict}" if each else "")
+    return f"{fit.held[name]:.3g}, fixed" + (f": {each.verdict}" if each else "")
 
 
 def rows_table(fits: dict[str, FitFile]) -> str:

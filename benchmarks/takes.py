@@ -26,7 +26,7 @@ from scipy.interpolate import CubicSpline
 from synthetic_takes import MAPS, MOTIVE_LENGTHS, Take, stretched, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, InputError, RobotSpec, TwinSnake, load_robot, rollout
-from srs_twin.identification import read_motion
+from srs_twin.recordings.recording import read_motion
 
 LAYOUTS = ("single", "head", "pair", "middles", "head_middles")
 HEADS = {"head": "snake:ahead", "head_middles": "snake:ahead", "pair": "snake:1a"}

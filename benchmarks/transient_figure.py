@@ -18,9 +18,8 @@ from matplotlib.axes import Axes
 from transient import Turned, turned
 
 from srs_twin.io.files import atomic_write
-from srs_twin.planning import load_footprint
 from srs_twin.planning.arcs import along
-from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.footprint import Footprint, load_footprint
 from srs_twin.viewing.plots.style import finish, style_of
 
 CASE = ("ilc_curve", -0.3, 0.3, 24.0)

@@ -24,7 +24,7 @@ def tables() -> str:
         task = make_task(name)
         parts.append(
             f"### SRSTwin/{name}-v0\n\n"
-            f"A step holds for {task.step_s:g} s; an episode is cut off after {task.limit_s:g} s.\n\n"
+            f"A step takes {task.step_s:g} s; an episode is truncated after {task.limit_s:g} s.\n\n"
             f"{_table('action', task.actions)}\n\n{_table('observation', task.observations)}"
         )
     return "\n\n".join(parts)
@@ -38,7 +38,7 @@ def placed(page: str) -> str:
 
 
 def _table(kind: str, signals: Signals) -> str:
-    rows = [f"| {kind} | unit | least | greatest | what |", "|---|---|---|---|---|"]
+    rows = [f"| {kind} | unit | minimum | maximum | meaning |", "|---|---|---|---|---|"]
     rows += [
         f"| `{signal.name}` | {signal.unit} | {signal.low:.4g} | {signal.high:.4g} | {signal.description} |"
         for signal in signals
@@ -47,7 +47,7 @@ def _table(kind: str, signals: Signals) -> str:
 
 
 def main(path: str) -> None:
-    """Write the tables of a page anew."""
+    """Replace the tables of a page."""
     page = Path(path)
     with atomic_write(page) as part:
         Path(part).write_text(placed(page.read_text("utf-8")), "utf-8")

@@ -18,9 +18,9 @@ from PIL import Image
 from shapely import LineString
 
 from srs_twin.comparison.centre_line import centre_lines
-from srs_twin.planning.plan_view import outline, rows_at
 from srs_twin.robot.spec import Geometry, RobotSpec
 from srs_twin.trajectory import Trajectory
+from srs_twin.viewing.plots.from_above import outline, rows_at
 from srs_twin.viewing.plots.signals import gait_period, period_speed, pressure_difference, wheel_centres
 from srs_twin.viewing.plots.style import MINUS_COLOR, PLUS_COLOR, finish, pressure_colors, style_of
 

@@ -10,13 +10,14 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from live_picture import KNOWN, TRUE, tubes
+from live_picture import TRUE, UNIDENTIFIABLE_ERROR, tubes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
 from srs_twin.rollout import rollout
-from srs_twin.scenario import Scenario, load_scenario
+from srs_twin.scenario.loading import load_scenario
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 
 SECONDS, FRAME_S, FROM_S = 3.2, 0.04, 2.0
@@ -43,7 +44,7 @@ def picture(runs: list[tuple[str, Scenario, Trajectory]], row: int, begun: int) 
     for k, (text, scenario, run) in enumerate(runs):
         axes = figure.add_axes((0.0, 0.56 - 0.47 * k, 1.0, 0.42))
         geometry = scenario.robot.geometry
-        color = KNOWN if k else TRUE
+        color = UNIDENTIFIABLE_ERROR if k else TRUE
         tubes(axes, places(run, row, begun), geometry, [color] * scenario.robot.segments, zorder=2)
         axes.set(
             xlim=(-0.25, LONG - 0.25),

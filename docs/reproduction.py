@@ -1,4 +1,4 @@
-"""Write what README.md and docs/reproduction.md say of the reproduction from the committed baseline.
+"""Write the tables of the reproduction in README.md and docs/reproduction.md from the committed baseline.
 
 uv run srs-twin reproduce --write-baseline   # runs everything, writes calibration/published/baseline.json
 uv run python docs/reproduction.py           # writes both pages from it
@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from srs_twin.io.files import atomic_write
-from srs_twin.reproduction import Baseline, Claim, Judged, Outcome, load_baseline, load_claims
+from srs_twin.reproduction.claims import Claim, load_claims
 from srs_twin.reproduction.report import MEANINGS, TITLES, by_category, cell, count, published
-from srs_twin.reproduction.verdicts import EXPLAINED, MET, MISSED
+from srs_twin.reproduction.verdicts import EXPLAINED, MET, MISSED, Baseline, Judged, Outcome, load_baseline
 
 ROOT = Path(__file__).parents[1]
 NAME = "reproduction"
@@ -24,7 +24,7 @@ def remembered(claims: Sequence[Claim], baseline: Baseline) -> tuple[Judged, ...
 
 
 def markdown(rows: Sequence[Judged]) -> str:
-    """Return the tables of docs/reproduction.md: one section per category, and why its rows are missed."""
+    """Return the tables of docs/reproduction.md: one section per category, with the causes of its misses."""
     parts = []
     for name, chosen in by_category(rows).items():
         lines = [
@@ -41,7 +41,7 @@ def markdown(rows: Sequence[Judged]) -> str:
         why = list(dict.fromkeys(_reasons(chosen)))
         parts += [
             "\n".join(lines),
-            *(["\n".join(["Missed, and why as far as known:", "", *why])] if why else []),
+            *(["\n".join(["Causes of missed and explained rows:", "", *why])] if why else []),
         ]
     return "\n\n".join(parts)
 
@@ -49,7 +49,8 @@ def markdown(rows: Sequence[Judged]) -> str:
 def table(rows: Sequence[Judged]) -> str:
     """Return the table of the README: rows met by category, headline first."""
     columns = {"twin": "twin", "analytical": "analytical model", "alone": "without a plant"}
-    lines = [f"{len(rows)} rows; met of those judged:", "", f"| rows | {' | '.join(columns.values())} |"]
+    lines = [f"{len(rows)} rows in total; the table counts the rows that are met:", ""]
+    lines += [f"| rows | {' | '.join(columns.values())} |"]
     lines += [f"|{' --- |' * (len(columns) + 1)}"]
     for name, chosen in by_category(rows).items():
         counts = [count(chosen, column) for column in columns]
@@ -91,18 +92,18 @@ def _reasons(rows: Sequence[Judged]) -> list[str]:
     for row in rows:
         for column, outcome in row.outcomes.items():
             if outcome.verdict != MET:
-                why = outcome.why or "not known"
+                why = outcome.why or "cause not known"
                 found.setdefault((row.claim.id, f"{outcome.verdict}: {why}"), []).append(column)
     return [f"- `{name}` ({', '.join(columns)}) {why}" for (name, why), columns in found.items()]
 
 
 def between(page: str, name: str, text: str) -> str:
-    """Return a page with a text between its marks of this name.
+    """Return a page with the text between the marks of this name replaced.
 
     Args:
         page: with ``<!-- name: begin -->`` and ``<!-- name: end -->``.
-        name: of the marks.
-        text: what is to stand there.
+        name: name of the marks.
+        text: new text.
     """
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
     before, _, rest = page.partition(begin)
@@ -111,13 +112,13 @@ def between(page: str, name: str, text: str) -> str:
 
 
 def pages(rows: tuple[Judged, ...]) -> dict[Path, str]:
-    """Return both pages as they are to be."""
+    """Return the new text of both pages."""
     texts = {ROOT / "README.md": table(rows), ROOT / "docs/reproduction.md": markdown(rows)}
     return {path: between(path.read_text("utf-8"), NAME, text) for path, text in texts.items()}
 
 
 def main() -> None:
-    """Write both."""
+    """Write both pages."""
     rows = remembered(load_claims(), load_baseline())
     for path, text in pages(rows).items():
         with atomic_write(path) as part:

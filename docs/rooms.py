@@ -1,8 +1,9 @@
-"""Draws the rooms of the package from its imports: who stands on whom.
+"""Picture of the rooms of the package, drawn from its imports.
 
     uv run python docs/rooms.py
 
-A room stands above all that it imports, inside functions too. Lines that follow from others are left out.
+A room is drawn above all rooms that it imports, imports inside functions included. Edges that follow from
+others are omitted.
 """
 
 from __future__ import annotations
@@ -18,6 +19,12 @@ from matplotlib import pyplot as plt
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "srs_twin"
 IMAGE = ROOT / "docs" / "images" / "rooms.svg"
+
+CORE = {
+    *("errors", "extensions", "io", "compute", "robot", "trajectory", "pneumatics", "sensing", "plants"),
+    *("control", "rollout", "comparison", "scenario", "viewing", "experiment", "attribution", "cli"),
+}
+"""Rooms of the core; all others are extensions."""
 
 Rooms = dict[str, set[str]]
 
@@ -37,7 +44,7 @@ def rooms_of(package: Path) -> Rooms:
 
 
 def levels(rooms: Rooms) -> dict[str, int]:
-    """Return on which floor each room stands: one above the highest that it imports."""
+    """Return the layer of each room: one above the highest layer that it imports."""
     found: dict[str, int] = {}
 
     def level(room: str) -> int:
@@ -51,7 +58,7 @@ def levels(rooms: Rooms) -> dict[str, int]:
 
 
 def reduced(rooms: Rooms) -> Rooms:
-    """Return imports without those that another import brings along."""
+    """Return the imports that do not follow from others."""
 
     def below(room: str) -> set[str]:
         return rooms[room].union(*map(below, rooms[room]))
@@ -60,9 +67,9 @@ def reduced(rooms: Rooms) -> Rooms:
 
 
 def draw(rooms: Rooms, path: Path) -> None:
-    """Write the picture: a box a room, what stands on nothing at the bottom."""
-    floor = levels(rooms)
-    rows = [sorted(room for room in rooms if floor[room] == k) for k in range(max(floor.values()) + 1)]
+    """Write the picture: one box per room, above all rooms that it imports; extensions in another colour."""
+    level = levels(rooms)
+    rows = [sorted(room for room in rooms if level[room] == k) for k in range(max(level.values()) + 1)]
     place = {room: (i - (len(row) - 1) / 2, k) for k, row in enumerate(rows) for i, room in enumerate(row)}
     plt.rcParams |= {"svg.hashsalt": "rooms", "svg.fonttype": "none", "font.size": 9}
     figure, axes = plt.subplots(figsize=(9.0, 0.62 * len(rows) + 0.6))
@@ -71,8 +78,13 @@ def draw(rooms: Rooms, path: Path) -> None:
             (x, y), (to_x, to_y) = place[room], place[other]
             axes.plot((x, to_x), (y - 0.2, to_y + 0.2), color="0.75", linewidth=0.9, zorder=1)
     for room, (x, y) in place.items():
-        box = {"boxstyle": "round,pad=0.35", "facecolor": "#eaf1f8", "edgecolor": "#4a6d8c", "linewidth": 0.8}
+        face, edge = ("#eaf1f8", "#4a6d8c") if room in CORE else ("#fdf0e1", "#b5762a")
+        box = {"boxstyle": "round,pad=0.35", "facecolor": face, "edgecolor": edge, "linewidth": 0.8}
         axes.text(x, y, room, ha="center", va="center", bbox=box, zorder=2)
+    top = max(level[room] for room in CORE) + 0.5
+    axes.axhline(top, color="0.6", linewidth=0.8, linestyle="--", zorder=0)
+    axes.text(-2.5, top - 0.18, "core", color="#4a6d8c", va="top")
+    axes.text(-2.5, top + 0.18, "extensions", color="#b5762a", va="bottom")
     axes.set(xlim=(-2.6, 2.6), ylim=(-0.6, len(rows) - 0.4))
     axes.axis("off")
     figure.tight_layout(pad=0.2)

@@ -2,9 +2,9 @@
 
     uv run --extra rl python examples/train_goto.py --out runs/goto
 
-The policy is linear in where the goal lies (bearing, distance, 1), squeezed into [−1, 1] by tanh: nine
-numbers. All candidates of a generation see the same goals. Writes policy.json, and the learning curve as
-curve.csv and curve.png.
+The policy is linear in the features bearing, distance and 1 of the goal and has nine weights; tanh maps its
+output to [−1, 1]. All candidates of a generation have the same goals. The script writes policy.json, and the
+learning curve as curve.csv and curve.png.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from matplotlib.figure import Figure
 
 from srs_twin.envs.gymnasium import SnakeVectorEnv
 
-_TESTED = 20  # goals that the training has not seen, seeds 0 to 19
+_TESTED = 20  # number of test goals, seeds 0 to 19, which the training does not use
 FOLLOWER = 1.96  # mean return of the planner and follower over 20 goals (docs/environments.md)
 
 
 def features(observation: np.ndarray, names: list[str]) -> np.ndarray:
-    """Return bearing of the goal (rad), distance (m) and 1 for each environment."""
+    """Return the features bearing (rad), distance (m) and 1 of the goal, shape (environments, 3)."""
     ahead, left = (observation[:, names.index(f"goal_{way}_m")] for way in ("ahead", "left"))
     return np.stack([np.arctan2(left, ahead), np.hypot(ahead, left), np.ones_like(ahead)], axis=1)
 
 
 def returns(env: SnakeVectorEnv, policies: np.ndarray, seeds: Sequence[int]) -> np.ndarray:
-    """Return what an episode of each policy gives, each with the goal of its seed, shape (policies,)."""
+    """Return the episode returns of the policies, each with the goal of its seed, shape (policies,)."""
     box = env.single_action_space
     assert isinstance(box, gymnasium.spaces.Box)
     middle, half = (box.high + box.low) / 2, (box.high - box.low) / 2
@@ -49,11 +49,11 @@ def returns(env: SnakeVectorEnv, policies: np.ndarray, seeds: Sequence[int]) -> 
 
 
 def main() -> None:
-    """Train, and write what came of it."""
+    """Train a policy and write it with its learning curve."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--generations", type=int, default=20)
     parser.add_argument("--candidates", type=int, default=12)
-    parser.add_argument("--goals", type=int, default=2, help="episodes of each candidate a generation")
+    parser.add_argument("--goals", type=int, default=2, help="episodes of each candidate per generation")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("runs/goto"))
     given = parser.parse_args()
@@ -90,7 +90,7 @@ def main() -> None:
     axes.set_ylabel("return")
     axes.legend(frameon=False)
     figure.savefig(given.out / "curve.png", dpi=120)
-    print(f"20 other goals: mean return {policy['mean_return']:.3f}; planner and follower {FOLLOWER}")
+    print(f"20 test goals: mean return {policy['mean_return']:.3f}; planner and follower {FOLLOWER}")
 
 
 if __name__ == "__main__":

@@ -26,13 +26,14 @@ from srs_twin.errors import DivergedError, InputError
 from srs_twin.io.documents import dump_yaml
 from srs_twin.io.file_sets import replaced
 from srs_twin.io.files import data_root, open_folder, shipped_names, shown
-from srs_twin.planning.margins import BEFORE_CONTACTS
 from srs_twin.plants.base import Plant
+from srs_twin.plants.twin.mjcf.numerics import UNSTATED_CONTACT
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import rollout
-from srs_twin.scenario import Scenario, load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import judged_digest, versions
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -254,7 +255,7 @@ def kept_intervals(scenario: Scenario) -> dict[str, Any]:
         kept, plants = found["digest"], found["plants"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         return {"stale": f"{shown(path)} cannot be read ({error}); {renew} writes it again"}
-    own, here = found.get("contact") or BEFORE_CONTACTS, twin_contact(scenario)
+    own, here = found.get("contact") or UNSTATED_CONTACT, twin_contact(scenario)
     if "twin" in plants and here is not None and own != here:
         return {
             "stale": f"the interval in {shown(path)} is for a twin with contact {own}, not {here}; "
@@ -393,9 +394,7 @@ def check_run(scenario: Scenario, out: Path) -> None:
         InputError: the folder cannot be written, or nothing can be planned.
     """
     open_folder(out, _OF_REPLAYS)
-    if scenario.planner is not None:
-        with scenario.named_in_errors():
-            scenario.planner.plan()
+    scenario.check_run()
 
 
 def run_scenario(

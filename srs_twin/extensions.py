@@ -1,18 +1,109 @@
-"""Registry of what the core looks up by name.
+"""Registry of the extensions: the only place in the core that names one.
 
-An entry is ``name: "module:object"``. The module is imported when the object is asked for.
+An entry is ``name: "module:object"``. The module is imported when a file or a command asks for the object.
+An entry whose extension is not installed is left out.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
-PAGES = {"html": "srs_twin.viewing.html.report:shown"}
-"""Pages of results in notebooks."""
+COMMANDS = {
+    "inspect": "srs_twin.recordings.inspect_command:inspect",
+    "plan": "srs_twin.planning.command:plan",
+    "replay": "srs_twin.identification.replay_command:replay",
+    "sweep": "srs_twin.studies.sweep.command:sweep",
+    "optimize": "srs_twin.studies.optimization.command:optimize",
+    "uncertainty": "srs_twin.studies.uncertainty.command:uncertainty",
+    "reproduce": "srs_twin.reproduction.command:reproduce",
+    "emulate": "srs_twin.live.emulate_command:emulate",
+    "shadow": "srs_twin.live.shadow_command:shadow",
+    "calibrate": "srs_twin.identification.command:app",
+}
+"""Commands: functions, or typer applications with commands of their own."""
+
+CONTROLLERS = {
+    "replay": "srs_twin.recordings.scenario:ReplayFile",
+    "follow": "srs_twin.planning.scenario:FollowFile",
+}
+"""Kinds of `controller` in a scenario: sections that build the controller."""
+
+SECTIONS = {
+    "recording": "srs_twin.recordings.scenario:RECORDING",
+    "planner": "srs_twin.planning.scenario:PLANNER",
+}
+"""Further sections of a scenario: `scenario.sections.SectionEntry`."""
+
+METRICS = {"following": "srs_twin.planning.metrics:METRICS"}
+"""Metrics of a run: `comparison.group.MetricGroup`."""
+
+PICTURES = {"following": "srs_twin.planning.pictures:PICTURES"}
+"""Additions to the pictures of a run: `viewing.additions.RunPictures`."""
+
+PAGES = {
+    "run": "srs_twin.viewing.html.report:page_of_run",
+    "comparison": "srs_twin.viewing.html.report:page_of_comparison",
+    "plan": "srs_twin.planning.pictures:plan_page",
+    "fit": "srs_twin.identification.fit_report:fit_page",
+}
+"""Results as HTML in notebooks."""
+
+ENGINES = {"warp": "srs_twin.warp.batch:WarpBatch"}
+"""Engines of batches of twins."""
+
+SCHEMAS = {
+    "sweep": "srs_twin.studies.sweep.file:sweep_json_schema",
+    "study": "srs_twin.studies.optimization.file:study_json_schema",
+    "setup": "srs_twin.live.setup_file:setup_json_schema",
+    "inspect": "srs_twin.recordings.facts:facts_json_schema",
+}
+"""JSON Schemas of files and of output."""
 
 
 def load(entry: str) -> Any:
     """Import the object of an entry, ``module:object``."""
     module, _, name = entry.partition(":")
     return getattr(import_module(module), name)
+
+
+def installed(table: Mapping[str, str]) -> dict[str, str]:
+    """Return the entries of a table whose extension is installed."""
+    return {name: entry for name, entry in table.items() if _is_installed(entry)}
+
+
+def objects(table: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
+    """Yield the names and objects of the installed entries of a table."""
+    return ((name, load(entry)) for name, entry in installed(table).items())
+
+
+def module_of(entry: str) -> str:
+    """Return the module of an entry, dotted."""
+    return entry.partition(":")[0]
+
+
+def _is_installed(entry: str) -> bool:
+    return _has_package(".".join(entry.split(".")[:2]))
+
+
+@cache
+def _has_package(name: str) -> bool:
+    return find_spec(name) is not None
+
+
+def lazy(entries: Mapping[str, str]) -> Callable[[str], Any]:
+    """Return the ``__getattr__`` of a package whose names are imported when they are asked for.
+
+    Args:
+        entries: name → ``module:object``.
+    """
+
+    def get(name: str) -> Any:
+        if name not in entries:
+            raise AttributeError(f"no attribute {name!r}")
+        return load(entries[name])
+
+    return get

@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -49,10 +49,16 @@ class Event:
 
 
 class Shown:
-    """Result that a notebook shows as a page."""
+    """Result that a notebook shows as HTML.
+
+    Attributes:
+        page: entry of `extensions.PAGES`.
+    """
+
+    page: ClassVar[str] = "run"
 
     def _repr_html_(self) -> str:
-        page: str = load(PAGES["html"])(self)
+        page: str = load(PAGES[self.page])(self)
         return page
 
 

@@ -57,9 +57,10 @@ class Page:
 
     @property
     def anchors(self) -> set[str]:
-        """What can be linked to: headings, as forges and the site spell them."""
+        """Targets of links: headings, as forges and the site spell them, and labels such as ``(gains)=``."""
         headings = re.findall(r"^#+ (.*)$", self.prose, re.M)
-        return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+        labels = re.findall(r"^\(([\w-]+)\)=$", self.prose, re.M)
+        return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings} | {*labels}
 
     @property
     def commands(self) -> list[str]:

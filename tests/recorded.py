@@ -9,7 +9,7 @@ import numpy as np
 from synthetic_takes import Take, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, Trajectory, load_robot, rollout
-from srs_twin.identification import Recording, read_motion
+from srs_twin.recordings.recording import Recording, read_motion
 
 SPEC = load_robot("gen2")
 RATE = 100.0

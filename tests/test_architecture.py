@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,22 +13,24 @@ from pathlib import Path
 
 import pytest
 
+from srs_twin import extensions
+
 pytestmark = pytest.mark.fast
 
 PACKAGE = Path(__file__).parents[1] / "srs_twin"
 
 # From left to right; a room imports only from itself or from rooms to its left.
+EXTENSIONS = ("warp", "planning", "recordings", "identification", "studies", "live", "envs", "reproduction")
 CORE = (
     *("errors", "extensions", "io", "compute", "robot", "trajectory", "pneumatics", "sensing", "plants"),
     *("control", "rollout", "comparison", "scenario", "viewing", "experiment", "attribution", "cli"),
 )
-EXTENSIONS = ("warp", "planning", "recordings", "identification", "studies", "live", "envs", "reproduction")
 ORDER = (*CORE, *EXTENSIONS)
 STEP = {name: i for i, name in enumerate(ORDER)}
 
 # What is heavy or swaps out one day, and the only parts of the package that may know of it.
 RESERVED = {
-    "mujoco": {"plants", "viewing", "envs", "identification", "cli"},
+    "mujoco": {"plants", "warp", "viewing", "envs", "identification", "cli"},
     "dm_control": {"plants", "viewing", "envs", "identification", "cli"},
     "gymnasium": {"envs"},
     "rerun": {"viewing"},
@@ -96,7 +100,7 @@ def test_the_package_itself_imports_none_of_its_parts():
         ("robot", "def f():\n    import srs_twin.cli.app", "2: robot stands left of cli"),
         ("io", "from srs_twin import rollout", "io stands left of rollout"),
         ("errors", "from . import robot", "errors stands left of robot"),
-        ("scenario", "import mujoco.viewer", "mujoco belongs to envs, identification"),
+        ("scenario", "import mujoco.viewer", "mujoco belongs to cli, envs, identification"),
         ("experiment", "def f():\n    from rerun import blueprint", "rerun belongs to viewing only"),
     ],
 )
@@ -145,6 +149,39 @@ def test_no_import_cycles():
             for module in cycle:
                 edges[module] -= cycle
             sorter = TopologicalSorter(edges)
+
+
+def test_the_core_runs_without_extensions(root, tmp_path):
+    """A copy of the package without the folders of the extensions imports and does the main job."""
+    hidden = shutil.ignore_patterns("__pycache__", "_data")
+    shutil.copytree(PACKAGE, tmp_path / "srs_twin", ignore=hidden)
+    for name in EXTENSIONS:
+        shutil.rmtree(tmp_path / "srs_twin" / name)
+    for name in ("calibration", "models", "scenarios"):
+        (tmp_path / name).symlink_to(root / name)
+    modules = [module_name(path) for path in SOURCES if part_of(path) in CORE]
+    imports_all = f"import importlib; [importlib.import_module(name) for name in {modules}]"
+    command = "from srs_twin.cli import main; main(['compare', 'gen2_straight', '--duration', '2', '-q'])"
+    for code in (imports_all, command):
+        code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); {code}"
+        done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    assert (tmp_path / "runs" / "gen2_straight" / "report.html").is_file()
+
+
+def test_only_the_registry_names_an_extension():
+    named = rf"srs_twin\.({'|'.join(EXTENSIONS)})\b"
+    core = [path for path in SOURCES if part_of(path) in CORE and path.name != "extensions.py"]
+    assert [path.name for path in core if re.search(named, path.read_text("utf-8"))] == []
+
+
+def test_every_entry_of_the_registry_loads():
+    tables = [table for name, table in vars(extensions).items() if name.isupper()]
+    entries = [entry for table in tables for entry in table.values()]
+    assert len(entries) > 20
+    for entry in entries:
+        if "warp" not in entry:  # needs an extra
+            assert extensions.load(entry) is not None
 
 
 def test_the_picture_of_the_rooms_is_what_the_imports_draw(root, tmp_path):

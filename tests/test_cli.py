@@ -24,7 +24,7 @@ from srs_twin.cli.view import find_recording
 from srs_twin.compute.workers import Done
 from srs_twin.errors import DivergedError, InputError, TaskFailedError, WorkerDiedError
 from srs_twin.experiment import RunResult
-from srs_twin.scenario import Expectation
+from srs_twin.scenario.expectation import Expectation
 
 COMMAND = Path(sys.executable).with_name("srs-twin")
 HEAVY = ("mujoco", "dm_control", "rerun", "numpy", "scipy", "matplotlib", "pyarrow", "pydantic", "numba")
@@ -123,7 +123,7 @@ def start(monkeypatch, capsys, tmp_path):
         def prepare(scenario, folder, *, plants):
             return Job(scenario.name, folder, log, endings[scenario.name])
 
-        monkeypatch.setattr("srs_twin.scenario.load_scenario", load)
+        monkeypatch.setattr("srs_twin.scenario.loading.load_scenario", load)
         monkeypatch.setattr("srs_twin.experiment.check_run", lambda scenario, folder: None)
         monkeypatch.setattr("srs_twin.experiment.prepare", prepare)
         monkeypatch.setattr("srs_twin.compute.workers.each", last_first)
@@ -256,7 +256,7 @@ def test_a_difference_that_was_not_expected_asks_why(metric, met, more, asks):
     assert asks_why({"expectations": [{"metric": metric, "met": met}], **more}) is asks
 
 
-KNOWN = f"comparison com_speed_rel = -0.2, allowed -0.12 to 0.12; known: {REASON}"
+UNIDENTIFIABLE_ERROR = f"comparison com_speed_rel = -0.2, allowed -0.12 to 0.12; known: {REASON}"
 
 
 def test_what_is_known_to_be_missed_is_counted_apart(start):
@@ -274,7 +274,10 @@ def test_quiet_tells_what_fails_and_what_begins_to_hold(start):
     holds = f"twin com_speed_m_s = 0.2, allowed 0.1819 to 0.2461 (Table 10); known: {REASON}"
     assert left.err == f"HOLDS  {holds}\n"
     left = start("run", *"ab", "--strict", "-q", a="known", b="holds")
-    assert (left.code, left.err) == (1, f"known  {KNOWN}\nHOLDS  {holds}\nknown  {KNOWN}\n")
+    assert (left.code, left.err) == (
+        1,
+        f"known  {UNIDENTIFIABLE_ERROR}\nHOLDS  {holds}\nknown  {UNIDENTIFIABLE_ERROR}\n",
+    )
 
 
 def test_what_is_not_judged_is_counted_apart_and_shown_with_its_reason(start):

@@ -20,8 +20,8 @@ from srs_twin.errors import EngineWarning
 from srs_twin.plants.twin.friction_held import held, rolling
 from srs_twin.pneumatics.chambers import as_felt
 from srs_twin.robot.world import Circle, World
-from srs_twin.studies.sweep import load_sweep
 from srs_twin.studies.sweep.execution import local
+from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.on_device import on_device
 
 wp = pytest.importorskip("warp", reason="the extra gpu is not installed")

@@ -20,7 +20,7 @@ from srs_twin.io.files import shipped_names
 from srs_twin.live.setup_file import load_setup
 from srs_twin.recordings.recording_map import read_map
 from srs_twin.scenario.file import ScenarioFile
-from srs_twin.studies.optimization import load_study
+from srs_twin.studies.optimization.loading import load_study
 from srs_twin.studies.sweep.loading import load_sweep
 
 BY_PATH = {page.path: page for page in PAGES}

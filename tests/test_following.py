@@ -16,9 +16,10 @@ from srs_twin import InputError
 from srs_twin.control.camera import Camera, CameraFrames, PeriodMean
 from srs_twin.control.reference import Constant
 from srs_twin.control.smc import IterativeSMC
-from srs_twin.planning import Footprint, Outcome, Plan
 from srs_twin.planning.follower import ENDINGS, Conditions, Follower
-from srs_twin.planning.problem import path_of
+from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.plan import Plan
+from srs_twin.planning.problem import Outcome, path_of
 from srs_twin.planning.route import Route
 from srs_twin.planning.steering import BearingLaw, PathLaw, Predictor, Steering
 from srs_twin.robot.file import load_robot

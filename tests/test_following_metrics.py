@@ -10,7 +10,7 @@ import pytest
 from synthetic import Snake
 
 from srs_twin.comparison.metrics import METRIC_UNITS, plant_metrics
-from srs_twin.planning import Footprint
+from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.metrics import FOLLOWING_UNITS, centre_points, following_metrics, legs
 from srs_twin.plants.twin.mjcf.numerics import WALL_M
 from srs_twin.trajectory import Trajectory

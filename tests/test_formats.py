@@ -23,10 +23,10 @@ from recorded import SPEC, motion
 from synthetic_takes import Take, write_motive
 
 from srs_twin import InputError
-from srs_twin.identification import read_motion
 from srs_twin.recordings.csv_table import read_bytes
 from srs_twin.recordings.formats import FORMATS, identify, mcap, read_markers, read_topics, topics
 from srs_twin.recordings.inspection import inspect_file
+from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.recording_map import RecordingMap
 
 pytestmark = [pytest.mark.fast, pytest.mark.filterwarnings("ignore:No analog data")]

@@ -8,9 +8,9 @@ from recorded import NOISE, SPEC, motion, true_at
 from scipy.spatial.transform import Rotation
 from synthetic_takes import Take, markers
 
-from srs_twin.identification import read_motion
 from srs_twin.recordings.body.floor import on_floor
 from srs_twin.recordings.inspection import in_words, inspect_file
+from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 
 MASTS = (0.09, 0.03, 0.15, 0.03, 0.09)

@@ -59,7 +59,7 @@ def values() -> dict[tuple[str, str], str]:
     from srs_twin.comparison.diff import Tolerances
     from srs_twin.identification.command import _FREQUENCY_HZ, _plant_settings
     from srs_twin.identification.footprint import GaitSetup
-    from srs_twin.recordings.replay_command import _plants
+    from srs_twin.identification.replay_command import _plants
     from srs_twin.recordings.takes import RecordingReader
     from srs_twin.robot.file import load_robot
 
@@ -131,7 +131,7 @@ def test_a_live_command_takes_name_and_broker_that_its_help_says(
         raise InputError("refused")
 
     name = words.split()[0]
-    monkeypatch.setattr(f"srs_twin.cli.{name}.broker_link", refuse)
+    monkeypatch.setattr(f"srs_twin.live.{name}_command.broker_link", refuse)
     monkeypatch.setattr(session, "warm_up", lambda spec: None)
     assert srs_twin(*words.split(), cwd=tmp_path).returncode == 2
     (robot, _, broker, *_) = asked[0]

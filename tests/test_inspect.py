@@ -15,10 +15,10 @@ from test_formats import c3d_file
 from srs_twin import InputError
 from srs_twin.cli import main
 from srs_twin.cli.options import print_json
-from srs_twin.identification import read_motion
 from srs_twin.io.validation import load_model
 from srs_twin.recordings.facts import plain_facts
 from srs_twin.recordings.inspection import in_words, inspect_file, proposed_map
+from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 
 

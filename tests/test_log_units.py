@@ -9,11 +9,10 @@ import pytest
 from snakes import chain
 
 from srs_twin import InputError, load_robot
-from srs_twin.identification import read_valves
 from srs_twin.recordings.formats import read_markers
 from srs_twin.recordings.inspection import in_words, inspect_file
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap, read_map
-from srs_twin.recordings.signals.logs import read_bends
+from srs_twin.recordings.signals.logs import read_bends, read_valves
 from srs_twin.recordings.signals.units import ANGLES, PRESSURES, TIMES, is_clock, stated_unit, symbol
 from srs_twin.recordings.takes import RecordingReader
 

@@ -16,8 +16,8 @@ from subsets import first_by_default
 from synthetic_takes import Take, motive_csv, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, InputError, Trajectory, rollout
-from srs_twin.identification import read_motion
 from srs_twin.recordings.body.floor import MAPS, on_floor
+from srs_twin.recordings.recording import read_motion
 
 LAYOUTS = ("single", "head", "pair")
 

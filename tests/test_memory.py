@@ -21,7 +21,7 @@ from srs_twin.control.base import Controller
 from srs_twin.io.saved_state import SavedState
 from srs_twin.plants.base import Plant, SnakeState
 from srs_twin.pneumatics.valves import StuckValve
-from srs_twin.scenario import parse_scenario
+from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.scenario import Scenario
 
 PLANTS = {

@@ -16,7 +16,7 @@ from srs_twin.control.reference import Sine, Step
 from srs_twin.control.replay import HoldValves
 from srs_twin.control.smc import DirectSMC, IterativeSMC
 from srs_twin.errors import InputError, InputFileError
-from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.sensing import make_sensor
 
 MODULE = load_robot("gen4_module")
@@ -376,7 +376,7 @@ def test_the_plot_shows_periods_of_what_is_periodic(reference, period):
 
 
 def test_a_sweep_counts_periods_of_the_reference():
-    from srs_twin.studies.sweep import load_sweep
+    from srs_twin.studies.sweep.loading import load_sweep
 
     experiment = load_sweep("fig44_direct").experiment
     for frequency in (0.25, 6.0):

@@ -12,13 +12,15 @@ from synthetic_takes import Take
 
 from srs_twin import InputError, load_robot
 from srs_twin.cli import main
-from srs_twin.identification import join, read_motion, read_valves
 from srs_twin.recordings.csv_table import Dialect
 from srs_twin.recordings.formats import read_markers
 from srs_twin.recordings.formats.base import axis_columns
 from srs_twin.recordings.inspection import inspect_file
+from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap, read_map
+from srs_twin.recordings.signals.clock import join
 from srs_twin.recordings.signals.gaps import frame_grid
+from srs_twin.recordings.signals.logs import read_valves
 
 pytestmark = pytest.mark.fast
 

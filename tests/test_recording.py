@@ -12,8 +12,9 @@ from screenshot import screenshots
 from synthetic import Snake, numbered, with_columns
 from viewing_runs import pair, robot
 
+from srs_twin.comparison.contacts import touches
 from srs_twin.errors import InputError
-from srs_twin.planning.metrics import following_metrics, touches
+from srs_twin.planning.metrics import following_metrics
 from srs_twin.trajectory import Event, Trajectory
 from srs_twin.viewing.plots.signals import kind_of, wheel_turns
 from srs_twin.viewing.plots.style import STYLES

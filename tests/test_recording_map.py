@@ -10,8 +10,9 @@ from subsets import first_by_default
 from synthetic_takes import Take, markers, stretched
 
 from srs_twin import AnalyticalSnake, Gait, InputError, rollout
-from srs_twin.identification import read_motion, read_valves
+from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.recording_map import RecordingMap, given_map, read_map
+from srs_twin.recordings.signals.logs import read_valves
 
 
 def written(path, names, points, *, time=True, scale=1.0):

@@ -15,11 +15,12 @@ from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.identification.actuator import Response
 from srs_twin.identification.parameters import with_values
+from srs_twin.identification.recorded_runs import gait_run
 from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.signals.logs import on_bench
-from srs_twin.recordings.takes import RecordingReader, gait_run
-from srs_twin.scenario import parse_scenario
+from srs_twin.recordings.takes import RecordingReader
+from srs_twin.scenario.loading import parse_scenario
 
 MODULE = load_robot("gen4_module")
 SUPPLY = MODULE.supply.nominal

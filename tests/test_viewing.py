@@ -25,10 +25,10 @@ from srs_twin.comparison.centre_line import centre_lines
 from srs_twin.comparison.compare import compare
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import InputError
-from srs_twin.planning.plan_view import plan_view, strobe_times
 from srs_twin.robot.world import Circle, Polygon, World
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.html.report import write_report
+from srs_twin.viewing.plots.from_above import plan_view, strobe_times
 from srs_twin.viewing.plots.runs import bend_plot, error_plot, pressure_plot, speed_plot
 from srs_twin.viewing.plots.signals import (
     body_line,

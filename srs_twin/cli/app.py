@@ -1,4 +1,4 @@
-"""Puts the verbs together. Importing this costs typer and nothing else."""
+"""The command line, put together from the commands of the core and of the extensions."""
 
 from __future__ import annotations
 
@@ -18,16 +18,7 @@ from srs_twin.cli.options import option, with_options
 from srs_twin.cli.render import render
 from srs_twin.cli.run import compare, run
 from srs_twin.cli.view import play, view
-from srs_twin.identification import command as calibrate
-from srs_twin.live.emulate_command import emulate
-from srs_twin.live.shadow_command import shadow
-from srs_twin.planning.command import plan
-from srs_twin.recordings.inspect_command import inspect
-from srs_twin.recordings.replay_command import replay
-from srs_twin.reproduction.command import reproduce
-from srs_twin.studies.optimization.command import optimize
-from srs_twin.studies.sweep.command import sweep
-from srs_twin.studies.uncertainty.command import uncertainty
+from srs_twin.extensions import COMMANDS, objects
 
 # Without rich's markup, help and usage errors are plain text: its boxes break file names over lines, and
 # importing it would double the time that `--help` takes.
@@ -37,31 +28,37 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-verbs = (
-    list_,
-    show,
-    inspect,
-    run,
-    compare,
-    plan,
-    replay,
-    sweep,
-    optimize,
-    uncertainty,
-    reproduce,
-    view,
-    play,
-    emulate,
-    shadow,
-    render,
-    diff,
-    schema,
-    doctor,
+_CORE = {
+    "list": list_,
+    "show": show,
+    "run": run,
+    "compare": compare,
+    "view": view,
+    "play": play,
+    "render": render,
+    "diff": diff,
+    "schema": schema,
+    "doctor": doctor,
+    "models": models.app,
+}
+_ORDER = (
+    *("list", "show", "inspect", "run", "compare", "plan", "replay", "sweep", "optimize", "uncertainty"),
+    *("reproduce", "view", "play", "emulate", "shadow", "render", "diff", "schema", "doctor"),
+    *("calibrate", "models"),
 )
-for verb in verbs:
-    app.command(verb.__name__.rstrip("_"))(with_options(verb))
-app.add_typer(calibrate.app, name="calibrate")
-app.add_typer(models.app, name="models")
+"""Order in the help; other commands come last."""
+
+
+def _add_commands() -> None:
+    commands: dict[str, Any] = _CORE | dict(objects(COMMANDS))
+    for name in sorted(commands, key=lambda name: _ORDER.index(name) if name in _ORDER else len(_ORDER)):
+        if isinstance(commands[name], typer.Typer):
+            app.add_typer(commands[name], name=name)
+        else:
+            app.command(name)(with_options(commands[name]))
+
+
+_add_commands()
 
 
 @cache

@@ -9,12 +9,12 @@ from typing import Annotated, Any, get_args
 from srs_twin.cli.console import console, new_table
 from srs_twin.cli.options import JsonOption, argument, print_json
 from srs_twin.errors import UnknownNameError
+from srs_twin.extensions import SCHEMAS, installed, load
 
 _KINDS = ("scenarios", "robots", "sweeps", "controllers", "metrics", "studies")
 _ALL = _KINDS[:-1]
 """What is listed together: `--json` has these keys, which files of others rely on."""
 _SHIPPED = {"scenarios": "scenario", "robots": "robot", "sweeps": "sweep", "studies": "study"}
-_SCHEMAS = ("scenario", "sweep", "study", "setup", "inspect")
 
 
 def list_(
@@ -46,7 +46,7 @@ def _listed(kind: str) -> Iterator[dict[str, str]]:
     from srs_twin.io.files import find, shipped_names
 
     if kind == "controllers":
-        from srs_twin.scenario.controllers import CONTROLLERS
+        from srs_twin.scenario.file import CONTROLLERS
 
         for model in CONTROLLERS:
             (name,) = get_args(model.model_fields["kind"].annotation)
@@ -100,7 +100,7 @@ def _resolved(name: str) -> dict[str, Any]:
     from srs_twin.io.documents import load_yaml
     from srs_twin.io.files import existing, shipped_names
     from srs_twin.robot.file import load_robot_file
-    from srs_twin.scenario import load_scenario
+    from srs_twin.scenario.loading import load_scenario
 
     robots, scenarios = shipped_names("robot"), shipped_names("scenario")
     a_file = "/" in name or name.endswith((".yaml", ".yml"))
@@ -139,26 +139,7 @@ def schema(
     Options:
         kind: Kind of document: scenario, sweep, study, setup or inspect.
     """
-    if kind not in _SCHEMAS:
-        raise UnknownNameError("kind of file", kind, _SCHEMAS)
-    if kind == "sweep":
-        from srs_twin.studies.sweep.file import sweep_json_schema
-
-        found = sweep_json_schema()
-    elif kind == "study":
-        from srs_twin.studies.optimization.file import study_json_schema
-
-        found = study_json_schema()
-    elif kind == "setup":
-        from srs_twin.live.setup_file import setup_json_schema
-
-        found = setup_json_schema()
-    elif kind == "inspect":
-        from srs_twin.recordings.facts import facts_json_schema
-
-        found = facts_json_schema()
-    else:
-        from srs_twin.scenario import scenario_json_schema
-
-        found = scenario_json_schema()
-    print_json(found)
+    schemas = {"scenario": "srs_twin.scenario:scenario_json_schema"} | installed(SCHEMAS)
+    if kind not in schemas:
+        raise UnknownNameError("kind of file", kind, schemas)
+    print_json(load(schemas[kind])())

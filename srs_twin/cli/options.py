@@ -15,9 +15,6 @@ from srs_twin.errors import one_of
 
 if TYPE_CHECKING:
     from srs_twin.io.documents import Change
-    from srs_twin.recordings.takes import RecordingReader
-
-FITS = "calibration/fits"
 
 
 def option(words: str, help: str | None = None, **more: Any) -> Any:
@@ -66,18 +63,7 @@ JobsOption = Annotated[int | None, at_once("--jobs -j N")]
 JsonOption = Annotated[bool, option("--json", "Print one JSON document instead of tables.")]
 OverwriteOption = Annotated[bool, option("--overwrite", "Replace another file.")]
 
-FilesArgument = Annotated[list[str], argument("FILE", "Recordings or tables that the fit is made from.")]
-RobotOption = Annotated[str, option("--robot -r ROBOT", "Where the search starts: shipped, or a file.")]
-_VALIDATE = "Held against the fit, which does not see it; repeatable."
-ValidateOption = Annotated[list[str] | None, option("--validate FILE", _VALIDATE)]
-_LOGS = "Log of each recording, FILE... first, then --validate. [default: NAME.valves.csv beside it]"
-ValvesOption = Annotated[list[str] | None, option("--valves LOG", _LOGS)]
-_OFFSET = "What to add to the logs' times. [default: estimated]"
-OffsetOption = Annotated[float | None, option("--offset S", _OFFSET)]
 PressureOption = Annotated[float | None, option("--pressure KPA", "Of the supply. [default: the robot's]")]
-_FIND = "What to look for, as friction.mu_t,friction.mu_n."
-FindOption = Annotated[str | None, option("--find NAMES", _FIND)]
-FrequencyOption = Annotated[float | None, option("--frequency HZ", "Of the gait. [default: the valves']")]
 _FLOOR = "Of the analytical plant's floor. [default: wheel]"
 FloorOption = Annotated[str | None, option("--law NAME", _FLOOR)]
 
@@ -132,80 +118,6 @@ class ChangeOptions:
 
 
 NO_CHANGES = ChangeOptions()
-
-
-@dataclass(frozen=True)
-class ReadingOptions:
-    """How markers are read; see `RecordingReader`.
-
-    Options:
-        up: Axis of the files that points up.
-        layout: Markers: auto, single, head, pair, middles or head_middles.
-        head: At the head. [default: where it crawls to]
-        longest_gap: Longest gap that is filled. [default: 0.2]
-        map: What is what in the files (docs/logs.md).
-        units: Of lengths, where the file does not say: m, cm, mm, in, ft.
-        rate: Frames a second, where the file has no time.
-        columns: Names of the columns of a plain file that has none, as time,x_1,y_1.
-        separator: Separator of the cells of a plain file: , ; | tab or space, where it is not found.
-        decimal: Decimal mark of a plain file, where it is not found.
-        marker: Its place, as tip=connector 3, m1=middle 1 or h2=connector 1 ahead; repeatable.
-    """
-
-    up: Annotated[str, option("--up AXIS")] = "auto"
-    layout: Annotated[str, option("--layout NAME")] = "auto"
-    head: Annotated[str | None, option("--head MARKER")] = None
-    longest_gap: Annotated[float | None, option("--longest-gap S")] = None
-    map: Annotated[str | None, option("--map FILE.yaml")] = None
-    units: Annotated[str | None, option("--units UNIT")] = None
-    rate: Annotated[float | None, option("--rate HZ")] = None
-    columns: Annotated[str | None, option("--columns NAMES")] = None
-    separator: Annotated[str | None, option("--separator CHARACTER")] = None
-    decimal: Annotated[str | None, option("--decimal CHARACTER")] = None
-    marker: Annotated[list[str] | None, option("--marker NAME=PLACE")] = None
-
-    def given(self) -> dict[str, Any]:
-        """Return what was given, by the names of `RecordingReader`; a map as plain data."""
-        from srs_twin.recordings.recording_map import given_map
-
-        options = {
-            "units": self.units, "rate_hz": self.rate, "columns": self.columns, "separator": self.separator,
-            "decimal": self.decimal,
-        }  # fmt: skip
-        values = {
-            "up": self.up, "layout": self.layout, "head": self.head, "longest_gap_s": self.longest_gap,
-            "map": given_map(self.map, options, self.marker or ()),
-        }  # fmt: skip
-        return {name: value for name, value in values.items() if value is not None}
-
-    def reader(self, **more: Any) -> RecordingReader:
-        """Return a reader with what was given.
-
-        Raises:
-            InputFileError: what is wrong with a map.
-        """
-        from srs_twin.recordings.recording_map import read_map
-        from srs_twin.recordings.takes import RecordingReader
-
-        given = self.given()
-        return RecordingReader(**given | {"map": read_map(given.get("map", {}))}, **more)
-
-
-@dataclass(frozen=True)
-class FitOptions:
-    """Where a fit goes, and whether to be quiet.
-
-    Options:
-        name: Of the fit and its file. [default: ROBOT_WHAT]
-        out: Its file. [default: calibration/fits/NAME.yaml]
-        overwrite: Replace the fit of another command.
-    """
-
-    name: Annotated[str | None, option("--name NAME")] = None
-    out: Annotated[str | None, option("--out FILE.yaml")] = None
-    overwrite: Annotated[bool, option("--overwrite")] = False
-    quiet: QuietOption = False
-    as_json: JsonOption = False
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:

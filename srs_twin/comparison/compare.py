@@ -8,7 +8,7 @@ plants into the shares of the assumptions in which they differ.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -40,6 +40,8 @@ class Comparison(Shown):
         bend_error: candidate − reference, (T, segments), rad.
         heading_error: candidate − reference, without the whole turns between where the two began, (T,), rad.
     """
+
+    page: ClassVar[str] = "comparison"
 
     metrics: dict[str, float | None]
     time: np.ndarray

@@ -14,6 +14,7 @@ from srs_twin.comparison.gait import (
     running_rates,
     turning_radius,
 )
+from srs_twin.comparison.group import metric_groups
 from srs_twin.comparison.learning import (
     LEARNING_LIST_UNITS,
     LEARNING_UNITS,
@@ -23,7 +24,6 @@ from srs_twin.comparison.learning import (
 from srs_twin.comparison.reading import READING_UNITS, reading_metrics
 from srs_twin.comparison.sampling import body_length, require, units_of
 from srs_twin.comparison.tracking import TRACKING_UNITS, tracking_metrics
-from srs_twin.planning.metrics import FOLLOWING_UNITS, following_metrics
 from srs_twin.trajectory import Trajectory
 
 RELATIVE = set(
@@ -34,9 +34,8 @@ RELATIVE = set(
     error_rms_rad amplitude_rel fit_residual_rad inlet_openings outlet_openings
     path_radius_m path_speed_m_s duty_lowest duty_highest
     reading_error_rad reading_backstep_rad reading_range_t
-    cross_track_rms_m cross_track_max_m following_time_s
     """.split()
-)
+).union(*(group.relative for group in metric_groups()))
 """Metrics whose difference is given over the analytical value; of others in their own unit."""
 
 _ROUNDING = 1e-9  # of a value: what two ways of adding up may differ by
@@ -93,7 +92,7 @@ METRIC_UNITS = {
     **TRACKING_UNITS,
     **LEARNING_UNITS,
     **READING_UNITS,
-    **FOLLOWING_UNITS,
+    **{name: unit for group in metric_groups() for name, unit in group.units.items()},
     **MEASURED_UNITS,
     **units_of("wall_s realtime_factor"),
 }
@@ -326,12 +325,6 @@ _BENCH = f"""
     steady_rms_rad ripple_pp_rad error_rms_rad amplitude_rel phase_lag_rad fit_residual_rad inlet_openings
     outlet_openings reading_r_squared reading_error_rad reading_backstep_rad reading_range_t realtime_factor
 """.split()
-# Of a run that followed a plan.
-_PLAN = """
-    plan_found plan_length_m goal_reached arrival_error_m arrival_heading_error_rad cross_track_rms_m
-    cross_track_max_m inside_share inside_50mm_share contacts clearance_m following_time_s replans
-    com_speed_m_s realtime_factor
-""".split()
 _COMPARISON = ("shape_rms_m", "path_rms_m", "bend_rms_rad")
 
 
@@ -341,8 +334,9 @@ def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
     def measured(*names: str) -> bool:
         return any(each.get(name) is not None for each in plants.values() for name in names)
 
-    if measured("plan_found"):
-        return [*_PLAN, *_COMPARISON]
+    for group in metric_groups():
+        if measured(group.main):
+            return [*group.short_table, *_COMPARISON]
     return [*(_BENCH if measured("error_rms_rad", "final_bend_rad") else _GAIT), *_COMPARISON]
 
 
@@ -398,7 +392,7 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
     A run with a reference for the bends has `tracking.tracking_metrics`, one under iterative learning
     `learning.learning_metrics`; they are None without. A run on a bench without a reference has
     ``final_bend_rad``, the first segment's bend at its end. A run with a sensor that is not ideal has
-    `reading.reading_metrics`; one that followed a plan `following.following_metrics`.
+    `reading.reading_metrics`; extensions add their groups (`extensions.METRICS`).
     What is said against a measured robot (`measured_…`) is None here; see `compare.MeasuredDifference`.
 
     The others cover the whole run: ``path_length_m`` of the raw path, ``valve_switches`` as [+, −] openings
@@ -427,7 +421,7 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
         **(tracking_metrics(trajectory) if following else dict.fromkeys(TRACKING_UNITS)),
         **(learning_metrics(trajectory) if is_learning(trajectory) else _NOT_LEARNING),
         **reading_metrics(trajectory),
-        **following_metrics(trajectory),
+        **{name: value for group in metric_groups() for name, value in group.measure(trajectory).items()},
         **dict.fromkeys(MEASURED_UNITS),
         "final_bend_rad": float(trajectory["bend_1"][-1]) if ends else None,
         "path_length_m": float(np.hypot(steps[:, 0], steps[:, 1]).sum()),

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from srs_twin.comparison.gait import GaitWindow
+from srs_twin.comparison.group import metric_groups
 from srs_twin.comparison.learning import LAST_PERIODS, LEARNING_UNITS, is_learning
 from srs_twin.comparison.metrics import MEASURED_UNITS
 from srs_twin.comparison.reading import READING_UNITS, ReadingCurve
 from srs_twin.comparison.tracking import TRACKING_UNITS
-from srs_twin.planning.metrics import FOLLOWING_UNITS, following
 from srs_twin.trajectory import Trajectory
 
 _ENERGY = {
@@ -145,14 +145,9 @@ def _learning(metric: str, found: Mapping[str, Any], run: Trajectory) -> Undefin
 
 def _other(metric: str, run: Trajectory) -> str:
     """Return the reason for the metrics of plans, sensors and benches; empty where there is none."""
-    about = following(run)
-    if metric in FOLLOWING_UNITS:
-        if about is None:
-            return "the run follows no plan"
-        if metric == "arrival_heading_error_rad":
-            return "the goal has no heading"
-        obstacles = metric in ("contacts", "contact_time_s", "clearance_m")
-        return "the world has no obstacles" if obstacles else ""
+    for group in metric_groups():
+        if metric in group.units:
+            return group.why_undefined(metric, run)
     if metric in READING_UNITS:
         if ReadingCurve.of(run) is None:
             return "the run has no sensor, or an ideal one"

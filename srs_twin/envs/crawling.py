@@ -24,9 +24,9 @@ from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
 from srs_twin.envs.task import Episode, Signal, Signals, Task, numbered_signals
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import names
-from srs_twin.planning.fields import strewn
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
+from srs_twin.robot.drawn_worlds import strewn
 from srs_twin.robot.world import Bounds, Goal, World
 
 STEP_S = 0.1

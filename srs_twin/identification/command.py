@@ -13,23 +13,14 @@ from srs_twin.cli.console import console, interruptible, new_table, say
 from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,
-    FilesArgument,
-    FindOption,
-    FitOptions,
     FloorOption,
-    FrequencyOption,
     JobsOption,
     JsonOption,
-    OffsetOption,
     OverwriteOption,
     PressureOption,
     QuietOption,
-    ReadingOptions,
     RobotArgument,
-    RobotOption,
     ScenarioArgument,
-    ValidateOption,
-    ValvesOption,
     argument,
     at_once,
     option,
@@ -46,7 +37,9 @@ from srs_twin.identification.fitting import (
     parse_names,
     print_table,
 )
+from srs_twin.identification.options import FilesArgument, FindOption, FitOptions, RobotOption, ValidateOption
 from srs_twin.io.files import shown
+from srs_twin.recordings.options import FrequencyOption, OffsetOption, ReadingOptions, ValvesOption
 
 if TYPE_CHECKING:
     from srs_twin.identification.footprint import FootprintMeasurement
@@ -149,7 +142,7 @@ def design(
     from srs_twin.cli.console import console, new_table
     from srs_twin.identification.design import choose_experiments
     from srs_twin.robot.file import load_robot, load_robot_file
-    from srs_twin.studies.uncertainty import Priors
+    from srs_twin.robot.priors import Priors
 
     wanted = {}
     for text in want.split(","):
@@ -278,7 +271,8 @@ def locomotion(
     output = FitOutput.from_options(context, "locomotion", robot, fit)
     from srs_twin.identification.locomotion import PlantModel, fit_locomotion
     from srs_twin.identification.parameters import with_values
-    from srs_twin.recordings.takes import gait_run, measured_length, starts_at_rest
+    from srs_twin.identification.recorded_runs import gait_run, measured_length
+    from srs_twin.recordings.takes import starts_at_rest
     from srs_twin.robot.file import load_robot
 
     spec, kept, names = load_robot(robot), validate or [], parse_names(find) or []
@@ -497,19 +491,19 @@ def margin(
         plants: Plants: analytical, twin or both. [default: the scenario's]
         out: Output folder of the footprint file.
     """
+    from srs_twin.identification.excursions import measure_excursions
     from srs_twin.io.documents import Change
     from srs_twin.io.files import find, open_folder, read_text
     from srs_twin.planning.footprint import load_footprint_file, save_footprint
     from srs_twin.planning.margins import quantile
-    from srs_twin.scenario import load_scenario
-    from srs_twin.studies.uncertainty.excursions import measure_excursions
+    from srs_twin.scenario.loading import load_scenario
 
     # A margin that the scenario requests would hide the excursions to be measured.
     no_margin = Change("a margin to be measured", ("planner", "margin_probability"), None)
     loaded = load_scenario(scenario, set=[*changes.changes(), no_margin])
     plant_names = plants_of(plants) or list(loaded.plants)
-    assert loaded.file.planner is not None, "a change of the planner requires one"
-    source = find("footprint", loaded.file.planner.footprint)
+    assert loaded.file.section("planner") is not None, "a change of the planner requires one"
+    source = find("footprint", loaded.file.section("planner").footprint)
     path = Path(out) / f"{load_footprint_file(source).name}.yaml"
     open_folder(path.parent, (path.name,))
     total = runs * len(plant_names)

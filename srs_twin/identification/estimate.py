@@ -34,7 +34,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -190,6 +190,8 @@ class FitEstimate(Shown):
         held: values that were fixed in the fit and on which the estimates depend, by name.
         converged: whether the search converged.
     """
+
+    page: ClassVar[str] = "fit"
 
     parameters: tuple[Parameter, ...]
     correlation: np.ndarray

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -209,6 +209,8 @@ class QualityFile(Strict):
 
 class FitFile(Strict, Shown):
     """Result of a fit."""
+
+    page: ClassVar[str] = "fit"
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60)]
     """Short name."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srs_twin.viewing.html.page import Picture, Table, picture, render
+from srs_twin.viewing.html.page import Picture, Table, picture, piece, render
 from srs_twin.viewing.plots.style import finish, panels
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def fit_report(fit: FitFile, estimate: FitEstimate) -> str:
     )
     data = [[entry.role, entry.name, str(entry.samples), entry.sha256[:16] + "…"] for entry in fit.data]
     return render(
-        "viewing/html/fit.html",
+        "identification/fit.html",
         title=fit.title,
         subtitle=f"fit {fit.name}, {fit.method}, of robot {fit.robot}",
         parameters=parameter_table(fit.parameters),
@@ -55,6 +55,11 @@ def fit_report(fit: FitFile, estimate: FitEstimate) -> str:
         data=Table(["used for", "data", "samples", "SHA-256"], data, numbers=[2]),
         details=_details(fit),
     )
+
+
+def fit_page(fit: FitEstimate | FitFile) -> str:
+    """Return a fit as HTML for a notebook."""
+    return piece(getattr(fit, "title", "Fit"), parameter_table(fit.parameters))
 
 
 def residual_plot(residuals: Sequence[Residual]) -> Figure:

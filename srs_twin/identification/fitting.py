@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from srs_twin.cli.console import console, interruptible, new_table, say
-from srs_twin.cli.options import FITS, FitOptions, print_json
+from srs_twin.cli.options import print_json
 from srs_twin.cli.progress import Display
 from srs_twin.errors import InputError
+from srs_twin.identification.options import FITS, FitOptions
 
 if TYPE_CHECKING:
     from srs_twin.identification.estimate import FitEstimate, Role

@@ -26,8 +26,9 @@ from srs_twin.errors import InputError
 from srs_twin.io.files import shown
 
 if TYPE_CHECKING:
-    from srs_twin.planning import Plan, Problem
-    from srs_twin.scenario import Scenario
+    from srs_twin.planning.plan import Plan
+    from srs_twin.planning.problem import Problem
+    from srs_twin.scenario.scenario import Scenario
 
 _ROUNDING = 1e-9
 """Lengths below are 0, m."""
@@ -54,8 +55,8 @@ def plan(
     from srs_twin.io.file_sets import replaced
     from srs_twin.io.files import open_folder
     from srs_twin.planning.metrics import plan_metrics
-    from srs_twin.scenario import load_scenario
     from srs_twin.scenario.expectation import verdict
+    from srs_twin.scenario.loading import load_scenario
     from srs_twin.scenario.modified import left_out_line
 
     loaded = load_scenario(scenario, set=changed.changes())
@@ -140,7 +141,7 @@ def _quality(found: Plan) -> dict[str, float | None]:
 
 def _write(folder: Path, scenario: Scenario, problem: Problem, found: Plan, metrics: dict[str, Any]) -> None:
     """Write the plan as data and as a picture."""
-    from srs_twin.planning.plan_view import plan_plot
+    from srs_twin.planning.pictures import plan_plot
 
     about = {"world": asdict(problem.world), "goal": asdict(problem.goal)}
     document = {
@@ -162,8 +163,7 @@ def _write(folder: Path, scenario: Scenario, problem: Problem, found: Plan, metr
 def _write_search(folder: Path, title: str, found: Plan) -> None:
     """Write what the search has seen as a picture and as a recording."""
     from srs_twin.planning.explored import explored
-    from srs_twin.planning.plan_view import search_plot
-    from srs_twin.viewing.rerun.recording import write_search
+    from srs_twin.planning.pictures import search_plot, write_search
 
     assert found.problem is not None, "a planner's answer"
     problem, seen = found.problem, explored(found.trees, found.problem)

@@ -78,6 +78,9 @@ def _to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]
     sa, sb, ca, cb, cab = np.sin(a), np.sin(b), np.cos(a), np.cos(b), np.cos(a - b)
     square = 2 + d * d - 2 * cab + 2 * d * (sa - sb)
     turn = np.arctan2(cb - ca, d + sa - sb)
+    if np.sqrt((d + sa - sb) ** 2 + (cb - ca) ** 2) < _ROUNDING:
+        # The circles coincide: a straight of no length has no direction, and the first arc turns all the way.
+        square, turn = 0.0, b
     best = _shorter(best, side, 0.0, side, _turn(turn - a), np.sqrt(max(square, 0.0)), _turn(b - turn))
     square = d * d - 2 + 2 * cab + 2 * d * (sa + sb)
     if square >= 0:

@@ -28,8 +28,8 @@ from srs_twin.errors import InputError
 from srs_twin.io.documents import Document, dump_yaml, load_yaml
 from srs_twin.io.files import atomic_write, find
 from srs_twin.io.validation import Strict, validate
-from srs_twin.planning.margins import BEFORE_CONTACTS, ExcursionsFile
-from srs_twin.plants.twin.mjcf.numerics import ContactName
+from srs_twin.planning.margins import ExcursionsFile
+from srs_twin.plants.twin.mjcf.numerics import UNSTATED_CONTACT, ContactName
 from srs_twin.robot.sourced import Record, Status, between
 
 MEASURED_ON_TWIN = "measured on the twin"
@@ -374,7 +374,7 @@ class FootprintFile(Strict):
     def twin_contact(self) -> ContactName | None:
         """Contact of the twin that it was measured on; None: not measured on a twin."""
         measured = self.curvature_per_m.source.startswith(MEASURED_ON_TWIN)
-        return self.contact or (BEFORE_CONTACTS if measured else None)
+        return self.contact or (UNSTATED_CONTACT if measured else None)
 
     def mismatch(self, contact: ContactName) -> str | None:
         """Return a warning about a twin whose contact is another one than that of the measurement."""

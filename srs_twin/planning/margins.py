@@ -18,15 +18,12 @@ from pydantic import Field, model_validator
 
 from srs_twin.errors import InputError
 from srs_twin.io.validation import Strict
-from srs_twin.plants.twin.mjcf.numerics import ContactName
+from srs_twin.plants.twin.mjcf.numerics import UNSTATED_CONTACT, ContactName
 from srs_twin.robot.sourced import between
 
 Share = Annotated[float, between(0.0, 1.0)]
 Excursion = Annotated[float, between(-10.0, 1e3)]
 Runs = Annotated[list[Excursion], Field(min_length=1, max_length=10_000)]
-BEFORE_CONTACTS: ContactName = "preloaded"
-"""Contact of the twin in measurements that do not state it; they are older than this field."""
-
 LOST_M = 1e3
 """Stands for the excursion of a run that never arrived, m."""
 
@@ -53,7 +50,7 @@ class ConditionsFile(Strict):
     @classmethod
     def _state_contact(cls, given: Any) -> Any:
         if isinstance(given, dict) and given.get("plant") == "twin" and given.get("contact") is None:
-            return {**given, "contact": BEFORE_CONTACTS}
+            return {**given, "contact": UNSTATED_CONTACT}
         return given
 
     @model_validator(mode="after")

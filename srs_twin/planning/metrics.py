@@ -10,12 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from srs_twin.comparison.centre_line import hull_lines, on_both_sides
+from srs_twin.comparison.contacts import TOUCH_N, obstacle_force, touches
+from srs_twin.comparison.group import MetricGroup
 from srs_twin.comparison.sampling import positive_number, rms, units_of
 from srs_twin.plants.twin.mjcf.numerics import WALL_M
 from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from srs_twin.planning import Footprint, Segment
+    from srs_twin.planning.footprint import Footprint
+    from srs_twin.planning.problem import Segment
 
 PLAN_UNITS = units_of("plan_found plan_length_m plan_nodes plan_kink_rad")
 """Metrics of a plan alone."""
@@ -32,12 +35,9 @@ FOLLOWING_UNITS = PLAN_UNITS | units_of("""
 TEXT_HALF_WIDTH, TEXT_SHIFT, TEXT_TIGHTEST = 0.025, 0.01, math.pi / 3 / 0.2
 """The box of Section 5.2: 50 mm, shifted by 10 mm at 60 degrees in 0.2 m; m and 1/m."""
 
-TOUCH_N = 1e-3
-"""Forces below are none."""
+
 OVERLAP = 1e-3
 """Deeper in an obstacle than contacts ever are, m."""
-_APART_S = 0.1
-"""Touches closer together in time are one contact."""
 
 
 def following(trajectory: Trajectory) -> Mapping[str, Any] | None:
@@ -72,7 +72,7 @@ def legs(trajectory: Trajectory) -> Iterator[Leg]:
 
 def segments_of(plan: Mapping[str, Any]) -> tuple[Segment, ...]:
     """Return the path of a recorded plan."""
-    from srs_twin.planning import Segment
+    from srs_twin.planning.problem import Segment
     from srs_twin.robot.world import Pose
 
     return tuple(
@@ -83,7 +83,7 @@ def segments_of(plan: Mapping[str, Any]) -> tuple[Segment, ...]:
 
 def footprint_of(about: Mapping[str, Any]) -> Footprint:
     """Return the recorded footprint that the plans were made with."""
-    from srs_twin.planning import Footprint
+    from srs_twin.planning.footprint import Footprint
 
     given = about["footprint"]
     columns = {k: tuple(given[k]) for k in ("offsets", "curvatures", "speeds", "left", "right")}
@@ -129,7 +129,8 @@ def following_metrics(trajectory: Trajectory) -> dict[str, Any]:
 
 def plan_metrics(found: bool, segments: tuple[Segment, ...], nodes: int) -> dict[str, Any]:
     """Return the metrics of a plan alone."""
-    from srs_twin.planning import Outcome, Plan
+    from srs_twin.planning.plan import Plan
+    from srs_twin.planning.problem import Outcome
 
     plan = Plan(Outcome.FOUND if found else Outcome.STUCK, "", segments)
     return {
@@ -232,47 +233,8 @@ def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-@dataclass(frozen=True)
-class Touch:
-    """A contact with an obstacle.
-
-    Attributes:
-        begin: s.
-        end: s.
-        force: the largest on any connector, N.
-        connector: where that was, 1 at the head.
-    """
-
-    begin: float
-    end: float
-    force: float
-    connector: int
-
-
-def touches(trajectory: Trajectory) -> list[Touch]:
-    """Return a run's contacts with obstacles, in order; none where there was nothing to touch."""
-    force = _obstacle_force(trajectory)
-    if force is None:
-        return []
-    rows = np.flatnonzero(force.max(axis=1) > TOUCH_N)
-    apart = np.flatnonzero(np.diff(trajectory.time[rows]) > _APART_S) + 1
-    found = []
-    for each in np.split(rows, apart) if len(rows) else []:
-        row, connector = np.unravel_index(force[each].argmax(), force[each].shape)
-        begin, end = trajectory.time[each[[0, -1]]]
-        found.append(Touch(float(begin), float(end), float(force[each][row, connector]), int(connector) + 1))
-    return found
-
-
-def _obstacle_force(trajectory: Trajectory) -> np.ndarray | None:
-    """Return the obstacles' force on each connector, shape (samples, N), N; None without obstacles."""
-    if not trajectory.has("obstacle_force_x"):
-        return None
-    return np.hypot(trajectory.stack("obstacle_force_x"), trajectory.stack("obstacle_force_y"))
-
-
 def _contacts(trajectory: Trajectory) -> dict[str, Any]:
-    force = _obstacle_force(trajectory)
+    force = obstacle_force(trajectory)
     if force is None:
         return {"contacts": None, "contact_time_s": None}
     steps = np.diff(trajectory.time, prepend=trajectory.time[0])
@@ -311,3 +273,28 @@ def _clearance(trajectory: Trajectory, world: Mapping[str, Any]) -> float | None
     least = float(apart.min())
     # Between two samples nothing but a force tells of a touch.
     return min(least, 0.0) if touches(trajectory) else least
+
+
+def _why_undefined(metric: str, trajectory: Trajectory) -> str:
+    """Return the reason why a run leaves a metric of following undefined, empty where None is its outcome."""
+    if following(trajectory) is None:
+        return "the run follows no plan"
+    if metric == "arrival_heading_error_rad":
+        return "the goal has no heading"
+    obstacles = metric in ("contacts", "contact_time_s", "clearance_m")
+    return "the world has no obstacles" if obstacles else ""
+
+
+METRICS = MetricGroup(
+    units=FOLLOWING_UNITS,
+    measure=following_metrics,
+    why_undefined=_why_undefined,
+    relative=frozenset({"cross_track_rms_m", "cross_track_max_m", "following_time_s"}),
+    main="plan_found",
+    short_table=(
+        *("plan_found", "plan_length_m", "goal_reached", "arrival_error_m", "arrival_heading_error_rad"),
+        *("cross_track_rms_m", "cross_track_max_m", "inside_share", "inside_50mm_share"),
+        *("contacts", "clearance_m", "following_time_s", "replans", "com_speed_m_s", "realtime_factor"),
+    ),
+)
+"""Metrics of runs that follow a plan."""

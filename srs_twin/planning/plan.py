@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -32,6 +33,8 @@ class Plan(Shown):
         problem: what was asked.
         trees: of the last search, for `explored`; empty where none was kept (`Settings.keep`).
     """
+
+    page: ClassVar[str] = "plan"
 
     outcome: Outcome
     reason: str

@@ -66,8 +66,8 @@ def inspect(
         if not as_json:
             print(printable(in_words(facts), keep="\n"))
         if picture is not None and scene is not None:
-            from srs_twin.planning.plan_view import markers_view
-            from srs_twin.studies.sweep.plots import save
+            from srs_twin.recordings.pictures import markers_view
+            from srs_twin.viewing.plots.picture_file import save
 
             place = Path(picture)
             place = place if len(files) == 1 else place.with_name(f"{Path(path).stem}_{place.name}")

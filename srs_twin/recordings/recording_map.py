@@ -60,7 +60,7 @@ class LogColumn(Strict):
 
 
 class RecordingMap(Strict):
-    """What is what in the files of a recording (docs/logs.md#a-map)."""
+    """What is what in the files of a recording (docs/logs.md#recording-map)."""
 
     units: Literal["m", "cm", "mm", "in", "ft", "px"] | None = None
     """Unit of length of files that do not state it."""

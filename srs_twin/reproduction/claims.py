@@ -136,7 +136,7 @@ class Measure(RunRequest):
 
 
 class Cause(Section):
-    """Cause of a missed row: shown by a switched assumption or by documentation, or supposed."""
+    """Cause of a missed row: shown by a switched assumption or by documentation, or presumed."""
 
     says: Name
     """Description."""
@@ -152,7 +152,7 @@ class Cause(Section):
     @model_validator(mode="after")
     def _check_evidence(self) -> Self:
         if (self.docs and self.switch) or bool(self.set) != (self.switch is not None):
-            raise ValueError("give docs, or switch with set, or neither if the cause is only supposed")
+            raise ValueError("give docs, or switch with set, or neither for a presumed cause")
         return self
 
 

@@ -15,9 +15,9 @@ from srs_twin.cli.options import JobsOption, JsonOption, QuietOption, option
 from srs_twin.cli.progress import Counting
 
 if TYPE_CHECKING:
-    from srs_twin.reproduction import JudgedClaim, RunStore
     from srs_twin.reproduction.claims import Claim
-    from srs_twin.reproduction.runs import ProgressFactory
+    from srs_twin.reproduction.runs import ProgressFactory, RunStore
+    from srs_twin.reproduction.verdicts import JudgedClaim
     from srs_twin.studies.sweep.task import Row
 
 
@@ -60,9 +60,9 @@ def reproduce(
     start_server("srs_twin.studies.sweep.warm")
     from srs_twin.errors import InputError
     from srs_twin.io.files import shown
-    from srs_twin.reproduction import judge, load_claims, open_store
-    from srs_twin.reproduction.claims import select_claims
-    from srs_twin.reproduction.runs import HTML, JSON, JUNIT
+    from srs_twin.reproduction.claims import load_claims, select_claims
+    from srs_twin.reproduction.runs import HTML, JSON, JUNIT, open_store
+    from srs_twin.reproduction.verdicts import judge
 
     if write_baseline and (only or quick):
         raise InputError("--write-baseline needs all rows; remove --only and --quick")
@@ -97,9 +97,10 @@ def _show_scorecard(*, as_json: bool) -> None:
 
     from srs_twin.cli.options import print_json
     from srs_twin.identification.fitting import print_table
-    from srs_twin.reproduction import load_baseline, load_claims
+    from srs_twin.reproduction.claims import load_claims
     from srs_twin.reproduction.scorecard import FACTORS, UNVALIDATED
     from srs_twin.reproduction.scorecard import scorecard as grade_capabilities
+    from srs_twin.reproduction.verdicts import load_baseline
 
     grades = grade_capabilities(load_claims(), load_baseline())
     if as_json:
@@ -150,10 +151,9 @@ def _write_files(
 ) -> list[str]:
     """Write the output files; return the changes from the baseline."""
     from srs_twin.io.file_sets import replaced
-    from srs_twin.reproduction import load_baseline
     from srs_twin.reproduction.report import write_html, write_json
     from srs_twin.reproduction.runs import HTML, JSON, JUNIT
-    from srs_twin.reproduction.verdicts import write_baseline
+    from srs_twin.reproduction.verdicts import load_baseline, write_baseline
 
     if new_baseline:
         write_baseline(rows)

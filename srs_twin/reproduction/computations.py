@@ -9,11 +9,11 @@ import numpy as np
 
 from srs_twin.robot.file import load_robot
 from srs_twin.robot.spec import GRAVITY
-from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 
 if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
-    from srs_twin.scenario import Scenario
+    from srs_twin.scenario.scenario import Scenario
     from srs_twin.trajectory import Trajectory
 
 Numbers = dict[str, float | None]
@@ -176,8 +176,11 @@ def planner_success(planner: str, draws: int) -> Numbers:
     """
     from scipy.stats import spearmanr
 
-    from srs_twin.planning import Primitives, Problem, load_footprint, plan
-    from srs_twin.planning.fields import FIG54_GOAL, FIG54_SITES, FIG54_START, fig54_world
+    from srs_twin.planning.arcs import Primitives
+    from srs_twin.planning.footprint import load_footprint
+    from srs_twin.planning.planner import plan
+    from srs_twin.planning.problem import Problem
+    from srs_twin.robot.drawn_worlds import FIG54_GOAL, FIG54_SITES, FIG54_START, fig54_world
 
     body = load_footprint("gen2_section52")
     arcs = Primitives(21, math.pi / 3, 0.2) if planner == "greedy" else None
@@ -205,7 +208,7 @@ def turn_limit(speed_m_s: float, radius_m: float) -> Numbers:
 
 def footprint_edges(footprint: str) -> Numbers:
     """Return a footprint's width when straight, and its shift at the largest curvature, m (Table 9)."""
-    from srs_twin.planning import load_footprint
+    from srs_twin.planning.footprint import load_footprint
 
     body = load_footprint(footprint)
     straight, tight = body.at(0.0), body.at(max(body.curvatures))
@@ -218,7 +221,7 @@ def footprint_edges(footprint: str) -> Numbers:
 
 def primitive_error(count: int, turn_rad: float, length_m: float) -> Numbers:
     """Return the largest distance between ends of the planner's arcs and Eq. 33 (signs as in E7), m."""
-    from srs_twin.planning import Primitives
+    from srs_twin.planning.arcs import Primitives
     from srs_twin.robot.world import Pose
 
     start = Pose(0.3, -0.2, 0.7)

@@ -18,14 +18,15 @@ from srs_twin.comparison.compare import compare
 from srs_twin.comparison.learning import is_learning
 from srs_twin.errors import UnknownNameError
 from srs_twin.io.files import data_root
-from srs_twin.planning.plan_view import following_plot, plan_view
+from srs_twin.planning.pictures import following_plot
 from srs_twin.reproduction.claims import COLUMNS, Name, RunRequest, load_list
 from srs_twin.reproduction.runs import ReproductionJob, RunStore, points_of, sweep_of
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.scenario import parse_scenario
 from srs_twin.scenario.fields import Section
+from srs_twin.scenario.loading import parse_scenario
 from srs_twin.studies.sweep.plots import draw
 from srs_twin.trajectory import Trajectory
+from srs_twin.viewing.plots.from_above import plan_view
 from srs_twin.viewing.plots.runs import (
     bend_plot,
     error_plot,

@@ -32,15 +32,15 @@ USES = ("law", "holdout", "shape", "fit")
 
 TITLES: dict[Category, str] = {
     "headline": "Headline predictions",
-    "own_tolerance": "Predictions within a tolerance of ours",
+    "own_tolerance": "Predictions with our tolerance",
     "fitted_robot": "Predictions by a robot fitted to the same table",
     "tuned_controller": "Predictions by a controller tuned for the quantity",
-    "chosen_obstacles": "Predictions with obstacles or paths of ours",
+    "chosen_obstacles": "Predictions with our obstacles or paths",
     "between_models": "Twin compared with the analytical model",
     "shape": "Orders and trends",
-    "by_construction": "Orders and trends that could not have failed",
+    "by_construction": "Orders and trends that could not fail",
     "law": "Laws",
-    "fit": "May be used to calibrate: no predictions",
+    "fit": "Calibration data, not predictions",
 }
 """Category → heading, in the order of the page: headline first, rows that may be fitted last."""
 
@@ -49,21 +49,21 @@ MEANINGS: dict[Category, str] = {
         "Published quantities of robots that were not fitted to the same table. The tolerance is the "
         "dissertation's: a bound, or the difference between two values that it states for one quantity."
     ),
-    "own_tolerance": "The dissertation states no tolerance, and ours decides what is met.",
+    "own_tolerance": "The dissertation states no tolerance; the tolerance is ours.",
     "fitted_robot": (
-        "The robot was fitted to Table 8 at offsets 0 and ±0.3. A line through those three rows meets all "
-        "predicted speeds and edges and three of four radii, so these rows say little about the model."
+        "The robot was fitted to Table 8 at offsets 0 and ±0.3. A line through these three rows meets all "
+        "predicted speeds and edges and three of four radii, so these rows are weak evidence for the model."
     ),
     "tuned_controller": (
-        "The search for the controllers' gains asked for the least overshoot, settling within 0.25 s, a lag "
-        "of at most 0.5 rad and few valve openings; rows that follow from these demands are no evidence."
+        "The search for the gains of the controllers minimised overshoot and valve openings, with settling "
+        "within 0.25 s and a lag of at most 0.5 rad. Rows that follow from these criteria are no evidence."
     ),
-    "chosen_obstacles": "The obstacles and paths of the figures are lost; ours are simulated.",
-    "between_models": "Published for model and robot; here both sides are ours.",
-    "shape": "Orders and trends that another outcome of the simulation would have missed.",
-    "by_construction": "They follow from symmetry or from what we assumed, so they are no evidence.",
-    "law": "They hold by construction or by theory: tests of the program.",
-    "fit": "Robots were made from these numbers, or may be.",
+    "chosen_obstacles": "The obstacles and paths of the figures are not available; ours are simulated.",
+    "between_models": "The published comparison is between model and robot, ours between our two models.",
+    "shape": "Orders and trends that the simulation could have missed.",
+    "by_construction": "These rows follow from symmetry or from our assumptions, so they are no evidence.",
+    "law": "Laws are true by construction or theory; they test the program.",
+    "fit": "Robots were calibrated with these values, or may be.",
 }
 """Category → properties that its rows have in common."""
 
@@ -88,7 +88,7 @@ def summary_line(rows: Sequence[JudgedClaim]) -> str:
     columns = {"twin": "the twin meets", "analytical": "the analytical model", "alone": "without a plant"}
     groups = {
         "headline predictions": [row for row in rows if row.claim.group == "headline"],
-        "predictions counted apart": [row for row in rows if row.claim.group not in (None, "headline")],
+        "other predictions": [row for row in rows if row.claim.group not in (None, "headline")],
         "orders and trends": by_category(rows)["shape"],
         "laws": by_category(rows)["law"],
     }
@@ -98,7 +98,7 @@ def summary_line(rows: Sequence[JudgedClaim]) -> str:
         texts = [f"{count[MET]} of {count['all']} {label}" for label, count in counts.items() if count["all"]]
         fitted = count_verdicts(rows, column, ("fit",))
         if fitted["all"]:
-            texts.append(f"(apart: {fitted[MET]} of {fitted['all']} that may be fitted)")
+            texts.append(f"(separately: {fitted[MET]} of {fitted['all']} rows for calibration)")
         if texts:
             parts.append(f"{name} {', '.join(texts).replace(', (', ' (')}")
     return f"Of {len(rows)} rows {'; '.join(parts)}."
@@ -147,7 +147,7 @@ def verdict_text(row: JudgedClaim) -> str:
 
 _HEADINGS = (
     "row", "statement", "published", "allowed", "analytical", "error", "twin", "error",
-    "could it have failed?", "why missed",
+    "could it have failed?", "cause of a miss",
 )  # fmt: skip
 
 

@@ -276,7 +276,7 @@ def _switchable_causes(row: JudgedClaim) -> list[Cause]:
 
 
 def _explain(store: RunStore, claim: Claim, column: str, outcome: Outcome) -> Outcome:
-    """Return a missed outcome with the first cause that is shown, or with the supposed one."""
+    """Return a missed outcome with the first cause that is shown, or with the presumed cause."""
     causes = [cause for cause in claim.cause if column in cause.columns]
     if outcome.verdict == MET or not causes:
         return outcome
@@ -284,9 +284,10 @@ def _explain(store: RunStore, claim: Claim, column: str, outcome: Outcome) -> Ou
         if cause.docs is not None:
             return replace(outcome, verdict=EXPLAINED, why=f"{cause.says} ({cause.docs})")
         if cause.switch is None:
-            return replace(outcome, why=f"supposed: {cause.says}")
+            return replace(outcome, why=f"presumed cause: {cause.says}")
         switched = judge_column(store, claim.with_switch(cause), column)
         if switched.verdict == MET:
-            return replace(outcome, verdict=EXPLAINED, why=f"{cause.switch}: {cause.says}; met without it")
+            why = f"{cause.switch}: {cause.says}; met with this assumption switched"
+            return replace(outcome, verdict=EXPLAINED, why=why)
     switches = ", ".join(f"{cause.switch}" for cause in causes)
     return replace(outcome, why=outcome.why or f"not met either with {switches} switched")

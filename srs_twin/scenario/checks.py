@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from itertools import chain
+from typing import Any
 
 from srs_twin.comparison.metrics import MEASURED_UNITS
 from srs_twin.control.replay import HoldValves
@@ -10,14 +13,10 @@ from srs_twin.errors import Clock, InputError, TimeStepError, nearest_rate, whol
 from srs_twin.io.documents import Document
 from srs_twin.pneumatics.base import Pneumatics
 from srs_twin.pneumatics.chambers import largest_bend
-from srs_twin.recordings.recording import Recording
-from srs_twin.recordings.takes import pressures, starts_at_rest
 from srs_twin.robot.file import RobotFile
-from srs_twin.scenario.controllers import FollowFile, ReplayFile
 from srs_twin.scenario.file import LEAST_RECORD_HZ, MOST_RECORD_HZ, ScenarioFile
 from srs_twin.scenario.plants import TwinFile
 
-_LONGER = 1e-6  # s: rounding
 _ROUNDED = 1.001
 """A pressure stated with three digits may be that much above the limit that it means: 48.3 kPa, 7 psi."""
 
@@ -32,8 +31,10 @@ def check(document: Document, file: ScenarioFile) -> None:
     _check_floor(document, file)
     _check_expectations(document, file)
     _check_gap_factor(document, file)
-    _check_following(document, file)
-    _check_replay(document, file)
+    _check_world(document, file)
+    sections = [section.contradictions_with(file) for section in file.sections().values()]
+    for loc, text, at_key in chain(file.controller.contradictions_with(file), *sections):
+        document.report(loc, text, at_key=at_key)
 
 
 def _check_floor(document: Document, file: ScenarioFile) -> None:
@@ -88,7 +89,7 @@ def check_robot(document: Document, file: ScenarioFile, robot: RobotFile) -> Non
 
 
 def check_controller(
-    document: Document, file: ScenarioFile, robot: RobotFile, supply_pa: float, recording: Recording | None
+    document: Document, file: ScenarioFile, robot: RobotFile, supply_pa: float, products: Mapping[str, Any]
 ) -> tuple[str, list[str]]:
     """Return the layout of the controller's valves and warnings; report why it cannot be had."""
     spec, controller = robot.spec(), file.controller
@@ -98,7 +99,7 @@ def check_controller(
         warnings = list(controller.warnings(limit))
     except InputError as error:
         document.report(("controller", "reference"), f"{error} (beyond_range: saturate)")
-    possible = controller.layouts(recording)
+    possible = controller.layouts(products)
     layout = file.valves.layout or possible[0]
     if layout not in possible:
         why = "; 3/2 valves cannot hold" if layout == "3/2" else "; it has no use for valves that hold"
@@ -123,20 +124,6 @@ def _check_felt(document: Document, file: ScenarioFile, chambers: Pneumatics) ->
             f"{twin.timestep_s:g} s is too long for these chambers, which feel how the segments bend; it "
             f"must be {chambers.felt_s:g} s or less",
         )
-
-
-def check_recording(document: Document, file: ScenarioFile, recording: Recording) -> list[str]:
-    """Report what of a scenario the recording does not allow; return warnings."""
-    time = recording.trajectory.time
-    span = float(time[-1] - time[0])
-    if file.duration_s > span + _LONGER:
-        document.report(("duration_s",), f"{file.duration_s:g} s is longer than the recording's {span:.4g} s")
-    if pressures(recording) is not None and "pneumatics" in file.model_fields_set:
-        text = "the recording holds pressures, which chambers then have; take it out"
-        document.report(("pneumatics",), text, at_key=True)
-    if starts_at_rest(recording):
-        return []
-    return ["recording: it begins while chambers hold air; the plants begin straight and at rest"]
 
 
 def _check_times(document: Document, file: ScenarioFile) -> None:
@@ -186,35 +173,16 @@ def _check_bench(document: Document, file: ScenarioFile) -> None:
         document.report(("plants", "analytical", "model"), text)
 
 
-def _check_following(document: Document, file: ScenarioFile) -> None:
-    """Who plans, who follows, and where to."""
-    follows, planner, world = isinstance(file.controller, FollowFile), file.planner, file.world
-    if follows and planner is None:
-        document.report(("controller",), "kind: follow has nothing to follow; give planner as well")
-    if world.random and world.random.kind == "strewn" and not (world.random.area or world.bounds):
+def _check_world(document: Document, file: ScenarioFile) -> None:
+    random, bounds = file.world.random, file.world.bounds
+    if random and random.kind == "strewn" and not (random.area or bounds):
         document.report(("world", "random"), "where? Give area, or bounds of the world")
-    if planner is None:
-        return
-    if not follows:
-        document.report(("planner",), "nobody follows its plan; set controller.kind: follow", at_key=True)
-    if file.bench:
-        document.report(("planner",), "nothing goes anywhere on a bench; take one out", at_key=True)
-    if planner.kind != "given" and world.goal is None:
-        document.report(("planner",), f"kind: {planner.kind} needs world.goal", at_key=True)
-
-
-def _check_replay(document: Document, file: ScenarioFile) -> None:
-    """A recording is what a replay replays."""
-    replays = isinstance(file.controller, ReplayFile)
-    if replays and file.recording is None:
-        document.report(("controller",), "kind: replay has nothing to replay; give recording as well")
-    if file.recording is not None and not replays:
-        document.report(("recording",), "nobody replays it; set controller.kind: replay", at_key=True)
 
 
 def _check_expectations(document: Document, file: ScenarioFile) -> None:
+    measured = any(section.measures for section in file.sections().values())
     for i, each in enumerate(file.expect):
-        if each.metric in MEASURED_UNITS and file.recording is None:
+        if each.metric in MEASURED_UNITS and not measured:
             document.report(("expect", i, "metric"), f"{each.metric} needs recording")
         if each.plant and each.plant not in file.plants.running:
             document.report(("expect", i, "plant"), f"{each.plant} does not run here; add it to plants")

@@ -3,34 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, get_args
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
 
 from pydantic import Field, model_validator
 
 from srs_twin.control.base import Controller
-from srs_twin.control.camera import Camera
 from srs_twin.control.duties import LARGEST_OFFSET, Cycles
 from srs_twin.control.gait import Gait
 from srs_twin.control.learning import ILC, LEAST_PULSES
 from srs_twin.control.pwm import PulseWidth
 from srs_twin.control.reference import Constant, Reference, Sine, Square, Staircase, Step
-from srs_twin.control.replay import STATES, HoldValves, Replay, layouts_for
+from srs_twin.control.replay import STATES, HoldValves, layouts_for
 from srs_twin.control.smc import DirectSMC, IterativeSMC
-from srs_twin.planning import Footprint
-from srs_twin.planning.follower import Conditions, Follower
-from srs_twin.planning.margins import SPREADS, ConditionsFile
-from srs_twin.planning.steering import BearingLaw, PathLaw, Steering
 from srs_twin.pneumatics.chambers import largest_bend
-from srs_twin.recordings.takes import commands
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.fields import Section, constructor_default, quantity
-
-if TYPE_CHECKING:
-    from srs_twin.planning.section import PlannerFile
-    from srs_twin.recordings.recording import Recording
-    from srs_twin.robot.file import RobotFile
-    from srs_twin.scenario.scenario import Scenario
 
 _KIND = "Which controller."
 _SHAPE = "How the bend changes over time."
@@ -46,6 +35,47 @@ _SLOPE = quantity(0.001, 1000.0)
 Bend = Annotated[float, Field(ge=-_RIGHT, le=_RIGHT)]
 
 
+Contradiction = tuple[tuple[str, ...], str, bool]
+"""Path in the file, message, and whether it belongs to the key rather than to its value."""
+
+
+class FileSections(Protocol):
+    """Sections of a scenario file, as far as others look at them; `scenario.file.ScenarioFile`."""
+
+    bench: bool
+    seed: int
+    duration_s: float
+    controller: Any
+    start: Any
+    world: Any
+    pneumatics: Any
+    plants: Any
+
+    @property
+    def model_fields_set(self) -> set[str]:
+        """Names of the fields that the file gives."""
+
+    def section(self, name: str) -> Any:
+        """Return a section of an extension by its name, None where the file has none."""
+
+
+@dataclass(frozen=True)
+class ControllerContext:
+    """What a controller of a scenario is built from.
+
+    Attributes:
+        name: of the scenario, for messages.
+        robot: the snake.
+        supply_pa: supply pressure, gauge, Pa.
+        products: of the sections of extensions, by section.
+    """
+
+    name: str
+    robot: RobotSpec
+    supply_pa: float
+    products: Mapping[str, Any]
+
+
 class ControllerSection(Section):
     """What all controllers have in common; `constructors` begin with the controller's class.
 
@@ -57,13 +87,30 @@ class ControllerSection(Section):
         kind: str
     tick: ClassVar[float | None] = None
 
-    def controller(self, scenario: Scenario) -> Controller:
+    def controller(self, context: ControllerContext) -> Controller:
         """Return a fresh controller."""
         controller: Controller = self.constructors[0](**self.arguments())
         return controller
 
-    def layouts(self, recording: Recording | None) -> tuple[str, ...]:
-        """Return the valve layouts that it can drive."""
+    @property
+    def gait_section(self) -> ControllerSection:
+        """The controller that sets the valves: itself, unless it steers another one."""
+        return self
+
+    def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
+        """Yield what contradicts other sections of the file."""
+        return iter(())
+
+    def is_ready(self, products: Mapping[str, Any]) -> bool:
+        """Return whether the products of other sections that it needs were read."""
+        return True
+
+    def layouts(self, products: Mapping[str, Any]) -> tuple[str, ...]:
+        """Return the valve layouts that it can drive.
+
+        Args:
+            products: of the sections of extensions, by section.
+        """
         found: tuple[str, ...] = self.constructors[0].layouts  # type: ignore[attr-defined]
         return found
 
@@ -246,9 +293,9 @@ class _TrackingFile(ControllerSection):
     beyond_range: Literal["refuse", "saturate"] = "refuse"
     """What becomes of a reference beyond what the segments bend by at the supply pressure."""
 
-    def controller(self, scenario: Scenario) -> Controller:
+    def controller(self, context: ControllerContext) -> Controller:
         """See `ControllerSection.controller`."""
-        wanted = self.within(largest_bend(scenario.robot, scenario.supply_pa))
+        wanted = self.within(largest_bend(context.robot, context.supply_pa))
         controller: Controller = self.constructors[0](**self.arguments() | {"reference": wanted})
         return controller
 
@@ -316,165 +363,10 @@ class HoldFile(ControllerSection):
     minus: Literal["fill", "hold", "vent"] = constructor_default()
     """Valves of the - chambers."""
 
-    def layouts(self, recording: Recording | None) -> tuple[str, ...]:
+    def layouts(self, products: Mapping[str, Any]) -> tuple[str, ...]:
         """See `ControllerSection.layouts`."""
         return layouts_for([STATES[self.plus], STATES[self.minus]])
 
 
-class ReplayFile(ControllerSection):
-    """Valves that were recorded, or chambers that hold recorded pressures; the scenario needs a recording."""
-
-    kind: Literal["replay"]
-    """Which controller."""
-
-    def layouts(self, recording: Recording | None) -> tuple[str, ...]:
-        """See `ControllerSection.layouts`."""
-        return layouts_for(commands(recording, self.kind).states) if recording else ()
-
-    def controller(self, scenario: Scenario) -> Controller:
-        """See `ControllerSection.controller`."""
-        recording = scenario.recording
-        assert recording is not None, "a replay without a recording was reported"
-        return Replay(
-            commands(recording, scenario.name), recording.trajectory.metadata.get("gait_frequency_hz")
-        )
-
-
-class CameraFile(Section):
-    """Motion capture: how a follower sees the snake."""
-
-    constructors = (Camera,)
-
-    rate_hz: float = quantity(5.0, 10_000.0)
-    """Frames a second."""
-    position_noise_m: float = quantity(0.0, 1.0)
-    """RMS noise of x and y."""
-    heading_noise_rad: float = quantity(0.0, 3.0)
-    """RMS noise of the heading."""
-
-
-class FollowFile(ControllerSection):
-    """Following of a plan by the offset of a gait (Section 5.2.2); the scenario needs a planner."""
-
-    constructors = (PathLaw, BearingLaw, Conditions)
-    only = {
-        ("follower", "bearing"): ("gain_per_rad", "node_m", "near_m"),
-        ("follower", "path"): ("lookahead_m", "settle_m"),
-    }
-
-    kind: Literal["follow"]
-    """Which controller."""
-    follower: Literal["bearing", "path"] = "path"
-    """bearing: the text's, towards one node after the other; path: feedback of the distance from the path
-    with its curvature ahead."""
-    gait: Annotated[GaitFile | LearningFile, Field(discriminator="kind")]
-    """What is steered."""
-    delay_s: float = quantity(0.0, 10.0, 0.1)
-    """How long a command takes to the snake."""
-    camera: CameraFile = CameraFile()
-    """How it sees the snake."""
-    gain_per_rad: float | None = quantity(0.001, 100.0, None)
-    """Offset for an error of bearing (bearing; default {default:g})."""
-    node_m: float | None = quantity(0.001, 100.0, None)
-    """Distance of the nodes (bearing; default {default:g})."""
-    near_m: float | None = quantity(0.001, 100.0, None)
-    """How near to a node is near enough (bearing; default {default:g})."""
-    lookahead_m: float | None = quantity(0.001, 100.0, None)
-    """Path over which a distance from it dies out (path; default {default:g})."""
-    settle_m: float | None = quantity(0.0, 100.0, None)
-    """Path over which a new offset takes hold (path; default: by which the footprint's
-    changes of offset turn it later, {default:g} without any)."""
-    replan_beyond_m: float | None = quantity(0.001, 100.0, None)
-    """Distance from the path that calls for a new plan (default: none is made)."""
-    replans: int = quantity(0, 1000)
-    """How often a new plan is asked for at most."""
-
-    @model_validator(mode="after")
-    def _leaves_the_offset_alone(self) -> FollowFile:
-        if self.gait.offset != 0:
-            raise ValueError("the follower decides the offset; take gait.offset out")
-        return self
-
-    def controller(self, scenario: Scenario) -> Controller:
-        """See `ControllerSection.controller`; the first time this plans.
-
-        Raises:
-            InputError: start or goal cannot be, or the extra `ompl` is missing.
-        """
-        planner = scenario.planner
-        assert planner is not None, "a follower without a planner was reported"
-        body, settle, problem = planner.footprint, self._settle(planner.footprint), planner.problem
-        law: Steering = PathLaw(body, **self.arguments(PathLaw) | {"settle": settle})
-        if self.follower == "bearing":
-            law = BearingLaw(**self.arguments(BearingLaw))
-        return Follower(
-            self.gait.controller(scenario),
-            law,
-            planner.plan(),
-            problem.goal,
-            body,
-            Conditions(
-                self.camera.build(),
-                self.delay_s,
-                settle,
-                self.replan_beyond_m,
-                self.replans,
-                getattr(planner.file, "run_up_m", 0.0),
-            ),
-            body=problem.footprint,
-            world=problem.world,
-            replan=None if planner.file.kind == "given" else planner.plan_from,
-        )
-
-    def conditions(
-        self, plant: str, contact: str | None, chambers: str, robot: RobotFile, planner: PlannerFile
-    ) -> ConditionsFile:
-        """Return what makes following hard, as margins with a probability are measured.
-
-        Args:
-            plant: "analytical" or "twin".
-            contact: that of the twin; None for the analytical model.
-            chambers: kind of pneumatics.
-            robot: whose modules may differ.
-            planner: section of the scenario.
-        """
-        spreads = {name: getattr(robot.modules, name, None) for name in SPREADS}
-        return ConditionsFile.model_validate(
-            {
-                **{name: each.value for name, each in spreads.items() if each is not None},
-                "plant": plant,
-                "contact": contact,
-                "chambers": chambers,
-                "follower": self.follower,
-                "turn_share": planner.turn_share,
-                "delay_s": self.delay_s,
-                "position_noise_m": self.camera.position_noise_m,
-                "heading_noise_rad": self.camera.heading_noise_rad,
-                "run_up_m": getattr(planner, "run_up_m", 0.0),
-            }
-        )
-
-    def _settle(self, footprint: Footprint) -> float:
-        """Return ℓ."""
-        if self.settle_m is not None:
-            return self.settle_m
-        return footprint.settle or self.parameters["settle"].default
-
-    def layouts(self, recording: Recording | None) -> tuple[str, ...]:
-        """See `ControllerSection.layouts`."""
-        return self.gait.layouts(recording)
-
-    def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `ControllerSection.check`."""
-        self.gait.check(spec, tick)
-
-    def warnings(self, limit: float) -> Iterator[str]:
-        """See `ControllerSection.warnings`."""
-        return self.gait.warnings(limit)
-
-
-ControllerFile = Annotated[
-    GaitFile | LearningFile | DirectFile | IterativeFile | HoldFile | ReplayFile | FollowFile,
-    Field(discriminator="kind"),
-]
-CONTROLLERS = get_args(get_args(ControllerFile)[0])
+CORE_CONTROLLERS = (GaitFile, LearningFile, DirectFile, IterativeFile, HoldFile)
+"""Sections of the controllers of the core."""

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, ClassVar, Literal
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, WithJsonSchema, model_validator
+from pydantic import Field, WithJsonSchema, create_model, model_validator
 
-from srs_twin.planning.section import PlannerFile
+from srs_twin import extensions
+from srs_twin.extensions import objects
 from srs_twin.pneumatics import OrificePneumatics, Pneumatics, make_pneumatics
 from srs_twin.pneumatics.valves import StuckValve
-from srs_twin.recordings.recording_map import RecordingMap
-from srs_twin.recordings.takes import RecordingReader
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.scenario.controllers import ControllerFile, FollowFile
+from srs_twin.scenario.controllers import CORE_CONTROLLERS, ControllerSection
 from srs_twin.scenario.expectation import Expectation
-from srs_twin.scenario.fields import FilePath, Line, Section, constructor_default, quantity
+from srs_twin.scenario.fields import Line, Section, quantity
 from srs_twin.scenario.modified import ChangedField
 from srs_twin.scenario.plants import BENCH_TICK_S, TICK_S, AnalyticalFile, PlantsFile, TwinFile
+from srs_twin.scenario.sections import ExtensionSection, section_entries
 from srs_twin.scenario.start import StartFile
 from srs_twin.scenario.world import WorldFile
 from srs_twin.sensing import DeadSensor, HallSensor, Sensor, Strip, make_sensor
@@ -180,32 +182,16 @@ class ComparisonFile(Section):
     gaps (Section 3.4.2); the analytical plant must have gaps: false."""
 
 
-class RecordingFile(Section):
-    """What was measured of a robot and the log of its air (docs/logs.md); paths from the current folder."""
+CONTROLLERS = (*CORE_CONTROLLERS, *(section for _, section in objects(extensions.CONTROLLERS)))
+"""Sections of all controllers, those of the installed extensions included."""
 
-    constructors = (RecordingReader,)
-
-    motion: FilePath
-    """What cameras saw (docs/logs.md#file-formats); on a bench also a CSV file of time,bend_1,…."""
-    valves: FilePath | None = None
-    """Log of valves or pressures; a plain CSV or MCAP file (default: NAME.valves.csv beside the motion)."""
-    offset_s: float | None = quantity(-1e9, 1e9)
-    """What to add to the log's times (default: estimated)."""
-    gait_frequency_hz: float | None = quantity(0.01, 50.0)
-    """Gait frequency (default: as the valves repeat themselves)."""
-    up: Literal["auto", "x", "y", "z", "-x", "-y", "-z"] = constructor_default()
-    """Axis of the file that points up."""
-    layout: Literal["auto", "single", "head", "pair", "middles", "head_middles"] = constructor_default()
-    """Where the markers are."""
-    map: RecordingMap = constructor_default()
-    """Which marker, rigid body or column is what (docs/logs.md#a-map)."""
-    head: Line | None = constructor_default()
-    """Column of the marker at the head; the end towards which it crawls where there is none."""
-    longest_gap_s: float = quantity(0.0, 10.0)
-    """Longest gap that is filled."""
+if TYPE_CHECKING:
+    ControllerFile = ControllerSection
+else:
+    ControllerFile = Annotated[reduce(or_, CONTROLLERS), Field(discriminator="kind")]
 
 
-class ScenarioFile(Section):
+class CoreScenarioFile(Section):
     """One experiment with a soft snake."""
 
     name: Annotated[Line, Field(pattern=r"^[^./\x00-\x1f][^/\x00-\x1f]*$")] | None = None
@@ -239,10 +225,6 @@ class ScenarioFile(Section):
     """What commands the valves."""
     start: StartFile = StartFile()
     """Where the snake lies at first."""
-    recording: RecordingFile | None = None
-    """What was measured of the robot, to replay and to hold the plants against (controller.kind: replay)."""
-    planner: PlannerFile | None = None
-    """How the way to the goal is found (controller.kind: follow)."""
     world: WorldFile = WorldFile()
     """Obstacles, bounds and goal."""
     plants: PlantsFile = PlantsFile(analytical=AnalyticalFile(), twin=TwinFile())
@@ -261,6 +243,29 @@ class ScenarioFile(Section):
     def tick(self, plant: str) -> float:
         """Return the control tick of a plant, whether the file names it or not, s."""
         section = getattr(self.plants, plant)
-        driven = self.controller.gait if isinstance(self.controller, FollowFile) else self.controller
-        suits = BENCH_TICK_S if self.bench else driven.tick or TICK_S
+        suits = BENCH_TICK_S if self.bench else self.controller.gait_section.tick or TICK_S
         return suits if section is None or section.tick_s is None else float(section.tick_s)
+
+    def section(self, name: str) -> Any:
+        """Return a section of an extension by its name, None where the file has none."""
+        return getattr(self, name, None)
+
+    def sections(self) -> dict[str, ExtensionSection]:
+        """Return name → section of the sections of extensions that the file has."""
+        given = {name: self.section(name) for name in section_entries()}
+        return {name: section for name, section in given.items() if section is not None}
+
+
+if TYPE_CHECKING:
+    ScenarioFile = CoreScenarioFile
+else:
+    ScenarioFile = create_model(
+        "ScenarioFile",
+        __base__=CoreScenarioFile,
+        __module__=__name__,
+        __doc__=CoreScenarioFile.__doc__,
+        **{
+            name: (entry.annotation, Field(None, title=entry.description, description=entry.description))
+            for name, entry in section_entries().items()
+        },
+    )

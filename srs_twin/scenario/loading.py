@@ -4,39 +4,30 @@ from __future__ import annotations
 
 import copy
 import json
-import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean
+from srs_twin.errors import InputError, InputFileError, did_you_mean
 from srs_twin.io.documents import Change, Document, dotted, load_yaml, path_of
 from srs_twin.io.files import find, results_name
 from srs_twin.io.validation import validate
-from srs_twin.planning.footprint import load_footprint_file
-from srs_twin.planning.section import RoutePlanner
-from srs_twin.recordings.recording import Recording
-from srs_twin.recordings.signals.logs import on_bench, read_valves
-from srs_twin.recordings.takes import NO_MARKERS, logs_of, only_bends, pressures, repeats, start_pose
 from srs_twin.robot.file import PA_PER_KPA, RobotFile, far_off, resolve_robot
 from srs_twin.robot.sourced import restated
 from srs_twin.robot.world import World
 from srs_twin.scenario.checks import (
     check,
     check_controller,
-    check_recording,
     check_robot,
     overpressure,
 )
-from srs_twin.scenario.controllers import FollowFile, ReplayFile
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.scenario.modified import changed_fields, marked
 from srs_twin.scenario.plants import PRESET, with_preset
 from srs_twin.scenario.scenario import Scenario
-
-Found = TypeVar("Found")
+from srs_twin.scenario.sections import Loading
 
 
 def load_scenario(
@@ -78,35 +69,34 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
     warnings = overpressure(document, robot) if robot else []
     if robot:
         warnings += [f"robot.{dotted(loc)}: {text}" for loc, text in far_off(document.get("robot"))]
-    supply_pa, layout, world, recording, planner, begin = 0.0, "", World(), None, None, None
+    supply_pa, layout, world, begin = 0.0, "", World(), None
+    products: dict[str, Any] = {}
     if file:
         with document.reporting("world", "random"):
             world = file.world.surroundings(file.start.build(), file.seed)
         check(document, file)
     if file and robot:
         check_robot(document, file, robot)
-        recording = _recording(document, file, robot)
-        if recording is not None:
-            warnings += check_recording(document, file, recording)
-        if recording is not None or not isinstance(file.controller, ReplayFile):
+        loading = Loading(document, file, robot, world, products, warnings)
+        products |= {key: section.read(loading) for key, section in file.sections().items()}
+        if file.controller.is_ready(products):
             supply_pa = supply_kpa(file, robot) * PA_PER_KPA
-            layout, more = check_controller(document, file, robot, supply_pa, recording)
+            layout, more = check_controller(document, file, robot, supply_pa, products)
             warnings += more
         if not document.problems:
             with document.reporting("start"):
                 begin = file.start.begin(robot.spec(file.seed).segments, supply_pa, file.plants.running)
-        if file.start.run is not None and isinstance(file.controller, FollowFile):
-            text = "a plan begins at one pose; give it by x_m, y_m and heading_rad"
-            document.report(("start", "from"), text, at_key=True)
-        planner = _planner(document, file, robot, world, warnings)
+        for key, section in file.sections().items():
+            products[key] = products[key] or section.prepare(loading)
     document.finish(foreign)
     assert file is not None and robot is not None, "no problem was reported"
-    if file.planner is None and (world.goal or world.bounds):
+    uses_goal = any(section.uses_goal for section in file.sections().values())
+    if not uses_goal and (world.goal or world.bounds):
         warnings.append(
             "world: no plant or controller takes notice of its goal and bounds; controller.kind: follow does"
         )
-    resolved = _resolved(file, robot, file.name or name, layout, recording)
-    before = _resolved_or_raw(unmodified, recording) if changes else resolved
+    resolved = _resolved(file, robot, file.name or name, layout, products)
+    before = _resolved_or_raw(unmodified, products) if changes else resolved
     if changed := changed_fields(
         before, resolved, [each.loc for each in changes], document.get("changes") or ()
     ):
@@ -126,10 +116,9 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
         begin=begin,
         world=world,
         file=file,
-        planner=planner,
         document=resolved,
         warnings=tuple(warnings),
-        recording=recording,
+        products=products,
         source=document.name,
     )
 
@@ -145,15 +134,15 @@ def _set(document: Document, change: Change) -> None:
     document.change(change)
 
 
-def _resolved_or_raw(data: Any, recording: Recording | None) -> dict[str, Any]:
+def _resolved_or_raw(data: Any, products: Mapping[str, Any]) -> dict[str, Any]:
     """Return the plain data of a scenario with its defaults; as they are if it is incomplete."""
     document = Document("", data if isinstance(data, dict) else {})
     file, (robot, _) = validate(ScenarioFile, document, document.data), _robot(document)
     if file is None or robot is None:
         return document.data
-    recording = recording if file.recording else None
-    layout: str = file.valves.layout or (*file.controller.layouts(recording), "")[0]
-    return _resolved(file, robot, "", layout, recording)
+    known = {name: products.get(name) for name in file.sections()}
+    layout: str = file.valves.layout or (*file.controller.layouts(known), "")[0]
+    return _resolved(file, robot, "", layout, known)
 
 
 def _check_field(change: Change) -> None:
@@ -171,7 +160,7 @@ def _check_field(change: Change) -> None:
 
 
 def _resolved(
-    file: ScenarioFile, robot: RobotFile, name: str, layout: str, recording: Recording | None
+    file: ScenarioFile, robot: RobotFile, name: str, layout: str, products: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return plain data of the same scenario with all defaults and the robot written out."""
     # The supply's own allow_overpressure is another name of the scenario's.
@@ -193,14 +182,8 @@ def _resolved(
         document["world"][key] = str(Path(document["world"][key]).resolve())
     if "from" in document.get("start", {}):
         document["start"] = {"from": str(Path(file.start.run or "").resolve()), "time_s": file.start.time_s}
-    if recording is not None:
-        for key in document["recording"].keys() & {"motion", "valves"}:
-            document["recording"][key] = str(Path(document["recording"][key]).resolve())
-        if pressures(recording) is not None:
-            del document["pneumatics"]
-        if not file.bench and "start" not in file.model_fields_set:
-            x, y, heading = start_pose(recording)
-            document["start"] = {"x_m": x, "y_m": y, "heading_rad": math.remainder(heading, 2 * math.pi)}
+    for key, section in file.sections().items():
+        section.resolve(document, file, products.get(key))
     for kind, plant in document["plants"].items():
         plant["tick_s"] = file.tick(kind)
         for key in getattr(file.plants, kind).on_a_floor if file.bench else ():
@@ -212,63 +195,6 @@ def supply_kpa(file: ScenarioFile, robot: RobotFile) -> float:
     """Return the supply pressure, the robot's nominal one where none is given, kPa."""
     given = file.supply.pressure_kpa
     return float(robot.supply.nominal_kpa.value) if given is None else given
-
-
-def _recording(document: Document, file: ScenarioFile, robot: RobotFile) -> Recording | None:
-    """Return what is replayed; report at its key why it cannot be read."""
-    given = file.recording
-    if given is None:
-        return None
-    reading, spec = given.build(), robot.spec(file.seed)
-    (path,) = logs_of([given.motion], [given.valves] if given.valves else [])
-    log = _read(document, "valves", lambda: read_valves(path, spec, given.map))
-    frequency = repeats(log) if log else None
-    body = _read(document, "motion", lambda: reading.body(given.motion, spec, frequency))
-    if body is None or log is None:
-        return None
-    if not file.bench and only_bends(body.trajectory):
-        document.report(("recording", "motion"), f"{NO_MARKERS}, or bench: true")
-        return None
-    one_file = path == given.motion
-    joined = _read(document, "offset_s", lambda: reading.joined(body, log, spec, one_file=one_file))
-    if joined is None or not file.bench:
-        return joined
-    return _read(document, "motion", lambda: on_bench(joined, spec))
-
-
-def _read(document: Document, key: str, read: Callable[[], Found]) -> Found | None:
-    """Return what a key of the recording leads to; report why there is nothing."""
-    try:
-        return read()
-    except UnknownNameError as error:
-        # The file itself was read: it is the marker, or the column, that is not in it.
-        document.report(("recording", "head" if document.get("recording", "head") else "map"), str(error))
-    except InputError as error:
-        document.report(("recording", key), str(error))
-    return None
-
-
-def _planner(
-    document: Document, file: ScenarioFile, robot: RobotFile, world: World, warnings: list[str]
-) -> RoutePlanner | None:
-    """Return what plans the way to follow; report why it cannot be had, and add warnings."""
-    if file.planner is None or not isinstance(file.controller, FollowFile) or document.problems:
-        return None
-    key: tuple[str, ...] = ("planner", "footprint")
-    try:
-        footprint = load_footprint_file(file.planner.footprint)
-        key = ("planner",)
-        chambers, running = file.pneumatics.kind, file.plants.running
-        tried = [
-            file.controller.conditions(kind, getattr(plant, "contact", None), chambers, robot, file.planner)
-            for kind, plant in running.items()
-        ]
-        if file.plants.twin and (text := footprint.mismatch(file.plants.twin.contact)):
-            warnings.append(f"planner.footprint: {text}")
-        return RoutePlanner.of(file.planner, footprint, file.start.build(), world, tried)
-    except InputError as error:
-        document.report(key, str(error) if len(key) == 1 else str(error).splitlines()[0])
-        return None
 
 
 def _robot(document: Document) -> tuple[RobotFile | None, tuple[str, ...]]:

@@ -22,8 +22,8 @@ import numpy as np
 
 from srs_twin import __version__
 from srs_twin.compute.arrays import blas_kernels, one_blas_thread
-from srs_twin.errors import InputError
-from srs_twin.io.files import find
+from srs_twin.extensions import CONTROLLERS, METRICS, SECTIONS, installed, module_of
+from srs_twin.scenario.sections import input_files
 
 NOT_PHYSICS = ("name", "title", "expect", "changes")
 """Keys of a scenario that name or judge results."""
@@ -82,9 +82,20 @@ def run_key(document: Mapping[str, Any], plants: Iterable[str], runner: str) -> 
         scenario={key: value for key, value in document.items() if key not in NOT_PHYSICS},
         plants=list(plants),
         files=list(file_digests(document).values()),
-        sources=source_digests(runner),
+        sources=_sources(document, runner),
         versions=versions(),
     )
+
+
+def _sources(document: Mapping[str, Any], runner: str) -> dict[str, str]:
+    """Return module → digest of its source: of the runner, and of what the registry adds to the scenario."""
+    sections = {name: entry for name, entry in SECTIONS.items() if document.get(name)}
+    used = installed(METRICS) | installed(sections)
+    controller = document.get("controller")
+    if isinstance(controller, Mapping) and (entry := CONTROLLERS.get(str(controller.get("kind")))):
+        used |= installed({"controller": entry})
+    modules = [runner, *map(module_of, used.values())]
+    return {name: digest for module in modules for name, digest in source_digests(module).items()}
 
 
 def judged_digest(document: Mapping[str, Any]) -> str:
@@ -114,12 +125,6 @@ def file_digests(document: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _files(document: Mapping[str, Any]) -> Iterator[str]:
-    planner, recording = document.get("planner"), document.get("recording")
-    if isinstance(planner, Mapping) and isinstance(name := planner.get("footprint"), str):
-        try:
-            yield str(find("footprint", name))
-        except InputError:
-            yield name
     start = document.get("start")
     if isinstance(start, Mapping) and start.get("from"):
         yield from (str(Path(start["from"]) / f"{plant}.parquet") for plant in document.get("plants", ()))
@@ -129,11 +134,7 @@ def _files(document: Mapping[str, Any]) -> Iterator[str]:
 
         yield from (str(world[key]) for key in ("map", "circles") if world.get(key))
         yield from (str(each) for each in (pictures_of(Path(world["map"])) if world.get("map") else ()))
-    if isinstance(recording, Mapping):
-        from srs_twin.recordings.takes import logs_of
-
-        motion, valves = str(recording.get("motion")), recording.get("valves")
-        yield from (motion, *logs_of([motion], [valves] if valves else []))
+    yield from input_files(document)
 
 
 def _sha256(path: str) -> str:

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.plants.analytical import AnalyticalSnake
-from srs_twin.pneumatics.recorded import RecordedPressures
 from srs_twin.pneumatics.valves import StuckValve
-from srs_twin.recordings.takes import pressures
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
+from srs_twin.scenario.controllers import ControllerContext, ControllerSection
 from srs_twin.scenario.expectation import Expectation
 from srs_twin.scenario.modified import Changes, invalidated_by, marked, with_plants
 from srs_twin.scenario.plants import PLANTS, AnalyticalFile, PlantFile, TwinFile
@@ -22,11 +21,8 @@ from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from srs_twin.control.base import Controller
-    from srs_twin.planning.section import RoutePlanner
     from srs_twin.plants.base import Plant
     from srs_twin.pneumatics import Pneumatics
-    from srs_twin.recordings.recording import Recording
-    from srs_twin.scenario.controllers import ControllerFile
     from srs_twin.scenario.file import ScenarioFile
     from srs_twin.scenario.start import FirstState
 
@@ -47,10 +43,9 @@ class Scenario:
         begin: brings its plants into their first states; None: they lie straight and at rest at `pose`.
         world: obstacles, bounds, goal.
         file: the sections of the file, all defaults written out.
-        planner: what plans the way; None where nothing follows one.
         document: plain data of a file that loads as an equal scenario, defaults and robot written out.
         warnings: what a person should know before trusting the results.
-        recording: what is replayed, joined with its log.
+        products: section of an extension → what it made of its keys and files.
         source: the file, as messages show it.
     """
 
@@ -65,10 +60,9 @@ class Scenario:
     begin: FirstState | None = field(compare=False, repr=False)
     world: World
     file: ScenarioFile
-    planner: RoutePlanner | None
     document: Mapping[str, Any] = field(repr=False)
     warnings: tuple[str, ...] = ()
-    recording: Recording | None = field(default=None, compare=False, repr=False)
+    products: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
     source: str = field(default="", compare=False)
 
     @property
@@ -77,9 +71,19 @@ class Scenario:
         return self.file.plants.running
 
     @property
-    def controller(self) -> ControllerFile:
+    def controller(self) -> ControllerSection:
         """What commands the valves."""
         return self.file.controller
+
+    @property
+    def planner(self) -> Any:
+        """The product of the section `planner`; None where nothing follows a plan."""
+        return self.products.get("planner")
+
+    @property
+    def recording(self) -> Any:
+        """The product of the section `recording`; None where nothing is replayed."""
+        return self.products.get("recording")
 
     @property
     def changes(self) -> Changes:
@@ -130,9 +134,10 @@ class Scenario:
     @property
     def measured(self) -> Trajectory | None:
         """What was recorded of the robot, on the clock of the run; None where nothing is replayed."""
-        if self.recording is None:
+        measured = (each.measured(self.products[key]) for key, each in self.file.sections().items())
+        trajectory = next(filter(None, measured), None)
+        if trajectory is None:
             return None
-        trajectory = self.recording.trajectory
         time = trajectory.time - trajectory.time[0]
         kept = time <= self.duration + 1e-9
         columns = {name: column[kept] for name, column in trajectory.columns.items()}
@@ -183,21 +188,34 @@ class Scenario:
 
         return TwinSnake(robot, **arguments)
 
+    def check_run(self) -> None:
+        """Refuse a run that cannot start, before anything is simulated.
+
+        Raises:
+            InputError: it cannot start; a plan cannot be made, for example.
+        """
+        with self.named_in_errors():
+            for key, section in self.file.sections().items():
+                section.check_run(self.products[key])
+
     def build_controller(self) -> Controller:
         """Return a fresh controller.
 
         Raises:
             InputError: one that follows a plan, and nothing can be planned.
         """
-        return self.controller.controller(self)
+        return self.controller.controller(
+            ControllerContext(self.name, self.robot, self.supply_pa, self.products)
+        )
 
     def _chambers(self, robot: RobotSpec) -> Pneumatics:
-        recorded = pressures(self.recording) if self.recording else None
-        chambers: Pneumatics
-        if recorded is None:
+        replaced = (
+            section.chambers(self.products[key], robot, self.supply_pa, self.layout)
+            for key, section in self.file.sections().items()
+        )
+        chambers = next(filter(None, replaced), None)
+        if chambers is None:
             chambers = self.file.pneumatics.chambers(robot, self.supply_pa, self.layout)
-        else:
-            chambers = RecordedPressures(robot, *recorded, supply_pa=self.supply_pa, layout=self.layout)
         faults = (each.build() for each in self.file.faults)
         chambers.stuck = tuple(fault for fault in faults if isinstance(fault, StuckValve))
         return chambers

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationInfo, field_validator
 
 from srs_twin.errors import InputError
-from srs_twin.planning.fields import fig54_world, strewn
+from srs_twin.robot.drawn_worlds import fig54_world, strewn
 from srs_twin.robot.world import Bounds, Circle, Floor, Goal, Polygon, Pose, Step, World
 from srs_twin.scenario.fields import FilePath, Section, constructor_default, quantity
 from srs_twin.scenario.map_file import read_circles, read_map

@@ -12,7 +12,9 @@ from harness import Generated, Malformed
 from hypothesis import strategies as st
 
 from srs_twin import load_robot
-from srs_twin.identification import Recording, ValveLog, read_motion, read_valves
+from srs_twin.recordings.recording import Recording, read_motion
+from srs_twin.recordings.signals.logs import read_valves
+from srs_twin.recordings.signals.valve_log import ValveLog
 
 SPEC = load_robot("gen2")
 FRAMES = 40

@@ -15,7 +15,6 @@ from synthetic_takes import Take
 
 from srs_twin import AnalyticalSnake, Controller, Trajectory, load_robot, rollout
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.identification import join, read_valves
 from srs_twin.identification.actuator import (
     Response,
     StaticTable,
@@ -29,6 +28,8 @@ from srs_twin.identification.fitted_robot import fitted_robot
 from srs_twin.identification.parameters import free_parameters, parameter_names, with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
+from srs_twin.recordings.signals.clock import join
+from srs_twin.recordings.signals.logs import read_valves
 from srs_twin.recordings.signals.valve_log import ValveLog
 from srs_twin.robot.spec import RobotSpec
 

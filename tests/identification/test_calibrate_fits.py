@@ -20,11 +20,14 @@ from srs_twin import AnalyticalSnake, Gait, load_robot, rollout
 from srs_twin.cli import main
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError
-from srs_twin.identification import ValveLog, join, read_valves
 from srs_twin.identification.fit_file import load_fit
 from srs_twin.identification.friction import is_pull_table, read_pull_table
+from srs_twin.identification.recorded_runs import gait_run
 from srs_twin.pneumatics import Schedule
-from srs_twin.recordings.takes import gait_run, logs_of, repeats, start_pose, starts_at_rest
+from srs_twin.recordings.signals.clock import join
+from srs_twin.recordings.signals.logs import read_valves
+from srs_twin.recordings.signals.valve_log import ValveLog
+from srs_twin.recordings.takes import logs_of, repeats, start_pose, starts_at_rest
 from srs_twin.robot.spec import GRAVITY
 
 EXAMPLE = ROOT / "calibration/examples/my_snake"
@@ -125,7 +128,10 @@ def test_pulls_from_the_command_line(tmp_path, srs_twin):
             "--out names the fit, without --name: 'My-Fit' is not allowed",
         ),
         (["friction", "p.csv", "--out", "x.txt"], "--out: x.txt is not allowed; a fit file ends in .yaml"),
-        (["actuator", "h.csv", "--valves", "p.csv"], "--valves: remove this option; tables of constant pressures"),
+        (
+            ["actuator", "h.csv", "--valves", "p.csv"],
+            "--valves: remove this option; tables of constant pressures",
+        ),
         (["actuator", "h.csv", "--find", "modules.gan_plus_1"], "did you mean modules.gain_plus_N"),
         (["actuator", "h.csv", "--find", ","], "--find: ',' names nothing"),
         (["locomotion", "w.csv"], "w.valves.csv: no such file"),

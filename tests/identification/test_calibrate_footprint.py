@@ -26,8 +26,9 @@ from srs_twin.identification.footprint import (
 from srs_twin.identification.paths import SteadyPath
 from srs_twin.io.documents import dump_yaml, parse_yaml
 from srs_twin.io.files import shipped_folder
-from srs_twin.planning import Problem, load_footprint, plan
-from srs_twin.planning.footprint import checked, load_footprint_file, save_footprint
+from srs_twin.planning.footprint import checked, load_footprint, load_footprint_file, save_footprint
+from srs_twin.planning.planner import plan
+from srs_twin.planning.problem import Problem
 from srs_twin.robot.world import Circle, Goal, Pose, World
 
 SHORT = (

@@ -174,7 +174,7 @@ def test_what_a_fit_leaves_unknown_stands_in_the_robot(tmp_path):
     from scipy.stats import lognorm
 
     from srs_twin.identification.fitted_robot import fitted_robot
-    from srs_twin.studies.uncertainty import Priors
+    from srs_twin.robot.priors import Priors
 
     names = ["friction.mu_t", "bending.stiffness_nm_per_rad"]
     found = [

@@ -56,6 +56,9 @@ def test_path_ends_at_the_pose(a, b, radius):
 @example(Pose(0.0, 0.0, 0.0), 0.0, 7e-17, 1.0)
 @example(Pose(0.3, -0.2, 1.0), 0.3, -0.2 + 1e-17, 0.5)
 @example(Pose(0.0, 0.0, 0.0), 0.0, 6.323302607585437e-11, 1.0)
+@example(
+    Pose(0.0, 1.9567953203528943, 0.0), 1.9567953203528943, 0.0, 1.9567953203528943
+)  # on the turning circle
 def test_path_to_a_point_ends_there_and_no_arrival_heading_is_shorter(a, x, y, radius):
     path = shortest(a, x, y, None, radius)
     end = rolled(a, path)

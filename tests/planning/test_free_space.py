@@ -8,9 +8,10 @@ from dataclasses import replace
 import pytest
 from plan_worlds import drawn_problem
 
-from srs_twin.planning import Footprint, plan
 from srs_twin.planning.collision import MOST_CLEARANCE, Checker
+from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.free_space import least_length
+from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import path_of
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 

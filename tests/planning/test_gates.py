@@ -12,11 +12,12 @@ from plan_sampling import TOUCH, deepest, misses
 from subsets import first_by_default
 from witnessed_worlds import bodies, walls
 
-from srs_twin.planning import load_footprint, plan
 from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.best_first import at_rest, one_arc
 from srs_twin.planning.collision import Checker, surroundings
+from srs_twin.planning.footprint import load_footprint
 from srs_twin.planning.gates import gates_of
+from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import path_of
 from srs_twin.planning.tree import moves_of
 from srs_twin.robot.world import Bounds, Circle, Polygon, Pose, World

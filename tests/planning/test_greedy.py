@@ -12,10 +12,12 @@ from hypothesis import strategies as st
 from plan_sampling import TOUCH, deepest
 
 from srs_twin.errors import InputError
-from srs_twin.planning import Footprint, Outcome, Primitives, Problem, load_footprint, plan
-from srs_twin.planning.arcs import along
-from srs_twin.planning.fields import FIG54_GOAL, FIG54_START, fig54_world
+from srs_twin.planning.arcs import Primitives, along
+from srs_twin.planning.footprint import Footprint, load_footprint
 from srs_twin.planning.greedy import arc_to, mirrored
+from srs_twin.planning.planner import plan
+from srs_twin.planning.problem import Outcome, Problem
+from srs_twin.robot.drawn_worlds import FIG54_GOAL, FIG54_START, fig54_world
 from srs_twin.robot.world import Circle, Goal, Pose, World
 
 TEXT = load_footprint("gen2_section52")

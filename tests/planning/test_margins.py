@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from srs_twin.errors import InputError, InputFileError
+from srs_twin.identification import excursions
 from srs_twin.planning.follower import ENDINGS
 from srs_twin.planning.footprint import load_footprint_file, save_footprint
 from srs_twin.planning.margins import LOST_M, ConditionsFile, ExcursionsFile, margin, quantile
-from srs_twin.scenario import load_scenario
-from srs_twin.studies.uncertainty import excursions
+from srs_twin.scenario.loading import load_scenario
 
 CONDITIONS = {
     "plant": "twin", "follower": "path", "gain_spread": 0.1, "turn_share": 0.5, "delay_s": 0.1,
@@ -138,7 +138,9 @@ def test_only_runs_that_reach_the_goal_count_by_their_excursion(monkeypatch, end
     monkeypatch.setattr(excursions, "following", lambda run: about)
     document = load_scenario("follow_fig56").document
     straight = {"kind": "given", "turns_rad": [0.0], "step_m": 1.0, "footprint": "gen2_gait"}
-    run = excursions.FollowerRun({**document, "planner": straight, "world": {}, "expect": []}, 0.4, "analytical", 0)
+    run = excursions.FollowerRun(
+        {**document, "planner": straight, "world": {}, "expect": []}, 0.4, "analytical", 0
+    )
     before, after = run.run()
     assert before == pytest.approx(0.02 * np.sin(0.75) ** 2)
     arrived = ending == "goal_reached"

@@ -15,12 +15,14 @@ from plan_sampling import TOUCH, deepest, joints, misses
 from plan_worlds import drawn_problem
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.planning import Footprint, Outcome, Primitives, Problem, Settings, load_footprint, plan
-from srs_twin.planning.arcs import along
+from srs_twin.planning.arcs import Primitives, along
 from srs_twin.planning.best_first import rest
-from srs_twin.planning.fields import FIG54_BOUNDS, FIG54_GOAL, FIG54_START, fig54_world, strewn
+from srs_twin.planning.footprint import Footprint, load_footprint
 from srs_twin.planning.free_space import disconnected
+from srs_twin.planning.planner import plan
+from srs_twin.planning.problem import Outcome, Problem, Settings
 from srs_twin.planning.tree import moves_of, target_of
+from srs_twin.robot.drawn_worlds import FIG54_BOUNDS, FIG54_GOAL, FIG54_START, fig54_world, strewn
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 TEXT = load_footprint("gen2_section52")
@@ -312,7 +314,9 @@ def test_fields_are_drawn_alike_from_one_seed_and_keep_their_gaps():
 
 COMPILED_LATER = """
 import sys
-from srs_twin.planning import load_footprint, plan, planner
+from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.planner import plan
+from srs_twin.planning import planner
 from srs_twin.planning.problem import Problem
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 

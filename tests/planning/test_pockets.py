@@ -13,10 +13,12 @@ from plan_sampling import TOUCH, deepest, misses
 from subsets import first_by_default
 from witnessed_worlds import KINDS, bodies, drawn
 
-from srs_twin.planning import Problem, load_footprint, plan
 from srs_twin.planning.arcs import along
 from srs_twin.planning.collision import surroundings
+from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.planner import plan
 from srs_twin.planning.pockets import COARSE, FINE, _moves, shut_in
+from srs_twin.planning.problem import Problem
 from srs_twin.robot.world import Bounds, Goal, Polygon, Pose, World
 
 BODY = load_footprint("gen4_table8")

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from srs_twin.planning import Footprint
+from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.problem import path_of
 from srs_twin.planning.route import BEYOND, Route
 from srs_twin.robot.world import Pose

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from plan_sampling import TOUCH, deepest, joints, misses
 
-from srs_twin.planning import Problem, Settings, load_footprint, plan, planner
+from srs_twin.planning import planner
 from srs_twin.planning.arcs import along
-from srs_twin.planning.planner import plan_shaped, shaped
-from srs_twin.planning.problem import Segment, path_of
+from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.planner import plan, plan_shaped, shaped
+from srs_twin.planning.problem import Problem, Segment, Settings, path_of
 from srs_twin.robot.world import Bounds, Circle, Goal, Pose, World
-from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 
 LEARNT, OPEN = load_footprint("gen4_ilc"), load_footprint("gen2_gait")
 START = Pose(0.0, 0.0, 0.0)

@@ -7,7 +7,8 @@ import pytest
 from plan_sampling import TOUCH, deepest, joints, misses
 
 from srs_twin.errors import InputError
-from srs_twin.planning import Settings, plan
+from srs_twin.planning.planner import plan
+from srs_twin.planning.problem import Settings
 
 
 def test_a_small_study_counts_each_planners_plans(capsys):

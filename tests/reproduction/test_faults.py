@@ -6,8 +6,9 @@ import copy
 
 import pytest
 
-from srs_twin.reproduction import judge, load_claims, open_store
-from srs_twin.reproduction.claims import chosen
+from srs_twin.reproduction.claims import chosen, load_claims
+from srs_twin.reproduction.runs import open_store
+from srs_twin.reproduction.verdicts import judge
 
 ROWS = ("gen2-straight", "gen2-top-speed.middle", "gen3-symmetry.left", "act-step-gen4.tau1")
 

@@ -11,13 +11,12 @@ from conftest import ROOT
 from published_tables import published_runs
 
 from srs_twin.control.gait import Gait
-from srs_twin.reproduction import load_baseline, load_claims
-from srs_twin.reproduction.claims import COLUMNS
+from srs_twin.reproduction.claims import COLUMNS, load_claims
 from srs_twin.reproduction.report import MEANINGS, TITLES, by_category
 from srs_twin.reproduction.runs import sweep_of
-from srs_twin.reproduction.verdicts import MET, Judged
+from srs_twin.reproduction.verdicts import MET, Judged, load_baseline
 from srs_twin.robot.file import load_robot
-from srs_twin.scenario import load_scenario
+from srs_twin.scenario.loading import load_scenario
 
 pytestmark = pytest.mark.fast
 

@@ -13,9 +13,9 @@ from conftest import ROOT
 from reproduction import between, markdown, remembered, table
 
 from srs_twin.cli import main
-from srs_twin.reproduction import load_baseline, load_claims
+from srs_twin.reproduction.claims import load_claims
 from srs_twin.reproduction.command import _narrow
-from srs_twin.reproduction.verdicts import MET, Outcome
+from srs_twin.reproduction.verdicts import MET, Outcome, load_baseline
 
 FEW = ("--only", "table9.limit", "--only", "eq33", "--only", "actuator-90", "--only", "act-step-gen4")
 OUT = "out/reproduce"
@@ -57,7 +57,7 @@ def test_rows_are_run_judged_kept_and_told(srs_twin, tmp_path):
     outside = Outside()
     outside.feed(page)
     assert outside.found == [] and "<script" not in page
-    assert "could it have failed?" in page and "No: the division of two published numbers." in page
+    assert "could it have failed?" in page and "No: the value is the ratio of two published values." in page
     assert "Fig. 20" in page and "Fig. 31" not in page
     suites = ElementTree.parse(folder / "reproduce.xml").getroot()
     failed = {case.get("classname") for case in suites.iter("testcase") if case.find("failure") is not None}

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from srs_twin.reproduction import load_baseline, load_claims
 from srs_twin.reproduction import scorecard as module
+from srs_twin.reproduction.claims import load_claims
 from srs_twin.reproduction.scorecard import FACTORS, UNVALIDATED, scorecard
-from srs_twin.reproduction.verdicts import Baseline
+from srs_twin.reproduction.verdicts import Baseline, load_baseline
 
 
 def with_verdict(baseline, names, verdict):

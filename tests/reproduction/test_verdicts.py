@@ -12,11 +12,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from srs_twin.errors import InputError
-from srs_twin.reproduction import Judged, Outcome, judge
 from srs_twin.reproduction.claims import Cause, Claim, Measure
 from srs_twin.reproduction.report import count, summary_line
 from srs_twin.reproduction.runs import Job
-from srs_twin.reproduction.verdicts import Baseline, combined, load_baseline, taken, write_baseline
+from srs_twin.reproduction.verdicts import (
+    Baseline,
+    Judged,
+    Outcome,
+    combined,
+    judge,
+    load_baseline,
+    taken,
+    write_baseline,
+)
 from srs_twin.studies.sweep.task import DONE, Row
 
 pytestmark = pytest.mark.fast
@@ -93,7 +101,7 @@ def test_a_cause_must_be_shown():
 
 def test_a_cause_that_is_only_supposed_explains_nothing():
     found, ran = judged(claim(cause=[Cause(says="an estimate", columns=["twin"])]), {"a": (2, 2)})
-    assert found["twin"].verdict == "missed" and found["twin"].why == "supposed: an estimate"
+    assert found["twin"].verdict == "missed" and found["twin"].why == "presumed cause: an estimate"
     assert (found["analytical"].why, ran) == ("", ["a"])
 
 
@@ -158,7 +166,7 @@ def test_fitted_rows_are_no_predictions():
     fitted, held = (Judged(claim(use=use), outcomes) for use in ("fit", "holdout"))
     assert count([fitted, held], "twin", ("holdout",)) == {"met": 1, "explained": 0, "missed": 0, "all": 1}
     line = summary_line([fitted, held])
-    assert "1 of 1 headline predictions" in line and "(apart: 1 of 1 that may be fitted)" in line
+    assert "1 of 1 headline predictions" in line and "(separately: 1 of 1 rows for calibration)" in line
 
 
 def test_what_is_written_is_json(tmp_path):

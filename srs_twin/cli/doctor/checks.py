@@ -79,7 +79,7 @@ def failing(checks: Iterable[Check]) -> list[Check]:
 DISTRIBUTION = "srs-twin"
 
 PURPOSES = {
-    "envs": 'environments for agents (`gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")`)',
+    "envs": "environments for agents (docs/environments.md)",
     "gpu": "twins on an accelerator (`srs-twin sweep --engine warp`)",
     "ompl": "a baseline beside the project's own planner (`planner: {kind: ompl}`)",
     "ray": "sweeps on several machines (`srs-twin sweep --engine ray`)",

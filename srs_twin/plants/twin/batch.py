@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from srs_twin import extensions
 from srs_twin.compute.workers import Workers
 from srs_twin.errors import DivergedError, InputError, one_of
 from srs_twin.io.saved_state import CopiedWhole
@@ -230,12 +231,11 @@ def warp_batch() -> Any:
         InputError: MuJoCo Warp is not installed.
     """
     try:
-        from srs_twin.warp.batch import WarpBatch
+        return extensions.load(extensions.ENGINES["warp"])
     except ImportError as error:
         raise InputError(
             "engine 'warp' needs MuJoCo Warp; install it with: pip install 'srs-twin[gpu]'"
         ) from error
-    return WarpBatch
 
 
 def _twins(

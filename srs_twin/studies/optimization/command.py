@@ -55,10 +55,10 @@ def optimize(
     from srs_twin.studies.sweep.command import make_engine
 
     runner = make_engine(engine, workers, address)
-    from srs_twin.studies.optimization import load_study, search
+    from srs_twin.studies.optimization.loading import load_study
     from srs_twin.studies.optimization.result import StudyResult
     from srs_twin.studies.optimization.runs import StudyRuns
-    from srs_twin.studies.optimization.search import MAX_REPORTED
+    from srs_twin.studies.optimization.search import MAX_REPORTED, search
 
     study = load_study(given, set=changed_fields.changes())
     folder = Path(out) if out else STUDIES / study.name

@@ -14,10 +14,10 @@ from srs_twin.io.files import write_text
 from srs_twin.studies.optimization.plots import draw_convergence, draw_front, draw_parallel
 from srs_twin.studies.optimization.result import EVALUATIONS, PRODUCTS, RESULT, StudyResult
 from srs_twin.studies.optimization.search import costs, excesses
-from srs_twin.studies.sweep.plots import save
 from srs_twin.studies.sweep.store import write_table
 from srs_twin.viewing.html.page import Table, image, render
 from srs_twin.viewing.plots.labels import field_label, metric_label
+from srs_twin.viewing.plots.picture_file import save
 
 BOUND_MARK = "†"
 """Mark of a variable that is on a bound."""
@@ -88,7 +88,7 @@ def write_report(folder: Path, result: StudyResult) -> list[str]:
     write_text(
         folder / "report.html",
         render(
-            "optimization/report.html",
+            "studies/optimization/report.html",
             title=study.title,
             subtitle=", ".join(f"{n} runs of {part}" for part, n in result.document()["evaluations"].items()),
             best=_best_table(result),

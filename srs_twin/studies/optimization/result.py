@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from srs_twin.robot.file import RobotFile
+from srs_twin.robot.priors import Priors
 from srs_twin.scenario.provenance import versions
 from srs_twin.studies.optimization.loading import OptimizationStudy
 from srs_twin.studies.optimization.runs import StudyRuns, metric_of
 from srs_twin.studies.optimization.search import Optimum, excesses
 from srs_twin.studies.sweep.points import Changes
 from srs_twin.studies.sweep.task import Row
-from srs_twin.studies.uncertainty.priors import Priors
 
 RESULT, EVALUATIONS, REPORT = "study.json", "evaluations.parquet", "report.html"
 PICTURES = ("convergence.png", "front.png", "parallel.png")

@@ -27,8 +27,9 @@ from srs_twin.io.files import shown
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from srs_twin.studies.sweep import Summary, Sweep
     from srs_twin.studies.sweep.execution import Engine
+    from srs_twin.studies.sweep.points import Sweep
+    from srs_twin.studies.sweep.report import Summary
     from srs_twin.viewing.html.page import Table as TextTable
 
 SWEEPS = Path("runs/sweeps")
@@ -70,7 +71,8 @@ def sweep(
     """
     runner = make_engine(engine, workers, address)
     from srs_twin.scenario.modified import marked
-    from srs_twin.studies.sweep import load_sweep, open_sweep
+    from srs_twin.studies.sweep.execution import open_sweep
+    from srs_twin.studies.sweep.loading import load_sweep
 
     loaded = load_sweep(given, set=changed_fields.changes(), plants=plants_of(plants))
     for warning in () if quiet else loaded.warnings:

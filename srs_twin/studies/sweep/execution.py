@@ -222,7 +222,8 @@ class OpenSweep:
         if not self.sweep.plots:
             return {}
         # Imported here, because matplotlib would delay sweeps without plots.
-        from srs_twin.studies.sweep.plots import draw, save
+        from srs_twin.studies.sweep.plots import draw
+        from srs_twin.viewing.plots.picture_file import save
 
         titles = {}
         for number, plot in enumerate(self.sweep.plots, start=1):

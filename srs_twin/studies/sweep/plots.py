@@ -10,11 +10,10 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib import colormaps, rc_context
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.cm import ScalarMappable
@@ -24,8 +23,6 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import TriAnalyzer, Triangulation
 
-from srs_twin.errors import InputError
-from srs_twin.io.files import atomic_write
 from srs_twin.studies.sweep.table import (
     COMPARISON,
     PLAN,
@@ -40,8 +37,6 @@ from srs_twin.viewing.plots.style import PUBLISHED_COLOR, finish, side_by_side, 
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-FORMATS = (".png", ".svg")
 
 _MAX_LINES = 12
 """Largest number of values that a legend distinguishes; more have a colour bar."""
@@ -93,20 +88,6 @@ def draw(
         figure = _draw_line_or_scatter(plot, results, owners, published)
     figure.suptitle(_title(plot, results, owners), x=0.01, ha="left", fontsize=10)
     return figure
-
-
-def save(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG or SVG, by the suffix, atomically; equal figures give equal bytes.
-
-    Raises:
-        InputError: the suffix is not allowed, or the path cannot be written.
-    """
-    target = Path(path)
-    if target.suffix not in FORMATS:
-        raise InputError(f"{target.name}: pictures are written as {' or '.join(FORMATS)}")
-    metadata = {"Software": None} if target.suffix == ".png" else {"Date": None}
-    with atomic_write(target) as part, rc_context({"svg.hashsalt": "srs-twin", "svg.fonttype": "none"}):
-        figure.savefig(part, format=target.suffix[1:], dpi=130, metadata=metadata)
 
 
 def _separate_fields(plot: Plot, results: SweepTable) -> list[str]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.io.documents import Loc, path_of
-from srs_twin.planning.section import PLANNER_FILES
+from srs_twin.planning.scenario import PLANNER_FILES
 from srs_twin.robot.file import units_of
 from srs_twin.robot.sourced import restated
 from srs_twin.scenario.plants import PRESET, with_preset

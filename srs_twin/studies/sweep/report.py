@@ -197,7 +197,7 @@ def write_report(
     """
     versions = [("results sha256", summary.sha256), *sweep.versions.items()]
     content = render(
-        "sweep/report.html",
+        "studies/sweep/report.html",
         title=sweep.title,
         subtitle=_counts(summary),
         warnings=sweep.warnings,

@@ -24,7 +24,8 @@ from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
     from srs_twin.studies.sweep.task import Row
-    from srs_twin.studies.uncertainty import MetricUncertainty, Propagation
+    from srs_twin.studies.uncertainty.metric_uncertainty import MetricUncertainty
+    from srs_twin.studies.uncertainty.propagation import Propagation
 
 STUDIES = Path("runs/uncertainty")
 
@@ -73,8 +74,10 @@ def uncertainty(
     from srs_twin.experiment import INTERVALS
     from srs_twin.io.files import open_folder
     from srs_twin.robot.file import RobotFile
-    from srs_twin.scenario import load_scenario
-    from srs_twin.studies.uncertainty import Priors, UncertaintyStudy, propagate
+    from srs_twin.robot.priors import Priors
+    from srs_twin.scenario.loading import load_scenario
+    from srs_twin.studies.uncertainty.propagation import propagate
+    from srs_twin.studies.uncertainty.study import UncertaintyStudy
 
     loaded = load_scenario(scenario, set=changes.changes())
     if write and loaded.left_out:

@@ -24,7 +24,7 @@ from srs_twin.io.file_sets import replaced, unmark
 from srs_twin.io.files import write_text
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import judged_digest
-from srs_twin.studies.sweep import open_sweep
+from srs_twin.studies.sweep.execution import open_sweep
 from srs_twin.studies.sweep.store import write_table
 from srs_twin.studies.uncertainty.metric_uncertainty import (
     RANGES,
@@ -38,8 +38,8 @@ from srs_twin.studies.uncertainty.surrogates import PolynomialChaos
 from srs_twin.viewing.plots.labels import metric_label
 
 if TYPE_CHECKING:
-    from srs_twin.studies.sweep import Sweep
     from srs_twin.studies.sweep.execution import Engine
+    from srs_twin.studies.sweep.points import Sweep
     from srs_twin.studies.sweep.task import Row
 
 Progress = Callable[[str, int], AbstractContextManager["Callable[[Row], Any]"]]
@@ -292,10 +292,9 @@ class Propagation:
         """
         import pyarrow as pa
 
-        from srs_twin.studies.sweep.plots import save
-
         # Imported here, because matplotlib would delay results without plots.
         from srs_twin.studies.uncertainty.plots import draw_intervals
+        from srs_twin.viewing.plots.picture_file import save
 
         parameters = self.study.priors.at(self.study.shares[:, : len(self.study.priors.members)])
         columns = dict(zip(self.study.priors.paths, parameters.T, strict=True))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Collection, Sequence
+import json
+from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -98,3 +99,19 @@ def picture(figure: Figure, caption: str) -> Picture:
 def image(content: bytes, kind: str, caption: str) -> Picture:
     """Return a picture from its file's content, "svg+xml" or "png"."""
     return Picture(f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}", caption)
+
+
+def cell(value: Any) -> str:
+    """Return a JSON value for people; a dash where there is none."""
+    match value:
+        case None:
+            return "–"
+        case float():
+            return f"{value:.4g}"
+        case Mapping():
+            return json.dumps(value, ensure_ascii=False)
+        case list() | tuple():
+            return ", ".join(
+                f"[{cell(each)}]" if isinstance(each, list | tuple) else cell(each) for each in value
+            )
+    return str(value)

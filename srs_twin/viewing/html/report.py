@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
@@ -22,16 +21,15 @@ from srs_twin.comparison.metrics import (
     result_rows,
     tidy,
 )
-from srs_twin.identification.fit_report import parameter_table
-from srs_twin.planning import Plan
-from srs_twin.planning.plan_view import following_plot, lines_plot, path_points, plan_view
 from srs_twin.robot.file import RobotFile, units_of
 from srs_twin.robot.sourced import si_unit, split_unit
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.expectation import tally, verdict
 from srs_twin.scenario.modified import Changes, left_out_line, text_of
 from srs_twin.trajectory import Trajectory
-from srs_twin.viewing.html.page import Picture, Table, colored, picture, piece, render
+from srs_twin.viewing.additions import added_to
+from srs_twin.viewing.html.page import Picture, Table, cell, colored, picture, piece, render
+from srs_twin.viewing.plots.from_above import lines_plot, plan_view
 from srs_twin.viewing.plots.labels import metric_title
 from srs_twin.viewing.plots.runs import (
     attribution_plot,
@@ -112,26 +110,21 @@ def shown_run(
     return piece(f"{title}: {headline(metrics)}", _results(metrics, chosen(metrics["plants"])), above)
 
 
-def shown(found: Any) -> str:
-    """Return what a notebook shows of a trajectory, a comparison, a plan or a fit."""
-    if isinstance(found, Trajectory):
-        plant = str(found.metadata.get("plant", "run"))
-        metrics = {"plants": {plant: plant_metrics(found)}}
-        lines = {"centre of mass": found.com, "body at the end": found.position[-1]}
-        path = picture(lines_plot(lines), "The centre of mass, and the body at the end.")
-        words = f"{plant}, {found.time[-1]:g} s, {len(found)} samples"
-        return piece(words, _results(metrics, chosen(metrics["plants"])), path)
-    if isinstance(found, Plan):
-        rows = [["length", "m", _text(found.length)], ["time", "s", _text(found.duration)]]
-        rows += [["segments", "1", str(len(found.segments))], ["nodes", "1", str(found.expanded)]]
-        way = None
-        if found.segments:
-            way = picture(lines_plot({"path": path_points(found.segments)}), "The way of the centre of mass.")
-        return piece(f"{found.outcome.value}: {found.reason}", Table(["", "unit", "value"], rows, [2]), way)
-    if hasattr(found, "parameters"):
-        return piece(getattr(found, "title", "Fit"), parameter_table(found.parameters))
+def page_of_run(trajectory: Trajectory) -> str:
+    """Return a trajectory as HTML for a notebook."""
+    plant = str(trajectory.metadata.get("plant", "run"))
+    metrics = {"plants": {plant: plant_metrics(trajectory)}}
+    lines = {"centre of mass": trajectory.com, "body at the end": trajectory.position[-1]}
+    path = picture(lines_plot(lines), "The centre of mass, and the body at the end.")
+    words = f"{plant}, {trajectory.time[-1]:g} s, {len(trajectory)} samples"
+    return piece(words, _results(metrics, chosen(metrics["plants"])), path)
+
+
+def page_of_comparison(comparison: Comparison) -> str:
+    """Return a comparison as HTML for a notebook."""
     rows = [
-        [metric_title(name), COMPARISON_UNITS[name], _text(value)] for name, value in found.metrics.items()
+        [metric_title(name), COMPARISON_UNITS[name], cell(value)]
+        for name, value in comparison.metrics.items()
     ]
     return piece("Twin less analytical model", Table(["metric", "unit", "value"], rows, [2]))
 
@@ -142,8 +135,8 @@ def _results(metrics: Mapping[str, Any], names: Iterable[str]) -> Table:
     both = {"analytical", "twin"} <= plants.keys()
     headings = ["metric", "unit", *plants, *["difference"] * both, *["published"] * bool(stated)]
     rows = []
-    for name, unit, values, apart in result_rows(metrics, names, _text):
-        said = f"{_text(stated[name][0])} ({stated[name][1]})" if name in stated else ""
+    for name, unit, values, apart in result_rows(metrics, names, cell):
+        said = f"{cell(stated[name][0])} ({stated[name][1]})" if name in stated else ""
         rows.append([metric_title(name), unit, *values, *[apart] * both, *[said] * bool(stated)])
     return Table(headings, rows, range(2, len(headings)))
 
@@ -161,7 +154,7 @@ def _expectations(expectations: Sequence[Mapping[str, Any]], verdicts: Sequence[
     for word, each in zip(verdicts, expectations, strict=True):
         color = "missed" if word == "missed" else "met" if each["met"] else "sub"
         texts = [each.get(key) or "" for key in ("of", *keys)]
-        title, value = metric_title(each["metric"]), _text(tidy(each["metric"], each.get("value")))
+        title, value = metric_title(each["metric"]), cell(tidy(each["metric"], each.get("value")))
         rows.append([colored(word.replace("_", " "), color), title, texts[0], value, *texts[1:]])
     return Table(["", "metric", "of", "value", *keys], rows, numbers=[3])
 
@@ -209,11 +202,11 @@ def _plots(
     """Return the plots that there is something to draw in, those of what was asked of the robot first."""
     learnt = all(map(is_learning, runs.values()))
     compared = comparison if comparison is not None and len(comparison.time) else None
-    asked = "The plan, the floor planned for the body (blue), obstacles, goal, and what came of it."
+    added = next(filter(None, map(added_to, runs.values())), None)
     learning = "What was learnt: amplitudes and duties of each module, by period."
     made: dict[str, Figure | None] = {
         "How far each plant is from what was measured, over time.": measured_plot(measured or {}),
-        asked: following_plot(runs, spec),
+        **(added.figures(runs, spec) if added else {}),
         learning: learning_plot(runs) if learnt else None,
         "How the first segment follows its reference.": tracking_plot(runs) if tracked else None,
         "Paths and bodies from above. Forward is from tail to head.": plan_view(runs, spec),
@@ -231,7 +224,7 @@ def _settings(
 ) -> dict[str, Table]:
     about = {plant: run.metadata for plant, run in trajectories.items()}
     keys = dict.fromkeys(key for metadata in about.values() for key in metadata)
-    runs = [[key, *(_text(metadata.get(key)) for metadata in about.values())] for key in keys]
+    runs = [[key, *(cell(metadata.get(key)) for metadata in about.values())] for key in keys]
     return {
         "Plants and controller": Table(["setting", *about], runs),
         f"Robot {spec.name}": robot_table(spec),
@@ -242,7 +235,7 @@ def _settings(
 def robot_table(spec: RobotSpec) -> Table:
     """Return the table of a robot's parameters with their units."""
     units = _robot_units()
-    rows = [[name, units.get(name, ""), _text(value)] for name, value in _leaves(asdict(spec))]
+    rows = [[name, units.get(name, ""), cell(value)] for name, value in _leaves(asdict(spec))]
     return Table(["parameter", "unit", "value"], rows)
 
 
@@ -261,19 +254,3 @@ def _leaves(tree: Mapping[str, Any], above: str = "") -> list[tuple[str, Any]]:
     for name, value in tree.items():
         found += _leaves(value, f"{above}{name}.") if isinstance(value, Mapping) else [(above + name, value)]
     return found
-
-
-def _text(value: Any) -> str:
-    """Return a JSON value for people; a dash where there is none."""
-    match value:
-        case None:
-            return "–"
-        case float():
-            return f"{value:.4g}"
-        case Mapping():
-            return json.dumps(value, ensure_ascii=False)
-        case list() | tuple():
-            return ", ".join(
-                f"[{_text(each)}]" if isinstance(each, list | tuple) else _text(each) for each in value
-            )
-    return str(value)

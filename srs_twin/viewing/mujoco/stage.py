@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.planning.metrics import following, segments_of
-from srs_twin.scenario import Scenario
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
+from srs_twin.viewing.additions import added_to
 from srs_twin.viewing.mujoco.canvas import Canvas, Label
-from srs_twin.viewing.plots.signals import body_line, goal_ring, pressure_difference, segment_points
+from srs_twin.viewing.plots.signals import body_line, pressure_difference
 from srs_twin.viewing.plots.style import (
-    GOAL_COLOR,
     MINUS_COLOR,
     PLUS_COLOR,
     STYLES,
@@ -89,9 +89,10 @@ class Stage:
         return float(self.run.time[-1] - self.run.time[0])
 
     @property
-    def planned(self) -> bool:
-        """Whether there was a plan to follow."""
-        return bool(self._fixed)
+    def legend(self) -> Mapping[str, str]:
+        """Line on the floor → colour."""
+        pictures = added_to(self.run)
+        return pictures.legend if pictures else {}
 
     def row_at(self, time: float) -> int:
         """Return the sample that is nearest to a time, s."""
@@ -185,8 +186,8 @@ def _legend(run: Trajectory, ghost: Ghost | None, *, bench: bool) -> list[Label]
     """Return what the colours mean."""
     labels = [Label("p+ > p-", PLUS_COLOR), Label("p+ < p-", MINUS_COLOR)]
     labels += [] if bench else [Label("twin, CoM", STYLES["twin"].color)]
-    if following(run) is not None:
-        labels += [Label("plan", STYLES["plan"].color), Label("goal", GOAL_COLOR)]
+    if pictures := added_to(run):
+        labels += [Label(name, color) for name, color in pictures.legend.items()]
     return labels + ([] if ghost is None else [Label(ghost[0], style_of(ghost[0]).color)])
 
 
@@ -226,9 +227,8 @@ class Skins:
 
 
 def _on_the_floor(run: Trajectory) -> list[tuple[np.ndarray, str]]:
-    """Return the path of the first plan and the edge of the goal as lines, none where nothing was planned."""
-    about = following(run)
-    if about is None:
-        return []
-    lines = [(segment_points(segment), STYLES["plan"].color) for segment in segments_of(about["plans"][0])]
-    return [*lines, (goal_ring(about["goal"]), GOAL_COLOR)]
+    """Return the lines on the floor that extensions add, with their colours; only those of the legend."""
+    pictures = added_to(run)
+    lines = [] if pictures is None else pictures.floor_lines(run)
+    shown = [line for line in lines if pictures and line.color in pictures.legend.values()]
+    return [(strip, line.color) for line in shown for strip in line.strips]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from srs_twin.io.files import atomic_write
-from srs_twin.planning.plan_view import strobe_times
-from srs_twin.scenario import Scenario
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.mujoco.canvas import Canvas
 from srs_twin.viewing.mujoco.stage import Stage
-from srs_twin.viewing.plots.style import GOAL_COLOR, MINUS_COLOR, PLUS_COLOR, STYLES
+from srs_twin.viewing.plots.from_above import strobe_times
+from srs_twin.viewing.plots.style import MINUS_COLOR, PLUS_COLOR, STYLES
 
 _DPI = 150
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.7, 0.15, 0.35, 0.85  # margins, inches
@@ -61,7 +62,7 @@ def write_strobe(path: Path, scenario: Scenario, run: Trajectory, *, width: int 
     axes.set_ylabel("y (m)", fontsize=9)
     axes.tick_params(labelsize=8)
     axes.set_title(scenario.title, fontsize=9, loc="left", wrap=True)
-    _add_key(figure, planned=stage.planned)
+    _add_key(figure, stage.legend)
     with atomic_write(path) as part:
         figure.savefig(part, dpi=_DPI)
 
@@ -106,12 +107,10 @@ def _from_above(
         return canvas.draw(stage.data, camera, add)
 
 
-def _add_key(figure: Figure, *, planned: bool) -> None:
-    colors = {"plan": STYLES["plan"].color, "goal": GOAL_COLOR}
-    plan = [Line2D([], [], color=color, label=name) for name, color in colors.items()]
+def _add_key(figure: Figure, floor_lines: Mapping[str, str]) -> None:
     handles = [
         Line2D([], [], color=STYLES["twin"].color, label="CoM"),
-        *(plan if planned else []),
+        *(Line2D([], [], color=color, label=name) for name, color in floor_lines.items()),
         Patch(color=PLUS_COLOR, label="$p^+ > p^-$ (left)"),
         Patch(color=MINUS_COLOR, label="$p^+ < p^-$ (right)"),
     ]

@@ -1,9 +1,8 @@
-"""What is drawn but not recorded: speeds, pressures, the whole centre line, wheels, lines of a plan."""
+"""What is drawn but not recorded: speeds, pressures, the whole centre line, wheels."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -11,15 +10,11 @@ from srs_twin.comparison.centre_line import centre_lines, on_both_sides
 from srs_twin.comparison.learning import is_learning
 from srs_twin.comparison.tracking import frequency_of
 from srs_twin.errors import InputError
-from srs_twin.planning.metrics import following
 from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
+from srs_twin.viewing.additions import added_to
 
-if TYPE_CHECKING:
-    from srs_twin.planning import Segment
-
-_SPACING = 0.01
-Kind = Literal["gait", "bench", "learning", "following"]
+pass
 
 
 def check_drawable(trajectories: Mapping[str, Trajectory]) -> None:
@@ -42,22 +37,6 @@ def body_line(trajectory: Trajectory, geometry: Geometry, pieces: int = 8) -> np
     once = slice(0, -1) if geometry.rigid_gap else slice(1, -2)
     inner = lines[:, :, once].reshape(len(lines), -1, 2)
     return np.concatenate([inner, lines[:, -1, -1:]], axis=1)
-
-
-def segment_points(
-    segment: Segment, offset: float = 0.0, behind: float = 0.0, ahead: float = 0.0
-) -> np.ndarray:
-    """Return points along a segment of a plan, about a centimetre apart, shape (n, 2), m.
-
-    Args:
-        segment: of the plan.
-        offset: how far to the left of it, m.
-        behind: how far before its begin, m.
-        ahead: how far beyond its end, m.
-    """
-    low, high = -behind, segment.length + ahead
-    poses = [segment.pose(s) for s in np.linspace(low, high, max(2, int((high - low) / _SPACING)))]
-    return np.array([(p.x - offset * np.sin(p.heading), p.y + offset * np.cos(p.heading)) for p in poses])
 
 
 def goal_ring(goal: Mapping[str, float]) -> np.ndarray:
@@ -89,13 +68,14 @@ def pressure_difference(trajectory: Trajectory) -> np.ndarray:
     return trajectory.stack("pressure_plus") - trajectory.stack("pressure_minus")
 
 
-def kind_of(trajectories: Mapping[str, Trajectory]) -> Kind:
-    """Return what kind of experiment runs are of: it decides which plots matter."""
+def kind_of(trajectories: Mapping[str, Trajectory]) -> str:
+    """Return the kind of experiment, which decides the plots: gait, bench, learning, or an extension's."""
     runs = trajectories.values()
     if any(run.has("reference_1") or run.metadata.get("base") == "clamped" for run in runs):
         return "bench"
-    if any(following(run) is not None for run in runs):
-        return "following"
+    for run in runs:
+        if pictures := added_to(run):
+            return pictures.kind
     return "learning" if any(map(is_learning, runs)) else "gait"
 
 

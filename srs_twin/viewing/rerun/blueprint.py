@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from srs_twin.viewing.plots.signals import Kind
+from srs_twin.viewing.additions import FollowedSignal
 
 TIMELINE = "sim_time"
 _PERIODS_SHOWN = 4
@@ -33,6 +33,7 @@ class Layout:
         period: of the gait, s; plots show a few of them around the cursor. None: they show the whole run.
         compared: whether there are differences of the plants to plot.
         kind: of the experiment; the plots that matter for it are shown.
+        signals: of an extension, plotted first.
         speeds: ends of the axis of speed, m/s; None: the viewer chooses.
         events: whether there is anything in the text log.
         root: entity above all of them, where several runs are in one recording.
@@ -48,7 +49,8 @@ class Layout:
     apart: float
     period: float | None
     compared: bool
-    kind: Kind = "gait"
+    kind: str = "gait"
+    signals: Sequence[FollowedSignal] = ()
     speeds: tuple[float, float] | None = None
     events: bool = False
     root: str = ""
@@ -130,12 +132,9 @@ def _rows(layout: Layout) -> Rows:
             modules("/pressure", pressures),
             *([rrb.Tabs(*reversed(measured))] if measured else []),
         ]
-    if layout.kind == "following":
-        return [
-            _plot("follow/cross_track", "Distance from the path, left positive (mm)"),
-            _plot("follow/offset", "Offset commanded"),
-            rrb.Tabs(*body, bends),
-        ]
+    if layout.signals:
+        plots = [_plot(f"follow/{signal.entity}", signal.title) for signal in layout.signals]
+        return [*plots, rrb.Tabs(*body, bends)]
     learns = layout.kind == "learning"
     duties = modules("/duty", "Duties {}")
     return [bends, duties if learns else modules("/pressure", pressures, axis_x=axis), rrb.Tabs(*body)]

@@ -7,18 +7,17 @@ measurements were off). The time line is `sim_time`: seconds from the beginning.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from threading import Thread
+from typing import Protocol
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
 from srs_twin.errors import InputError
-from srs_twin.live.prediction import Prediction
-from srs_twin.live.shadow import Estimate
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.plots.signals import body_line
@@ -31,6 +30,54 @@ from srs_twin.viewing.rerun.web import served
 _HEIGHT, _FLAT = 0.02, 0.003
 _TRAIL = 300
 _NEXT, _FAN, _FINE, _FAULTY = (242, 142, 43), (242, 142, 43, 60), (80, 170, 90), (208, 32, 32)
+
+
+class LiveEstimate(Protocol):
+    """State of a robot as it is known now; `live.shadow.Estimate`."""
+
+    @property
+    def time(self) -> float:
+        """Time, s."""
+
+    @property
+    def connectors(self) -> np.ndarray:
+        """Poses of the connectors, shape (N, 3): m, m, rad."""
+
+    @property
+    def bend(self) -> np.ndarray:
+        """Bends, rad."""
+
+    @property
+    def pose(self) -> np.ndarray:
+        """Pose of the centre of mass: m, m, rad."""
+
+    @property
+    def pose_sd(self) -> np.ndarray:
+        """Standard deviations of the pose."""
+
+    @property
+    def lost(self) -> str | None:
+        """Reason why the estimate is not to be relied on; empty or None where it is."""
+
+    @property
+    def off(self) -> Mapping[str, float]:
+        """Kind of measurement → error of its prediction, standard deviations."""
+
+    @property
+    def faults(self) -> tuple[tuple[str, str, float], ...]:
+        """Part, fault and probability of each fault that is named."""
+
+
+class LiveForecast(Protocol):
+    """Predicted poses; `live.prediction.Prediction`."""
+
+    @property
+    def pose(self) -> np.ndarray:
+        """Poses of the centre of mass, shape (times, 3): m, m, rad."""
+
+    @property
+    def pose_sd(self) -> np.ndarray:
+        """Their standard deviations."""
 
 
 class LiveView:
@@ -59,7 +106,7 @@ class LiveView:
         for j in n:
             log.log(f"bend/segment_{j}", rr.SeriesLines(names=f"segment {j}"), static=True)
 
-    def __call__(self, found: Estimate, coming: Prediction | None) -> None:
+    def __call__(self, found: LiveEstimate, coming: LiveForecast | None) -> None:
         """Show what is known now, and what comes next."""
         log = self._log
         if np.isnan(self._begun):

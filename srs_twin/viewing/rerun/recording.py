@@ -15,7 +15,7 @@ Several recordings in one file lie beneath their names; its blueprint shows them
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,12 +23,13 @@ import numpy as np
 import rerun as rr
 from rerun.blueprint import Blueprint
 
+from srs_twin.comparison.contacts import touches
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write
-from srs_twin.planning.metrics import touches
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.trajectory import Event, Trajectory
+from srs_twin.viewing.additions import FloorLine, RunPictures, added_to, additions
 from srs_twin.viewing.plots.signals import (
     check_drawable,
     forward_speed,
@@ -43,10 +44,8 @@ from srs_twin.viewing.rerun.scene import (
     Entities,
     line_height,
     send_contacts,
+    send_lines,
     send_obstacles,
-    send_path,
-    send_plan,
-    send_search,
     send_snake,
 )
 from srs_twin.viewing.rerun.viewer import verify_recording
@@ -55,8 +54,6 @@ if TYPE_CHECKING:
     from rerun.chunk import Chunk
 
     from srs_twin.comparison.compare import Comparison, MeasuredDifference
-    from srs_twin.planning import Plan
-    from srs_twin.planning.explored import Explored
 
 
 APPLICATION = "srs_twin"
@@ -69,8 +66,6 @@ _READING_WIDTH = 0.6
 _SIDES = {"plus": PLUS_COLOR, "minus": MINUS_COLOR}
 # The viewer may be dark or light: black would not be seen in one of them.
 _REFERENCE = replace(REFERENCE, color="#8a8a8a")
-# Signal of a follower, its entity, and shown over SI.
-_FOLLOWED = (("cross_track", "cross_track", 1e3), ("offset_commanded", "offset", 1.0))
 
 
 def write_recording(
@@ -110,7 +105,7 @@ def write_recording(
     still = Entities(log, np.zeros(0), "world/")
     _send_floor(still, trajectories, spec)
     send_obstacles(still, world or World())
-    send_plan(still, trajectories)
+    send_lines(still, next((added.floor_lines(run) for run, added in _added(trajectories)), []))
     _send_eye(log, trajectories)
     for index, (plant, run) in enumerate(trajectories.items()):
         style = replace(style_of(plant, index), label=plant)
@@ -133,25 +128,23 @@ def write_recording(
     Path(path).write_bytes(_drained(log, memory))
 
 
-def write_search(path: str | Path, plan: Plan, seen: Explored, title: str) -> None:
-    """Write a recording of a search alone: the world, the plan, what was explored and rejected.
+def write_floor(path: str | Path, title: str, world: World, lines: Sequence[FloorLine]) -> None:
+    """Write a recording of a world and lines on its floor.
 
     Args:
         path: file to write; an existing one is replaced.
-        plan: the planner's answer.
-        seen: of its trees.
-        title: the recording's name in the viewer.
+        title: name of the recording in the viewer.
+        world: obstacles.
+        lines: on the floor.
     """
-    assert plan.problem is not None, "a planner's answer"
     log = rr.RecordingStream(APPLICATION)
     memory = log.memory_recording()
     log.set_log_time_enabled(False)
     log.set_log_tick_enabled(False)
     log.send_recording_name(title)
-    to, problem = Entities(log, np.zeros(0), "world/"), plan.problem
-    send_obstacles(to, problem.world)
-    send_path(to, plan.segments, problem.footprint, asdict(problem.goal))
-    send_search(to, seen)
+    to = Entities(log, np.zeros(0), "world/")
+    send_obstacles(to, world)
+    send_lines(to, lines)
     Path(path).write_bytes(_drained(log, memory))
 
 
@@ -197,6 +190,13 @@ def thinned(trajectory: Trajectory, rate_hz: float) -> Trajectory:
     return Trajectory(columns, trajectory.units, trajectory.events, trajectory.metadata)
 
 
+def _added(trajectories: Mapping[str, Trajectory]) -> Iterator[tuple[Trajectory, RunPictures]]:
+    """Yield the runs that an extension adds pictures to, with its additions."""
+    for run in trajectories.values():
+        if added := added_to(run):
+            yield run, added
+
+
 def _layout(
     trajectories: Mapping[str, Trajectory], spec: RobotSpec, compared: bool, measured: Sequence[str]
 ) -> Layout:
@@ -216,6 +216,7 @@ def _layout(
         compared=compared,
         measured=measured,
         kind=kind_of(trajectories),
+        signals=next((added.signals for _, added in _added(trajectories)), ()),
         speeds=(1.1 * float(speeds.min()), 1.1 * float(speeds.max())),
         events=any(map(events_of, trajectories.values())),
     )
@@ -285,9 +286,10 @@ def _send_modules(to: Entities, plant: str, run: Trajectory, style: Style) -> No
 
 def _send_motion(to: Entities, plant: str, run: Trajectory, style: Style) -> None:
     """Log heading and speed of the body, and how it keeps to a plan."""
-    for name, entity, factor in _FOLLOWED:
-        if run.has(name):
-            to.line(f"follow/{entity}/{plant}", factor * run[name], style)
+    for added in additions():
+        for signal in added.signals:
+            if run.has(signal.column):
+                to.line(f"follow/{signal.entity}/{plant}", signal.factor * run[signal.column], style)
     to.line(f"body/heading/{plant}", run["heading"], style)
     time, speed = _speed(run)
     replace(to, time=time).line(f"body/speed/{plant}", speed, style)

@@ -2,36 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import rerun as rr
 
 from srs_twin.comparison.centre_line import centre_lines
-from srs_twin.planning.metrics import TOUCH_N, following, footprint_of, segments_of
+from srs_twin.comparison.contacts import TOUCH_N
 from srs_twin.robot.spec import Geometry
 from srs_twin.robot.world import World
 from srs_twin.trajectory import Trajectory
-from srs_twin.viewing.plots.signals import (
-    body_line,
-    goal_ring,
-    pressure_difference,
-    segment_points,
-    wheel_centres,
-    wheel_turns,
-)
-from srs_twin.viewing.plots.style import GOAL_COLOR, STYLES, Style, pressure_colors, rgb
+from srs_twin.viewing.additions import FloorLine
+from srs_twin.viewing.plots.signals import body_line, pressure_difference, wheel_centres, wheel_turns
+from srs_twin.viewing.plots.style import Style, pressure_colors, rgb
 from srs_twin.viewing.rerun.blueprint import TIMELINE
-
-if TYPE_CHECKING:
-    from srs_twin.planning import Footprint, Segment
-    from srs_twin.planning.explored import Explored
 
 METRES_PER_NEWTON = 0.05
 """Length of the arrows, the same in every recording; the lightest robot weighs about 2 N."""
-_FORCE, _FORCE_RADIUS = (208, 32, 32), 0.002
+FORCE_COLOR = "#d02020"
+_FORCE, _FORCE_RADIUS = rgb(FORCE_COLOR), 0.002
 _OBSTACLE, _HEIGHT = (90, 90, 90), 0.06
 
 
@@ -121,43 +112,7 @@ def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
     replace(to, time=run.time[rows]).moving("contact", arrows, touched[rows].sum(axis=1))
 
 
-_PATH, _EDGE, _GOAL = STYLES["plan"].rgb, (120, 165, 205), rgb(GOAL_COLOR)
 _LOW = 0.001
-
-
-def send_plan(to: Entities, trajectories: Mapping[str, Trajectory]) -> None:
-    """Log what the first snake that followed a plan was to do; nothing where none did."""
-    about = next((told for run in trajectories.values() if (told := following(run)) is not None), None)
-    if about is None:
-        return
-    send_path(to, segments_of(about["plans"][0]), footprint_of(about), about["goal"])
-
-
-def send_path(
-    to: Entities, segments: Sequence[Segment], footprint: Footprint, goal: Mapping[str, Any]
-) -> None:
-    """Log a plan: its path, the edges of what is planned for the body, the goal."""
-    if segments:
-        swept = [footprint.at(each.curvature) for each in segments]
-        pairs = [(s, n) for s, body in zip(segments, swept, strict=True) for n in (body.left, -body.right)]
-        to.fixed("plan/path", _strips([segment_points(each) for each in segments], _PATH, 0.002))
-        to.fixed("plan/edges", _strips([segment_points(*each) for each in pairs], _EDGE, 0.0015))
-    to.fixed("plan/goal", _strips([goal_ring(goal)], _GOAL, 0.002))
-
-
-def send_search(to: Entities, seen: Explored) -> None:
-    """Log what a search has explored, and what it rejected with what was in the way."""
-    to.fixed("search/explored", _strips(list(seen.arcs), (170, 170, 170), 0.0005))
-    to.fixed("search/gates", _strips(list(seen.gates), _GOAL, 0.0015))
-    for reason in sorted(set(seen.reasons)):
-        lines = [line for line, why in zip(seen.rejected, seen.reasons, strict=True) if why == reason]
-        name = reason.replace(" ", "_")
-        to.fixed(f"search/rejected/{name}", _strips(lines, _FORCE, 0.0005))
-
-
-def _strips(lines: Sequence[np.ndarray], color: tuple[int, int, int], radius: float) -> rr.LineStrips3D:
-    """Return lines on the floor, each (n, 2), m."""
-    return rr.LineStrips3D([_at_height(line, _LOW) for line in lines], colors=[color], radii=[radius])
 
 
 PIECES = 6
@@ -278,6 +233,13 @@ def _send_trail(to: Entities, snake: Trajectory, style: Style) -> None:
 def line_height(geometry: Geometry) -> float:
     """Return how high the centre line is drawn, m; a body wider than it is high must not sink in."""
     return max(geometry.com_height, geometry.width / 2)
+
+
+def send_lines(to: Entities, lines: Iterable[FloorLine]) -> None:
+    """Log lines on the floor."""
+    for line in lines:
+        strips = [_at_height(strip, _LOW) for strip in line.strips]
+        to.fixed(line.name, rr.LineStrips3D(strips, colors=[rgb(line.color)], radii=[line.radius]))
 
 
 def _at_height(points: np.ndarray, height: float) -> np.ndarray:

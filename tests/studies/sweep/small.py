@@ -5,7 +5,7 @@ from __future__ import annotations
 from srs_twin.compute.workers import Done
 from srs_twin.errors import DivergedError
 from srs_twin.io.documents import parse_yaml
-from srs_twin.studies.sweep import open_sweep
+from srs_twin.studies.sweep.execution import open_sweep
 from srs_twin.studies.sweep.task import run_point
 
 SMALL = """\

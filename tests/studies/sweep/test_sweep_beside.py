@@ -10,7 +10,7 @@ from ruamel.yaml import YAML
 from small import SMALL, execute, write
 
 from srs_twin.io.documents import parse_yaml
-from srs_twin.studies.sweep import load_sweep
+from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.plots import draw
 from srs_twin.studies.sweep.table import Plot, Published, SweepTable, published_table
 

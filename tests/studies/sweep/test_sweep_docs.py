@@ -15,9 +15,9 @@ from small import SMALL, write
 
 from srs_twin.cli import main
 from srs_twin.io.files import shipped_names
-from srs_twin.studies.sweep import load_sweep, open_sweep
-from srs_twin.studies.sweep.execution import local
+from srs_twin.studies.sweep.execution import local, open_sweep
 from srs_twin.studies.sweep.file import SweepFile
+from srs_twin.studies.sweep.loading import load_sweep
 
 PAGE = (ROOT / "docs" / "sweeps.md").read_text("utf-8")
 FENCES = dict(reversed(re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.M | re.S)))  # the first of each kind

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import sys
 import sysconfig
 from pathlib import Path
@@ -15,7 +16,7 @@ from small import write
 from subsets import first_by_default
 
 from srs_twin.scenario.provenance import file_digests
-from srs_twin.studies.sweep import load_sweep
+from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.task import DONE, run_point
 from srs_twin.trajectory import Trajectory
 
@@ -153,7 +154,7 @@ def test_every_file_that_a_point_opens_is_in_its_key(project, tmp_path, case):
 
     def note(event, arguments):
         if watching and event == "open" and isinstance(arguments[0], str):
-            opened.add(str(Path(arguments[0]).absolute()))
+            opened.add(os.path.abspath(arguments[0]))  # numba names sources by relative paths
 
     sys.addaudithook(note)  # stays for good, deaf afterwards
     try:

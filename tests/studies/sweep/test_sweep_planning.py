@@ -11,9 +11,13 @@ import pytest
 from small import execute, here, write
 
 from srs_twin.errors import InputFileError
-from srs_twin.planning import Primitives, Problem, load_footprint, plan
-from srs_twin.planning.fields import FIG54_GOAL, FIG54_START, fig54_world
-from srs_twin.studies.sweep import load_sweep, open_sweep
+from srs_twin.planning.arcs import Primitives
+from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.planner import plan
+from srs_twin.planning.problem import Problem
+from srs_twin.robot.drawn_worlds import FIG54_GOAL, FIG54_START, fig54_world
+from srs_twin.studies.sweep.execution import open_sweep
+from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.store import rows_digest
 
 WORLDS = """\

@@ -16,9 +16,10 @@ from pydantic import ValidationError
 
 from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.studies.sweep.plots import draw, save
+from srs_twin.studies.sweep.plots import draw
 from srs_twin.studies.sweep.table import Plot
 from srs_twin.viewing.plots.labels import field_label, metric_label
+from srs_twin.viewing.plots.picture_file import save
 
 F, P, OFFSET = "controller.frequency_hz", "supply.pressure_kpa", "controller.offset"
 SPEED, A, B = "com_speed_m_s", "analytical.com_speed_m_s", "twin.com_speed_m_s"

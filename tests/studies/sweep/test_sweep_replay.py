@@ -12,8 +12,8 @@ from srs_twin import rollout
 from srs_twin.comparison.compare import MeasuredDifference
 from srs_twin.comparison.metrics import MEASURED_UNITS
 from srs_twin.errors import InputFileError
-from srs_twin.scenario import parse_scenario
-from srs_twin.studies.sweep import load_sweep
+from srs_twin.scenario.loading import parse_scenario
+from srs_twin.studies.sweep.loading import load_sweep
 
 WALK = ROOT / "calibration/examples/my_snake/walk_check.csv"
 GAPS = [0.018, 0.021, 0.026]

@@ -14,7 +14,7 @@ from small import SMALL, diverges, execute, here, write
 
 from srs_twin.compute.workers import Done
 from srs_twin.errors import DivergedError
-from srs_twin.studies.sweep import load_sweep
+from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.report import MAX_RUNS, mean_tables, run_tables
 from srs_twin.studies.sweep.table import SweepTable
 

@@ -19,7 +19,7 @@ from small import SMALL, execute, write
 
 from srs_twin.errors import InputError
 from srs_twin.io.documents import load_yaml
-from srs_twin.studies.sweep import load_sweep
+from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.store import FILE, RowStore, SweepIdentity
 from srs_twin.studies.sweep.task import DONE, FAILED, Row
 

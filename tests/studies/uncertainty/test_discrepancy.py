@@ -12,7 +12,7 @@ from snakes import robot
 
 from srs_twin import AnalyticalSnake, Gait, rollout
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.studies.uncertainty import Discrepancy
+from srs_twin.studies.uncertainty.discrepancy import Discrepancy
 
 GRID = np.linspace(0.02, 0.14, 49)
 SETTINGS = np.array([(f, p) for f in (1.0, 1.5, 2.0) for p in (41.0, 48.0, 55.0)])

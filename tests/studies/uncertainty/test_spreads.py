@@ -7,16 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from srs_twin.studies.uncertainty.spreads import (
+    MIN_BOUNDING_SAMPLES,
+    MetricUncertainty,
+    predict_twin,
+    sampling_errors,
+)
+
+from srs_twin.robot.priors import Prior, Priors
+from srs_twin.robot.sourced import Uncertain
+from srs_twin.scenario.loading import load_scenario
 from srs_twin.studies.uncertainty.metric_uncertainty import (
     MIN_BOUNDING_SAMPLES,
     predict_twin,
     sampling_errors,
 )
-
-from srs_twin.robot.sourced import Uncertain
-from srs_twin.scenario import load_scenario
-from srs_twin.studies.uncertainty import MetricUncertainty, Prior, Priors, Propagation, UncertaintyStudy
 from srs_twin.studies.uncertainty.plots import draw_intervals
+from srs_twin.studies.uncertainty.propagation import Propagation
+from srs_twin.studies.uncertainty.study import UncertaintyStudy
 
 SPEED = "com_speed_m_s"
 Law = Callable[[np.ndarray], np.ndarray]

@@ -106,6 +106,8 @@ def _check_positive(contact: LoadedContact | PreloadedContact, *names: str) -> N
 
 Contact = LoadedContact | PreloadedContact
 ContactName = Literal["loaded", "preloaded"]
+UNSTATED_CONTACT: ContactName = "preloaded"
+"""Contact of the twin in kept results that do not state it; they are older than the choice."""
 
 
 def as_contact(contact: Contact | str) -> Contact:

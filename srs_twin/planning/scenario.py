@@ -4,22 +4,39 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from pydantic import Field, PrivateAttr, model_validator
 
+from srs_twin.control.base import Controller
+from srs_twin.control.camera import Camera
 from srs_twin.errors import InputError
-from srs_twin.planning import Footprint, Outcome, Plan, Primitives, Problem, Segment, Settings, plan
+from srs_twin.io.files import find
+from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.collision import Checker
-from srs_twin.planning.footprint import FootprintFile, checked
-from srs_twin.planning.margins import ConditionsFile, Margin, margin
-from srs_twin.planning.planner import plan_shaped
-from srs_twin.planning.problem import path_of
+from srs_twin.planning.follower import Conditions, Follower
+from srs_twin.planning.footprint import Footprint, FootprintFile, checked, load_footprint_file
+from srs_twin.planning.margins import SPREADS, ConditionsFile, Margin, margin
+from srs_twin.planning.plan import Plan
+from srs_twin.planning.planner import plan, plan_shaped
+from srs_twin.planning.problem import Outcome, Problem, Segment, Settings, path_of
+from srs_twin.planning.steering import BearingLaw, PathLaw, Steering
+from srs_twin.robot.file import RobotFile
+from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import Goal, Pose, World
+from srs_twin.scenario.controllers import (
+    Contradiction,
+    ControllerContext,
+    ControllerSection,
+    FileSections,
+    GaitFile,
+    LearningFile,
+)
 from srs_twin.scenario.fields import PathOrName, Section, constructor_default, quantity
+from srs_twin.scenario.sections import ExtensionSection, Loading, SectionEntry
 
 _KIND = "How the way is found."
 
@@ -39,7 +56,11 @@ class PrimitivesFile(Section):
     """Length of each."""
 
 
-class _PlannerFile(Section):
+class _PlannerFile(ExtensionSection):
+    if TYPE_CHECKING:
+        kind: str
+    uses_goal = True
+
     footprint: PathOrName
     """What the body sweeps at each offset: a shipped name or the path of a footprint file."""
     turn_share: float = quantity(0.05, 1.0, 1.0)
@@ -55,6 +76,41 @@ class _PlannerFile(Section):
         if self.margin_m is not None and self.margin_probability is not None:
             raise ValueError("margin_m and margin_probability both say how wide; take one out")
         return self
+
+    def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
+        """See `ExtensionSection.contradictions_with`."""
+        if not isinstance(file.controller, FollowFile):
+            yield ("planner",), "nobody follows its plan; set controller.kind: follow", True
+        if file.bench:
+            yield ("planner",), "nothing goes anywhere on a bench; take one out", True
+        if self.kind != "given" and file.world.goal is None:
+            yield ("planner",), f"kind: {self.kind} needs world.goal", True
+
+    def prepare(self, loading: Loading) -> RoutePlanner | None:
+        """See `ExtensionSection.prepare`."""
+        document, file = loading.document, loading.file
+        if not isinstance(file.controller, FollowFile) or document.problems:
+            return None
+        key: tuple[str, ...] = ("planner", "footprint")
+        try:
+            footprint = load_footprint_file(self.footprint)
+            key = ("planner",)
+            conditions = [
+                file.controller.conditions(
+                    kind, getattr(plant, "contact", None), file.pneumatics.kind, loading.robot, self
+                )
+                for kind, plant in file.plants.running.items()
+            ]
+            if file.plants.twin and (text := footprint.mismatch(file.plants.twin.contact)):
+                loading.warnings.append(f"planner.footprint: {text}")
+            return RoutePlanner.of(self, footprint, file.start.build(), loading.world, conditions)
+        except InputError as error:
+            document.report(key, str(error) if len(key) == 1 else str(error).splitlines()[0])
+            return None
+
+    def check_run(self, product: RoutePlanner) -> None:
+        """See `ExtensionSection.check_run`: plan."""
+        product.plan()
 
     def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
         """Return where the way is to end.
@@ -84,8 +140,6 @@ class _SearchFile(_PlannerFile):
 
     run_up_m: float = quantity(0.0, 100.0, 0.0)
     """Straight beginning of the path, over which the gait gets going."""
-    if TYPE_CHECKING:
-        kind: str
     _keep: bool = PrivateAttr(False)
 
     def settings(self) -> Settings:
@@ -198,7 +252,7 @@ class RoutePlanner:
         margin: by which that is wider than the robot's.
     """
 
-    file: PlannerFile
+    file: _PlannerFile
     footprint: Footprint
     problem: Problem
     margin: Margin
@@ -206,7 +260,7 @@ class RoutePlanner:
     @classmethod
     def of(
         cls,
-        file: PlannerFile,
+        file: _PlannerFile,
         footprint: FootprintFile,
         start: Pose,
         world: World,
@@ -259,3 +313,162 @@ class RoutePlanner:
 @lru_cache(maxsize=16)
 def _plan(planner: RoutePlanner) -> Plan:
     return planner.plan_anew()
+
+
+class CameraFile(Section):
+    """Motion capture: how a follower sees the snake."""
+
+    constructors = (Camera,)
+
+    rate_hz: float = quantity(5.0, 10_000.0)
+    """Frames a second."""
+    position_noise_m: float = quantity(0.0, 1.0)
+    """RMS noise of x and y."""
+    heading_noise_rad: float = quantity(0.0, 3.0)
+    """RMS noise of the heading."""
+
+
+class FollowFile(ControllerSection):
+    """Following of a plan by the offset of a gait (Section 5.2.2); the scenario needs a planner."""
+
+    constructors = (PathLaw, BearingLaw, Conditions)
+    only = {
+        ("follower", "bearing"): ("gain_per_rad", "node_m", "near_m"),
+        ("follower", "path"): ("lookahead_m", "settle_m"),
+    }
+
+    kind: Literal["follow"]
+    """Which controller."""
+    follower: Literal["bearing", "path"] = "path"
+    """bearing: the text's, towards one node after the other; path: feedback of the distance from the path
+    with its curvature ahead."""
+    gait: Annotated[GaitFile | LearningFile, Field(discriminator="kind")]
+    """What is steered."""
+    delay_s: float = quantity(0.0, 10.0, 0.1)
+    """How long a command takes to the snake."""
+    camera: CameraFile = CameraFile()
+    """How it sees the snake."""
+    gain_per_rad: float | None = quantity(0.001, 100.0, None)
+    """Offset for an error of bearing (bearing; default {default:g})."""
+    node_m: float | None = quantity(0.001, 100.0, None)
+    """Distance of the nodes (bearing; default {default:g})."""
+    near_m: float | None = quantity(0.001, 100.0, None)
+    """How near to a node is near enough (bearing; default {default:g})."""
+    lookahead_m: float | None = quantity(0.001, 100.0, None)
+    """Path over which a distance from it dies out (path; default {default:g})."""
+    settle_m: float | None = quantity(0.0, 100.0, None)
+    """Path over which a new offset takes hold (path; default: by which the footprint's
+    changes of offset turn it later, {default:g} without any)."""
+    replan_beyond_m: float | None = quantity(0.001, 100.0, None)
+    """Distance from the path that calls for a new plan (default: none is made)."""
+    replans: int = quantity(0, 1000)
+    """How often a new plan is asked for at most."""
+
+    @model_validator(mode="after")
+    def _leaves_the_offset_alone(self) -> FollowFile:
+        if self.gait.offset != 0:
+            raise ValueError("the follower decides the offset; take gait.offset out")
+        return self
+
+    @property
+    def gait_section(self) -> ControllerSection:
+        """See `ControllerSection.gait_section`."""
+        return self.gait
+
+    def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
+        """See `ControllerSection.contradictions_with`."""
+        if file.section("planner") is None:
+            yield ("controller",), "kind: follow has nothing to follow; give planner as well", False
+        if file.start.run is not None:
+            yield ("start", "from"), "a plan begins at one pose; give it by x_m, y_m and heading_rad", True
+
+    def controller(self, context: ControllerContext) -> Controller:
+        """See `ControllerSection.controller`; the first time this plans.
+
+        Raises:
+            InputError: start or goal cannot be, or the extra `ompl` is missing.
+        """
+        planner: RoutePlanner = context.products["planner"]
+        body, settle, problem = planner.footprint, self._settle(planner.footprint), planner.problem
+        law: Steering = PathLaw(body, **self.arguments(PathLaw) | {"settle": settle})
+        if self.follower == "bearing":
+            law = BearingLaw(**self.arguments(BearingLaw))
+        return Follower(
+            self.gait.controller(context),
+            law,
+            planner.plan(),
+            problem.goal,
+            body,
+            Conditions(
+                self.camera.build(),
+                self.delay_s,
+                settle,
+                self.replan_beyond_m,
+                self.replans,
+                getattr(planner.file, "run_up_m", 0.0),
+            ),
+            body=problem.footprint,
+            world=problem.world,
+            replan=None if planner.file.kind == "given" else planner.plan_from,
+        )
+
+    def conditions(
+        self, plant: str, contact: str | None, chambers: str, robot: RobotFile, planner: _PlannerFile
+    ) -> ConditionsFile:
+        """Return what makes following hard, as margins with a probability are measured.
+
+        Args:
+            plant: "analytical" or "twin".
+            contact: that of the twin; None for the analytical model.
+            chambers: kind of pneumatics.
+            robot: whose modules may differ.
+            planner: section of the scenario.
+        """
+        spreads = {name: getattr(robot.modules, name, None) for name in SPREADS}
+        return ConditionsFile.model_validate(
+            {
+                **{name: each.value for name, each in spreads.items() if each is not None},
+                "plant": plant,
+                "contact": contact,
+                "chambers": chambers,
+                "follower": self.follower,
+                "turn_share": planner.turn_share,
+                "delay_s": self.delay_s,
+                "position_noise_m": self.camera.position_noise_m,
+                "heading_noise_rad": self.camera.heading_noise_rad,
+                "run_up_m": getattr(planner, "run_up_m", 0.0),
+            }
+        )
+
+    def _settle(self, footprint: Footprint) -> float:
+        """Return ℓ."""
+        if self.settle_m is not None:
+            return self.settle_m
+        return footprint.settle or self.parameters["settle"].default
+
+    def layouts(self, products: Mapping[str, Any]) -> tuple[str, ...]:
+        """See `ControllerSection.layouts`."""
+        return self.gait.layouts(products)
+
+    def check(self, spec: RobotSpec, tick: float) -> None:
+        """See `ControllerSection.check`."""
+        self.gait.check(spec, tick)
+
+    def warnings(self, limit: float) -> Iterator[str]:
+        """See `ControllerSection.warnings`."""
+        return self.gait.warnings(limit)
+
+
+def _input_files(section: Mapping[str, Any]) -> Iterator[str]:
+    if isinstance(name := section.get("footprint"), str):
+        try:
+            yield str(find("footprint", name))
+        except InputError:
+            yield name
+
+
+PLANNER = SectionEntry(
+    PlannerFile | None,
+    "How the way to the goal is found (controller.kind: follow).",
+    _input_files,
+)

@@ -20,12 +20,13 @@ from srs_twin.planning.margins import LOST_M, ExcursionsFile
 from srs_twin.planning.metrics import beyond, following
 from srs_twin.planning.plan import Plan
 from srs_twin.planning.problem import Outcome, path_of
+from srs_twin.planning.scenario import FollowFile
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.world import Goal, Pose, World
 from srs_twin.rollout import rollout
-from srs_twin.scenario import Scenario, parse_scenario
-from srs_twin.scenario.controllers import FollowFile
+from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.plants import PlantsFile
+from srs_twin.scenario.scenario import Scenario
 
 LENGTH_M = 3.5
 """Length of a random path."""
@@ -138,7 +139,7 @@ def measure_excursions(
     Raises:
         InputError: the scenario does not follow a plan, or a run failed.
     """
-    planner, controller = scenario.file.planner, scenario.controller
+    planner, controller = scenario.file.section("planner"), scenario.controller
     if planner is None or not isinstance(controller, FollowFile):
         raise InputError(f"{scenario.name}: it follows no plan; margins are only for controller.kind: follow")
     robot = RobotFile.model_validate(scenario.document["robot"])

@@ -15,18 +15,16 @@ from srs_twin.cli.options import (
     ChangeOptions,
     CheckOption,
     FloorOption,
-    FrequencyOption,
     JsonOption,
-    OffsetOption,
     PressureOption,
     QuietOption,
-    ReadingOptions,
     StrictOption,
     argument,
     option,
     plants_of,
 )
 from srs_twin.errors import InputError
+from srs_twin.recordings.options import FrequencyOption, OffsetOption, ReadingOptions
 
 if TYPE_CHECKING:
     from srs_twin.robot.file import RobotFile
@@ -74,7 +72,7 @@ def replay(
         out: Folder for the files. [default: runs/MOTION]
     """
     from srs_twin.io.files import results_name
-    from srs_twin.scenario import parse_scenario
+    from srs_twin.scenario.loading import parse_scenario
 
     fails = failing(check=check, strict=strict)
     if fails and expect is None:

@@ -1,0 +1,38 @@
+"""Groups of metrics that extensions add."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from srs_twin.extensions import METRICS, objects
+from srs_twin.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class MetricGroup:
+    """Metrics of one topic.
+
+    Attributes:
+        units: metric → unit; each metric is one number.
+        measure: returns the values of a run by metric, None where a metric is undefined.
+        why_undefined: returns the reason for a metric without a value, empty where that is the outcome.
+        relative: metrics whose difference between the plants is a share of the analytical value.
+        main: metric that only runs of this topic have; it selects `short_table`.
+        short_table: metrics of the short table of such a run.
+    """
+
+    units: Mapping[str, str]
+    measure: Callable[[Trajectory], dict[str, Any]]
+    why_undefined: Callable[[str, Trajectory], str]
+    relative: frozenset[str]
+    main: str
+    short_table: tuple[str, ...]
+
+
+@cache
+def metric_groups() -> tuple[MetricGroup, ...]:
+    """Return the groups of the installed extensions."""
+    return tuple(group for _, group in objects(METRICS))

@@ -1,0 +1,82 @@
+"""Options of commands that read recordings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+from srs_twin.cli.options import option
+
+if TYPE_CHECKING:
+    from srs_twin.recordings.takes import RecordingReader
+
+_LOGS = "Log of each recording, FILE... first, then --validate. [default: NAME.valves.csv beside it]"
+
+
+ValvesOption = Annotated[list[str] | None, option("--valves LOG", _LOGS)]
+
+
+_OFFSET = "What to add to the logs' times. [default: estimated]"
+
+
+OffsetOption = Annotated[float | None, option("--offset S", _OFFSET)]
+
+
+FrequencyOption = Annotated[float | None, option("--frequency HZ", "Of the gait. [default: the valves']")]
+
+
+@dataclass(frozen=True)
+class ReadingOptions:
+    """How markers are read; see `RecordingReader`.
+
+    Options:
+        up: Axis of the files that points up.
+        layout: Markers: auto, single, head, pair, middles or head_middles.
+        head: At the head. [default: where it crawls to]
+        longest_gap: Longest gap that is filled. [default: 0.2]
+        map: What is what in the files (docs/logs.md).
+        units: Of lengths, where the file does not say: m, cm, mm, in, ft.
+        rate: Frames a second, where the file has no time.
+        columns: Names of the columns of a plain file that has none, as time,x_1,y_1.
+        separator: Separator of the cells of a plain file: , ; | tab or space, where it is not found.
+        decimal: Decimal mark of a plain file, where it is not found.
+        marker: Its place, as tip=connector 3, m1=middle 1 or h2=connector 1 ahead; repeatable.
+    """
+
+    up: Annotated[str, option("--up AXIS")] = "auto"
+    layout: Annotated[str, option("--layout NAME")] = "auto"
+    head: Annotated[str | None, option("--head MARKER")] = None
+    longest_gap: Annotated[float | None, option("--longest-gap S")] = None
+    map: Annotated[str | None, option("--map FILE.yaml")] = None
+    units: Annotated[str | None, option("--units UNIT")] = None
+    rate: Annotated[float | None, option("--rate HZ")] = None
+    columns: Annotated[str | None, option("--columns NAMES")] = None
+    separator: Annotated[str | None, option("--separator CHARACTER")] = None
+    decimal: Annotated[str | None, option("--decimal CHARACTER")] = None
+    marker: Annotated[list[str] | None, option("--marker NAME=PLACE")] = None
+
+    def given(self) -> dict[str, Any]:
+        """Return what was given, by the names of `RecordingReader`; a map as plain data."""
+        from srs_twin.recordings.recording_map import given_map
+
+        options = {
+            "units": self.units, "rate_hz": self.rate, "columns": self.columns, "separator": self.separator,
+            "decimal": self.decimal,
+        }  # fmt: skip
+        values = {
+            "up": self.up, "layout": self.layout, "head": self.head, "longest_gap_s": self.longest_gap,
+            "map": given_map(self.map, options, self.marker or ()),
+        }  # fmt: skip
+        return {name: value for name, value in values.items() if value is not None}
+
+    def reader(self, **more: Any) -> RecordingReader:
+        """Return a reader with what was given.
+
+        Raises:
+            InputFileError: what is wrong with a map.
+        """
+        from srs_twin.recordings.recording_map import read_map
+        from srs_twin.recordings.takes import RecordingReader
+
+        given = self.given()
+        return RecordingReader(**given | {"map": read_map(given.get("map", {}))}, **more)
