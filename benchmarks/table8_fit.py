@@ -48,7 +48,7 @@ ASKED = (
 
 
 @dataclass(frozen=True)
-class FootprintStudy:
+class Study:
     """One fit to the rows.
 
     Attributes:
@@ -66,10 +66,10 @@ class FootprintStudy:
 
 
 STUDIES = {
-    "analytical": FootprintStudy("analytical", asked=ASKED),
-    "twin": FootprintStudy("twin", held={LENGTH: None}),
+    "analytical": Study("analytical", asked=ASKED),
+    "twin": Study("twin", held={LENGTH: None}),
     # A search for all three ended at 0.1555 m, 0.116 and 0.016 rad and gave length and mu_t no number.
-    "analytical_wave": FootprintStudy("analytical", steering="targets_and_wave", held={LENGTH: 0.1555}),
+    "analytical_wave": Study("analytical", steering="targets_and_wave", held={LENGTH: 0.1555}),
 }
 
 

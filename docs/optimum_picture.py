@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from live_picture import TRUE, UNIDENTIFIABLE_ERROR, tubes
+from live_picture import KNOWN, TRUE, tubes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
@@ -44,7 +44,7 @@ def picture(runs: list[tuple[str, Scenario, Trajectory]], row: int, begun: int) 
     for k, (text, scenario, run) in enumerate(runs):
         axes = figure.add_axes((0.0, 0.56 - 0.47 * k, 1.0, 0.42))
         geometry = scenario.robot.geometry
-        color = UNIDENTIFIABLE_ERROR if k else TRUE
+        color = KNOWN if k else TRUE
         tubes(axes, places(run, row, begun), geometry, [color] * scenario.robot.segments, zorder=2)
         axes.set(
             xlim=(-0.25, LONG - 0.25),
