@@ -13,7 +13,6 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from srs_twin.studies.uncertainty.spreads import predict_twin, sampling_errors
 
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.priors import Priors

@@ -59,7 +59,7 @@ def in_robot(robot: Document, shares: np.ndarray) -> Document:
             own["actuator"][key]["uncertain"] = given.model_dump(mode="json")
         file = RobotFile.model_validate(own)
     priors = Priors.of(file)
-    count = len(priors.each)
+    count = len(priors.members)
     values = dict(zip(priors.paths, priors.at(shares[:count]).tolist(), strict=True))
     for share, (path, (value, error)) in zip(shares[count:], fitted().items(), strict=False):
         section, key = path.split(".")

@@ -239,7 +239,10 @@ def test_a_bench_from_the_command_line(bench, srs_twin, tmp_path):
     again = srs_twin("run", str(run / "scenario.resolved.yaml"), "--check", "--out", "x", "-q", cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     refused = srs_twin(*words, "--bench", "--law", "axis", cwd=tmp_path)
-    assert refused.returncode == 2 and "--law: remove this option; on a bench there is no floor" in refused.stderr
+    assert (
+        refused.returncode == 2
+        and "--law: remove this option; on a bench there is no floor" in refused.stderr
+    )
     floor = srs_twin(*words, "-q", cwd=tmp_path)
     assert floor.returncode == 2 and "bends alone do not tell" in floor.stderr
 

@@ -11,9 +11,7 @@ FITS = "calibration/fits"
 """Default folder of fit files."""
 
 FilesArgument = Annotated[list[str], argument("FILE", "Recordings or tables to fit.")]
-RobotOption = Annotated[
-    str, option("--robot -r ROBOT", "Initial robot, shipped or a file.")
-]
+RobotOption = Annotated[str, option("--robot -r ROBOT", "Initial robot, shipped or a file.")]
 
 _VALIDATE = "Recording or table for validation, not used by the fit (repeatable)."
 ValidateOption = Annotated[list[str] | None, option("--validate FILE", _VALIDATE)]

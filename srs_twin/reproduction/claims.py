@@ -1,6 +1,6 @@
 """Claims of the dissertation: statements, the runs that check them, and the rules by which they are met.
 
-The file is validated strictly. A claim with a table contains many numbers, each of which becomes a row.
+The file is validated strictly. A claim with a table contains many numbers, one row per number.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ class Cause(Section):
 
 
 class TableRows(Section):
-    """Rule that makes a row of each number in a table."""
+    """Rule that makes rows from the numbers of a table."""
 
     at: Name
     """Key of the setting in each row of the table."""

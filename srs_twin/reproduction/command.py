@@ -89,10 +89,6 @@ def reproduce(
 
 def _print_scorecard(*, as_json: bool) -> None:
     """Print the grades of all capabilities and their reasons."""
-
-
-def _show_scorecard(*, as_json: bool) -> None:
-    """Print the grade of every capability, with the figure behind it."""
     from dataclasses import asdict
 
     from srs_twin.cli.options import print_json

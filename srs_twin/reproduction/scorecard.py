@@ -121,7 +121,7 @@ def _validation(counts: Mapping[Category, tuple[int, int]]) -> Grade:
         if counts[name][1]
     )
     text = f"headline {met} of {rows}" if rows else "no headline"
-    text += f" (apart: {other})" if other else ""
+    text += f" (separately: {other})" if other else ""
     grade = 0 if not met else 2 if met >= _MOST * rows else 1
     return Grade(grade, f"{text}; {UNVALIDATED}")
 

@@ -1,4 +1,4 @@
-"""Fits of a width to box edges: a known one is recovered, the shipped one is current and in its scenario."""
+"""Fits of a body width to box edges: a known width is recovered, and the shipped one is current."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SPEC = load_robot("gen4")
 
 @given(width=st.floats(0.02, 0.3), drawn=st.lists(st.floats(0.01, 0.1), min_size=6, max_size=6))
 def test_a_known_width_is_recovered(width, drawn):
-    """Edges of a body by a sum of our own: how far the middle reaches, and half of the width."""
+    """The expected edges are the extent of the centre line plus half of the width."""
     runs = [
         BoxEdges(
             0.1 * i,
@@ -39,17 +39,17 @@ def test_a_known_width_is_recovered(width, drawn):
     assert fit_width(runs, SPEC).values[WIDTH] == pytest.approx(width, rel=1e-3)
 
 
-def test_a_wider_body_moves_alike_and_reaches_farther_by_half():
-    """What the fit takes for granted, of a snake that crawls and turns."""
+def test_a_wider_body_moves_equally_with_edges_farther_by_half_the_difference():
+    """Assumption of the fit, checked for a snake that crawls and turns."""
     wide = replace(SPEC, geometry=replace(SPEC.geometry, width=SPEC.geometry.width + 0.04))
-    runs = [rollout(AnalyticalSnake(each), Gait(1.0, 0.2), 2.0) for each in (SPEC, wide)]
+    runs = [rollout(AnalyticalSnake(spec), Gait(1.0, 0.2), 2.0) for spec in (SPEC, wide)]
     assert np.array_equal(runs[0]["com_x"], runs[1]["com_x"])
     narrow, far = (body_sides(run, spec.geometry) for run, spec in zip(runs, (SPEC, wide), strict=True))
     apart = np.hypot(*np.moveaxis(far - narrow, -1, 0))
     assert apart == pytest.approx(np.full_like(apart, 0.02), abs=1e-9)
 
 
-def test_the_same_row_cannot_fit_and_validate():
+def test_an_edge_row_cannot_fit_and_validate():
     run = BoxEdges(0.1, (0.1, 0.1), (0.05, 0.05))
     with pytest.raises(InputError, match=r"offset 0\.1"):
         fit_width([run], SPEC, validation=[run])
@@ -57,17 +57,17 @@ def test_the_same_row_cannot_fit_and_validate():
         fit_width([], SPEC)
 
 
-def test_the_shipped_width_is_what_its_command_finds():
+def test_the_shipped_width_is_reproduced_by_its_command():
     shipped = load_fit(place("width"))
     assert fit().parameters == shipped.parameters
-    assert {each.name for each in shipped.data if each.role == "fit"} == {
+    assert {data.name for data in shipped.data if data.role == "fit"} == {
         "offset 0",
         "offset 0.3",
         "offset -0.3",
     }
     table = {f"offset {row.offset:g}": (row.left_m, row.right_m) for row in published_runs()}
-    for each in shipped.data:
-        assert (each.measured["left_m"], each.measured["right_m"]) == table[each.name]
+    for data in shipped.data:
+        assert (data.measured["left_m"], data.measured["right_m"]) == table[data.name]
     page = (Path(__file__).parents[2] / "docs/dissertation-data.md").read_text("utf-8")
     assert edges_table(shipped) in page
 
@@ -82,8 +82,8 @@ def test_the_scenario_has_the_robot_of_the_fits():
     assert robot.mass == SPEC.mass and robot.bending == SPEC.bending
 
 
-def test_edges_are_read_with_their_sides():
-    found = edges(load_fit(place("analytical")), "fit")
-    assert len(found) == 3
-    for each in found:
-        assert min(*each.measured, *each.drawn) > 0
+def test_edges_are_read_for_both_sides():
+    rows = edges(load_fit(place("analytical")), "fit")
+    assert len(rows) == 3
+    for row in rows:
+        assert min(*row.measured, *row.drawn) > 0

@@ -1,4 +1,4 @@
-"""`srs-twin calibrate friction | actuator | locomotion | robot`, and what they read."""
+"""`srs-twin calibrate friction | actuator | locomotion | robot` and their input files."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def pulls_file(folder: Path, text: str = PULLS, name: str = "pulls.csv") -> Path
     return path
 
 
-def test_a_table_of_pulls(tmp_path):
+def test_a_table_of_pulls_is_read(tmp_path):
     pulls = read_pull_table(pulls_file(tmp_path))
     assert list(pulls.along) == pytest.approx([3e-3, 2.5e-3, 2.8e-3])
     assert list(pulls.across) == pytest.approx([26e-3, 25e-3])
@@ -58,16 +58,16 @@ def test_a_table_of_pulls(tmp_path):
         (PULLS.replace(",mass_kg", ",weight"), r"pulls.csv:1: no column 'mass_kg'"),
         (PULLS.replace("along_mm", "along_1_mm"), r"pulls.csv:1:1: along_1_mm: these columns have no"),
         ("along_mm,spring_n_per_m,mass_kg\n3,30,0.15\n", r"pulls.csv: one pull along does not show"),
-        ("along_mm,spring_n_per_m,mass_kg\n3,,0.15\n4,,0.15\n", r"pulls.csv:2:2: spring_n_per_m: the column has no number"),
+        ("along_mm,spring_n_per_m,mass_kg\n3,,0.15\n4,,0.15\n", r"pulls.csv:2:2: spring_n_per_m: "),
         (PULLS.replace("2.5,25,30,0.15", "2.5,25,30"), r"pulls.csv:3: 3 cells where the header has 4"),
     ],
 )  # fmt: skip
-def test_pulls_that_cannot_be_read(tmp_path, text, message):
+def test_invalid_tables_of_pulls_are_refused(tmp_path, text, message):
     with pytest.raises(InputError, match=message):
         read_pull_table(pulls_file(tmp_path, text))
 
 
-def test_residuals_stand_on_a_line_each_with_their_path_whole(tmp_path, monkeypatch, capsys):
+def test_residuals_are_printed_on_one_line_each(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
     folder = tmp_path / "far" / ("away" * 20)
@@ -76,21 +76,21 @@ def test_residuals_stand_on_a_line_each_with_their_path_whole(tmp_path, monkeypa
     with pytest.raises(SystemExit, match="^0$"):
         main(["calibrate", "friction", str(path), "--robot", "gen2"])
     lines = [line for line in capsys.readouterr().out.splitlines() if "RMS" in line]
-    # A coefficient has the unit 1, which follows no number.
+    # The unit 1 of coefficients is not printed.
     assert [re.sub(r"[\d.]+ RMS", "RMS", line) for line in lines] == [
         f"  {path} {side}: RMS" for side in ("along", "across")
     ]
 
 
-def test_pulls_from_the_command_line(tmp_path, srs_twin):
+def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
     pulls_file(tmp_path)
     pulls_file(tmp_path, PULLS.replace("2.5,", "2.6,"), "more.csv")
-    words = ["calibrate", "friction", "pulls.csv", "--robot", "gen2", "--validate", "more.csv"]
-    done = srs_twin(*words, cwd=tmp_path)
+    options = ["calibrate", "friction", "pulls.csv", "--robot", "gen2", "--validate", "more.csv"]
+    done = srs_twin(*options, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     fit = load_fit(tmp_path / "calibration/fits/gen2_friction.yaml")
     assert fit.command == "srs-twin calibrate friction pulls.csv --robot=gen2 --validate=more.csv"
-    assert [(each.name, each.role) for each in fit.data] == [("pulls.csv", "fit"), ("more.csv", "validation")]
+    assert [(data.name, data.role) for data in fit.data] == [("pulls.csv", "fit"), ("more.csv", "validation")]
     mu_t = np.mean([3, 2.5, 2.8]) * 1e-3 * 30 / (0.15 * GRAVITY)
     assert fit.parameters[0].value == pytest.approx(mu_t, rel=1e-6)
     assert f"{mu_t:.5g}" in done.stdout and "validation: residuals" in done.stdout
@@ -98,16 +98,16 @@ def test_pulls_from_the_command_line(tmp_path, srs_twin):
     assert "data:image/svg+xml" in page and "friction.mu_n" in page
     assert "://" not in re.sub(r"data:image/svg[^\"]*", "", page)
 
-    # The same again takes its place; another command does not, and nothing of it is left.
-    again = srs_twin(*words, "-q", cwd=tmp_path)
+    # The same fit replaces the file; another fit is refused and leaves no files.
+    again = srs_twin(*options, "-q", cwd=tmp_path)
     assert (again.returncode, again.stdout, again.stderr) == (0, "", "")
-    other = srs_twin(*words[:3], "--robot", "gen2", cwd=tmp_path)
+    other = srs_twin(*options[:3], "--robot", "gen2", cwd=tmp_path)
     assert other.returncode == 2 and "another fit (srs-twin calibrate friction" in other.stderr
     assert load_fit(tmp_path / "calibration/fits/gen2_friction.yaml") == fit
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("options", "message"),
     [
         (
             ["friction", "p.csv", "--validate", "p.csv"],
@@ -141,20 +141,20 @@ def test_pulls_from_the_command_line(tmp_path, srs_twin):
         (["locomotion", "w.csv", "--pressure", "nan"], "--pressure: nan kPa is not allowed"),
     ],
 )
-def test_what_cannot_be_fitted(tmp_path, monkeypatch, capsys, words, message):
+def test_unsuitable_options_and_data_are_refused(tmp_path, monkeypatch, capsys, options, message):
     pulls_file(tmp_path, name="p.csv")
     pulls_file(tmp_path, PULLS.replace("3,", "3.1,"), name="q.csv")
     (tmp_path / "h.csv").write_bytes((EXAMPLE / "held.csv").read_bytes())
     (tmp_path / "w.csv").write_bytes((EXAMPLE / "walk_straight.csv").read_bytes())
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as end:
-        main(["calibrate", *words, "--robot", "gen2"])
+        main(["calibrate", *options, "--robot", "gen2"])
     assert end.value.code == 2 and message in capsys.readouterr().err
     assert not list(tmp_path.rglob("*.yaml")) and not list(tmp_path.rglob("*.html"))
 
 
-def test_throws_from_the_command_line(tmp_path, monkeypatch, capsys):
-    """Straight bodies that slow down at a constant rate: the friction follows from the rate alone."""
+def test_friction_is_fitted_to_throws_by_the_command(tmp_path, monkeypatch, capsys):
+    """Straight bodies decelerate at a constant rate, which determines the friction."""
     deceleration = 0.6
     time_ = np.arange(0.0, 0.8, 0.01)
     for name, speed in (("a", 0.6), ("b", 0.5)):
@@ -162,7 +162,7 @@ def test_throws_from_the_command_line(tmp_path, monkeypatch, capsys):
         x = way[:, None] - SPEC.geometry.pitch * np.arange(5)
         head = ",".join(["time", *(f"{axis}_{i}" for i in range(1, 6) for axis in "xy")])
         rows = [
-            ",".join([f"{t:.3f}", *(f"{each:.6f},0" for each in row)])
+            ",".join([f"{t:.3f}", *(f"{number:.6f},0" for number in row)])
             for t, row in zip(time_, x, strict=True)
         ]
         (tmp_path / f"{name}.csv").write_text("\n".join([head, *rows, ""]))
@@ -175,14 +175,14 @@ def test_throws_from_the_command_line(tmp_path, monkeypatch, capsys):
     assert fit.parameters[1].value is None and "friction.mu_n" in out
 
 
-def main_ok(*words: str) -> None:
+def main_ok(*options: str) -> None:
     with pytest.raises(SystemExit) as end:
-        main(list(words))
+        main(list(options))
     assert end.value.code == 0
 
 
 @pytest.mark.slow
-def test_fits_make_a_robot(tmp_path, monkeypatch, capsys):
+def test_fits_are_combined_into_a_robot(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     pulls_file(tmp_path)
     (tmp_path / "held.csv").write_bytes((EXAMPLE / "held.csv").read_bytes())
@@ -192,23 +192,23 @@ def test_fits_make_a_robot(tmp_path, monkeypatch, capsys):
     assert "robot in robots/mine.yaml" in capsys.readouterr().err
     mine, gen2 = load_robot("robots/mine.yaml"), load_robot("gen2")
     assert mine.friction.mu_t == pytest.approx(load_fit("f.yaml").parameters[0].value)
-    gains = {each.name: each.value for each in load_fit("a.yaml").parameters}
+    gains = {parameter.name: parameter.value for parameter in load_fit("a.yaml").parameters}
     assert mine.modules.array("gain")[1, 0] == pytest.approx(gains["modules.gain_plus_2"])
     assert (mine.name, mine.geometry, mine.bending) == ("mine", gen2.geometry, gen2.bending)
-    for words, message in (
+    for options, message in (
         (["f.yaml", "--name", "mine"], "exists already; --overwrite replaces it"),
         (["pulls.csv", "--name", "other"], "pulls.csv"),
         (["f.yaml", "--name", "No Name"], "name"),
     ):
         with pytest.raises(SystemExit) as end:
-            main(["calibrate", "robot", *words])
+            main(["calibrate", "robot", *options])
         assert end.value.code == 2 and message in capsys.readouterr().err
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
-def test_an_interrupt_leaves_nothing(tmp_path):
-    """A fit against the twin takes minutes: it is ended as soon as it has read its recordings."""
+def test_an_interrupted_fit_leaves_no_files(tmp_path):
+    """The fit, which would take minutes, is interrupted as soon as it has read its recordings."""
     script = Path(sys.executable).with_name("srs-twin")
     started = subprocess.Popen(
         [script, "calibrate", "locomotion", EXAMPLE / "walk_straight.csv", "-r", "gen2", "--plant", "twin"],
@@ -228,8 +228,8 @@ def test_an_interrupt_leaves_nothing(tmp_path):
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
-def test_an_interrupt_that_became_an_import_error_is_one(monkeypatch):
-    """Modules in C that are loading when it comes say 'initialization failed'."""
+def test_an_interrupt_during_an_import_is_reported_as_an_interrupt(monkeypatch):
+    """Modules in C raise ImportError ("initialization failed") if they are interrupted while loading."""
 
     def interrupted():
         try:
@@ -243,27 +243,27 @@ def test_an_interrupt_that_became_an_import_error_is_one(monkeypatch):
     assert end.value.code == 130
 
 
-# What recordings give to fits and replays
+# Inputs of fits and replays from recordings
 
 
-def test_a_replayed_gait_is_the_gait():
+def test_a_replayed_gait_equals_the_gait():
     gait = Gait(1.7, 0.1)
     gait.reset(SPEC, 0.02)
     again = Replay(gait.script(2.0), 1.7)
-    runs = [rollout(AnalyticalSnake(SPEC, supply_pa=48e3), each, 2.0) for each in (gait, again)]
+    runs = [rollout(AnalyticalSnake(SPEC, supply_pa=48e3), controller, 2.0) for controller in (gait, again)]
     assert (runs[0].com == runs[1].com).all()
     ticks = []  # and tick by tick, as for a plant that follows no script
-    for each in (gait, again):
+    for controller in (gait, again):
         plant, state = AnalyticalSnake(SPEC, supply_pa=48e3), None
         state = plant.reset()
-        each.reset(SPEC, 0.02)
+        controller.reset(SPEC, 0.02)
         for _ in range(40):
-            state = plant.step(each.step(state))
+            state = plant.step(controller.step(state))
         ticks.append(state.com)
     assert ticks[0] == pytest.approx(ticks[1], abs=1e-12)
 
 
-def test_replayed_valves_hold_their_last_state_and_know_their_robot():
+def test_replayed_valves_keep_their_last_state_and_check_the_robot():
     states = np.full((2, 4, 2), -1, dtype=np.int8)
     states[1, 0, 0] = 1
     replay = Replay(Schedule(1.0, np.array([0.0, 0.5]), states))
@@ -275,7 +275,7 @@ def test_replayed_valves_hold_their_last_state_and_know_their_robot():
         replay.reset(load_robot("gen4_module"), 0.02)
 
 
-def test_logs_lie_beside_their_recordings():
+def test_logs_are_found_next_to_their_recordings():
     assert logs_of(["a/b.csv", "c.csv"], []) == ["a/b.valves.csv", "c.valves.csv"]
     assert logs_of(["a.csv"], ["x.csv"]) == ["x.csv"]
     with pytest.raises(InputError, match="1 logs of valves for 2 recordings"):
@@ -283,7 +283,7 @@ def test_logs_lie_beside_their_recordings():
 
 
 @pytest.mark.parametrize("frequency", [0.7, 2.0])
-def test_a_gait_tells_its_frequency(tmp_path, frequency):
+def test_the_frequency_of_a_gait_is_estimated(tmp_path, frequency):
     truth = motion(8.0, frequency=frequency)
     path = tmp_path / "v.csv"
     path.write_text(valve_csv(truth, 0.0, 8.0, 3.0))
@@ -293,7 +293,7 @@ def test_a_gait_tells_its_frequency(tmp_path, frequency):
 
 
 @pytest.mark.parametrize("carrier", [20.0, 30.0, 50.0])
-def test_the_gaits_frequency_is_not_its_carriers(carrier):
+def test_the_frequency_of_a_gait_is_not_that_of_its_carrier(carrier):
     clock = np.arange(0.0, 6.0, 0.002)
     filling = (clock * 1.5 % 1 < 0.5)[:, None, None] & (clock * carrier % 1 < 0.6)[:, None, None]
     states = np.where(np.broadcast_to(filling, (len(clock), 4, 2)), 1.0, -1.0)
@@ -303,7 +303,7 @@ def test_the_gaits_frequency_is_not_its_carriers(carrier):
 
 
 @pytest.mark.slow
-def test_a_recording_becomes_a_run(tmp_path):
+def test_a_recording_is_converted_to_a_run(tmp_path):
     truth = motion(4.0)
     path = tmp_path / "v.csv"
     path.write_text(valve_csv(truth, 0.0, 4.0, 3.0))
@@ -325,16 +325,16 @@ def test_a_recording_becomes_a_run(tmp_path):
     driven = gait_run(other, "take", 48e3)
     plant = AnalyticalSnake(SPEC, supply_pa=48e3, pneumatics=driven.chambers(SPEC))
     by_pressures = rollout(plant, driven.controller, 3.5)
-    # Where a valve switches the drive's rate jumps by 2 A/τ₁; the log has a chord there, x follows by τ₂.
+    # When a valve switches, the drive's rate jumps by 2 A/τ₁; the log has a chord there, and x lags by τ₂.
     swing, tau = SPEC.actuator.gain * 48e3, SPEC.actuator.tau_mode
-    off = by_pressures["bend_1"] - truth["bend_1"][:351]
-    assert np.abs(off).max() < 2 * swing / SPEC.actuator.tau_fill * tau
-    assert np.sqrt((off**2).mean()) < 0.01
+    difference = by_pressures["bend_1"] - truth["bend_1"][:351]
+    assert np.abs(difference).max() < 2 * swing / SPEC.actuator.tau_fill * tau
+    assert np.sqrt((difference**2).mean()) < 0.01
     assert starts_at_rest(other) and not starts_at_rest(join(
         recorded(tmp_path, Take(layout="pair")), read_valves(path, SPEC), SPEC, offset=-3.1))  # fmt: skip
 
 
-def test_the_command_is_written_as_it_can_be_typed_again(tmp_path, monkeypatch):
+def test_the_stored_command_line_can_be_pasted_into_a_shell(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     pulls_file(tmp_path, name="a b.csv")
     main_ok("calibrate", "friction", "-q", "-r", "gen2", "--no-wheel-inertia", "a b.csv", "--out", "x.yaml")

@@ -1,4 +1,4 @@
-"""`srs-twin calibrate footprint` from outside, its files, and whether the shipped ones are current."""
+"""`srs-twin calibrate footprint`, its files, and the shipped footprints."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ SHORT = (
 FILE = Path("calibration/footprints/gen2_gait.yaml")
 
 
-def test_a_short_measurement_from_the_command_line(srs_twin, tmp_path, monkeypatch):
+def test_a_short_footprint_measurement_by_the_command(srs_twin, tmp_path, monkeypatch):
     done = srs_twin(*SHORT, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "curvature 1/m" in done.stdout and f"footprint in {FILE}" in done.stderr
@@ -57,15 +57,16 @@ def test_a_short_measurement_from_the_command_line(srs_twin, tmp_path, monkeypat
     )
     assert lines[1].endswith(robot_hash(load_robot("gen2"))) and "mujoco 3." in lines[2]
 
-    # The same again takes its place, something else does not.
+    # The same measurement replaces the file; another one is refused.
     before = (tmp_path / FILE).read_bytes()
-    words = lines[0].removeprefix("# measured by: srs-twin ").split()
-    again = srs_twin(*words, "--quiet", "--threads", "1", cwd=tmp_path)
+    options = lines[0].removeprefix("# measured by: srs-twin ").split()
+    again = srs_twin(*options, "--quiet", "--threads", "1", cwd=tmp_path)
     assert (again.returncode, again.stdout, again.stderr) == (0, "", "")
     assert (tmp_path / FILE).read_bytes() == before
     other = srs_twin(*SHORT, "--periods", "4", cwd=tmp_path)
     assert other.returncode == 2 and other.stderr == (
-        f"{FILE}: the file exists with another footprint; --overwrite replaces it; --name or --out choose another file\n"
+        f"{FILE}: the file exists with another footprint; --overwrite replaces it; "
+        "--name or --out choose another file\n"
     )
     assert (tmp_path / FILE).read_bytes() == before
     monkeypatch.chdir(tmp_path)
@@ -77,7 +78,7 @@ def test_a_short_measurement_from_the_command_line(srs_twin, tmp_path, monkeypat
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("options", "message"),
     [
         (["gen9"], "unknown robot 'gen9'; did you mean gen"),
         (["gen2", "--controller", "gate"], "unknown controller 'gate'; did you mean gait?"),
@@ -100,17 +101,19 @@ def test_a_short_measurement_from_the_command_line(srs_twin, tmp_path, monkeypat
         (["gen4_module"], "one segment"),
     ],
 )
-def test_bad_options_end_with_a_message_before_anything_runs(words, message, tmp_path, monkeypatch, capsys):
+def test_invalid_footprint_options_are_refused_before_any_run(
+    options, message, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(study_module, "run_many", lambda *_, **__: pytest.fail("something ran"))
     with pytest.raises(SystemExit) as end:
-        main(["calibrate", "footprint", *words])
+        main(["calibrate", "footprint", *options])
     said = capsys.readouterr().err
     assert end.value.code == 2 and message in said and "Traceback" not in said
     assert not list(tmp_path.iterdir())
 
 
-def test_an_interrupt_leaves_nothing_and_says_so(tmp_path, monkeypatch, capsys):
+def test_an_interrupted_footprint_leaves_no_files(tmp_path, monkeypatch, capsys):
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
@@ -133,7 +136,7 @@ def test_a_measurement_records_the_contact_of_its_twin(contact):
     assert footprint_file(measured, "short").contact == contact
 
 
-def test_a_run_that_diverges_is_named(tmp_path, monkeypatch, capsys):
+def test_a_diverged_run_is_named_in_the_message(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     runs = [object(), DivergedError("twin", 1.5, "its state held nan"), object()]
     monkeypatch.setattr(study_module, "run_many", lambda *_, **__: runs)
@@ -143,20 +146,20 @@ def test_a_run_that_diverges_is_named(tmp_path, monkeypatch, capsys):
     assert "offset 0: twin diverged at t = 1.5 s: its state held nan" in capsys.readouterr().err
 
 
-def test_help_of_the_sub_command(srs_twin, tmp_path):
+def test_help_of_calibrate_footprint(srs_twin, tmp_path):
     done = srs_twin("calibrate", "--help", cwd=tmp_path)
     assert done.returncode == 0 and "footprint" in done.stdout
     assert "--no-transients" in srs_twin("calibrate", "footprint", "--help", cwd=tmp_path).stdout
 
 
-def test_rows_of_numbers_are_written_as_rows_and_read_back():
+def test_arrays_are_written_row_by_row_and_read_back():
     data = {"a": [1.0, -2.5, 3], "b": [{"x": 1.0, "y": -0.25}, {"x": 2.0, "y": 0.5}], "c": ["x", []], "d": {}}
     text = dump_yaml(data, compact=True)
     assert text.splitlines()[:3] == ["a: [1.0, -2.5, 3]", "b:", "- {x: 1.0, y: -0.25}"]
     assert parse_yaml(text, "text").data == data == parse_yaml(dump_yaml(data), "text").data
 
 
-def test_a_measurement_with_transients_goes_through_its_file(tmp_path):
+def test_a_footprint_with_transients_is_read_back_from_its_file(tmp_path):
     drive = GaitSetup(load_robot("gen2"), 2.0, 48.3e3, plant="analytical")
     planned = footprint_study(drive, offsets=(-0.2, 0.0, 0.2), changes=[(-0.2, 0.2)], periods=3, phases=1)
     measured = planned.measure()
@@ -167,15 +170,15 @@ def test_a_measurement_with_transients_goes_through_its_file(tmp_path):
     body = load_footprint(path)
     columns = {"curvatures": "curvature", "speeds": "speed", "left": "left", "right": "right"}
     for column, key in columns.items():
-        whole = [getattr(each, key) for each in measured.steady]
+        whole = [getattr(path, key) for path in measured.steady]
         assert getattr(body, column) == pytest.approx(whole, abs=6e-5)
-    # A gait shortens the body; it begins straight, round at both ends.
+    # The gait shortens the body, which starts straight with round ends.
     straight = drive.spec.geometry.body_length / 2 + drive.spec.geometry.width / 2
-    assert max(max(each.ahead, each.behind) for each in measured.steady) < straight
+    assert max(max(path.ahead, path.behind) for path in measured.steady) < straight
     assert (body.ahead, body.behind) == pytest.approx((straight, straight), abs=6e-5)
-    (found,), (wanted,) = body.transients, measured.transients
+    (fit,), (expected,) = body.transients, measured.transients
     for key in ("before", "after", "left", "right", "length", "dx", "dy", "dheading"):
-        assert getattr(found, key) == pytest.approx(getattr(wanted, key), abs=6e-5)
+        assert getattr(fit, key) == pytest.approx(getattr(expected, key), abs=6e-5)
     text = path.read_text("utf-8")
     with pytest.raises(InputError, match="spread.left_m: 4 values for 3 offsets"):
         longer = re.sub(r"(spread:(?:.|\n)*left_m: \[[^]]*)\]", r"\1, 0.0]", text)
@@ -197,8 +200,8 @@ CURRENT = [pytest.param(name, marks=[pytest.mark.slow] if name == LEARNT else []
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CURRENT)
-def test_shipped_measurements_are_current(name):
-    """One offset is run again at one phase of the gait; the file's row is the mean over several."""
+def test_shipped_footprints_are_current(name):
+    """One offset is repeated at one phase of the gait; the file has the mean over several phases."""
     robot, controller, frequency, supply, offset, chambers = SHIPPED[name]
     spec = load_robot(robot)
     first, second = (shipped_folder("footprint") / f"{name}.yaml").read_text("utf-8").splitlines()[:2]
@@ -225,17 +228,17 @@ def test_shipped_measurements_are_current(name):
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_measurements_are_mirror_images_and_plan(name):
-    """The robots' modules are alike, so what turns left turns right."""
+def test_shipped_footprints_are_symmetric_and_can_be_planned_with(name):
+    """All modules of a robot are equal, so left and right turns are mirror images."""
     body = checked(load_footprint(name))
     assert body.curvatures == pytest.approx([-k for k in body.curvatures[::-1]], abs=0.02)
     assert body.left == pytest.approx(body.right[::-1], abs=1e-3)
     assert body.speeds == pytest.approx(body.speeds[::-1], rel=0.01)
     changes = {(t.before, t.after): t for t in body.transients}
     assert changes
-    for (before, after), each in changes.items():
+    for (before, after), change in changes.items():
         other = changes[-before, -after]
-        assert each.dheading == pytest.approx(-other.dheading, abs=0.03)
-        assert each.dheading * (after - before) < 0, "a turn that comes late is missing"
+        assert change.dheading == pytest.approx(-other.dheading, abs=0.03)
+        assert change.dheading * (after - before) < 0, "a turn that comes late is missing"
     answer = plan(Problem(Pose(0, 0, 0), Goal(3.0, 0.0, 0.0, 0.02), World((Circle(1.5, 0.0, 0.1),)), body))
     assert answer.outcome == "found"

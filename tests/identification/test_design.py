@@ -1,4 +1,4 @@
-"""Design of experiments: foretold intervals against fits, and what no walk can tell."""
+"""Design of experiments: predicted intervals against fits, and parameters that no walk identifies."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from srs_twin.identification.friction import Pulls, fit_pulls
 SPEC = load_robot("gen2")
 
 
-def test_a_foretold_interval_is_the_scatter_of_fits_to_what_it_says_to_record():
-    found = choose_experiments(SPEC, {}, {"friction.mu_n": 0.04})
-    assert [each.description for each in found.chosen][0].startswith("10 pulls across")
+def test_predicted_intervals_agree_with_the_scatter_of_fits():
+    fit = choose_experiments(SPEC, {}, {"friction.mu_n": 0.04})
+    assert [experiment.description for experiment in fit.chosen][0].startswith("10 pulls across")
     rng, fits = np.random.default_rng(0), []
     force = SPEC.friction.mu_n * SPEC.mass.total * GRAVITY
     for _ in range(300):
@@ -26,33 +26,37 @@ def test_a_foretold_interval_is_the_scatter_of_fits_to_what_it_says_to_record():
         pulls = Pulls(along=[], across=list(pulled), stiffness=30.0, mass=SPEC.mass.total)
         fits.append(fit_pulls(pulls)["friction.mu_n"].value)
     scatter = 1.96 * np.std(fits) / SPEC.friction.mu_n
-    assert found.after["friction.mu_n"][0] == pytest.approx(scatter, rel=0.2)
+    assert fit.after["friction.mu_n"][0] == pytest.approx(scatter, rel=0.2)
 
 
-def test_no_walk_tells_mass_from_stiffness():
-    """With all masses and stiffnesses scaled alike nothing changes, but for the third digit of metrics."""
+def test_walks_do_not_separate_mass_from_stiffness():
+    """A common factor of all masses and stiffnesses changes metrics by less than the third digit."""
     names = ["mass.connectors_kg", "bending.stiffness_nm_per_rad", "friction.mu_t"]
     values = {"mass.connectors_kg": 0.03, "bending.stiffness_nm_per_rad": 0.44, "friction.mu_t": 0.043}
     scale = np.array([values[name] for name in names])
-    walks = [each for each in candidates(SPEC) if each.description.startswith("walk")]
+    walks = [experiment for experiment in candidates(SPEC) if experiment.description.startswith("walk")]
     for walk in walks[2:4]:
-        found = _information(walk, SPEC, names, values, scale)
+        fit = _information(walk, SPEC, names, values, scale)
         alike = np.array([1.0, 1.0, 0.0])
-        assert alike @ found @ alike < 0.01 * found[0, 0]
-        assert found[1, 1] > 1e-2 * found[2, 2]
+        assert alike @ fit @ alike < 0.01 * fit[0, 0]
+        assert fit[1, 1] > 1e-2 * fit[2, 2]
 
 
-def test_drag_is_told_from_the_wheels_by_a_load():
+def test_a_load_separates_drag_from_wheel_inertia():
     known = {"friction.mu_t": (0.043, 0.01), "friction.drag_n": (0.0, 0.03)}
-    found = choose_experiments(SPEC, known, {"friction.mu_t": 0.06})
-    loads = [each.description for each in found.chosen if each.description.startswith("10 pulls along")]
-    assert any("300 g" in each for each in loads) and any("g on it" not in each for each in loads)
-    assert found.unmet == ()
-    assert list(found.after["friction.mu_t"]) == sorted(found.after["friction.mu_t"], reverse=True)
+    fit = choose_experiments(SPEC, known, {"friction.mu_t": 0.06})
+    loads = [
+        experiment.description
+        for experiment in fit.chosen
+        if experiment.description.startswith("10 pulls along")
+    ]
+    assert any("300 g" in text for text in loads) and any("g on it" not in text for text in loads)
+    assert fit.unmet == ()
+    assert list(fit.after["friction.mu_t"]) == sorted(fit.after["friction.mu_t"], reverse=True)
 
 
 @pytest.mark.slow
-def test_what_cannot_be_reached_is_said(srs_twin, tmp_path):
+def test_unreachable_targets_are_reported(srs_twin, tmp_path):
     done = srs_twin("calibrate", "design", "gen2", "--want", "friction.mu_n=0.1%", cwd=tmp_path)
     assert done.returncode == 0
     assert "friction.mu_n: no further recording of these kinds narrows it to 0.1 %" in done.stdout

@@ -1,4 +1,4 @@
-"""Fit files: what is written is read back, data keep their roles, and a fit becomes a robot."""
+"""Fit files: round trip, roles of the data, and application of a fit to a robot."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ DATA = [DataSet("a.csv", "a" * 64, "fit", 300), DataSet("b.csv", "b" * 64, "vali
 @cache
 def bench() -> FitFile:
     names = [*default_actuator_parameters(MODULE), "mass.connectors_kg_1"]
-    found = fit_actuator(
+    fit = fit_actuator(
         [response(noise=0.005)], MODULE, names=names, validation=[response(noise=0.005, seed=7)]
     )
-    return fit_file(found, **ABOUT, data=DATA)
+    return fit_file(fit, **ABOUT, data=DATA)
 
 
-def test_what_is_written_is_read_back(tmp_path: Path):
+def test_a_fit_file_is_read_back(tmp_path: Path):
     fit = bench()
     path = write_fit(fit, tmp_path / "fits" / "bench.yaml")
     assert load_fit(path) == fit
@@ -55,7 +55,7 @@ def test_the_same_fit_gives_the_same_bytes(tmp_path: Path):
 
 
 def resolved(block) -> RobotFile:
-    """Return the robot that a scenario with such a block gets."""
+    """Return the robot of a scenario with a given robot block."""
     document = parse_yaml(dump_yaml({"robot": block}), "scenario.yaml")
     file = resolve_robot(document, document.data["robot"], prefix=("robot",))
     document.finish()
@@ -63,27 +63,27 @@ def resolved(block) -> RobotFile:
     return file
 
 
-def test_a_fit_becomes_the_robot_of_a_scenario():
+def test_a_fit_is_applied_to_the_robot_of_a_scenario():
     fit = bench()
     robot = resolved(robot_override(fit)).spec()
-    for each in fit.parameters:
-        if each.value is not None:
-            assert free_parameters(robot, [each.name])[0].start == pytest.approx(each.value, rel=1e-8), (
-                each.name
-            )
+    for parameter in fit.parameters:
+        if parameter.value is not None:
+            assert free_parameters(robot, [parameter.name])[0].start == pytest.approx(
+                parameter.value, rel=1e-8
+            ), parameter.name
     assert robot.mass == MODULE.mass
     assert robot.actuator.gain == pytest.approx(MODULE.actuator.gain)
 
 
 @pytest.mark.parametrize("name", parameter_names())
 def test_every_parameter_reaches_the_robot(name):
-    """Through the file and the override: the number, its unit, its status and its source."""
+    """Value, unit, status and source pass through the file and the override."""
     spec = load_robot("gen2")
     name = name.replace("_N", "_2")
     start = free_parameters(replace(spec, actuator=replace(spec.actuator, bend_limit=2.0)), [name])[0]
     value = start.start * 1.1 if start.scale is None else start.start + 0.01
-    found = Parameter(name, parameter_unit(name), "identified", value, 0.001, value - 0.002, value + 0.002)
-    fit = fit_file(FitEstimate((found,), np.eye(1)), **(ABOUT | {"robot": "gen2"}), data=DATA)
+    result = Parameter(name, parameter_unit(name), "identified", value, 0.001, value - 0.002, value + 0.002)
+    fit = fit_file(FitEstimate((result,), np.eye(1)), **(ABOUT | {"robot": "gen2"}), data=DATA)
     file = resolved(robot_override(fit))
     assert free_parameters(file.spec(), [name])[0].start == pytest.approx(value, rel=1e-8)
     changed = [r for path, r in file.records().items() if "fit bench" in r.source]
@@ -92,7 +92,7 @@ def test_every_parameter_reaches_the_robot(name):
     assert file.spec().mass.connectors == pytest.approx(expected.mass.connectors)
 
 
-def test_what_a_model_does_not_explain_stands_in_the_file(tmp_path: Path):
+def test_the_misfit_of_a_model_is_stored_in_the_file(tmp_path: Path):
     unsure = Parameter("friction.mu_t", "1", "cannot tell", 0.05, 0.01, 0.03, 0.08, "spread")
     left = Residual("walk.csv yaw_rate", "rad/s", np.array([0.05]), 0.01)
     estimate = FitEstimate((unsure,), np.eye(1), (left,), residual_scale=5.0)
@@ -107,7 +107,7 @@ def test_what_a_model_does_not_explain_stands_in_the_file(tmp_path: Path):
         robot_override(file, weak=False)
 
 
-def test_weak_numbers_may_be_left_out():
+def test_weakly_identified_values_can_be_omitted():
     weak = Parameter("friction.mu_t", "1", "weakly identified", 0.05, 0.01, 0.03, 0.08)
     fit = fit_file(FitEstimate((weak,), np.eye(1)), **(ABOUT | {"robot": "gen2"}), data=DATA)
     assert robot_override(fit)["friction"]["mu_t"]["value"] == pytest.approx(0.05)
@@ -115,12 +115,12 @@ def test_weak_numbers_may_be_left_out():
         robot_override(fit, weak=False)
 
 
-def test_what_a_fit_held_elsewhere_than_its_robot_goes_along_with_what_it_found():
-    """A number found beside a length of 0.2 m is not that of a robot of another length."""
-    found = Parameter("friction.mu_t", "1", "identified", 0.05, 0.001, 0.04, 0.06)
+def test_held_values_that_differ_from_the_robot_are_applied_with_the_fit():
+    """A value fitted with a length of 0.2 m is invalid for a robot of another length."""
+    result = Parameter("friction.mu_t", "1", "identified", 0.05, 0.001, 0.04, 0.06)
     spec = load_robot("gen2")
     held = {"geometry.segment_length_m": 0.2, "friction.mu_n": spec.friction.mu_n, "spin_share": 0.5}
-    fit = fit_file(FitEstimate((found,), np.eye(1), held=held), **(ABOUT | {"robot": "gen2"}), data=DATA)
+    fit = fit_file(FitEstimate((result,), np.eye(1), held=held), **(ABOUT | {"robot": "gen2"}), data=DATA)
     block = robot_override(fit)
     assert set(block) == {"base", "friction", "geometry"} and set(block["friction"]) == {"mu_t"}
     robot = resolved(block)
@@ -131,11 +131,11 @@ def test_what_a_fit_held_elsewhere_than_its_robot_goes_along_with_what_it_found(
     assert length.status == "estimated" and "held in fit bench" in length.source
 
 
-def test_nothing_is_predicted_without_a_number_for_what_was_looked_for(tmp_path: Path):
+def test_a_fit_without_a_value_predicts_nothing(tmp_path: Path):
     lost = Parameter("friction.mu_n", "1", "not identifiable", why="only the ratio acts")
-    found = Parameter("friction.mu_t", "1", "identified", 0.05, 0.001, 0.04, 0.06)
+    fit = Parameter("friction.mu_t", "1", "identified", 0.05, 0.001, 0.04, 0.06)
     about = ABOUT | {"robot": "gen2", "data": DATA, "averages": {"a.csv": ({"speed": 1.0}, {"speed": 1.1})}}
-    estimate = FitEstimate((found, lost), np.eye(2))
+    estimate = FitEstimate((fit, lost), np.eye(2))
     with pytest.raises(InputError, match=r"bench: friction.mu_n has no value, so nothing can be pred"):
         fit_file(estimate, **about)
     whole = fit_file(replace(estimate, held={"friction.mu_n": 0.57}), **about)
@@ -146,17 +146,17 @@ def test_nothing_is_predicted_without_a_number_for_what_was_looked_for(tmp_path:
         load_fit(path)
 
 
-def test_a_robot_that_draws_its_gains_is_no_base(tmp_path: Path):
+def test_a_robot_with_random_gains_is_refused_as_base(tmp_path: Path):
     text = (Path(__file__).parents[2] / "calibration/robots/gen4_module.yaml").read_text()
     spread = '{gain_spread: {value: 0.1, unit: "1", status: estimated, source: x}}'
     (tmp_path / "drawn.yaml").write_text(text + f"\nmodules: {spread}\n")
-    found = Parameter("modules.gain_plus_1", "1", "identified", 1.1, 0.001, 1.0, 1.2)
+    fit = Parameter("modules.gain_plus_1", "1", "identified", 1.1, 0.001, 1.0, 1.2)
     about = ABOUT | {"robot": str(tmp_path / "drawn.yaml")}
     with pytest.raises(InputError, match="draws modules.gain at random"):
-        robot_override(fit_file(FitEstimate((found,), np.eye(1)), **about, data=DATA))
+        robot_override(fit_file(FitEstimate((fit,), np.eye(1)), **about, data=DATA))
 
 
-def test_the_format_keeps_data_apart(tmp_path: Path):
+def test_the_format_refuses_shared_fit_and_validation_data(tmp_path: Path):
     fit = bench()
     same = [DataSet("a.csv", "a" * 64, "fit", 300), DataSet("again.csv", "a" * 64, "validation", 300)]
     with pytest.raises(InputError, match="again.csv: the same data as a.csv"):
@@ -165,23 +165,23 @@ def test_the_format_keeps_data_apart(tmp_path: Path):
     path.write_text(write_fit(fit, tmp_path / "y.yaml").read_text().replace("b" * 64, "a" * 64))
     with pytest.raises(InputFileError, match=r"x.yaml:\d+:\d+: data: b.csv: the same data as a.csv"):
         load_fit(path)
-    halves = [replace(each, from_s=k, to_s=k + 1.0) for k, each in enumerate(same)]
+    halves = [replace(data, from_s=k, to_s=k + 1.0) for k, data in enumerate(same)]
     assert len(fit_file(fit.estimate(), **ABOUT, data=halves).data) == 2
 
 
-def test_what_a_fit_leaves_unknown_stands_in_the_robot(tmp_path):
-    """Its 95 % interval comes back from the robot's own distribution, and the correlation with it."""
+def test_the_uncertainty_of_a_fit_is_stored_in_the_robot(tmp_path):
+    """The robot's distribution has the 95 % interval and the correlation of the fit."""
     from scipy.stats import lognorm
 
     from srs_twin.identification.fitted_robot import fitted_robot
     from srs_twin.robot.priors import Priors
 
     names = ["friction.mu_t", "bending.stiffness_nm_per_rad"]
-    found = [
+    fit = [
         Parameter(name, unit, "identified", value, 0.05 * value, value / 1.1, value * 1.1)
         for name, unit, value in zip(names, ("1", "N*m/rad"), (0.05, 0.4), strict=True)
     ]
-    estimate = FitEstimate(tuple(found), np.array([[1.0, -0.6], [-0.6, 1.0]]))
+    estimate = FitEstimate(tuple(fit), np.array([[1.0, -0.6], [-0.6, 1.0]]))
     path = tmp_path / "mine.yaml"
     write_fit(fit_file(estimate, **ABOUT | {"robot": "gen2"}, data=DATA), path)
     priors = Priors.of(fitted_robot([path], "mine"))

@@ -1,4 +1,4 @@
-"""FootprintMeasurement footprints: prescribed paths are recovered, real ones hold against mirror and refinement."""
+"""Measured footprints: prescribed paths are recovered; symmetry and convergence of simulated ones."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def steady(crawl: Crawl, run: Trajectory | None = None) -> SteadyPath:
 
 
 def edges_of_a_bar(crawl: Crawl, curvature: float) -> tuple[float, float, float, float]:
-    """Return left, right, ahead and behind of a swaying bar that touches its circle in the middle.
+    """Return the left, right, front and rear edges of a swaying bar tangent to its circle at the middle.
 
     Its ends are round: half discs beyond its middle line.
     """
@@ -67,14 +67,14 @@ def edges_of_a_bar(crawl: Crawl, curvature: float) -> tuple[float, float, float,
 @pytest.mark.parametrize("aside", [0.0, 0.006])
 def test_speed_curvature_and_edges_of_a_bar_on_a_circle(curvature, aside):
     crawl = Crawl((curvature,), sway=(0.0, aside))
-    found = steady(crawl)
+    fit = steady(crawl)
     left, right, ahead, behind = edges_of_a_bar(crawl, curvature)
-    assert found.speed == pytest.approx(0.15, rel=1e-3)
-    assert found.curvature == pytest.approx(curvature, rel=1e-3, abs=1e-5)
-    # At the ends the bar is farthest out when it sways out, and at its widest inside where it touches.
-    assert (found.left, found.right) == pytest.approx((left, right), abs=1e-4)
+    assert fit.speed == pytest.approx(0.15, rel=1e-3)
+    assert fit.curvature == pytest.approx(curvature, rel=1e-3, abs=1e-5)
+    # The outer edge is reached by the ends of the bar, the inner edge by its middle.
+    assert (fit.left, fit.right) == pytest.approx((left, right), abs=1e-4)
     if not aside:
-        assert (found.ahead, found.behind) == pytest.approx((ahead, behind), abs=1e-4)
+        assert (fit.ahead, fit.behind) == pytest.approx((ahead, behind), abs=1e-4)
 
 
 @pytest.mark.slow
@@ -83,37 +83,37 @@ def test_speed_curvature_and_edges_of_a_bar_on_a_circle(curvature, aside):
     curvature=st.floats(-5, 5), speed=st.floats(0.05, 0.3), phase=st.floats(0, 6.3),
     x=st.floats(-3, 3), angle=st.floats(-3, 3),
 )  # fmt: skip
-def test_the_same_wherever_it_lies_whatever_the_phase_and_in_a_mirror(curvature, speed, phase, x, angle):
+def test_edges_are_invariant_to_pose_and_phase_and_mirror_symmetric(curvature, speed, phase, x, angle):
     crawl = Crawl((curvature,), speed=speed, sway=(0.003, 0.005), phase=phase)
     run = crawl.trajectory()
-    found, elsewhere, seen = (steady(crawl, r) for r in (run, moved(run, x, 1.0, angle), mirrored(run)))
-    assert found.speed == pytest.approx(speed, rel=5e-3)
-    assert found.curvature == pytest.approx(curvature, rel=5e-3, abs=1e-3)
-    assert astuple(elsewhere) == pytest.approx(astuple(found), abs=1e-7)
-    swapped = (found.speed, -found.curvature, found.right, found.left, found.ahead, found.behind)
+    fit, elsewhere, seen = (steady(crawl, r) for r in (run, moved(run, x, 1.0, angle), mirrored(run)))
+    assert fit.speed == pytest.approx(speed, rel=5e-3)
+    assert fit.curvature == pytest.approx(curvature, rel=5e-3, abs=1e-3)
+    assert astuple(elsewhere) == pytest.approx(astuple(fit), abs=1e-7)
+    swapped = (fit.speed, -fit.curvature, fit.right, fit.left, fit.ahead, fit.behind)
     assert astuple(seen) == pytest.approx(swapped, abs=1e-7)
 
 
-def test_the_edges_are_those_of_the_metrics_where_the_body_is_straight():
-    """`box_edges` looks at connectors and fits a circle; between them a straight body does not bulge."""
+def test_edges_of_a_straight_body_agree_with_the_metrics():
+    """`box_edges` uses only the connectors, which is exact for a straight body."""
     crawl = Crawl((2.0,), sway=(0.002, 0.005))
     run = crawl.trajectory()
     run.metadata["body_width_m"] = crawl.geometry.width
     window = GaitWindow.last(run, crawl.period, float(run.time[-1]), PERIODS)
     fit = PathFit.of(run, window)
     left, right = box_edges(run, window, fit)
-    found = steady(crawl)
-    assert (-left, right) == pytest.approx((found.left, found.right), abs=2e-4)
+    result = steady(crawl)
+    assert (-left, right) == pytest.approx((result.left, result.right), abs=2e-4)
 
 
-def test_a_snake_that_gets_nowhere_or_backward_has_no_footprint():
+def test_a_snake_without_forward_motion_has_no_footprint():
     with pytest.raises(InputError, match="mm ahead in a gait period"):
         steady(Crawl(speed=0.0, sway=(0.003, 0.005)))
     with pytest.raises(InputError, match="the snake moves -75 mm ahead"):
         steady(Crawl(speed=-0.15))
 
 
-def test_repeats_are_put_together_as_means_and_farthest_edges():
+def test_repeats_are_combined_as_mean_paths_and_farthest_edges():
     a, b = SteadyPath(0.1, 1.0, 0.03, 0.04, 0.1, 0.2), SteadyPath(0.2, 2.0, 0.05, 0.02, 0.3, 0.1)
     path, spread = average_repeats([a, b])
     assert astuple(path) == pytest.approx((0.15, 1.5, 0.05, 0.04, 0.3, 0.2))
@@ -124,16 +124,18 @@ def test_repeats_are_put_together_as_means_and_farthest_edges():
     curvature=st.floats(-5, 5), length=st.floats(-0.3, 0.3), u=st.floats(-0.15, 0.15), w=st.floats(-0.1, 0.1),
     heading=st.floats(-3, 3),
 )  # fmt: skip
-def test_motions_along_arcs_and_coordinates_about_them(curvature, length, u, w, heading):
+def test_arc_motions_and_arc_coordinates_agree_with_geometry(curvature, length, u, w, heading):
     here = Poses(np.array([0.3 - 0.2j]), np.array([heading]))
     there = here.compose(Poses.arc(curvature, length))
     back = there.compose(Poses.arc(curvature, -length))
     assert back.place == pytest.approx(here.place) and back.heading == pytest.approx(here.heading)
     nothing = there.inverse().compose(there)
     assert abs(nothing.place[0]) < 1e-12 and abs(nothing.heading[0]) < 1e-12
-    # From the centre of the circle the pose and the point are seen at their radii and angle.
+    # Expected values follow from radii and angles about the centre of the circle.
     point = here.place[0] + (u + 1j * w) * cmath.exp(1j * heading)
-    along, left = (each[0, 0] for each in here.coordinates(np.array([[[point.real, point.imag]]]), curvature))
+    along, left = (
+        component[0, 0] for component in here.coordinates(np.array([[[point.real, point.imag]]]), curvature)
+    )
     if abs(curvature) < 1e-6:
         assert (along, left) == pytest.approx((u, w), abs=1e-6)
         return
@@ -148,7 +150,7 @@ LATE = 0.604  # s, between the command and the turn; no whole number of samples
 
 
 def late(before: float, after: float, **settings: object) -> tuple[Crawl, OffsetChange]:
-    """Return a snake that obeys a change of offset only after a while, then at once."""
+    """Return a snake that follows a change of offset after a delay, then at once."""
     crawl = Crawl((before, after), (4.0 + LATE,), duration=8.0, **settings)  # type: ignore[arg-type]
     return crawl, OffsetChange(4.0, -0.1, 0.1)
 
@@ -165,27 +167,25 @@ def measured(
 
 
 @pytest.mark.parametrize(("before", "after"), [(-3.0, 3.0), (0.0, 2.0), (2.0, 0.0), (1.0, -1.0)])
-def test_a_turn_that_comes_late_is_recovered(before, after):
+def test_a_delayed_turn_is_recovered(before, after):
     crawl, change = late(before, after)
-    found, way = measured(crawl, change), crawl.speed * LATE
-    # Along the old arc for the way that is late, and back along the new one.
+    fit, way = measured(crawl, change), crawl.speed * LATE
+    # Along the old arc by the delay distance, and back along the new arc.
     place, heading = 0j, 0.0
     for curvature, length in ((before, way), (after, -way)):
         steps = np.exp(1j * (heading + curvature * length * (np.arange(20_000) + 0.5) / 20_000))
         place, heading = place + length * steps.mean(), heading + curvature * length
-    assert found.dheading == pytest.approx(heading, abs=2e-3)
-    assert (found.dx, found.dy) == pytest.approx((place.real, place.imag), abs=1e-3)
-    assert found.length == pytest.approx(
-        way - SETTLED * crawl.speed * crawl.period, abs=2 * crawl.speed / 100
-    )
+    assert fit.dheading == pytest.approx(heading, abs=2e-3)
+    assert (fit.dx, fit.dy) == pytest.approx((place.real, place.imag), abs=1e-3)
+    assert fit.length == pytest.approx(way - SETTLED * crawl.speed * crawl.period, abs=2 * crawl.speed / 100)
 
-    # How far the bar reaches out of the circles about the two centres that the new arc should have had.
+    # Excess of the bar beyond the circles around both centres of the nominal new arc.
     time = np.arange(801) / 100
     places, headings = crawl.path(time)
     begin, direction = places[400], cmath.exp(1j * headings[400])
     bar = crawl.geometry.body_length * np.linspace(-0.5, 0.5, 201)
     sides = np.concatenate([bar + 0.5j * crawl.geometry.width, bar - 0.5j * crawl.geometry.width])
-    upto = 400 + round(100 * found.length / crawl.speed)
+    upto = 400 + round(100 * fit.length / crawl.speed)
     points = places[400 : upto + 1, None] + sides * np.exp(1j * headings[400 : upto + 1])[:, None]
 
     def off(curvature: float) -> np.ndarray:
@@ -200,37 +200,33 @@ def test_a_turn_that_comes_late_is_recovered(before, after):
     still &= ahead <= crawl.geometry.body_length / 2
     left = np.where(still, 0, off(after) - new[0]).max()
     right = np.where(still, 0, -off(after) - new[1]).max()
-    assert (found.left, found.right) == pytest.approx((max(left, 0), max(right, 0)), abs=2e-3)
+    assert (fit.left, fit.right) == pytest.approx((max(left, 0), max(right, 0)), abs=2e-3)
 
 
-def test_a_change_at_once_costs_nothing():
+def test_an_immediate_change_has_no_transient():
     crawl = Crawl((-2.0, 2.0), (4.0,), duration=8.0)
-    found = measured(crawl, OffsetChange(4.0, -0.1, 0.1))
-    assert (found.dx, found.dy, found.dheading) == pytest.approx((0, 0, 0), abs=2e-3)
-    assert found.length < 0.02
-    # A bar on two arcs at once is on neither; what sticks out is less than its width.
-    assert max(found.left, found.right) < crawl.geometry.width
+    fit = measured(crawl, OffsetChange(4.0, -0.1, 0.1))
+    assert (fit.dx, fit.dy, fit.dheading) == pytest.approx((0, 0, 0), abs=2e-3)
+    assert fit.length < 0.02
+    # A bar across two arcs lies on neither; the excess is less than its width.
+    assert max(fit.left, fit.right) < crawl.geometry.width
 
 
 @pytest.mark.slow
 @settings(max_examples=5, phases=(Phase.explicit, Phase.reuse, Phase.generate))
 @given(phase=st.floats(0, 6.3), x=st.floats(-3, 3), angle=st.floats(-3, 3))
-def test_transients_do_not_depend_on_place_or_phase_and_are_mirrored(phase, x, angle):
+def test_transients_are_invariant_to_pose_and_phase_and_mirror_symmetric(phase, x, angle):
     crawl, change = late(0.5, 2.5, sway=(0.002, 0.004), phase=phase)
     run = crawl.trajectory()
-    found, elsewhere = measured(crawl, change, run), measured(crawl, change, moved(run, x, 1.0, angle))
-    assert astuple(elsewhere) == pytest.approx(astuple(found), abs=1e-6)
+    fit, elsewhere = measured(crawl, change, run), measured(crawl, change, moved(run, x, 1.0, angle))
+    assert astuple(elsewhere) == pytest.approx(astuple(fit), abs=1e-6)
     seen = measured(crawl, change, mirrored(run), seen=True)
-    assert (seen.left, seen.right, seen.length) == pytest.approx(
-        (found.right, found.left, found.length), abs=1e-6
-    )
-    assert (seen.dx, seen.dy, seen.dheading) == pytest.approx(
-        (found.dx, -found.dy, -found.dheading), abs=1e-6
-    )
-    assert found.dheading == pytest.approx((0.5 - 2.5) * crawl.speed * LATE, abs=5e-3)
+    assert (seen.left, seen.right, seen.length) == pytest.approx((fit.right, fit.left, fit.length), abs=1e-6)
+    assert (seen.dx, seen.dy, seen.dheading) == pytest.approx((fit.dx, -fit.dy, -fit.dheading), abs=1e-6)
+    assert fit.dheading == pytest.approx((0.5 - 2.5) * crawl.speed * LATE, abs=5e-3)
 
 
-def test_followers_get_how_late_a_path_turns():
+def test_followers_get_the_delay_of_a_turn():
     crawl, change = late(0.5, 2.5)
     there = measured(crawl, change)
     back = replace(there, before=there.after, after=there.before, dheading=-there.dheading)
@@ -242,7 +238,7 @@ def test_followers_get_how_late_a_path_turns():
     )
 
 
-def test_a_path_that_does_not_settle_is_refused():
+def test_an_unsettled_path_is_refused():
     crawl = Crawl((0.0, 2.0), (7.0,), duration=8.0)
     with pytest.raises(InputError, match="not settled 8 gait periods after it"):
         measured(crawl, OffsetChange(4.0, -0.1, 0.1))
@@ -250,12 +246,12 @@ def test_a_path_that_does_not_settle_is_refused():
         measured(crawl, OffsetChange(1.0, -0.1, 0.1))
 
 
-def test_repeats_of_a_change_count_at_their_widest_and_longest():
+def test_repeats_of_a_change_are_combined_as_maxima():
     a = Transient(0, 0.3, 0.01, 0.0, 0.2, 0.1, 0.0, 3.1)
     b = Transient(0, 0.3, 0.0, 0.02, 0.1, 0.3, 0.2, -3.1)
-    found = combine_transients([a, b])
-    assert astuple(found)[:7] == pytest.approx((0, 0.3, 0.01, 0.02, 0.2, 0.2, 0.1))
-    assert abs(found.dheading) == pytest.approx(math.pi)
+    fit = combine_transients([a, b])
+    assert astuple(fit)[:7] == pytest.approx((0, 0.3, 0.01, 0.02, 0.2, 0.2, 0.1))
+    assert abs(fit.dheading) == pytest.approx(math.pi)
 
 
 def twin(offset: float, *, phase: float = 0.0, timestep: float | None = None) -> SteadyPath:
@@ -274,15 +270,15 @@ def turning() -> SteadyPath:
 
 @pytest.mark.slow
 def test_finer_time_steps_of_the_twin_give_the_same_footprint(turning):
-    """Within this; sticking begins and ends at kinks, so that no order can be asked for."""
+    """Stick-slip transitions are not smooth, so only a tolerance is checked, not an order."""
     whole = TwinSnake(load_robot("gen2")).timestep
     half, quarter = (twin(0.3, timestep=whole / parts) for parts in (2, 4))
     for name, within in (("speed", 0.005), ("curvature", 0.02), ("left", 0.01), ("right", 0.01)):
         finest = getattr(quarter, name)
-        assert [getattr(each, name) for each in (turning, half)] == pytest.approx([finest] * 2, rel=within)
+        assert [getattr(path, name) for path in (turning, half)] == pytest.approx([finest] * 2, rel=within)
 
 
-def test_the_twin_turns_right_as_it_turns_left(turning):
+def test_right_and_left_turns_of_the_twin_are_mirror_images(turning):
     other = twin(-0.3, phase=math.pi)
     assert other.speed == pytest.approx(turning.speed, rel=1e-4)
     assert other.curvature == pytest.approx(-turning.curvature, rel=1e-4)
@@ -298,7 +294,7 @@ def measure(robot, *, frequency, supply_pa=None, controller="gait", target=0.7, 
 
 
 def footprint_of(measured) -> Footprint:
-    """Return what was measured as the planner takes it, without the rounding of a file."""
+    """Return the measurement as a footprint for the planner, without the rounding of a file."""
     keys = ("curvature", "speed", "left", "right", "ahead", "behind")
     columns = [tuple(getattr(path, key) for path in measured.steady) for key in keys]
     reach = max(columns[4]), max(columns[5])
@@ -306,15 +302,15 @@ def footprint_of(measured) -> Footprint:
 
 
 @pytest.mark.slow
-def test_a_whole_footprint_is_one_for_the_planner():
+def test_a_full_measurement_is_valid_for_the_planner():
     done: list[int] = []
-    found = measure(
+    fit = measure(
         load_robot("gen2"), frequency=2.0, plant="analytical", offsets=(-0.2, 0.0, 0.2), periods=3, phases=2,
         changes=[(-0.2, 0.2), (0.2, -0.2)], progress=done.append,
     )  # fmt: skip
-    body = checked(footprint_of(found))
+    body = checked(footprint_of(fit))
     assert body.offsets == (-0.2, 0.0, 0.2) and done == list(range(1, 11))
-    # Two phases half a period apart: a snake and its mirror image.
+    # Two phases half a period apart are mirror images.
     assert body.curvatures[0] == pytest.approx(-body.curvatures[2], rel=1e-3)
     assert body.left[0] == pytest.approx(body.right[2], abs=1e-4)
     to_left, to_right = body.transients
@@ -324,10 +320,10 @@ def test_a_whole_footprint_is_one_for_the_planner():
         load_robot("gen2"), frequency=2.0, plant="analytical", offsets=(-0.2, 0.0, 0.2), periods=3, phases=2,
         changes=[], threads=1,
     )  # fmt: skip
-    assert alone.steady == found.steady
+    assert alone.steady == fit.steady
 
 
-def test_which_changes_are_measured():
+def test_default_changes_of_a_measurement():
     pairs = default_changes((-0.4, -0.2, -0.1, 0.0, 0.2, 0.4))
     assert set(pairs) == {
         (-0.4, 0.0), (-0.4, 0.4), (0.0, -0.4), (0.0, 0.4), (0.4, -0.4), (0.4, 0.0),
@@ -340,7 +336,7 @@ GEN2 = load_robot("gen2")
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "message"),
     [
         ({"offsets": [0.0, 0.1, 0.2]}, "on both sides of 0"),
         ({"offsets": [-0.1, 0.1]}, "a planner needs 3 to 101"),
@@ -363,19 +359,19 @@ GEN2 = load_robot("gen2")
         ({"threads": 0}, "threads: 0 is not allowed"),
     ],
 )
-def test_what_cannot_be_measured_is_refused_before_anything_runs(changes, words):
+def test_invalid_studies_are_refused_before_any_run(changes, message):
     arguments = {"frequency": 2.0, "offsets": None, "plant": "analytical"} | changes
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=message):
         measure(GEN2, **arguments)
 
 
-def test_the_number_of_runs_is_known():
+def test_the_number_of_runs_is_predicted():
     drive = GaitSetup(GEN2, 2.0, GEN2.supply.nominal)
     assert footprint_study(drive, phases=3).runs == 3 * (9 + 10)
     assert footprint_study(drive, offsets=(-0.1, 0, 0.2), changes=(), phases=1).runs == 3
 
 
-def test_steady_runs_begin_at_equally_spaced_phases(monkeypatch):
+def test_steady_runs_start_at_equally_spaced_phases(monkeypatch):
     class Enough(Exception):
         pass
 

@@ -1,4 +1,4 @@
-"""Friction from pulls and from coasting: Table 2's numbers, both plants, throws at any angle."""
+"""Friction fits to pull tests and coasting tests: Table 2, both plants, throws at any angle."""
 
 from __future__ import annotations
 
@@ -25,34 +25,34 @@ def pulls(mu_t, mu_n, **more) -> Pulls:
     return Pulls(*lengths, SPRING, MASS, **more)
 
 
-def test_table_2():
-    """Ten pulls each with the mean and the standard deviation that the text gives."""
+def test_table_2_is_recovered():
+    """Ten pulls per direction have the mean and standard deviation of the text."""
     shape = stats.zscore(np.random.default_rng(0).normal(size=10), ddof=1)
-    found = fit_pulls(pulls(0.0966 + 0.0015 * shape, 0.68 + 0.01 * shape))
+    fit = fit_pulls(pulls(0.0966 + 0.0015 * shape, 0.68 + 0.01 * shape))
     for name, mean, deviation in (("friction.mu_t", 0.0966, 0.0015), ("friction.mu_n", 0.68, 0.01)):
-        each = found[name]
-        assert each.value == pytest.approx(mean) and each.verdict == "identified"
-        assert each.standard_error == pytest.approx(deviation / math.sqrt(10))
-        assert each.high - mean == pytest.approx(2.262 * deviation / math.sqrt(10), rel=1e-3)
-    assert found.correlation[0, 1] == 0.0
-    assert len(found.residuals) == 2 and found.samples == 20
+        parameter = fit[name]
+        assert parameter.value == pytest.approx(mean) and parameter.verdict == "identified"
+        assert parameter.standard_error == pytest.approx(deviation / math.sqrt(10))
+        assert parameter.high - mean == pytest.approx(2.262 * deviation / math.sqrt(10), rel=1e-3)
+    assert fit.correlation[0, 1] == 0.0
+    assert len(fit.residuals) == 2 and fit.samples == 20
 
 
-def test_what_all_pulls_share_does_not_average_out():
-    found = fit_pulls(pulls([0.1, 0.1001] * 50, [0.6, 0.6001] * 50, stiffness_error=0.03 * SPRING))
-    assert found["friction.mu_t"].standard_error == pytest.approx(0.03 * 0.10005, rel=1e-3)
-    assert found.correlation[0, 1] == pytest.approx(1.0, abs=1e-3)
+def test_a_common_error_of_all_pulls_does_not_average_out():
+    fit = fit_pulls(pulls([0.1, 0.1001] * 50, [0.6, 0.6001] * 50, stiffness_error=0.03 * SPRING))
+    assert fit["friction.mu_t"].standard_error == pytest.approx(0.03 * 0.10005, rel=1e-3)
+    assert fit.correlation[0, 1] == pytest.approx(1.0, abs=1e-3)
 
 
-def test_a_direction_that_was_not_pulled_is_not_identifiable():
-    found = fit_pulls(pulls([0.1, 0.11], []))
-    assert found["friction.mu_n"].verdict == "not identifiable" and found["friction.mu_n"].value is None
-    assert found["friction.mu_n"].why == "there are no pulls across"
-    assert found["friction.mu_t"].value == pytest.approx(0.105)
+def test_a_direction_without_pulls_is_not_identifiable():
+    fit = fit_pulls(pulls([0.1, 0.11], []))
+    assert fit["friction.mu_n"].verdict == "not identifiable" and fit["friction.mu_n"].value is None
+    assert fit["friction.mu_n"].why == "there are no pulls across"
+    assert fit["friction.mu_t"].value == pytest.approx(0.105)
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("values", "message"),
     [
         ({"along": [0.1]}, "one pull along does not show the scatter"),
         ({"along": [0.1, math.nan]}, "pulls along must be a list of lengths"),
@@ -61,18 +61,18 @@ def test_a_direction_that_was_not_pulled_is_not_identifiable():
         ({"stiffness_error": 200.0}, "its error smaller"),
     ],
 )
-def test_pulls_that_cannot_be(given, words):
-    with pytest.raises(InputError, match=words):
-        Pulls(**({"along": [0.1, 0.1], "across": [0.5, 0.5], "stiffness": SPRING, "mass": MASS} | given))
+def test_invalid_pulls_are_refused(values, message):
+    with pytest.raises(InputError, match=message):
+        Pulls(**({"along": [0.1, 0.1], "across": [0.5, 0.5], "stiffness": SPRING, "mass": MASS} | values))
 
 
-def test_pulls_cover_the_truth():
+def test_intervals_from_pulls_cover_the_truth():
     """100 repetitions with 95 %: fewer than 87 hits have a probability of 1 in 1,000."""
     hits = 0
     for seed in range(100):
         rng = np.random.default_rng(seed)
-        found = fit_pulls(pulls(rng.normal(0.1, 0.01, 6), rng.normal(0.6, 0.05, 6)))["friction.mu_t"]
-        hits += found.low <= 0.1 <= found.high
+        fit = fit_pulls(pulls(rng.normal(0.1, 0.01, 6), rng.normal(0.6, 0.05, 6)))["friction.mu_t"]
+        hits += fit.low <= 0.1 <= fit.high
     assert stats.binom.cdf(86, 100, 0.95) < 1e-3
     assert hits >= 87
 
@@ -80,7 +80,7 @@ def test_pulls_cover_the_truth():
 def thrown(
     velocity, *, noise=0.0, seed=0, law="wheel", share=None, heading=0.3, seconds=1.0, mu=(MU_T, MU_N)
 ) -> CoastingTest:
-    """Return a throw as a camera at 100 Hz would have seen it."""
+    """Return a coasting test sampled at 100 Hz."""
     time = np.arange(0.0, seconds, 0.01)
     share = spin_share(SPEC) if share is None else share
     way = slide(velocity, time, law=law, mu_t=mu[0], mu_n=mu[1], share=share)
@@ -94,8 +94,8 @@ def thrown(
 
 
 @pytest.mark.parametrize("degrees", [0, 20, 45, 80, 90])
-def test_a_sliding_point_stops_where_sharp_friction_lets_it(degrees):
-    """Against the integrators of the laws' tests, which know nothing of ours."""
+def test_a_sliding_point_stops_at_the_distance_of_sharp_friction(degrees):
+    """Reference: the independent integrators of the friction tests."""
     velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
     mu_t, mu_n = SPEC.friction.mu_t, SPEC.friction.mu_n
     late = np.array([0.0, 4.0])
@@ -106,26 +106,26 @@ def test_a_sliding_point_stops_where_sharp_friction_lets_it(degrees):
 
 
 @pytest.mark.parametrize("law", ["axis", "wheel", "ellipse"])
-def test_throws_give_both_coefficients(law):
+def test_throws_identify_both_coefficients(law):
     share = 0.0 if law == "ellipse" else None
     runs = [thrown(v, law=law, share=share, seed=k) for k, v in enumerate([(0.5, 0.0), (0.2, 0.8)])]
-    found = fit_coasting(runs, SPEC, law=law, wheel_inertia=law != "ellipse")
-    assert found["friction.mu_t"].value == pytest.approx(MU_T, rel=1e-3)
-    assert found["friction.mu_n"].value == pytest.approx(MU_N, rel=1e-3)
+    fit = fit_coasting(runs, SPEC, law=law, wheel_inertia=law != "ellipse")
+    assert fit["friction.mu_t"].value == pytest.approx(MU_T, rel=1e-3)
+    assert fit["friction.mu_n"].value == pytest.approx(MU_N, rel=1e-3)
 
 
-def test_a_throw_along_says_nothing_of_across():
-    found = fit_coasting([thrown((0.5, 0.0), noise=1e-3)], SPEC)
-    assert found["friction.mu_t"].verdict == "identified"
-    assert found["friction.mu_t"].value == pytest.approx(MU_T, rel=0.02)
-    assert found["friction.mu_n"].verdict == "not identifiable" and found["friction.mu_n"].value is None
-    found = fit_coasting([thrown((0.0, 0.8), noise=1e-3)], SPEC)
-    assert found["friction.mu_t"].value is None
-    assert found["friction.mu_n"].value == pytest.approx(MU_N, rel=0.15)
+def test_a_throw_along_the_body_does_not_identify_normal_friction():
+    fit = fit_coasting([thrown((0.5, 0.0), noise=1e-3)], SPEC)
+    assert fit["friction.mu_t"].verdict == "identified"
+    assert fit["friction.mu_t"].value == pytest.approx(MU_T, rel=0.02)
+    assert fit["friction.mu_n"].verdict == "not identifiable" and fit["friction.mu_n"].value is None
+    fit = fit_coasting([thrown((0.0, 0.8), noise=1e-3)], SPEC)
+    assert fit["friction.mu_t"].value is None
+    assert fit["friction.mu_n"].value == pytest.approx(MU_N, rel=0.15)
 
 
-def test_wheels_that_spin_are_told_from_friction():
-    """Without their inertia the drag along comes out too small by just that."""
+def test_wheel_inertia_is_separated_from_friction():
+    """Without the inertia of the wheels the estimated drag is too small by its effect."""
     run = thrown((0.5, 0.0))
     with_spin, without = (
         fit_coasting([run], SPEC, wheel_inertia=w).values["friction.mu_t"] for w in (True, False)
@@ -133,18 +133,18 @@ def test_wheels_that_spin_are_told_from_friction():
     assert with_spin / without == pytest.approx(1 + spin_share(SPEC), rel=1e-6)
 
 
-def test_coasting_covers_the_truth():
+def test_intervals_from_coasting_cover_the_truth():
     """25 repetitions with 95 %: fewer than 19 hits have a probability of 1 in 1,000."""
     hits = np.zeros(2)
     for seed in range(25):
         runs = [thrown(v, noise=1e-3, seed=2 * seed + k) for k, v in enumerate([(0.5, 0.0), (0.0, 0.8)])]
-        found = fit_coasting(runs, SPEC)
-        hits += [p.low <= truth <= p.high for p, truth in zip(found.parameters, (MU_T, MU_N), strict=True)]
+        fit = fit_coasting(runs, SPEC)
+        hits += [p.low <= truth <= p.high for p, truth in zip(fit.parameters, (MU_T, MU_N), strict=True)]
     assert stats.binom.cdf(18, 25, 0.95) < 1e-3
     assert (hits >= 19).all(), hits
 
 
-def test_throws_to_validate_with_are_only_looked_at():
+def test_validation_throws_do_not_influence_the_fit():
     runs = [thrown((0.5, 0.0)), thrown((0.0, 0.8), seed=1)]
     alone = fit_coasting(runs, SPEC)
     other = thrown((0.4, 0.2), seed=2, noise=1e-3)
@@ -158,7 +158,7 @@ def test_throws_to_validate_with_are_only_looked_at():
 
 
 def coasted(plant: Plant, velocity: tuple[float, float], seconds: float) -> CoastingTest:
-    """Throw a plant and record where it goes."""
+    """Record the coasting of a plant with an initial velocity."""
     throw(plant, velocity)
     states = [plant.step(vented(SPEC)) for _ in range(round(seconds / plant.tick))]
     com = np.array([state.com for state in states])
@@ -168,25 +168,25 @@ def coasted(plant: Plant, velocity: tuple[float, float], seconds: float) -> Coas
     return CoastingTest.from_trajectory(Trajectory(columns), f"{plant.name} {velocity}", start=0.0)
 
 
-def test_the_analytical_plant_gives_back_its_coefficients():
+def test_coefficients_of_the_analytical_plant_are_recovered():
     plant = AnalyticalSnake(SPEC, friction="wheel", tick=0.01)
     runs = [coasted(plant, (0.5, 0.0), 1.0), coasted(plant, (0.0, 0.8), 0.4)]
-    found = fit_coasting(runs, SPEC, wheel_inertia=False)
-    assert found["friction.mu_t"].value == pytest.approx(SPEC.friction.mu_t, rel=0.01)
-    assert found["friction.mu_n"].value == pytest.approx(SPEC.friction.mu_n, rel=0.01)
+    fit = fit_coasting(runs, SPEC, wheel_inertia=False)
+    assert fit["friction.mu_t"].value == pytest.approx(SPEC.friction.mu_t, rel=0.01)
+    assert fit["friction.mu_n"].value == pytest.approx(SPEC.friction.mu_n, rel=0.01)
 
 
 @pytest.mark.parametrize(("wheels", "law"), [("rolling", "wheel"), ("skid", "ellipse")])
-def test_the_twin_gives_back_its_coefficients(wheels, law):
+def test_coefficients_of_the_twin_are_recovered(wheels, law):
     plant = TwinSnake(SPEC, contact=PreloadedContact(wheels), tick=0.01)
     runs = [coasted(plant, (0.5, 0.0), 1.0), coasted(plant, (0.0, 0.8), 0.4)]
-    found = fit_coasting(runs, SPEC, law=law, wheel_inertia=wheels == "rolling")
-    assert found["friction.mu_t"].value == pytest.approx(SPEC.friction.mu_t, rel=0.01)
-    # Contacts stop a slip in 10 ms, not at once: the laws' tests allow 3 % of the way.
-    assert found["friction.mu_n"].value == pytest.approx(SPEC.friction.mu_n, rel=0.03)
+    fit = fit_coasting(runs, SPEC, law=law, wheel_inertia=wheels == "rolling")
+    assert fit["friction.mu_t"].value == pytest.approx(SPEC.friction.mu_t, rel=0.01)
+    # Contacts stop slip within 10 ms, so the friction tests allow 3 % of the distance.
+    assert fit["friction.mu_n"].value == pytest.approx(SPEC.friction.mu_n, rel=0.03)
 
 
-def test_throws_that_cannot_be_used():
+def test_unsuitable_throws_are_refused():
     time = np.arange(0.0, 1.0, 0.01)
     still = {"time": time, "com_x": 0 * time, "com_y": 0 * time, "heading": 0 * time}
     with pytest.raises(InputError, match="the largest speed is 0 m/s"):
@@ -195,9 +195,9 @@ def test_throws_that_cannot_be_used():
         CoastingTest.from_trajectory(
             Trajectory(still | {"com_x": 0.3 * time, "heading": time}), "x", start=0.0
         )
-    with pytest.raises(InputError, match="x: 4 samples; 8 or more are wanted"):
-        CoastingTest.from_trajectory(Trajectory({name: each[:4] for name, each in still.items()}), "x")
-    with pytest.raises(InputError, match="2 samples after the throw"):
+    with pytest.raises(InputError, match="x: 4 samples; 8 or more are needed"):
+        CoastingTest.from_trajectory(Trajectory({name: column[:4] for name, column in still.items()}), "x")
+    with pytest.raises(InputError, match="2 samples after the push"):
         CoastingTest.from_trajectory(Trajectory(still), "x", start=0.98)
     with pytest.raises(InputError, match="law 'viscous' is unknown here"):
         fit_coasting([thrown((0.5, 0.0))], SPEC, law="viscous")

@@ -1,4 +1,4 @@
-"""Fits to speeds and radii at several offsets: a known law is recovered, the shipped fits are current."""
+"""Fits to speeds and radii at several offsets: a known law is recovered, and the shipped fits are current."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ OFFSETS = (0.0, 0.3, -0.3)
 
 
 def law(spec, offset):
-    """Return a path by a law of our own: without masses, and of the friction only the ratio acts."""
+    """Return a path by a test law without masses, in which only the ratio of frictions acts."""
     length, friction = spec.geometry.segment_length, spec.friction
     speed = 2 * length * (1 - 3 * friction.mu_t / friction.mu_n + 0.5 * offset**2)
     return SteadyPath(speed, (0.5 * offset - spec.modules.sensor_bias[0]) / length, 0, 0, 0, 0)
@@ -46,7 +46,7 @@ def law(spec, offset):
 
 @pytest.fixture
 def lawful(monkeypatch):
-    """Put the law in place of the plants; return a drive."""
+    """Replace the plants by the law; return a gait setup."""
     asked = []
 
     def told(drive, offsets, *, threads=None):
@@ -66,59 +66,59 @@ def measured(offsets, truth=TRUTH, noise=0.0):
 
 
 def test_known_values_are_recovered_from_three_rows(lawful):
-    found = fit_offsets(measured(OFFSETS), lawful[0], TRUTH)
+    fit = fit_offsets(measured(OFFSETS), lawful[0], TRUTH)
     for name, value in TRUTH.items():
-        assert found[name].value == pytest.approx(value, rel=1e-3), name
-        assert found[name].verdict == "identified"
+        assert fit[name].value == pytest.approx(value, rel=1e-3), name
+        assert fit[name].verdict == "identified"
 
 
-def test_what_is_held_is_said_to_be_unknowable_where_it_is(lawful):
+def test_held_parameters_without_effect_are_reported_as_unidentifiable(lawful):
     besides = ("friction.mu_n", "mass.connectors_kg", "geometry.rigid_gap_m")
-    found = fit_offsets(measured(OFFSETS, noise=0.02), lawful[0], TRUTH, besides=besides)
+    fit = fit_offsets(measured(OFFSETS, noise=0.02), lawful[0], TRUTH, besides=besides)
     for name in besides:
-        assert found[name].verdict == "not identifiable" and found[name].value is None
-    assert "held at 0.57; beside geometry.segment_length_m" in found["friction.mu_n"].why
-    assert found.held["friction.mu_n"] == 0.57
-    assert found.correlation.shape == (6, 6)
+        assert fit[name].verdict == "not identifiable" and fit[name].value is None
+    assert "held at 0.57; beside geometry.segment_length_m" in fit["friction.mu_n"].why
+    assert fit.held["friction.mu_n"] == 0.57
+    assert fit.correlation.shape == (6, 6)
 
 
-def test_what_is_held_though_it_could_be_told_is_only_held(lawful):
+def test_held_parameters_with_an_effect_are_only_held(lawful):
     names = [name for name in TRUTH if name != "friction.mu_t"]
     runs = measured(OFFSETS, TRUTH | {"friction.mu_t": load_robot("gen4").friction.mu_t}, noise=0.001)
-    found = fit_offsets(runs, lawful[0], names, besides=["friction.mu_t"])
-    assert [each.name for each in found.parameters] == names
-    assert list(found.held) == ["friction.mu_t"]
+    fit = fit_offsets(runs, lawful[0], names, besides=["friction.mu_t"])
+    assert [parameter.name for parameter in fit.parameters] == names
+    assert list(fit.held) == ["friction.mu_t"]
 
 
-def test_rows_to_validate_with_are_not_run_before_the_end(lawful):
+def test_validation_rows_run_only_after_the_fit(lawful):
     drive, asked = lawful
-    found = fit_offsets(measured(OFFSETS), drive, TRUTH, validation=measured((0.1, -0.2)))
+    fit = fit_offsets(measured(OFFSETS), drive, TRUTH, validation=measured((0.1, -0.2)))
     assert set(asked[:-1]) == {OFFSETS} and asked[-1] == (0.1, -0.2)
-    assert found.rms("validation") < 0.01
+    assert fit.rms("validation") < 0.01
     assert len(set(asked)) == 2
 
 
-def test_what_cancels_has_no_number_and_nothing_is_predicted_with_the_robots_own(lawful):
-    """Of the friction only the ratio acts: fit and validation are both met, though neither is told."""
+def test_parameters_that_cancel_have_no_value_and_the_fit_predicts_nothing(lawful):
+    """Only the ratio of the coefficients acts: fit and validation agree, but neither is identified."""
     names = [*TRUTH, "friction.mu_n"]
-    found = fit_offsets(measured(OFFSETS), lawful[0], names, validation=measured((0.1, -0.2)))
-    assert [found[name].value for name in ("friction.mu_t", "friction.mu_n")] == [None, None]
-    assert found.rms("fit") < 0.01 and found.rms("validation") < 0.01
+    fit = fit_offsets(measured(OFFSETS), lawful[0], names, validation=measured((0.1, -0.2)))
+    assert [fit[name].value for name in ("friction.mu_t", "friction.mu_n")] == [None, None]
+    assert fit.rms("fit") < 0.01 and fit.rms("validation") < 0.01
     about = {"name": "x", "title": "x", "robot": "gen4", "method": "offsets", "command": "x", "versions": {}}
     data = [run.data_set("fit") for run in measured(OFFSETS)]
-    assert fit_file(found, **about, data=data).unidentified() == ["friction.mu_t", "friction.mu_n"]
+    assert fit_file(fit, **about, data=data).unidentified() == ["friction.mu_t", "friction.mu_n"]
     with pytest.raises(InputError, match=r"x: friction.mu_t, friction.mu_n has no value, .* fix one"):
-        fit_file(found, **about, data=data, averages={"offset 0": ({"speed_m_s": 0.1}, {"speed_m_s": 0.1})})
+        fit_file(fit, **about, data=data, averages={"offset 0": ({"speed_m_s": 0.1}, {"speed_m_s": 0.1})})
 
 
-def test_the_same_row_cannot_fit_and_validate(lawful):
-    with pytest.raises(InputError, match="must be new to it"):
+def test_an_offset_cannot_fit_and_validate(lawful):
+    with pytest.raises(InputError, match="the same data as offset 0.3"):
         fit_offsets(measured(OFFSETS), lawful[0], TRUTH, validation=measured((0.3,)))
     with pytest.raises(InputError, match="give at least one"):
         fit_offsets([], lawful[0], TRUTH)
 
 
-def test_paths_have_the_sign_of_their_offset_and_0_that_of_the_fitted_rows():
+def test_radii_have_the_sign_of_their_offset():
     rows = published_runs()
     fitted = offset_runs([row for row in rows if row.offset in FITTED])
     for run in fitted:
@@ -132,16 +132,18 @@ FITS = shipped()
 
 
 def numbers(fit):
-    """Return what a fit's file states, found or held, without a look at how the package takes it."""
-    return fit.held | {each.name: each.value for each in fit.parameters if each.value is not None}
+    """Return the fitted and held values of a fit file, read as plain YAML."""
+    return fit.held | {
+        parameter.name: parameter.value for parameter in fit.parameters if parameter.value is not None
+    }
 
 
-def test_all_studies_ship():
+def test_every_study_has_a_shipped_fit():
     assert list(FITS) == list(STUDIES)
 
 
 @pytest.mark.parametrize("study", FITS)
-def test_a_shipped_fit_states_each_unknown_once_found_or_held(study):
+def test_a_shipped_fit_lists_every_parameter_once(study):
     fit = FITS[study]
     assert set(TRUTH) <= numbers(fit).keys() and fit.unidentified() == []
     for name, value in held_values(study).items():
@@ -150,15 +152,15 @@ def test_a_shipped_fit_states_each_unknown_once_found_or_held(study):
 
 
 @pytest.mark.parametrize("study", FITS)
-def test_the_shipped_fits_have_seen_offsets_0_and_03_alone(study):
+def test_shipped_fits_use_only_the_offsets_0_and_03(study):
     rows = {f"offset {row.offset:g}": row for row in published_runs()}
     fit = FITS[study]
-    assert {each.name for each in fit.data} == set(rows)
-    assert {each.name for each in fit.data if each.role == "fit"} == {"offset 0", "offset 0.3", "offset -0.3"}
-    for each in fit.data:
-        row = rows[each.name]
-        assert each.measured["speed_m_s"] == row.speed_m_s
-        assert abs(each.measured["curvature_per_m"]) == pytest.approx(1 / row.radius_m, rel=1e-5)
+    assert {data.name for data in fit.data} == set(rows)
+    assert {data.name for data in fit.data if data.role == "fit"} == {"offset 0", "offset 0.3", "offset -0.3"}
+    for data in fit.data:
+        row = rows[data.name]
+        assert data.measured["speed_m_s"] == row.speed_m_s
+        assert abs(data.measured["curvature_per_m"]) == pytest.approx(1 / row.radius_m, rel=1e-5)
 
 
 @pytest.mark.slow
@@ -172,7 +174,7 @@ def test_the_shipped_fits_have_seen_offsets_0_and_03_alone(study):
         ),
     ],
 )
-def test_the_shipped_predictions_are_what_the_plants_give(study, offset):
+def test_shipped_predictions_are_reproduced_by_the_plants(study, offset):
     fit, drive = FITS[study], drive_of(study)
     moved = replace(drive, spec=with_values(drive.spec, numbers(fit)))
     (path,) = predicted(moved, [offset], threads=1)
@@ -182,7 +184,7 @@ def test_the_shipped_predictions_are_what_the_plants_give(study, offset):
 
 
 @pytest.mark.parametrize("study", FITS)
-def test_a_shipped_fit_becomes_a_robot(study):
+def test_a_shipped_fit_can_be_applied_to_its_robot(study):
     fit = FITS[study]
     document = parse_yaml(dump_yaml({"robot": robot_override(fit)}), "scenario.yaml")
     file = resolve_robot(document, document.data["robot"], prefix=("robot",))

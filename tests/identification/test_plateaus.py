@@ -1,4 +1,4 @@
-"""Recordings of held pressures: plateaus become a table, and known modules come back from it."""
+"""Static tables from recordings with constant pressures, and the modules recovered from them."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ LEVELS = (6e3, 12e3, 18e3, 24e3)
 
 
 def levels(segments: int, seed: int = 0, points: int = 12) -> np.ndarray:
-    """Return pressures to hold, one side of each segment at a time, shape (points, segments, 2), Pa."""
+    """Return pressures to hold, one chamber of each segment at a time, shape (points, segments, 2), Pa."""
     random = np.random.default_rng(seed)
     held = np.zeros((points, segments, 2))
     for j in range(segments):
@@ -70,7 +70,7 @@ def regulated(held: np.ndarray, hold: float = HOLD) -> tuple[np.ndarray, np.ndar
 
 @cache
 def bench(robot: RobotSpec) -> tuple[Trajectory, np.ndarray]:
-    """Return a robot that hangs by its head while pressures are held, and these."""
+    """Return a robot that hangs from its head under constant pressures, and the pressures."""
     time, pressure = regulated(levels(robot.segments))
     chambers = RecordedPressures(robot, time, pressure, supply_pa=48e3)
     plant = AnalyticalSnake(robot, supply_pa=48e3, base="clamped", pneumatics=chambers)
@@ -94,11 +94,11 @@ def air(pressure: np.ndarray, kind: str = "pressure", unit: str = "_kpa", scale:
 def log_of_bends(
     folder: Path, robot: RobotSpec, time: np.ndarray, pressure: np.ndarray, *, noise=1e-3, seed=0, **columns
 ) -> Path:
-    """Write bends at rest under pressures, and these or other columns beside them: one logger's file."""
+    """Write the bends at rest and the pressures, or other columns, to one log file."""
     bend = robot.modules.array("bias") + air_bend(robot, pressure)
     bend = bend + noise * np.random.default_rng(seed).standard_normal(bend.shape)
     path = folder / f"held_{seed}.csv"
-    named = {f"bend_{j + 1}": each for j, each in enumerate(bend.T)}
+    named = {f"bend_{j + 1}": column for j, column in enumerate(bend.T)}
     path.write_text(csv(time, named | (columns or air(pressure))))
     return path
 
@@ -107,13 +107,13 @@ def taken(path: Path, spec: RobotSpec, log: Path | None = None, **how: object) -
     return path.name, RecordingReader(**how).take(str(path), str(log or path), spec)
 
 
-def hits(found: FitEstimate, truth: dict[str, float]) -> int:
-    return sum(found[name].low <= value <= found[name].high for name, value in truth.items())
+def hits(fit: FitEstimate, truth: dict[str, float]) -> int:
+    return sum(fit[name].low <= value <= fit[name].high for name, value in truth.items())
 
 
 @pytest.mark.slow
-def test_modules_come_back_from_bend_logs(tmp_path):
-    """60 intervals of 95 %: fewer than 51 hits have a probability below 1 in 1,000."""
+def test_modules_are_recovered_from_bend_logs(tmp_path):
+    """60 intervals with 95 %: fewer than 51 hits have a probability below 1 in 1,000."""
     total, time_and_pressure = 0, regulated(levels(4))
     for seed in range(5):
         path = log_of_bends(tmp_path, TRUE_CHAIN, *time_and_pressure, seed=seed)
@@ -121,13 +121,13 @@ def test_modules_come_back_from_bend_logs(tmp_path):
         assert table.bend.shape == (12, 4) and np.isfinite(table.bend).all()
         # About 115 frames of white noise follow the first 5 τ.
         assert np.median(table.bend_error) == pytest.approx(1e-3 / 115**0.5, rel=0.25)
-        off = table.bend - TRUE_CHAIN.modules.array("bias") - air_bend(TRUE_CHAIN, table.pressure)
-        assert np.sqrt(np.mean((off / table.bend_error) ** 2)) == pytest.approx(1.0, abs=0.3)
-        found = fit_static([table], SPEC)
-        assert found.residual_scale == pytest.approx(0.9, abs=0.35)
-        total += hits(found, OF_CHAIN)
+        difference = table.bend - TRUE_CHAIN.modules.array("bias") - air_bend(TRUE_CHAIN, table.pressure)
+        assert np.sqrt(np.mean((difference / table.bend_error) ** 2)) == pytest.approx(1.0, abs=0.3)
+        fit = fit_static([table], SPEC)
+        assert fit.residual_scale == pytest.approx(0.9, abs=0.35)
+        total += hits(fit, OF_CHAIN)
         for name, value in OF_CHAIN.items():
-            assert found[name].value == pytest.approx(value, rel=2e-3, abs=5e-4), name
+            assert fit[name].value == pytest.approx(value, rel=2e-3, abs=5e-4), name
     assert stats.binom.cdf(50, 60, 0.95) < 1e-3
     assert total >= 51
 
@@ -136,8 +136,8 @@ def test_modules_come_back_from_bend_logs(tmp_path):
     ("robot", "truth"),
     [pytest.param(TRUE_CHAIN, OF_CHAIN, marks=pytest.mark.slow), (TRUE_MODULE, OF_MODULE)],
 )
-def test_modules_come_back_from_markers(tmp_path, robot, truth):
-    """With noise of 0.2 mm, pressures of 100 Pa, and a clock of the log's own."""
+def test_modules_are_recovered_from_markers(tmp_path, robot, truth):
+    """Marker noise is 0.2 mm, pressure noise 100 Pa, and the log has its own clock."""
     motion, pressure = bench(robot)
     spec = with_values(robot, dict.fromkeys(truth, 1.0) | {k: 0.0 for k in truth if "bias" in k})
     write_motive(motion, Take(layout="pair", labeled=True, digits=3, seed=4), tmp_path / "take.csv")
@@ -148,21 +148,21 @@ def test_modules_come_back_from_markers(tmp_path, robot, truth):
     (table,) = plateau_tables([take], spec, 48e3)
     assert len(table.bend) == 12
     error = np.median(take[1].trajectory.stack("bend_error"))
-    # What does not average out counts: so many frames would make it less.
+    # The systematic error dominates: the noise of so many frames would average out.
     assert np.median(table.bend_error) == pytest.approx(error / 10, rel=0.3)
-    found = fit_static([table], spec)
-    assert hits(found, truth) >= (9 if len(truth) > 3 else 2)
+    fit = fit_static([table], spec)
+    assert hits(fit, truth) >= (9 if len(truth) > 3 else 2)
     for name, value in truth.items():
-        assert found[name].value == pytest.approx(value, rel=0.01, abs=2e-3), name
+        assert fit[name].value == pytest.approx(value, rel=0.01, abs=2e-3), name
 
 
 @pytest.mark.slow
 def test_the_table_gives_the_same_fit_from_the_command_line(tmp_path, srs_twin):
-    """Of two takes together, with one to validate; a bend log is a recording, and its table a table."""
+    """Two takes are fitted together and one validates; recordings and their tables give the same fit."""
     time, pressure = regulated(levels(1))
     for seed in range(3):
         log_of_bends(tmp_path, TRUE_MODULE, time, pressure, seed=seed)
-    words = [
+    options = [
         "calibrate",
         "actuator",
         "held_0.csv",
@@ -173,11 +173,11 @@ def test_the_table_gives_the_same_fit_from_the_command_line(tmp_path, srs_twin):
         "gen4_module",
     ]
     logs = [word for seed in range(3) for word in ("--valves", f"held_{seed}.csv")]
-    done = srs_twin(*words, *logs, "--static", "--name", "mine", cwd=tmp_path)
+    done = srs_twin(*options, *logs, "--static", "--name", "mine", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "24 plateaus in calibration/fits/mine.table.csv" in done.stderr
     fit = load_fit(tmp_path / "calibration/fits/mine.yaml")
-    assert [each.role for each in fit.data] == ["fit", "fit", "validation"] and "--static" in fit.command
+    assert [data.role for data in fit.data] == ["fit", "fit", "validation"] and "--static" in fit.command
     path = tmp_path / "calibration/fits/mine.table.csv"
     again = srs_twin(
         "calibrate", "actuator", str(path), "-r", "gen4_module", "--out", "again.yaml", cwd=tmp_path
@@ -189,8 +189,8 @@ def test_the_table_gives_the_same_fit_from_the_command_line(tmp_path, srs_twin):
     for name in ("pressure", "bend", "bend_error"):
         assert (getattr(table, name) == getattr(read, name)).all()
     assert is_static_table(path) and not is_static_table(tmp_path / "held_0.csv")
-    words = ["calibrate", "actuator", str(path), "-r", "gen4_module"]
-    refused = srs_twin(*words, "--static", cwd=tmp_path)
+    options = ["calibrate", "actuator", str(path), "-r", "gen4_module"]
+    refused = srs_twin(*options, "--static", cwd=tmp_path)
     assert refused.returncode == 2 and "--static: take it out; tables of held" in refused.stderr
     same = [
         "calibrate",
@@ -207,7 +207,7 @@ def test_the_table_gives_the_same_fit_from_the_command_line(tmp_path, srs_twin):
     assert not (tmp_path / "calibration/fits/b.table.csv").exists()
 
 
-def test_points_that_were_not_measured_stay_empty(tmp_path):
+def test_unmeasured_points_stay_empty(tmp_path):
     table = StaticTable(
         "x", "0" * 64, np.arange(8.0).reshape(2, 2, 2) / 3, np.array([[0.1, np.nan], [np.nan, 1 / 3]])
     )
@@ -218,20 +218,20 @@ def test_points_that_were_not_measured_stay_empty(tmp_path):
 
 
 @pytest.mark.slow
-def test_each_segment_counts_by_its_own_errors(tmp_path):
-    """Without errors all count alike."""
+def test_segments_are_weighted_by_their_own_errors(tmp_path):
+    """Without errors all segments have the same weight."""
     time, pressure = regulated(levels(4))
     (table,) = plateau_tables(
         [taken(log_of_bends(tmp_path, TRUE_CHAIN, time, pressure, noise=3e-3), SPEC)], SPEC, 48e3
     )
-    scales = [each.scale for each in fit_static([table], SPEC).residuals]
+    scales = [residual.scale for residual in fit_static([table], SPEC).residuals]
     assert scales == pytest.approx(np.sqrt((table.bend_error**2).mean(axis=0)), rel=1e-9)
     plain = StaticTable(table.name, table.sha256, table.pressure, table.bend)
-    assert {each.scale for each in fit_static([plain], SPEC).residuals} == {0.01}
+    assert {residual.scale for residual in fit_static([plain], SPEC).residuals} == {0.01}
 
 
-def test_valves_that_fill_or_vent_for_long_hold_pressures_too(tmp_path):
-    """Supply pressure where they fill, none where they vent; a valve that is held says nothing."""
+def test_open_valves_give_plateaus_without_a_pressure_log(tmp_path):
+    """Filling gives the supply pressure and venting 0; a valve that holds gives no pressure."""
     states = np.array([[-1, -1], [1, -1], [-1, -1], [-1, 1], [-1, -1]], dtype=np.int8)[:, None]
     schedule = Schedule(10.0, 2.0 * np.arange(5), states)
     time = np.arange(0.0, 10.0, 1 / RATE)
@@ -243,20 +243,18 @@ def test_valves_that_fill_or_vent_for_long_hold_pressures_too(tmp_path):
     path.write_text(csv(time, columns | air(valves, "valve", "", 1)))
     (table,) = plateau_tables([taken(path, MODULE)], MODULE, 40e3)
     assert table.pressure[:, 0].tolist() == [[0, 0], [40e3, 0], [0, 0], [0, 40e3], [0, 0]]
-    found = fit_static([table], MODULE)
-    assert hits(found, OF_MODULE) >= 2
+    fit = fit_static([table], MODULE)
+    assert hits(fit, OF_MODULE) >= 2
     for name, value in OF_MODULE.items():
-        assert found[name].value == pytest.approx(value, rel=3e-3, abs=1e-3), name
+        assert fit[name].value == pytest.approx(value, rel=3e-3, abs=1e-3), name
     path.write_text(
         csv(time, columns | air(np.where(time < 0.4, -1, 0)[:, None, None] + 0 * valves, "valve", "", 1))
     )
-    with pytest.raises(
-        InputError, match=r"valves.csv: no plateau: .*a valve that is held \(0\) nobody knows"
-    ):
+    with pytest.raises(InputError, match=r"valves.csv: no plateau: .*a chamber that holds \(0\) is unknown"):
         plateau_tables([taken(path, MODULE)], MODULE, 40e3)
 
 
-def test_what_makes_no_table(tmp_path):
+def test_recordings_without_plateaus_are_refused(tmp_path):
     def refused(pressure: np.ndarray, time: np.ndarray, match: str, spec: RobotSpec = MODULE) -> None:
         path = log_of_bends(tmp_path, TRUE_MODULE, time, pressure)
         with pytest.raises(InputError, match=match):
@@ -265,18 +263,16 @@ def test_what_makes_no_table(tmp_path):
     time, _ = regulated(levels(1))
     wave = np.zeros((len(time), 1, 2))
     wave[:, 0, 0] = 20e3 * (1 + np.sin(2 * time))
-    wanted = (
-        r"held_0.csv: no plateau: all pressures stay constant for 0\.\d+ s at most; 0.55 s \(5 times the slow"
-    )
-    refused(wave, time, wanted)
-    # A ramp of 1 kPa/s stays within the band for 2 s, again and again.
+    expected = r"held_0.csv: no plateau: pressures are constant for 0\.\d+ s; 0.55 s \(5 times the largest"
+    refused(wave, time, expected)
+    # A ramp of 1 kPa/s repeatedly stays within the band for 2 s.
     wave[:, 0, 0] = 1e3 * time
-    refused(wave, time, "no plateau: all pressures stay constant for 2 s at most; .* and 12 frames more")
+    refused(wave, time, "no plateau: pressures are constant for 2 s; .* and 12 more frames")
     held = levels(1)
     held[:, 0, 1] = 0
     held[:, 0, 0] = np.resize([0, 12e3], len(held))
-    refused(regulated(held)[1], time, r"pressure_plus_1: held at 2 different pressures only; 3 or more")
-    # Bends that creep all the time.
+    refused(regulated(held)[1], time, r"pressure_plus_1: only 2 different pressures; 3 or more")
+    # Bends that creep continuously.
     creeping = np.zeros((len(time), 1, 2))
     path = tmp_path / "creep.csv"
     path.write_text(csv(time, {"bend_1": 0.01 * time} | air(creeping)))
@@ -287,8 +283,8 @@ def test_what_makes_no_table(tmp_path):
 
 
 @pytest.mark.parametrize("rows", [2, 3, 4, 20])
-def test_held_pressures_come_back_from_a_log_with_few_rows_per_hold(tmp_path, rows):
-    """In the two shortest logs most second differences belong to steps, which are not noise."""
+def test_plateaus_are_found_in_logs_with_few_rows_per_plateau(tmp_path, rows):
+    """In the two shortest logs most second differences are from steps, not from noise."""
     held = 1e3 * np.array([0.0, 8.0, 16.0, 24.0, 18.0, 10.0, 2.0])
     log_time = np.concatenate([2.5 * k + np.linspace(0.0, 2.0, rows) for k in range(len(held))])
     log = np.zeros((len(log_time), 1, 2))
@@ -305,17 +301,17 @@ def test_held_pressures_come_back_from_a_log_with_few_rows_per_hold(tmp_path, ro
 
 
 @pytest.mark.parametrize(("ramp", "step", "share"), [(0.0, 0.0, 0.0), (20.0, 0.0, 0.0), (0.0, 100.0, 0.2)])
-def test_scatter_of_a_log_is_that_of_white_noise(ramp, step, share):
-    """Ramps do not count. A share of differences that are steps moves the median to a higher quantile."""
+def test_noise_of_a_log_is_estimated_without_ramps_and_steps(ramp, step, share):
+    """Steps in a share of the differences move the median to a higher quantile of the noise."""
     row = np.arange(20_000)
     noise = np.random.default_rng(0).standard_normal(len(row))
-    found = _noise_scale((noise + ramp * row + step * (row // 5 % 7))[:, None])
-    assert found == pytest.approx(6**0.5 * stats.norm.ppf(0.5 + 0.25 / (1 - share)), rel=0.03)
+    fit = _noise_scale((noise + ramp * row + step * (row // 5 % 7))[:, None])
+    assert fit == pytest.approx(6**0.5 * stats.norm.ppf(0.5 + 0.25 / (1 - share)), rel=0.03)
     assert np.isfinite(_noise_scale(noise[:2]))
 
 
-def test_the_start_of_a_creep_is_left_out(tmp_path):
-    """Bends that approach their rest within seconds: the mean is of the end."""
+def test_the_start_of_creep_is_excluded(tmp_path):
+    """Bends settle within seconds; only the end of a plateau is averaged."""
     time = np.arange(0.0, 12.0, 1 / RATE)
     bend = 0.5 - 0.1 * np.exp(-time) + 1e-3 * np.random.default_rng(0).standard_normal(len(time))
     path = tmp_path / "slow.csv"

@@ -45,7 +45,7 @@ _INITIAL_SHARE = 0.3
 """Share of the twin's budget for the initial designs, which the low-fidelity model selects."""
 
 _EDGE_OVERDRAW = 0.2
-"""Width by which samples exceed the ranges, to be clipped to the bounds, where optima often are."""
+"""Excess of samples beyond the ranges; clipping puts some on the bounds, where optima often are."""
 
 _MIN_DISTANCE = 1e-3
 """Distance below which two designs are the same."""
@@ -74,7 +74,7 @@ class Optimum:
     """Result of a search.
 
     Attributes:
-        best: best run of the twin and others at a distance from it, best first; with two objectives the
+        best: best run of the twin and more runs at a distance from it, best first; with two objectives the
             Pareto front, sorted by the first one.
         runs: all runs in order.
     """
@@ -396,7 +396,7 @@ class _Search:
 def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the growth of the dominated area by each point, shape (…) of points (…, 2).
 
-    Both columns are costs. The area is bounded by a reference point that lies beyond the front by its own
+    Both columns are costs. The area is bounded by a reference point beyond the front, by the front's
     extent, so that moving an end of the front is a gain as well.
     """
     members = known[front(known)]
@@ -420,5 +420,5 @@ def _predict_with_process(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> tuple
 
 
 def _is_far(design: np.ndarray, others: Sequence[np.ndarray], distance: float = _MIN_DISTANCE) -> bool:
-    """Return whether a design is farther than a distance from all others."""
+    """Return whether a design is farther than a distance from every other design."""
     return all(math.dist(design, other) > distance for other in others)

@@ -135,7 +135,7 @@ def _error_text(error: float) -> str:
 
 
 def _count_text(uncertainty: MetricUncertainty) -> str:
-    """Return the number of samples, and the number of runs if a surrogate predicted the others."""
+    """Return the number of samples, and of runs if a surrogate was used."""
     runs = f", {uncertainty.runs} runs" if uncertainty.runs < uncertainty.count else ""
     return f"{uncertainty.count} samples{runs}"
 

@@ -53,7 +53,7 @@ class MetricUncertainty:
         half_timestep: the same with half the time step.
         at_medians: value with all uncertain parameters at their medians.
         samples: values at the samples of the priors, shape (samples,); NaN if unknown.
-        runs: number of samples that the plant itself ran; a surrogate predicted the others.
+        runs: number of samples that the plant itself ran, without those of a surrogate.
         sampling: standard errors of the ends of the 50 and 95 % intervals by sampling, shape (4,).
         surrogate: standard errors of these ends by the surrogate, shape (4,).
         first: first-order Sobol indices, shape (d,); None if parameters are correlated.

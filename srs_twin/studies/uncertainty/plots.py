@@ -106,7 +106,7 @@ def _draw_swings(
 
 
 def _count_text(row: Mapping[str, Any]) -> str:
-    """Return the number of samples, and the number of runs if a surrogate predicted the others."""
+    """Return the number of samples, and of runs if a surrogate was used."""
     samples, runs = row["samples"], row["runs"]
     return f"{samples} samples" + (f", {runs} runs" if runs < samples else "")
 

@@ -2,7 +2,7 @@
 
 Each plant runs at quasi-random samples of the uncertain parameters, as a sweep, so an interrupted study
 resumes. If the analytical model `compliant` can run the scenario, it is the low-fidelity plant of the twin
-and runs at all samples. The twin runs at the first of them, and `predict_twin` predicts the others.
+and runs at all samples. The twin runs only at the first of them; `predict_twin` predicts the rest.
 `metric_uncertainty` computes the intervals and their errors, `remarks` the limitations of a result.
 """
 

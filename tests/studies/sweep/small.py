@@ -1,4 +1,4 @@
-"""A sweep of eight short runs, and an engine that makes them in this process."""
+"""Sweep of eight short runs, and an engine that runs them in this process."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def diverges(experiment, points):
 
 
 def execute(sweep, folder, engine=here, *, points=None, changed=False, **options):
-    """Run what is missing (the first of it); return how many points that was, and the summary."""
+    """Run missing points, at most `points` of them; return their number and the summary."""
     with open_sweep(sweep, folder, changed=changed) as opened:
         missing = opened.missing(**options)[:points]
         opened.run(engine, missing)

@@ -1,4 +1,4 @@
-"""Published values beside a sweep's: what they mean, how they are drawn, and what they do not decide."""
+"""Published values in a sweep (`beside`): parsing, tables, plots; they do not change the rows."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ def published(source, at, metrics):
 
 
 def claims():
-    found = YAML(typ="safe").load((ROOT / "calibration/published/claims.yaml").read_text("utf-8"))
-    return {claim["id"]: claim for claim in found}
+    result = YAML(typ="safe").load((ROOT / "calibration/published/claims.yaml").read_text("utf-8"))
+    return {claim["id"]: claim for claim in result}
 
 
-def test_what_it_means(tmp_path):
+def test_published_values_are_read_with_their_settings(tmp_path):
     sweep = load_sweep(write(tmp_path, SMALL + GIVEN))
-    assert sweep.beside.places == [{P: 41}, {P: 55}] and sweep.beside.metrics == {SPEED: [0.2, None]}
+    assert sweep.beside.settings == [{P: 41}, {P: 55}] and sweep.beside.metrics == {SPEED: [0.2, None]}
     assert sweep.warnings == ()
     assert load_sweep(write(tmp_path)).beside is None
 
 
-def test_numbers_that_no_run_has_are_said(tmp_path):
+def test_settings_without_a_run_give_a_warning(tmp_path):
     sweep = load_sweep(write(tmp_path, SMALL + GIVEN.replace("[41, 55]", "[41.0000000000001, 54]")))
     assert sweep.warnings == ("beside: no run has supply.pressure_kpa 54",)
 
 
-def test_published_values_decide_no_row(tmp_path):
-    """Added, edited, taken away: the same rows, and nothing runs again."""
+def test_published_values_do_not_change_the_rows(tmp_path):
+    """Values are added, edited and removed; the rows stay the same, and no run is repeated."""
     plain, edited = SMALL + LINE, SMALL + LINE + GIVEN.replace("0.2", "0.3")
     keys = None
     for ran, text in ((8, plain), (0, plain + GIVEN), (0, edited), (0, plain)):
@@ -65,29 +65,29 @@ def test_published_values_decide_no_row(tmp_path):
     assert "<td>0.3</td>" not in report
 
 
-def test_the_table_holds_means_over_seeds_and_differences():
+def test_the_table_has_means_over_seeds_and_differences():
     seeds = SweepTable.from_columns({"seed" if name == F else name: column for name, column in TABLE.items()})
-    found = published_table(
+    result = published_table(
         published("here", {P: [20.0, 30.0, 40.0, 50.0]}, {SPEED: [0.1, 0.5, 0.1, None]}), seeds
     )
-    assert found.headings == (
+    assert result.headings == (
         "metric", "supply pressure (kPa)", "published", "analytical", "difference", "twin", "difference",
         "runs",
     )  # fmt: skip
-    assert found.rows == (
+    assert result.rows == (
         ("CoM speed (m/s)", "20", "0.1", "0.2", "+100.0 %", "0.2", "+100.0 %", "2"),
         ("CoM speed (m/s)", "30", "0.5", "0.4", "-20.0 %", "0.5", "+0.0 %", "1"),
-        # Another direction is no share of this one.
+        # Values of opposite sign are compared by difference, not by ratio.
         ("CoM speed (m/s)", "40", "0.1", "-0.1", "-0.2", "–", "–", "2"),
         ("CoM speed (m/s)", "50", "–", "–", "–", "–", "–", "0"),
     )
 
 
-def test_the_table_keeps_other_settings_apart():
-    found = published_table(published("here", {P: [20.0, 30.0, 50.0]}, {SPEED: [0.1, 0.5, 0.2]}), rows())
-    assert found.headings[1:4] == ("supply pressure (kPa)", "gait frequency (Hz)", "published")
-    assert "runs" not in found.headings
-    assert [row[1:6] for row in found.rows] == [
+def test_the_table_has_a_row_for_each_combination_of_other_settings():
+    result = published_table(published("here", {P: [20.0, 30.0, 50.0]}, {SPEED: [0.1, 0.5, 0.2]}), rows())
+    assert result.headings[1:4] == ("supply pressure (kPa)", "gait frequency (Hz)", "published")
+    assert "runs" not in result.headings
+    assert [row[1:6] for row in result.rows] == [
         ("20", "1", "0.1", "0.1", "+0.0 %"),
         ("20", "2", "0.1", "0.3", "+200.0 %"),
         ("30", "1", "0.5", "0.4", "-20.0 %"),
@@ -95,28 +95,28 @@ def test_the_table_keeps_other_settings_apart():
     ]
 
 
-def test_several_fields_mean_one_place():
-    found = published_table(published("here", {F: [2, 1], P: [20, 40]}, {SPEED: [0.3, -0.1]}), rows())
-    assert [row[1:5] for row in found.rows] == [("2", "20", "0.3", "0.3"), ("1", "40", "-0.1", "-0.1")]
-    assert "runs" not in found.headings
+def test_several_fields_make_one_setting():
+    result = published_table(published("here", {F: [2, 1], P: [20, 40]}, {SPEED: [0.3, -0.1]}), rows())
+    assert [row[1:5] for row in result.rows] == [("2", "20", "0.3", "0.3"), ("1", "40", "-0.1", "-0.1")]
+    assert "runs" not in result.headings
 
 
-def test_texts_and_truth_are_found():
-    given = {"key": list("ab"), "a.kind": ["x", "y"], "a.on": [True, False], "status": ["done"] * 2}
-    given[f"twin.{SPEED}"] = [1.0, 2.0]
+def test_text_and_boolean_settings_are_matched():
+    values = {"key": list("ab"), "a.kind": ["x", "y"], "a.on": [True, False], "status": ["done"] * 2}
+    values[f"twin.{SPEED}"] = [1.0, 2.0]
     for field, first in (("a.kind", "y"), ("a.on", False)):
-        found = published_table(
-            published("here", {field: [first]}, {SPEED: [1.0]}), SweepTable.from_columns(given)
+        result = published_table(
+            published("here", {field: [first]}, {SPEED: [1.0]}), SweepTable.from_columns(values)
         )
-        assert found.rows[0][2:] == ("1", "2", "+100.0 %")
+        assert result.rows[0][2:] == ("1", "2", "+100.0 %")
 
 
 def test_a_table_without_runs_has_published_values_only():
     nothing = {name: [] for name in ("key", P, "status")}
-    found = published_table(
+    result = published_table(
         published("here", {P: [20, 30]}, {SPEED: [0.1, None]}), SweepTable.from_columns(nothing)
     )
-    assert [row[1:] for row in found.rows] == [("20", "0.1"), ("30", "–")]
+    assert [row[1:] for row in result.rows] == [("20", "0.1"), ("30", "–")]
 
 
 def rows():
@@ -137,7 +137,7 @@ def legends(axes):
     ]
 
 
-def test_a_line_has_the_published_values_with_a_marker_of_their_own():
+def test_line_plots_show_published_values_as_stars():
     beside = published("Table $8$", {P: [20, 25, 40]}, {SPEED: [0.15, 0.2, None]})
     (axes,) = draw(Plot(kind="line", x=P, metric=SPEED), TABLE, beside).axes
     assert stars(axes) == {((20.0, 0.15), "#000000"), ((25.0, 0.2), "#000000")}
@@ -154,13 +154,13 @@ def test_a_line_has_the_published_values_with_a_marker_of_their_own():
         (Plot(kind="scatter", x=P, metric=SPEED), {P: [20]}),
     ],
 )
-def test_other_pictures_have_none(request_, at):
-    given = TABLE | {"twin.yaw_rate_rad_s": [0.0] * 6}
-    (axes,) = draw(request_, given, published("here", at, {SPEED: [0.15]})).axes
+def test_other_plots_show_no_published_values(request_, at):
+    values = TABLE | {"twin.yaw_rate_rad_s": [0.0] * 6}
+    (axes,) = draw(request_, values, published("here", at, {SPEED: [0.15]})).axes
     assert stars(axes) == set() and not any("published" in text for text in legends(axes))
 
 
-def test_published_values_of_a_line_have_its_colour():
+def test_published_values_have_the_colour_of_their_line():
     beside = published("here", {P: [20, 20], F: [1, 3]}, {SPEED: [0.1, 0.2]})
     (axes,) = draw(Plot(kind="line", x=P, metric=SPEED, by=F), TABLE, beside).axes
     colors = {place: color for place, color in stars(axes)}
@@ -168,14 +168,14 @@ def test_published_values_of_a_line_have_its_colour():
     assert colors == {(20.0, 0.1): lines[0], (20.0, 0.2): "#000000"}
 
 
-def test_a_source_with_a_formula_is_drawn():
+def test_a_source_with_an_invalid_formula_can_be_drawn():
     figure = draw(
         Plot(kind="line", x=P, metric=SPEED), TABLE, published(r"$\frac", {P: [20]}, {SPEED: [0.15]})
     )
     figure.canvas.draw()
 
 
-def test_table_8_is_the_published_one_with_our_signs():
+def test_table_8_has_the_published_values_with_signed_radii():
     printed = {row["offset"]: row for row in claims()["table8"]["rows"]}
     sweep = load_sweep("table8")
     assert len(sweep.points) == 7 and sweep.experiment.plants == ("analytical", "twin")
@@ -193,8 +193,8 @@ def test_table_8_is_the_published_one_with_our_signs():
     assert document["supply"]["pressure_kpa"] == 131 and document["duration_s"] == 16
 
 
-def test_what_learning_md_prints_of_table_8():
-    """Published columns are the file's, and the words about the predicted rows are those of the table."""
+def test_docs_learning_shows_table_8_and_its_deviations():
+    """The published columns equal the file, and the text states the deviations of the predicted rows."""
     page = (ROOT / "docs/learning.md").read_text("utf-8")
     section = page.partition("## Table 8")[2].partition("\n## ")[0]
     lines = [
@@ -207,16 +207,16 @@ def test_what_learning_md_prints_of_table_8():
     ]  # fmt: skip
     numbers = [[float(c.replace("−", "-")) for c in line[2:]] for line in lines]
     beside = load_sweep("table8").beside
-    off = {"analytical": {}, "twin": {}}
+    difference = {"analytical": {}, "twin": {}}
     for i, metric in enumerate(beside.metrics):
         assert [line[3 * i] for line in numbers] == list(beside.metrics[metric]), metric
-        for k, plant in enumerate(off, start=1):
+        for k, plant in enumerate(difference, start=1):
             for name, line in zip(lines, numbers, strict=True):
                 if name[1] == "predicted":
-                    off[plant][metric, name[0]] = line[3 * i + k] / line[3 * i] - 1
+                    difference[plant][metric, name[0]] = line[3 * i + k] / line[3 * i] - 1
     for plant, speed, radius in (("analytical", 0.38, 0.79), ("twin", 0.21, 0.72)):
-        missed = {place: value for place, value in off[plant].items() if abs(value) > 0.2}
-        assert len(off[plant]) == 16
+        missed = {place: value for place, value in difference[plant].items() if abs(value) > 0.2}
+        assert len(difference[plant]) == 16
         assert missed == {
             ("path_speed_m_s", "0.2"): pytest.approx(speed, abs=0.01),
             ("path_radius_m", "0.1"): pytest.approx(radius, abs=0.02),
@@ -224,7 +224,7 @@ def test_what_learning_md_prints_of_table_8():
     assert "fourteen" in section and "(+38 % and +21 %)" in section and "(+79 % and +72 %)" in section
 
 
-def test_the_shipped_file_is_what_sweeps_md_prints():
+def test_docs_sweeps_shows_the_shipped_file():
     page = (ROOT / "docs/sweeps.md").read_text("utf-8")
     printed = parse_yaml(re.findall(r"^```yaml[^\n]*\n(beside:.*?)^```$", page, re.M | re.S)[0], "page").data[
         "beside"

@@ -1,4 +1,4 @@
-"""What docs/sweeps.md prints is what the program takes and leaves."""
+"""docs/sweeps.md: its file loads, its examples run, and the files that it lists are written."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ FENCES = dict(reversed(re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.M | re.S)))
 EXAMPLE = FENCES["python"].replace('"fig32_simplified"', '"small.yaml"')
 
 
-def test_the_file_that_is_printed_loads(tmp_path):
+def test_the_printed_file_loads(tmp_path):
     sweep = load_sweep(write(tmp_path, FENCES["yaml"], "printed.yaml"))
     assert len(sweep.points) == 6
     assert set(re.findall(r"^\| `(\w+)` \|", PAGE, re.M)) <= SweepFile.model_fields.keys()
 
 
-def test_every_shipped_sweep_is_named():
+def test_every_shipped_sweep_is_listed():
     assert {name for name in re.findall(r"`(\w+)`", PAGE)} >= set(shipped_names("sweep")) - {"fig39"}
     assert FENCES["sh"] == "uv run srs-twin sweep fig39\n"
 
 
-def test_the_files_that_are_promised_are_left(tmp_path):
+def test_the_listed_files_are_written(tmp_path):
     plot = "plots: [{kind: line, x: supply.pressure_kpa, metric: com_speed_m_s}]\n"
     with open_sweep(load_sweep(write(tmp_path, SMALL + plot)), tmp_path / "out") as opened:
         opened.run(local(1), opened.missing())
@@ -51,17 +51,17 @@ def test_the_files_that_are_promised_are_left(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "words",
+    "options",
     [
         pytest.param(("example.py",), id="script", marks=pytest.mark.slow),
         pytest.param(("-c", EXAMPLE), id="-c", marks=pytest.mark.slow),
         pytest.param(("-",), id="stdin", marks=pytest.mark.slow),
     ],
 )
-def test_the_example_runs_without_a_main_guard(words, tmp_path):
+def test_the_example_runs_without_a_main_guard(options, tmp_path):
     (tmp_path / "example.py").write_text(EXAMPLE)
     write(tmp_path)
-    program = [sys.executable, *words]
+    program = [sys.executable, *options]
     run = subprocess.run(program, cwd=tmp_path, input=EXAMPLE, capture_output=True, text=True)
     assert run.stderr == ""
     assert re.fullmatch(r"[0-9a-f]{64}\n", run.stdout), "by this process, and by no worker"
@@ -76,7 +76,7 @@ def test_the_example_runs_in_a_notebook(tmp_path):
     assert re.fullmatch(r"[0-9a-f]{64}\n", output["text"])
 
 
-def test_every_key_has_words_for_editors(capsys):
+def test_every_key_has_a_description_in_the_schema(capsys):
     main_exit(["schema", "sweep"])
     schema = json.loads(capsys.readouterr().out)
     assert set(schema["properties"]) == set(SweepFile.model_fields)
@@ -84,7 +84,7 @@ def test_every_key_has_words_for_editors(capsys):
         assert all(key["title"] and key["description"] for key in block["properties"].values())
 
 
-def main_exit(words):
+def main_exit(options):
     with pytest.raises(SystemExit) as end:
-        main(words)
+        main(options)
     assert not end.value.code

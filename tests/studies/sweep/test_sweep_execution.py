@@ -1,4 +1,4 @@
-"""Running a sweep: what is missing is run, and nothing twice."""
+"""Execution of sweeps: missing points run once, and failures become rows."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def sweep(tmp_path):
     return load_sweep(write(tmp_path))
 
 
-def test_one_row_a_point_with_the_metrics_of_its_run(sweep, tmp_path):
+def test_every_point_has_a_row_with_the_metrics_of_its_run(sweep, tmp_path):
     _, summary = execute(sweep, tmp_path / "out")
     assert (summary.points, summary.done, summary.failed, summary.exit_code) == (8, 8, 0, 0)
     table = pq.read_table(tmp_path / "out" / "results.parquet")
@@ -42,7 +42,7 @@ def test_one_row_a_point_with_the_metrics_of_its_run(sweep, tmp_path):
     assert json.loads((tmp_path / "out" / "sweep.json").read_text())["results_sha256"] == summary.sha256
 
 
-def test_metrics_that_are_asked_for(tmp_path):
+def test_only_requested_metrics_are_columns(tmp_path):
     text = SMALL + "metrics: [com_speed_m_s, bend_bias_rad, valve_switches]\n"
     execute(load_sweep(write(tmp_path, text)), tmp_path / "out")
     names = pq.read_schema(tmp_path / "out" / "results.parquet").names
@@ -53,7 +53,7 @@ def test_metrics_that_are_asked_for(tmp_path):
     }  # fmt: skip
 
 
-def test_only_what_is_missing_is_run(sweep, tmp_path):
+def test_only_missing_points_run(sweep, tmp_path):
     def stops_after_three(experiment, points):
         yield from (done for done in here(experiment, points[:3]))
         raise KeyboardInterrupt
@@ -66,7 +66,7 @@ def test_only_what_is_missing_is_run(sweep, tmp_path):
     assert execute(sweep, tmp_path / "out")[0] == 0
 
 
-def test_failed_runs_are_rows_with_their_reason(sweep, tmp_path):
+def test_failed_runs_are_rows_with_a_reason(sweep, tmp_path):
     _, summary = execute(sweep, tmp_path / "out", diverges)
     assert (summary.done, summary.failed, summary.exit_code) == (4, 4, 3)
     assert summary.reasons == {"twin diverged at t = 1 s: boom": 4}
@@ -78,7 +78,7 @@ def test_failed_runs_are_rows_with_their_reason(sweep, tmp_path):
     assert (ran, summary.done, summary.failed) == (4, 8, 0)
 
 
-def test_a_dead_worker_costs_its_point(sweep, tmp_path):
+def test_a_dead_worker_fails_only_its_point(sweep, tmp_path):
     def dies(experiment, points):
         for done in here(experiment, points):
             yield Done(done.number, None, WorkerDiedError(-9, 3)) if done.number == 5 else done
@@ -88,7 +88,7 @@ def test_a_dead_worker_costs_its_point(sweep, tmp_path):
     assert count == 1 and "SIGKILL" in reason and summary.exit_code == 4
 
 
-def test_a_point_that_cannot_be_run_is_a_failed_row(tmp_path):
+def test_an_invalid_point_is_a_failed_row(tmp_path):
     text = SMALL.replace(
         "supply.pressure_kpa: {from: 41, to: 55, count: 4}", "plants.analytical.tick_s: [0.02, 0.08]"
     )
@@ -101,7 +101,7 @@ def test_a_point_that_cannot_be_run_is_a_failed_row(tmp_path):
     assert "is no multiple of" in next(iter(summary.reasons))
 
 
-def test_an_edited_sweep_is_refused_unless_told(tmp_path):
+def test_an_edited_sweep_is_refused_without_changed(tmp_path):
     before = load_sweep(write(tmp_path))
     execute(before, tmp_path / "out")
     after = load_sweep(write(tmp_path, SMALL.replace("count: 4", "count: 7")))
@@ -121,13 +121,13 @@ def test_an_edited_sweep_is_refused_unless_told(tmp_path):
     assert (ran, summary.done) == (8, 8)
 
 
-def test_other_names_are_the_same_sweep(tmp_path):
+def test_a_renamed_sweep_keeps_its_rows(tmp_path):
     execute(load_sweep(write(tmp_path)), tmp_path / "out")
     renamed = load_sweep(write(tmp_path, "title: Another\n" + SMALL, "other.yaml"))
     assert execute(renamed, tmp_path / "out")[0] == 0
 
 
-def test_trajectories_are_those_of_the_runs(tmp_path):
+def test_stored_trajectories_equal_those_of_the_runs(tmp_path):
     sweep = load_sweep(write(tmp_path, SMALL + "trajectories: true\n"))
     execute(sweep, tmp_path / "out")
     files = sorted((tmp_path / "out" / "trajectories").iterdir())
@@ -139,7 +139,7 @@ def test_trajectories_are_those_of_the_runs(tmp_path):
     assert plant_metrics(run)["com_speed_m_s"] == table["analytical.com_speed_m_s"][0]
 
 
-def test_two_sweeps_in_one_folder(sweep, tmp_path):
+def test_a_second_sweep_in_the_same_folder_is_refused(sweep, tmp_path):
     with (
         open_sweep(sweep, tmp_path / "out"),
         pytest.raises(InputError, match="another sweep works in this folder"),
@@ -158,7 +158,7 @@ def test_both_plants_are_compared(tmp_path):
     assert np.array(table["comparison.com_speed_rel"]) == pytest.approx(twin / analytical - 1)
 
 
-def test_the_digest_knows_neither_order_nor_wall_times():
+def test_the_digest_does_not_depend_on_order_or_wall_times():
     rows = [Row("a", "done", {"x": 1.0, "y": None}, 0.1), Row("b", "failed", {}, 0.2, "boom", 3)]
     slower = [Row("b", "failed", {}, 9.0, "boom", 3), Row("a", "done", {"y": None, "x": 1.0}, 9.0)]
     assert rows_digest(rows) == rows_digest(slower)
@@ -175,7 +175,7 @@ def test_the_digest_knows_neither_order_nor_wall_times():
         ("count: 4", "count: 5"),
     ],
 )
-def test_keys_tell_runs_apart(tmp_path, sweep, old, new):
+def test_different_runs_have_different_keys(tmp_path, sweep, old, new):
     keys = {point.key for point in sweep.points}
     assert len(keys) == 8
     others = {point.key for point in load_sweep(write(tmp_path, SMALL.replace(old, new))).points}

@@ -1,4 +1,4 @@
-"""Sweep files: what they mean, and what is said where they mean nothing."""
+"""Sweep files: points, and messages for invalid files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.studies.sweep.loading import load_sweep
 
 
-def test_a_grid_of_documents(tmp_path):
+def test_a_grid_makes_documents_with_the_varied_fields(tmp_path):
     sweep = load_sweep(write(tmp_path))
     assert (sweep.name, len(sweep.points), sweep.experiment.plants) == ("small", 8, ("analytical",))
     scenario = parse_scenario(sweep.experiment.document(sweep.points[-1].changes))
@@ -27,7 +27,7 @@ def test_shipped_sweeps_load(name):
     assert len(load_sweep(name).points) > 1
 
 
-def test_the_grids_of_the_figures():
+def test_shipped_grids_are_those_of_the_figures():
     """Sections 3.4.1 to 3.4.3: 56 frequencies by 31 pressures; the ranges of Fig. 32, 33, 38."""
     sizes = {name: len(load_sweep(name).points) for name in ("fig31", "fig32", "fig33", "fig38", "fig39")}
     assert sizes == {"fig31": 1736, "fig32": 88, "fig33": 88, "fig38": 30, "fig39": 12}
@@ -36,7 +36,7 @@ def test_the_grids_of_the_figures():
     assert max(pressures) == pytest.approx(5 * 6.894757, rel=1e-4)
 
 
-def test_periods_become_whole_ticks(tmp_path):
+def test_periods_are_rounded_to_whole_ticks(tmp_path):
     text = SMALL.replace("fixed: {duration_s: 2}", "periods: 5").replace("[2, 2.5]", "[0.7, 2.5]")
     sweep = load_sweep(write(tmp_path, text))
     durations = {sweep.experiment.document(point.changes)["duration_s"] for point in sweep.points}
@@ -49,14 +49,14 @@ def test_a_sweep_may_have_one_point(tmp_path):
     assert point.changes == {"controller.frequency_hz": 2, "supply.pressure_kpa": 48}
 
 
-def test_a_robots_number_keeps_its_unit(tmp_path):
+def test_a_varied_robot_value_keeps_its_unit(tmp_path):
     text = SMALL.replace("controller.frequency_hz: [2, 2.5]", "robot.friction.mu_n: [0.3, 0.4]")
     sweep = load_sweep(write(tmp_path, text))
     record = sweep.experiment.document(sweep.points[-1].changes)["robot"]["friction"]["mu_n"]
     assert record == {"value": 0.4, "unit": "1", "status": "estimated", "source": "varied by a sweep"}
 
 
-def test_robots_by_name(tmp_path):
+def test_robots_are_varied_by_name(tmp_path):
     text = SMALL.replace("controller.frequency_hz: [2, 2.5]", "robot: [gen2, gen4]")
     sweep = load_sweep(write(tmp_path, text))
     robots = [
@@ -65,7 +65,7 @@ def test_robots_by_name(tmp_path):
     assert robots == ["gen2", "gen4"]
 
 
-def test_an_element_of_a_list(tmp_path):
+def test_an_element_of_a_list_is_varied(tmp_path):
     scenario = (
         "robot: gen2\nduration_s: 1\ncontroller: {kind: gait, frequency_hz: 2}\n"
         "world: {obstacles: [{x_m: 1, y_m: 0, radius_m: 0.1}]}\n"
@@ -92,16 +92,16 @@ def test_an_element_of_a_list(tmp_path):
         ("[2, 2.5]", "2", "5:28: vary.controller.frequency_hz: must be a list"),
         ("[2, 2.5]", "[[2]]", "5:29: vary.controller.frequency_hz[0]: must be"),
         ("to: 55", "to: 99", "6:39: vary.supply.pressure_kpa.to: 99 kPa is above the 68.9476 kPa that gen2"),
-        ("from: 41", "from: 61", "6:24: vary.supply.pressure_kpa: from comes first and is the lower one, bu"),
+        ("from: 41", "from: 61", "6:24: vary.supply.pressure_kpa: from must be below to, but 61 is not belo"),
         (", count: 4", "", "5:3: vary: supply.pressure_kpa: a range needs a count here, or sampling: latin"),
         ("count: 4", "count: 4, scale: log, form: 2", "6:65: vary.supply.pressure_kpa.form: unknown key"),
         ("plants: [analytical]", "plants: [twins]", "2:10: plants[0]: must be one of analytical, twin, not"),
-        ("plants: [analytical]", "plants: []", "2:9: plants: none, but the scenario has no planner"),
+        ("plants: [analytical]", "plants: []", "2:9: plants: is empty, but the scenario has no planner"),
         ("duration_s: 2", "duration: 2", "3:9: fixed.duration: unknown key; did you mean duration_s?"),
         ("duration_s: 2", "duration_s: x", "3:21: fixed.duration_s: must be a number from 0.001 to 3600, no"),
-        ("duration_s: 2", "title: x", "3:9: fixed.title: says how results are named or judged"),
+        ("duration_s: 2", "title: x", "3:9: fixed.title: is a name or expectation without effect"),
         ("duration_s: 2}", "supply.pressure_kpa: 45}", "3:9: fixed.supply.pressure_kpa: is varied as"),
-        ("fixed:", "periods: 5\nfixed:", "4:9: fixed.duration_s: periods says how long a run is"),
+        ("fixed:", "periods: 5\nfixed:", "4:9: fixed.duration_s: is set by periods as well"),
         ("fixed:", "metrics: [speed]\nfixed:", "3:11: metrics[0]: unknown metric 'speed'"),
         ("fixed:", "metrics: [com_speed_rel]\nfixed:", "3:11: metrics[0]: com_speed_rel compares both plant"),
         (
@@ -109,15 +109,15 @@ def test_an_element_of_a_list(tmp_path):
             "3:25: plots[0].x: 'seed' is not varied; varied: controller.frequency_hz, supply.pressure_kpa",
         ),
         ("fixed:", "plots: [{kind: contour, x: seed, metric: com_speed_m_s}]\nfixed:", "3:9: plots[0]: a co"),
-        ("fixed:", "sampling: {kind: list}\nfixed:", "6:3: vary: sampling: list takes as many values of eac"),
+        ("fixed:", "sampling: {kind: list}\nfixed:", "6:3: vary: sampling: list needs the same number of"),
         ("fixed:", "sampling: {kind: sobol, count: 100}\nfixed:", "3:11: sampling: sobol points are balance"),
         ("fixed:", "sampling: {kind: sobol}\nfixed:", "3:11: sampling: sobol needs a count"),
-        ("fixed:", "sampling: {seed: 3}\nfixed:", "3:11: sampling: seed belongs to latin_hypercube and sobo"),
+        ("fixed:", "sampling: {seed: 3}\nfixed:", "3:11: sampling: seed is only for latin_hypercube"),
         ("count: 4}", "count: 10000}\n  seed: {from: 0, to: 9999, count: 10000}", "5:3: vary: the grid has"),
         ("controller.frequency_hz", "plants.twin.wheels", "5:3: vary.plants.twin.wheels: twin does not run"),
     ],
 )  # fmt: skip
-def test_one_mistake_one_message(tmp_path, monkeypatch, old, new, message):
+def test_one_mistake_gives_one_message(tmp_path, monkeypatch, old, new, message):
     monkeypatch.chdir(tmp_path)
     assert old in SMALL
     with pytest.raises(InputError) as error:
@@ -126,7 +126,7 @@ def test_one_mistake_one_message(tmp_path, monkeypatch, old, new, message):
     assert any(line.startswith(f"small.yaml:{message}") for line in lines), lines
 
 
-def test_what_is_wrong_with_the_scenario_names_the_scenario(tmp_path, monkeypatch):
+def test_errors_of_the_scenario_name_its_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write(tmp_path, "robot: gen2\nduration_s: 1\ncontroller: {kind: gait, frequency_hz: 0}\n", "bad.yaml")
     with pytest.raises(InputError, match=r"^bad.yaml:3:40: controller.frequency_hz: must be a number"):
@@ -134,8 +134,8 @@ def test_what_is_wrong_with_the_scenario_names_the_scenario(tmp_path, monkeypatc
 
 
 @pytest.mark.slow
-def test_points_of_a_replay_depend_on_what_was_recorded(tmp_path, monkeypatch):
-    """The same paths with other contents are other points, so that no row of an old recording is kept."""
+def test_keys_of_a_replay_depend_on_the_content_of_the_recording(tmp_path, monkeypatch):
+    """Equal paths with other contents give other keys, so rows of an old recording are not reused."""
     monkeypatch.chdir(tmp_path)
     recorded = {}
     for end in (".csv", ".valves.csv"):

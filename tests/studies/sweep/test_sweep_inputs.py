@@ -1,4 +1,4 @@
-"""Keys of rows: every file that a sweep reads is in them."""
+"""Keys of rows depend on the content of every file that a sweep reads."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ EDITS = [
 
 @functools.cache
 def earlier_run(height):
-    """Return the content of a short record of a snake of four segments."""
+    """Return the content of a short recording of a snake with four segments."""
     time = np.arange(30) / 100
     names = ["com_x", "com_y", "heading", *(f"bend_{j}" for j in range(1, 5))]
     names += [f"pressure_{side}_{j}" for side in ("plus", "minus") for j in range(1, 5)]
@@ -132,7 +132,7 @@ def keys(sweep):
 
 
 @pytest.mark.parametrize(("case", "name", "old", "new"), first_by_default(6, EDITS))
-def test_one_byte_of_any_input_makes_other_keys(project, tmp_path, case, name, old, new):
+def test_a_changed_byte_of_any_input_changes_the_keys(project, tmp_path, case, name, old, new):
     before, path = keys(project(case)), tmp_path / name
     content = path.read_bytes()
     if old is None:
@@ -146,8 +146,8 @@ def test_one_byte_of_any_input_makes_other_keys(project, tmp_path, case, name, o
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_every_file_that_a_point_opens_is_in_its_key(project, tmp_path, case):
-    """So that no further kind of input can be forgotten; a robot's file is written out in the scenario."""
+def test_every_opened_file_is_in_the_key(project, tmp_path, case):
+    """Detects new kinds of input; the robot file is part of the resolved scenario."""
     sweep = project(case)
     opened: set[str] = set()
     watching = [True]
@@ -171,5 +171,5 @@ def test_every_file_that_a_point_opens_is_in_its_key(project, tmp_path, case):
     assert named - {str(tmp_path / "scenario.yaml"), str(tmp_path / "mine.yaml")} <= known
 
 
-def test_the_edited_files_are_all_kinds_of_input():
+def test_the_cases_cover_all_kinds_of_input():
     assert {case for case, *_ in EDITS} == CASES.keys()

@@ -1,4 +1,4 @@
-"""Keys of rows: everything that decides a row changes its key, and nothing else does."""
+"""Keys of rows change with everything that affects a result, and with nothing else."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ READ_BY_A_RUN = {
 
 
 def rows(sweep, folder, *, changed=False):
-    """Return how many points were run, and the results by key."""
+    """Return the number of points that ran, and the results by key."""
     ran, _ = execute(sweep, folder, changed=changed)
     return ran, {row["key"]: row for row in pq.read_table(folder / "results.parquet").to_pylist()}
 
 
-def test_an_edited_footprint_runs_its_own_rows_again(tmp_path, monkeypatch):
+def test_an_edited_footprint_repeats_only_its_rows(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     shipped = (ROOT / "calibration/footprints/gen2_section52.yaml").read_text()
     for name in ("one.yaml", "other.yaml"):
@@ -65,8 +65,8 @@ def test_an_edited_footprint_runs_its_own_rows_again(tmp_path, monkeypatch):
             pass
     ran, after = rows(load_sweep(sweep), tmp_path / "out", changed=True)
     assert ran == 2
-    kept = {key for key, row in before.items() if row["planner.footprint"] == "other.yaml"}
-    assert before.keys() & after.keys() == kept
+    stored = {key for key, row in before.items() if row["planner.footprint"] == "other.yaml"}
+    assert before.keys() & after.keys() == stored
     _, fresh = rows(load_sweep(sweep), tmp_path / "fresh")
 
     def lengths(table):
@@ -77,7 +77,7 @@ def test_an_edited_footprint_runs_its_own_rows_again(tmp_path, monkeypatch):
     assert moved == {("one.yaml", 0), ("one.yaml", 1)}
 
 
-def test_a_robot_file_decides_the_rows_that_name_it(tmp_path, monkeypatch):
+def test_an_edited_robot_file_repeats_only_its_rows(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     shipped = (ROOT / "calibration/robots/gen2.yaml").read_text()
     (tmp_path / "mine.yaml").write_text(shipped)
@@ -92,8 +92,8 @@ def test_a_robot_file_decides_the_rows_that_name_it(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_an_edited_source_is_named_and_its_rows_are_run_again(tmp_path):
-    """A gait that was reversed in the source must not keep the speeds of the other."""
+def test_an_edited_source_is_reported_and_its_rows_are_repeated(tmp_path):
+    """Speeds computed before a gait was reversed in the source must not be reused."""
     package = tmp_path / "there/srs_twin"
     shutil.copytree(ROOT / "srs_twin", package)  # with what is compiled
     for folder in ("calibration", "models", "scenarios"):
@@ -102,9 +102,9 @@ def test_an_edited_source_is_named_and_its_rows_are_run_again(tmp_path):
 
     def run(*options: str) -> subprocess.CompletedProcess[str]:
         code = "from srs_twin.cli import main; main()"
-        words = ["sweep", str(sweep), "--out", "out", "--workers", "1", *options]
+        arguments = ["sweep", str(sweep), "--out", "out", "--workers", "1", *options]
         return subprocess.run(
-            [sys.executable, "-P", "-c", code, *words],
+            [sys.executable, "-P", "-c", code, *arguments],
             cwd=tmp_path,
             capture_output=True,
             text=True,
@@ -132,8 +132,8 @@ def test_an_edited_source_is_named_and_its_rows_are_run_again(tmp_path):
 
 
 @pytest.mark.parametrize("name", first_by_default(2, READ_BY_A_RUN))
-def test_all_that_a_run_reads_and_calls_is_in_its_key(name):
-    """Seen while it runs: the files that it opens and the sources of the functions that it calls."""
+def test_all_files_and_sources_of_a_run_are_in_its_key(name):
+    """Opened files and sources of called functions are observed during the run."""
     document = {**({} if name == "replay" else load_scenario(name).document), **READ_BY_A_RUN[name]}
     plants = () if name.startswith("plan") else ("analytical", "twin")
     package = Path(srs_twin.__file__).parent
@@ -167,12 +167,12 @@ def test_all_that_a_run_reads_and_calls_is_in_its_key(name):
     assert len(modules) > 10 and modules - {"srs_twin"} <= source_digests(RUNNER).keys()
 
 
-def test_a_plan_is_not_the_run_of_its_scenario():
+def test_a_plan_and_a_run_of_one_scenario_have_different_keys():
     document = load_scenario("follow_fig57").document
     keys = {run_key(document, plants, RUNNER) for plants in ((), ("twin",), ("analytical", "twin"))}
     assert len(keys) == 3
 
 
-def test_what_only_shows_results_is_in_no_key():
+def test_keys_do_not_depend_on_presentation():
     rooms = {name.split(".")[1] for name in source_digests(RUNNER) if name.count(".")}
     assert not rooms & {"cli", "viewing", "reproduction", "doctor", "attribution", "envs"}

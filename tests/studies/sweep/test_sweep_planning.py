@@ -1,4 +1,4 @@
-"""Sweeps where nothing moves: the planners on the same worlds, their metrics as columns of one table."""
+"""Sweeps without plants: planners in the same worlds, with their metrics as columns of one table."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ def table(text, folder):
     return pq.read_table(folder / "out/results.parquet").to_pylist()
 
 
-def test_rows_are_the_plans_of_the_planners_themselves(tmp_path):
+def test_rows_equal_direct_calls_of_the_planners(tmp_path):
     rows = table(WORLDS + PICTURE, tmp_path)
     assert len(rows) == 12 and {row["status"] for row in rows} == {"done"}
     body, arcs = load_footprint("gen2_section52"), Primitives(21, math.pi / 3, 0.2)
     for row in rows:
         kind, world = row["planner.kind"], fig54_world(row["world.random.count"], row["seed"])
-        asked = Problem(FIG54_START, FIG54_GOAL, world, body, arcs if kind == "greedy" else None)
-        answer = plan(asked, planner=kind)
+        study_ = Problem(FIG54_START, FIG54_GOAL, world, body, arcs if kind == "greedy" else None)
+        answer = plan(study_, planner=kind)
         assert row["plan.plan_found"] == answer.found and row["plan.plan_nodes"] == answer.expanded
         if answer.found:
             # The file's angles have six decimals.
@@ -55,7 +55,7 @@ def test_rows_are_the_plans_of_the_planners_themselves(tmp_path):
     assert "plan found" in (tmp_path / "out/report.html").read_text("utf-8")
 
 
-def test_the_digest_does_not_know_how_long_planning_took(tmp_path):
+def test_the_digest_does_not_depend_on_planning_time(tmp_path):
     with open_sweep(load_sweep(write(tmp_path, WORLDS)), tmp_path / "out") as opened:
         rows = [done.result for done in here(opened.sweep.experiment, opened.missing()[:4])]
     slower = [replace(row, values={**row.values, "plan.plan_s": 9.0}) for row in rows]
@@ -64,7 +64,7 @@ def test_the_digest_does_not_know_how_long_planning_took(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_planner_that_is_not_installed_fails_its_rows_and_can_be_left_out(tmp_path, srs_twin_process):
+def test_a_missing_planner_fails_its_rows_and_can_be_excluded(tmp_path, srs_twin_process):
     text = WORLDS.replace("best_first]", "ompl]").replace("[0, 1, 2]", "[0]")
     (tmp_path / "ompl.py").write_text("raise ImportError('not installed')\n")
     write(tmp_path, text)
@@ -87,7 +87,7 @@ def test_a_planner_that_is_not_installed_fails_its_rows_and_can_be_left_out(tmp_
         ("planner.kind=gredy", "unknown value of planner.kind 'gredy'; did you mean greedy?"),
     ],
 )
-def test_what_cannot_be_left_out_is_said(without, says, tmp_path, srs_twin):
+def test_invalid_exclusions_are_refused(without, says, tmp_path, srs_twin):
     write(tmp_path, WORLDS)
     done = srs_twin("sweep", "small.yaml", "--without", without, cwd=tmp_path)
     assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr
@@ -98,17 +98,17 @@ def test_what_cannot_be_left_out_is_said(without, says, tmp_path, srs_twin):
     [
         (
             "scenario: gen2_straight\nplants: []\nvary: {seed: [0, 1]}\n",
-            "plants: none, but the scenario has no planner: there is nothing to do",
+            "plants: is empty, but the scenario has no planner",
         ),
         (WORLDS + "metrics: [com_speed_m_s]\n", "unknown metric 'com_speed_m_s'"),
         (WORLDS + "metrics: [path_rms_m]\n", "unknown metric 'path_rms_m'"),
-        (WORLDS + "periods: 5\n", "periods: nothing runs where plants is []"),
-        (WORLDS + "trajectories: true\n", "trajectories: there are none where plants is []"),
+        (WORLDS + "periods: 5\n", "periods: no plant runs with plants: []; remove it"),
+        (WORLDS + "trajectories: true\n", "trajectories: no plant runs with plants: []; remove it"),
         (WORLDS.replace("greedy, ", "gready, "), "gready"),
-        (WORLDS + "beside: {source: x, at: {seed: [0]}, metrics: {com_speed_m_s: [1]}}\n", "is of plants"),
+        (WORLDS + "beside: {source: x, at: {seed: [0]}, metrics: {com_speed_m_s: [1]}}\n", "beside: has"),
     ],
 )  # fmt: skip
-def test_what_a_plan_does_not_have_is_said(text, says, tmp_path):
+def test_keys_that_need_a_plant_are_refused(text, says, tmp_path):
     with pytest.raises(InputFileError) as caught:
         load_sweep(write(tmp_path, text))
     assert says in str(caught.value)

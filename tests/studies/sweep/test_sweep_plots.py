@@ -1,4 +1,4 @@
-"""Pictures of sweeps: what the artists hold is what the table says, and nothing makes them fail."""
+"""Plots of sweeps: artists show the values of the table, and no table makes a plot fail."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ def table(f, p, *, failed=(), missing=(), share=0.8):
 
 
 def grid(frequencies=(0.5, 1.0, 1.5, 2.0), pressures=(20.0, 30.0, 40.0), **lost):
-    f, p = (each.ravel() for each in np.meshgrid(frequencies, pressures))
+    f, p = (item.ravel() for item in np.meshgrid(frequencies, pressures))
     return table(f, p, **lost)
 
 
 def planes(figure: Figure):
-    """The axes that are no colour bar."""
+    """Return the axes without those of colour bars."""
     return [axes for axes in figure.axes if axes.get_label() != "colors"]
 
 
@@ -74,8 +74,8 @@ def marks(axes, what):
 
 
 def dots(axes):
-    (found,) = [each for each in axes.collections if isinstance(each, PathCollection)]
-    return found
+    (result,) = [item for item in axes.collections if isinstance(item, PathCollection)]
+    return result
 
 
 def words(figure):
@@ -84,10 +84,10 @@ def words(figure):
 
 
 def filled(axes):
-    return [each for each in axes.collections if isinstance(each, ContourSet) and each.filled]
+    return [item for item in axes.collections if isinstance(item, ContourSet) and item.filled]
 
 
-def test_contour_of_a_grid_has_its_points_its_colours_and_its_labels():
+def test_a_contour_has_the_points_colours_and_labels_of_the_grid():
     figure = draw(CONTOUR, pa.table(grid()))
     left, right = planes(figure)
     assert (left.get_title("left"), right.get_title("left")) == ("analytical", "twin (MuJoCo)")
@@ -100,8 +100,8 @@ def test_contour_of_a_grid_has_its_points_its_colours_and_its_labels():
     assert {tuple(p) for p in dots(left).get_offsets()} == set(zip(grid()[F], grid()[P], strict=True))
 
 
-def test_contour_lines_lie_where_the_law_says():
-    """The level of a plane is a straight line, so linear interpolation meets the law exactly."""
+def test_contour_lines_of_a_plane_are_exact():
+    """Level lines of a plane are straight, so linear interpolation is exact."""
     (axes, _) = planes(draw(CONTOUR, grid()))
     lines = next(c for c in axes.collections if isinstance(c, ContourSet) and not c.filled)
     checked = 0
@@ -124,26 +124,26 @@ def test_scattered_points_are_triangulated():
     assert marks(axes, "failed") == {(round(f[4], 9), round(p[4], 9))}
 
 
-def test_failed_and_missing_points_are_marked_apart():
-    given = grid(failed=(0, 11), missing=(3,))
-    figure = draw(CONTOUR, given)
+def test_failed_and_missing_points_have_different_markers():
+    values = grid(failed=(0, 11), missing=(3,))
+    figure = draw(CONTOUR, values)
     for axes in planes(figure):
-        assert marks(axes, "failed") == {(given[F][i], given[P][i]) for i in (0, 11)}
-        assert marks(axes, "no value") == {(given[F][3], given[P][3])}
+        assert marks(axes, "failed") == {(values[F][i], values[P][i]) for i in (0, 11)}
+        assert marks(axes, "no value") == {(values[F][3], values[P][3])}
     assert "2 of 12 runs failed" in words(figure) and "2 values missing" in words(figure)
 
 
-def test_both_signs_have_zero_in_the_middle():
-    given = grid()
-    given["comparison.com_speed_rel"] = np.linspace(-0.2, 0.4, 12).tolist()
-    (axes,) = planes(draw(plot("contour", F, "com_speed_rel", P), given))
+def test_values_of_both_signs_have_a_symmetric_colour_scale():
+    values = grid()
+    values["comparison.com_speed_rel"] = np.linspace(-0.2, 0.4, 12).tolist()
+    (axes,) = planes(draw(plot("contour", F, "com_speed_rel", P), values))
     levels = filled(axes)[0].levels
     assert levels == pytest.approx(-levels[::-1]) and filled(axes)[0].cmap.name == "RdBu_r"
     assert axes.get_title("left") == "twin − analytical"
 
 
 def twice(field, values=(0.0, 0.4)):
-    """The grid at two values of a further field; at the second the model is three times as fast."""
+    """Return the grid at two values of a further field; the speed is three times as high at the second."""
     low = grid()
     both = {name: [*column, *column] for name, column in low.items()}
     both[field] = [values[0]] * 12 + [values[1]] * 12
@@ -152,7 +152,7 @@ def twice(field, values=(0.0, 0.4)):
     return both
 
 
-def test_seeds_are_averaged_and_it_is_said():
+def test_seeds_are_averaged_with_a_note():
     figure = draw(CONTOUR, twice("seed", (0, 1)))
     (axes,) = planes(figure)
     assert "each value the mean over seed" in words(figure)
@@ -160,7 +160,7 @@ def test_seeds_are_averaged_and_it_is_said():
     assert "mean over" not in words(draw(plot("scatter", F, SPEED), twice("seed", (0, 1))))
 
 
-def test_what_is_varied_on_purpose_is_not_averaged_in_contours():
+def test_contours_do_not_average_over_varied_fields():
     figure = draw(CONTOUR, twice(OFFSET))
     first, second = planes(figure)
     assert [axes.get_title("left") for axes in (first, second)] == [
@@ -176,23 +176,23 @@ def test_what_is_varied_on_purpose_is_not_averaged_in_contours():
     assert len(planes(figure)) == 2 * 6 and "steering offset, 6 of 8 shown" in words(figure)
 
 
-def test_what_is_varied_on_purpose_is_not_averaged_in_lines():
-    """The first field that is not named tells lines apart by colour; with `by` each has a line of its own."""
+def test_lines_do_not_average_over_varied_fields():
+    """The first remaining field determines the colour of a line; `by` gives one line per value."""
     both = twice(OFFSET) | {P: [30.0] * 24, F: [1.0, 2.0, 3.0] * 8, "plants.twin.gaps": [True, False] * 12}
     (axes,) = planes(draw(LINE, both | {"plants.twin.gaps": [True] * 24}))
     assert [text.get_text() for text in axes.get_legend().get_texts()] == ["0", "0.4"]
     assert len(curves(axes)) == 2
     figure = draw(plot("line", F, SPEED, by=OFFSET), both)
     assert len(curves(planes(figure)[0])) == 4 and "one line for each gaps" in words(figure).lower()
-    # Of samples each run has values of its own: nothing is at the same place, and nothing is averaged.
+    # Every sample has different values: nothing is at the same place, and nothing is averaged.
     sampled = grid() | {F: np.linspace(1, 2, 12).tolist(), OFFSET: np.linspace(0, 1, 12).tolist()}
     figure = draw(LINE, sampled)
     assert len(curves(planes(figure)[0])) == 2 and "one line" not in words(figure)
 
 
-def test_lines_hold_the_table_one_a_value_and_plant():
-    given = grid(failed=(5,))
-    figure = draw(plot("line", F, SPEED, by=P), given)
+def test_lines_show_the_table_by_value_and_plant():
+    values = grid(failed=(5,))
+    figure = draw(plot("line", F, SPEED, by=P), values)
     (axes,) = planes(figure)
     drawn = curves(axes)
     assert len(drawn) == 2 * 3
@@ -212,15 +212,15 @@ def test_lines_hold_the_table_one_a_value_and_plant():
     assert legend.get_title().get_text().replace("\n", " ") == "supply pressure (kPa)"
 
 
-def test_many_lines_get_a_colour_bar():
+def test_many_lines_have_a_colour_bar():
     figure = draw(plot("line", F, SPEED, by=P), grid(pressures=np.linspace(20, 40, 13)))
     (bar,) = [axes for axes in figure.axes if axes.get_label() == "colors"]
     assert bar.get_ylabel() == "supply pressure (kPa)" and len(curves(planes(figure)[0])) == 26
 
 
 @pytest.mark.parametrize("count", [3, 13])
-def test_scatter_holds_the_table(count):
-    """A legend tells few colours apart, a colour bar many."""
+def test_scatter_plots_show_the_table(count):
+    """Few colours are explained by a legend, many by a colour bar."""
     given = grid(pressures=np.linspace(20, 40, count), missing=(2,))
     del given[A]
     figure = draw(plot("scatter", "com_speed_rel", SPEED, by=P), given)
@@ -237,29 +237,29 @@ def test_scatter_holds_the_table(count):
         values = [shades[to_hex(color)] for color in dots(axes).get_facecolors()]
     else:
         values = dots(axes).get_array()
-    found = [(*at, c) for at, c in zip(dots(axes).get_offsets(), values, strict=True)]
-    assert np.array(sorted(found)) == pytest.approx(np.array(sorted(expected)))
+    result = [(*at, c) for at, c in zip(dots(axes).get_offsets(), values, strict=True)]
+    assert np.array(sorted(result)) == pytest.approx(np.array(sorted(expected)))
     assert axes.get_xlabel() == "CoM speed, relative difference" and axes.get_ylabel() == "CoM speed (m/s)"
 
 
-def test_text_and_truth_become_named_places():
-    given = grid(frequencies=(1.0, 2.0), pressures=(30.0,))
-    given["plants.analytical.model"] = ["simplified", "complete"]
-    given["plants.twin.gaps"] = [True, False]
-    (axes,) = planes(draw(plot("line", "plants.analytical.model", SPEED), given))
+def test_text_and_boolean_values_are_categories():
+    values = grid(frequencies=(1.0, 2.0), pressures=(30.0,))
+    values["plants.analytical.model"] = ["simplified", "complete"]
+    values["plants.twin.gaps"] = [True, False]
+    (axes,) = planes(draw(plot("line", "plants.analytical.model", SPEED), values))
     assert [tick.get_text() for tick in axes.get_xticklabels()] == ["complete", "simplified"]
     x, y = curves(axes)[0].get_data()
     assert np.array_equal(x, [0, 1]) and y == pytest.approx([law(2.0, 30.0), law(1.0, 30.0)])
-    (axes,) = planes(draw(plot("line", "plants.twin.gaps", SPEED), given))
+    (axes,) = planes(draw(plot("line", "plants.twin.gaps", SPEED), values))
     assert [tick.get_text() for tick in axes.get_xticklabels()] == ["False", "True"]
 
 
 def test_lists_are_averaged():
-    given = grid() | {f"twin.bend_amplitude_rad_{j}": [0.1 * j] * 12 for j in (1, 2, 3)}
-    (axes,) = planes(draw(plot("line", F, "bend_amplitude_rad"), given))
+    values = grid() | {f"twin.bend_amplitude_rad_{j}": [0.1 * j] * 12 for j in (1, 2, 3)}
+    (axes,) = planes(draw(plot("line", F, "bend_amplitude_rad"), values))
     assert axes.get_ylabel() == "bend amplitude (rad), mean over 3"
     assert curves(axes)[0].get_ydata() == pytest.approx(0.2)
-    (axes,) = planes(draw(plot("line", F, "bend_amplitude_rad_3"), given))
+    (axes,) = planes(draw(plot("line", F, "bend_amplitude_rad_3"), values))
     assert curves(axes)[0].get_ydata() == pytest.approx(0.3)
 
 
@@ -273,19 +273,19 @@ NOTHING = [
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("given", "said"), NOTHING)
+@pytest.mark.parametrize(("values", "message"), NOTHING)
 @pytest.mark.parametrize(
     "request_",
     [CONTOUR, LINE, plot("line", F, SPEED, by=P), plot("scatter", F, SPEED, by=P)],
     ids=lambda r: f"{r.kind}-{r.by}",
 )
-def test_nothing_to_draw_is_said(given, said, request_, tmp_path):
-    figure = draw(request_, given)
-    assert f"nothing to draw: {said}" in words(figure)
+def test_a_plot_without_data_states_the_reason(values, message, request_, tmp_path):
+    figure = draw(request_, values)
+    assert f"nothing to draw: {message}" in words(figure)
     save(figure, tmp_path / "x.png")
 
 
-def test_one_value_is_said_and_shown():
+def test_a_single_value_is_stated_and_shown():
     figure = draw(CONTOUR, table(np.array([1.0]), np.array([30.0]), share=1.0))
     assert f"every value is {law(1.0, 30.0):.4g}" in words(figure)
     assert np.asarray(dots(planes(figure)[0]).get_array()) == pytest.approx([law(1.0, 30.0)])
@@ -305,27 +305,27 @@ numbers = st.one_of(st.none(), st.floats(width=32), st.sampled_from([0.0, 1.0, -
     ),
     kind=st.sampled_from(["contour", "line", "scatter"]),
 )  # fmt: skip
-def test_no_table_breaks_a_picture(rows, kind):
+def test_any_table_can_be_drawn(rows, kind):
     f, p, value, status = ([row[i] for row in rows] for i in range(4))
-    given = {F: f, P: p, "status": status, A: value, B: value[::-1]}
-    wanted = plot(kind, F, SPEED, P) if kind == "contour" else plot(kind, F, SPEED, by=P)
-    draw(wanted, given).canvas.draw()
+    values = {F: f, P: p, "status": status, A: value, B: value[::-1]}
+    expected = plot(kind, F, SPEED, P) if kind == "contour" else plot(kind, F, SPEED, by=P)
+    draw(expected, values).canvas.draw()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".png", ".svg"])
 def test_equal_tables_give_equal_bytes_in_any_order(suffix, tmp_path):
     rng = np.random.default_rng(5)
-    given = grid(failed=(5,), missing=(2,)) | {OFFSET: rng.choice([0.1, 0.2], 12).tolist()}
+    values = grid(failed=(5,), missing=(2,)) | {OFFSET: rng.choice([0.1, 0.2], 12).tolist()}
     order = rng.permutation(12)
-    shuffled = {name: [column[i] for i in order] for name, column in given.items()}
+    shuffled = {name: [column[i] for i in order] for name, column in values.items()}
     for request in (
         CONTOUR,
         plot("line", F, SPEED, by=OFFSET),
         plot("scatter", P, SPEED, by=F),
     ):
-        for name, each in (("a", given), ("b", pa.table(shuffled))):
-            save(draw(request, each), tmp_path / f"{name}{suffix}")
+        for name, item in (("a", values), ("b", pa.table(shuffled))):
+            save(draw(request, item), tmp_path / f"{name}{suffix}")
         first, second = ((tmp_path / f"{name}{suffix}").read_bytes() for name in "ab")
         assert first == second
     if suffix == ".png":
@@ -333,14 +333,14 @@ def test_equal_tables_give_equal_bytes_in_any_order(suffix, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == [f"a{suffix}", f"b{suffix}"]
 
 
-def test_what_is_refused(tmp_path):
+def test_invalid_plots_are_refused(tmp_path):
     with pytest.raises(UnknownNameError, match="unknown metric 'com_sped_m_s'; did you mean com_speed_m_s"):
         draw(plot("line", F, "com_sped_m_s"), grid())
     with pytest.raises(UnknownNameError, match="unknown column 'supply.presure_kpa'; did you mean"):
         draw(plot("contour", F, SPEED, "supply.presure_kpa"), grid())
     with pytest.raises(ValidationError, match="needs y"):
         plot("contour", F, SPEED)
-    with pytest.raises(ValidationError, match="y belongs to contour"):
+    with pytest.raises(ValidationError, match="y is only for contour"):
         plot("line", F, SPEED, P)
     with pytest.raises(ValidationError, match="by belongs to line"):
         plot("contour", F, SPEED, P, by=OFFSET)
@@ -374,5 +374,5 @@ def test_every_metric_has_a_label_with_its_unit():
         ("pneumatics.leak_per_s", "pneumatics leak (1/s)"),
     ],
 )
-def test_fields_are_called_what_people_call_them(field, label):
+def test_fields_have_readable_labels(field, label):
     assert field_label(field) == label

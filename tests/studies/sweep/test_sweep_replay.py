@@ -1,4 +1,4 @@
-"""A sweep over a replay: how far each robot is from what was measured, one column a metric."""
+"""Sweep over a replay: deviations of each robot from the measurement, one column per metric."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def results(sweep, folder):
 
 
 @pytest.mark.slow
-def test_each_row_holds_the_distances_of_its_own_run(swept, tmp_path):
+def test_each_row_has_the_deviations_of_its_run(swept, tmp_path):
     table = results(swept, tmp_path / "out")
     assert sorted(table["robot.geometry.rigid_gap_m"]) == GAPS
     columns = {name.partition(".")[2] for name in table if name.startswith("analytical.")}
@@ -65,9 +65,9 @@ def test_each_row_holds_the_distances_of_its_own_run(swept, tmp_path):
         scenario.build_plant("analytical"), scenario.build_controller(), scenario.duration,
         pose=scenario.pose, record_hz=scenario.record_hz,
     )  # fmt: skip
-    told = MeasuredDifference.of(scenario.measured, run).metrics
+    printed = MeasuredDifference.of(scenario.measured, run).metrics
     for name in columns:
-        assert table[f"analytical.{name}"][row] == told[name]
+        assert table[f"analytical.{name}"][row] == printed[name]
     # By hand: the bends at the recording's times, sampled at 100 Hz.
     bends = np.stack([np.interp(scenario.measured.time, run.time, run[f"bend_{j}"]) for j in range(1, 5)], 1)
     rms = float(np.sqrt(np.mean((bends - scenario.measured.stack("bend")) ** 2)))
@@ -75,8 +75,8 @@ def test_each_row_holds_the_distances_of_its_own_run(swept, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_sweep_finds_what_fits_best(swept, tmp_path):
-    """The recorded robot has gaps of 21 mm; shapes tell it."""
+def test_a_sweep_finds_the_recorded_robot(swept, tmp_path):
+    """The recorded robot has gaps of 21 mm, which body shapes identify."""
     table = results(swept, tmp_path / "out")
     shapes = dict(
         zip(table["robot.geometry.rigid_gap_m"], table["analytical.measured_shape_rms_m"], strict=True)
@@ -93,7 +93,7 @@ def test_all_measured_metrics_are_columns(tmp_path):
         assert np.isfinite(table[f"analytical.{name}"]).all(), name
 
 
-def test_a_recording_that_is_not_there_is_said_before_anything_runs(tmp_path):
+def test_a_missing_recording_is_reported_before_any_run(tmp_path):
     (tmp_path / "replay.yaml").write_text(SCENARIO.replace("walk_check", "walk_away"))
     with pytest.raises(InputFileError, match=r"replay.yaml:5:21: recording.motion: .*walk_away.csv: no such"):
         load_sweep(write(tmp_path, SWEEP))

@@ -1,4 +1,4 @@
-"""report.html of a sweep: read back by a parser, it holds what the results hold."""
+"""report.html of a sweep, read back by a parser: its tables show the results."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SPEED = "com_speed_m_s"
 
 
 class Page(HTMLParser):
-    """The tables, headings, pictures and references of a page."""
+    """Parser of the tables, headings, pictures and references of a page."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -61,13 +61,13 @@ class Page(HTMLParser):
 
 
 def left(tmp_path, text, engine=here, points=None):
-    """Run a sweep and return the page that it leaves, its table and the summary."""
+    """Run a sweep and return its page, its table and the summary."""
     out = tmp_path / "out"
     _, summary = execute(load_sweep(write(tmp_path, text)), out, engine, points=points)
     return Page((out / "report.html").read_text("utf-8")), pq.read_table(out / "results.parquet"), summary
 
 
-def test_the_page_holds_the_results(tmp_path):
+def test_the_page_shows_the_results(tmp_path):
     page, results, summary = left(tmp_path, "title: Speed <b> & more\n" + SMALL + PICTURE + BESIDE)
     assert page.texts["title"] == page.texts["h1"] == ["Speed <b> & more"]
     assert "8 of 8 runs done, 0 failed" in page.texts["p"] and "a <b>" in page.texts["p"]
@@ -89,7 +89,7 @@ def test_the_page_holds_the_results(tmp_path):
     assert any(line[0] == "mujoco" for line in made_with)
 
 
-def test_the_page_needs_nothing_from_outside(tmp_path):
+def test_the_page_has_no_external_references(tmp_path):
     page, _, _ = left(tmp_path, SMALL + PICTURE)
     text = (tmp_path / "out" / "report.html").read_text("utf-8")
     assert page.tags.isdisjoint({"script", "link", "iframe", "object", "a"}) and "http://" not in text
@@ -100,14 +100,14 @@ def test_the_page_needs_nothing_from_outside(tmp_path):
     assert "default-src 'none'" in text.replace("&#x27;", "'")
 
 
-def test_failures_and_what_is_missing_are_said(tmp_path):
+def test_failed_and_missing_runs_are_listed(tmp_path):
     page, _, _ = left(tmp_path, SMALL + PICTURE, diverges, points=6)
     assert "3 of 8 runs done, 3 failed, 2 not run yet" in page.texts["p"]
     assert page.tables[0][1:] == [["twin diverged at t = 1 s: boom", "3"]]
     assert page.tables[2][0][2] == "status" and {line[2] for line in page.tables[2][1:]} == {"done", "failed"}
 
 
-def test_a_sweep_that_only_fails_leaves_its_files(tmp_path):
+def test_a_sweep_with_only_failed_runs_writes_its_files(tmp_path):
     def fails(experiment, points):
         yield from (Done(i, None, DivergedError("twin", 1.0, "boom")) for i, _ in enumerate(points))
 
@@ -134,8 +134,8 @@ def table(x, value, failed=()):
     )
 
 
-def test_means_are_over_seeds_alone():
-    """A row a combination of what was varied on purpose, with mean, deviation and number of runs."""
+def test_means_are_only_over_seeds():
+    """One row per combination of varied fields, with mean, standard deviation and number of runs."""
     rng = np.random.default_rng(2)
     names = "controller.offset", "controller.frequency_hz", "seed"
     columns = dict(
@@ -144,25 +144,25 @@ def test_means_are_over_seeds_alone():
     value = rng.normal(5, 2, 300)
     status = ["failed" if i == 7 else "done" for i in range(300)]
     rows = SweepTable.from_columns({"key": range(300), **columns, "status": status, f"twin.{SPEED}": value})
-    assert [found.rows for found in run_tables(rows, [SPEED])] == [()]
-    (found,) = mean_tables(rows, [SPEED])
-    assert found.headings[:3] == ("steering offset", "gait frequency (Hz)", "runs")
-    assert [line[:2] for line in found.rows] == list(product(("0.1", "0.2"), ("1", "1.5", "2")))
-    for k, line in enumerate(found.rows):
+    assert [result.rows for result in run_tables(rows, [SPEED])] == [()]
+    (result,) = mean_tables(rows, [SPEED])
+    assert result.headings[:3] == ("steering offset", "gait frequency (Hz)", "runs")
+    assert [line[:2] for line in result.rows] == list(product(("0.1", "0.2"), ("1", "1.5", "2")))
+    for k, line in enumerate(result.rows):
         own = np.delete(value[50 * k : 50 * k + 50], [7] if k == 0 else [])
         assert line[2:] == (str(len(own)), f"{own.mean():.4g} ± {own.std(ddof=1):.2g}")
     many = SweepTable.from_columns(
         {"key": range(402), "seed": [0, 1] * 201, "a.b": np.repeat(range(201), 2), "status": ["done"] * 402}
     )
-    assert [(found.rows, found.note[:16]) for found in mean_tables(many, [SPEED])] == [
+    assert [(result.rows, result.note[:16]) for result in mean_tables(many, [SPEED])] == [
         ((), "201 combinations")
     ]
 
 
-def test_as_many_runs_as_a_page_holds_are_shown():
+def test_the_number_of_listed_runs_is_limited():
     rows = table(list(range(MAX_RUNS))[::-1], [float(i) for i in range(MAX_RUNS)])
-    (found,) = run_tables(rows, [SPEED])
-    assert [int(line[0]) for line in found.rows] == list(range(MAX_RUNS))
+    (result,) = run_tables(rows, [SPEED])
+    assert [int(line[0]) for line in result.rows] == list(range(MAX_RUNS))
     alone = SweepTable.from_columns(
         {name: column for name, column in rows.columns.items() if name != "seed"}
         | {"controller.offset": list(range(MAX_RUNS))}
@@ -171,45 +171,49 @@ def test_as_many_runs_as_a_page_holds_are_shown():
 
 
 def test_runs_without_the_metric_are_counted():
-    given = table([1, 2, 3, 1, 2], [1.0, None, 3.0, None, None]).columns
-    rows = SweepTable({**given, "a.b": [1, 1, 1, 2, 2]})
-    (found,) = mean_tables(rows, [SPEED, "path_radius_m"])
-    assert found.rows == (("1", "3", "2 ± 1.4 (2)"), ("2", "2", "–"))
+    values = table([1, 2, 3, 1, 2], [1.0, None, 3.0, None, None]).columns
+    rows = SweepTable({**values, "a.b": [1, 1, 1, 2, 2]})
+    (result,) = mean_tables(rows, [SPEED, "path_radius_m"])
+    assert result.rows == (("1", "3", "2 ± 1.4 (2)"), ("2", "2", "–"))
 
 
-def test_large_whole_numbers_are_written_out():
-    (found,) = run_tables(table([4294967295, 4294967294], [1.0, 2.0]), [SPEED])
-    assert [line[0] for line in found.rows] == ["4294967294", "4294967295"]
+def test_large_integers_have_all_digits():
+    (result,) = run_tables(table([4294967295, 4294967294], [1.0, 2.0]), [SPEED])
+    assert [line[0] for line in result.rows] == ["4294967294", "4294967295"]
 
 
-def test_wide_tables_are_cut_for_the_page():
+def test_wide_tables_are_truncated():
     metrics = [SPEED, "path_length_m", "yaw_rate_rad_s", "path_speed_m_s"]
-    given = {"key": ["a"], "seed": [1], "status": ["done"]}
-    given |= {f"{plant}.{metric}": [1.0] for metric in metrics for plant in ("analytical", "twin")}
-    tables = run_tables(SweepTable.from_columns(given), metrics)
-    assert [len(found.headings) for found in tables] == [7, 3]
-    assert sorted(h for found in tables for h in found.headings[1:])[0] == "CoM speed (m/s), analytical"
+    values = {"key": ["a"], "seed": [1], "status": ["done"]}
+    values |= {f"{plant}.{metric}": [1.0] for metric in metrics for plant in ("analytical", "twin")}
+    tables = run_tables(SweepTable.from_columns(values), metrics)
+    assert [len(result.headings) for result in tables] == [7, 3]
+    assert sorted(h for result in tables for h in result.headings[1:])[0] == "CoM speed (m/s), analytical"
 
 
-def test_the_command_names_the_page_and_prints_what_is_published(srs_twin, tmp_path):
+def test_the_command_prints_the_report_path_and_published_values(srs_twin, tmp_path):
     write(tmp_path, SMALL + BESIDE)
     run = srs_twin("sweep", "small.yaml", cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     report = tmp_path / "runs" / "sweeps" / "small" / "report.html"
     assert f"report {report.relative_to(tmp_path)}\n" in run.stdout
     page = Page(report.read_text("utf-8"))
-    assert "beside T" in run.stdout
+    assert "compared with T" in run.stdout
     for cell in page.tables[1][1][1:]:
         assert cell in run.stdout
     about = json.loads((report.parent / "sweep.json").read_text())
     assert any(about["results_sha256"] in line for line in page.tables[-1])
 
 
-def test_the_command_leaves_long_tables_to_the_page(srs_twin, tmp_path):
+def test_the_command_does_not_print_long_tables(srs_twin, tmp_path):
     places, values = ", ".join(str(41 + 0.1 * i) for i in range(31)), ", ".join(["0.2"] * 31)
     text = BESIDE.replace("[41]", f"[{places}]").replace("[0.2]", f"[{values}]")
     write(tmp_path, SMALL.replace("count: 4", "count: 2") + text)
     run = srs_twin("sweep", "small.yaml", cwd=tmp_path)
-    assert run.returncode == 0 and "beside T" not in run.stdout and "no run has supply.pressure" in run.stderr
+    assert (
+        run.returncode == 0
+        and "compared with T" not in run.stdout
+        and "no run has supply.pressure" in run.stderr
+    )
     page = Page((tmp_path / "runs" / "sweeps" / "small" / "report.html").read_text("utf-8"))
     assert len(page.tables[1]) == 33  # two frequencies at the one that was run

@@ -1,4 +1,4 @@
-"""How values are put together: every combination, one after the other, spread over a box."""
+"""Sampling of sweeps: grids, lists, Latin hypercubes and Sobol sequences."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_ranges_have_both_ends_and_even_steps():
     assert log == pytest.approx([1, 2, 4, 8, 16])
 
 
-def test_lists_go_side_by_side():
+def test_lists_are_combined_element_by_element():
     assert sample({"a": [1, 2], "b": [3, 4]}, LIST) == [(1, 3), (2, 4)]
     with pytest.raises(InputError, match="a 2, b 3"):
         sample({"a": [1, 2], "b": [3, 4, 5]}, LIST)
@@ -57,7 +57,7 @@ def test_sobol_is_balanced(power, seed):
     assert list((points < 0.5).sum(axis=0)) == [2 ** (power - 1)] * 2
 
 
-def test_samples_of_lists_take_every_value_alike():
+def test_samples_use_all_values_of_a_list_equally_often():
     points = sample(
         {"a": ["x", "y", "z"], "b": spread(0, 1)}, SamplingFile(kind="latin_hypercube", count=30, seed=1)
     )

@@ -1,4 +1,4 @@
-"""Rows on the disk: there or not, never in part; one sweep a folder; a full disk costs one row."""
+"""Store of rows: atomic writes, one sweep per folder, full disks, kills and damaged files."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ numbers = st.none() | st.floats(allow_nan=False, allow_infinity=False)
 @given(
     values=st.dictionaries(st.text(max_size=9), numbers, max_size=5), reason=st.none() | st.text(max_size=20)
 )
-def test_what_is_added_comes_back(tmp_path_factory, values, reason):
+def test_added_rows_are_read_back(tmp_path_factory, values, reason):
     folder = tmp_path_factory.mktemp("store")
     row = Row("ab", FAILED if reason else DONE, values, 1 / 3, reason, 3 if reason else 0)
     with RowStore(folder) as store:
@@ -44,7 +44,7 @@ def test_what_is_added_comes_back(tmp_path_factory, values, reason):
         assert list(store.rows()) == [row]
 
 
-def test_a_row_of_the_same_key_replaces_the_other(tmp_path):
+def test_a_row_with_an_equal_key_is_replaced(tmp_path):
     with RowStore(tmp_path) as store:
         store.add(Row("a", FAILED, reason="boom", exit_code=3))
         store.add(Row("b", DONE))
@@ -75,9 +75,9 @@ def test_the_folder_is_locked(tmp_path):
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("table", ["about", "rows"])
-def test_junk_is_not_taken_for_a_sweep(tmp_path, junk, table):
+def test_junk_is_refused_and_not_changed(tmp_path, junk, table):
     with RowStore(tmp_path) as store:
-        store.keep_identity(SweepIdentity("a", {}, [], {}))
+        store.set_identity(SweepIdentity("a", {}, [], {}))
         store.add(ROWS[0])
     base = sqlite3.connect(tmp_path / FILE)
     with base:
@@ -92,9 +92,9 @@ def test_junk_is_not_taken_for_a_sweep(tmp_path, junk, table):
     assert (tmp_path / FILE).read_bytes() == before
 
 
-def test_what_a_store_made_does_not_stay_without_a_row(tmp_path):
+def test_folders_of_a_store_without_rows_are_removed(tmp_path):
     with RowStore(tmp_path / "new/folder") as store:
-        store.keep_identity(SweepIdentity("a", {}, [], {}))
+        store.set_identity(SweepIdentity("a", {}, [], {}))
     assert not list(tmp_path.iterdir())
     for row in ROWS[:2]:
         with RowStore(tmp_path / "new") as store:
@@ -105,13 +105,13 @@ def test_what_a_store_made_does_not_stay_without_a_row(tmp_path):
 
 
 @pytest.mark.parametrize("pages", range(8, 24))
-def test_a_full_disk_leaves_the_rows_before(tmp_path, pages):
-    """The n-th page does not fit any more."""
+def test_a_full_disk_keeps_the_earlier_rows(tmp_path, pages):
+    """The database may not exceed a number of pages."""
     added = []
     with RowStore(tmp_path) as store:
-        store._base.execute(f"PRAGMA max_page_count={pages}")
+        store._database.execute(f"PRAGMA max_page_count={pages}")
         with pytest.raises(
-            InputError, match=r"cannot be written \(database or disk is full\); what was finished is kept"
+            InputError, match=r"cannot be written \(database or disk is full\); finished rows are kept"
         ):
             for k in range(10_000):
                 row = Row(f"{k:064x}", DONE, {"x": float(k)}, reason="long " * 20)
@@ -132,8 +132,8 @@ def test_a_full_disk_leaves_the_rows_before(tmp_path, pages):
         *(pytest.param(limit, marks=pytest.mark.slow) for limit in range(30_000, 200_000, 17_000)),
     ],
 )
-def test_a_file_that_may_not_grow_leaves_the_rows_before(tmp_path, limit):
-    """The same by the operating system: every write beyond the limit fails."""
+def test_a_file_size_limit_keeps_the_earlier_rows(tmp_path, limit):
+    """The operating system refuses every write beyond the limit."""
     code = f"""
 import resource, sys
 sys.dont_write_bytecode = True
@@ -154,13 +154,13 @@ except InputError as error:
     assert run.returncode == 1 and run.stderr.startswith("refused: rows.sqlite: cannot be written"), (
         run.stderr
     )
-    kept = [int(line) for line in run.stdout.split()]
+    stored = [int(line) for line in run.stdout.split()]
     with RowStore(tmp_path) as store:
-        assert [int(row.key, 16) for row in store.rows()] == kept
+        assert [int(row.key, 16) for row in store.rows()] == stored
 
 
 @pytest.mark.parametrize("count", [7, *(pytest.param(count, marks=pytest.mark.slow) for count in (1, 150))])
-def test_kill_9_in_the_middle_of_writing(tmp_path, count):
+def test_kill_9_while_writing_loses_no_row(tmp_path, count):
     code = """
 from pathlib import Path
 from srs_twin.studies.sweep.store import RowStore
@@ -173,13 +173,13 @@ with RowStore(Path(".")) as store:
     with subprocess.Popen(
         [sys.executable, "-c", code], cwd=tmp_path, stdout=subprocess.PIPE, text=True
     ) as writer:
-        told = [int(writer.stdout.readline()) for _ in range(count)]
+        printed = [int(writer.stdout.readline()) for _ in range(count)]
         os.kill(writer.pid, signal.SIGKILL)
-        told += [int(line) for line in writer.stdout if line.endswith("\n")]
+        printed += [int(line) for line in writer.stdout if line.endswith("\n")]
     with RowStore(tmp_path) as store:
         rows = list(store.rows())
-    # All that it said was kept, and at most the one that it had no time to tell of.
-    assert len(rows) - len(told) in (0, 1)
+    # All printed rows are stored, and at most one that was not printed.
+    assert len(rows) - len(printed) in (0, 1)
     assert [(int(row.key, 16), row.values["x"]) for row in rows] == [(k, float(k)) for k in range(len(rows))]
 
 
@@ -188,7 +188,7 @@ with RowStore(Path(".")) as store:
     [b"no rows at all", b"SQLite format 3\x00" + b"\xff" * 4000, b"SQLite format 3\x00", b"\x00" * 100],
     ids=["text", "damaged", "cut", "zeros"],
 )
-def test_a_file_of_something_else(tmp_path, content):
+def test_other_files_are_refused_and_not_changed(tmp_path, content):
     (tmp_path / FILE).write_bytes(content)
     with pytest.raises(InputError, match=f"{FILE}: (not the rows of a sweep|cannot be used)"):
         RowStore(tmp_path)
@@ -213,7 +213,7 @@ def test_a_damaged_file_is_read_or_refused(tmp_path_factory, damage):
         assert FILE in str(error)
 
 
-def test_rows_that_somebody_else_wrote(tmp_path):
+def test_invalid_rows_are_refused(tmp_path):
     with RowStore(tmp_path) as store:
         store.add(ROWS[0])
     base = sqlite3.connect(tmp_path / FILE)
@@ -224,14 +224,14 @@ def test_rows_that_somebody_else_wrote(tmp_path):
         list(store.rows())
 
 
-def test_a_folder_that_cannot_be_written(tmp_path):
+def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"file: cannot be made \(File exists\)"):
+    with pytest.raises(InputError, match=r"file: cannot be created \(File exists\)"):
         RowStore(tmp_path / "file")
 
 
 def killed_at_rename(number, call):
-    """Make a call in a forked process, which is killed at its n-th rename; return whether it was."""
+    """Call a function in a forked process that is killed at its n-th rename; return whether it was killed."""
     pid = os.fork()
     if not pid:
         left = [number]
@@ -257,8 +257,8 @@ def killed_at_rename(number, call):
 
 
 @pytest.mark.slow
-def test_a_changed_sweep_that_is_killed_leaves_files_of_one_sweep(tmp_path):
-    """Where sweep.json marks a complete set, all of its files are of the same sweep."""
+def test_a_killed_change_leaves_the_files_of_one_sweep(tmp_path):
+    """If sweep.json marks the set as complete, all files are from the same sweep."""
     sweeps = [
         load_sweep(write(tmp_path, SMALL.replace("[2, 2.5]", field).replace("count: 4", "count: 2")))
         for field in ("[2, 2.5]", "[2]")
@@ -279,7 +279,7 @@ def test_a_changed_sweep_that_is_killed_leaves_files_of_one_sweep(tmp_path):
             counts = {rows, about["done"], about["points"], 2 * len(frequencies(folder))}
             assert len(counts) == 1, number
             kinds.add(rows)
-        change(folder)  # goes on
+        change(folder)  # resumes
         left = {path.name for path in folder.iterdir()}
         assert left == {path.name for path in (tmp_path / "whole").iterdir()}
         assert json.loads((folder / "sweep.json").read_text())["points"] == 2

@@ -33,24 +33,24 @@ def speeds(mu_t: float, model: str = "complete") -> np.ndarray:
 
 @cache
 def predicted() -> np.ndarray:
-    """Return what a model with stiff bends says of all settings, at each coefficient of the grid."""
+    """Return the speeds of a model with stiff bends at all settings, for each coefficient of the grid."""
     few = np.linspace(GRID[0], GRID[-1], 9)
     rows = np.array([speeds(float(mu)) for mu in few])
     return np.stack([np.interp(GRID, few, column) for column in rows.T], axis=1)
 
 
-def fit(model: str, size: float, seed: int, kept: np.ndarray) -> Discrepancy:
+def fit(model: str, size: float, seed: int, stored: np.ndarray) -> Discrepancy:
     measured = speeds(MU_T, model) + NOISE * np.random.default_rng(seed).normal(size=len(SETTINGS))
-    return Discrepancy(SCALED[kept], measured[kept], predicted()[:, kept], NOISE, size, 1.5)
+    return Discrepancy(SCALED[stored], measured[stored], predicted()[:, stored], NOISE, size, 1.5)
 
 
-def interval(found: Discrepancy) -> tuple[float, float]:
-    low, high = np.interp([0.025, 0.975], np.cumsum(found.weights), GRID)
+def interval(result: Discrepancy) -> tuple[float, float]:
+    low, high = np.interp([0.025, 0.975], np.cumsum(result.weights), GRID)
     return float(low), float(high)
 
 
-def test_a_missing_effect_biases_a_fit_and_widens_one_that_expects_it():
-    """Bends that yield pass for friction, surely; with a discrepancy not so surely."""
+def test_a_missing_effect_biases_a_fit_unless_a_discrepancy_is_included():
+    """Compliance is mistaken for friction with a narrow posterior; a discrepancy widens it."""
     everything = np.ones(len(SETTINGS), dtype=bool)
     held = {
         size: [interval(fit("compliant", size, seed, everything)) for seed in range(10)]
@@ -60,28 +60,28 @@ def test_a_missing_effect_biases_a_fit_and_widens_one_that_expects_it():
     assert sum(low <= MU_T <= high for low, high in held[0.03]) >= 9
 
 
-def test_predictions_between_measured_settings_hold_where_the_models_own_do_not():
-    kept = np.arange(len(SETTINGS)) % 3 != 1
-    truth, held, bare = speeds(MU_T, "compliant")[~kept], [], []
+def test_predictions_with_a_discrepancy_cover_settings_between_the_data():
+    stored = np.arange(len(SETTINGS)) % 3 != 1
+    truth, held, bare = speeds(MU_T, "compliant")[~stored], [], []
     for seed in range(10):
         for size, to in ((0.03, held), (1e-6, bare)):
-            drawn = fit("compliant", size, seed, kept).draw(SCALED[~kept], predicted()[:, ~kept], seed)
+            drawn = fit("compliant", size, seed, stored).draw(SCALED[~stored], predicted()[:, ~stored], seed)
             low, high = np.quantile(drawn, [0.025, 0.975], axis=0)
             to += list((low <= truth) & (truth <= high))
     assert np.mean(held) >= 0.9
     assert np.mean(bare) <= 0.7
 
 
-def test_without_a_discrepancy_it_is_a_plain_fit():
-    found = fit("complete", 1e-6, 3, np.ones(len(SETTINGS), dtype=bool))
-    off = (found.measured - predicted()) / NOISE
-    plain = np.exp(-(off**2).sum(axis=1) / 2)
-    assert found.weights == pytest.approx(plain / plain.sum(), abs=1e-4)
+def test_explained_data_give_a_fit_without_a_discrepancy():
+    result = fit("complete", 1e-6, 3, np.ones(len(SETTINGS), dtype=bool))
+    difference = (result.measured - predicted()) / NOISE
+    plain = np.exp(-(difference**2).sum(axis=1) / 2)
+    assert result.weights == pytest.approx(plain / plain.sum(), abs=1e-4)
 
 
 @pytest.mark.slow
 def test_ranks_of_true_parameters_in_their_posteriors_are_uniform():
-    """Simulation-based calibration (Talts et al. 2018): all drawn from priors, each truth run anew."""
+    """Simulation-based calibration (Talts et al. 2018) with parameters drawn from the priors."""
     rng, ranks = np.random.default_rng(0), []
     prior = np.exp(-((np.log(GRID / 0.06) / 0.3) ** 2) / 2) / GRID
     for _ in range(200):
@@ -92,7 +92,7 @@ def test_ranks_of_true_parameters_in_their_posteriors_are_uniform():
         measured = (
             speeds(mu_t) + drift @ rng.standard_normal(len(far)) + NOISE * rng.standard_normal(len(far))
         )
-        found = Discrepancy(SCALED, measured, predicted(), NOISE, 0.02, 1.5, prior)
-        ranks.append(np.interp(mu_t, GRID, np.cumsum(found.weights) - found.weights / 2))
+        result = Discrepancy(SCALED, measured, predicted(), NOISE, 0.02, 1.5, prior)
+        ranks.append(np.interp(mu_t, GRID, np.cumsum(result.weights) - result.weights / 2))
     counts, _ = np.histogram(ranks, bins=10, range=(0.0, 1.0))
     assert stats.chisquare(counts).pvalue > 0.01, counts

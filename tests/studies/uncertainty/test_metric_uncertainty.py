@@ -1,4 +1,4 @@
-"""Intervals, their errors and limits, for known functions of known distributions; nothing is simulated."""
+"""Intervals of metrics, their errors and limits, for known functions of known distributions."""
 
 from __future__ import annotations
 
@@ -7,18 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from srs_twin.studies.uncertainty.spreads import (
-    MIN_BOUNDING_SAMPLES,
-    MetricUncertainty,
-    predict_twin,
-    sampling_errors,
-)
 
 from srs_twin.robot.priors import Prior, Priors
 from srs_twin.robot.sourced import Uncertain
 from srs_twin.scenario.loading import load_scenario
 from srs_twin.studies.uncertainty.metric_uncertainty import (
     MIN_BOUNDING_SAMPLES,
+    MetricUncertainty,
     predict_twin,
     sampling_errors,
 )
@@ -31,21 +26,21 @@ Law = Callable[[np.ndarray], np.ndarray]
 
 
 def study_of(dimensions: int, samples: int, *, value: float = 0.5, seed: int = 0) -> UncertaintyStudy:
-    """Return a study with numbers that are uniform from 0 to 1; the robot file has each at `value`."""
+    """Return a study with uniform parameters from 0 to 1, whose value in the robot file is `value`."""
     uniform = Uncertain.model_validate({"kind": "uniform", "low": 0.0, "high": 1.0})
-    each = tuple(
+    item = tuple(
         Prior(f"friction.number_{i}", value, "1", uniform, (0.0, 1.0), "this test") for i in range(dimensions)
     )
     scenario = replace(load_scenario("gen2_straight"))
     return UncertaintyStudy(
-        scenario, Priors(each, np.eye(dimensions)), ("analytical",), samples=samples, seed=seed
+        scenario, Priors(item, np.eye(dimensions)), ("analytical",), samples=samples, seed=seed
     )
 
 
 def result_of(study: UncertaintyStudy, law: Law) -> Propagation:
-    """Return the result of a study whose speed is a known function of the shares; the step has no error."""
+    """Return the result of a study whose speed is a known function, without time step error."""
     own = np.full((3, len(study.names)), 0.5)
-    own[1:] = study.priors.each[0].value
+    own[1:] = study.priors.members[0].value
     return Propagation(study, {"analytical": {SPEED: law(np.concatenate([study.shares, own]))}})
 
 
@@ -54,12 +49,12 @@ def spread_of(study: UncertaintyStudy, law: Law) -> MetricUncertainty:
 
 
 def weighted(weights: np.ndarray) -> Law:
-    """Return a sum of the shares; its total indices are the squares of the weights over their sum."""
+    """Return a weighted sum; its total indices are proportional to the squared weights."""
     return lambda shares: shares @ weights
 
 
 @pytest.mark.parametrize("name", ["interval_50", "interval_95"])
-def test_an_interval_leaves_the_same_stated_share_out_at_both_ends(name):
+def test_intervals_have_equal_tail_probabilities(name):
     spread = spread_of(study_of(1, 1024), lambda u: np.exp(3 * u[:, 0]))
     below, above = np.log(spread.interval(name)) / 3  # shares, by the inverse of the law
     outside = (1 - float(name[-2:]) / 100) / 2
@@ -67,21 +62,21 @@ def test_an_interval_leaves_the_same_stated_share_out_at_both_ends(name):
 
 
 @pytest.mark.parametrize("power", [1, 2, -1])
-def test_errors_of_both_ends_follow_the_law_of_order_statistics(power):
-    """Standard error √(p (1 − p) / n) over the density, which u^k has in closed form.
+def test_errors_of_both_ends_agree_with_order_statistics(power):
+    """The standard error is √(p (1 − p) / n) divided by the density, which is known for u^k.
 
     The bootstrap's own relative error is m^(−1/4) with the m = 102 samples beyond an end (Hall and Martin
     1988): 31 %, or 11 % in the mean of eight. Three such deviations are allowed.
     """
     rng, ends = np.random.default_rng(0), np.array([0.25, 0.75, 0.025, 0.975])
-    found = [sampling_errors((0.1 + rng.random(4096)) ** power) for _ in range(8)]
+    result = [sampling_errors((0.1 + rng.random(4096)) ** power) for _ in range(8)]
     slope = np.abs(power * (0.1 + (ends if power > 0 else 1 - ends)) ** (power - 1.0))
     expected = np.sqrt(ends * (1 - ends) / 4096) * slope
-    assert np.mean(found, axis=0) == pytest.approx(expected, rel=0.33)
+    assert np.mean(result, axis=0) == pytest.approx(expected, rel=0.33)
 
 
-def test_the_error_of_the_time_step_is_the_distance_from_the_limit():
-    """Euler's method for y' = −y at t = 1, whose limit is known."""
+def test_the_time_step_error_is_the_distance_to_the_limit():
+    """Euler's method is applied to y' = −y up to t = 1."""
     coarse, fine = (1 - 1 / 200) ** 200, (1 - 1 / 400) ** 400
     spread = replace(spread_of(study_of(1, 16), weighted(np.ones(1))), value=coarse, half_timestep=fine)
     assert spread.numerical_error == pytest.approx(abs(coarse - np.exp(-1)), rel=0.01)
@@ -92,14 +87,14 @@ def test_stated_errors_cover_the_ends_of_independent_samples():
     held = []
     for _ in range(100):
         samples = rng.exponential(size=256)
-        off = np.quantile(samples, [0.025, 0.975]) - truth[::-1]
-        held.append(np.abs(off) < 2 * sampling_errors(samples)[2:])
+        difference = np.quantile(samples, [0.025, 0.975]) - truth[::-1]
+        held.append(np.abs(difference) < 2 * sampling_errors(samples)[2:])
     assert np.mean(held, axis=0).min() > 0.88  # 95 % less three standard deviations of 100 trials
 
 
 @pytest.mark.slow
-def test_stated_errors_cover_the_ends_that_a_surrogate_predicts():
-    """Twelve choices of the costly runs: their errors cover, and are as large as the scatter of the ends."""
+def test_stated_errors_cover_the_ends_predicted_by_a_surrogate():
+    """For twelve choices of high-fidelity runs, errors cover and are similar to the scatter of the ends."""
 
     def cheap(u: np.ndarray) -> np.ndarray:
         return np.asarray(np.exp(u[:, 0]) + u[:, 1] * u[:, 2] + 0.2 * u[:, 3])
@@ -107,21 +102,21 @@ def test_stated_errors_cover_the_ends_that_a_surrogate_predicts():
     def costly(u: np.ndarray) -> np.ndarray:
         return np.asarray(0.8 * cheap(u) + 0.3 * np.sin(3 * u[:, 1]) + 0.5 * (u[:, 4] - 0.5) * u[:, 0] ** 2)
 
-    shares, found, stated, of_surrogate = study_of(5, 512).shares, [], [], []
+    shares, result, stated, of_surrogate = study_of(5, 512).shares, [], [], []
     for seed in range(12):
         x = shares[np.random.default_rng(seed).permutation(512)]
         samples, surrogate = predict_twin(x, cheap(x), costly(x[:32]))
-        found.append(np.quantile(samples, [0.025, 0.975]))
+        result.append(np.quantile(samples, [0.025, 0.975]))
         stated.append(np.hypot(sampling_errors(samples), surrogate)[2:])
         of_surrogate.append(surrogate[2:])
     truth = np.quantile(costly(np.random.default_rng(9).random((200_000, 5))), [0.025, 0.975])
-    assert np.mean(np.abs(found - truth) < 2 * np.array(stated)) > 0.8
-    scatter = np.std(found, axis=0, ddof=1)
+    assert np.mean(np.abs(result - truth) < 2 * np.array(stated)) > 0.8
+    scatter = np.std(result, axis=0, ddof=1)
     assert (0.5 * scatter < np.mean(of_surrogate, axis=0)).all()
     assert (np.mean(of_surrogate, axis=0) < 3 * scatter).all()
 
 
-def test_both_parts_of_the_errors_reach_both_ends_of_the_result():
+def test_both_error_components_are_stated_at_both_ends():
     spread = spread_of(study_of(1, 2048), weighted(np.ones(1)))
     spread = replace(spread, surrogate=np.full(4, 0.01))
     ends = np.array([0.25, 0.75, 0.025, 0.975])
@@ -131,7 +126,7 @@ def test_both_parts_of_the_errors_reach_both_ends_of_the_result():
     assert document["interval_95_error"] == pytest.approx(expected[2:].tolist(), rel=0.15)
 
 
-def test_a_surrogate_that_predicts_nothing_adds_no_error():
+def test_an_exact_surrogate_adds_no_error():
     shares = study_of(2, 64).shares
     noise = np.random.default_rng(0).normal(size=64)
     samples, surrogate = predict_twin(shares, shares[:, 0], noise[:32])
@@ -139,19 +134,19 @@ def test_a_surrogate_that_predicts_nothing_adds_no_error():
     assert not surrogate.any()
 
 
-def test_a_shift_by_the_mean_of_eight_runs_has_the_error_of_a_mean(monkeypatch):
-    """Leaving one of eight out is then exact: s/√n at every end, because a quantile moves with a shift."""
+def test_the_surrogate_error_of_a_mean_shift_is_that_of_a_mean(monkeypatch):
+    """The jackknife is exact here: s/√n at every end, because quantiles move with a shift."""
 
     def shifted(
         _: np.ndarray, cheap: np.ndarray, costly: np.ndarray, *chosen: None
     ) -> tuple[np.ndarray, None]:
         return cheap + np.mean(costly - cheap[: len(costly)]), None
 
-    monkeypatch.setattr("srs_twin.studies.uncertainty.metric_uncertainty.corrected", shifted)
+    monkeypatch.setattr("srs_twin.studies.uncertainty.metric_uncertainty.predict_high_fidelity", shifted)
     rng = np.random.default_rng(4)
-    cheap, off = rng.normal(size=64), rng.normal(size=8)
-    _, surrogate = predict_twin(rng.random((64, 2)), cheap, cheap[:8] + off)
-    assert surrogate == pytest.approx(np.full(4, np.std(off, ddof=1) / np.sqrt(8)), rel=1e-9)
+    cheap, difference = rng.normal(size=64), rng.normal(size=8)
+    _, surrogate = predict_twin(rng.random((64, 2)), cheap, cheap[:8] + difference)
+    assert surrogate == pytest.approx(np.full(4, np.std(difference, ddof=1) / np.sqrt(8)), rel=1e-9)
 
 
 WEIGHTS = 0.7 ** np.arange(4)
@@ -173,22 +168,22 @@ def test_the_proposed_number_of_samples_is_enough(law, samples):
     assert enough["warnings"] == []
 
 
-def test_few_samples_warn_with_their_number_and_the_reason_of_each_limit():
+def test_few_samples_give_a_warning_with_the_reason_of_each_limit():
     study = study_of(4, 16)
     limits = result_of(study, LAWS["skewed"]).limits
-    words = " ".join(limits["warnings"])
-    assert "16 samples do not bound the 95 % interval; with a probability of 67 %" in words
-    assert "above 5 % the width is uncertain by more than 14 %" in words
-    assert "above ±10 % causes that differ by less than 14 % cannot be told apart" in words
+    options = " ".join(limits["warnings"])
+    assert "16 samples do not bound the 95 % interval; with a probability of 67 %" in options
+    assert "above 5 % the width is uncertain by more than 14 %" in options
+    assert "above ±10 % causes that differ by less than 14 % cannot be told apart" in options
 
 
-def test_as_many_samples_as_bound_an_interval_leave_none_beyond_an_end_once_in_forty():
+def test_the_minimum_number_of_samples_bounds_an_interval():
     missed = [(1 - 0.025) ** count for count in (MIN_BOUNDING_SAMPLES - 1, MIN_BOUNDING_SAMPLES)]
     assert missed[0] > 0.025 >= missed[1]
 
 
-def test_the_true_place_of_a_cause_is_among_its_stated_places():
-    """Few samples state wide ranges of places, more samples narrower ones; both hold the truth."""
+def test_stated_ranges_of_ranks_contain_the_true_rank():
+    """The range narrows with the number of samples."""
     wide = []
     for samples in (16, 256):
         held, widths = [], []
@@ -203,7 +198,7 @@ def test_the_true_place_of_a_cause_is_among_its_stated_places():
     assert wide[0] > 1 > wide[1]
 
 
-def test_enough_samples_resolve_the_order_and_few_say_that_they_do_not():
+def test_the_order_is_resolved_only_with_enough_samples():
     weights = np.array([4.0, 2.0, 1.0])
     assert spread_of(study_of(3, 512), weighted(weights)).ranks() == [(1, 1), (2, 2), (3, 3)]
     (order,) = result_of(study_of(3, 512), weighted(weights)).limits["remarks"]
@@ -213,52 +208,52 @@ def test_enough_samples_resolve_the_order_and_few_say_that_they_do_not():
     assert "16 samples do not resolve the largest cause; it is friction.number_0" in few
 
 
-def test_equal_causes_are_tied_at_any_number_of_samples():
+def test_equal_parameters_have_tied_ranks():
     ranks = spread_of(study_of(4, 512), weighted(np.array([3.0, 1.0, 1.0, 1.0]))).ranks()
     assert ranks == [(1, 1), (2, 4), (2, 4), (2, 4)]
 
 
-def test_a_value_outside_for_its_numbers_is_explained_by_them():
+def test_a_value_outside_its_interval_is_explained_by_parameters():
     study = study_of(2, 256, value=0.0)
-    (words,) = (
-        each for each in result_of(study, weighted(np.array([3.0, 1.0]))).limits["remarks"] if "lies" in each
+    (options,) = (
+        item for item in result_of(study, weighted(np.array([3.0, 1.0]))).limits["remarks"] if "lies" in item
     )
-    assert "the value 0 lies below its 95 % interval" in words
-    assert "medians of their distributions change it by -2 (friction.number_0 0 instead of 0.5" in words
+    assert "the value 0 lies below its 95 % interval" in options
+    assert "medians of their distributions change it by -2 (friction.number_0 0 instead of 0.5" in options
     spread = spread_of(study, weighted(np.array([3.0, 1.0])))
     assert spread.at_medians == pytest.approx(spread.median, abs=0.02)
 
 
-def test_a_value_outside_for_its_law_is_explained_by_nonlinearity():
+def test_a_value_outside_its_interval_is_explained_by_nonlinearity():
     def peak(u: np.ndarray) -> np.ndarray:
         return np.asarray(1 - ((u - 0.5) ** 2).sum(axis=1))
 
-    (words,) = (each for each in result_of(study_of(2, 256), peak).limits["remarks"] if "lies" in each)
-    assert "the value 1 lies above its 95 % interval" in words
+    (options,) = (item for item in result_of(study_of(2, 256), peak).limits["remarks"] if "lies" in item)
+    assert "the value 1 lies above its 95 % interval" in options
     assert (
         "instead of the medians of their distributions change it by +0; nonlinearity changes it by +0.1"
-        in words
+        in options
     )
 
 
-def test_a_value_inside_needs_no_words():
+def test_a_value_inside_its_interval_has_no_explanation():
     assert not any(
-        "lies" in each for each in result_of(study_of(2, 256), weighted(np.ones(2))).limits["remarks"]
+        "lies" in item for item in result_of(study_of(2, 256), weighted(np.ones(2))).limits["remarks"]
     )
 
 
 @pytest.mark.parametrize("samples", [16, 512])
-def test_the_picture_states_the_samples_and_hatches_what_is_not_resolved(samples):
+def test_the_plot_states_the_samples_and_hatches_unresolved_ranks(samples):
     result = result_of(study_of(3, samples), weighted(np.array([4.0, 2.0, 1.9])))
     document = result.document()
     figure = draw_intervals("Title", document)
     assert figure.get_suptitle() == f"Title\nanalytical: {samples} samples"
     hatched = [bar.get_hatch() is not None for bar in figure.axes[1].patches][::-1]
     sensitivity = document["plants"]["analytical"][SPEED]["sensitivity"]
-    ranks = [sensitivity[each["parameter"]]["rank"] for each in document["swings"]]
+    ranks = [sensitivity[item["parameter"]]["rank"] for item in document["swings"]]
     assert hatched == [best < worst for best, worst in ranks]
     shown = " ".join(text.get_text() for text in figure.texts)
     assert ("Warning: analytical, CoM speed (m/s): 16 samples" in shown) == (samples == 16)
     assert document["remarks"][0] in " ".join(shown.split())
     drawn = [line.get_xdata() for line in figure.axes[0].lines]
-    assert any(list(each) == document["plants"]["analytical"][SPEED]["interval_95"] for each in drawn)
+    assert any(list(item) == document["plants"]["analytical"][SPEED]["interval_95"] for item in drawn)
