@@ -35,7 +35,8 @@ PLACES = {
 }  # fmt: skip
 PHRASES = {
     "all but studies", "one a processor", "those of the scenario", "the scenario's", "the sweep's",
-    "the twin's", "NAME.valves.csv in the same folder", "the robot's", "the valves'", "estimated",
+    "the twin's", "NAME.valves.csv beside it", "the robot's", "the valves'", "estimated",
+    "NAME.valves.csv in the same folder",
     "where it crawls to", "free", "none", "no motion capture", "Ctrl-C does", "this machine's",
     "the run's folder", "ROBOT_WHAT", "ROBOT_CONTROLLER", "3; 1 with the twin's shapes", "local",
 }  # fmt: skip

@@ -199,7 +199,7 @@ def test_unsuitable_throws_are_refused():
         CoastingTest.from_trajectory(Trajectory({name: column[:4] for name, column in still.items()}), "x")
     with pytest.raises(InputError, match="2 samples after the push"):
         CoastingTest.from_trajectory(Trajectory(still), "x", start=0.98)
-    with pytest.raises(InputError, match="law 'viscous' is unknown here"):
+    with pytest.raises(InputError, match="friction law 'viscous' is not allowed here"):
         fit_coasting([thrown((0.5, 0.0))], SPEC, law="viscous")
     with pytest.raises(InputError, match="give at least one"):
         fit_coasting([], SPEC)

@@ -97,8 +97,8 @@ def session(number: int) -> list[str]:
     result = []
     for folder in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(FileNotFoundError, ProcessLookupError):
-            options = (folder / "stat").read_text().rpartition(")")[2].split()
-            if int(options[3]) == number and options[0] != "Z":
+            fields = (folder / "stat").read_text().rpartition(")")[2].split()
+            if int(fields[3]) == number and fields[0] != "Z":
                 result.append((folder / "cmdline").read_bytes().decode())
     return result
 

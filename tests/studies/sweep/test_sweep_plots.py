@@ -342,7 +342,7 @@ def test_invalid_plots_are_refused(tmp_path):
         plot("contour", F, SPEED)
     with pytest.raises(ValidationError, match="y is only for contour"):
         plot("line", F, SPEED, P)
-    with pytest.raises(ValidationError, match="by belongs to line"):
+    with pytest.raises(ValidationError, match="by is only for line"):
         plot("contour", F, SPEED, P, by=OFFSET)
     with pytest.raises(InputError, match=r"\.png or \.svg"):
         save(draw(LINE, grid()), tmp_path / "x.gif")

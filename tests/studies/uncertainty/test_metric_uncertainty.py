@@ -171,10 +171,10 @@ def test_the_proposed_number_of_samples_is_enough(law, samples):
 def test_few_samples_give_a_warning_with_the_reason_of_each_limit():
     study = study_of(4, 16)
     limits = result_of(study, LAWS["skewed"]).limits
-    options = " ".join(limits["warnings"])
-    assert "16 samples do not bound the 95 % interval; with a probability of 67 %" in options
-    assert "above 5 % the width is uncertain by more than 14 %" in options
-    assert "above ±10 % causes that differ by less than 14 % cannot be told apart" in options
+    text = " ".join(limits["warnings"])
+    assert "16 samples do not bound the 95 % interval; with a probability of 67 %" in text
+    assert "above 5 % the width is uncertain by more than 14 %" in text
+    assert "above ±10 % causes that differ by less than 14 % cannot be distinguished" in text
 
 
 def test_the_minimum_number_of_samples_bounds_an_interval():
@@ -215,11 +215,13 @@ def test_equal_parameters_have_tied_ranks():
 
 def test_a_value_outside_its_interval_is_explained_by_parameters():
     study = study_of(2, 256, value=0.0)
-    (options,) = (
-        item for item in result_of(study, weighted(np.array([3.0, 1.0]))).limits["remarks"] if "lies" in item
+    (text,) = (
+        item
+        for item in result_of(study, weighted(np.array([3.0, 1.0]))).limits["remarks"]
+        if "the value" in item
     )
-    assert "the value 0 lies below its 95 % interval" in options
-    assert "medians of their distributions change it by -2 (friction.number_0 0 instead of 0.5" in options
+    assert "the value 0 is below its 95 % interval" in text
+    assert "medians of their distributions change it by -2 (friction.number_0 0 instead of 0.5" in text
     spread = spread_of(study, weighted(np.array([3.0, 1.0])))
     assert spread.at_medians == pytest.approx(spread.median, abs=0.02)
 
@@ -228,17 +230,17 @@ def test_a_value_outside_its_interval_is_explained_by_nonlinearity():
     def peak(u: np.ndarray) -> np.ndarray:
         return np.asarray(1 - ((u - 0.5) ** 2).sum(axis=1))
 
-    (options,) = (item for item in result_of(study_of(2, 256), peak).limits["remarks"] if "lies" in item)
-    assert "the value 1 lies above its 95 % interval" in options
+    (text,) = (item for item in result_of(study_of(2, 256), peak).limits["remarks"] if "the value" in item)
+    assert "the value 1 is above its 95 % interval" in text
     assert (
         "instead of the medians of their distributions change it by +0; nonlinearity changes it by +0.1"
-        in options
+        in text
     )
 
 
 def test_a_value_inside_its_interval_has_no_explanation():
     assert not any(
-        "lies" in item for item in result_of(study_of(2, 256), weighted(np.ones(2))).limits["remarks"]
+        "the value" in item for item in result_of(study_of(2, 256), weighted(np.ones(2))).limits["remarks"]
     )
 
 
