@@ -39,6 +39,8 @@ PHRASES = {
     "NAME.valves.csv in the same folder",
     "where it crawls to", "free", "none", "no motion capture", "Ctrl-C does", "this machine's",
     "the run's folder", "ROBOT_WHAT", "ROBOT_CONTROLLER", "3; 1 with the twin's shapes", "local",
+    "generation 2", "scaled from generation 2", "NAME.yaml, NAME.py", 
+    "all in MCAP, else the twin", "RUN/twin.csv, RUN/run.mcap",
 }  # fmt: skip
 
 

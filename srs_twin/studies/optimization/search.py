@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.stats import norm
@@ -131,6 +132,19 @@ def front(costs: np.ndarray) -> np.ndarray:
     return np.asarray(~dominated.any(axis=1) & ~np.isnan(costs).any(axis=1))
 
 
+def _cma() -> Any:
+    """Return the package cma.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        import cma
+    except ImportError as error:
+        raise InputError("optimize needs cma; install it with: pip install 'srs-twin[optimize]'") from error
+    return cma
+
+
 class _Search:
     """State of a search; `iterate` runs one round."""
 
@@ -144,8 +158,7 @@ class _Search:
 
     def search_compliant(self) -> None:
         """Search the low-fidelity model with CMA-ES, for two objectives with several weights."""
-        import cma
-
+        cma = _cma()
         budget = int(_CMA_SHARE * self._study.file.budget.compliant)
         weights = (
             [np.ones(1)]
