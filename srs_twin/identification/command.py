@@ -144,11 +144,11 @@ def design(
     from srs_twin.robot.file import load_robot, load_robot_file
     from srs_twin.robot.priors import Priors
 
-    wanted = {}
+    targets = {}
     for text in want.split(","):
         name, _, share = text.strip().partition("=")
         try:
-            wanted[name] = float(share.removesuffix("%") or 10) / 100
+            targets[name] = float(share.removesuffix("%") or 10) / 100
         except ValueError:
             raise InputError(f"--want {text}: must be NAME=PERCENT, as in friction.mu_t=5%") from None
     file, shares = load_robot_file(robot), (np.arange(64) + 0.5) / 64
@@ -156,11 +156,11 @@ def design(
     priors = Priors.of(file).members if has_priors else ()
     known = {prior.path: (prior.value, float(prior.at(shares).std())) for prior in priors}
     with interruptible("nothing was chosen"):
-        plan = choose_experiments(load_robot(robot), known, wanted)
+        plan = choose_experiments(load_robot(robot), known, targets)
     if as_json:
         print_json(plan.document())
         return
-    table = new_table("half of the 95 % interval", "min", *(name.partition(".")[2] for name in wanted))
+    table = new_table("half of the 95 % interval", "min", *(name.partition(".")[2] for name in targets))
     table.add_row("robot file", "", *(f"{100 * width:.0f} %" for width in plan.before.values()))
     for k, experiment in enumerate(plan.chosen):
         after = (f"{100 * row[k]:.1f} %" for row in plan.after.values())
@@ -170,7 +170,7 @@ def design(
         print(f"{k}. {experiment.description}")
     print("The model is assumed to be right.")
     for name in plan.unmet:
-        print(f"{name}: no further experiment of these kinds reaches {100 * wanted[name]:g} %")
+        print(f"{name}: no further experiment of these kinds reaches {100 * targets[name]:g} %")
 
 
 @app.command()

@@ -62,8 +62,8 @@ _PRIOR_STD = 3.0
 
 
 @dataclass(frozen=True)
-class Experiment:
-    """Candidate experiment.
+class CandidateExperiment:
+    """Experiment that a design may choose.
 
     Attributes:
         description: instruction for the lab sheet.
@@ -78,7 +78,7 @@ class Experiment:
     noise: Callable[[np.ndarray], np.ndarray]
 
 
-def candidates(spec: RobotSpec) -> Iterator[Experiment]:
+def candidates(spec: RobotSpec) -> Iterator[CandidateExperiment]:
     """Yield the candidate experiments for a robot."""
     yield from _measurements(spec)
     yield from _pulls(spec)
@@ -94,22 +94,22 @@ def _relative_noise(share: float) -> Callable[[np.ndarray], np.ndarray]:
     return lambda predicted: share * np.maximum(np.abs(predicted), 1e-6)
 
 
-def _measurements(spec: RobotSpec) -> Iterator[Experiment]:
+def _measurements(spec: RobotSpec) -> Iterator[CandidateExperiment]:
     """Yield measurements of lengths and masses."""
 
     def lengths(robot: RobotSpec) -> np.ndarray:
         return np.array([robot.geometry.segment_length, robot.geometry.rigid_gap, robot.geometry.half_track])
 
-    yield Experiment(
+    yield CandidateExperiment(
         "markers on connectors: calibrate locomotion gives the lengths",
         10,
         lengths,
         _constant_noise(LENGTH_STD_M),
     )
-    yield Experiment("weigh connectors", 5, lambda r: r.mass.array(), _constant_noise(MASS_STD_KG))
+    yield CandidateExperiment("weigh connectors", 5, lambda r: r.mass.array(), _constant_noise(MASS_STD_KG))
 
 
-def _pulls(spec: RobotSpec) -> Iterator[Experiment]:
+def _pulls(spec: RobotSpec) -> Iterator[CandidateExperiment]:
     """Yield pulls along and across, without and with an additional load."""
     for load in (0.0, 2.0 * spec.mass.total):
         words = f" with {1000 * load:.0f} g on it" if load else ""
@@ -121,11 +121,11 @@ def _pulls(spec: RobotSpec) -> Iterator[Experiment]:
             return np.array([robot.friction.mu_n * (robot.mass.total + load) * GRAVITY])
 
         noise = _relative_noise(PULL_SHARE)
-        yield Experiment(f"10 pulls along{words}, hoses as in use, moving", 10, along, noise)
-        yield Experiment(f"10 pulls across{words}, wheels fixed, moving", 10, across, noise)
+        yield CandidateExperiment(f"10 pulls along{words}, hoses as in use, moving", 10, along, noise)
+        yield CandidateExperiment(f"10 pulls across{words}, wheels fixed, moving", 10, across, noise)
 
 
-def _actuator_tests(spec: RobotSpec) -> Iterator[Experiment]:
+def _actuator_tests(spec: RobotSpec) -> Iterator[CandidateExperiment]:
     """Yield constant pressures and pressure steps of lifted segments."""
     supply = spec.supply.nominal
     levels = np.linspace(0.2, 1.0, 5) * supply
@@ -135,7 +135,7 @@ def _actuator_tests(spec: RobotSpec) -> Iterator[Experiment]:
         pressure[:, 0, 0] = levels
         return air_bend(robot, pressure)[:, 0]
 
-    yield Experiment(
+    yield CandidateExperiment(
         f"held pressures up to {supply / 1e3:.0f} kPa, segments lifted: calibrate actuator --static",
         20, static, _constant_noise(BEND_STD_RAD),
     )  # fmt: skip
@@ -150,7 +150,7 @@ def _actuator_tests(spec: RobotSpec) -> Iterator[Experiment]:
             bends.append(chambers.advance(chambers.schedule(valves, duration), times).bend[:, 0])
         return np.concatenate(bends)
 
-    yield Experiment(
+    yield CandidateExperiment(
         f"steps of lifted segments, {supply / 1e3:.0f} kPa: calibrate actuator",
         10,
         steps,
@@ -158,7 +158,7 @@ def _actuator_tests(spec: RobotSpec) -> Iterator[Experiment]:
     )
 
 
-def _gait_runs(spec: RobotSpec) -> Iterator[Experiment]:
+def _gait_runs(spec: RobotSpec) -> Iterator[CandidateExperiment]:
     """Yield gait runs at several frequencies and offsets."""
     supply = spec.supply.nominal
 
@@ -179,7 +179,7 @@ def _gait_runs(spec: RobotSpec) -> Iterator[Experiment]:
         description = (
             f"walk at {frequency:g} Hz, offset {offset:g}, {supply / 1e3:.0f} kPa, 20 s: calibrate locomotion"
         )
-        yield Experiment(description, 5, run, noise)
+        yield CandidateExperiment(description, 5, run, noise)
 
 
 @dataclass(frozen=True)
@@ -191,13 +191,13 @@ class ExperimentDesign:
         after: requested parameter → half its 95 % interval after each experiment, relative to its value (in
             its unit if the value is 0).
         before: the same before the first experiment.
-        wanted: requested accuracy.
+        targets: requested accuracy.
     """
 
-    chosen: tuple[Experiment, ...]
+    chosen: tuple[CandidateExperiment, ...]
     after: Mapping[str, tuple[float, ...]]
     before: Mapping[str, float]
-    wanted: Mapping[str, float]
+    targets: Mapping[str, float]
 
     @property
     def unmet(self) -> tuple[str, ...]:
@@ -205,7 +205,7 @@ class ExperimentDesign:
         return tuple(
             name
             for name, widths in self.after.items()
-            if (widths or (self.before[name],))[-1] > self.wanted[name]
+            if (widths or (self.before[name],))[-1] > self.targets[name]
         )
 
     def document(self) -> dict[str, Any]:
@@ -220,38 +220,38 @@ class ExperimentDesign:
         ]
         return {
             "before": dict(self.before),
-            "wanted": dict(self.wanted),
+            "wanted": dict(self.targets),
             "experiments": rows,
             "unmet": list(self.unmet),
         }
 
 
 def choose_experiments(
-    spec: RobotSpec, known: Mapping[str, tuple[float, float]], wanted: Mapping[str, float]
+    spec: RobotSpec, known: Mapping[str, tuple[float, float]], targets: Mapping[str, float]
 ) -> ExperimentDesign:
     """Choose experiments until the requested accuracy is reached (module docstring).
 
     Args:
         spec: robot with its present values.
         known: uncertain parameter → its value and standard deviation, from the robot file.
-        wanted: parameter → half the requested 95 % interval, relative to its value.
+        targets: parameter → half the requested 95 % interval, relative to its value.
 
     Raises:
         InputError: no parameter is requested.
     """
-    if not wanted:
+    if not targets:
         raise InputError("--want names nothing; give parameters such as friction.mu_t=5%")
     zero_scale = 0.1 * spec.friction.mu_t * spec.mass.total * GRAVITY
-    names = list(dict.fromkeys([*wanted, *known]))
+    names = list(dict.fromkeys([*targets, *known]))
     values = {name: known[name][0] if name in known else _value(spec, name) for name in names}
     scale = np.array([abs(values[name]) or zero_scale for name in names])
     std = np.array([known[name][1] if name in known else np.inf for name in names]) / scale
     information = np.diag(1 / np.minimum(std, _PRIOR_STD) ** 2)
     offered = list(candidates(spec))
     gains = [_information(experiment, spec, names, values, scale) for experiment in offered]
-    rows = [names.index(name) for name in wanted]
-    goals = np.array(list(wanted.values()))
-    units = np.array([1.0 if values[name] else zero_scale for name in wanted])
+    rows = [names.index(name) for name in targets]
+    goals = np.array(list(targets.values()))
+    units = np.array([1.0 if values[name] else zero_scale for name in targets])
 
     def widths(matrix: np.ndarray) -> np.ndarray:
         return np.asarray(1.96 * np.sqrt(np.diag(np.linalg.inv(matrix))[rows]) * units)
@@ -276,10 +276,10 @@ def choose_experiments(
         information, current = information + gains[best], narrowed
         chosen.append(best)
         after.append(current)
-    columns = {name: tuple(float(row[i]) for row in after) for i, name in enumerate(wanted)}
+    columns = {name: tuple(float(row[i]) for row in after) for i, name in enumerate(targets)}
     experiments = tuple(offered[k] for k in chosen)
-    initial = dict(zip(wanted, map(float, before), strict=True))
-    return ExperimentDesign(experiments, columns, initial, dict(wanted))
+    initial = dict(zip(targets, map(float, before), strict=True))
+    return ExperimentDesign(experiments, columns, initial, dict(targets))
 
 
 def _value(spec: RobotSpec, name: str) -> float:
@@ -287,7 +287,7 @@ def _value(spec: RobotSpec, name: str) -> float:
 
 
 def _information(
-    experiment: Experiment,
+    experiment: CandidateExperiment,
     spec: RobotSpec,
     names: Sequence[str],
     values: Mapping[str, float],

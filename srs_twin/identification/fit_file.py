@@ -369,13 +369,13 @@ def _check_data(data: Sequence[DataEntry]) -> Iterator[tuple[Loc, str]]:
 
 
 def _check_parameter(entry: ParameterEntry) -> Iterator[tuple[Loc, str]]:
-    given = [name for name in _NUMBERS if getattr(entry, name) is not None]
-    if entry.verdict == "not identifiable" and given:
-        yield (given[0],), "a parameter that is not identifiable has no value"
-    elif entry.verdict != "not identifiable" and len(given) < len(_NUMBERS):
-        missing = next(name for name in _NUMBERS if name not in given)
+    present = [name for name in _NUMBERS if getattr(entry, name) is not None]
+    if entry.verdict == "not identifiable" and present:
+        yield (present[0],), "a parameter that is not identifiable has no value"
+    elif entry.verdict != "not identifiable" and len(present) < len(_NUMBERS):
+        missing = next(name for name in _NUMBERS if name not in present)
         yield ("verdict",), f"{entry.verdict}, but {missing} is missing"
-    elif given and not entry.low <= entry.value <= entry.high:  # type: ignore[operator]
+    elif present and not entry.low <= entry.value <= entry.high:  # type: ignore[operator]
         yield ("value",), f"must be between low and high, {entry.low:g} and {entry.high:g}"
     try:
         unit = parameter_unit(entry.name)

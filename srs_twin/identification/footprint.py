@@ -260,12 +260,12 @@ class FootprintStudy:
         """
         for offset in (*self.offsets, *itertools.chain.from_iterable(self.changes)):
             self.setup.make_controller(offset)
-        given = f"offsets {_listed(self.offsets)} are not allowed"
+        message = f"offsets {_listed(self.offsets)} are not allowed"
         if not all(b > a for a, b in zip(self.offsets, self.offsets[1:], strict=False)):
-            raise InputError(f"{given}; give each once, in ascending order")
+            raise InputError(f"{message}; give each once, in ascending order")
         both_sides = self.offsets and self.offsets[0] < 0 < self.offsets[-1]
         if not (both_sides and MIN_OFFSETS <= len(self.offsets) <= MAX_OFFSETS):
-            raise InputError(f"{given}; a planner needs {MIN_OFFSETS} to {MAX_OFFSETS}, on both sides of 0")
+            raise InputError(f"{message}; a planner needs {MIN_OFFSETS} to {MAX_OFFSETS}, on both sides of 0")
         for before, after in self.changes:
             if before == after or not {before, after} <= set(self.offsets):
                 raise InputError(

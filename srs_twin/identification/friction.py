@@ -224,9 +224,9 @@ def _deformations(table: CsvTable, column: CsvColumn, values: np.ndarray) -> lis
     wrong = np.flatnonzero((values < 0) | (values > _MAX_DEFORMATION_M))
     if wrong.size:
         row = int(wrong[0])
-        given = f"{column.text}: {values[row] / column.factor:g} is not allowed"
+        message = f"{column.text}: {values[row] / column.factor:g} is not allowed"
         allowed = f"a deformation of 0 to {_MAX_DEFORMATION_M / column.factor:g} {column.unit or 'm'}"
-        raise table.error(column, f"{given}; {allowed}", row)
+        raise table.error(column, f"{message}; {allowed}", row)
     return [float(value) for value in values if np.isfinite(value)]
 
 

@@ -92,7 +92,7 @@ def summary_line(rows: Sequence[JudgedClaim]) -> str:
         "orders and trends": by_category(rows)["shape"],
         "laws": by_category(rows)["law"],
     }
-    parts = []
+    sentences = []
     for column, name in columns.items():
         counts = {label: count_verdicts(group, column) for label, group in groups.items()}
         texts = [f"{count[MET]} of {count['all']} {label}" for label, count in counts.items() if count["all"]]
@@ -100,8 +100,8 @@ def summary_line(rows: Sequence[JudgedClaim]) -> str:
         if fitted["all"]:
             texts.append(f"(separately: {fitted[MET]} of {fitted['all']} rows for calibration)")
         if texts:
-            parts.append(f"{name} {', '.join(texts).replace(', (', ' (')}")
-    return f"Of {len(rows)} rows {'; '.join(parts)}."
+            sentences.append(f"{name} {', '.join(texts).replace(', (', ' (')}")
+    return f"Of {len(rows)} rows {'; '.join(sentences)}."
 
 
 def published_text(claim: Claim) -> str:

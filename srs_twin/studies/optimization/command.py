@@ -30,7 +30,7 @@ _MAX_COLUMNS = 6
 
 
 def optimize(
-    given: Annotated[str, argument("STUDY", of=["study"])],
+    name: Annotated[str, argument("STUDY", of=["study"])],
     out: Annotated[str | None, option("--out DIR")] = None,
     engine: Annotated[str, option("--engine NAME")] = "local",
     workers: Annotated[int | None, at_once("--workers N")] = None,
@@ -46,7 +46,7 @@ def optimize(
     the twin's. An interrupted search resumes in the same folder.
 
     Options:
-        given: Shipped study or study file.
+        name: Shipped study or study file.
         out: Output folder. [default: runs/studies/STUDY]
         engine: Engine for the runs: local, ray or warp.
         address: Address of a Ray cluster, or device of warp, as cuda:0. [default: local]
@@ -60,7 +60,7 @@ def optimize(
     from srs_twin.studies.optimization.runs import StudyRuns
     from srs_twin.studies.optimization.search import MAX_REPORTED, search
 
-    study = load_study(given, set=changed_fields.changes())
+    study = load_study(name, set=changed_fields.changes())
     folder = Path(out) if out else STUDIES / study.name
     budget = study.file.budget
     total = budget.twin + (budget.compliant if "compliant" in study.experiments else 0)

@@ -42,7 +42,7 @@ _MAX_PUBLISHED = 30
 
 
 def sweep(
-    given: Annotated[str, argument("SWEEP", of=["sweep"])],
+    name: Annotated[str, argument("SWEEP", of=["sweep"])],
     out: Annotated[str | None, option("--out DIR")] = None,
     engine: Annotated[str, option("--engine NAME")] = "local",
     workers: Annotated[int | None, at_once("--workers N")] = None,
@@ -60,7 +60,7 @@ def sweep(
     An interrupted sweep resumes in the same folder.
 
     Options:
-        given: Shipped sweep or sweep file.
+        name: Shipped sweep or sweep file.
         out: Output folder. [default: runs/sweeps/SWEEP]
         engine: Engine for the runs: local, ray, or warp (twins on an accelerator).
         address: Address of a Ray cluster, or device of warp, as cuda:0. [default: local]
@@ -74,7 +74,7 @@ def sweep(
     from srs_twin.studies.sweep.execution import open_sweep
     from srs_twin.studies.sweep.loading import load_sweep
 
-    loaded = load_sweep(given, set=changed_fields.changes(), plants=plants_of(plants))
+    loaded = load_sweep(name, set=changed_fields.changes(), plants=plants_of(plants))
     for warning in () if quiet else loaded.warnings:
         say(f"warning: {warning}")
     folder = Path(out) if out else SWEEPS / loaded.name
