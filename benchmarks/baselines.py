@@ -14,7 +14,7 @@ import numpy as np
 from grid import table
 
 from srs_twin.envs import TASKS, make_task
-from srs_twin.envs.baseline import Balance, Pilot, Score, play_episode
+from srs_twin.envs.baseline import PathFollowing, ProportionalIntegral, Score, play_episode
 from srs_twin.envs.crawling import CrawlTask
 from srs_twin.envs.module import ModuleTask
 
@@ -22,9 +22,9 @@ from srs_twin.envs.module import ModuleTask
 def scored(name: str, seed: int) -> Score:
     """Play an episode of a task with the project's own policy."""
     task = make_task(name)
-    policy = Pilot(task) if isinstance(task, CrawlTask) else None
+    policy = PathFollowing(task) if isinstance(task, CrawlTask) else None
     if isinstance(task, ModuleTask):
-        policy = Balance(task)
+        policy = ProportionalIntegral(task)
     assert policy is not None
     return play_episode(task, policy, np.random.default_rng(seed))
 

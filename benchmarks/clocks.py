@@ -25,7 +25,7 @@ from synthetic_takes import Take, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, InputError, RobotSpec, Trajectory, load_robot, rollout
 from srs_twin.control.replay import Replay
-from srs_twin.identification.unknowns import with_values
+from srs_twin.identification.parameters import with_values
 from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.signals.clock import join

@@ -18,9 +18,9 @@ from srs_twin.robot.file import RobotFile
 from srs_twin.robot.priors import Priors
 from srs_twin.scenario.loading import load_scenario
 from srs_twin.studies.sweep.execution import local
-from srs_twin.studies.uncertainty.propagation import OWN_ROWS, propagate
-from srs_twin.studies.uncertainty.spreads import predicted, sampling_errors
-from srs_twin.studies.uncertainty.study import Study
+from srs_twin.studies.uncertainty.metric_uncertainty import predict_twin, sampling_errors
+from srs_twin.studies.uncertainty.propagation import REFERENCE_ROWS, propagate
+from srs_twin.studies.uncertainty.study import UncertaintyStudy
 
 FEW, SETS = 64, 10
 ENDS = [0.025, 0.975]
@@ -36,19 +36,19 @@ def main() -> None:
     given = parser.parse_args()
     scenario = load_scenario(given.scenario, set={"duration_s": given.duration})
     priors = Priors.from_robot(RobotFile.model_validate(scenario.document["robot"]))
-    study = Study(scenario, priors, ("twin",), given.samples, given.samples)
+    study = UncertaintyStudy(scenario, priors, ("twin",), given.samples, given.samples)
     rows = propagate(study, given.out, local()).rows
     print("| metric | correlation | worse end of each set, % of the width | within 5 % | within 2 s.e. |")
     print("|---|---|---|---|---|")
     for metric, plain in rows["twin"].items():
-        cheap, costly = rows["compliant"][metric][:-OWN_ROWS], plain[:-OWN_ROWS]
+        cheap, costly = rows["compliant"][metric][:-REFERENCE_ROWS], plain[:-REFERENCE_ROWS]
         if not np.isfinite(costly).all() or np.std(costly) < 1e-9 * abs(np.mean(costly)):
             continue
         full = np.quantile(costly, ENDS)
         width, worst, held = np.ptp(full), [], []
         for first in range(0, given.samples - FEW + 1, max(FEW, given.samples // SETS // FEW * FEW))[:SETS]:
             order = np.r_[first : first + FEW, 0:first, first + FEW : given.samples]
-            samples, surrogate = predicted(study.shares[order], cheap[order], costly[order][:FEW])
+            samples, surrogate = predict_twin(study.shares[order], cheap[order], costly[order][:FEW])
             errors = np.hypot(sampling_errors(samples), surrogate)
             off = np.nanquantile(samples, ENDS) - full
             worst.append(np.abs(off).max() / width)

@@ -29,8 +29,8 @@ from synthetic_takes import Take, write_motive
 from srs_twin import Gait, RobotSpec, load_robot, rollout
 from srs_twin.errors import InputError
 from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion
+from srs_twin.identification.parameters import with_values
 from srs_twin.identification.recorded_runs import measured_length
-from srs_twin.identification.unknowns import with_values
 from srs_twin.recordings.recording import read_motion
 
 NAMES = (

@@ -16,12 +16,12 @@ from dataclasses import replace
 import numpy as np
 
 from srs_twin import Gait, Trajectory, load_robot
-from srs_twin.identification.actuator import Response, StaticTable, fit_actuator, fit_static, predicted
-from srs_twin.identification.estimate import Estimate
-from srs_twin.identification.fit_file import fingerprint
-from srs_twin.identification.friction import Coasting, Pulls, fit_coasting, fit_pulls
+from srs_twin.identification.actuator import Response, StaticTable, fit_actuator, fit_static, predict_response
+from srs_twin.identification.estimate import FitEstimate
+from srs_twin.identification.fit_file import array_hash
+from srs_twin.identification.friction import CoastingTest, Pulls, fit_coasting, fit_pulls
 from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion
-from srs_twin.identification.unknowns import with_values
+from srs_twin.identification.parameters import with_values
 from srs_twin.plants.analytical.floor import slide, spin_share
 from srs_twin.pneumatics import Schedule
 from srs_twin.pneumatics.chambers import air_bend
@@ -37,7 +37,7 @@ STATIC = {
     "actuator.bend_limit_rad": 1.4,
 }  # fmt: skip
 GAIT = {"friction.mu_t": 0.055, "friction.mu_n": 0.48, "geometry.rigid_gap_m": 0.022}
-Fit = Callable[[np.random.Generator], Estimate]
+Fit = Callable[[np.random.Generator], FitEstimate]
 
 
 def correlated(rng: np.random.Generator, count: int, rho: float) -> np.ndarray:
@@ -48,21 +48,21 @@ def correlated(rng: np.random.Generator, count: int, rho: float) -> np.ndarray:
     return noise
 
 
-def pulls(rng: np.random.Generator) -> Estimate:
+def pulls(rng: np.random.Generator) -> FitEstimate:
     factor = 0.25 * 9.81 / 120.0
     return fit_pulls(
         Pulls(factor * rng.normal(0.06, 0.006, 10), factor * rng.normal(0.5, 0.04, 10), 120.0, 0.25)
     )
 
 
-def coasting(rng: np.random.Generator) -> Estimate:
+def coasting(rng: np.random.Generator) -> FitEstimate:
     time = np.arange(0.0, 1.0, 0.01)
     runs = []
     for k, velocity in enumerate([(0.5, 0.0), (0.0, 0.8)]):
         way = slide(velocity, time, law="wheel", mu_t=0.06, mu_n=0.5, share=spin_share(GEN2))
         x, y = (way + 1e-3 * rng.normal(size=way.shape)).T
         seen = Trajectory({"time": time, "com_x": x, "com_y": y, "heading": 0 * time})
-        runs.append(Coasting.of(seen, f"throw_{k}", start=0.0))
+        runs.append(CoastingTest.from_trajectory(seen, f"throw_{k}", start=0.0))
     return fit_coasting(runs, GEN2)
 
 
@@ -77,18 +77,18 @@ def actuator(rho: float) -> Fit:
         time,
         np.zeros((300, 1)),
     )
-    bend, _ = predicted(blank, with_values(MODULE, ACTUATOR))
+    bend, _ = predict_response(blank, with_values(MODULE, ACTUATOR))
     return lambda rng: fit_actuator(
         [replace(blank, bend=bend + 0.01 * correlated(rng, len(time), rho)[:, None])], MODULE
     )
 
 
-def static(rng: np.random.Generator) -> Estimate:
+def static(rng: np.random.Generator) -> FitEstimate:
     pressure = np.zeros((14, 1, 2))
     pressure[:7, 0, 0] = pressure[7:, 0, 1] = np.linspace(0, 90e3, 7)
     robot = with_values(MODULE, STATIC)
     bend = robot.modules.array("bias") + air_bend(robot, pressure) + 0.01 * rng.normal(size=(14, 1))
-    return fit_static([StaticTable("table", fingerprint(bend), pressure, bend)], MODULE)
+    return fit_static([StaticTable("table", array_hash(bend), pressure, bend)], MODULE)
 
 
 def gaits() -> Fit:
@@ -98,7 +98,7 @@ def gaits() -> Fit:
         run = GaitRun(
             Trajectory({"time": np.array([0.0, 3.0])}), Gait(frequency, offset), 48e3, f"{frequency} Hz"
         )
-        truth.append(replace(run, trajectory=model.follow(run, with_values(GEN2, GAIT))))
+        truth.append(replace(run, trajectory=model.simulate(run, with_values(GEN2, GAIT))))
 
     def noisy(run: GaitRun, rng: np.random.Generator) -> GaitRun:
         columns = dict(run.trajectory.columns)

@@ -146,7 +146,7 @@ def rows(out: Path) -> int:
     raise RuntimeError("the folder stays locked")
 
 
-def digest(out: Path) -> tuple[int, str]:
+def rows_digest(out: Path) -> tuple[int, str]:
     """Return how many runs a finished sweep has done, and the digest of its results."""
     about = json.loads((out / "sweep.json").read_text())
     return about["done"], about["results_sha256"]
@@ -232,12 +232,12 @@ def main() -> None:
             sweep, folder / "killed", arguments.kills, random.Random(arguments.seed), arguments.longest
         )
         took = time.perf_counter() - begun
-        same = digest(folder / "killed") == digest(folder / "quiet")
+        same = rows_digest(folder / "killed") == rows_digest(folder / "quiet")
         victims = ", ".join(f"{count} of the {who}" for who, count in sorted(killed.victims.items()))
         print(f"{arguments.runs} runs, {alone:.0f} s undisturbed")
         print(f"killed: {victims}; {killed.starts} starts, {took:.0f} s")
         print(f"rows after each kill of the sweep: {killed.rows}")
-        print(f"the results are {'the same' if same else 'NOT the same'}: {digest(folder / 'killed')}")
+        print(f"the results are {'the same' if same else 'NOT the same'}: {rows_digest(folder / 'killed')}")
         sys.exit(0 if same else 1)
 
 

@@ -1,7 +1,7 @@
 r"""Offset runs: what speeds and radii at several steering offsets tell of a robot (Table 8).
 
 Each row is one run: an offset φ, the speed v of the centre of mass and the radius R of its path. The plant is
-driven as the robot was, through `Drive`, start and learning included, and held against
+driven as the robot was, through `GaitSetup`, start and learning included, and held against
 
 $$ v \quad\text{and}\quad \kappa = \operatorname{sgn}(\varphi)/R , $$
 
@@ -19,12 +19,12 @@ import numpy as np
 from published_tables import PublishedRun
 
 from srs_twin.errors import DivergedError, InputError
-from srs_twin.identification.estimate import Estimate, Parameter, Residual, Role, identifiability
-from srs_twin.identification.fit_file import DataSet, fingerprint, with_roles
-from srs_twin.identification.footprint import Drive, steady_path
+from srs_twin.identification.estimate import FitEstimate, Parameter, Residual, Role, identifiability
+from srs_twin.identification.fit_file import DataSet, array_hash, assign_roles
+from srs_twin.identification.footprint import GaitSetup, steady_path
 from srs_twin.identification.least_squares import SearchOptions, least_squares
+from srs_twin.identification.parameters import FreeParameter, free_parameters, with_values
 from srs_twin.identification.paths import SteadyPath
-from srs_twin.identification.unknowns import Unknown, unknowns, with_values
 from srs_twin.rollout import run_many
 
 PERIODS = 5
@@ -59,7 +59,7 @@ class OffsetRun:
 
     def data_set(self, role: Role) -> DataSet:
         """Return what a fit says of these data."""
-        sha256 = fingerprint(np.array([self.offset, self.speed, self.curvature]))
+        sha256 = array_hash(np.array([self.offset, self.speed, self.curvature]))
         return DataSet(f"offset {self.offset:g}", sha256, role, 2)
 
 
@@ -80,7 +80,7 @@ def offset_runs(rows: Sequence[PublishedRun]) -> list[OffsetRun]:
 
 
 def predicted(
-    drive: Drive, offsets: Sequence[float], *, threads: int | None = None
+    drive: GaitSetup, offsets: Sequence[float], *, threads: int | None = None
 ) -> list[SteadyPath | None]:
     """Return the settled path at each offset; None where the plant diverges or gets nowhere.
 
@@ -89,7 +89,7 @@ def predicted(
         offsets: φ of each run.
         threads: how many runs at once; default one a processor.
     """
-    maker = drive.plant_maker()
+    maker = drive.plant_factory()
     jobs = [drive.steady_job(maker, offset, 0.0, PERIODS) for offset in offsets]
     found: list[SteadyPath | None] = []
     for run in run_many(jobs, threads=threads):
@@ -102,7 +102,7 @@ def predicted(
 
 def fit_offsets(
     runs: Sequence[OffsetRun],
-    drive: Drive,
+    drive: GaitSetup,
     names: Iterable[str],
     *,
     besides: Iterable[str] = (),
@@ -110,7 +110,7 @@ def fit_offsets(
     starting: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
     threads: int | None = None,
-) -> Estimate:
+) -> FitEstimate:
     """Return what runs at several offsets tell of a robot.
 
     Args:
@@ -127,18 +127,18 @@ def fit_offsets(
     Raises:
         InputError: no run, too few for so many unknowns, or one to validate with that is also fitted.
     """
-    with_roles("runs at offsets", runs, validation)
+    assign_roles("runs at offsets", runs, validation)
     scales = {name: (noise or {}).get(name, scale) for name, (scale, _) in NOISE.items()}
     fitted, kept = (
         _Rows(tuple(runs), drive, "fit", scales, threads),
         _Rows(tuple(validation), drive, "validation", scales, threads),
     )
-    wanted = unknowns(drive.spec, names, starts=starting)
+    wanted = free_parameters(drive.spec, names, starts=starting)
     # Validated where the search ended, also in what these data do not tell: never with what it began from.
     validating = kept.residuals if validation else None
     options = SearchOptions(_STEP, tolerance=_ENOUGH)
     estimate = least_squares(fitted.residuals, wanted, options=options, validation=validating)
-    others = unknowns(drive.spec, besides)
+    others = free_parameters(drive.spec, besides)
     hidden = [_hidden(fitted, estimate, wanted, other) for other in others]
     return replace(
         estimate,
@@ -150,7 +150,9 @@ def fit_offsets(
     )
 
 
-def _hidden(rows: _Rows, estimate: Estimate, wanted: Sequence[Unknown], other: Unknown) -> Parameter | None:
+def _hidden(
+    rows: _Rows, estimate: FitEstimate, wanted: Sequence[FreeParameter], other: FreeParameter
+) -> Parameter | None:
     """Return a held number as not identifiable, None where the data could have told it beside the others."""
     told = [each for each in wanted if each.name in estimate.values]
     everything = [*told, other]
@@ -164,7 +166,7 @@ def _hidden(rows: _Rows, estimate: Estimate, wanted: Sequence[Unknown], other: U
     noise = estimate.residual_scale * math.sqrt(estimate.samples / estimate.independent)
     widths = np.array([each.coordinate(each.high) - each.coordinate(each.low) for each in everything])
     known = identifiability(fine, coarse - fine, noise, widths)
-    if not known.hidden(-1):
+    if not known.is_unidentifiable(-1):
         return None
     size = float(np.abs(fine[:, -1]).max())
     beside = ", ".join(each.name for each in told)
@@ -175,7 +177,7 @@ def _hidden(rows: _Rows, estimate: Estimate, wanted: Sequence[Unknown], other: U
     return Parameter(other.name, other.unit, "not identifiable", why=why)
 
 
-def _slope(rows: _Rows, unknowns: Sequence[Unknown], z: np.ndarray, i: int, h: float) -> np.ndarray:
+def _slope(rows: _Rows, unknowns: Sequence[FreeParameter], z: np.ndarray, i: int, h: float) -> np.ndarray:
     """Return the derivative of the weighted residuals by coordinate i."""
 
     def weighted(at: float) -> np.ndarray:
@@ -198,7 +200,7 @@ class _Rows:
     def __init__(
         self,
         runs: tuple[OffsetRun, ...],
-        drive: Drive,
+        drive: GaitSetup,
         role: Role,
         scales: Mapping[str, float],
         threads: int | None,

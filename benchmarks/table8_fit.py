@@ -29,9 +29,9 @@ from published_tables import PublishedRun, published_runs
 from srs_twin import load_robot
 from srs_twin.errors import InputError
 from srs_twin.identification.fit_file import FitFile, fit_file, load_fit, write_fit
-from srs_twin.identification.fitted_robot import fitted
-from srs_twin.identification.footprint import PLANTS, Drive
-from srs_twin.identification.unknowns import with_values
+from srs_twin.identification.fitted_robot import apply_fit
+from srs_twin.identification.footprint import PLANTS, GaitSetup
+from srs_twin.identification.parameters import with_values
 from srs_twin.io.files import atomic_write, data_root
 from srs_twin.scenario.provenance import versions
 
@@ -121,10 +121,10 @@ def shipped() -> dict[str, FitFile]:
     return {study: load_fit(place(study)) for study in STUDIES if place(study).is_file()}
 
 
-def drive_of(study: str) -> Drive:
+def drive_of(study: str) -> GaitSetup:
     """Return generation 4 under Section 5.3's iterative learning."""
     plant, steering = STUDIES[study].plant, STUDIES[study].steering
-    return Drive(load_robot("gen4"), FREQUENCY_HZ, SUPPLY_PA, "ilc", TARGET_RAD, plant, steering)
+    return GaitSetup(load_robot("gen4"), FREQUENCY_HZ, SUPPLY_PA, "ilc", TARGET_RAD, plant, steering)
 
 
 def fit(study: str, threads: int | None = None) -> FitFile:
@@ -143,10 +143,12 @@ def fit(study: str, threads: int | None = None) -> FitFile:
         method="offsets", command=command(study), versions=versions(), data=data,
     )  # fmt: skip
     bare = make()
-    if bare.withheld():
-        raise InputError(f"{found.text()}\n{', '.join(bare.withheld())} without a number: hold one of them")
+    if bare.unidentified():
+        raise InputError(
+            f"{found.text()}\n{', '.join(bare.unidentified())} without a number: hold one of them"
+        )
     # Predicted with the numbers that stand in the file, and with no others.
-    return make(averages=averages(rows, replace(drive, spec=fitted(bare, drive.spec)), threads))
+    return make(averages=averages(rows, replace(drive, spec=apply_fit(bare, drive.spec)), threads))
 
 
 def held_values(study: str) -> dict[str, float]:
@@ -173,7 +175,7 @@ def command(study: str) -> str:
     return f"uv run python benchmarks/table8_fit.py --plant {STUDIES[study].plant}{wave}"
 
 
-def averages(rows: Sequence[PublishedRun], drive: Drive, threads: int | None):
+def averages(rows: Sequence[PublishedRun], drive: GaitSetup, threads: int | None):
     """Return what was measured and what the fitted robot does, by name of the data."""
     paths = predicted(drive, [row.offset for row in rows], threads=threads)
     found = {}

@@ -16,7 +16,7 @@ import numpy as np
 
 from srs_twin import Gait, Trajectory, load_robot
 from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion
-from srs_twin.identification.unknowns import with_values
+from srs_twin.identification.parameters import with_values
 
 SPEC, TWIN = load_robot("gen2"), PlantModel("twin")
 GAITS = ((2.0, 0.0), (1.6, 0.2))
@@ -40,7 +40,7 @@ def recorded(truth: dict[str, float], noise: float, rng: np.random.Generator) ->
     for frequency, offset in GAITS:
         gait = Gait(frequency, offset)
         name = f"{frequency:g} Hz, offset {offset:g}"
-        seen = TWIN.follow(GaitRun(blank, gait, SUPPLY, name), with_values(SPEC, truth))
+        seen = TWIN.simulate(GaitRun(blank, gait, SUPPLY, name), with_values(SPEC, truth))
         columns = dict(seen.columns)
         for column, scale in NOISE.items():
             columns[column] = columns[column] + noise * scale * rng.normal(size=len(seen))

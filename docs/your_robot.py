@@ -13,7 +13,7 @@ import numpy as np
 
 from srs_twin import Gait, Trajectory, TwinSnake, load_robot, rollout
 from srs_twin.control.replay import Replay
-from srs_twin.identification.unknowns import with_values
+from srs_twin.identification.parameters import with_values
 from srs_twin.io.files import atomic_write
 from srs_twin.pneumatics import Schedule
 from srs_twin.pneumatics.recorded import RecordedPressures

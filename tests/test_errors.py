@@ -18,7 +18,7 @@ from srs_twin.errors import (
     WorkerDiedError,
     did_you_mean,
 )
-from srs_twin.identification.unknowns import names_of_fields
+from srs_twin.identification.parameters import parameter_names
 from srs_twin.io.files import shipped_names
 from srs_twin.scenario.expectation import known_metrics
 
@@ -67,7 +67,7 @@ METRICS = tuple(known_metrics())
 SCENARIOS = tuple(shipped_names("scenario"))
 PATHS = tuple(f"scenarios/{name}.yaml" for name in SCENARIOS)
 FIELDS = (*CONTROLLER, *ROBOT, "duration_s", "seed", "reference.frequency_hz", "planner.kind")
-FITS = tuple(names_of_fields())
+FITS = tuple(parameter_names())
 
 TYPOS = [
     ("titel", ("name", "title", "robot", "duration_s"), ["title"]),

@@ -445,9 +445,9 @@ def test_a_snake_goes_on_along_the_old_plan_until_another_thread_has_made_one():
         a_plan(), start=(0.0, 0.2, 0.4), stray=0.15, replan=replan, goal=Goal(1.5, 0.0, None, 5.0)
     )
     assert slow.ending == fast.ending == "goal_reached" and len(jobs) == 1
-    (_, at_once), (_, later) = fast.plans, slow.plans
-    assert later[0] == pytest.approx(at_once[0] + 10 * plant.tick)
-    assert later[1].segments[0].start == at_once[1].segments[0].start
+    (_, jobs_option), (_, later) = fast.plans, slow.plans
+    assert later[0] == pytest.approx(jobs_option[0] + 10 * plant.tick)
+    assert later[1].segments[0].start == jobs_option[1].segments[0].start
 
 
 def test_a_controller_without_an_offset_is_refused():

@@ -12,9 +12,9 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
+from srs_twin.identification.unknowns import names_of_fields, unknowns
 
 from srs_twin import load_robot
-from srs_twin.identification.unknowns import names_of_fields, unknowns
 from srs_twin.live.ensemble import ModelError
 from srs_twin.scenario.schema import scenario_json_schema
 from srs_twin.studies.optimization.file import study_json_schema

@@ -1,8 +1,8 @@
-"""Environments for agents: tasks on the twin, with the faces of gymnasium and dm_env (docs/environments.md).
+"""Reinforcement-learning environments on the twin for Gymnasium and dm_env (docs/environments.md).
 
-Importing this registers ``SRSTwin/GoTo-v0``, ``SRSTwin/Obstacles-v0`` and ``SRSTwin/Module-v0``;
-`gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")` imports it by itself. (Since its version 1.0 gymnasium looks
-for no entry points.) `srs_twin.envs.dm.load("GoTo")` is the dm_env of the same task, and needs no gymnasium.
+Importing this package registers ``SRSTwin/GoTo-v0``, ``SRSTwin/Obstacles-v0`` and ``SRSTwin/Module-v0``.
+`gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")` imports it: since version 1.0 Gymnasium does not search
+entry points. `srs_twin.envs.dm.load("GoTo")` returns the same task for dm_env, without Gymnasium.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def _register() -> None:
             entry_point="srs_twin.envs.gymnasium:SnakeEnv",
             vector_entry_point="srs_twin.envs.gymnasium:SnakeVectorEnv",
             kwargs={"task": task},
-            # The environment checks both itself; `copy.copy` of a wrapper would share the environment.
+            # SnakeEnv checks order and types itself; `copy.copy` of a wrapper would share the environment.
             order_enforce=False,
             disable_env_checker=True,
         )

@@ -1,9 +1,9 @@
-"""Baseline policies: the project's own controllers, which see no more than an agent does.
+"""Baseline policies: the package's controllers, given only the observations of an agent.
 
-`Pilot` plans at the beginning of an episode and lets `control.following.Follower` steer, unchanged, from the
-pose that the observations tell; the gait keeps the frequency and the pressure that its footprint was
-measured at. `Balance` moves the duties of a module against each other by a proportional-integral law, the
-form that Eq. 30 takes at a constant reference.
+`PathFollowing` plans a path at the start of an episode and steers with an unmodified
+`planning.follower.Follower` from the observed pose. The gait has the frequency and pressure at which its
+footprint was measured. `ProportionalIntegral` sets the difference between the two duties of a module by a PI
+law, to which Eq. 30 reduces at a constant reference.
 """
 
 from __future__ import annotations
@@ -30,89 +30,110 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import Circle, Goal, Pose, World
 
 FOOTPRINT = "gen2_gait"
-FREQUENCY_HZ, PRESSURE_KPA = 2.0, 48.3
-"""At which that footprint was measured."""
+"""Footprint used for planning."""
 
+FREQUENCY_HZ = 2.0
+"""Gait frequency at which that footprint was measured, Hz."""
+
+PRESSURE_KPA = 48.3
+"""Supply pressure at which that footprint was measured, kPa."""
+
+# The next four are those of scenario follow_fig57; docs/following.md describes how they were chosen.
 TURN_SHARE = 0.7
-SETTLE_M, LOOKAHEAD_M, STRAY_M = 0.035, 0.15, 0.1
-"""As in scenario follow_fig57; docs/following.md says how they were found."""
+"""Fraction of the measured curvature range that the planner may use; the rest is left to the steering law."""
+
+SETTLE_M = 0.035
+"""Response length, m."""
+
+LOOKAHEAD_M = 0.15
+"""Lookahead distance of the steering law, m."""
+
+STRAY_M = 0.1
+"""Cross-track error above which the follower plans again, m."""
+
 AIM_M = 0.05
-"""How near to the goal the follower aims; the tasks ask for less."""
-_PATIENCE = Settings(nodes=50_000)
+"""Goal radius of the follower, m; smaller than that of the tasks."""
+
+_PLANNER_SETTINGS = Settings(nodes=50_000)
 
 
 class Policy(Protocol):
-    """What maps observations to actions; one object an episode."""
+    """Function from observations to actions; one object per episode."""
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Return the action for an observation."""
 
 
-class Pilot:
-    """Plans to the goal and follows the plan (module docstring)."""
+class PathFollowing:
+    """Policy that plans to the goal and follows the path (module docstring)."""
 
     def __init__(self, task: CrawlTask) -> None:
-        """Prepare for an episode of GoTo or Obstacles."""
-        self._names, self._spec = _names(task), task.robot
-        self._helm = _Helm()
+        """Initialise for an episode of GoTo or Obstacles."""
+        self._names, self._spec = _observation_names(task), task.robot
+        self._offset = _OffsetStore()
         self._steps = 0
         self._follower: Follower | None = None
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """See `Policy`."""
-        seen = dict(zip(self._names, map(float, observation), strict=True))
-        pose = Pose(seen["x_m"], seen["y_m"], math.atan2(seen["heading_sin"], seen["heading_cos"]))
+        values = dict(zip(self._names, map(float, observation), strict=True))
+        pose = Pose(values["x_m"], values["y_m"], math.atan2(values["heading_sin"], values["heading_cos"]))
         if self._follower is None:
-            self._follower = self._following(seen, pose)
-        self._follower.step(_pose_only(self._steps * STEP_S, pose))
+            self._follower = self._make_follower(values, pose)
+        self._follower.step(_state_with_pose(self._steps * STEP_S, pose))
         self._steps += 1
-        return np.array([self._helm.offset, FREQUENCY_HZ, PRESSURE_KPA], dtype=np.float32)
+        return np.array([self._offset.offset, FREQUENCY_HZ, PRESSURE_KPA], dtype=np.float32)
 
-    def _following(self, seen: Mapping[str, float], pose: Pose) -> Follower:
-        """Return a follower of a plan among the obstacles that are seen."""
-        x, y = _in_the_world(pose, seen["goal_ahead_m"], seen["goal_left_m"])
+    def _make_follower(self, values: Mapping[str, float], pose: Pose) -> Follower:
+        """Return a follower of a path among the observed obstacles."""
+        x, y = _world_position(pose, values["goal_ahead_m"], values["goal_left_m"])
         goal = Goal(x, y, None, AIM_M)
-        world = World(tuple(_circles(seen, pose)), None, goal)
-        whole = load_footprint(FOOTPRINT)
-        footprint = whole.reduced(TURN_SHARE, 0.0)
+        world = World(tuple(_circles(values, pose)), None, goal)
+        measured = load_footprint(FOOTPRINT)
+        footprint = measured.reduced(TURN_SHARE, 0.0)
 
-        def way(start: Pose, _share: float = 1.0) -> Any:
-            return plan(Problem(start, goal, world, footprint), _PATIENCE)
+        def replan(start: Pose, _share: float = 1.0) -> Any:
+            return plan(Problem(start, goal, world, footprint), _PLANNER_SETTINGS)
 
-        law = PathLaw(whole, LOOKAHEAD_M, SETTLE_M)
+        law = PathLaw(measured, LOOKAHEAD_M, SETTLE_M)
         conditions = Conditions(Camera(1 / STEP_S), settle=SETTLE_M, stray=STRAY_M)
-        follower = Follower(self._helm, law, way(pose), goal, whole, conditions, replan=way)
+        follower = Follower(self._offset, law, replan(pose), goal, measured, conditions, replan=replan)
         follower.reset(self._spec, STEP_S)
         return follower
 
 
-class Balance:
-    """Moves duties against each other (module docstring)."""
+class ProportionalIntegral:
+    """PI control of a module's duties (module docstring)."""
 
-    gain_per_rad, rate_per_rad_s = 1.0, 6.0
+    gain_per_rad = 1.0
+    """Proportional gain of the duty difference, 1/rad."""
+
+    rate_per_rad_s = 6.0
+    """Integral gain of the duty difference, 1/(rad s)."""
 
     def __init__(self, task: ModuleTask) -> None:
-        """Prepare for an episode of Module."""
-        self._names, self._step = _names(task), task.step_s
-        self._held = 0.0
+        """Initialise for an episode of Module."""
+        self._names, self._step = _observation_names(task), task.step_s
+        self._integral = 0.0
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """See `Policy`."""
-        seen = dict(zip(self._names, map(float, observation), strict=True))
-        error = seen["reference_rad"] - seen["bend_rad"]
-        self._held = _unit(self._held + self.rate_per_rad_s * error * self._step)
-        difference = _unit(self._held + self.gain_per_rad * error)
+        values = dict(zip(self._names, map(float, observation), strict=True))
+        error = values["reference_rad"] - values["bend_rad"]
+        # Clipping the integral prevents wind-up while the duties are saturated.
+        self._integral = _clip_to_unit(self._integral + self.rate_per_rad_s * error * self._step)
+        difference = _clip_to_unit(self._integral + self.gain_per_rad * error)
         return np.array([(1 + difference) / 2, (1 - difference) / 2], dtype=np.float32)
 
 
 @dataclass(frozen=True)
 class Score:
-    """How an episode went.
+    """Outcome of an episode.
 
     Attributes:
-        ending: why it ended.
+        ending: reason why it ended.
         reward: sum of all rewards.
-        time: how long it took, s.
+        time: duration, s.
     """
 
     ending: str
@@ -121,7 +142,7 @@ class Score:
 
 
 def play_episode(task: Task, policy: Policy, rng: np.random.Generator) -> Score:
-    """Let a policy play one episode of a task, drawn from `rng`."""
+    """Run one episode of a task, drawn from `rng`, with a policy."""
     episode = task.begin(rng)
     result, total = episode.first, 0.0
     while not episode.ending:
@@ -130,8 +151,8 @@ def play_episode(task: Task, policy: Policy, rng: np.random.Generator) -> Score:
     return Score(episode.ending, total, float(episode.state.time))
 
 
-class _Helm(Controller):
-    """Stands in for the gait that a follower steers: it only keeps the offset."""
+class _OffsetStore(Controller):
+    """Controller that stores the offset of a follower in place of a gait."""
 
     kind, frequency = "helm", FREQUENCY_HZ
     offset = 0.0
@@ -140,33 +161,33 @@ class _Helm(Controller):
         """See `Controller.reset`."""
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """See `Controller.step`; nobody asks for valves."""
+        """See `Controller.step`; the valve states are not used."""
         return np.zeros((0, 2), dtype=np.int8)
 
 
-def _names(task: Task) -> list[str]:
-    return [each.name for each in task.observations]
+def _observation_names(task: Task) -> list[str]:
+    return [signal.name for signal in task.observations]
 
 
-def _in_the_world(pose: Pose, ahead: float, left: float) -> tuple[float, float]:
+def _world_position(pose: Pose, ahead: float, left: float) -> tuple[float, float]:
     c, s = math.cos(pose.heading), math.sin(pose.heading)
     return pose.x + c * ahead - s * left, pose.y + s * ahead + c * left
 
 
-def _circles(seen: Mapping[str, float], pose: Pose) -> Iterator[Circle]:
-    for name in seen:
+def _circles(values: Mapping[str, float], pose: Pose) -> Iterator[Circle]:
+    for name in values:
         if name.startswith("obstacle_") and name.endswith("_radius_m"):
             stem = name.removesuffix("radius_m")
-            x, y = _in_the_world(pose, seen[f"{stem}ahead_m"], seen[f"{stem}left_m"])
-            yield Circle(x, y, seen[name])
+            x, y = _world_position(pose, values[f"{stem}ahead_m"], values[f"{stem}left_m"])
+            yield Circle(x, y, values[name])
 
 
-def _unit(value: float) -> float:
+def _clip_to_unit(value: float) -> float:
     return min(max(value, -1.0), 1.0)
 
 
-def _pose_only(time: float, pose: Pose) -> SnakeState:
-    """Return a state of which nothing is known but what a camera tells."""
-    unknown = dict.fromkeys((each.name for each in fields(SnakeState)), np.full(0, math.nan))
+def _state_with_pose(time: float, pose: Pose) -> SnakeState:
+    """Return a snake state with time and pose only; all other values are empty arrays."""
+    unknown = dict.fromkeys((entry.name for entry in fields(SnakeState)), np.full(0, math.nan))
     known: dict[str, Any] = {"time": time, "com": np.array([pose.x, pose.y]), "heading": pose.heading}
     return SnakeState(**(unknown | known))

@@ -1,12 +1,12 @@
-r"""GoTo and Obstacles: crawl to a goal, on an open floor or among circles.
+r"""GoTo and Obstacles: crawl to a goal, on an open floor or among circular obstacles.
 
-With d the distance of the centre of mass to the goal, a step gives
+With d the distance from the centre of mass to the goal, the reward of a step is
 
 $$ r = \frac{d_{k-1} - d_k}{1\,\text{m}} + [\text{goal reached}] - [\text{room left}]
 - 0.5\,[\text{touching}]\,\frac{\Delta t}{1\,\text{s}}. $$
 
-The first term is a potential (−d, without discount): it adds up to the way made good and so changes no
-order among the policies that reach the goal.
+The first term is potential-based shaping with the potential −d and no discount: it sums to the distance
+gained and so does not change the ranking of policies that reach the goal.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 from srs_twin.control.base import MAX_READING_RAD, SensorReadings
 from srs_twin.control.camera import Camera, CameraFrames
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
-from srs_twin.envs.task import Episode, Signal, Signals, Task, numbered
+from srs_twin.envs.task import Episode, Signal, Signals, Task, numbered_signals
 from srs_twin.errors import InputError
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
@@ -29,29 +29,40 @@ from srs_twin.robot.random_worlds import random_circles
 from srs_twin.robot.world import Bounds, Goal, World
 
 STEP_S = 0.1
+"""Duration of a step, s."""
+
 GOAL_RADIUS_M = 0.1
+"""Distance from the centre of mass to the goal at which it is reached, m."""
+
 CAMERA = Camera(1 / STEP_S, 0.001, 0.005)
-"""Noise as in scenario follow_fig57."""
+"""Camera with one frame per step and the noise of scenario follow_fig57 (1 mm, 5 mrad)."""
+
 TOUCH_PER_S = 0.5
-"""Reward that touching an obstacle costs."""
+"""Penalty for touching an obstacle, 1/s."""
 
 _PA_PER_KPA = 1e3
+
 _RADII_M = (0.08, 0.12)
-_GAP_M = 0.25  # between obstacles: generation 2 sweeps 0.1 m ahead and 0.17 m in its tightest turns
-_CLEAR_M = 0.3  # around start and goal
+"""Smallest and largest radius of an obstacle, m."""
+
+_GAP_M = 0.25
+"""Smallest gap between obstacles, m: generation 2 sweeps 0.1 m when straight, 0.17 m in tight turns."""
+
+_CLEAR_M = 0.3
+"""Radius around start and goal without obstacles, m."""
 
 
 @dataclass(frozen=True)
-class Field:
-    """Where episodes take place; the snake begins at the origin.
+class Arena:
+    """Floor of an episode and the distributions of start and goal; the snake starts at the origin.
 
     Attributes:
-        room: what the centre of mass must not leave.
-        headings: the smallest and largest at the start, rad.
-        distances: of the goal, m.
-        bearings: of the goal, from the snake's heading, rad.
-        obstacles: how many circles lie between.
-        strewn: where their centres may lie; None where there are none.
+        room: bounds that the centre of mass must not leave.
+        headings: smallest and largest initial heading, rad.
+        distances: smallest and largest distance of the goal, m.
+        bearings: smallest and largest bearing of the goal relative to the heading, rad.
+        obstacles: number of circles.
+        obstacle_area: area of the obstacles' centres; None without obstacles.
     """
 
     room: Bounds
@@ -59,20 +70,34 @@ class Field:
     distances: tuple[float, float]
     bearings: tuple[float, float]
     obstacles: int = 0
-    strewn: Bounds | None = None
+    obstacle_area: Bounds | None = None
 
 
-OPEN = Field(Bounds((-2.5, 2.5), (-2.5, 2.5)), (-math.pi, math.pi), (0.6, 1.5), (-math.pi / 2, math.pi / 2))
-_ROOM, _STREWN = Bounds((-0.6, 2.6), (-1.2, 1.2)), Bounds((0.4, 1.6), (-0.6, 0.6))
-CIRCLES = Field(_ROOM, (-0.3, 0.3), (2.0, 2.2), (-0.2, 0.2), obstacles=4, strewn=_STREWN)
+OPEN = Arena(
+    room=Bounds((-2.5, 2.5), (-2.5, 2.5)),
+    headings=(-math.pi, math.pi),
+    distances=(0.6, 1.5),
+    bearings=(-math.pi / 2, math.pi / 2),
+)
+"""Open floor of task GoTo."""
+
+CIRCLES = Arena(
+    room=Bounds((-0.6, 2.6), (-1.2, 1.2)),
+    headings=(-0.3, 0.3),
+    distances=(2.0, 2.2),
+    bearings=(-0.2, 0.2),
+    obstacles=4,
+    obstacle_area=Bounds((0.4, 1.6), (-0.6, 0.6)),
+)
+"""Floor of task Obstacles: four circles between start and goal."""
 
 
 class CrawlTask(Task):
-    """Crawl to a goal (module docstring).
+    """Task of crawling to a goal (module docstring).
 
     Attributes:
-        place: where.
-        limits: of the commands.
+        arena: floor, and distributions of start and goal.
+        limits: bounds of the gait commands.
     """
 
     step_s = STEP_S
@@ -80,26 +105,26 @@ class CrawlTask(Task):
     def __init__(
         self,
         name: str,
-        place: Field,
+        arena: Arena,
         *,
         robot: str = "gen2",
         limit_s: float = 30.0,
         camera: Camera = CAMERA,
         **settings: Any,
     ) -> None:
-        """Make the task.
+        """Create the task.
 
         Args:
-            name: as registered.
-            place: where episodes take place.
-            robot: name or path of what crawls.
+            name: name of the task, as registered.
+            arena: floor, and distributions of start and goal.
+            robot: name or path of the robot.
             limit_s: time limit, s.
-            camera: how often and with which noise it sees; a frame a step at least.
-            **settings: `fit`, `ranges` and the twin's, as `Task` takes them.
+            camera: frame rate and noise of the camera; at least one frame per step.
+            **settings: `fit`, `ranges` and settings of the twin, see `Task`.
 
         Raises:
-            UnknownNameError: a setting that the twin does not take.
-            InputError: a robot, fit, range or time limit that cannot be, or a camera that is too slow.
+            UnknownNameError: a setting that the twin does not have.
+            InputError: the robot, fit, range or time limit is invalid, or the camera is too slow.
         """
         super().__init__(robot, limit_s, **settings)
         if camera.rate_hz * STEP_S < 1 - 1e-9:
@@ -107,36 +132,35 @@ class CrawlTask(Task):
                 f"a camera of {camera.rate_hz:g} Hz is too slow for steps of {STEP_S:g} s; "
                 f"it must be {1 / STEP_S:g} Hz or more"
             )
-        self.name, self.place, self._camera = name, place, camera
-        self.solid = place.obstacles > 0
+        self.name, self.arena, self._camera = name, arena, camera
+        self.has_obstacles = arena.obstacles > 0
         self.limits = GaitLimits.for_robot(self.robot)
         self.actions = gait_signals(self.limits)
-        self.observations = _observations(place, self.robot.segments, self.actions)
+        self.observations = _observations(arena, self.robot.segments, self.actions)
 
     def begin(self, rng: np.random.Generator, last: Episode | None = None) -> CrawlEpisode:
         """See `Task.begin`."""
         spec = self._variation.draw(rng)
-        place = self.place
-        drawn = (rng.uniform(*ends) for ends in (place.headings, place.distances, place.bearings))
-        heading, distance, bearing = map(float, drawn)
-        way = heading + bearing
-        goal = Goal(distance * math.cos(way), distance * math.sin(way), None, GOAL_RADIUS_M)
+        arena = self.arena
+        draws = (rng.uniform(*limits) for limits in (arena.headings, arena.distances, arena.bearings))
+        heading, distance, bearing = map(float, draws)
+        direction = heading + bearing
+        goal = Goal(distance * math.cos(direction), distance * math.sin(direction), None, GOAL_RADIUS_M)
         seed = int(rng.integers(2**32))
-        world = World(self._obstacles(goal, seed), self.place.room, goal)
+        world = World(self._obstacles(goal, seed), self.arena.room, goal)
         twin = self._twin(spec, last, world, supply_pa=self.limits.pressure[1])
         return CrawlEpisode(self, twin, world, heading, CameraFrames(self._camera, seed), seed)
 
     def _obstacles(self, goal: Goal, seed: int) -> tuple[Any, ...]:
-        if self.place.strewn is None:
+        area = self.arena.obstacle_area
+        if area is None:
             return ()
         clear = ((0.0, 0.0, _CLEAR_M), (goal.x, goal.y, _CLEAR_M))
-        return random_circles(
-            self.place.obstacles, self.place.strewn, seed, radius=_RADII_M, gap=_GAP_M, clear=clear
-        )
+        return random_circles(self.arena.obstacles, area, seed, radius=_RADII_M, gap=_GAP_M, clear=clear)
 
 
 class CrawlEpisode(Episode):
-    """One try to get to a goal.
+    """Episode of crawling to a goal.
 
     Attributes:
         world: obstacles, room and goal.
@@ -147,33 +171,33 @@ class CrawlEpisode(Episode):
     def __init__(
         self, task: CrawlTask, twin: TwinSnake, world: World, heading: float, frames: CameraFrames, seed: int
     ) -> None:
-        """Lay the snake at the origin."""
+        """Place the snake at the origin."""
         if world.goal is None:
             raise InputError("there is no goal to crawl to; give world.goal")
         self.world, self.goal = world, world.goal
         self._goal = world.goal
         limits = task.limits
-        middle = GaitCommand(0.0, *(sum(ends) / 2 for ends in (limits.frequency, limits.pressure)))
+        mean_command = GaitCommand(0.0, *(sum(pair) / 2 for pair in (limits.frequency, limits.pressure)))
         state = twin.reset(pose=(0.0, 0.0, heading), seed=seed)
-        self._gait = CommandedGait(twin.spec, twin.tick, twin.pneumatics, middle)
+        self._gait = CommandedGait(twin.spec, twin.tick, twin.pneumatics, mean_command)
         self._frames, self._readings = frames, SensorReadings(twin.spec.segments)
-        self._distance = self._away(state)
+        self._distance = self._goal_distance(state)
         super().__init__(task, twin, state)
 
-    def _placed(self) -> None:
-        """See `Episode._placed`."""
+    def _initialise_from_state(self) -> None:
+        """See `Episode._initialise_from_state`."""
         self._frames.restart()
-        self._distance = self._away(self.state)
+        self._distance = self._goal_distance(self.state)
 
     def _valves(self, action: list[float]) -> np.ndarray:
-        offset, frequency, kilopascal = action
-        command = GaitCommand(offset, frequency, kilopascal * _PA_PER_KPA)
+        offset, frequency, pressure_kpa = action
+        command = GaitCommand(offset, frequency, pressure_kpa * _PA_PER_KPA)
         return self._gait.valves(float(self.state.time), command)
 
-    def _observed(self) -> list[float]:
+    def _measure(self) -> list[float]:
         time = float(self.state.time)
         seen = self._frames.capture(self.state)
-        assert seen is not None, "the camera has a frame a step"
+        assert seen is not None, "the camera has one frame per step"
         self._readings.update(time, self.state.sensed)
         c, s = math.cos(seen.heading), math.sin(seen.heading)
 
@@ -182,15 +206,15 @@ class CrawlEpisode(Episode):
             return c * dx + s * dy, c * dy - s * dx
 
         angle, command = self._gait.gait.angle(time), self._gait.command
-        circles = [(*ahead_and_left(each.x, each.y), each.radius) for each in self.world.obstacles]
+        circles = [(*ahead_and_left(circle.x, circle.y), circle.radius) for circle in self.world.obstacles]
         pose = [seen.x, seen.y, c, s, *ahead_and_left(self._goal.x, self._goal.y)]
-        wave = [math.cos(angle), math.sin(angle), *self._readings.value]
-        given = [command.offset, command.frequency, command.pressure / _PA_PER_KPA]
-        return [*pose, *wave, *given, *(number for circle in circles for number in circle)]
+        gait_and_bends = [math.cos(angle), math.sin(angle), *self._readings.value]
+        last_command = [command.offset, command.frequency, command.pressure / _PA_PER_KPA]
+        return [*pose, *gait_and_bends, *last_command, *(number for circle in circles for number in circle)]
 
-    def _judge(self) -> float:
+    def _reward(self) -> float:
         state, room = self.state, self.world.bounds
-        before, self._distance = self._distance, self._away(state)
+        before, self._distance = self._distance, self._goal_distance(state)
         reward = before - self._distance
         if self._touching():
             reward -= TOUCH_PER_S * self._task.step_s
@@ -218,54 +242,46 @@ class CrawlEpisode(Episode):
     def _touching(self) -> bool:
         return bool(np.any(self.state.obstacle_force))
 
-    def _away(self, state: SnakeState) -> float:
+    def _goal_distance(self, state: SnakeState) -> float:
         return math.hypot(self._goal.x - float(state.com[0]), self._goal.y - float(state.com[1]))
 
 
 def gait_signals(limits: GaitLimits) -> Signals:
-    """Return the numbers of a command."""
+    """Return the action signals of a gait command."""
     low, high = (pressure / _PA_PER_KPA for pressure in limits.pressure)
     return (
         Signal("offset", "1", *limits.offset, "steering offset φ of the gait, positive to the left"),
-        Signal(
-            "frequency_hz", "Hz", *limits.frequency, "frequency of the gait, whose phase stays continuous"
-        ),
+        Signal("frequency_hz", "Hz", *limits.frequency, "gait frequency; the phase stays continuous"),
         Signal("pressure_kpa", "kPa", low, high, "gauge pressure of the air supply"),
     )
 
 
-def _observations(place: Field, segments: int, actions: Sequence[Signal]) -> Signals:
-    (left, right), (bottom, top) = place.room.x, place.room.y
-    across = math.hypot(right - left, top - bottom) + 1.0
-    found = [
-        Signal("x_m", "m", left - 0.5, right + 0.5, "centre of mass, from the camera"),
-        Signal("y_m", "m", bottom - 0.5, top + 0.5, "centre of mass, from the camera"),
-        Signal("heading_cos", "1", -1.0, 1.0, "cosine of the heading, from the camera"),
-        Signal("heading_sin", "1", -1.0, 1.0, "sine of the heading, from the camera"),
-        Signal("goal_ahead_m", "m", -across, across, "goal relative to the snake, along the heading"),
-        Signal("goal_left_m", "m", -across, across, "goal relative to the snake, to the left"),
+def _observations(arena: Arena, segments: int, actions: Sequence[Signal]) -> Signals:
+    (left, right), (bottom, top) = arena.room.x, arena.room.y
+    margin = 0.5  # m: a step may end outside the room, and the camera has noise
+    farthest = math.hypot(right - left, top - bottom) + 1.0
+    signals = [
+        Signal("x_m", "m", left - margin, right + margin, "x of the centre of mass, from the camera"),
+        Signal("y_m", "m", bottom - margin, top + margin, "y of the centre of mass, from the camera"),
+        Signal("heading_cos", "1", -1.0, 1.0, "cosine of the mean heading, from the camera"),
+        Signal("heading_sin", "1", -1.0, 1.0, "sine of the mean heading, from the camera"),
+        Signal("goal_ahead_m", "m", -farthest, farthest, "position of the goal along the heading"),
+        Signal("goal_left_m", "m", -farthest, farthest, "position of the goal to the left of the heading"),
         Signal("gait_cos", "1", -1.0, 1.0, "cosine of the gait phase at the first segment"),
         Signal("gait_sin", "1", -1.0, 1.0, "sine of the gait phase at the first segment"),
     ]
-    reach = MAX_READING_RAD
-    found += numbered(segments, "bend_#_rad", "rad", -reach, reach, "sensor reading of a segment")
-    found += [Signal(each.name, each.unit, each.low, each.high, "last command") for each in actions]
-    for k in range(1, place.obstacles + 1):
-        found += [
+    largest = MAX_READING_RAD
+    signals += numbered_signals(segments, "bend_#_rad", "rad", -largest, largest, "sensor reading of a bend")
+    signals += [
+        Signal(action.name, action.unit, action.low, action.high, "last command") for action in actions
+    ]
+    for k in range(1, arena.obstacles + 1):
+        position = f"position of circle {k}"
+        signals += [
+            Signal(f"obstacle_{k}_ahead_m", "m", -farthest, farthest, f"{position} along the heading"),
             Signal(
-                f"obstacle_{k}_ahead_m",
-                "m",
-                -across,
-                across,
-                "centre of a circle relative to the snake, along the heading",
+                f"obstacle_{k}_left_m", "m", -farthest, farthest, f"{position} to the left of the heading"
             ),
-            Signal(
-                f"obstacle_{k}_left_m",
-                "m",
-                -across,
-                across,
-                "centre of a circle relative to the snake, to the left",
-            ),
-            Signal(f"obstacle_{k}_radius_m", "m", *_RADII_M, "radius of the circle"),
+            Signal(f"obstacle_{k}_radius_m", "m", *_RADII_M, f"radius of circle {k}"),
         ]
-    return tuple(found)
+    return tuple(signals)

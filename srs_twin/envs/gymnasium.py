@@ -1,9 +1,9 @@
-"""Environments of gymnasium: one task, or many of one kind stepped together over threads.
+"""Gymnasium environments: one task, or several of one kind stepped in parallel threads.
 
-Each environment of a `SnakeVectorEnv` is a `SnakeEnv` and gives what it gives alone, bit for bit. Threads
-take whole environments, as in `TwinBatch`: nearly all the time of a step is one engine call, which releases
-the interpreter's lock. Pictures show the twin coloured by pressure, its obstacles and its goal as a ring, as
-`srs-twin render` draws them; no screen is needed.
+Each environment of a `SnakeVectorEnv` is a `SnakeEnv` and gives the same values to the bit as it does alone.
+As in `TwinBatch`, each thread steps whole environments: nearly all of a step is one engine call, which
+releases Python's global interpreter lock. Images show the twin coloured by pressure, its obstacles, and its
+goal as a ring, as `srs-twin render` does; no display is needed.
 """
 
 from __future__ import annotations
@@ -22,32 +22,51 @@ from gymnasium.utils import seeding
 from gymnasium.vector import SyncVectorEnv
 
 from srs_twin.compute.workers import Workers
-from srs_twin.envs.task import Episode, Signals, check_seed, checked_options, finite, high, low, shortened
+from srs_twin.envs.task import (
+    Episode,
+    Signals,
+    abbreviate,
+    as_finite_array,
+    check_reset_options,
+    check_seed,
+    lower_bounds,
+    upper_bounds,
+)
 from srs_twin.envs.tasks import make_task
 from srs_twin.errors import EngineWarning, InputError, UnknownNameError, check_choice
 from srs_twin.io.saved_state import DeepCopied
 from srs_twin.plants.twin.batch import ENGINES, warp_batch
 
-_GOAL_LINE = 0.003  # half of its width over the camera's distance
-_ELEVATION, _LENGTHS, _APART = -65.0, 4.0, 1.7
+_GOAL_LINE = 0.003
+"""Half width of the goal's ring divided by the camera distance."""
+
+_ELEVATION_DEG = -65.0
+"""Elevation of the camera."""
+
+_BODY_LENGTHS = 4.0
+"""Smallest camera distance in body lengths."""
+
+_GOAL_DISTANCES = 1.7
+"""Smallest camera distance in distances from snake to goal, so that both are visible."""
 
 
-class Pictures:
-    """Draws episodes one after the other; OpenGL is asked for with the first picture."""
+class EpisodeRenderer:
+    """Renderer of episodes; OpenGL is initialised with the first image."""
 
     def __init__(self, width: int, height: int) -> None:
-        """Prepare for pictures of so many pixels."""
+        """Initialise with the image size in pixels."""
         self._size = width, height
         self._canvas: Any = None
         self._model: mujoco.MjModel | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Pictures, self._size  # a copy asks for OpenGL itself
+        return EpisodeRenderer, self._size  # a copy creates its own OpenGL context
 
-    def of(self, episode: Episode) -> np.ndarray:
-        """Return a picture of now, shape (height, width, 3), bytes.
+    def render(self, episode: Episode) -> np.ndarray:
+        """Return an image of the current state, shape (height, width, 3), uint8.
 
         Raises:
+            InputError: OpenGL cannot render without a display here.
             InputError: no OpenGL draws here without a screen.
         """
         from srs_twin.viewing.mujoco.canvas import Canvas
@@ -62,33 +81,33 @@ class Pictures:
         self._skins.show(episode.state.pressure, episode.twin.spec.supply.nominal)
         mujoco.mj_camlight(model, data)
         camera = _camera(episode)
-        picture: np.ndarray = self._canvas.draw(
+        image: np.ndarray = self._canvas.draw(
             data, camera, lambda scene: _add_goal(scene, episode, camera.distance)
         )
-        return picture
+        return image
 
     def close(self) -> None:
-        """Give OpenGL's memory back."""
+        """Release the OpenGL context."""
         if self._canvas is not None:
             self._canvas.__exit__(None, None, None)
             self._canvas = self._model = None
 
 
 def _camera(episode: Episode) -> mujoco.MjvCamera:
-    """Look down on the snake, and on the goal where there is one, from a distance that shows both."""
-    camera, middle = mujoco.MjvCamera(), episode.twin.physics.center_of_mass()
-    camera.elevation, camera.azimuth = _ELEVATION, 90.0
-    camera.distance = _LENGTHS * episode.twin.spec.geometry.body_length
+    """Return a camera that looks down on the snake and its goal from a distance at which both are visible."""
+    camera, target = mujoco.MjvCamera(), episode.twin.physics.center_of_mass()
+    camera.elevation, camera.azimuth = _ELEVATION_DEG, 90.0
+    camera.distance = _BODY_LENGTHS * episode.twin.spec.geometry.body_length
     if episode.goal is not None:
-        way = np.array([episode.goal.x, episode.goal.y]) - middle[:2]
-        middle[:2] += way / 2
-        camera.distance = max(camera.distance, _APART * float(np.hypot(*way)))
-    camera.lookat = middle
+        to_goal = np.array([episode.goal.x, episode.goal.y]) - target[:2]
+        target[:2] += to_goal / 2
+        camera.distance = max(camera.distance, _GOAL_DISTANCES * float(np.hypot(*to_goal)))
+    camera.lookat = target
     return camera
 
 
 def _add_goal(scene: mujoco.MjvScene, episode: Episode, distance: float) -> None:
-    """Lay the edge of the goal on the floor, seen from a distance in m."""
+    """Draw the edge of the goal on the floor, with a width for a camera distance in m."""
     from srs_twin.planning.pictures import goal_ring
     from srs_twin.viewing.mujoco.stage import add_line
     from srs_twin.viewing.plots.style import GOAL_COLOR
@@ -100,17 +119,18 @@ def _add_goal(scene: mujoco.MjvScene, episode: Episode, distance: float) -> None
 
 RENDER_MODES = ("rgb_array",)
 FPS = 10
+"""Frame rate of the class metadata, 1/s; an instance has one frame per step."""
 
 
 class SnakeEnv(DeepCopied, gymnasium.Env[np.ndarray, np.ndarray]):
-    """A task for one agent; `gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")` makes it.
+    """Gymnasium environment of a task, as made by `gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")`.
 
-    Actions and observations are boxes of float32, one number for each of the task's signals. The time limit
-    is the task's own, so that `truncated` comes from here and no wrapper is needed.
+    Actions and observations are float32 boxes with one number per signal of the task. The environment itself
+    sets `truncated` at the time limit of the task, so that no wrapper is needed.
 
     Attributes:
-        task: what is to be done, with its tables of signals.
-        episode: the one that runs; None before the first `reset`.
+        task: definition of the task, with its signals.
+        episode: current episode; None before the first `reset`.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": FPS}  # type: ignore[misc]
@@ -124,18 +144,18 @@ class SnakeEnv(DeepCopied, gymnasium.Env[np.ndarray, np.ndarray]):
         height: int = 480,
         **settings: Any,
     ) -> None:
-        """Make the environment.
+        """Create the environment.
 
         Args:
             task: "GoTo", "Obstacles" or "Module".
-            render_mode: "rgb_array": pictures, without a screen; None: no pictures.
-            width: of pictures, pixels.
-            height: of pictures, pixels.
-            **settings: of the task, as `CrawlTask` and `ModuleTask` take them.
+            render_mode: "rgb_array" for images, which need no display; None: no images.
+            width: image width, pixels.
+            height: image height, pixels.
+            **settings: settings of the task, see `CrawlTask` and `ModuleTask`.
 
         Raises:
-            UnknownNameError: another task or render mode.
-            InputError: as the task raises it.
+            UnknownNameError: the task or render mode does not exist.
+            InputError: a setting is invalid.
         """
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UnknownNameError("render mode", render_mode, RENDER_MODES)
@@ -145,90 +165,97 @@ class SnakeEnv(DeepCopied, gymnasium.Env[np.ndarray, np.ndarray]):
         self.action_space = space_of(self.task.actions)
         self.observation_space = space_of(self.task.observations)
         self.episode: Episode | None = None
-        self._pictures = Pictures(width, height)
+        self._renderer = EpisodeRenderer(width, height)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode; all that is random in it comes from `np_random`, which `seed` sets.
+        """Start an episode; all random draws use `np_random`, which `seed` sets.
 
         Args:
-            seed: of what is drawn.
-            options: `state`: what `episode.save()` gave in an episode of the same seed, to go on from; or
-                `snake`: a physical state to begin from, with `yaw_rate` (rad/s).
+            seed: random seed; None: continue with the current generator.
+            options: `state`: a saved state, from `episode.save()` in an episode of the same seed, to continue
+                from; or `snake`: a physical state to start from, with `yaw_rate` (rad/s).
 
         Raises:
-            UnknownNameError: another option.
-            InputError: a state that does not belong to this episode, or a value that is not allowed; the
-                environment is then as it was before.
+            UnknownNameError: an option does not exist.
+            InputError: the state does not belong to this episode, or a value is not allowed; the environment
+                is left unchanged.
         """
-        return self.take(seed, self.draw(seed, options))
+        return self.start_episode(seed, self.draw_episode(seed, options))
 
-    def draw(self, seed: int | None, options: dict[str, Any] | None) -> tuple[np.random.Generator, Episode]:
-        """Return an episode to begin and the generator that it was drawn from; raises as `reset`."""
+    def draw_episode(
+        self, seed: int | None, options: dict[str, Any] | None
+    ) -> tuple[np.random.Generator, Episode]:
+        """Return a new episode and the generator after its draws, without changing the environment.
+
+        Raises:
+            UnknownNameError: see `reset`.
+            InputError: see `reset`.
+        """
         check_seed(seed)
-        given = checked_options(options)
+        checked = check_reset_options(options)
         rng = copy.deepcopy(self.np_random) if seed is None else seeding.np_random(seed)[0]
-        # With options something may be refused: the twin of the last episode is left alone until then.
-        episode = self.task.begin(rng, None if given else self.episode)
-        if "state" in given:
-            episode.go_on(given["state"])
-        elif "snake" in given:
-            episode.place(given["snake"], given.get("yaw_rate", 0.0))
+        # Options may be refused, so the twin of the running episode must not be reused with them.
+        episode = self.task.begin(rng, None if checked else self.episode)
+        if "state" in checked:
+            episode.restore(checked["state"])
+        elif "snake" in checked:
+            episode.place(checked["snake"], checked.get("yaw_rate", 0.0))
         return rng, episode
 
-    def take(
+    def start_episode(
         self, seed: int | None, drawn: tuple[np.random.Generator, Episode]
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode that `draw` returned for this seed; return its first observation and info."""
+        """Start an episode that `draw_episode` returned for this seed; return its observation and info."""
         super().reset(seed=seed)
         rng, self.episode = drawn
         self.np_random.bit_generator.state = rng.bit_generator.state
         return self.episode.first.observation, self.episode.first.info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Let an action hold for a step of the task.
+        """Apply an action for one step of the task.
 
         Raises:
-            InputError: before the first `reset`, after the end, or an action of another shape.
+            InputError: no episode is running, or the action is invalid.
         """
-        done = self._running().step(action)
-        return done.observation, done.reward, done.terminated, done.truncated, done.info
+        result = self._current_episode().step(action)
+        return result.observation, result.reward, result.terminated, result.truncated, result.info
 
     def render(self) -> np.ndarray | None:
-        """Return a picture, shape (height, width, 3), bytes; None without a render mode.
+        """Return an image, shape (height, width, 3), uint8; None without a render mode.
 
         Raises:
-            InputError: before the first `reset`, or no OpenGL draws here without a screen.
+            InputError: no episode has started, or OpenGL cannot render without a display here.
         """
-        return None if self.render_mode is None else self._pictures.of(self._running())
+        return None if self.render_mode is None else self._renderer.render(self._current_episode())
 
     def close(self) -> None:
-        """Give back what pictures have taken."""
-        self._pictures.close()
+        """Release the renderer."""
+        self._renderer.close()
 
-    def _running(self) -> Episode:
+    def _current_episode(self) -> Episode:
         if self.episode is None:
-            raise InputError("no episode has begun; reset the environment first")
+            raise InputError("no episode is running; reset the environment first")
         return self.episode
 
 
 def space_of(signals: Signals) -> spaces.Box:
-    """Return the box of some signals."""
-    return spaces.Box(low(signals), high(signals), dtype=np.float32)
+    """Return the box of the signals' bounds."""
+    return spaces.Box(lower_bounds(signals), upper_bounds(signals), dtype=np.float32)
 
 
 StepTuple = tuple[np.ndarray, float, bool, bool, dict[str, Any]]
 
 
 class SnakeVectorEnv(DeepCopied, SyncVectorEnv[np.ndarray, np.ndarray]):
-    """Environments of one task: `gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=64)`.
+    """Several environments of one task: `gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=64)`.
 
-    An environment whose episode has ended begins another with the next step, whatever its action
-    (`AutoresetMode.NEXT_STEP`, as gymnasium's own vectors do by default).
+    An environment whose episode has ended starts the next one at the next step and ignores the action
+    (`AutoresetMode.NEXT_STEP`, the default of Gymnasium's vector environments).
 
     Attributes:
-        envs: each one.
+        envs: the single environments.
     """
 
     envs: list[SnakeEnv]  # type: ignore[assignment]
@@ -237,42 +264,42 @@ class SnakeVectorEnv(DeepCopied, SyncVectorEnv[np.ndarray, np.ndarray]):
         self, task: str, num_envs: int = 1, *, threads: int | None = None, engine: str = "cpu",
         device: str | None = None, **settings: Any,
     ) -> None:  # fmt: skip
-        """Make the environments.
+        """Create the environments.
 
         Args:
             task: "GoTo", "Obstacles" or "Module".
-            num_envs: how many.
-            threads: how many; default one a processor.
-            engine: "cpu", or "warp": all twins on a device, where all episodes have one robot and one
-                surroundings; on the processor, with a warning, where they have not.
-            device: of Warp; None: its preferred one.
-            **settings: as in `SnakeEnv`, its render mode and pixels too.
+            num_envs: number of environments.
+            threads: number of threads; default: one per processor.
+            engine: "cpu", or "warp" to step all twins on a device. Warp requires that all episodes have the
+                same robot and no obstacles; otherwise the environments run on the CPU, with a warning.
+            device: Warp device; None: its preferred one.
+            **settings: settings of `SnakeEnv`, including render mode and image size.
 
         Raises:
-            InputError: no environment at all, or as `SnakeEnv` raises it.
+            InputError: `num_envs` is less than 1, or see `SnakeEnv`.
         """
         if num_envs < 1:
             raise InputError(f"num_envs {num_envs} is not allowed; it must be 1 or more")
         super().__init__([partial(SnakeEnv, task, **settings)] * num_envs)
         check_choice("engine", engine, ENGINES)
-        self._kind: Any = warp_batch() if engine == "warp" else None
+        self._batch_class: Any = warp_batch() if engine == "warp" else None
         self._device = device
         self._batch: Any = None
         self._workers = Workers(threads)
-        self._over = np.zeros(num_envs, dtype=bool)
+        self._ended = np.zeros(num_envs, dtype=bool)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode everywhere.
+        """Start an episode in every environment.
 
         Args:
-            seed: of each environment; of one number s they are s, s + 1, …
-            options: of all, as `SnakeEnv.reset` takes them.
+            seed: one seed per environment; a single number s means s, s + 1, …
+            options: options for all environments, see `SnakeEnv.reset`.
 
         Raises:
-            InputError: not one seed an environment, or as `SnakeEnv.reset` raises it; all environments are
-                then as they were before.
+            InputError: the number of seeds is wrong, or see `SnakeEnv.reset`; all environments are left
+                unchanged.
         """
         if np.iterable(seed):
             seeds = list(seed)
@@ -280,96 +307,104 @@ class SnakeVectorEnv(DeepCopied, SyncVectorEnv[np.ndarray, np.ndarray]):
             check_seed(seed)
             seeds = [None if seed is None else int(seed) + k for k in range(self.num_envs)]
         if len(seeds) != self.num_envs:
-            raise InputError(f"seed: {len(seeds)} were given for {self.num_envs} environments; give one each")
-        for each in seeds:
-            check_seed(each)
-        drawn = self._workers.run(self.num_envs, lambda k, _: self.envs[k].draw(seeds[k], options))
-        begun = [env.take(seed, each) for env, seed, each in zip(self.envs, seeds, drawn, strict=True)]
-        self._over = np.zeros(self.num_envs, dtype=bool)
-        if self._kind is not None:
-            self._put()
-        return np.stack([observation for observation, _ in begun]), self._joined(info for _, info in begun)
+            raise InputError(
+                f"seed: {len(seeds)} seeds are given for {self.num_envs} environments; give one for each"
+            )
+        for env_seed in seeds:
+            check_seed(env_seed)
+        episodes = self._workers.run(self.num_envs, lambda k, _: self.envs[k].draw_episode(seeds[k], options))
+        starts = [
+            env.start_episode(env_seed, episode)
+            for env, env_seed, episode in zip(self.envs, seeds, episodes, strict=True)
+        ]
+        self._ended = np.zeros(self.num_envs, dtype=bool)
+        if self._batch_class is not None:
+            self._move_to_device()
+        observations = np.stack([observation for observation, _ in starts])
+        return observations, self._merge_infos(info for _, info in starts)
 
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Let the actions hold for a step of the task, shape (environments, actions).
+        """Apply one action per environment for a step of the task, shape (environments, actions).
 
         Raises:
-            InputError: not one action of finite numbers an environment; nothing has moved then.
+            InputError: the shape is wrong, or a value is not finite; no environment is stepped.
         """
-        wanted = self.action_space.shape
-        assert wanted is not None, "a box has a shape"
-        given = finite(actions, wanted)
-        if given is None:
+        shape = self.action_space.shape
+        assert shape is not None, "a box has a shape"
+        checked = as_finite_array(actions, shape)
+        if checked is None:
             raise InputError(
-                f"actions {shortened(actions)} are not allowed; give finite numbers of shape {wanted}, "
+                f"actions {abbreviate(actions)} are not allowed; give finite numbers of shape {shape}, "
                 f"an action for each of {self.num_envs} environments"
             )
-        actions = given
+        actions = checked
         if self._batch is not None:
-            stepped = self._together(actions)
+            results = self._step_on_device(actions)
         else:
-            stepped = self._workers.run(self.num_envs, lambda k, _: self._stepped(k, actions[k]))
-        *numbers, infos = zip(*stepped, strict=True)
-        observations, rewards, terminated, truncated = map(np.array, numbers)
-        self._over = terminated | truncated
-        return observations, rewards, terminated, truncated, self._joined(infos)
+            results = self._workers.run(self.num_envs, lambda k, _: self._step_or_reset(k, actions[k]))
+        *columns, infos = zip(*results, strict=True)
+        observations, rewards, terminated, truncated = map(np.array, columns)
+        self._ended = terminated | truncated
+        return observations, rewards, terminated, truncated, self._merge_infos(infos)
 
     def render(self) -> tuple[np.ndarray, ...] | None:  # type: ignore[override]
-        """Return a picture of each environment; None without a render mode."""
-        pictures = (env.render() for env in self.envs)
-        return tuple(picture for picture in pictures if picture is not None) or None
+        """Return an image of each environment; None without a render mode."""
+        images = (env.render() for env in self.envs)
+        return tuple(image for image in images if image is not None) or None
 
-    def _put(self) -> None:
-        """Put the twins of all episodes on the device, or say why not."""
+    def _move_to_device(self) -> None:
+        """Move the twins of all episodes to the device; warn and stay on the CPU if that is not possible."""
         twins = [env.episode.twin for env in self.envs if env.episode is not None]
         try:
-            if not self.envs[0].task.repeats:
-                raise InputError("each episode has a robot or surroundings of its own")
+            if not self.envs[0].task.has_identical_episodes:
+                raise InputError("robot or obstacles differ between episodes")
             if self._batch is None or any(a is not b for a, b in zip(self._batch.twins, twins, strict=True)):
-                self._batch = self._kind(twins, device=self._device)
+                self._batch = self._batch_class(twins, device=self._device)
         except InputError as error:
-            warnings.warn(f"environments run on the processor: {error}", EngineWarning, stacklevel=3)
-            self._kind = self._batch = None
+            warnings.warn(f"environments run on the CPU: {error}", EngineWarning, stacklevel=3)
+            self._batch_class = self._batch = None
             return
-        self._lay(range(self.num_envs))
+        self._reset_device_poses(range(self.num_envs))
 
-    def _lay(self, chosen: Sequence[int]) -> None:
-        """Lay snakes where their episodes begin."""
-        states = [self.envs[k]._running().state for k in chosen]
-        self._batch.reset(poses=[(*s.com, float(s.heading)) for s in states], worlds=list(chosen))
+    def _reset_device_poses(self, environments: Sequence[int]) -> None:
+        """Reset the snakes of some environments to the initial poses of their episodes."""
+        states = [self.envs[k]._current_episode().state for k in environments]
+        self._batch.reset(poses=[(*s.com, float(s.heading)) for s in states], worlds=list(environments))
 
-    def _together(self, actions: np.ndarray) -> list[StepTuple]:
-        """Step all episodes that go on as one, and begin anew those that are over."""
-        batch, found = self._batch, dict[int, StepTuple]()
-        for k in map(int, np.flatnonzero(self._over)):
+    def _step_on_device(self, actions: np.ndarray) -> list[StepTuple]:
+        """Step all running episodes as one batch and reset the ended ones."""
+        batch, results = self._batch, dict[int, StepTuple]()
+        for k in map(int, np.flatnonzero(self._ended)):
             observation, info = self.envs[k].reset()
-            found[k] = (observation, 0.0, False, False, info)
-        going = [k for k in range(self.num_envs) if k not in found]
-        rest = np.full((self.envs[0]._running().twin.spec.segments, 2), -1, dtype=np.int8)
-        valves = [rest] * self.num_envs
-        for k in going:
-            valves[k] = self.envs[k]._running().command(actions[k])
-        most = max(each.shape[0] if each.ndim == 3 else 1 for each in valves)
-        batch.update_supply_pressure()
-        batch.step(np.stack([np.broadcast_to(v, (most, *rest.shape)) if v.ndim == 2 else v for v in valves]))
-        for k in going:
-            episode, error = self.envs[k]._running(), batch.errors[k]
-            done = episode.diverged(error) if error is not None else episode.went_on(batch.state.at(k))
-            found[k] = (done.observation, done.reward, done.terminated, done.truncated, done.info)
-        if over := [k for k in found if k not in going]:
-            self._lay(over)
-        return [found[k] for k in range(self.num_envs)]
+            results[k] = (observation, 0.0, False, False, info)
+        running = [k for k in range(self.num_envs) if k not in results]
+        vented = np.full((self.envs[0]._current_episode().twin.spec.segments, 2), -1, dtype=np.int8)
+        valves = [vented] * self.num_envs
+        for k in running:
+            valves[k] = self.envs[k]._current_episode().command(actions[k])
+        # Commands with several valve states per step have three dimensions; a single one is repeated.
+        substeps = max(states.shape[0] if states.ndim == 3 else 1 for states in valves)
+        shape = (substeps, *vented.shape)
+        batch.regulate()
+        batch.step(np.stack([np.broadcast_to(v, shape) if v.ndim == 2 else v for v in valves]))
+        for k in running:
+            episode, error = self.envs[k]._current_episode(), batch.errors[k]
+            result = episode.diverged(error) if error is not None else episode.finish_step(batch.state.at(k))
+            results[k] = (result.observation, result.reward, result.terminated, result.truncated, result.info)
+        if ended := [k for k in results if k not in running]:
+            self._reset_device_poses(ended)
+        return [results[k] for k in range(self.num_envs)]
 
-    def _stepped(self, k: int, action: np.ndarray) -> StepTuple:
-        if self._over[k]:
+    def _step_or_reset(self, k: int, action: np.ndarray) -> StepTuple:
+        if self._ended[k]:
             observation, info = self.envs[k].reset()
             return observation, 0.0, False, False, info
         return self.envs[k].step(action)
 
-    def _joined(self, infos: Any) -> dict[str, Any]:
-        joined: dict[str, Any] = {}
+    def _merge_infos(self, infos: Any) -> dict[str, Any]:
+        merged: dict[str, Any] = {}
         for k, info in enumerate(infos):
-            joined = self._add_info(joined, info, k)
-        return joined
+            merged = self._add_info(merged, info, k)
+        return merged

@@ -1,13 +1,13 @@
-"""Tasks for agents, the same for gymnasium and dm_env; how the robots of their episodes vary.
+r"""Reinforcement-learning tasks, common to Gymnasium and dm_env, and domain randomisation of the robot.
 
-An agent gives an action and gets an observation every `step_s`. Observations hold what sensors and a camera
-measure, noise included; reward and `info` may know more. An episode ends where there is nothing more to win
-(`terminated`) or at the time limit (`truncated`), which is not part of the task.
+An agent gives an action and receives an observation every `step_s`. Observations contain only sensor and
+camera measurements, with their noise; the reward and `info` may use the true state. An episode terminates at
+its goal or on failure (`terminated`), or is cut off at the time limit (`truncated`).
 
-Robots vary by three sources, each of which may be absent: the spreads of `modules` in a robot file, the
-confidence intervals of a fit file, and given ranges. From a fit the parameters are drawn together, as normal
-numbers with its standard errors and correlations, and clipped to their intervals: where the data determine
-only a sum, draws keep that sum.
+Robots vary by up to three sources: the tolerances of `modules` in a robot file, the confidence intervals of
+a fit file, and given ranges. Fitted parameters are drawn jointly from a normal distribution with the fit's
+standard errors and correlations, and clipped to their intervals. The correlations matter: where the data
+determine only a sum of two parameters, the draws preserve that sum.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 
 from srs_twin.errors import DivergedError, InputError, UnknownNameError, count_steps
 from srs_twin.identification.fit_file import FitFile, load_fit
-from srs_twin.identification.unknowns import unknowns, with_values
+from srs_twin.identification.parameters import free_parameters, with_values
 from srs_twin.io.saved_state import SavedState, Stateful
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
@@ -35,21 +35,21 @@ from srs_twin.robot.world import Goal, World
 
 @dataclass(frozen=True)
 class Signal:
-    """One number of an action or an observation.
+    """Component of an action or an observation.
 
     Attributes:
-        name: ends with the unit, as keys of files do.
-        unit: "1" for a pure number.
-        low: smallest value.
-        high: largest value.
-        what: what it is.
+        name: name ending in the unit, as file keys do.
+        unit: unit; "1" if dimensionless.
+        low: lower bound.
+        high: upper bound.
+        description: meaning, one line.
     """
 
     name: str
     unit: str
     low: float
     high: float
-    what: str
+    description: str
 
 
 Path = str | os.PathLike[str]
@@ -57,43 +57,46 @@ Signals = tuple[Signal, ...]
 Ranges = Mapping[str, tuple[float, float]]
 
 
-def low(signals: Signals) -> np.ndarray:
-    """Return the smallest values, float32 of shape (signals,)."""
-    return np.array([each.low for each in signals], dtype=np.float32)
+def lower_bounds(signals: Signals) -> np.ndarray:
+    """Return the lower bounds, float32 of shape (signals,)."""
+    return np.array([signal.low for signal in signals], dtype=np.float32)
 
 
-def high(signals: Signals) -> np.ndarray:
-    """Return the largest values, float32 of shape (signals,)."""
-    return np.array([each.high for each in signals], dtype=np.float32)
+def upper_bounds(signals: Signals) -> np.ndarray:
+    """Return the upper bounds, float32 of shape (signals,)."""
+    return np.array([signal.high for signal in signals], dtype=np.float32)
 
 
-def numbered(count: int, name: str, unit: str, low: float, high: float, what: str) -> list[Signal]:
-    """Return a signal of each segment or obstacle; # in the name is its number, from 1."""
-    return [Signal(name.replace("#", str(k)), unit, low, high, what) for k in range(1, count + 1)]
+def numbered_signals(
+    count: int, name: str, unit: str, low: float, high: float, description: str
+) -> list[Signal]:
+    """Return one signal per segment or obstacle; # in the name is replaced by its number, from 1."""
+    return [Signal(name.replace("#", str(k)), unit, low, high, description) for k in range(1, count + 1)]
 
 
-def taken(signals: Signals, action: object) -> list[float]:
-    """Return an agent's action, brought to the bounds of its signals.
+def clip_action(signals: Signals, action: object) -> list[float]:
+    """Return an action clipped to the bounds of its signals.
 
     Raises:
-        InputError: another shape, or anything but finite numbers.
+        InputError: the shape is wrong, or a value is not a finite number.
     """
-    values = finite(action, (len(signals),))
+    values = as_finite_array(action, (len(signals),))
     if values is None:
-        names = ", ".join(each.name for each in signals)
+        names = ", ".join(signal.name for signal in signals)
         raise InputError(
-            f"action {shortened(action)} is not allowed; give {len(signals)} finite numbers: {names}"
+            f"action {abbreviate(action)} is not allowed; give {len(signals)} finite numbers: {names}"
         )
     return [
-        min(max(value, each.low), each.high) for value, each in zip(values.tolist(), signals, strict=True)
+        min(max(value, signal.low), signal.high)
+        for value, signal in zip(values.tolist(), signals, strict=True)
     ]
 
 
-def finite(numbers: object, shape: tuple[int, ...]) -> np.ndarray | None:
-    """Return numbers as float64; None where they have another shape or are not all finite numbers."""
+def as_finite_array(numbers: object, shape: tuple[int, ...]) -> np.ndarray | None:
+    """Return numbers as a float64 array, or None if the shape differs or a value is not finite."""
     try:
         values = np.asarray(numbers)
-    except (TypeError, ValueError):  # lists of different lengths, tensors on a device
+    except (TypeError, ValueError):  # ragged lists, tensors on a device
         return None
     if values.dtype.kind not in "biuf" or values.shape != shape:
         return None
@@ -101,59 +104,62 @@ def finite(numbers: object, shape: tuple[int, ...]) -> np.ndarray | None:
     return values if np.isfinite(values).all() else None
 
 
-def shortened(given: object) -> str:
-    """Return a value for a message; of an array with many numbers its shape."""
-    if isinstance(given, np.ndarray):
-        return f"of shape {given.shape}" if given.size > _FEW_NUMBERS else str(given.tolist())
-    return reprlib.repr(given)
+def abbreviate(value: object) -> str:
+    """Return a short text of a value for messages; a large array is described by its shape."""
+    if isinstance(value, np.ndarray):
+        return f"of shape {value.shape}" if value.size > _MAX_PRINTED_VALUES else str(value.tolist())
+    return reprlib.repr(value)
 
 
 def check_seed(seed: object) -> None:
-    """Refuse a seed of episodes that is not an integer from 0 on, or None.
+    """Check that a seed is None or an integer of 0 or more.
 
     Raises:
-        InputError: it is not.
+        InputError: it is neither.
     """
-    whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
-    if not (seed is None or (whole and seed >= 0)):  # type: ignore[operator]
-        raise InputError(f"seed {shortened(seed)} is not allowed; it must be an integer of 0 or more")
+    is_integer = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
+    if not (seed is None or (is_integer and seed >= 0)):  # type: ignore[operator]
+        raise InputError(f"seed {abbreviate(seed)} is not allowed; it must be an integer of 0 or more")
 
 
-_FEW_NUMBERS = 6
+_MAX_PRINTED_VALUES = 6
+"""Largest number of array elements that a message prints."""
+
 _OPTIONS = ("state", "snake", "yaw_rate")
 
 
-def checked_options(options: object) -> dict[str, Any]:
-    """Return the options of a reset, {} for None.
+def check_reset_options(options: object) -> dict[str, Any]:
+    """Return the options of a reset after validation, {} for None.
 
     Raises:
-        UnknownNameError: an option that does not exist.
-        InputError: no mapping, options that exclude each other, or a value of another type.
+        UnknownNameError: an option does not exist.
+        InputError: options is not a mapping, two options exclude each other, or a value has the wrong type.
     """
     if options is None:
         return {}
     if not isinstance(options, Mapping):
         raise InputError(
-            f"options {shortened(options)} are not allowed; give a dict with {', '.join(_OPTIONS)}"
+            f"options {abbreviate(options)} are not allowed; give a dict with {', '.join(_OPTIONS)}"
         )
     for name in options:
         if name not in _OPTIONS:
             raise UnknownNameError("option of reset", str(name), _OPTIONS)
-    kinds = {
+    types = {
         "state": (SavedState, "a SavedState, which episode.save() returns"),
         "snake": (SnakeState, "a SnakeState, such as plant.state"),
     }
-    for name, (kind, wanted) in kinds.items():
-        if name in options and not isinstance(options[name], kind):
-            raise InputError(f"option {name} {shortened(options[name])} is not allowed; give {wanted}")
+    for name, (expected_type, expected) in types.items():
+        if name in options and not isinstance(options[name], expected_type):
+            raise InputError(f"option {name} {abbreviate(options[name])} is not allowed; give {expected}")
     if "state" in options and len(options) > 1:
-        raise InputError("option state excludes the options snake and yaw_rate; leave them out")
+        raise InputError("options snake and yaw_rate are not allowed with option state; leave them out")
     if "yaw_rate" in options and "snake" not in options:
-        raise InputError("option yaw_rate belongs to option snake; give both")
+        raise InputError("option yaw_rate requires option snake; give both")
     return dict(options)
 
 
-_TASKS_OWN = {"spec", "tick", "supply_pa", "base", "world"}
+_RESERVED_TWIN_ARGUMENTS = {"spec", "tick", "supply_pa", "base", "world"}
+"""Arguments of `TwinSnake` that a task sets itself."""
 
 TIME_UP = "time_up"
 DIVERGED = "diverged"
@@ -161,14 +167,14 @@ DIVERGED = "diverged"
 
 @dataclass(frozen=True)
 class StepResult:
-    """What an agent is told after a step.
+    """Result of one step.
 
     Attributes:
         observation: float32, within the bounds of the task's observations.
-        reward: of this step; 0 for the first of an episode.
-        terminated: whether the episode has come to its own end.
-        truncated: whether the time is up.
-        info: more than sensors tell, for people; units in the keys.
+        reward: reward of this step; 0 at the start of an episode.
+        terminated: whether the episode has reached a terminal state.
+        truncated: whether the time limit is reached.
+        info: true state and diagnostics, not for the agent; units in the keys.
     """
 
     observation: np.ndarray
@@ -179,23 +185,23 @@ class StepResult:
 
 
 class Task(ABC):
-    """What an agent is to do.
+    """Definition of a task: signals, time limit and distribution of robots.
 
     Attributes:
-        name: short, as registered.
-        actions: what it gives.
-        observations: what it gets.
-        step_s: how long an action holds, s.
-        limit_s: after how long an episode is cut off, s.
-        robot: what moves, before anything is drawn.
-        solid: whether there is anything to run into, anew in each episode.
+        name: short name, as registered.
+        actions: components of an action.
+        observations: components of an observation.
+        step_s: duration of one step, s.
+        limit_s: time limit of an episode, s.
+        robot: nominal robot, without random variation.
+        has_obstacles: whether each episode draws obstacles.
     """
 
     name: str
     actions: Signals
     observations: Signals
     step_s: float
-    solid = False
+    has_obstacles = False
 
     def __init__(
         self,
@@ -204,187 +210,190 @@ class Task(ABC):
         *,
         fit: Path | None = None,
         ranges: Ranges | None = None,
-        **twin: Any,
+        **twin_settings: Any,
     ) -> None:
-        """Take what all tasks have.
+        """Initialise the robot distribution, the time limit and the settings of the twin.
 
         Args:
-            robot: name or path of what moves; the spreads of its modules are drawn for every episode.
+            robot: name or path of a robot file; the tolerances of its modules are drawn for each episode.
             limit_s: time limit, s.
-            fit: path of a fit file, within whose intervals robots are drawn (`Variation`).
-            ranges: names of a robot's numbers → lowest and highest, drawn uniformly.
-            **twin: settings that go on to `TwinSnake`; a task sets some of its arguments itself.
+            fit: path of a fit file, from whose intervals robots are drawn (`Variation`).
+            ranges: parameter name → lower and upper limit of a uniform distribution.
+            **twin_settings: arguments of `TwinSnake`, except those that the task sets.
 
         Raises:
-            UnknownNameError: a setting that the twin does not take.
-            InputError: a robot, fit or range that cannot be, a time limit that is no multiple of the step.
+            UnknownNameError: a setting that the twin does not have.
+            InputError: the robot, fit or range is invalid, or the time limit is not a multiple of the step.
         """
-        variation = Variation.of(robot, fit, ranges)
+        variation = Variation.load(robot, fit, ranges)
         count_steps("limit_s", limit_s, "step", self.step_s)
-        allowed = set(signature(TwinSnake).parameters) - _TASKS_OWN
-        for name in twin:
+        allowed = set(signature(TwinSnake).parameters) - _RESERVED_TWIN_ARGUMENTS
+        for name in twin_settings:
             if name not in allowed:
                 raise UnknownNameError("setting of the task or its twin", name, allowed)
-        self.limit_s, self._variation, self._settings = limit_s, variation, twin
+        self.limit_s, self._variation, self._twin_settings = limit_s, variation, twin_settings
         self.robot = variation.file.spec()
 
     @property
-    def repeats(self) -> bool:
-        """Whether all episodes have one robot and nothing to run into."""
+    def has_identical_episodes(self) -> bool:
+        """Whether all episodes have the same robot and no obstacles, as a device batch requires."""
         first, second = (self._variation.draw(np.random.default_rng(seed)) for seed in range(2))
-        return first == second and not self.solid
+        return first == second and not self.has_obstacles
 
     def _twin(
         self, spec: RobotSpec, last: Episode | None, world: World | None = None, **own: Any
     ) -> TwinSnake:
-        """Return a twin: that of an episode that is over, where it is the same and met no obstacles."""
+        """Return a twin; that of a finished episode is reused if it has the same robot and no obstacles."""
         solid = world is not None and world.has_obstacles
         if last is not None and last.twin.spec == spec and not (solid or last.twin.touches):
             return last.twin
-        return TwinSnake(spec, tick=self.step_s, world=world, **own, **self._settings)
+        return TwinSnake(spec, tick=self.step_s, world=world, **own, **self._twin_settings)
 
     @abstractmethod
     def begin(self, rng: np.random.Generator, last: Episode | None = None) -> Episode:
-        """Begin an episode; all that is random in it comes from `rng`.
+        """Start an episode.
 
         Args:
-            rng: which episode.
-            last: an episode that is over: its twin is used again where it is the same.
+            rng: source of all random draws of the episode.
+            last: finished episode whose twin may be reused.
 
         Raises:
-            InputError: what was drawn cannot be.
+            InputError: the drawn robot or world is invalid.
         """
 
 
 class Episode(Stateful, ABC):
-    """One try; `save` and `go_on` branch it.
+    """One episode of a task; `save` and `restore` branch it.
 
     Attributes:
-        twin: what moves.
-        state: of it, now.
-        goal: where to get to; None where there is no such place.
-        ending: why it ended, empty while it goes on.
-        first: what the agent gets before its first action.
+        twin: simulated robot.
+        state: current state of the twin.
+        goal: goal of the episode; None if the task has none.
+        ending: reason why the episode ended; empty while it runs.
+        first: initial observation and info, before the first action.
     """
 
-    state_attributes: ClassVar[tuple[str, ...]] = ("twin", "state", "ending", "_steps", "_seen")
+    state_attributes: ClassVar[tuple[str, ...]] = ("twin", "state", "ending", "_steps", "_last_observation")
 
     ending = ""
     goal: Goal | None = None
 
     def __init__(self, task: Task, twin: TwinSnake, state: SnakeState) -> None:
-        """Begin; a subclass sets up what it needs first, for this asks for the first observation."""
+        """Initialise; a subclass sets its own attributes first, as this makes the first observation."""
         self.twin, self.state = twin, state
         self._task = task
-        self._bounds = low(task.observations), high(task.observations)
-        self._steps, self._most = 0, count_steps("limit_s", task.limit_s, "step", task.step_s)
+        self._bounds = lower_bounds(task.observations), upper_bounds(task.observations)
+        self._steps, self._max_steps = 0, count_steps("limit_s", task.limit_s, "step", task.step_s)
         self.first = StepResult(self._observation(), 0.0, False, False, self._info())
 
     def save(self) -> SavedState:
-        """Return all that decides what comes next but the agent, for `go_on`."""
+        """Return the saved state of the episode, without the agent, for `restore`."""
         return SavedState(self.identity(), self.state_dict())
 
-    def go_on(self, state: SavedState) -> None:
-        """Go on from a state that an episode of the same draw was in; it is the first one of this episode.
+    def restore(self, state: SavedState) -> None:
+        """Continue from a saved state of an episode with the same draw; it becomes the first state.
 
         Raises:
-            InputError: the state of another task, robot or surroundings.
+            InputError: the state belongs to another task, robot or world.
         """
         state.check(f"episode of {self._task.name}", self.identity())
         self.load_state_dict(state.content)
-        self.first = StepResult(self._seen.copy(), 0.0, False, False, self._info())
+        self.first = StepResult(self._last_observation.copy(), 0.0, False, False, self._info())
 
     def place(self, snake: SnakeState, yaw_rate: float = 0.0) -> None:
-        """Begin from a physical state instead, as `Plant.place` does.
+        """Start from a physical state instead, as `Plant.place` does.
 
         Raises:
-            InputError: a state that the twin cannot be in.
+            InputError: the twin cannot be in this state.
         """
         self.state = self.twin.place(snake, yaw_rate=yaw_rate, seed=self.twin.seed)
-        self._placed()
+        self._initialise_from_state()
         self.first = StepResult(self._observation(), 0.0, False, False, self._info())
 
-    def _placed(self) -> None:
-        """Settle what hangs on the first state."""
+    def _initialise_from_state(self) -> None:
+        """Reset the attributes that depend on the first state."""
 
     def identity(self) -> dict[str, Any]:
-        """Return what a saved state must share with the episode, JSON values."""
+        """Return the properties that a saved state must share with the episode, as JSON values."""
         return {"task": self._task.name, **self.twin.identity()}
 
     def step(self, action: object) -> StepResult:
-        """Let an action hold for a step; one beyond its bounds is brought to them.
+        """Apply an action for one step; values outside their bounds are clipped.
 
         Args:
-            action: one number for each of the task's actions.
+            action: one number per action signal of the task.
 
         Raises:
-            InputError: another shape, numbers that are not finite, or the episode is over.
+            InputError: the shape is wrong, a number is not finite, or the episode is over.
         """
         valves = self.command(action)
         try:
             state = self.twin.step(valves)
         except DivergedError as error:
             return self.diverged(error)
-        return self.went_on(state)
+        return self.finish_step(state)
 
     def command(self, action: object) -> np.ndarray:
-        """Return the valves of the coming step, which `went_on` or `diverged` ends; raises as `step`."""
+        """Return the valve states of the next step, which `finish_step` or `diverged` completes."""
         if self.ending:
             raise InputError(f"the episode is over ({self.ending}); reset the environment to begin another")
-        return self._valves(taken(self._task.actions, action))
+        return self._valves(clip_action(self._task.actions, action))
 
-    def went_on(self, state: SnakeState) -> StepResult:
-        """Take the state at the end of a step."""
+    def finish_step(self, state: SnakeState) -> StepResult:
+        """Return the result of a step from the state at its end."""
         self.state = state
         self._steps += 1
-        reward = self._judge()
+        reward = self._reward()
         terminated = bool(self.ending)
-        truncated = not terminated and self._steps >= self._most
+        truncated = not terminated and self._steps >= self._max_steps
         if truncated:
             self.ending = TIME_UP
         return StepResult(self._observation(), reward, terminated, truncated, self._info())
 
     def diverged(self, error: DivergedError) -> StepResult:
-        """End; the state is still that of the step before, which sensors and camera have seen already."""
+        """End the episode; the observation is that of the previous step, as no later one exists."""
         self._steps += 1
         self.ending = DIVERGED
-        return StepResult(self._seen.copy(), 0.0, True, False, self._info() | {"error": str(error)})
+        return StepResult(
+            self._last_observation.copy(), 0.0, True, False, self._info() | {"error": str(error)}
+        )
 
     def _observation(self) -> np.ndarray:
-        """Return the observation: float32, within its bounds."""
-        least, most = self._bounds
-        seen = np.array(self._observed(), dtype=np.float32)
-        self._seen: np.ndarray = np.minimum(np.maximum(seen, least), most)
-        return self._seen
+        """Return the observation, float32, clipped to its bounds."""
+        low, high = self._bounds
+        measured = np.array(self._measure(), dtype=np.float32)
+        self._last_observation: np.ndarray = np.minimum(np.maximum(measured, low), high)
+        return self._last_observation
 
     @abstractmethod
     def _valves(self, action: list[float]) -> np.ndarray:
-        """Return the valves of the coming step."""
+        """Return the valve states of the next step."""
 
     @abstractmethod
-    def _observed(self) -> list[float]:
-        """Return the numbers of the task's observations; called once a step."""
+    def _measure(self) -> list[float]:
+        """Return the values of the task's observations; called once per step, as it draws noise."""
 
     @abstractmethod
-    def _judge(self) -> float:
-        """Return the reward of the step that led to `state`; set `ending` where the episode is over."""
+    def _reward(self) -> float:
+        """Return the reward of the step that led to `state`; set `ending` if the episode is over."""
 
     def _info(self) -> dict[str, Any]:
-        """Return what people want to know; units in the keys."""
+        """Return diagnostics; units in the keys."""
         return {"time_s": float(self.state.time), "air_j": float(self.state.air), "ending": self.ending}
 
 
-_MOST_SEEDS = 2**32
+_SEED_COUNT = 2**32
+"""Number of seeds from which the modules of a robot are drawn."""
 
 
 @dataclass(frozen=True)
 class Variation:
-    """How robots differ.
+    """Distribution of robots over episodes (domain randomisation).
 
     Attributes:
-        file: the robot, with the spreads of its modules.
-        fit: its intervals; None: no fit.
-        ranges: lowest and highest of other numbers, by their names in a robot file, uniform.
+        file: nominal robot with the tolerances of its modules.
+        fit: fit whose parameters are drawn from their confidence intervals; None: no fit.
+        ranges: parameter name → lower and upper limit of a uniform distribution.
     """
 
     file: RobotFile
@@ -392,47 +401,54 @@ class Variation:
     ranges: Ranges = field(default_factory=dict)
 
     @classmethod
-    def of(cls, robot: Path, fit: Path | None = None, ranges: Ranges | None = None) -> Variation:
-        """Return the variation of a robot.
+    def load(cls, robot: Path, fit: Path | None = None, ranges: Ranges | None = None) -> Variation:
+        """Load the variation of a robot.
 
         Args:
-            robot: name or path.
-            fit: path of a fit file that started from this robot.
-            ranges: as the attribute.
+            robot: name or path of a robot file.
+            fit: path of a fit file for this robot.
+            ranges: see the attribute.
 
         Raises:
-            InputError: no such file, a fit of another robot, or a range that no robot can have.
+            InputError: a file does not exist, the fit is for another robot, or a range is not allowed.
         """
-        found = None if fit is None else load_fit(fit)
-        if found is not None and found.robot != os.fspath(robot):
-            raise InputError(f"fit {found.name} is of robot '{found.robot}', not of '{os.fspath(robot)}'")
-        made = cls(load_robot_file(robot), found, dict(ranges or {}))
-        spec = made.file.spec()
-        for name, (low, high) in made.ranges.items():
+        fit_file = None if fit is None else load_fit(fit)
+        if fit_file is not None and fit_file.robot != os.fspath(robot):
+            raise InputError(
+                f"fit {fit_file.name} is for robot '{fit_file.robot}', not for '{os.fspath(robot)}'"
+            )
+        variation = cls(load_robot_file(robot), fit_file, dict(ranges or {}))
+        spec = variation.file.spec()
+        for name, (low, high) in variation.ranges.items():
             if not low <= high:
-                raise InputError(f"{name}: the range {low:g} to {high:g} is not allowed; lowest first")
-            for end in (low, high):
-                unknowns(spec, [name], starts={name: end})
-        return made
+                raise InputError(
+                    f"{name}: the range {low:g} to {high:g} is not allowed; give the lower limit first"
+                )
+            for limit in (low, high):
+                free_parameters(spec, [name], starts={name: limit})  # raises if not allowed
+        return variation
 
     def draw(self, rng: np.random.Generator) -> RobotSpec:
-        """Return the robot of an episode."""
-        spec = self.file.spec(int(rng.integers(_MOST_SEEDS)))
+        """Draw the robot of an episode."""
+        spec = self.file.spec(int(rng.integers(_SEED_COUNT)))
         if self.fit is not None:
-            spec = with_values(spec, _of_fit(self.fit, spec, rng))
-        return with_values(spec, {name: float(rng.uniform(*ends)) for name, ends in self.ranges.items()})
+            spec = with_values(spec, _draw_fitted_values(self.fit, spec, rng))
+        return with_values(spec, {name: float(rng.uniform(*limits)) for name, limits in self.ranges.items()})
 
 
-def _of_fit(fit: FitFile, spec: RobotSpec, rng: np.random.Generator) -> dict[str, float]:
-    """Return the values of a fit as they may be, and those that it held."""
-    fitted = [each for each in fit.parameters if each.value is not None]
-    values = np.array([each.value for each in fitted], dtype=float)
-    errors = np.array([each.standard_error for each in fitted], dtype=float)
+def _draw_fitted_values(fit: FitFile, spec: RobotSpec, rng: np.random.Generator) -> dict[str, float]:
+    """Draw fitted parameters from their joint normal distribution; add the actuator's fixed bend."""
+    fitted = [parameter for parameter in fit.parameters if parameter.value is not None]
+    values = np.array([parameter.value for parameter in fitted], dtype=float)
+    errors = np.array([parameter.standard_error for parameter in fitted], dtype=float)
     covariance = np.array(fit.correlation, dtype=float) * np.outer(errors, errors)
+    # Eigenvalues, because correlations of 1 make the covariance singular.
     drawn = rng.multivariate_normal(values, covariance, method="eigh") if fitted else values
-    bounds = {each.name: each for each in unknowns(spec, (each.name for each in fitted))}
-    held = {name: value for name, value in fit.held.items() if name == "actuator.bend_rad"}
-    for each, value in zip(fitted, drawn, strict=True):
-        bound = bounds[each.name]
-        held[each.name] = float(np.clip(value, max(each.low, bound.low), min(each.high, bound.high)))  # type: ignore[type-var]
-    return held
+    unknowns = free_parameters(spec, (parameter.name for parameter in fitted))
+    bounds = {unknown.name: unknown for unknown in unknowns}
+    result = {name: value for name, value in fit.held.items() if name == "actuator.bend_rad"}
+    for parameter, value in zip(fitted, drawn, strict=True):
+        bound = bounds[parameter.name]
+        low, high = max(parameter.low, bound.low), min(parameter.high, bound.high)  # type: ignore[type-var]
+        result[parameter.name] = float(np.clip(value, low, high))
+    return result

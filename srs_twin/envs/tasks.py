@@ -1,4 +1,4 @@
-"""Tasks by name."""
+"""Task registry."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ TASKS = ("GoTo", "Obstacles", "Module")
 
 
 def make_task(name: str, **settings: Any) -> Task:
-    """Return a task.
+    """Return a task by name.
 
     Args:
-        name: of `TASKS`.
-        **settings: as `CrawlTask` and `ModuleTask` take them.
+        name: one of `TASKS`.
+        **settings: settings of the task, see `CrawlTask` and `ModuleTask`.
 
     Raises:
-        UnknownNameError: another name.
-        InputError: as the task raises it.
+        UnknownNameError: the task does not exist.
+        InputError: a setting is invalid.
     """
     from srs_twin.envs.crawling import CIRCLES, OPEN, CrawlTask
     from srs_twin.envs.module import ModuleTask

@@ -1,5 +1,5 @@
-"""What is known of a robot from runs, measurements and its own recordings.
+"""Identification of a robot from runs, measurements and recordings.
 
-`read_motion` reads what cameras saw of it, `read_valves` what was done to its air, `join` puts both on one
-clock. `footprint.study` measures what it sweeps.
+`read_motion` reads motion capture, `read_valves` logs of valves or pressures, and `join` puts both on one
+clock. `footprint.footprint_study` measures footprints.
 """

@@ -1,30 +1,30 @@
-r"""Actuators of free segments: time constants, gains and biases from responses and from held pressures.
+r"""Actuator parameters of free segments, from step responses and from static tables.
 
-**Responses.** What valves or pressures did, and how far the segments bent. Predictions are those of
-`pneumatics.LagPneumatics`, Eq. 14 for nominal modules: τ_fill, τ_vent and τ_mode of all modules, gain and
-bias of each chamber's own. Segments must bend freely, on a bench or lifted: on the floor the load of the
-body is in the bends as well. `actuator.bend_rad` and all gains together cannot be told apart, so it is held
-unless asked for. Of a log of pressures instead of valves, bends follow the pressures by τ_mode, taken as a
-delay (for pressures that change in τ₁ that errs by (τ_mode/τ₁)²); what fills the chambers cannot be told
-from it.
+**Responses.** Valve states or pressures and the resulting bends over time. The model is
+`pneumatics.LagPneumatics`, Eq. 14 for nominal modules: τ_fill, τ_vent and τ_mode are common to all modules,
+gain and rest bend are individual. Segments must bend freely, on a bench or lifted; on the floor the bends
+depend on the load of the body as well. `actuator.bend_rad` and a common factor of all gains have the same
+effect, so the former is fixed unless requested. With a log of pressures instead of valves, bends follow the
+pressures with the delay τ_mode (for pressures with the time constant τ₁ the relative error is (τ_mode/τ₁)²),
+and the filling of the chambers cannot be estimated.
 
-**Static tables.** Pressures that were held, and the bends at which free segments came to rest, in a plain CSV
-file with ``pressure_plus_1,pressure_minus_1,bend_1,…`` (``pressure_plus_1_kpa``, ``bend_1_deg``; Pa and rad
-without a unit). A pressure that is not there is 0, an empty bend was not measured. Gain, bias and bend limit
-can be told from it; nothing that takes time, and no mass. ``bend_error_1`` is a bend's standard error; it may
-be left out.
+**Static tables.** Constant pressures and the bends at which free segments come to rest, as a CSV file with
+``pressure_plus_1,pressure_minus_1,bend_1,…`` (``pressure_plus_1_kpa``, ``bend_1_deg``; Pa and rad without a
+unit). A missing pressure is 0; an empty bend was not measured. Gain, rest bend and bend limit can be
+estimated, but no time constants or masses. ``bend_error_1`` is the optional standard error of a bend.
 
-**Plateaus** of a recording make such a table. A plateau begins where all pressures stay within ±1 kPa (or ±5
-standard deviations of their noise); its first 5 τ, τ the robot's slowest time constant, its last 50 ms and
-outliers of pressure are left out. Of what follows the first quarter is left out again and again, for each
-segment, until a line through the bends drifts by less than twice its standard error, or by less than 0.1 mrad
-over the frames. Bends and pressures are averaged over the rest. The standard error of a mean bend is
+**Plateaus** of a recording form such a table. A plateau starts where all pressures begin to stay within ±1
+kPa (or ±5 standard deviations of their noise). Its first 5 τ, with τ the largest time constant of the robot,
+its last 50 ms and pressure outliers are discarded. Of the remainder, the first quarter is discarded
+repeatedly, for each segment, until the drift of a line through the bends is less than twice its standard
+error, or less than 0.1 mrad over the frames. Bends and pressures are averaged over the rest. The standard
+error of a mean bend is
 
 $$ \sigma = \max\bigl(s / \sqrt{n/\tau_c},\; e/10\bigr), $$
 
-s the scatter of n frames about the line, τ_c its `correlation_time`, and e the standard error of one frame
-where the recording has it (``bend_error_1``). That is nearly white from frame to frame, but a tenth of it is
-taken to come from what is the same in all frames, such as offsets of markers, and does not average out.
+with s the scatter of n frames about the line, τ_c its `correlation_time`, and e the standard error of one
+frame, if the recording has it (``bend_error_1``). This error is nearly white from frame to frame. A tenth of
+it is assumed to be common to all frames, such as by marker offsets, and is not reduced by averaging.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ import numpy as np
 import scipy.stats
 
 from srs_twin.errors import InputError
-from srs_twin.identification.estimate import Estimate, Residual, Role, correlation_time
-from srs_twin.identification.fit_file import DataSet, fingerprint, with_roles
+from srs_twin.identification.estimate import FitEstimate, Residual, Role, correlation_time
+from srs_twin.identification.fit_file import DataSet, array_hash, assign_roles
 from srs_twin.identification.least_squares import Watch, least_squares
-from srs_twin.identification.unknowns import Unknown, per_segment, unknowns, with_values
+from srs_twin.identification.parameters import FreeParameter, free_parameters, per_segment, with_values
 from srs_twin.io.files import write_text
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
@@ -54,33 +54,58 @@ from srs_twin.recordings.signals.valve_log import ValveLog
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
-_BEND_NOISE = 0.01  # rad
-_PRESSURE_NOISE = 500.0  # Pa
-_HELD = 1e3  # Pa: held pressures stay this near to their mean
-_NEAR, _ALIKE = 7.5, 100.0  # of held pressures: medians of their distances, and Pa more
-_DRIFT = 1e-4  # rad over a plateau: bends that change by less are settled, and none is better known
-_CLOCK = 0.05  # s: how far an estimated offset may be wrong
-_MOST_PRESSURE = 2e6  # Pa
-_MOST_BEND = 2 * math.pi
-_BEND, _LIMIT = "actuator.bend_rad", "actuator.bend_limit_rad"
-_CORNER = 0.02  # rad: width of a dead zone whose data show none
-_SHARE, _LATE = "actuator.onset_share", ("actuator.onset_rad", "actuator.onset_width_rad")
-_OWN = ("modules.gain_plus", "modules.gain_minus", "modules.bias_rad")
+_BEND_NOISE_RAD = 0.01
+"""Standard deviation of bends whose error is not known."""
+
+_PRESSURE_NOISE_PA = 500.0
+"""Standard deviation of measured pressures."""
+
+_PLATEAU_BAND_PA = 1e3
+"""Largest deviation from the mean of a constant pressure."""
+
+_OUTLIER_MEDIANS = 7.5
+"""Deviation of a pressure, in median deviations, above which it is an outlier."""
+
+_OUTLIER_MARGIN_PA = 100.0
+"""Deviation that is allowed in addition, for pressures without noise."""
+
+_MIN_DRIFT_RAD = 1e-4
+"""Drift over a plateau below which a bend has settled; also the smallest error of a bend."""
+
+_CLOCK_ERROR_S = 0.05
+"""Error of an estimated clock offset."""
+
+_MAX_PRESSURE_PA = 2e6
+"""Largest plausible pressure; a larger one has the wrong unit."""
+
+_MAX_BEND_RAD = 2 * math.pi
+"""Largest plausible bend; a larger one has the wrong unit."""
+
+_BEND = "actuator.bend_rad"
+_BEND_LIMIT = "actuator.bend_limit_rad"
+_ONSET_SHARE = "actuator.onset_share"
+_ONSET = "actuator.onset_rad"
+_ONSET_WIDTH = "actuator.onset_width_rad"
+_DEAD_ZONE = (_ONSET, _ONSET_WIDTH, _ONSET_SHARE)
+_MODULE_PARAMETERS = ("modules.gain_plus", "modules.gain_minus", "modules.bias_rad")
+
+_SHARP_WIDTH_RAD = 0.02
+"""Width of a dead zone whose width the data do not determine; the smallest allowed."""
 
 
 @dataclass(frozen=True)
 class Response:
-    """What segments did when their valves were switched, or under measured pressures.
+    """Bends of segments in response to valve states or measured pressures.
 
     Attributes:
-        name: of the data.
-        sha256: of them.
-        drive: valve states from time 0 on, or a log of pressures on the same clock.
-        supply_pa: gauge pressure of the supply, Pa; of no matter to a log of pressures.
-        time: of the samples, ascending, shape (samples,), s.
-        bend: measured, shape (samples, segments), rad; NaN where it is not known.
-        pressure: measured while valves were switched, shape (samples, segments, 2), Pa, or None.
-        clock_known: whether drive and bends share a clock; if not, what lies between them is found along.
+        name: name of the data.
+        sha256: SHA-256 of the data.
+        drive: valve states from time 0, or a log of pressures on the same clock.
+        supply_pa: gauge pressure of the supply, Pa; not used with a log of pressures.
+        time: sample times, ascending, shape (samples,), s.
+        bend: measured bends, shape (samples, segments), rad; NaN if unknown.
+        pressure: pressures measured with a log of valves, shape (samples, segments, 2), Pa, or None.
+        clock_known: whether drive and bends share a clock; if not, their offset is estimated.
     """
 
     name: str
@@ -93,34 +118,34 @@ class Response:
     clock_known: bool = True
 
     @classmethod
-    def of_recording(cls, recording: Recording, name: str, supply_pa: float) -> Response:
-        """Return the response in a recording that was joined with its log, without samples that were filled.
+    def from_recording(cls, recording: Recording, name: str, supply_pa: float) -> Response:
+        """Return the response of a recording joined with its log, without interpolated samples.
 
         Raises:
-            InputError: there is no log.
+            InputError: the recording has no log.
         """
         trajectory, log = recording.trajectory, _log(recording, name)
-        about = trajectory.metadata.get("valve_log")
-        known = not (isinstance(about, Mapping) and about.get("offset_estimated"))
-        bend = _seen_bends(trajectory)
+        log_metadata = trajectory.metadata.get("valve_log")
+        is_estimated = isinstance(log_metadata, Mapping) and log_metadata.get("offset_estimated")
+        bend = _measured_bends(trajectory)
         drive = log.schedule() if log.kind == "valve" else log.shifted(-float(log.time[0]))
-        hashed = fingerprint(bend, log.time, log.values)
+        sha256 = array_hash(bend, log.time, log.values)
         time = trajectory.time - log.time[0]
-        return cls(name, hashed, drive, supply_pa, time, bend, clock_known=known)
+        return cls(name, sha256, drive, supply_pa, time, bend, clock_known=not is_estimated)
 
     def data_set(self, role: Role) -> DataSet:
-        """Return what a fit says of these data."""
+        """Return name, hash and size of the data."""
         return DataSet(self.name, self.sha256, role, int(np.isfinite(self.bend).sum()))
 
 
 def _log(recording: Recording, name: str) -> ValveLog:
     if recording.valves is None:
-        raise InputError(f"{name}: no log of valves or pressures; join one with the recording")
+        raise InputError(f"{name}: no log of valves or pressures; join one with the recording (--valves)")
     return recording.valves
 
 
-def _seen_bends(trajectory: Trajectory) -> np.ndarray:
-    """Return bends (samples, segments), rad; NaN where a marker of the segment was filled in."""
+def _measured_bends(trajectory: Trajectory) -> np.ndarray:
+    """Return bends (samples, segments), rad; NaN where a marker of the segment was interpolated."""
     bend = trajectory.stack("bend").copy()
     if trajectory.has("filled"):
         filled = trajectory.stack("filled") > 0
@@ -128,10 +153,10 @@ def _seen_bends(trajectory: Trajectory) -> np.ndarray:
     return bend
 
 
-def actuator_unknowns(spec: RobotSpec) -> tuple[str, ...]:
-    """Return what `fit_actuator` looks for by itself."""
+def default_actuator_parameters(spec: RobotSpec) -> tuple[str, ...]:
+    """Return the parameters that `fit_actuator` estimates by default."""
     lags = ("actuator.tau_fill_s", "actuator.tau_vent_s", "actuator.tau_mode_s")
-    return (*lags, *per_segment(spec, *_OWN))
+    return (*lags, *per_segment(spec, *_MODULE_PARAMETERS))
 
 
 def fit_actuator(
@@ -142,60 +167,63 @@ def fit_actuator(
     validation: Sequence[Response] = (),
     starts: int = 1,
     watch: Watch | None = None,
-) -> Estimate:
-    """Return time constants, gains and biases from responses.
+) -> FitEstimate:
+    """Estimate time constants, gains and rest bends from responses.
 
     Args:
-        responses: what was measured.
-        spec: the robot that the search starts from.
-        names: what is unknown, see `unknowns`; default `actuator_unknowns`.
-        validation: responses to hold the estimate against.
-        starts: how many searches.
-        watch: is told how far the search is, see `least_squares`.
+        responses: measured responses.
+        spec: robot whose values are the start of the search.
+        names: free parameters, see `parameters`; default: `default_actuator_parameters`.
+        validation: responses for validation.
+        starts: number of searches.
+        watch: progress callback, see `least_squares`.
 
     Raises:
-        InputError: no response, responses of another robot, or one to validate with that is also fitted.
+        InputError: there is no response, the number of segments differs from the robot's, or a validation
+            response is also fitted.
     """
-    everything = with_roles("responses", responses, validation)
-    for each, _ in everything:
-        if (bends := each.bend.shape[1]) != spec.segments:
-            raise InputError(f"{each.name}: {bends} bends; {spec.name} has {spec.segments} segments")
+    data = assign_roles("responses", responses, validation)
+    for response, _ in data:
+        if (bends := response.bend.shape[1]) != spec.segments:
+            raise InputError(f"{response.name}: {bends} bends; {spec.name} has {spec.segments} segments")
 
     def residuals(values: Mapping[str, float]) -> list[Residual]:
         robot = with_values(spec, values)
-        found: list[Residual] = []
-        for k, (response, role) in enumerate(everything):
-            # What validates has no say in anything, its clock neither.
-            found += _compared(response, robot, values.get(f"clock_{k}", 0.0), role)
-        return found
+        result: list[Residual] = []
+        for k, (response, role) in enumerate(data):
+            # Validation responses have no clock parameter: they must not influence the fit.
+            result += _response_residuals(response, robot, values.get(f"clock_{k}", 0.0), role)
+        return result
 
     clocks = [
-        Unknown(f"clock_{k}", "s", 0.0, -_CLOCK * 4, _CLOCK * 4, _CLOCK, nuisance=True)
+        FreeParameter(
+            f"clock_{k}", "s", 0.0, -_CLOCK_ERROR_S * 4, _CLOCK_ERROR_S * 4, _CLOCK_ERROR_S, nuisance=True
+        )
         for k, response in enumerate(responses)
         if not response.clock_known
     ]
-    wanted = unknowns(spec, actuator_unknowns(spec) if names is None else names)
-    held = _held(spec, wanted)
-    return least_squares(residuals, [*wanted, *clocks], starts=starts, held=held, watch=watch)
+    unknowns = free_parameters(spec, default_actuator_parameters(spec) if names is None else names)
+    held = _fixed_values(spec, unknowns)
+    return least_squares(residuals, [*unknowns, *clocks], starts=starts, held=held, watch=watch)
 
 
-def _held(spec: RobotSpec, wanted: Sequence[Unknown]) -> dict[str, float]:
-    """Return what gains refer to: nominal pressure, and the bend there unless it is looked for."""
-    held = {"actuator.at_pressure_kpa": spec.supply.nominal / 1e3}
-    if all(each.name != _BEND for each in wanted):
-        held[_BEND] = spec.actuator.gain * spec.supply.nominal
-    return held
+def _fixed_values(spec: RobotSpec, unknowns: Sequence[FreeParameter]) -> dict[str, float]:
+    """Return the values to which gains are relative: nominal pressure, and its bend unless that is free."""
+    fixed = {"actuator.at_pressure_kpa": spec.supply.nominal / 1e3}
+    if all(unknown.name != _BEND for unknown in unknowns):
+        fixed[_BEND] = spec.actuator.gain * spec.supply.nominal
+    return fixed
 
 
-def predicted(
+def predict_response(
     response: Response, spec: RobotSpec, clock: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the bends (samples, segments), rad, and pressures (samples, segments, 2), Pa, of free segments.
 
     Args:
-        response: what was done, and when it is looked at.
-        spec: the robot.
-        clock: what the drive's clock shows more, s.
+        response: drive and sample times.
+        spec: robot.
+        clock: offset of the drive's clock, s.
     """
     if isinstance(response.drive, ValveLog):
         delayed = response.drive.at(response.time + clock - spec.actuator.tau_mode)
@@ -206,42 +234,45 @@ def predicted(
     return trace.bend, trace.pressure
 
 
-def _compared(response: Response, spec: RobotSpec, clock: float, role: Role) -> list[Residual]:
-    bend, pressure = predicted(response, spec, clock)
-    found = _bend_residuals(response.name, response.bend - bend, role, math.nan)
+def _response_residuals(response: Response, spec: RobotSpec, clock: float, role: Role) -> list[Residual]:
+    bend, pressure = predict_response(response, spec, clock)
+    residuals = _bend_residuals(response.name, response.bend - bend, role, math.nan)
     if response.pressure is not None and pressure is not None:
-        off = response.pressure - pressure
-        for j, (plus, minus) in enumerate(off.transpose(1, 2, 0), start=1):
+        difference = response.pressure - pressure
+        for j, (plus, minus) in enumerate(difference.transpose(1, 2, 0), start=1):
             for side, values in (("plus", plus), ("minus", minus)):
                 name = f"{response.name} pressure_{side}_{j}"
-                found.append(Residual(name, "Pa", values, _PRESSURE_NOISE, role))
-    return found
+                residuals.append(Residual(name, "Pa", values, _PRESSURE_NOISE_PA, role))
+    return residuals
 
 
-def _bend_residuals(name: str, off: np.ndarray, role: Role, error: np.ndarray | float) -> list[Residual]:
-    """Return residuals of bends by segment, without those that were not measured.
+def _bend_residuals(
+    name: str, difference: np.ndarray, role: Role, error: np.ndarray | float
+) -> list[Residual]:
+    """Return the residuals of measured bends by segment.
 
-    Those of a segment share one scale: the root mean square of its errors, `_BEND_NOISE` where one is NaN.
+    Those of a segment share one scale: the RMS of its errors, or `_BEND_NOISE_RAD` if one is unknown.
     """
-    found = []
-    for j, (column, errors) in enumerate(zip(off.T, np.broadcast_to(error, off.shape).T, strict=True)):
-        seen = np.isfinite(column)
-        noise = float(np.sqrt((errors[seen] ** 2).sum() / max(seen.sum(), 1)))
-        noise = _BEND_NOISE if math.isnan(noise) else max(noise, _DRIFT)
-        found.append(Residual(f"{name} bend_{j + 1}", "rad", column[seen], noise, role))
-    return found
+    residuals = []
+    errors = np.broadcast_to(error, difference.shape)
+    for j, (column, column_errors) in enumerate(zip(difference.T, errors.T, strict=True)):
+        measured = np.isfinite(column)
+        noise = float(np.sqrt((column_errors[measured] ** 2).sum() / max(measured.sum(), 1)))
+        noise = _BEND_NOISE_RAD if math.isnan(noise) else max(noise, _MIN_DRIFT_RAD)
+        residuals.append(Residual(f"{name} bend_{j + 1}", "rad", column[measured], noise, role))
+    return residuals
 
 
 @dataclass(frozen=True)
 class StaticTable:
-    """Bends under held pressures.
+    """Bends at constant pressures.
 
     Attributes:
-        name: of the file.
-        sha256: of it.
-        pressure: gauge, shape (points, segments, 2), Pa.
-        bend: shape (points, segments), rad; NaN where it was not measured.
-        bend_error: standard errors of the bends, same shape, rad; NaN where they are not known.
+        name: file name.
+        sha256: SHA-256 of the file.
+        pressure: gauge pressures, shape (points, segments, 2), Pa.
+        bend: bends, shape (points, segments), rad; NaN if not measured.
+        bend_error: standard errors of the bends, same shape, rad; NaN if unknown.
     """
 
     name: str
@@ -251,59 +282,69 @@ class StaticTable:
     bend_error: np.ndarray | float = math.nan
 
     @classmethod
-    def of_recording(cls, recording: Recording, name: str, spec: RobotSpec, supply_pa: float) -> StaticTable:
-        """Return the plateaus of a recording that was joined with its log (module docstring).
+    def from_recording(
+        cls, recording: Recording, name: str, spec: RobotSpec, supply_pa: float
+    ) -> StaticTable:
+        """Return the plateaus of a recording joined with its log (module docstring).
 
-        Of a log of valves, chambers that fill are at supply pressure after 5 τ and those that vent at 0; of
-        one that is held closed the pressure is not known, and no plateau is made.
+        With a log of valves, filling chambers have the supply pressure after 5 τ, and venting ones have 0.
+        The pressure of a chamber that holds is unknown, so such times give no plateau.
 
         Raises:
-            InputError: there is no log, or no plateau.
+            InputError: the recording has no log or no plateau.
         """
         trajectory, log = recording.trajectory, _log(recording, name)
-        time, bend = trajectory.time, _seen_bends(trajectory)
+        time, bend = trajectory.time, _measured_bends(trajectory)
         pressure = np.stack([trajectory.stack(f"{log.kind}_{side}") for side in SIDES], axis=-1)
-        band = np.maximum(_HELD, 3 * _scatter(log.values))
+        band = np.maximum(_PLATEAU_BAND_PA, 3 * _noise_scale(log.values))
         if log.kind == "valve":
             pressure = np.select([pressure == 1, pressure == -1], [supply_pa, 0.0], np.nan)
-        of_frame = trajectory.stack("bend_error") if trajectory.has("bend_error") else np.zeros_like(bend)
+        frame_error = trajectory.stack("bend_error") if trajectory.has("bend_error") else np.zeros_like(bend)
         wait = 5 * max(spec.actuator.tau_fill, spec.actuator.tau_vent, spec.actuator.tau_mode)
         points, longest = [], 0.0
-        for begin, end in _constant(pressure, band):
-            longest = max(longest, span := float(time[end - 1] - time[begin]))
-            # Where the next step begins, pressures are in the band still, and clocks may differ a little.
-            off = np.abs(pressure[begin:end] - np.median(pressure[begin:end], axis=0))
-            near = (off <= _NEAR * np.median(off, axis=0) + _ALIKE).all(axis=(1, 2))
-            since = time[begin:end] - time[begin]
-            part = begin + np.flatnonzero(near & (since >= wait) & (since <= span - _CLOCK))
-            if len(part) < MIN_FRAMES:
+        for begin, end in _constant_intervals(pressure, band):
+            longest = max(longest, float(time[end - 1] - time[begin]))
+            frames = _settled_frames(time, pressure, band, begin, end, wait)
+            if frames is None:
                 continue
-            # A slow ramp stays in any band for some time, and rises there by its whole width.
-            slope = np.polyfit(since[part - begin], pressure[part].reshape(len(part), -1), 1)[0]
-            if (np.abs(slope) * span > band.ravel()).any():
-                continue
-            signals = (pressure[part].swapaxes(0, 1), bend[part].T, of_frame[part].T)
-            point = np.array([_at_rest(time[part], *each) for each in zip(*signals, strict=True)])
+            signals = (pressure[frames].swapaxes(0, 1), bend[frames].T, frame_error[frames].T)
+            point = np.array([_settled_mean(time[frames], *signal) for signal in zip(*signals, strict=True)])
             if np.isfinite(point[:, 2]).any():
                 points.append(point)
         if not points:
-            wanted = f"{wait:.2g} s (5 times the slowest time constant) and {MIN_FRAMES} frames more"
-            said = (
-                f"all pressures stay constant for {longest:.2g} s at most; {wanted} are wanted, bends at rest"
-            )
+            needed = f"{wait:.2g} s (5 times the largest time constant) and {MIN_FRAMES} more frames"
+            message = f"pressures are constant for {longest:.2g} s; {needed}, with settled bends, are needed"
             if log.kind == "valve" and np.isnan(pressure).any():
-                said += "; of a valve that is held (0) nobody knows the pressure: log pressures"
-            raise InputError(f"{name}: no plateau: {said}")
-        found = np.array(points)
-        return cls(name, fingerprint(found), found[..., :2], found[..., 2], found[..., 3])
+                message += "; the pressure of a chamber that holds (0) is unknown: log pressures"
+            raise InputError(f"{name}: no plateau: {message}")
+        table = np.array(points)
+        return cls(name, array_hash(table), table[..., :2], table[..., 2], table[..., 3])
 
     def data_set(self, role: Role) -> DataSet:
-        """Return what a fit says of these data."""
+        """Return name, hash and size of the data."""
         return DataSet(self.name, self.sha256, role, int(np.isfinite(self.bend).sum()))
 
 
-def _constant(pressure: np.ndarray, band: np.ndarray) -> Iterator[tuple[int, int]]:
-    """Yield from which frame to before which all pressures stay within ±band; none where one is NaN."""
+def _settled_frames(
+    time: np.ndarray, pressure: np.ndarray, band: np.ndarray, begin: int, end: int, wait: float
+) -> np.ndarray | None:
+    """Return the frames of a plateau to average; None if they are too few, or the pressures rise slowly."""
+    span = float(time[end - 1] - time[begin])
+    deviation = np.abs(pressure[begin:end] - np.median(pressure[begin:end], axis=0))
+    limit = _OUTLIER_MEDIANS * np.median(deviation, axis=0) + _OUTLIER_MARGIN_PA
+    is_near = (deviation <= limit).all(axis=(1, 2))
+    since = time[begin:end] - time[begin]
+    # At the end the next step may have begun within the band, and clocks may differ a little.
+    frames = begin + np.flatnonzero(is_near & (since >= wait) & (since <= span - _CLOCK_ERROR_S))
+    if len(frames) < MIN_FRAMES:
+        return None
+    # A slow ramp stays within any band for some time, in which it rises by the width of the band.
+    slope = np.polyfit(since[frames - begin], pressure[frames].reshape(len(frames), -1), 1)[0]
+    return None if (np.abs(slope) * span > band.ravel()).any() else frames
+
+
+def _constant_intervals(pressure: np.ndarray, band: np.ndarray) -> Iterator[tuple[int, int]]:
+    """Yield (first frame, last frame + 1) of intervals with all pressures within ±band and none NaN."""
     begin, low, high = 0, pressure[0], pressure[0]
     for k, row in enumerate(pressure[1:], start=1):
         low, high = np.minimum(low, row), np.maximum(high, row)
@@ -313,15 +354,15 @@ def _constant(pressure: np.ndarray, band: np.ndarray) -> Iterator[tuple[int, int
     yield begin, len(pressure)
 
 
-def _scatter(values: np.ndarray) -> np.ndarray:
-    """Return the median size of second differences of a log's noise, 1.65 σ where it is white, shape (…).
+def _noise_scale(values: np.ndarray) -> np.ndarray:
+    """Return the median magnitude of a log's second differences, 1.65 σ of white noise, shape (…).
 
-    The smaller of two estimates, since steps and slow changes of pressure are not noise. A step changes one
-    first difference but two second differences; a ramp changes all first differences but no second one.
+    It is the smaller of two estimates, as steps and slow changes of pressure are not noise. A step changes
+    one first difference but two second differences; a ramp changes all first differences but no second one.
     First differences of white noise are smaller than second differences by √3.
 
     Args:
-        values: shape (rows, …), 2 rows or more.
+        values: log, shape (rows, …), at least 2 rows.
     """
     medians = [
         scale * np.median(np.abs(np.diff(values, order, axis=0)), axis=0)
@@ -331,101 +372,106 @@ def _scatter(values: np.ndarray) -> np.ndarray:
     return np.asarray(np.min(medians, axis=0))
 
 
-def _at_rest(time: np.ndarray, pressure: np.ndarray, bend: np.ndarray, of_frame: np.ndarray) -> list[float]:
-    """Return a segment's mean pressures, its mean bend and its error once settled; NaN where it never is."""
+def _settled_mean(
+    time: np.ndarray, pressure: np.ndarray, bend: np.ndarray, frame_error: np.ndarray
+) -> list[float]:
+    """Return a segment's mean pressures, settled mean bend and its error; NaN if the bend does not settle."""
     kept = np.flatnonzero(np.isfinite(bend))
     while len(kept) >= MIN_FRAMES:
         since = time[kept] - time[kept].mean()
         slope, mean = np.polyfit(since, bend[kept], 1)
-        left = bend[kept] - mean - slope * since
-        scatter = math.sqrt(left @ left / (len(kept) - 2) * correlation_time([left], 2))
-        if abs(slope) <= max(2 * scatter / math.sqrt(since @ since), _DRIFT / np.ptp(since)):
-            lasting = math.sqrt(np.mean(of_frame[kept] ** 2)) / 10
-            return [*pressure[kept].mean(axis=0), mean, max(scatter / math.sqrt(len(kept)), lasting)]
+        residual = bend[kept] - mean - slope * since
+        scatter = math.sqrt(residual @ residual / (len(kept) - 2) * correlation_time([residual], 2))
+        if abs(slope) <= max(2 * scatter / math.sqrt(since @ since), _MIN_DRIFT_RAD / np.ptp(since)):
+            common_error = math.sqrt(np.mean(frame_error[kept] ** 2)) / 10
+            return [*pressure[kept].mean(axis=0), mean, max(scatter / math.sqrt(len(kept)), common_error)]
         kept = kept[len(kept) // 4 :]
     return [*pressure.mean(axis=0), math.nan, math.nan]
 
 
-Takes = Sequence[tuple[str, Recording]]
+NamedRecordings = Sequence[tuple[str, Recording]]
 """Names, and recordings joined with their logs."""
 
 
-def static_tables(takes: Takes, spec: RobotSpec, supply_pa: float) -> list[StaticTable]:
-    """Return the plateaus of takes that a fit is made from.
+def plateau_tables(recordings: NamedRecordings, spec: RobotSpec, supply_pa: float) -> list[StaticTable]:
+    """Return the plateaus of recordings for a fit.
 
     Raises:
-        InputError: as `StaticTable.of_recording`, or a chamber whose pressure was logged and changed has
-            fewer than 3 different pressures in all takes.
+        InputError: see `StaticTable.from_recording`, or a logged and varied pressure has fewer than 3
+            different levels in all recordings.
     """
-    tables = [StaticTable.of_recording(take, name, spec, supply_pa) for name, take in takes]
-    if any(_log(take, name).kind == "valve" for name, take in takes):
-        return tables  # two pressures are all there can be
-    whole = merged(tables)
+    tables = [StaticTable.from_recording(recording, name, spec, supply_pa) for name, recording in recordings]
+    if any(_log(recording, name).kind == "valve" for name, recording in recordings):
+        return tables  # valves give two pressures only
+    merged = merge_tables(tables)
     for j, k in np.ndindex(spec.segments, len(SIDES)):
-        levels = np.sort(whole.pressure[np.isfinite(whole.bend[:, j]), j, k])
-        levels = levels[np.diff(levels, prepend=-np.inf) > _HELD]
+        levels = np.sort(merged.pressure[np.isfinite(merged.bend[:, j]), j, k])
+        levels = levels[np.diff(levels, prepend=-np.inf) > _PLATEAU_BAND_PA]
         if len(levels) == 2:
-            wanted = "3 or more are wanted, to tell a line from a curve"
-            raise InputError(f"pressure_{SIDES[k]}_{j + 1}: held at 2 different pressures only; {wanted}")
+            raise InputError(
+                f"pressure_{SIDES[k]}_{j + 1}: only 2 different pressures; 3 or more are needed, to "
+                "distinguish a line from a curve"
+            )
     return tables
 
 
-def merged(tables: Sequence[StaticTable]) -> StaticTable:
-    """Return the points of tables of recordings as one."""
+def merge_tables(tables: Sequence[StaticTable]) -> StaticTable:
+    """Return one table with the points of several recordings."""
     names = ("pressure", "bend", "bend_error")
-    arrays = [np.concatenate([getattr(each, name) for each in tables]) for name in names]
-    return StaticTable(", ".join(each.name for each in tables), fingerprint(*arrays), *arrays)
+    arrays = [np.concatenate([getattr(table, name) for table in tables]) for name in names]
+    return StaticTable(", ".join(table.name for table in tables), array_hash(*arrays), *arrays)
 
 
-def write_static(table: StaticTable, path: str | os.PathLike[str]) -> None:
-    """Write a table as a file that `read_static` reads, all digits of it."""
+def write_static_table(table: StaticTable, path: str | os.PathLike[str]) -> None:
+    """Write a table as a file for `read_static_table`, at full precision."""
     points, segments = table.bend.shape
-    head = [f"pressure_{side}_{j + 1}_pa" for j in range(segments) for side in SIDES]
-    head += [f"{name}_{j + 1}_rad" for name in ("bend", "bend_error") for j in range(segments)]
+    header = [f"pressure_{side}_{j + 1}_pa" for j in range(segments) for side in SIDES]
+    header += [f"{name}_{j + 1}_rad" for name in ("bend", "bend_error") for j in range(segments)]
     error = np.broadcast_to(table.bend_error, table.bend.shape)
     rows = np.hstack([table.pressure.reshape(points, -1), table.bend, error]).tolist()
-    lines = (",".join("" if math.isnan(each) else repr(each) for each in row) for row in rows)
-    write_text(path, "\n".join([",".join(head), *lines, ""]))
+    lines = (",".join("" if math.isnan(value) else repr(value) for value in row) for row in rows)
+    write_text(path, "\n".join([",".join(header), *lines, ""]))
 
 
-def is_static(path: str | os.PathLike[str]) -> bool:
-    """Say whether a file's first line names bends and no time: a table, no recording.
+def is_static_table(path: str | os.PathLike[str]) -> bool:
+    """Return whether the first line of a file names bends but no time, as a static table does.
 
     Raises:
         InputError: the file cannot be read.
     """
     names = first_line_names(path)
-    timed = any(is_clock(name) for name in names)
-    return not timed and any(name.startswith("bend_") for name in names)
+    has_time = any(is_clock(name) for name in names)
+    return not has_time and any(name.startswith("bend_") for name in names)
 
 
-def read_static(path: str | os.PathLike[str], spec: RobotSpec) -> StaticTable:
+def read_static_table(path: str | os.PathLike[str], spec: RobotSpec) -> StaticTable:
     """Read a static table.
 
     Raises:
-        InputError: no such file, no bends, columns of other segments, or values that no robot has.
+        InputError: the file does not exist, has no bends, or has columns of other segments or implausible
+            values.
     """
     names = [*(f"pressure_{side}" for side in SIDES), "bend", "bend_error"]
     units = dict.fromkeys(names[:2], PRESSURES) | dict.fromkeys(names[2:], ANGLES)
     table = read_table(read_file(path), units)
-    for each in table.columns:
-        if not 1 <= each.number <= spec.segments or each.letter:
-            raise table.error(each, f"{each.text}: {spec.name} has segments 1 to {spec.segments}")
-    if not any(each.name == "bend" for each in table.columns):
+    for column in table.columns:
+        if not 1 <= column.number <= spec.segments or column.letter:
+            raise table.error(column, f"{column.text}: {spec.name} has segments 1 to {spec.segments}")
+    if not any(column.name == "bend" for column in table.columns):
         example = "pressure_plus_1,pressure_minus_1,bend_1,…"
         raise table.file.error(f"no column 'bend_1'; a static table has {example}", 1)
-    given, _ = table.read(table.columns)
-    values = np.zeros((len(given), spec.segments, 4))
+    cells, _ = table.read(table.columns)
+    values = np.zeros((len(cells), spec.segments, 4))
     values[..., 2:] = np.nan
-    for each, column in zip(table.columns, given.T, strict=True):
-        values[:, each.number - 1, names.index(each.name)] = column
+    for column, column_cells in zip(table.columns, cells.T, strict=True):
+        values[:, column.number - 1, names.index(column.name)] = column_cells
     pressure, bend, error = values[..., :2], values[..., 2], values[..., 3]
-    if not (np.abs(pressure) <= _MOST_PRESSURE).all():
-        allowed = f"from {-_MOST_PRESSURE:g} to {_MOST_PRESSURE:g} Pa"
-        raise table.file.error(f"pressures {allowed} are wanted, in every row")
-    if not np.isfinite(bend).any() or (np.abs(bend) > _MOST_BEND).any():
-        wanted = f"bends up to {_MOST_BEND:.3g} rad are wanted"
-        raise table.file.error(f"{wanted}; is the unit right (bend_1_deg)?")
+    if not (np.abs(pressure) <= _MAX_PRESSURE_PA).all():
+        raise table.file.error(
+            f"pressures must be from {-_MAX_PRESSURE_PA:g} to {_MAX_PRESSURE_PA:g} Pa in every row"
+        )
+    if not np.isfinite(bend).any() or (np.abs(bend) > _MAX_BEND_RAD).any():
+        raise table.file.error(f"bends must be at most {_MAX_BEND_RAD:.3g} rad; check the unit (bend_1_deg)")
     return StaticTable(table.file.name, table.file.sha256, pressure, bend, error)
 
 
@@ -436,80 +482,88 @@ def fit_static(
     names: Iterable[str] | None = None,
     validation: Sequence[StaticTable] = (),
     watch: Watch | None = None,
-) -> Estimate:
-    """Return gains, biases and the bend limit from static tables.
+) -> FitEstimate:
+    """Estimate gains, rest bends and the bend limit from static tables.
 
-    Where a dead zone explains the bends better than its numbers would by chance (F-test, 1 %), these are
-    found as well: first onset and width with all of the slope missing, then the share of it too.
+    If a dead zone improves the fit significantly (F-test, 1 %), its parameters are estimated as well: first
+    onset and width with a slope of zero in the zone, then also the missing share of the slope.
 
     Args:
-        tables: what was measured; the residual of each point is in the estimate.
-        spec: the robot that the search starts from; `actuator.bend_rad` is held, as in `fit_actuator`.
-        names: what is unknown, see `unknowns`; default gains, biases, the bend limit and a dead zone.
-        validation: tables to hold the estimate against.
-        watch: is told how far the search is, see `least_squares`.
+        tables: measured tables; the residual of each point is in the estimate.
+        spec: robot whose values are the start of the search; `actuator.bend_rad` is fixed as in
+            `fit_actuator`.
+        names: free parameters, see `parameters`; default: gains, rest bends, bend limit and a dead zone.
+        validation: tables for validation.
+        watch: progress callback, see `least_squares`.
 
     Raises:
-        InputError: no table, or one to validate with that is also fitted.
+        InputError: there is no table, or a validation table is also fitted.
     """
-    everything = with_roles("static tables", tables, validation)
+    data = assign_roles("static tables", tables, validation)
     largest = max(float(np.nanmax(np.abs(table.bend), initial=0.1)) for table in tables)
     unlimited = math.isinf(spec.actuator.bend_limit)
 
-    def search(wanted: Sequence[str], fixed: Mapping[str, float], starts: Mapping[str, float]) -> Estimate:
+    def search(
+        searched: Sequence[str], fixed: Mapping[str, float], starts: Mapping[str, float]
+    ) -> FitEstimate:
         base = with_values(spec, fixed)
 
         def residuals(values: Mapping[str, float]) -> list[Residual]:
-            robot, found = with_values(base, values), []
-            for table, role in everything:
-                off = table.bend - robot.modules.array("bias") - air_bend(robot, table.pressure)
-                found += _bend_residuals(table.name, off, role, table.bend_error)
-            return found
+            robot, result = with_values(base, values), []
+            for table, role in data:
+                difference = table.bend - robot.modules.array("bias") - air_bend(robot, table.pressure)
+                result += _bend_residuals(table.name, difference, role, table.bend_error)
+            return result
 
-        looked_for = unknowns(base, wanted, starts=starts)
-        held = _held(base, looked_for) | dict(fixed)
-        found = least_squares(residuals, looked_for, held=held, watch=watch)
-        if names is not None or not unlimited or _LIMIT not in wanted or found[_LIMIT].value is not None:
-            return found
-        # A limit that was never felt has no say in the gains: at its bound it would still flatten bends.
-        without = search([each for each in wanted if each != _LIMIT], fixed, {})
-        return without.with_known([found[_LIMIT]])
+        unknowns = free_parameters(base, searched, starts=starts)
+        held = _fixed_values(base, unknowns) | dict(fixed)
+        estimate = least_squares(residuals, unknowns, held=held, watch=watch)
+        has_limit = _BEND_LIMIT in searched and estimate[_BEND_LIMIT].value is not None
+        if names is not None or not unlimited or _BEND_LIMIT not in searched or has_limit:
+            return estimate
+        # The data do not reach the limit; at its bound it would still reduce the bends, so fit without it.
+        without = search([name for name in searched if name != _BEND_LIMIT], fixed, {})
+        return without.with_fixed([estimate[_BEND_LIMIT]])
 
-    starts = {_LIMIT: min(1.5 * max(largest, 0.1), 6.0)} if unlimited else {}
-    wanted = [*per_segment(spec, *_OWN), _LIMIT] if names is None else list(names)
-    found = search(wanted, {}, starts)
+    starts = {_BEND_LIMIT: min(1.5 * max(largest, 0.1), 6.0)} if unlimited else {}
+    default = [*per_segment(spec, *_MODULE_PARAMETERS), _BEND_LIMIT]
+    searched = default if names is None else list(names)
+    linear = search(searched, {}, starts)
     points = sum(np.isfinite(table.bend).sum() for table in tables)
-    if names is not None or spec.actuator.onset_share or points <= len(wanted) + len((*_LATE, _SHARE)):
-        return found
+    if names is not None or spec.actuator.onset_share or points <= len(searched) + len(_DEAD_ZONE):
+        return linear
 
-    # A dead zone, as far as it is not fixed; with a corner as sharp as may be where no width is found.
-    def zone(begin: Mapping[str, float], fixed: Mapping[str, float]) -> Estimate:
-        names = [*wanted, *(each for each in (*_LATE, _SHARE) if each not in fixed)]
-        found = search(names, fixed, starts | dict(begin))
-        if found[_LATE[1]].value is not None:
-            return found
-        names.remove(_LATE[1])
-        return search(names, {**fixed, _LATE[1]: _CORNER}, starts | {_LATE[0]: begin[_LATE[0]]})
+    def with_dead_zone(zone_starts: Mapping[str, float], fixed: Mapping[str, float]) -> FitEstimate:
+        names = [*searched, *(name for name in _DEAD_ZONE if name not in fixed)]
+        estimate = search(names, fixed, starts | dict(zone_starts))
+        if estimate[_ONSET_WIDTH].value is not None:
+            return estimate
+        # The data do not determine the width: use the smallest one.
+        names.remove(_ONSET_WIDTH)
+        return search(
+            names, {**fixed, _ONSET_WIDTH: _SHARP_WIDTH_RAD}, starts | {_ONSET: zone_starts[_ONSET]}
+        )
 
-    late = zone({_LATE[0]: 0.4 * largest, _LATE[1]: 0.2 * largest}, {_SHARE: 1.0})
-    if not _better(late, found):
-        return found
-    partial = zone({_SHARE: 0.8} | late.values, {})
-    chosen = partial if _better(partial, late) else late
-    why = (
-        f"a straight line leaves {found.rms('fit'):.3g} times the noise, a dead zone {chosen.rms('fit'):.3g}"
+    complete = with_dead_zone({_ONSET: 0.4 * largest, _ONSET_WIDTH: 0.2 * largest}, {_ONSET_SHARE: 1.0})
+    if not _is_significant(complete, linear):
+        return linear
+    partial = with_dead_zone({_ONSET_SHARE: 0.8} | complete.values, {})
+    best = partial if _is_significant(partial, complete) else complete
+    why = f"a straight line leaves {linear.rms('fit'):.3g} times the noise, a dead zone {best.rms('fit'):.3g}"
+    parameters = (
+        replace(parameter, why="; ".join(filter(None, (why, parameter.why))))
+        if parameter.name == _ONSET
+        else parameter
+        for parameter in best.parameters
     )
-    said = (
-        replace(each, why="; ".join(filter(None, (why, each.why)))) if each.name == _LATE[0] else each
-        for each in chosen.parameters
-    )
-    return replace(chosen, parameters=tuple(said))
+    return replace(best, parameters=tuple(parameters))
 
 
-def _better(more: Estimate, less: Estimate) -> bool:
-    """Say whether a law with more numbers explains data better than these would by chance (F-test, 1 %)."""
-    if any(more[each.name].value is None for each in more.parameters if each.name in (*_LATE, _SHARE)):
+def _is_significant(more: FitEstimate, less: FitEstimate) -> bool:
+    """Return whether additional parameters improve a fit significantly (F-test, 1 %) and have values."""
+    if any(more[p.name].value is None for p in more.parameters if p.name in _DEAD_ZONE):
         return False
-    added, left = max(len(more.values) - len(less.values), 1), more.independent - len(more.values)
+    added = max(len(more.values) - len(less.values), 1)
+    freedom = more.independent - len(more.values)
     ratio = ((less.rms("fit") or 0.0) / max(more.rms("fit") or 0.0, 1e-3)) ** 2 - 1
-    return left > 0 and ratio * left / added > scipy.stats.f.ppf(0.99, added, left)
+    return freedom > 0 and ratio * freedom / added > scipy.stats.f.ppf(0.99, added, freedom)

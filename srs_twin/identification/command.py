@@ -1,10 +1,9 @@
-"""`srs-twin calibrate`: numbers of a robot from its recordings and from runs, written with their source."""
+"""`srs-twin calibrate`: robot parameters from recordings and from simulated runs, with their sources."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -33,9 +32,9 @@ from srs_twin.cli.progress import RunCounter
 from srs_twin.errors import InputError
 from srs_twin.identification.fitting import (
     NOTHING_WRITTEN,
-    FitDestination,
-    checked_name,
-    names_in,
+    FitOutput,
+    check_name,
+    parse_names,
     print_table,
 )
 from srs_twin.identification.options import FilesArgument, FindOption, FitOptions, RobotOption, ValidateOption
@@ -43,7 +42,7 @@ from srs_twin.io.files import display_path
 from srs_twin.recordings.options import FrequencyOption, OffsetOption, ReadingOptions, ValvesOption
 
 if TYPE_CHECKING:
-    from srs_twin.identification.footprint import Measured
+    from srs_twin.identification.footprint import FootprintMeasurement
     from srs_twin.planning.footprint import Transient
     from srs_twin.recordings.recording import Recording
     from srs_twin.recordings.takes import RecordingReader
@@ -53,17 +52,22 @@ if TYPE_CHECKING:
 FOOTPRINTS = "calibration/footprints"
 
 _LOCOMOTION = "friction.mu_t,friction.mu_n,geometry.rigid_gap_m,bending.stiffness_nm_per_rad"
+"""Parameters that `calibrate locomotion` fits by default."""
+
 _FREQUENCY_HZ = {"gait": 2.0, "ilc": 1.5}
-_AS_FOUND, _BESIDE = ReadingOptions(), FitOptions()
+"""Default gait frequency of a footprint, by controller."""
+
+_DEFAULT_READING = ReadingOptions()
+_DEFAULT_OUTPUT = FitOptions()
 
 app = typer.Typer(
-    rich_markup_mode=None, no_args_is_help=True, help="Numbers of a robot from recordings and runs."
+    rich_markup_mode=None, no_args_is_help=True, help="Robot parameters from recordings and runs."
 )
 
 
 @app.callback()
 def calibrate() -> None:
-    """Find numbers of a robot from its recordings, and what files hold from runs."""
+    """Estimate parameters of a robot from recordings, and footprints and margins from simulated runs."""
 
 
 @app.command()
@@ -75,40 +79,48 @@ def friction(
     validate: ValidateOption = None,
     law: Annotated[str, option("--law NAME")] = "wheel",
     wheel_inertia: Annotated[bool, option("--wheel-inertia/--no-wheel-inertia")] = True,
-    markers: ReadingOptions = _AS_FOUND,
-    fit: FitOptions = _BESIDE,
+    markers: ReadingOptions = _DEFAULT_READING,
+    fit: FitOptions = _DEFAULT_OUTPUT,
 ) -> None:
-    """Find mu_t and mu_n from pulls or from throws.
+    """Estimate mu_t and mu_n from pulls or coasting tests.
 
-    Pulls are a table of deflections of a spring car, throws recordings.
+    Pulls are a table of deformations of a spring car; coasting tests are recordings.
 
     Options:
-        law: Of sliding throws: wheel, axis or ellipse (skids).
-        wheel_inertia: Whether throws spin wheels up.
+        law: Friction law of coasting tests: wheel, axis or ellipse (skids).
+        wheel_inertia: Whether the wheels have rotational inertia in coasting tests.
     """
-    place = FitDestination.of(context, "friction", robot, fit)
-    from srs_twin.identification.friction import Coasting, fit_coasting, fit_pulls, is_pulls, read_pulls
+    output = FitOutput.from_options(context, "friction", robot, fit)
+    from srs_twin.identification.friction import (
+        CoastingTest,
+        fit_coasting,
+        fit_pulls,
+        is_pull_table,
+        read_pull_table,
+    )
     from srs_twin.robot.file import load_robot
 
     spec, kept = load_robot(robot), validate or []
-    if _alike([*files, *kept], is_pulls, "tables of pulls", "recordings of throws"):
+    if _all_of_kind([*files, *kept], is_pull_table, "table of pulls", "recording of a coasting test"):
         if len(files) > 1:
-            raise InputError(f"{files[1]}: one table of pulls makes a fit; give others with --validate")
-        pulls, others = read_pulls(files[0]), [read_pulls(each) for each in kept]
-        found = fit_pulls(pulls, validation=others)
-        place.finish(found, "pulls", f"Friction of {spec.name} from pulls", [pulls], others)
+            raise InputError(f"{files[1]}: a fit uses one table of pulls; give further ones with --validate")
+        pulls, validation_pulls = read_pull_table(files[0]), [read_pull_table(path) for path in kept]
+        estimate = fit_pulls(pulls, validation=validation_pulls)
+        output.finish(estimate, "pulls", f"Friction of {spec.name} from pulls", [pulls], validation_pulls)
         return
-    how = markers.reader()
+    reader = markers.reader()
 
-    def throw(path: str) -> Coasting:
-        recording = how.motion(path, spec)
+    def coasting_test(path: str) -> CoastingTest:
+        recording = reader.motion(path, spec)
         say(recording.summary.text(), quiet=fit.quiet)
-        return Coasting.of(recording.trajectory, path)
+        return CoastingTest.from_trajectory(recording.trajectory, path)
 
-    throws, held = [throw(each) for each in files], [throw(each) for each in kept]
-    with place.searching() as watch:
-        found = fit_coasting(throws, spec, validation=held, law=law, wheel_inertia=wheel_inertia, watch=watch)
-    place.finish(found, "coasting", f"Friction of {spec.name} from throws", throws, held)
+    runs, validation = [coasting_test(path) for path in files], [coasting_test(path) for path in kept]
+    with output.progress() as watch:
+        estimate = fit_coasting(
+            runs, spec, validation=validation, law=law, wheel_inertia=wheel_inertia, watch=watch
+        )
+    output.finish(estimate, "coasting", f"Friction of {spec.name} from coasting tests", runs, validation)
 
 
 @app.command()
@@ -118,47 +130,47 @@ def design(
     want: Annotated[str, option("--want NAMES")],
     as_json: JsonOption = False,
 ) -> None:
-    """Choose what to record, as a sheet for the lab.
+    """Choose recordings that determine parameters to a requested accuracy, as a sheet for the lab.
 
-    Candidates are pulls, weighing, markers, held pressures, steps and walks.
+    Candidates are pulls, weighing, markers, constant pressures, pressure steps and gait runs.
 
     Options:
-        want: Numbers and half of their 95 % intervals, as friction.mu_t=5%,bending.stiffness_nm_per_rad=10%.
+        want: Parameters and half their 95 % intervals, as friction.mu_t=5%,bending.stiffness_nm_per_rad=10%.
     """
     import numpy as np
 
     from srs_twin.cli.console import console, new_table
-    from srs_twin.identification.design import design as designed
+    from srs_twin.identification.design import choose_experiments
     from srs_twin.robot.file import load_robot, load_robot_file
     from srs_twin.robot.priors import Priors
 
-    wanted = {}
+    targets = {}
     for text in want.split(","):
         name, _, share = text.strip().partition("=")
         try:
-            wanted[name] = float(share.removesuffix("%") or 10) / 100
+            targets[name] = float(share.removesuffix("%") or 10) / 100
         except ValueError:
             raise InputError(f"--want {text}: must be NAME=PERCENT, as in friction.mu_t=5%") from None
     file, shares = load_robot_file(robot), (np.arange(64) + 0.5) / 64
-    doubted = any(record.uncertain for record in file.records().values())
-    priors = Priors.from_robot(file).parameters if doubted else ()
+    has_priors = any(record.uncertain for record in file.records().values())
+    priors = Priors.from_robot(file).parameters if has_priors else ()
     known = {prior.path: (prior.value, float(prior.quantile(shares).std())) for prior in priors}
     with interruptible("nothing was chosen"):
-        found = designed(load_robot(robot), known, wanted)
+        plan = choose_experiments(load_robot(robot), known, targets)
     if as_json:
-        print_json(found.document())
+        print_json(plan.document())
         return
-    lines = new_table("half of the 95 % interval", "min", *(name.partition(".")[2] for name in wanted))
-    lines.add_row("as the file knows them", "", *(f"{100 * each:.0f} %" for each in found.before.values()))
-    for k, each in enumerate(found.chosen):
-        after = (f"{100 * row[k]:.1f} %" for row in found.after.values())
-        lines.add_row(f"after {k + 1}", f"{each.minutes:g}", *after)
-    console().print(lines)
-    for k, each in enumerate(found.chosen, start=1):
-        print(f"{k}. {each.what}")
-    print("The model is taken to be right.")
-    for name in found.unmet:
-        print(f"{name}: no further recording of these kinds narrows it to {100 * wanted[name]:g} %")
+    table = new_table("half of the 95 % interval", "min", *(name.partition(".")[2] for name in targets))
+    table.add_row("robot file", "", *(f"{100 * width:.0f} %" for width in plan.before.values()))
+    for k, experiment in enumerate(plan.chosen):
+        after = (f"{100 * row[k]:.1f} %" for row in plan.after.values())
+        table.add_row(f"after {k + 1}", f"{experiment.minutes:g}", *after)
+    console().print(table)
+    for k, experiment in enumerate(plan.chosen, start=1):
+        print(f"{k}. {experiment.description}")
+    print("The model is assumed to be right.")
+    for name in plan.unmet:
+        print(f"{name}: no further experiment of these kinds reaches {100 * targets[name]:g} %")
 
 
 @app.command()
@@ -174,49 +186,56 @@ def actuator(
     offset: OffsetOption = None,
     static: Annotated[bool, option("--static")] = False,
     starts: Annotated[int, option("--starts N", min=1, max=100)] = 1,
-    markers: ReadingOptions = _AS_FOUND,
-    fit: FitOptions = _BESIDE,
+    markers: ReadingOptions = _DEFAULT_READING,
+    fit: FitOptions = _DEFAULT_OUTPUT,
 ) -> None:
-    """Find time constants, gains and biases of free segments.
+    """Estimate time constants, gains and rest bends of free segments.
 
-    From recordings of step responses, or gains alone from tables or recordings of held pressures.
+    Data are recordings of step responses, or tables or recordings of constant pressures (gains only).
 
     Options:
-        static: Recordings hold pressures: fit plateaus, and write them as NAME.table.csv.
-        starts: Searches.
+        static: Fit plateaus of constant pressure in recordings, and write them to NAME.table.csv.
+        starts: Number of searches.
     """
-    place = FitDestination.of(context, "actuator", robot, fit)
+    output = FitOutput.from_options(context, "actuator", robot, fit)
     from srs_twin.identification import actuator as fits
     from srs_twin.robot.file import load_robot
 
-    spec, kept, names = load_robot(robot), validate or [], names_in(find)
+    spec, kept, names = load_robot(robot), validate or [], parse_names(find)
 
-    def finish_static(tables: list[fits.StaticTable], others: list[fits.StaticTable]) -> None:
-        with place.searching() as watch:
-            one = [fits.merged(tables)] if static else tables
-            found = fits.fit_static(one, spec, names=names, validation=others, watch=watch)
-        place.finish(found, "static", f"Actuators of {spec.name} from held pressures", tables, others)
+    def finish_static(tables: list[fits.StaticTable], validation: list[fits.StaticTable]) -> None:
+        with output.progress() as watch:
+            fitted = [fits.merge_tables(tables)] if static else tables
+            estimate = fits.fit_static(fitted, spec, names=names, validation=validation, watch=watch)
+        title = f"Actuators of {spec.name} from held pressures"
+        output.finish(estimate, "static", title, tables, validation)
         if static:
-            fits.write_static(one[0], path := place.path.with_suffix(".table.csv"))
-            say(f"{len(one[0].bend)} plateaus in {display_path(path)}", quiet=fit.quiet)
+            fits.write_static_table(fitted[0], path := output.path.with_suffix(".table.csv"))
+            say(f"{len(fitted[0].bend)} plateaus in {display_path(path)}", quiet=fit.quiet)
 
-    if _alike([*files, *kept], fits.is_static, "tables of held pressures", "recordings"):
-        _needless(valves, "--valves", "tables of held pressures have no log")
-        _needless(static, "--static", "tables of held pressures hold plateaus already")
-        finish_static(*([fits.read_static(each, spec) for each in given] for given in (files, kept)))
+    if _all_of_kind([*files, *kept], fits.is_static_table, "table of constant pressures", "recording"):
+        _refuse_option(valves, "--valves", "tables of constant pressures have no log")
+        _refuse_option(static, "--static", "tables of constant pressures already contain plateaus")
+        finish_static(*([fits.read_static_table(path, spec) for path in paths] for paths in (files, kept)))
         return
-    how = markers.reader(offset_s=offset)
+    reader = markers.reader(offset_s=offset)
     supply = _supply(spec, pressure)
-    takes, at = _takes([*files, *kept], valves, how, spec, fit.quiet), len(files)
+    recordings, count = _read_recordings([*files, *kept], valves, reader, spec, fit.quiet), len(files)
     if static:
-        others = [fits.StaticTable.of_recording(take, path, spec, supply) for path, take in takes[at:]]
-        finish_static(fits.static_tables(takes[:at], spec, supply), others)
+        tables = fits.plateau_tables(recordings[:count], spec, supply)
+        validation_tables = [
+            fits.StaticTable.from_recording(recording, path, spec, supply)
+            for path, recording in recordings[count:]
+        ]
+        finish_static(tables, validation_tables)
         return
-    responses = [fits.Response.of_recording(take, path, supply) for path, take in takes]
-    fitted, held = responses[:at], responses[at:]
-    with place.searching() as watch:
-        found = fits.fit_actuator(fitted, spec, names=names, validation=held, starts=starts, watch=watch)
-    place.finish(found, "actuator", f"Actuators of {spec.name} from responses", fitted, held)
+    responses = [fits.Response.from_recording(recording, path, supply) for path, recording in recordings]
+    fitted, validation = responses[:count], responses[count:]
+    with output.progress() as watch:
+        estimate = fits.fit_actuator(
+            fitted, spec, names=names, validation=validation, starts=starts, watch=watch
+        )
+    output.finish(estimate, "actuator", f"Actuators of {spec.name} from responses", fitted, validation)
 
 
 @app.command()
@@ -236,49 +255,58 @@ def locomotion(
     starts: Annotated[int | None, option("--starts N", min=1, max=100)] = None,
     frequency: FrequencyOption = None,
     offset: OffsetOption = None,
-    markers: ReadingOptions = _AS_FOUND,
-    fit: FitOptions = _BESIDE,
+    markers: ReadingOptions = _DEFAULT_READING,
+    fit: FitOptions = _DEFAULT_OUTPUT,
 ) -> None:
-    """Find friction, gap, masses or stiffness from crawling runs.
+    """Estimate friction, rigid gap, masses or stiffness from gait runs.
 
-    The rigid gap (or the length of a segment) is measured from markers where there are any.
+    If there are markers, the rigid gap (or the length of a segment) is measured from them.
 
     Options:
-        plant: Stands for the robot: analytical or twin.
+        plant: Simulated plant: analytical or twin.
         model: Analytical model. [default: compliant]
-        against: What is compared: averages, shapes or both.
-        starts: Searches. [default: 3; 1 where the twin's shapes lead]
+        against: Compared signals: averages, shapes or both.
+        starts: Number of searches. [default: 3; 1 with the twin's shapes]
     """
-    place = FitDestination.of(context, "locomotion", robot, fit)
+    output = FitOutput.from_options(context, "locomotion", robot, fit)
     from srs_twin.identification.locomotion import PlantModel, fit_locomotion
+    from srs_twin.identification.parameters import with_values
     from srs_twin.identification.recorded_runs import gait_run, measured_length
-    from srs_twin.identification.unknowns import with_values
     from srs_twin.recordings.takes import starts_at_rest
     from srs_twin.robot.file import load_robot
 
-    spec, kept, names = load_robot(robot), validate or [], names_in(find) or []
-    stands = PlantModel(plant, _plant_settings(plant, model, law))
-    how = markers.reader(offset_s=offset, gait_frequency_hz=frequency)
-    supply = _supply(spec, pressure)
+    spec, kept, names = load_robot(robot), validate or [], parse_names(find) or []
+    plant_model = PlantModel(plant, _plant_settings(plant, model, law))
+    reader = markers.reader(offset_s=offset, gait_frequency_hz=frequency)
+    supply, count = _supply(spec, pressure), len(files)
     with interruptible(NOTHING_WRITTEN):
-        takes = _takes([*files, *kept], valves, how, spec, fit.quiet)
-        known = measured_length([take for _, take in takes[: len(files)]], spec, names)
-        if known is not None:  # bends and centre of mass, too, are those of a body with this length
-            spec = with_values(spec, {known.name: known.value or 0.0})
-            takes = _takes([*files, *kept], valves, how, spec, quiet=True)
-            known = measured_length([take for _, take in takes[: len(files)]], spec, names)
-    for path, take in takes:
-        if not starts_at_rest(take):
-            warning = f"warning: {path}: it begins while chambers fill; the plants begin with empty ones"
+        recordings = _read_recordings([*files, *kept], valves, reader, spec, fit.quiet)
+        length = measured_length([recording for _, recording in recordings[:count]], spec, names)
+        if length is not None:  # bends and centre of mass depend on the length: read them again
+            spec = with_values(spec, {length.name: length.value or 0.0})
+            recordings = _read_recordings([*files, *kept], valves, reader, spec, quiet=True)
+            length = measured_length([recording for _, recording in recordings[:count]], spec, names)
+    for path, recording in recordings:
+        if not starts_at_rest(recording):
+            warning = f"warning: {path}: chambers are filling at the start; the plants start with empty ones"
             say(warning, quiet=fit.quiet)
-    runs = [gait_run(take, path, supply) for path, take in takes]
-    fitted, held = runs[: len(files)], runs[len(files) :]
-    starts = starts or (1 if plant == "twin" and against != "averages" else 3)
-    fit_runs = partial(fit_locomotion, fitted, spec, names, model=stands, against=against)
-    better, lengths = (None if plant == "twin" else PlantModel("twin")), ([known] if known else [])
-    with place.searching() as watch:
-        found = fit_runs(validation=held, starts=starts, watch=watch, reference=better, known=lengths)
-    place.finish(found, "locomotion", f"Locomotion of {spec.name} against the {plant} plant", fitted, held)
+    runs = [gait_run(recording, path, supply) for path, recording in recordings]
+    fitted, validation = runs[:count], runs[count:]
+    with output.progress() as watch:
+        estimate = fit_locomotion(
+            fitted,
+            spec,
+            names,
+            model=plant_model,
+            against=against,
+            validation=validation,
+            starts=starts or (1 if plant == "twin" and against != "averages" else 3),
+            watch=watch,
+            reference=None if plant == "twin" else PlantModel("twin"),
+            known=[length] if length else [],
+        )
+    title = f"Locomotion of {spec.name} against the {plant} plant"
+    output.finish(estimate, "locomotion", title, fitted, validation)
 
 
 @app.command()
@@ -292,13 +320,13 @@ def robot(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a robot file: where fits began, with what they found.
+    """Write a robot file with the results of fits.
 
     Options:
-        fits: Fit files of one robot; later ones count.
-        name: Of the new robot and its file.
-        out: [default: robots/NAME.yaml]
-        weak: Take what is only weakly identified as well.
+        fits: Fit files of one robot; later ones override earlier ones.
+        name: Name of the new robot and its file.
+        out: Robot file. [default: robots/NAME.yaml]
+        weak: Whether weakly identified parameters are included.
     """
     from srs_twin.identification.fitted_robot import fitted_robot, write_robot
     from srs_twin.io.files import check_output_folder
@@ -307,44 +335,44 @@ def robot(
     check_output_folder(path.parent, (path.name,))
     if os.path.lexists(path) and not overwrite:
         raise InputError(
-            f"{display_path(path)}: exists already; --overwrite replaces it, --out leads elsewhere"
+            f"{display_path(path)}: the file exists; --overwrite replaces it, --out chooses another"
         )
-    found = fitted_robot(fits, name, weak=weak)
-    write_robot(found, path)
+    robot_file = fitted_robot(fits, name, weak=weak)
+    write_robot(robot_file, path)
     if as_json:
-        print_json(found.model_dump(mode="json", exclude_none=True))
+        print_json(robot_file.model_dump(mode="json", exclude_none=True))
     say(f"robot in {path}", quiet=quiet)
 
 
-def _alike(files: Sequence[str], tells: Callable[[str], bool], one: str, other: str) -> bool:
-    """Say whether files are of one kind; refuse some of each.
+def _all_of_kind(files: Sequence[str], is_first: Callable[[str], bool], first: str, second: str) -> bool:
+    """Return whether all files are of the first kind, False if all are of the second.
 
     Raises:
-        InputError: they are of both kinds, or one cannot be read.
+        InputError: both kinds occur, or a file cannot be read.
     """
-    kinds = [tells(each) for each in files]
+    kinds = [is_first(path) for path in files]
     if len(set(kinds)) > 1:
-        first, second = files[kinds.index(True)], files[kinds.index(False)]
-        raise InputError(f"{first} is one of {one}, {second} one of {other}: give them to a fit each")
+        one, other = files[kinds.index(True)], files[kinds.index(False)]
+        raise InputError(f"{one} is a {first}, {other} a {second}; fit them separately")
     return kinds[0]
 
 
-def _takes(
-    files: Sequence[str], valves: Sequence[str] | None, how: RecordingReader, spec: RobotSpec, quiet: bool
+def _read_recordings(
+    files: Sequence[str], valves: Sequence[str] | None, reader: RecordingReader, spec: RobotSpec, quiet: bool
 ) -> list[tuple[str, Recording]]:
-    """Return (path, recording with its log) of each file, and say what was read."""
+    """Return (path, recording with its log) of each file, and print their summaries."""
     from srs_twin.recordings.takes import logs_of
 
-    found = []
+    recordings = []
     for path, log in zip(files, logs_of(files, valves or []), strict=True):
-        take = how.take(path, log, spec)
-        say(take.summary.text(), "", quiet=quiet)
-        found.append((path, take))
-    return found
+        recording = reader.take(path, log, spec)
+        say(recording.summary.text(), "", quiet=quiet)
+        recordings.append((path, recording))
+    return recordings
 
 
 def _supply(spec: RobotSpec, pressure_kpa: float | None) -> float:
-    """Return the supply's gauge pressure, Pa."""
+    """Return the gauge pressure of the supply, Pa."""
     if pressure_kpa is None:
         return spec.supply.nominal
     if not 0.1 <= pressure_kpa <= 2000.0:
@@ -353,17 +381,17 @@ def _supply(spec: RobotSpec, pressure_kpa: float | None) -> float:
 
 
 def _plant_settings(plant: str, model: str | None, law: str | None) -> dict[str, str]:
-    """Return the settings of the plant that stands for the robot."""
+    """Return the settings of a fit's plant."""
     if plant == "analytical":
         return {"model": model or "compliant", "friction": law or "wheel"}
-    _needless(model, "--model", "it belongs to --plant analytical")
-    _needless(law, "--law", "it belongs to --plant analytical")
+    _refuse_option(model, "--model", "it is only for --plant analytical")
+    _refuse_option(law, "--law", "it is only for --plant analytical")
     return {}
 
 
-def _needless(given: object, option: str, why: str) -> None:
-    if given:
-        raise InputError(f"{option}: take it out; {why}")
+def _refuse_option(value: object, option: str, why: str) -> None:
+    if value:
+        raise InputError(f"{option}: remove this option; {why}")
 
 
 @app.command()
@@ -388,27 +416,32 @@ def footprint(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure what a robot sweeps at each offset, for the planner.
+    """Measure the area that a robot sweeps at each offset, for the planner.
 
-    With transients also what it sweeps as the offset changes.
+    With transients, also the area that it sweeps when the offset changes.
 
     Options:
-        controller: gait (open loop) or ilc (learning).
-        frequency: Of the gait. [default: 2, ilc 1.5]
-        target: Bend that ilc aims at.
-        plant: twin or analytical.
+        controller: Controller: gait (open loop) or ilc (learning).
+        frequency: Gait frequency. [default: 2, ilc 1.5]
+        target: Target bend amplitude of ilc.
+        plant: Simulated plant: twin or analytical.
         contact: Contact of the twin, loaded or preloaded. [default: the twin's]
-        chambers: lag, or orifice for compressible flow.
-        offsets: As --offsets=-0.3,0,0.3. [default: to +-0.4; ilc: to +-0.3]
-        transients: Measure changes of offset.
-        periods: Gait periods measured of each run.
-        phases: Runs an offset, each begun at another phase.
-        out: Folder of the file.
-        name: Of the footprint and its file. [default: ROBOT_CONTROLLER]
+        chambers: Pneumatic model: lag, or orifice for compressible flow.
+        offsets: Offsets, as --offsets=-0.3,0,0.3. [default: to +-0.4; ilc: to +-0.3]
+        transients: Whether changes of offset are measured.
+        periods: Measured gait periods of each run.
+        phases: Runs per offset, with different initial phases.
+        out: Output folder.
+        name: Name of the footprint and its file. [default: ROBOT_CONTROLLER]
     """
-    wanted = None if offsets is None else _numbers(offsets)
-    from srs_twin.identification.footprint import Drive, footprint_file, header, refuse_other
-    from srs_twin.identification.footprint import study as study_of
+    requested_offsets = None if offsets is None else _parse_numbers(offsets)
+    from srs_twin.identification.footprint import (
+        GaitSetup,
+        check_same_study,
+        footprint_file,
+        footprint_study,
+        header_lines,
+    )
     from srs_twin.io.files import check_output_folder
     from srs_twin.planning.footprint import save_footprint
     from srs_twin.robot.file import load_robot
@@ -416,24 +449,25 @@ def footprint(
 
     spec = load_robot(robot)
     supply = spec.supply.nominal if pressure is None else 1000 * pressure
-    beat = _FREQUENCY_HZ.get(controller, 1.0) if frequency is None else frequency
-    drive = Drive(spec, beat, supply, controller, target, plant, chambers=chambers, contact=contact)
-    study = study_of(
-        drive, offsets=wanted, changes=None if transients else (), periods=periods, phases=phases
+    frequency_hz = _FREQUENCY_HZ.get(controller, 1.0) if frequency is None else frequency
+    setup = GaitSetup(
+        spec, frequency_hz, supply, controller, target, plant, chambers=chambers, contact=contact
     )
-    called = checked_name(f"{spec.name}_{controller}" if name is None else name, "--name")
-    path = Path(out) / f"{called}.yaml"
+    changes = None if transients else ()
+    study = footprint_study(setup, offsets=requested_offsets, changes=changes, periods=periods, phases=phases)
+    file_name = check_name(f"{spec.name}_{controller}" if name is None else name, "--name")
+    path = Path(out) / f"{file_name}.yaml"
     if not overwrite:
-        refuse_other(path, study, robot, called)
+        check_same_study(path, study, robot, file_name)
     check_output_folder(path.parent, (path.name,))
-    with interruptible(NOTHING_WRITTEN), RunCounter(called, study.runs, quiet=quiet) as counting:
+    with interruptible(NOTHING_WRITTEN), RunCounter(file_name, study.runs, quiet=quiet) as counting:
         measured = study.measure(threads=threads, progress=lambda done: counting(failed=False))
-    file = footprint_file(measured, called)
+    file = footprint_file(measured, file_name)
     if as_json:
         print_json(file.model_dump(mode="json", exclude_none=True))
     elif not quiet:
-        _show(measured)
-    save_footprint(file, path, header=header(study, robot, called, versions()))
+        _print_footprint(measured)
+    save_footprint(file, path, header=header_lines(study, robot, file_name, versions()))
     say(f"footprint in {display_path(path)}", quiet=quiet)
 
 
@@ -449,74 +483,75 @@ def margin(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure how far a follower leaves its footprint.
+    """Measure how far the body leaves the footprint of a followed path.
 
-    Random ways are followed under the conditions of a scenario. The excursions go into the footprint's file,
-    where planner.margin_probability finds them.
+    Random paths are followed under the conditions of a scenario. The excursions are written to the footprint
+    file, from which planner.margin_probability derives a margin.
 
     Options:
-        runs: On each plant.
-        plants: analytical, twin or both. [default: the scenario's]
-        out: Folder of the footprint's file.
+        runs: Number of runs on each plant.
+        plants: Plants: analytical, twin or both. [default: the scenario's]
+        out: Output folder of the footprint file.
     """
-    from srs_twin.identification.excursions import excursions
+    from srs_twin.identification.excursions import measure_excursions
     from srs_twin.io.documents import Override
     from srs_twin.io.files import check_output_folder, find_file, read_text
     from srs_twin.planning.footprint import load_footprint_file, save_footprint
     from srs_twin.planning.margins import quantile
     from srs_twin.scenario.loading import load_scenario
 
-    # Whatever margin the scenario wants, it is not what is measured.
-    none = Override("a margin to be measured", ("planner", "margin_probability"), None)
-    found = load_scenario(scenario, set=[*changes.changes(), none])
-    chosen = parse_plants(plants) or list(found.plants)
-    assert found.file.section("planner") is not None, "a margin of it was set"
-    place = find_file("footprint", found.file.section("planner").footprint)
-    path = Path(out) / f"{load_footprint_file(place).name}.yaml"
+    # A margin that the scenario requests would hide the excursions to be measured.
+    no_margin = Override("a margin to be measured", ("planner", "margin_probability"), None)
+    loaded = load_scenario(scenario, set=[*changes.changes(), no_margin])
+    plant_names = parse_plants(plants) or list(loaded.plants)
+    assert loaded.file.section("planner") is not None, "a change of the planner requires one"
+    source = find_file("footprint", loaded.file.section("planner").footprint)
+    path = Path(out) / f"{load_footprint_file(source).name}.yaml"
     check_output_folder(path.parent, (path.name,))
-    with interruptible(NOTHING_WRITTEN), RunCounter(found.name, runs * len(chosen), quiet=quiet) as counting:
+    total = runs * len(plant_names)
+    with interruptible(NOTHING_WRITTEN), RunCounter(loaded.name, total, quiet=quiet) as counting:
         measured = [
-            excursions(found, plant, runs, workers=jobs, progress=lambda: counting(failed=False))
-            for plant in chosen
+            measure_excursions(loaded, plant, runs, workers=jobs, progress=lambda: counting(failed=False))
+            for plant in plant_names
         ]
-    file = load_footprint_file(place)
-    fresh = [each.conditions for each in measured]
-    kept = [each for each in file.excursions or () if each.conditions not in fresh]
-    comments = [line[2:] for line in read_text(place).splitlines() if line.startswith("# ")]
+    file = load_footprint_file(source)
+    new_conditions = [result.conditions for result in measured]
+    kept = [old for old in file.excursions or () if old.conditions not in new_conditions]
+    comments = [line[2:] for line in read_text(source).splitlines() if line.startswith("# ")]
     save_footprint(file.model_copy(update={"excursions": [*kept, *measured]}), path, header=comments)
     if as_json:
-        print_json([each.model_dump(mode="json", exclude_none=True) for each in measured])
+        print_json([result.model_dump(mode="json", exclude_none=True) for result in measured])
     elif not quiet:
         table = new_table("plant", "half of the runs", "90 %", "95 %", "all, mm")
-        for each in measured:
-            shares = [quantile(each.path_m, share) for share in (0.5, 0.9, 0.95)] + [each.path_m[-1]]
-            table.add_row(each.conditions.plant, *(f"{1000 * value:.0f}" for value in shares))
+        for result in measured:
+            quantiles = [quantile(result.path_m, share) for share in (0.5, 0.9, 0.95)] + [result.path_m[-1]]
+            table.add_row(result.conditions.plant, *(f"{1000 * value:.0f}" for value in quantiles))
         console().print(table)
     say(f"excursions in {display_path(path)}", quiet=quiet)
 
 
-def _numbers(text: str) -> list[float]:
-    """Return the numbers of a list such as -0.3,0,0.3, sorted.
+def _parse_numbers(text: str) -> list[float]:
+    """Return the numbers in a list such as -0.3,0,0.3, in ascending order.
 
     Raises:
-        InputError: something in it is none.
+        InputError: an entry is not a number.
     """
     try:
-        return sorted(float(each) for each in text.split(","))
+        return sorted(float(number) for number in text.split(","))
     except ValueError:
-        raise InputError(f"--offsets: '{text}' is no list of numbers such as -0.3,0,0.3") from None
+        raise InputError(f"--offsets: '{text}' is not a list of numbers such as -0.3,0,0.3") from None
 
 
-def _show(measured: Measured) -> None:
-    """Print the table, and what changes of offset cost."""
-    from srs_twin.identification.footprint import rows
+def _print_footprint(measured: FootprintMeasurement) -> None:
+    """Print the tables of steady paths and transients."""
+    from srs_twin.identification.footprint import table_rows
 
-    print_table(("offset", "speed m/s", "curvature 1/m", "left m", "right m"), rows(measured))
+    print_table(("offset", "speed m/s", "curvature 1/m", "left m", "right m"), table_rows(measured))
     if measured.transients:
         headings = ("offset", "left m", "right m", "over m", "dx m", "dy m", "dheading rad")
-        print_table(headings, map(_change_row, measured.transients))
+        print_table(headings, map(_transient_row, measured.transients))
 
 
-def _change_row(each: Transient) -> tuple[str, ...]:
-    numbers = (each.left, each.right, each.length, each.dx, each.dy, each.dheading)
-    return f"{each.before:g} to {each.after:g}", *(f"{number:.3f}" for number in numbers)
+def _transient_row(change: Transient) -> tuple[str, ...]:
+    numbers = (change.left, change.right, change.length, change.dx, change.dy, change.dheading)
+    return f"{change.before:g} to {change.after:g}", *(f"{number:.3f}" for number in numbers)

@@ -1,32 +1,32 @@
-r"""Estimate: what a fit found, how well it is known, and what these data cannot tell.
+r"""Fit estimate: parameter values, their uncertainty, and the directions that the data do not determine.
 
-**Verdicts.** Let J be the derivatives of the weighted residuals by the coordinates z of `unknowns`, s_k its
-singular values with directions v_k, and E the difference between two Jacobians from steps h and 2h, which
-shows how far J itself is to be trusted. A direction is *blind* where moving along it does nothing that could
-be told from the error of the derivatives,
+**Verdicts.** Let J be the Jacobian of the weighted residuals by the coordinates z of `parameters`, s_k its
+singular values with directions v_k, and E the difference between two Jacobians with steps h and 2h, an
+estimate of the error of J. A direction is *unidentifiable* if the effect of moving along it is within the
+error of the derivatives:
 
 $$ s_k \le 2\,\lVert E v_k \rVert \quad\text{or}\quad s_k \le 10^{-6} s_1 . $$
 
-The others have the standard error σ/s_k. A parameter with a share of more than a tenth in the blind
-directions is not identifiable. So is one whose standard error is 1 or more in z, a factor e either way,
-for then the data hardly say more than its bounds do. Up to 0.1 it is identified, between them weakly. A
-smaller share in a blind direction adds the spread that the bounds leave to it.
+The other directions have the standard error σ/s_k. A parameter is not identifiable if more than a tenth of it
+lies in the unidentifiable directions, or if its standard error in z is 1 or more (a factor e in either
+direction), as the data then add little to its bounds. Up to 0.1 it is identified, in between weakly
+identified. A smaller component in an unidentifiable direction adds the variance within the bounds.
 
-All of this supposes that the model is right. Where the weighted residuals, all or those of one kind of
-signal, exceed their noise by more than `EXPLAINED`, nothing is identified: an interval is then the spread
-about the best value under a wrong model, and the verdict is "cannot tell".
+The verdicts assume that the model is right. If the weighted residuals, all or those of one kind of signal,
+exceed their noise by more than `MAX_RESIDUAL_SCALE`, no parameter is identified. The interval is then the
+spread about the best value under a wrong model, and the verdict is "cannot tell".
 
-**Independent samples.** Residuals of neighbouring samples resemble each other: of noise that cameras and
-filters smooth, and of what the model lacks. With ρ_k their autocorrelation, n samples tell a mean as well as
+**Independent samples.** Residuals of neighbouring samples are correlated, because cameras and filters smooth
+the noise and because of model errors. With their autocorrelation ρ_k, n samples determine a mean as well as
 n/τ independent ones,
 
 $$ \tau = 1 + 2 \sum_{k \ge 1} \rho_k , $$
 
-the sum taken while pairs ρ_{2m} + ρ_{2m+1} are positive (Geyer 1992, Statistical Science 7: initial positive
-sequence). A fit of p unknowns takes the slow part of the noise out of the residuals, about a share c = p
-τ/n of their power at all short lags; it is put back, ρ_k → (ρ_k + c)/(1 + c), with τ as it comes out. All
-series are pooled, each weighted by its power. Series that are too short to tell, such as pulls or averages
-of runs, count as independent.
+summed while the pairs ρ_{2m} + ρ_{2m+1} are positive (initial positive sequence; Geyer 1992, Statistical
+Science 7). A fit of p parameters removes the slow part of the noise from the residuals, a fraction of about
+c = p τ/n of their power at all short lags. This is corrected by ρ_k → (ρ_k + c)/(1 + c), iterated because c
+depends on τ. All series are pooled, weighted by their power. Series that are too short, such as pulls or
+averages of runs, count as independent samples.
 """
 
 from __future__ import annotations
@@ -39,71 +39,76 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.identification.unknowns import Unknown
+from srs_twin.identification.parameters import FreeParameter
 from srs_twin.trajectory import HtmlResult
 
-IDENTIFIED = 0.1
-"""Largest standard error in z of what is identified."""
+IDENTIFIED_ERROR = 0.1
+"""Largest standard error in z of an identified parameter."""
 
-KNOWN = 1.0
-"""Standard error in z from which on nothing is known."""
+UNIDENTIFIABLE_ERROR = 1.0
+"""Standard error in z from which a parameter is not identifiable."""
 
-BLIND_SHARE = 0.1
-"""Share in blind directions from which on a parameter is not identifiable."""
+MAX_UNIDENTIFIABLE_SHARE = 0.1
+"""Component in the unidentifiable directions above which a parameter is not identifiable."""
 
-EXPLAINED = 2.0
-"""Largest standard deviation of the weighted residuals of a model that explains the data, kind by kind."""
+MAX_RESIDUAL_SCALE = 2.0
+"""Largest RMS of weighted residuals, per kind of signal, with which a model explains the data."""
 
-UNEXPLAINED = "the model does not explain the data; these intervals do not hold"
+MISFIT_MESSAGE = "the model does not explain the data; these intervals do not hold"
 
-_TRUSTED = 2.0
-_LEAST = 1e-6
+_DERIVATIVE_ERRORS = 2.0
+"""Singular value, in errors of the derivatives, up to which a direction is unidentifiable."""
+
+_RELATIVE_CUTOFF = 1e-6
+"""Singular value relative to the largest up to which a direction is unidentifiable (rounding)."""
 
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What a Jacobian says, all in coordinates z.
+    """Covariance and unidentifiable directions of a Jacobian, in coordinates z.
 
     Attributes:
-        covariance: shape (n, n).
-        share: of each parameter in the blind directions, shape (n,).
-        blind: these directions, shape (blind, n).
+        covariance: covariance of the parameters, shape (n, n).
+        share: component of each parameter in the unidentifiable directions, shape (n,).
+        directions: unidentifiable directions, shape (directions, n).
     """
 
     covariance: np.ndarray
     share: np.ndarray
-    blind: np.ndarray
+    directions: np.ndarray
 
     @property
     def errors(self) -> np.ndarray:
         """Standard errors, shape (n,)."""
         return np.sqrt(np.diag(self.covariance))
 
-    def hidden(self, i: int) -> bool:
-        """Say whether parameter i is not identifiable."""
-        return bool(self.share[i] > BLIND_SHARE or self.errors[i] >= KNOWN)
+    def is_unidentifiable(self, i: int) -> bool:
+        """Return whether parameter i is not identifiable."""
+        return bool(self.share[i] > MAX_UNIDENTIFIABLE_SHARE or self.errors[i] >= UNIDENTIFIABLE_ERROR)
 
 
 def identifiability(
     jacobian: np.ndarray, error: np.ndarray, noise: float, widths: np.ndarray
 ) -> Identifiability:
-    """Return what a Jacobian says.
+    """Return the identifiability of parameters from a Jacobian (module docstring).
 
     Args:
         jacobian: J, shape (samples, n).
         error: E, same shape.
-        noise: σ of a weighted residual, grown by the root of the correlation time.
-        widths: between the bounds of each parameter, in z, shape (n,).
+        noise: σ of a weighted residual, multiplied by the square root of the correlation time.
+        widths: distance between the bounds of each parameter in z, shape (n,).
     """
     _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
-    doubt = np.linalg.norm(error @ directions.T, axis=0)
-    is_blind = (singular <= _TRUSTED * doubt) | (singular <= _LEAST * singular.max(initial=0.0))
-    seen, blind = directions[~is_blind], directions[is_blind]
-    covariance = (seen.T * (noise / singular[~is_blind]) ** 2) @ seen
-    # Uniform between the bounds: the variance of what nobody knows.
-    reach = (np.abs(blind) @ widths) / np.sqrt(12)
-    covariance += (blind.T * reach**2) @ blind
-    return Identifiability(covariance, np.linalg.norm(blind, axis=0), blind)
+    derivative_error = np.linalg.norm(error @ directions.T, axis=0)
+    undetermined = (singular <= _DERIVATIVE_ERRORS * derivative_error) | (
+        singular <= _RELATIVE_CUTOFF * singular.max(initial=0.0)
+    )
+    determined, unidentifiable = directions[~undetermined], directions[undetermined]
+    covariance = (determined.T * (noise / singular[~undetermined]) ** 2) @ determined
+    # Without data the prior remains: uniform between the bounds, with the variance width²/12.
+    prior_std = (np.abs(unidentifiable) @ widths) / np.sqrt(12)
+    covariance += (unidentifiable.T * prior_std**2) @ unidentifiable
+    return Identifiability(covariance, np.linalg.norm(unidentifiable, axis=0), unidentifiable)
 
 
 Verdict = Literal["identified", "weakly identified", "cannot tell", "not identifiable"]
@@ -112,14 +117,14 @@ Role = Literal["fit", "validation"]
 
 @dataclass(frozen=True)
 class Residual:
-    """Measured less predicted of one signal.
+    """Measured minus predicted values of one signal.
 
     Attributes:
-        name: of data set and signal, ``"step_1 bend_2"``.
-        unit: of the values.
-        values: shape (samples,), over time where there is one.
-        scale: the noise that is expected of it, in the unit; signals are weighted by it.
-        role: "fit", or "validation" where the fit has not seen it.
+        name: names of data set and signal, ``"step_1 bend_2"``.
+        unit: unit of the values.
+        values: residuals, shape (samples,), in the order of time for a time series.
+        scale: standard deviation of the expected noise, in the unit; the inverse weight in the fit.
+        role: "fit", or "validation" for data that the fit does not use.
     """
 
     name: str
@@ -136,20 +141,20 @@ class Residual:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number that was looked for.
+    """Estimated value of one parameter.
 
     Attributes:
-        name: see `unknowns`.
-        unit: of all numbers here.
-        verdict: "identified" (standard error at most a tenth of the value or scale), "weakly identified" (at
-            most once), "cannot tell": the model does not explain the data, and the interval is the spread
-            about the best value under a wrong model; or "not identifiable": from these data; such a one has
-            no numbers.
-        value: the estimate.
-        standard_error: of it.
+        name: name, see `parameters`.
+        unit: unit of all values here.
+        verdict: "identified": the standard error is at most a tenth of the value or scale. "weakly
+            identified": it is at most once the value or scale. "cannot tell": the model does not explain the
+            data, and the interval is the spread about the best value under a wrong model. "not
+            identifiable": these data do not determine it; such a parameter has no values.
+        value: estimate.
+        standard_error: standard error of the estimate.
         low: lower end of the 95 % confidence interval.
-        high: upper end.
-        why: what the verdict rests on, in words.
+        high: upper end of the 95 % confidence interval.
+        why: reason for the verdict.
     """
 
     name: str
@@ -163,27 +168,27 @@ class Parameter:
 
     def __post_init__(self) -> None:
         numbers = (self.value, self.standard_error, self.low, self.high)
-        none = self.verdict == "not identifiable"
-        if any((number is None) != none for number in numbers):
-            wanted = "no numbers" if none else "all"
-            raise InputError(f"{self.name}: {self.verdict}, so it must have {wanted}")
+        is_empty = self.verdict == "not identifiable"
+        if any((number is None) != is_empty for number in numbers):
+            expected = "no numbers" if is_empty else "value, standard_error, low and high"
+            raise InputError(f"{self.name}: {self.verdict}, so it must have {expected}")
 
 
 @dataclass(frozen=True)
-class Estimate(HtmlResult):
-    """What a fit found.
+class FitEstimate(HtmlResult):
+    """Result of a fit.
 
     Attributes:
-        parameters: in the order in which they were asked for.
-        correlation: of the estimates, shape (parameters, parameters); NaN where one has no number.
-        residuals: of all data, the fit's and those kept for validation.
-        cancels: directions in which the residuals do not change: name → share, in the coordinates of
-            `unknowns`; {mass: 0.71, stiffness: 0.71} says that only their ratio acts.
-        samples: number of samples that were fitted.
-        independent: how many independent ones they are worth, see `correlation_time`.
-        residual_scale: standard deviation of the weighted residuals: 1 where they are as large as expected.
-        held: what was taken as known and the values refer to, by name.
-        converged: whether the search came to an end.
+        parameters: estimated parameters, in the requested order.
+        correlation: correlation of the estimates, shape (parameters, parameters); NaN without a value.
+        residuals: residuals of all data, fit and validation.
+        cancels: unidentifiable directions, each as name → component in the coordinates of `parameters`;
+            {mass: 0.71, stiffness: 0.71} means that only their ratio has an effect.
+        samples: number of fitted samples.
+        independent: equivalent number of independent samples, see `correlation_time`.
+        residual_scale: standard deviation of the weighted residuals; 1 if they are as large as expected.
+        held: values that were fixed in the fit and on which the estimates depend, by name.
+        converged: whether the search converged.
     """
 
     page: ClassVar[str] = "fit"
@@ -199,175 +204,185 @@ class Estimate(HtmlResult):
     converged: bool = True
 
     def __getitem__(self, name: str) -> Parameter:
-        """Return a parameter by its name."""
-        return next(each for each in self.parameters if each.name == name)
+        """Return a parameter by name."""
+        return next(parameter for parameter in self.parameters if parameter.name == name)
 
     @property
     def values(self) -> dict[str, float]:
-        """What has a number, by name."""
-        return {each.name: each.value for each in self.parameters if each.value is not None}
+        """Estimated values, by name."""
+        return {
+            parameter.name: parameter.value for parameter in self.parameters if parameter.value is not None
+        }
 
     @property
     def misfit(self) -> tuple[str, ...]:
-        """What is left where the model does not explain the data, a line each; none where it does."""
-        explained = explains(self.residuals, self.residual_scale)
-        return () if explained else (UNEXPLAINED, *patterns(self.residuals))
+        """One line per kind of signal that the model does not explain; empty if it explains the data."""
+        explained = explains_data(self.residuals, self.residual_scale)
+        return () if explained else (MISFIT_MESSAGE, *describe_misfit(self.residuals))
 
-    def with_known(self, known: Sequence[Parameter]) -> Estimate:
-        """Return the estimate with parameters that were not fitted, which correlate with nothing."""
+    def with_fixed(self, known: Sequence[Parameter]) -> FitEstimate:
+        """Return the estimate with additional measured parameters, uncorrelated with the fitted ones."""
         size, count = len(self.parameters), len(known)
         correlation = np.eye(size + count)
         correlation[:size, :size] = self.correlation
-        for i, each in enumerate(self.parameters):
-            if each.value is None:
+        for i, parameter in enumerate(self.parameters):
+            if parameter.value is None:
                 correlation[i], correlation[:, i] = np.nan, np.nan
         return replace(self, parameters=(*self.parameters, *known), correlation=correlation)
 
     def rms(self, role: Role) -> float | None:
-        """Return the root mean square of the weighted residuals of a role; None without any."""
+        """Return the RMS of the weighted residuals of a role; None without data."""
         squares = [(r.values / r.scale) ** 2 for r in self.residuals if r.role == role and len(r.values)]
         return float(np.sqrt(np.concatenate(squares).mean())) if squares else None
 
     def text(self) -> str:
-        """Return the estimate as a table for people."""
+        """Return the estimate as text, one line per parameter."""
         lines = []
-        for each in self.parameters:
-            if each.value is None:
-                lines.append(f"{each.name}: {each.verdict}; {each.why}")
+        for parameter in self.parameters:
+            if parameter.value is None:
+                lines.append(f"{parameter.name}: {parameter.verdict}; {parameter.why}")
                 continue
-            unit = "" if each.unit == "1" else f" {each.unit}"
-            why = f"; {each.why}" if each.why else ""
-            value = f"{each.value:.5g} ± {each.standard_error:.2g}{unit}"
-            interval = f"95 % {each.low:.5g} to {each.high:.5g}"
-            lines.append(f"{each.name}: {value}, {interval}: {each.verdict}{why}")
+            unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+            why = f"; {parameter.why}" if parameter.why else ""
+            value = f"{parameter.value:.5g} ± {parameter.standard_error:.2g}{unit}"
+            interval = f"95 % {parameter.low:.5g} to {parameter.high:.5g}"
+            lines.append(f"{parameter.name}: {value}, {interval}: {parameter.verdict}{why}")
         return "\n".join((*lines, *self.misfit))
 
 
-_SERIES = 20
-"""Values from which on a signal is taken for a series in time."""
-_GROWS = 1.5
-"""Times the RMS of a series' first half: from here on the residuals of its second half have grown."""
+_MIN_SERIES = 20
+"""Number of values from which a signal is treated as a time series."""
+
+_GROWTH = 1.5
+"""RMS of a series' second half over that of its first from which the residuals are reported as growing."""
 
 
-def of_kinds(residuals: Sequence[Residual]) -> dict[str, list[Residual]]:
-    """Return the residuals of the fit by kind of signal, such as bend, the worst first."""
+def residuals_by_kind(residuals: Sequence[Residual]) -> dict[str, list[Residual]]:
+    """Return the residuals of the fit by kind of signal, such as bend; the largest weighted RMS first."""
     kinds: dict[str, list[Residual]] = {}
-    for each in residuals:
-        if each.role == "fit" and len(each.values):
-            kinds.setdefault(re.sub(r"_(\d+|x|y)$", "", each.name.rpartition(" ")[2]), []).append(each)
+    for residual in residuals:
+        if residual.role == "fit" and len(residual.values):
+            kind = re.sub(r"_(\d+|x|y)$", "", residual.name.rpartition(" ")[2])
+            kinds.setdefault(kind, []).append(residual)
     return dict(sorted(kinds.items(), key=lambda kind: -_weighted_rms(kind[1])))
 
 
 def _weighted_rms(residuals: Sequence[Residual]) -> float:
-    return float(np.sqrt(np.mean([(each.rms / each.scale) ** 2 for each in residuals])))
+    return float(np.sqrt(np.mean([(residual.rms / residual.scale) ** 2 for residual in residuals])))
 
 
-def explains(residuals: Sequence[Residual], scale: float) -> bool:
-    """Say whether a model explains the data: all of them, and each kind of signal.
+def explains_data(residuals: Sequence[Residual], scale: float) -> bool:
+    """Return whether a model explains the data, all together and each kind of signal.
 
     Args:
-        residuals: of all data.
-        scale: standard deviation of the weighted ones.
+        residuals: residuals of all data.
+        scale: standard deviation of the weighted residuals.
     """
-    return max(scale, *map(_weighted_rms, of_kinds(residuals).values()), 0.0) <= EXPLAINED
+    scales = map(_weighted_rms, residuals_by_kind(residuals).values())
+    return max(scale, *scales, 0.0) <= MAX_RESIDUAL_SCALE
 
 
-def patterns(residuals: Sequence[Residual]) -> Iterator[str]:
-    """Yield which signals exceed their noise, the worst first, where most, and whether with time."""
-    for kind, some in of_kinds(residuals).items():
-        if (left := _weighted_rms(some)) <= 1:
+def describe_misfit(residuals: Sequence[Residual]) -> Iterator[str]:
+    """Yield a line for each kind of signal that exceeds its noise, the largest first."""
+    for kind, signals in residuals_by_kind(residuals).items():
+        if (scale := _weighted_rms(signals)) <= 1:
             break
-        worst = max(some, key=lambda each: each.rms / each.scale)
-        halves = [[np.sum(part**2) for part in np.array_split(each.values, 2)] for each in some]
+        worst = max(signals, key=lambda residual: residual.rms / residual.scale)
+        halves = [[np.sum(half**2) for half in np.array_split(residual.values, 2)] for residual in signals]
         before, after = np.sum(halves, axis=0)
-        grew = ", growing with time" if len(worst.values) >= _SERIES and after > _GROWS**2 * before else ""
+        is_growing = len(worst.values) >= _MIN_SERIES and after > _GROWTH**2 * before
+        growing = ", growing with time" if is_growing else ""
         where = f", most in {name}" if (name := worst.name.rpartition(" ")[0]) else ""
-        yield f"left of {kind}: {left:.3g} times the noise{where}{grew}"
+        yield f"residuals of {kind}: {scale:.3g} times the noise{where}{growing}"
 
 
-_PART = 0.05
-"""Of a direction of length 1: parameters with a smaller share have no part in it."""
+_MIN_COMPONENT = 0.05
+"""Component of a unit direction below which a parameter is not listed."""
 
 
-def bound_reason(unknown: Unknown, z: float) -> str:
-    """Return why an unknown has no number whose coordinate z ends at a bound."""
-    lower = z - unknown.coordinate(unknown.low) < unknown.coordinate(unknown.high) - z
-    bound, side = (unknown.low, "least") if lower else (unknown.high, "most")
-    return f"the data want it at the {side} that is allowed, {bound:g} {unknown.unit}, or beyond"
+def describe_bound(parameter: FreeParameter, z: float) -> str:
+    """Return the reason why a parameter whose search ended at a bound has no value."""
+    lower = z - parameter.coordinate(parameter.low) < parameter.coordinate(parameter.high) - z
+    bound, side = (parameter.low, "lower") if lower else (parameter.high, "upper")
+    return f"the best fit is at the {side} bound, {bound:g} {parameter.unit}, or beyond"
 
 
-def hidden_reason(
-    unknowns: tuple[Unknown, ...], inside: np.ndarray, known: Identifiability, place: int
+def describe_unidentifiable(
+    parameters: tuple[FreeParameter, ...], inside: np.ndarray, known: Identifiability, index: int
 ) -> str:
-    """Return why a parameter inside its bounds has no number.
+    """Return the reason why a parameter inside its bounds has no value.
 
     Args:
-        unknowns: of the search.
-        inside: which of them do not end at a bound.
-        known: what the data tell of those.
-        place: of the parameter among them.
+        parameters: parameters of the search.
+        inside: indices of the parameters that did not end at a bound.
+        known: identifiability of those.
+        index: index of the parameter among them.
     """
-    rows = [row for row in known.blind if abs(row[place]) > _PART]
-    shares = [(inside[k], abs(row[k])) for row in rows for k in range(len(row)) if k != place]
-    others = sorted({unknowns[i].name for i, share in shares if share > _PART})
+    rows = [row for row in known.directions if abs(row[index]) > _MIN_COMPONENT]
+    components = [(inside[k], abs(row[k])) for row in rows for k in range(len(row)) if k != index]
+    others = sorted({parameters[i].name for i, component in components if component > _MIN_COMPONENT})
     if not rows:
-        return f"its standard error is {known.errors[place]:.2g} in units that matter, 1 or more"
+        return f"its standard error in z is {known.errors[index]:.2g}, 1 or more"
     if not others:
         return "the residuals do not depend on it"
-    return f"together with {', '.join(others)} it cancels: only their combinations act"
+    return f"only a combination of it with {', '.join(others)} has an effect"
 
 
-def cancels(
-    unknowns: tuple[Unknown, ...], inside: np.ndarray, known: Identifiability
+def unidentifiable_directions(
+    parameters: tuple[FreeParameter, ...], inside: np.ndarray, known: Identifiability
 ) -> tuple[dict[str, float], ...]:
-    """Return the directions in which the residuals do not change: name → share, the largest above 0.
+    """Return the unidentifiable directions as name → component, the largest component positive.
 
     Args:
-        unknowns: as in `hidden_reason`.
-        inside: likewise.
-        known: likewise.
+        parameters: see `describe_unidentifiable`.
+        inside: see `describe_unidentifiable`.
+        known: see `describe_unidentifiable`.
     """
-    names = [unknowns[i].name for i in inside]
+    names = [parameters[i].name for i in inside]
     rows = []
-    for row in known.blind:
+    for row in known.directions:
         signed = row * np.sign(row[np.argmax(np.abs(row))])
-        shares = zip(names, signed, strict=True)
-        rows.append({name: round(float(share), 3) for name, share in shares if abs(share) > _PART})
+        components = zip(names, signed, strict=True)
+        rows.append(
+            {name: round(float(value), 3) for name, value in components if abs(value) > _MIN_COMPONENT}
+        )
     return tuple(rows)
 
 
-LEAST_SAMPLES = 20
-"""Shorter series say nothing about their autocorrelation."""
+MIN_CORRELATED_SAMPLES = 20
+"""Length of a series from which its autocorrelation is estimated."""
 
+_ITERATIONS = 5
+"""Iterations of the correction for fitted parameters; τ converges within three."""
 
-_ROUNDS = 5
-_MOST_TAKEN = 0.5  # c beyond which a fit has taken so much that the rest says nothing of it
+_MAX_REMOVED_SHARE = 0.5
+"""Largest c of the correction; beyond it the residuals no longer show the noise."""
 
 
 def correlation_time(series: Sequence[np.ndarray], unknowns: int = 0) -> float:
-    """Return τ, 1 or more.
+    """Return the correlation time τ in samples, 1 or more (module docstring).
 
     Args:
         series: residuals over time, each of shape (samples,), in comparable units.
-        unknowns: p, how many numbers were fitted.
+        unknowns: p, the number of fitted parameters.
     """
-    long = [each for each in series if len(each) >= LEAST_SAMPLES]
-    if not long or not any(each.any() for each in long):
+    long = [residuals for residuals in series if len(residuals) >= MIN_CORRELATED_SAMPLES]
+    if not long or not any(residuals.any() for residuals in long):
         return 1.0
-    most = max(len(each) for each in long)
-    total = np.zeros(most)
-    for each in long:
-        total[: len(each)] += _autocovariance(each / max(abs(r).max() for r in long))
+    longest = max(len(residuals) for residuals in long)
+    total = np.zeros(longest)
+    for residuals in long:
+        total[: len(residuals)] += _autocovariance(residuals / max(abs(r).max() for r in long))
     rho = total / total[0]
-    pairs = rho[: most // 2 * 2].reshape(-1, 2).sum(axis=1)
+    pairs = rho[: longest // 2 * 2].reshape(-1, 2).sum(axis=1)
     ends = np.flatnonzero(pairs <= 0)
     kept = pairs[: ends[0]] if ends.size else pairs
-    lags = 2 * len(kept) - 1  # besides lag 0
-    plain = max(1.0, float(2 * kept.sum() - 1))
-    samples, time = sum(len(each) for each in long), plain
-    for _ in range(_ROUNDS):
-        taken = min(unknowns * time / samples, _MOST_TAKEN)
-        time = max(1.0, 1.0 + 2 * (float(kept.sum()) - 1 + lags * taken) / (1 + taken))
+    lags = 2 * len(kept) - 1  # without lag 0
+    uncorrected = max(1.0, float(2 * kept.sum() - 1))
+    samples, time = sum(len(residuals) for residuals in long), uncorrected
+    for _ in range(_ITERATIONS):
+        removed = min(unknowns * time / samples, _MAX_REMOVED_SHARE)
+        time = max(1.0, 1.0 + 2 * (float(kept.sum()) - 1 + lags * removed) / (1 + removed))
     return time
 
 

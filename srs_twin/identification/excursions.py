@@ -1,7 +1,7 @@
-"""Excursions: how far the body of a snake that follows leaves its planned footprint, over whole runs.
+"""Excursions: largest distance of a follower's body beyond its footprint, over runs along random paths.
 
-The runs are those of a scenario but for what they follow: drawn ways without obstacles, `LENGTH` long behind
-the scenario's run-up. Each run has another seed, which draws the modules, the camera's noise and the way.
+The runs use the conditions of a scenario, but follow random paths without obstacles of length `LENGTH_M`
+after the scenario's run-up. The seed of a run draws the modules, the camera noise and the path.
 """
 
 from __future__ import annotations
@@ -28,25 +28,34 @@ from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.plants import PlantsFile
 from srs_twin.scenario.scenario import Scenario
 
-LENGTH = 3.5
-"""Of a drawn way, m."""
-_PIECES, _LEAST = (0.3, 0.8), 0.05
-_AWAY = 1.4
-"""Largest heading of a way, rad."""
-_SLOWEST = 0.5
-"""Of the footprint's slowest speed: whoever needs longer has not arrived."""
+LENGTH_M = 3.5
+"""Length of a random path."""
+
+_ARC_LENGTHS_M = (0.3, 0.8)
+"""Smallest and largest length of an arc."""
+
+_MIN_ARC_M = 0.05
+"""Length below which no further arc is added."""
+
+_MAX_HEADING = 1.4
+"""Largest heading of a random path relative to its start, rad; beyond it a path might cross itself."""
+
+_SLOWEST_SHARE = 0.5
+"""Mean speed, relative to the lowest of the footprint, below which a run counts as not arrived."""
+
 _DIGITS = 4
+"""Decimals of excursions in a footprint file."""
 
 
 @dataclass(frozen=True)
-class Tried:
-    """One run of a scenario's follower along a drawn way; picklable.
+class FollowerRun:
+    """Run of a scenario's follower along a random path; picklable.
 
     Attributes:
-        document: of the scenario, with a straight path to follow.
-        run_up: straight beginning of the drawn one, m.
-        plant: that runs.
-        seed: of modules, noise and way.
+        document: scenario with a straight path to follow, as plain data.
+        run_up: straight length at the start of the path, m.
+        plant: plant that runs.
+        seed: random seed of modules, noise and path.
     """
 
     document: dict[str, Any]
@@ -55,58 +64,59 @@ class Tried:
     seed: int
 
     def run(self) -> tuple[float, float]:
-        """Return how far the body left its footprint at most, over the run-up and after it, m."""
+        """Return the largest excursions during the run-up and after it, m."""
         scenario = parse_scenario(self.document | {"seed": self.seed})
         planner, follower = scenario.planner, scenario.build_controller()
-        assert planner is not None and isinstance(follower, Follower), "checked by `excursions`"
+        assert planner is not None and isinstance(follower, Follower), "checked by `measure_excursions`"
         body = planner.problem.footprint
         rng = np.random.default_rng([self.seed, 0x5EED])
-        pieces = _way(rng, body.curvatures[0], body.curvatures[-1])
+        arcs = _random_arcs(rng, body.curvatures[0], body.curvatures[-1])
 
-        def planned(start: Pose, *begin: tuple[float, float]) -> Plan:
-            return Plan(Outcome.FOUND, "drawn", path_of(start, [*begin, *pieces], body))
+        def plan_from(start: Pose, *run_up: tuple[float, float]) -> Plan:
+            return Plan(Outcome.FOUND, "drawn", path_of(start, [*run_up, *arcs], body))
 
-        plan = planned(Pose(*scenario.pose), *([(0.0, self.run_up)] if self.run_up else []))
+        plan = plan_from(Pose(*scenario.pose), *([(0.0, self.run_up)] if self.run_up else []))
         assert plan.end is not None, "it has segments"
-        alone = replace(follower.conditions, stray=math.inf, run_up=self.run_up)
-        driven = replace(
+        conditions = replace(follower.conditions, stray=math.inf, run_up=self.run_up)
+        controller = replace(
             follower, plan=plan, goal=Goal(plan.end.x, plan.end.y, None, math.inf), world=World(),
-            conditions=alone, body=body, replan=lambda pose, share: planned(pose),
+            conditions=conditions, body=body, replan=lambda pose, share: plan_from(pose),
         )  # fmt: skip
-        longest = (self.run_up + LENGTH + 1) / (_SLOWEST * min(body.speeds))
-        # A whole number of the scenario's own durations is one of ticks.
+        longest = (self.run_up + LENGTH_M + 1) / (_SLOWEST_SHARE * min(body.speeds))
+        # A multiple of the scenario's duration is a whole number of ticks.
         duration = scenario.duration * math.ceil(longest / scenario.duration)
-        way = rollout(
-            scenario.build_plant(self.plant), driven, duration,
+        trajectory = rollout(
+            scenario.build_plant(self.plant), controller, duration,
             pose=scenario.pose, seed=self.seed, record_hz=scenario.record_hz,
         )  # fmt: skip
-        about = following(way)
-        assert about is not None, "a follower ran"
-        begun = about["plans"][-1]["time"]
-        out, later = beyond(way), way.time >= begun
-        first = float(out[~later].max(initial=0.0)) if self.run_up else 0.0
-        return first, float(out[later].max()) if about["ending"] == next(iter(ENDINGS)) else LOST_M
+        metadata = following(trajectory)
+        assert metadata is not None, "a follower ran"
+        start = metadata["plans"][-1]["time"]
+        excess, is_after = beyond(trajectory), trajectory.time >= start
+        during_run_up = float(excess[~is_after].max(initial=0.0)) if self.run_up else 0.0
+        has_arrived = metadata["ending"] == next(iter(ENDINGS))
+        return during_run_up, float(excess[is_after].max()) if has_arrived else LOST_M
 
 
-def _way(rng: np.random.Generator, low: float, high: float) -> list[tuple[float, float]]:
-    """Return curvature and length of each piece of a way: straight or as tight as can be, as plans are.
+def _random_arcs(rng: np.random.Generator, low: float, high: float) -> list[tuple[float, float]]:
+    """Return curvature and length of the arcs of a random path, straight or of extreme curvature as in plans.
 
-    They begin with a turn, as plans do from where a run-up has ended.
+    The first arc is curved, as it is in plans after a run-up.
     """
-    pieces, left, heading, curvature = [], LENGTH, 0.0, 0.0
-    while left > _LEAST:
-        curvature = float(rng.choice([each for each in (low, 0.0, high) if each != curvature]))
-        length = min(float(rng.uniform(*_PIECES)), left)
-        # A way that crosses itself would not say which part of it the body has left.
-        if curvature and abs(heading + curvature * length) > _AWAY:
-            length = (math.copysign(_AWAY, curvature) - heading) / curvature
-        if length > _LEAST:
-            pieces.append((curvature, length))
+    arcs, left, heading, curvature = [], LENGTH_M, 0.0, 0.0
+    while left > _MIN_ARC_M:
+        curvature = float(rng.choice([value for value in (low, 0.0, high) if value != curvature]))
+        length = min(float(rng.uniform(*_ARC_LENGTHS_M)), left)
+        # On a path that crosses itself, the part that the body leaves would be ambiguous.
+        if curvature and abs(heading + curvature * length) > _MAX_HEADING:
+            length = (math.copysign(_MAX_HEADING, curvature) - heading) / curvature
+        if length > _MIN_ARC_M:
+            arcs.append((curvature, length))
             heading, left = heading + curvature * length, left - length
-    return pieces
+    return arcs
 
 
-def excursions(
+def measure_excursions(
     scenario: Scenario,
     plant: str,
     runs: int,
@@ -114,49 +124,50 @@ def excursions(
     workers: int | None = None,
     progress: Callable[[], None] | None = None,
 ) -> ExcursionsFile:
-    """Measure a scenario's excursions on a plant.
+    """Measure the excursions of a scenario's follower on a plant.
 
     Args:
-        scenario: that follows a plan.
-        plant: analytical or twin.
-        runs: how many; seeds are 0 and up.
-        workers: processes; default one a processor.
-        progress: called as each is done.
+        scenario: scenario that follows a plan.
+        plant: "analytical" or "twin".
+        runs: number of runs; their seeds start at 0.
+        workers: number of processes; default: one per processor.
+        progress: called after each run.
 
     Returns:
-        What a footprint file keeps, in its units.
+        Entry of a footprint file.
 
     Raises:
-        InputError: the scenario does not follow, or a run failed.
+        InputError: the scenario does not follow a plan, or a run failed.
     """
     planner, controller = scenario.file.section("planner"), scenario.controller
     if planner is None or not isinstance(controller, FollowFile):
-        raise InputError(f"{scenario.name}: it follows no plan; margins belong to controller.kind: follow")
+        raise InputError(f"{scenario.name}: it follows no plan; margins are only for controller.kind: follow")
     robot = RobotFile.model_validate(scenario.document["robot"])
     settings = {plant: scenario.document["plants"].get(plant, {})}
     contact = getattr(PlantsFile.model_validate(settings).running[plant], "contact", None)
     conditions = controller.conditions(plant, contact, scenario.file.pneumatics.kind, robot, planner)
     straight = {"kind": "given", "turns_rad": [0.0], "step_m": 1.0}
-    same = {"footprint": planner.footprint, "turn_share": planner.turn_share}
-    alone = {
+    footprint = {"footprint": planner.footprint, "turn_share": planner.turn_share}
+    document = {
         **scenario.document,
         "world": {},
         "expect": [],
-        "planner": straight | same,
+        "planner": straight | footprint,
         "plants": settings,
     }
-    tried = [Tried(alone, conditions.run_up_m, plant, seed) for seed in range(runs)]
-    found: list[tuple[float, float]] = []
-    for done in run_tasks(Tried.run, tried, workers=workers):
+    jobs = [FollowerRun(document, conditions.run_up_m, plant, seed) for seed in range(runs)]
+    results: list[tuple[float, float]] = []
+    for done in run_tasks(FollowerRun.run, jobs, workers=workers):
         if done.result is None:
             raise InputError(f"{scenario.name}, seed {done.number}: {done.error}")
-        found.append(done.result)
+        results.append(done.result)
         if progress:
             progress()
-    first, path = (sorted(round(value, _DIGITS) for value in column) for column in zip(*found, strict=True))
+    columns = zip(*results, strict=True)
+    run_up, path = (sorted(round(value, _DIGITS) for value in column) for column in columns)
     return ExcursionsFile(
         conditions=conditions,
-        source=f"`srs-twin calibrate margin {scenario.name}`: {runs} drawn ways of {LENGTH:g} m",
+        source=f"`srs-twin calibrate margin {scenario.name}`: {runs} drawn ways of {LENGTH_M:g} m",
         path_m=path,
-        run_up_m=first if conditions.run_up_m else None,
+        run_up_m=run_up if conditions.run_up_m else None,
     )

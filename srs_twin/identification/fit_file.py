@@ -1,7 +1,7 @@
-"""Fit files: what a fit found, from which data, by which command and versions; calibration/fits/*.yaml.
+"""Fit files: result of a fit with its data, command and versions; calibration/fits/*.yaml.
 
-Which data made the fit and which were kept for validation stands beside each hash; a file in which the same
-data are both is refused. What is not identifiable has no number in it.
+Each data set is listed with its hash and its role, fit or validation. A file that uses the same samples for
+both is refused. A parameter that is not identifiable has no value.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ import numpy as np
 from pydantic import Field
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.identification.estimate import Estimate, Parameter, Role, Verdict
-from srs_twin.identification.unknowns import unit_of
+from srs_twin.identification.estimate import FitEstimate, Parameter, Role, Verdict
+from srs_twin.identification.parameters import parameter_unit
 from srs_twin.io.documents import Loc, dump_yaml
 from srs_twin.io.files import require_file, write_text
 from srs_twin.io.validation import StrictModel, load_model
@@ -31,15 +31,15 @@ from srs_twin.trajectory import HtmlResult, Trajectory
 
 @dataclass(frozen=True)
 class DataSet:
-    """One set of data.
+    """Data set of a fit.
 
     Attributes:
-        name: of its file, or what it is called.
-        sha256: of the file, or of the numbers where there is none, hexadecimal.
-        role: "fit", or "validation": looked at when the fit is done.
-        samples: how many.
-        from_s: where the part that was used begins, s; None: all of it was.
-        to_s: where it ends, s.
+        name: file name, or a label.
+        sha256: SHA-256 of the file, or of the numbers if there is no file; hexadecimal.
+        role: "fit", or "validation" for data that the fit does not use.
+        samples: number of samples.
+        from_s: start of the part that is used, s; None: the data set is used completely.
+        to_s: end of the part that is used, s.
     """
 
     name: str
@@ -50,7 +50,7 @@ class DataSet:
     to_s: float | None = None
 
     def overlaps(self, other: DataSet) -> bool:
-        """Say whether both hold the same samples."""
+        """Return whether both data sets have samples in common."""
         if self.sha256 != other.sha256:
             return False
         if self.from_s is None or self.to_s is None or other.from_s is None or other.to_s is None:
@@ -59,73 +59,73 @@ class DataSet:
 
 
 class Data(Protocol):
-    """What was measured, in any form."""
+    """Measurements of any kind."""
 
     def data_set(self, role: Role) -> DataSet:
-        """Return what a fit says of these data."""
+        """Return name, hash and size of the data."""
 
 
 Measured = TypeVar("Measured", bound=Data)
 
 
-def with_roles(
-    what: str, fitted: Iterable[Measured], validation: Iterable[Measured]
+def assign_roles(
+    label: str, fitted: Iterable[Measured], validation: Iterable[Measured]
 ) -> list[tuple[Measured, Role]]:
     """Return all data of a fit with their roles.
 
     Args:
-        what: what the data are called, in the plural.
-        fitted: what the fit is made from.
-        validation: what it is held against.
+        label: name of the data in messages, plural.
+        fitted: data of the fit.
+        validation: data for validation.
 
     Raises:
-        InputError: nothing to fit, or data of both roles with samples in common.
+        InputError: there are no data to fit, or data of both roles have samples in common.
     """
-    found: list[tuple[Measured, Role]] = [(each, "fit") for each in fitted]
-    if not found:
-        raise InputError(f"{what} are wanted; none was given")
-    found += [(each, "validation") for each in validation]
-    keep_apart(each.data_set(role) for each, role in found)
-    return found
+    result: list[tuple[Measured, Role]] = [(data, "fit") for data in fitted]
+    if not result:
+        raise InputError(f"a fit needs {label}; give at least one")
+    result += [(data, "validation") for data in validation]
+    check_disjoint(data.data_set(role) for data, role in result)
+    return result
 
 
 def data_sets(fitted: Iterable[Data], validation: Iterable[Data]) -> list[DataSet]:
-    """Return what a fit says of all its data."""
-    return [each.data_set(role) for each, role in with_roles("data", fitted, validation)]
+    """Return the data sets of a fit, with their roles."""
+    return [data.data_set(role) for data, role in assign_roles("data", fitted, validation)]
 
 
-def keep_apart(sets: Iterable[DataSet]) -> None:
-    """Refuse data that a fit would be validated with although it has seen them.
+def check_disjoint(sets: Iterable[DataSet]) -> None:
+    """Check that no data are used for both fit and validation.
 
     Raises:
-        InputError: a set of each role have samples in common.
+        InputError: a fitted and a validation data set have samples in common.
     """
-    everything = list(sets)
-    fitted = [each for each in everything if each.role == "fit"]
-    kept = [each for each in everything if each.role == "validation"]
-    for seen, new in product(fitted, kept):
-        if seen.overlaps(new):
+    all_sets = list(sets)
+    fitted = [entry for entry in all_sets if entry.role == "fit"]
+    validation = [entry for entry in all_sets if entry.role == "validation"]
+    for used, new in product(fitted, validation):
+        if used.overlaps(new):
             raise InputError(
-                f"{new.name}: the same data as {seen.name}, which the fit is made from; what validates a fit "
-                "must be new to it"
+                f"{new.name}: the same data as {used.name}, to which the model is fitted; validate with "
+                "other data"
             )
 
 
-def fingerprint(*arrays: np.ndarray) -> str:
-    """Return the SHA-256 of numbers and their shapes, hexadecimal."""
-    total = hashlib.sha256()
+def array_hash(*arrays: np.ndarray) -> str:
+    """Return the SHA-256 of arrays and their shapes, hexadecimal."""
+    digest = hashlib.sha256()
     for array in arrays:
         values = np.ascontiguousarray(array, dtype=float)
-        total.update(repr(values.shape).encode() + values.tobytes())
-    return total.hexdigest()
+        digest.update(repr(values.shape).encode() + values.tobytes())
+    return digest.hexdigest()
 
 
 def trajectory_hash(trajectory: Trajectory) -> str:
-    """Return the SHA-256 of the recorded file, or of the columns where there is none."""
+    """Return the SHA-256 of the recorded file, or of the columns if there is no file."""
     source = trajectory.metadata.get("source")
     if isinstance(source, dict) and isinstance(source.get("sha256"), str):
         return str(source["sha256"])
-    return fingerprint(*(trajectory[name] for name in sorted(trajectory.columns)))
+    return array_hash(*(trajectory[name] for name in sorted(trajectory.columns)))
 
 
 Number = Annotated[float, bounded(-1e12, 1e12)]
@@ -138,111 +138,114 @@ Size = Annotated[float, bounded(0.0, 1e12)]
 Method = Literal["pulls", "coasting", "actuator", "static", "locomotion", "offsets", "edges"]
 
 _DIGITS = 9
+"""Significant digits of numbers in a fit file."""
+
 _NUMBERS = ("value", "standard_error", "low", "high")
+"""Keys of a parameter that are missing if it is not identifiable."""
 
 
 class DataEntry(StrictModel):
-    """One set of data and what it was used for."""
+    """Data set and its role."""
 
     name: Text
-    """File, or what the data are called."""
+    """File name, or a label."""
     sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$", min_length=64, max_length=64)]
-    """Of the data."""
+    """SHA-256 of the data, hexadecimal."""
     role: Role
-    """fit: the values come from it; validation: the fit has not seen it."""
+    """fit: used by the fit; validation: not used by it."""
     samples: Count
-    """How many, 0 to 1e9."""
+    """Number of samples, 0 to 1e9."""
     from_s: Number | None = None
-    """Where the part that was used begins, s (default: all)."""
+    """Start of the part that is used, s (default: all)."""
     to_s: Number | None = None
-    """Where it ends, s (default: all)."""
+    """End of the part that is used, s (default: all)."""
     measured: Averages | None = None
-    """Averages of it, by name with unit."""
+    """Measured averages, by name with unit."""
     predicted: Averages | None = None
-    """The same of the plant with what was found."""
+    """The same averages of the plant with the fitted values."""
 
     def data_set(self) -> DataSet:
-        """Return the entry as the fits have it."""
+        """Return the data set of the entry."""
         return DataSet(**self.model_dump(exclude={"measured", "predicted"}))
 
 
 class ParameterEntry(StrictModel):
-    """One number that was looked for."""
+    """Fitted parameter."""
 
     name: Text
-    """As in robot files, section.key, with a number behind it for lists."""
+    """Name as in robot files, section.key, with a number for an element of a list."""
     unit: Annotated[str, Field(min_length=1, max_length=20)]
-    """Of all numbers here."""
+    """Unit of value, standard_error, low and high."""
     verdict: Verdict
-    """What these data say of it."""
+    """Verdict on identifiability."""
     value: Number | None = None
-    """The estimate; none where it is not identifiable."""
+    """Estimate; missing if not identifiable."""
     standard_error: Size | None = None
-    """Of the estimate."""
+    """Standard error of the estimate."""
     low: Number | None = None
     """Lower end of the 95 % confidence interval."""
     high: Number | None = None
-    """Upper end."""
+    """Upper end of the 95 % confidence interval."""
     why: Long = ""
-    """What the verdict rests on."""
+    """Reason for the verdict."""
 
 
 class QualityFile(StrictModel):
-    """How well the data were met."""
+    """Quality of a fit."""
 
     samples: Count
-    """Samples that were fitted."""
+    """Number of fitted samples."""
     independent_samples: Annotated[float, bounded(0.0, 1e9)]
-    """What they are worth."""
+    """Equivalent number of independent samples."""
     rms: Size | None = None
-    """Weighted residuals of the fit; 1 where they are as large as expected."""
+    """RMS of the weighted residuals of the fit; 1 if they are as large as expected."""
     validation_rms: Size | None = None
-    """Of the validation."""
+    """RMS of the weighted residuals of the validation."""
     converged: bool
-    """Whether the search came to an end."""
+    """Whether the search converged."""
     misfit: Annotated[list[Long], Field(max_length=20)] | None = None
-    """What is left where the model does not explain the data (default: it does)."""
+    """Signals that the model does not explain (default: none)."""
 
 
 class FitFile(StrictModel, HtmlResult):
-    """What a fit found."""
+    """Result of a fit."""
 
     page: ClassVar[str] = "fit"
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60)]
     """Short name."""
     title: Text
-    """One line for people."""
+    """Title, one line."""
     robot: Text
     """Robot that the fit started from, a name or a path."""
     method: Method
-    """What was fitted."""
+    """Method of the fit."""
     command: Annotated[str, Field(min_length=1, max_length=2000)]
-    """How it was made."""
+    """Command that made the fit."""
     versions: Annotated[dict[str, Text], Field(max_length=30)]
     """Package: version."""
     data: Annotated[list[DataEntry], Field(min_length=1, max_length=200)]
-    """All data."""
+    """Data sets of fit and validation."""
     held: Annotated[dict[str, Number], Field(max_length=100)]
-    """What was taken as known and the values refer to."""
+    """Values that were fixed in the fit and on which the estimates depend."""
     parameters: Annotated[list[ParameterEntry], Field(min_length=1, max_length=100)]
-    """What was looked for."""
+    """Fitted parameters."""
     correlation: Annotated[list[Annotated[list[Share], Field(max_length=100)]], Field(max_length=100)]
-    """Of what has a number, in the order of the parameters."""
+    """Correlation matrix of the parameters with a value, in their order."""
     cancels: Annotated[list[Annotated[dict[str, Share], Field(max_length=100)]], Field(max_length=100)]
-    """Directions in which nothing changes: name and share."""
+    """Unidentifiable directions: name and component."""
     quality: QualityFile
-    """How well the data were met."""
+    """Quality of the fit."""
 
-    def estimate(self) -> Estimate:
+    def estimate(self) -> FitEstimate:
         """Return the estimate, without residuals."""
-        parameters = tuple(Parameter(**each.model_dump()) for each in self.parameters)
-        rows = [k for k, each in enumerate(parameters) if each.value is not None]
+        parameters = tuple(Parameter(**parameter.model_dump()) for parameter in self.parameters)
+        rows = [k for k, parameter in enumerate(parameters) if parameter.value is not None]
         correlation = np.full((len(parameters), len(parameters)), np.nan)
         if rows:
             correlation[np.ix_(rows, rows)] = self.correlation
         quality = self.quality
-        return Estimate(
+        return FitEstimate(
             parameters,
             correlation,
             cancels=tuple(self.cancels),
@@ -253,151 +256,156 @@ class FitFile(StrictModel, HtmlResult):
             converged=quality.converged,
         )
 
-    def withheld(self) -> list[str]:
-        """Return what was looked for and has no number, neither found nor held; nothing can be predicted."""
-        return [each.name for each in self.parameters if each.value is None and each.name not in self.held]
+    def unidentified(self) -> list[str]:
+        """Return the parameters without a fitted or fixed value; these prevent predictions."""
+        return [
+            parameter.name
+            for parameter in self.parameters
+            if parameter.value is None and parameter.name not in self.held
+        ]
 
     def contradictions(self) -> Iterator[tuple[Loc, str]]:
-        """Yield path and message of what does not fit together."""
-        yield from _apart(self.data)
-        missing = self.withheld()
+        """Yield the location and message of each inconsistency."""
+        yield from _check_data(self.data)
+        missing = self.unidentified()
         for k, data in enumerate(self.data):
             if missing and data.predicted is not None:
-                yield ("data", k, "predicted"), f"predicted without a number for {', '.join(missing)}"
-        for k, each in enumerate(self.parameters):
-            yield from ((("parameters", k, *loc), said) for loc, said in _doubts(each))
-        for name, count in Counter(each.name for each in self.parameters).items():
+                yield ("data", k, "predicted"), f"predicted without a value of {', '.join(missing)}"
+        for k, parameter in enumerate(self.parameters):
+            yield from ((("parameters", k, *loc), message) for loc, message in _check_parameter(parameter))
+        for name, count in Counter(parameter.name for parameter in self.parameters).items():
             if count > 1:
-                yield ("parameters",), f"{name} stands here {count} times"
-        yield from _square(self.correlation, sum(each.value is not None for each in self.parameters))
+                yield ("parameters",), f"{name} is listed {count} times; list it once"
+        count = sum(parameter.value is not None for parameter in self.parameters)
+        yield from _check_correlation(self.correlation, count)
 
 
 def fit_file(
-    estimate: Estimate,
+    estimate: FitEstimate,
     *,
     data: Sequence[DataSet],
     averages: Mapping[str, tuple[dict[str, float], dict[str, float]]] | None = None,
     **about: Any,
 ) -> FitFile:
-    """Return what is written of an estimate.
+    """Return the fit file of an estimate.
 
     Args:
-        estimate: what was found.
+        estimate: result of the fit.
         data: all data with their roles.
-        averages: name of data → what was measured, and what the plant gives with what was found.
+        averages: name of a data set → measured averages, and those of the plant with the fitted values.
         **about: name, title, robot, method, command and versions of the `FitFile`.
 
     Raises:
-        InputError: data that are of both roles, or predictions without a number for what was looked for.
+        InputError: data have both roles, or predictions are given although a parameter has no value.
     """
-    keep_apart(data)
-    rows = [k for k, each in enumerate(estimate.parameters) if each.value is not None]
+    check_disjoint(data)
+    rows = [k for k, parameter in enumerate(estimate.parameters) if parameter.value is not None]
     matrix = estimate.correlation[np.ix_(rows, rows)]
     quality = QualityFile(
         samples=estimate.samples,
         independent_samples=_rounded(estimate.independent),
-        rms=_maybe(estimate.rms("fit")),
-        validation_rms=_maybe(estimate.rms("validation")),
+        rms=_rounded_or_none(estimate.rms("fit")),
+        validation_rms=_rounded_or_none(estimate.rms("validation")),
         converged=estimate.converged,
         misfit=[line[:1000] for line in estimate.misfit] or None,
     )
     file = FitFile(
         **about,
-        data=[_data_entry(each, (averages or {}).get(each.name, (None, None))) for each in data],
+        data=[_data_entry(data_set, (averages or {}).get(data_set.name, (None, None))) for data_set in data],
         held={key: _rounded(value) for key, value in estimate.held.items()},
-        parameters=[_entry(each) for each in estimate.parameters],
+        parameters=[_parameter_entry(parameter) for parameter in estimate.parameters],
         correlation=[[round(float(v), 6) for v in row] for row in matrix],
-        cancels=[dict(each) for each in estimate.cancels],
+        cancels=[dict(direction) for direction in estimate.cancels],
         quality=quality,
     )
-    if averages and file.withheld():
+    if averages and (missing := file.unidentified()):
         raise InputError(
-            f"{file.name}: {', '.join(file.withheld())} got no number, so that nothing can be predicted; "
-            "hold one of them at a value that the file states"
+            f"{file.name}: {', '.join(missing)} has no value, so nothing can be predicted; fix one of the "
+            "parameters at a value"
         )
     return file
 
 
 def _data_entry(data: DataSet, averages: tuple[Mapping[str, float] | None, ...]) -> DataEntry:
     measured, predicted = (
-        None if each is None else {name: float(f"{value:.6g}") for name, value in each.items()}
-        for each in averages
+        None if average is None else {name: float(f"{value:.6g}") for name, value in average.items()}
+        for average in averages
     )
     return DataEntry(**asdict(data), measured=measured, predicted=predicted)
 
 
 def write_fit(file: FitFile, path: str | os.PathLike[str]) -> Path:
-    """Write a fit file, whole or not at all.
+    """Write a fit file atomically.
 
     Raises:
-        InputError: the place cannot be written.
+        InputError: the path cannot be written.
     """
     write_text(path, dump_yaml(file.model_dump(mode="json", exclude_none=True)))
     return Path(path)
 
 
 def load_fit(path: str | os.PathLike[str]) -> FitFile:
-    """Load and check a fit file.
+    """Load and validate a fit file.
 
     Raises:
-        InputError: not found or not readable.
-        InputFileError: everything that is wrong with it.
+        InputError: the file does not exist or cannot be read.
+        InputFileError: the file is invalid; lists all problems.
     """
     return load_model(FitFile, require_file(Path(path)))
 
 
-def _apart(data: Sequence[DataEntry]) -> Iterator[tuple[Loc, str]]:
-    for k, each in enumerate(data):
-        if (each.from_s is None) != (each.to_s is None):
-            yield ("data", k), "from_s and to_s stand together"
-        elif each.from_s is not None and each.to_s is not None and each.from_s > each.to_s:
-            yield ("data", k, "to_s"), f"must be {each.from_s:g} or more"
-    if not any(each.role == "fit" for each in data):
-        yield ("data",), "none of role fit; a fit is made from data"
+def _check_data(data: Sequence[DataEntry]) -> Iterator[tuple[Loc, str]]:
+    for k, entry in enumerate(data):
+        if (entry.from_s is None) != (entry.to_s is None):
+            yield ("data", k), "from_s and to_s belong together; give both or neither"
+        elif entry.from_s is not None and entry.to_s is not None and entry.from_s > entry.to_s:
+            yield ("data", k, "to_s"), f"must be {entry.from_s:g} or more"
+    if not any(entry.role == "fit" for entry in data):
+        yield ("data",), "no data of role fit; a fit needs at least one"
     try:
-        keep_apart(each.data_set() for each in data)
+        check_disjoint(entry.data_set() for entry in data)
     except InputError as error:
         yield ("data",), str(error)
 
 
-def _doubts(each: ParameterEntry) -> Iterator[tuple[Loc, str]]:
-    given = [name for name in _NUMBERS if getattr(each, name) is not None]
-    if each.verdict == "not identifiable" and given:
-        yield (given[0],), "what is not identifiable has no number"
-    elif each.verdict != "not identifiable" and len(given) < len(_NUMBERS):
-        missing = next(name for name in _NUMBERS if name not in given)
-        yield ("verdict",), f"{each.verdict}, but {missing} is missing"
-    elif given and not each.low <= each.value <= each.high:  # type: ignore[operator]
-        yield ("value",), f"must lie between low and high, {each.low:g} and {each.high:g}"
+def _check_parameter(entry: ParameterEntry) -> Iterator[tuple[Loc, str]]:
+    present = [name for name in _NUMBERS if getattr(entry, name) is not None]
+    if entry.verdict == "not identifiable" and present:
+        yield (present[0],), "a parameter that is not identifiable has no value"
+    elif entry.verdict != "not identifiable" and len(present) < len(_NUMBERS):
+        missing = next(name for name in _NUMBERS if name not in present)
+        yield ("verdict",), f"{entry.verdict}, but {missing} is missing"
+    elif present and not entry.low <= entry.value <= entry.high:  # type: ignore[operator]
+        yield ("value",), f"must be between low and high, {entry.low:g} and {entry.high:g}"
     try:
-        unit = unit_of(each.name)
+        unit = parameter_unit(entry.name)
     except UnknownNameError as error:
         yield ("name",), str(error)
     else:
-        if each.unit != unit:
-            yield ("unit",), f"must be {unit}, not {each.unit}"
+        if entry.unit != unit:
+            yield ("unit",), f"must be {unit}, not {entry.unit}"
 
 
-def _square(matrix: Sequence[Sequence[float]], count: int) -> Iterator[tuple[Loc, str]]:
+def _check_correlation(matrix: Sequence[Sequence[float]], count: int) -> Iterator[tuple[Loc, str]]:
     if len(matrix) != count or any(len(row) != count for row in matrix):
-        yield ("correlation",), f"must have {count} rows of {count}, one for each parameter with a number"
+        yield ("correlation",), f"must have {count} rows of {count}, one for each parameter with a value"
         return
     for i, row in enumerate(matrix):
         for j, entry in enumerate(row):
             if i == j and entry != 1.0:
                 yield ("correlation", i, j), "must be 1 on the diagonal"
             elif j < i and entry != matrix[j][i]:
-                yield ("correlation", i, j), f"must be {matrix[j][i]:g}, as across the diagonal"
+                yield ("correlation", i, j), f"must be {matrix[j][i]:g}, as the matrix is symmetric"
 
 
-def _entry(each: Parameter) -> ParameterEntry:
-    numbers = {name: _maybe(getattr(each, name)) for name in _NUMBERS}
-    return ParameterEntry(**asdict(each) | numbers | {"why": each.why[:1000]})
+def _parameter_entry(parameter: Parameter) -> ParameterEntry:
+    numbers = {name: _rounded_or_none(getattr(parameter, name)) for name in _NUMBERS}
+    return ParameterEntry(**asdict(parameter) | numbers | {"why": parameter.why[:1000]})
 
 
 def _rounded(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else 0.0
 
 
-def _maybe(value: float | None) -> float | None:
+def _rounded_or_none(value: float | None) -> float | None:
     return None if value is None else _rounded(value)

@@ -1,4 +1,4 @@
-"""Report of a fit: its table, its residuals as plots, and the data it was made from, in one page."""
+"""HTML report of a fit: parameters, plots of the residuals, data and versions."""
 
 from __future__ import annotations
 
@@ -15,36 +15,41 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from srs_twin.identification.estimate import Estimate, Parameter, Residual
+    from srs_twin.identification.estimate import FitEstimate, Parameter, Residual
     from srs_twin.identification.fit_file import FitFile, ParameterEntry
 
 
-_MOST_PANELS = 10
-_FEW = 3  # samples: fewer are bars, not lines
+_MAX_PANELS = 10
+"""Largest number of signals in a plot."""
+
+_MAX_BARS = 3
+"""Largest number of samples drawn as bars; more are a line."""
+
 _COLORS = {"fit": "#0072B2", "validation": "#D55E00"}
 
 
-def fit_report(fit: FitFile, estimate: Estimate) -> str:
-    """Return the page of a fit; it needs nothing from outside itself.
+def fit_report(fit: FitFile, estimate: FitEstimate) -> str:
+    """Return the HTML page of a fit, self-contained.
 
     Args:
-        fit: what was written.
-        estimate: with the residuals of all its data.
+        fit: fit file.
+        estimate: the same result with residuals of all data.
     """
     quality = fit.quality
     validated = "" if quality.validation_rms is None else f", of the validation {quality.validation_rms:.3g}"
-    found = (
-        f"Weighted residuals of the fit {quality.rms or 0.0:.3g} RMS{validated} (1: as large as the noise "
-        f"that is expected); {quality.samples} samples worth {quality.independent_samples:.4g}. "
+    summary = (
+        f"Weighted residuals of the fit {quality.rms or 0.0:.3g} RMS{validated} (1: as large as the expected "
+        f"noise); {quality.samples} samples, equivalent to {quality.independent_samples:.4g} independent "
+        f"ones. "
         f"{'; '.join(quality.misfit or ())}"
     )
-    data = [[each.role, each.name, str(each.samples), each.sha256[:16] + "…"] for each in fit.data]
+    data = [[entry.role, entry.name, str(entry.samples), entry.sha256[:16] + "…"] for entry in fit.data]
     return render(
         "identification/fit.html",
         title=fit.title,
         subtitle=f"fit {fit.name}, {fit.method}, of robot {fit.robot}",
         parameters=parameter_table(fit.parameters),
-        quality=found,
+        quality=summary,
         residuals=list(_pictures(estimate.residuals)),
         command=fit.command,
         data=Table(["used for", "data", "samples", "SHA-256"], data, numbers=[2]),
@@ -52,24 +57,24 @@ def fit_report(fit: FitFile, estimate: Estimate) -> str:
     )
 
 
-def fit_page(fit: Estimate | FitFile) -> str:
+def fit_page(fit: FitEstimate | FitFile) -> str:
     """Return a fit as HTML for a notebook."""
     return notebook_output(getattr(fit, "title", "Fit"), parameter_table(fit.parameters))
 
 
 def residual_plot(residuals: Sequence[Residual]) -> Figure:
-    """Return a panel a signal: measured less predicted, over the samples, with the noise as a band.
+    """Return a plot with one panel per signal: residuals over samples, and the expected noise as a band.
 
     Args:
-        residuals: of one or more signals, ten at most are shown.
+        residuals: residuals of one or more signals, of which at most ten are shown.
     """
-    shown = residuals[:_MOST_PANELS]
+    shown = residuals[:_MAX_PANELS]
     figure, rows = panels(0.95 + 0.95 * len(shown), len(shown))
-    for axes, each in zip(rows, shown, strict=True):
-        _panel(axes, each)
+    for axes, residual in zip(rows, shown, strict=True):
+        _panel(axes, residual)
     first = shown[0]
-    some = "" if len(residuals) <= len(shown) else f", {len(shown)} of {len(residuals)} signals"
-    rows[0].set_title(f"{first.role}: {_data_of(first)}{some}", fontsize=10, loc="left")
+    total = "" if len(residuals) <= len(shown) else f", {len(shown)} of {len(residuals)} signals"
+    rows[0].set_title(f"{first.role}: {_data_name(first)}{total}", fontsize=10, loc="left")
     rows[-1].set_xlabel("sample")
     return figure
 
@@ -77,7 +82,7 @@ def residual_plot(residuals: Sequence[Residual]) -> Figure:
 def _panel(axes: Axes, residual: Residual) -> None:
     values, color = residual.values, _COLORS[residual.role]
     axes.axhspan(-2 * residual.scale, 2 * residual.scale, color="0.9", linewidth=0)
-    if len(values) <= _FEW:
+    if len(values) <= _MAX_BARS:
         axes.bar(np.arange(len(values)), values, width=0.4, color=color)
     else:
         axes.plot(values, color=color, linewidth=0.8)
@@ -87,40 +92,46 @@ def _panel(axes: Axes, residual: Residual) -> None:
 
 
 def _pictures(residuals: Sequence[Residual]) -> Iterator[Picture]:
-    """Yield a plot for each set of data, those of the fit first."""
-    ordered = sorted((each for each in residuals if len(each.values)), key=lambda each: each.role)
-    for (role, name), group in groupby(ordered, key=lambda each: (each.role, _data_of(each))):
-        kept = " (the fit has not seen them)" if role == "validation" else ""
-        yield picture(residual_plot(list(group)), f"Residuals of {name}{kept}.")
+    """Yield a plot for each data set, those of the fit first."""
+    ordered = sorted(
+        (residual for residual in residuals if len(residual.values)), key=lambda residual: residual.role
+    )
+    groups = groupby(ordered, key=lambda residual: (residual.role, _data_name(residual)))
+    for (role, name), group in groups:
+        note = " (not used by the fit)" if role == "validation" else ""
+        yield picture(residual_plot(list(group)), f"Residuals of {name}{note}.")
 
 
-def _data_of(residual: Residual) -> str:
-    """Return the name of the data of a signal."""
+def _data_name(residual: Residual) -> str:
+    """Return the name of a residual's data set."""
     return residual.name.rpartition(" ")[0] or residual.name
 
 
 def parameter_table(parameters: Sequence[Parameter | ParameterEntry]) -> Table:
-    """Return what was found of each parameter, and why, in the last column, where it was not found well."""
+    """Return a table of parameters; the last column has the reason for a verdict."""
     rows = []
-    for each in parameters:
+    for parameter in parameters:
         numbers = ["–", ""]
-        if each.value is not None:
-            numbers = [f"{each.value:.5g}", f"{each.low:.5g} to {each.high:.5g}"]
-        rows.append([each.name, *numbers, each.unit, each.verdict, each.why])
+        if parameter.value is not None:
+            numbers = [f"{parameter.value:.5g}", f"{parameter.low:.5g} to {parameter.high:.5g}"]
+        rows.append([parameter.name, *numbers, parameter.unit, parameter.verdict, parameter.why])
     headings = ["parameter", "value", "95 % interval", "unit", "verdict", "why"]
     return Table(headings, rows, numbers=[1, 2])
 
 
 def _details(fit: FitFile) -> dict[str, Table]:
-    """Return title → what stands folded below; tables without rows are not shown."""
-    known = [each.name for each in fit.parameters if each.value is not None]
+    """Return title → table for the folded part of the page; empty tables are not shown."""
+    known = [parameter.name for parameter in fit.parameters if parameter.value is not None]
     pairs = zip(known, fit.correlation, strict=True) if len(known) > 1 else ()
     correlations = [[name, *(f"{value:+.2f}" for value in row)] for name, row in pairs]
-    cancels = [[", ".join(f"{share:+.2f} {name}" for name, share in row.items())] for row in fit.cancels]
+    directions = [
+        [", ".join(f"{component:+.2f} {name}" for name, component in direction.items())]
+        for direction in fit.cancels
+    ]
     held = [[name, f"{value:.6g}"] for name, value in fit.held.items()]
     return {
         "Correlations": Table(["", *known], correlations, range(1, len(known) + 1)),
-        "Directions in which nothing changes": Table(["share and parameter"], cancels),
-        "Taken as known": Table(["what", "value"], held, numbers=[1]),
+        "Unidentifiable directions": Table(["component and parameter"], directions),
+        "Fixed values": Table(["parameter", "value"], held, numbers=[1]),
         "Versions": Table(["package", "version"], list(fit.versions.items())),
     }

@@ -1,4 +1,4 @@
-"""What the commands that fit share: progress on stderr, where a fit goes, what is shown of it."""
+"""Shared parts of the fitting commands: progress on stderr, output files, printed results."""
 
 from __future__ import annotations
 
@@ -21,115 +21,128 @@ from srs_twin.errors import InputError
 from srs_twin.identification.options import FITS, FitOptions
 
 if TYPE_CHECKING:
-    from srs_twin.identification.estimate import Estimate, Role
+    from srs_twin.identification.estimate import FitEstimate, Role
     from srs_twin.identification.fit_file import Data, FitFile, Method
 
 
-class Searching(Display):
-    """Tells how often the model was run and how well it fits so far; a `Watch`."""
+class FitProgress(Display):
+    """Progress of a search: number of model runs and best fit so far; a `Watch`."""
 
     def __init__(self, title: str, *, quiet: bool = False) -> None:
         super().__init__(title, quiet=quiet)
-        self._runs, self._least = 0, 0.0
+        self._runs, self._smallest_rms = 0, 0.0
 
-    def __call__(self, runs: int, least: float) -> None:
-        """Take note of one more run of the model; `least` is the best weighted RMS so far."""
-        self._runs, self._least = runs, least
+    def __call__(self, runs: int, smallest_rms: float) -> None:
+        """Show a model run; `smallest_rms` is the best weighted RMS so far."""
+        self._runs, self._smallest_rms = runs, smallest_rms
         self._show()
 
     def _line(self) -> str:
         return f"{self.title}: {self._bar()[2]}"
 
     def _bar(self) -> tuple[str, None, str]:
-        words = f"{self._runs} runs of the model, weighted residuals {self._least:.3g} RMS at best"
+        words = f"{self._runs} model runs, smallest weighted RMS {self._smallest_rms:.3g}"
         return self.title, None, words
 
 
-_WIDTH = 100
-_STRONG = 0.5
-_MOST_PAIRS = 6
-_MOST_SIGNALS = 24
+_TABLE_WIDTH = 100
+"""Smallest width of a printed table, characters."""
+
+_STRONG_CORRELATION = 0.5
+"""Smallest magnitude of a correlation that is printed."""
+
+_MAX_PAIRS = 6
+"""Largest number of correlations that are printed."""
+
+_MAX_SIGNALS = 24
+"""Largest number of signals whose residuals are printed."""
 
 
 def print_table(headings: Sequence[str], rows: Iterable[Sequence[str]], left: Collection[int] = ()) -> None:
-    """Print a table, its columns to the right but for those of these places."""
+    """Print a table; columns are right-aligned except those with the given indices."""
     table = new_table(*headings, left=left)
     for row in rows:
         table.add_row(*row)
     terminal = console()
-    terminal.width = max(terminal.width, _WIDTH)  # cut numbers would be wrong numbers
+    terminal.width = max(terminal.width, _TABLE_WIDTH)  # truncated numbers would be wrong numbers
     terminal.print(table)
 
 
-def show(estimate: Estimate) -> None:
-    """Print what was found."""
+def print_estimate(estimate: FitEstimate) -> None:
+    """Print the parameters, correlations, unidentifiable directions and residuals of a fit."""
     from srs_twin.identification.fit_report import parameter_table
 
     table = parameter_table(estimate.parameters)
     print_table(table.headings[:-1], (row[:-1] for row in table.rows), left=(0, 3, 4))
+    names_by_reason: dict[str, list[str]] = {}
+    for parameter in estimate.parameters:
+        if parameter.why:
+            names_by_reason.setdefault(parameter.why, []).append(parameter.name)
     terminal = console()
-    whys = dict.fromkeys(each.why for each in estimate.parameters if each.why)
-    reasons = (
-        f"{', '.join(each.name for each in estimate.parameters if each.why == why)}: {why}" for why in whys
-    )
     for line in (
-        *reasons,
-        *correlations(estimate),
-        *cancelling(estimate),
-        _residuals(estimate),
+        *(f"{', '.join(names)}: {reason}" for reason, names in names_by_reason.items()),
+        *correlation_lines(estimate),
+        *direction_lines(estimate),
+        _residual_lines(estimate),
         *estimate.misfit,
     ):
-        terminal.print(line, soft_wrap=True)  # a path that is cut is no path
+        terminal.print(line, soft_wrap=True)  # a wrapped path could not be copied
     if not estimate.converged:
-        terminal.print("the search did not come to an end")
+        terminal.print("the search did not converge")
 
 
-def correlations(estimate: Estimate) -> Iterator[str]:
-    """Yield a line for each of the strongest correlations of two estimates."""
-    names = [each.name for each in estimate.parameters]
-    known = [k for k, each in enumerate(estimate.parameters) if each.value is not None]
+def correlation_lines(estimate: FitEstimate) -> Iterator[str]:
+    """Yield a line for each of the strongest correlations."""
+    names = [parameter.name for parameter in estimate.parameters]
+    known = [k for k, parameter in enumerate(estimate.parameters) if parameter.value is not None]
     pairs = [(float(estimate.correlation[i, j]), names[i], names[j]) for i, j in combinations(known, 2)]
-    strong = sorted((pair for pair in pairs if abs(pair[0]) >= _STRONG), key=lambda pair: -abs(pair[0]))
-    yield from (f"correlation {value:+.2f}: {one}, {other}" for value, one, other in strong[:_MOST_PAIRS])
+    strong = [pair for pair in pairs if abs(pair[0]) >= _STRONG_CORRELATION]
+    strong.sort(key=lambda pair: -abs(pair[0]))
+    yield from (f"correlation {value:+.2f}: {one}, {other}" for value, one, other in strong[:_MAX_PAIRS])
 
 
-def cancelling(estimate: Estimate) -> Iterator[str]:
-    """Yield a line for each direction in which the residuals do not change."""
-    for row in estimate.cancels:
-        yield "cancels: " + ", ".join(f"{share:+.2f} {name}" for name, share in row.items())
+def direction_lines(estimate: FitEstimate) -> Iterator[str]:
+    """Yield a line for each unidentifiable direction."""
+    for direction in estimate.cancels:
+        components = ", ".join(f"{component:+.2f} {name}" for name, component in direction.items())
+        yield f"unidentifiable direction: {components}"
 
 
-def _residuals(estimate: Estimate) -> str:
-    """Return the residuals of the fit and of the validation, signal by signal where these are few."""
+def _residual_lines(estimate: FitEstimate) -> str:
+    """Return the residuals of fit and validation, by signal."""
     lines = []
     roles: tuple[Role, ...] = ("fit", "validation")
     for role in roles:
-        whole = estimate.rms(role)
-        if whole is None:
+        total = estimate.rms(role)
+        if total is None:
             continue
-        of = [each for each in estimate.residuals if each.role == role and len(each.values)]
-        lines.append(f"{role}: residuals {whole:.3g} times the expected noise")
-        for each in of[:_MOST_SIGNALS]:
-            unit = "" if each.unit == "1" else f" {each.unit}"
-            lines.append(f"  {each.name}: {each.rms:.3g}{unit} RMS")
-        if len(of) > _MOST_SIGNALS:
-            lines.append(f"  and {len(of) - _MOST_SIGNALS} more signals")
+        residuals = [
+            residual for residual in estimate.residuals if residual.role == role and len(residual.values)
+        ]
+        lines.append(f"{role}: residuals {total:.3g} times the expected noise")
+        for residual in residuals[:_MAX_SIGNALS]:
+            unit = "" if residual.unit == "1" else f" {residual.unit}"
+            lines.append(f"  {residual.name}: {residual.rms:.3g}{unit} RMS")
+        if len(residuals) > _MAX_SIGNALS:
+            lines.append(f"  and {len(residuals) - _MAX_SIGNALS} more signals")
     return "\n".join(lines)
 
 
-_LONGEST_COMMAND = 2000
+_MAX_COMMAND_LENGTH = 2000
+"""Largest length of a command in a fit file, characters."""
+
 NOTHING_WRITTEN = "nothing was written"
 
 
-def checked_name(name: str, source: str) -> str:
-    """Return the name of a file.
+def check_name(name: str, source: str) -> str:
+    """Return a file name after validation.
 
     Args:
         name: lower-case letters, digits and _.
-        source: what it was given with, for the message.
+        source: option that gave the name, for the message.
 
     Raises:
-        InputError: it is none.
+        InputError: the name is not allowed.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,59}", name):
         allowed = "lower-case letters, digits and _, a letter first, 60 at most"
@@ -138,16 +151,16 @@ def checked_name(name: str, source: str) -> str:
 
 
 @dataclass(frozen=True)
-class FitDestination:
-    """Where a fit goes.
+class FitOutput:
+    """Output files of a fit and how it is reported.
 
     Attributes:
-        name: of the fit.
-        path: of its file; the report lies beside it.
-        robot: where the search starts, as it was given.
-        command: as it can be typed again.
-        quiet: print errors only.
-        as_json: print the fit as JSON.
+        name: name of the fit.
+        path: path of the fit file; the report is in the same folder.
+        robot: robot at the start of the search, as given.
+        command: command line.
+        quiet: whether only errors are printed.
+        as_json: whether the fit is printed as JSON.
     """
 
     name: str
@@ -158,43 +171,49 @@ class FitDestination:
     as_json: bool
 
     @classmethod
-    def of(cls, context: typer.Context, what: str, robot: str, options: FitOptions) -> FitDestination:
-        """Return the place, once it is sure that the fit may go there.
+    def from_options(cls, context: typer.Context, method: str, robot: str, options: FitOptions) -> FitOutput:
+        """Return the output files after checking that they may be written.
 
         Raises:
-            InputError: a name that is none, or the fit of another command is there.
+            InputError: the name is not allowed, or the file exists and is not by the same command.
         """
         name, out = options.name, options.out
         source = "--name" if name else f"{'--out' if out else '--robot'} names the fit, without --name"
-        given = checked_name(name or (Path(out).stem if out else f"{Path(robot).stem}_{what}"), source)
-        path = Path(out) if out else Path(FITS) / f"{given}.yaml"
+        default = Path(out).stem if out else f"{Path(robot).stem}_{method}"
+        checked = check_name(name or default, source)
+        path = Path(out) if out else Path(FITS) / f"{checked}.yaml"
         if path.suffix not in (".yaml", ".yml"):
             raise InputError(f"--out: {path} is not allowed; a fit file ends in .yaml")
-        command = as_typed(context)
+        command = command_line(context)
         if os.path.lexists(path) and not options.overwrite:
-            _refuse_other(path, command)
+            _check_same_command(path, command)
         from srs_twin.io.files import check_output_folder
 
         check_output_folder(path.parent, (path.name, path.with_suffix(".html").name))
-        return cls(given, path, robot, command, options.quiet, options.as_json)
+        return cls(checked, path, robot, command, options.quiet, options.as_json)
 
     @contextmanager
-    def searching(self) -> Iterator[Searching]:
-        """Show how far the search is; an interrupt ends the command, and nothing is written."""
-        with interruptible(NOTHING_WRITTEN), Searching(self.name, quiet=self.quiet) as searching:
-            yield searching
+    def progress(self) -> Iterator[FitProgress]:
+        """Show the progress of the search; an interrupt ends the command and nothing is written."""
+        with interruptible(NOTHING_WRITTEN), FitProgress(self.name, quiet=self.quiet) as progress:
+            yield progress
 
     def finish(
-        self, estimate: Estimate, method: Method, title: str, fitted: Iterable[Data], held: Iterable[Data]
+        self,
+        estimate: FitEstimate,
+        method: Method,
+        title: str,
+        fitted: Iterable[Data],
+        validation: Iterable[Data],
     ) -> None:
-        """Write report and fit file, both or neither, and show the result.
+        """Write report and fit file atomically together, and print the result.
 
         Args:
-            estimate: what was found.
-            method: of the fit.
-            title: one line for people.
-            fitted: what the fit was made from.
-            held: what it was validated with.
+            estimate: result of the fit.
+            method: method of the fit.
+            title: title, one line.
+            fitted: data of the fit.
+            validation: data for validation.
         """
         from srs_twin.identification.fit_file import data_sets, fit_file, write_fit
         from srs_twin.identification.fit_report import fit_report
@@ -210,7 +229,7 @@ class FitDestination:
             method=method,
             command=self.command,
             versions=versions(),
-            data=data_sets(fitted, held),
+            data=data_sets(fitted, validation),
         )
         report = self.path.with_suffix(".html")
         text = fit_report(fit, estimate)
@@ -220,32 +239,38 @@ class FitDestination:
         if self.as_json:
             print_json(fit.model_dump(mode="json", exclude_none=True))
         elif not self.quiet:
-            show(estimate)
+            print_estimate(estimate)
         if not self.quiet:
             say(f"fit in {display_path(self.path)}, residuals in {display_path(report)}")
 
 
-def _refuse_other(path: Path, command: str) -> None:
-    """Refuse a place where the fit of another command stands, or something else."""
+def _check_same_command(path: Path, command: str) -> None:
+    """Check that an existing file is a fit by the same command, which may be replaced.
+
+    Raises:
+        InputError: it is not.
+    """
     from srs_twin.identification.fit_file import load_fit
     from srs_twin.io.files import display_path
 
-    remedy = "--overwrite replaces it, --name and --out lead elsewhere"
+    remedy = "--overwrite replaces it; --name or --out choose another file"
     try:
-        there: FitFile = load_fit(path)
+        existing: FitFile = load_fit(path)
     except InputError as error:
-        raise InputError(f"{display_path(path)}: something stands there that is no fit; {remedy}") from error
-    if there.command != command:
-        raise InputError(f"{display_path(path)}: another fit stands there ({there.command}); {remedy}")
+        raise InputError(f"{display_path(path)}: the file exists and is not a fit; {remedy}") from error
+    if existing.command != command:
+        raise InputError(
+            f"{display_path(path)}: the file exists with another fit ({existing.command}); {remedy}"
+        )
 
 
-def as_typed(context: typer.Context) -> str:
-    """Return a command with all that is not left at its default, as it can be typed again."""
+def command_line(context: typer.Context) -> str:
+    """Return the command line of a command, without options that have their default value."""
     words = ["srs-twin", *context.command_path.split()[1:]]
     arguments: list[str] = []
     for parameter in context.command.params:
         value: Any = context.params.get(parameter.name or "")
-        # These change what is shown or where it goes, not what is found.
+        # Output options do not change the result, so they do not distinguish commands.
         if value in (None, (), [], parameter.default) or parameter.name in ("quiet", "overwrite", "as_json"):
             continue
         values = value if isinstance(value, (list, tuple)) else [value]
@@ -254,16 +279,20 @@ def as_typed(context: typer.Context) -> str:
         elif isinstance(value, bool):
             words.append(parameter.opts[0] if value else (parameter.secondary_opts or parameter.opts)[0])
         else:
-            words += [f"{parameter.opts[0]}={each}" for each in values]
-    typed = shlex.join([*words[:3], *arguments, *words[3:]])
-    return typed if len(typed) <= _LONGEST_COMMAND else typed[: _LONGEST_COMMAND - 1] + "…"
+            words += [f"{parameter.opts[0]}={item}" for item in values]
+    line = shlex.join([*words[:3], *arguments, *words[3:]])
+    return line if len(line) <= _MAX_COMMAND_LENGTH else line[: _MAX_COMMAND_LENGTH - 1] + "…"
 
 
-def names_in(text: str | None) -> list[str] | None:
-    """Return the names of a list such as friction.mu_t,friction.mu_n; None where there is none."""
+def parse_names(text: str | None) -> list[str] | None:
+    """Return the names in a list such as friction.mu_t,friction.mu_n; None for None.
+
+    Raises:
+        InputError: the list is empty.
+    """
     if text is None:
         return None
-    names = [each.strip() for each in text.split(",") if each.strip()]
+    names = [name.strip() for name in text.split(",") if name.strip()]
     if not names:
-        raise InputError(f"--find: '{text}' names nothing; names such as friction.mu_t,friction.mu_n")
+        raise InputError(f"--find: '{text}' names nothing; give names such as friction.mu_t,friction.mu_n")
     return names

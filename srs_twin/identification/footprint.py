@@ -1,14 +1,15 @@
-"""Footprints: what a robot sweeps at each offset, and when the offset changes, measured by running it.
+"""Measurement of footprints: the area that a robot sweeps at each offset, and when the offset changes.
 
 Section 5.3 measured the curvature of the path, the speed and the circles that bound the body at seven offsets
-(Fig. 58, Table 8). Here a plant is run instead. `Drive` says how the snake is driven, `Study` which runs a
-footprint takes, `Measured` holds what they gave. Each offset is run several times, with the gait begun at
-another phase each time; each change of offset as well, at several phases of the gait.
+(Fig. 58, Table 8). Here a simulated plant is run instead. `GaitSetup` specifies robot, gait and plant,
+`FootprintStudy` the runs, and `FootprintMeasurement` their result. Each offset is run several times with
+different initial phases of the gait, and each change of offset at several phases.
 """
 
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -22,7 +23,14 @@ from srs_twin.control.commands import ScheduledOffset
 from srs_twin.control.gait import Gait
 from srs_twin.control.learning import ILC, TARGETS
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
-from srs_twin.identification.paths import STEADY_PERIODS, Change, SteadyPath, mean_path, transient, widest
+from srs_twin.identification.paths import (
+    STEADY_PERIODS,
+    OffsetChange,
+    SteadyPath,
+    average_repeats,
+    combine_transients,
+    measure_transient,
+)
 from srs_twin.io.files import display_path, read_text
 from srs_twin.planning.footprint import FootprintFile, Transient
 from srs_twin.plants.base import Plant
@@ -36,26 +44,31 @@ from srs_twin.trajectory import Trajectory
 PLANTS = ("twin", "analytical")
 CONTROLLERS = ("gait", "ilc")
 TICK = 0.005
-"""Control tick, s: learning has to see the ripple's peaks, and changes of offset fall on ticks."""
+"""Control tick, s; learning must resolve the peaks of the ripple, and changes of offset must fall on
+ticks."""
+
 RECORD_HZ = 100.0
-_LEAST_SAMPLES = 25
-"""Samples in a gait period, fewer do not show the edges."""
+"""Sampling rate of the runs, Hz."""
+
+_MIN_SAMPLES = 25
+"""Smallest number of samples per gait period that resolves the edges."""
 
 
 @dataclass(frozen=True)
-class Drive:
-    """A robot, what drives it and how.
+class GaitSetup:
+    """Robot, gait and plant of a footprint.
 
     Attributes:
-        spec: the robot.
-        frequency: of the gait, Hz.
+        spec: robot.
+        frequency: gait frequency, Hz.
         supply_pa: supply pressure, Pa.
         controller: "gait" (Eq. 13) or "ilc" (Eq. 32).
-        target: of learning, rad.
-        plant: "twin", "analytical" (model compliant on wheels), or what makes a plant of the right tick.
-        steering: of learning, see `ILC`.
-        chambers: "lag" or "orifice", of a plant that is named.
-        contact: of the twin; None: its default. Other plants have none.
+        target: target bend amplitude of the learning, rad.
+        plant: "twin", "analytical" (model compliant on wheels), or a function that creates a plant with the
+            tick `TICK`.
+        steering: steering of the learning, see `ILC`.
+        chambers: "lag" or "orifice", for a plant given by name.
+        contact: contact of the twin; None: its default. Other plants have none.
     """
 
     spec: RobotSpec
@@ -69,11 +82,11 @@ class Drive:
     contact: str | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be driven.
+        """Validate the settings.
 
         Raises:
-            InputError: a number out of its range, or a pressure above what the robot may be given in pulses.
-            UnknownNameError: a controller, plant or chambers that there are not.
+            InputError: a number is out of its range, or the pressure exceeds the robot's limit for pulses.
+            UnknownNameError: the controller, plant or chambers do not exist.
         """
         if self.controller not in CONTROLLERS:
             raise UnknownNameError("controller", self.controller, CONTROLLERS)
@@ -84,126 +97,128 @@ class Drive:
         if self.contact is not None:
             as_contact(self.contact)
             if self.plant != "twin":
-                raise InputError(f"contact {self.contact!r} belongs to the twin; take it out")
-        given = ("pressure", self.supply_pa / 1000, "kPa"), ("frequency", self.frequency, "Hz")
-        for name, value, unit in given:
+                raise InputError(f"contact {self.contact!r} is only for the twin; remove it for other plants")
+        positive = ("pressure", self.supply_pa / 1000, "kPa"), ("frequency", self.frequency, "Hz")
+        for name, value, unit in positive:
             if not (math.isfinite(value) and value > 0):
                 raise InputError(f"{name} {value:g} {unit} is not allowed; it must be finite and above 0")
         spec, supply = self.spec, self.spec.supply
         if spec.segments < 2:
-            raise InputError(f"{spec.name} has one segment; it does not crawl, so that it has no footprint")
+            raise InputError(f"{spec.name} has one segment; it cannot crawl, so it has no footprint")
         if self.supply_pa > supply.pulsed_limit:
             raise InputError(
                 f"pressure {self.supply_pa / 1000:g} kPa is above the {supply.pulsed_limit / 1000:g} kPa "
-                f"that {spec.name} may be given in pulses ({supply.limit_source})"
+                f"that {spec.name} may have in pulses ({supply.limit_source})"
             )
-        most = RECORD_HZ / _LEAST_SAMPLES
-        if self.frequency > most:
-            raise InputError(f"frequency {self.frequency:g} Hz is not allowed; {most:.3g} Hz is the most")
-        self.make(0.0)
+        highest = RECORD_HZ / _MIN_SAMPLES
+        if self.frequency > highest:
+            raise InputError(
+                f"frequency {self.frequency:g} Hz is not allowed; it must be {highest:.3g} Hz or less"
+            )
+        self.make_controller(0.0)  # raises for invalid settings
 
     @property
     def twin_contact(self) -> str | None:
-        """Contact of the twin that runs; None: another plant does."""
+        """Contact of the twin; None for another plant."""
         return self.contact or ModelSettings.contact.name if self.plant == "twin" else None
 
     @property
     def period(self) -> float:
-        """Of the gait, s."""
+        """Gait period, s."""
         return 1 / self.frequency
 
     @property
-    def settling(self) -> int:
-        """Gait periods after which nothing is left of a start from rest: air, or duties not yet learnt."""
+    def settling_periods(self) -> int:
+        """Gait periods until a start from rest has no more effect, by air or by duties not yet learnt."""
         return 16 if self.controller == "ilc" else 8
 
     @property
-    def lasting(self) -> int:
-        """Gait periods that a change of offset is given to be over."""
+    def transient_periods(self) -> int:
+        """Gait periods allowed for the transient after a change of offset."""
         return 12 if self.controller == "ilc" else 6
 
     @property
     def offsets(self) -> tuple[float, ...]:
-        """The offsets that are measured where none are asked for: Table 8's, or to ±0.4 as in Fig. 33."""
-        most = 3 if self.controller == "ilc" else 4
-        return tuple(k / 10 for k in range(-most, most + 1))
+        """Default offsets: those of Table 8 with learning, otherwise to ±0.4 as in Fig. 33."""
+        count = 3 if self.controller == "ilc" else 4
+        return tuple(k / 10 for k in range(-count, count + 1))
 
-    def make(self, offset: float, phase: float = 0.0) -> Gait | ILC:
-        """Return a controller; ψ = phase, rad.
+    def make_controller(self, offset: float, phase: float = 0.0) -> Gait | ILC:
+        """Return a controller with an offset and the initial phase ψ, rad.
 
         Raises:
-            InputError: it cannot have these settings.
+            InputError: a setting is not allowed.
         """
         if self.controller == "ilc":
             return ILC(self.frequency, offset, target=self.target, phase=phase, steering=self.steering)
         return Gait(self.frequency, offset, phase=phase)
 
-    def plant_maker(self) -> Callable[[], Plant]:
-        """Return what makes the plant; heavy imports wait until it does."""
+    def plant_factory(self) -> Callable[[], Plant]:
+        """Return a function that creates the plant, in which the heavy imports are done."""
         if callable(self.plant):
             return self.plant
-        return partial(_plant, self)
+        return partial(_make_plant, self)
 
-    def steady_job(self, maker: Callable[[], Plant], offset: float, phase: float, periods: int) -> Job:
-        """Return a run under one offset that ends with so many periods to be measured."""
-        duration = ticks((self.settling + periods) * self.period)
-        return Job(maker, partial(self.make, offset, phase), duration, record_hz=RECORD_HZ)
+    def steady_job(self, factory: Callable[[], Plant], offset: float, phase: float, periods: int) -> Job:
+        """Return a run at one offset, with `periods` gait periods to measure at its end."""
+        duration = next_sample((self.settling_periods + periods) * self.period)
+        return Job(factory, partial(self.make_controller, offset, phase), duration, record_hz=RECORD_HZ)
 
-    def change_time(self, share: float) -> float:
-        """Return when the offset changes (s): once the path has settled, after a share of a gait period."""
-        return ticks((self.settling + share) * self.period)
+    def change_time(self, phase: float) -> float:
+        """Return the time (s) of a change of offset at a phase in periods, after the path has settled."""
+        return next_sample((self.settling_periods + phase) * self.period)
 
     def change_job(
-        self, maker: Callable[[], Plant], change: tuple[float, float], time: float, periods: int
+        self, factory: Callable[[], Plant], change: tuple[float, float], time: float, periods: int
     ) -> Job:
-        """Return a run in which the offset changes at a time (s) from one to another.
+        """Return a run with a change of offset (before, after) at a time (s).
 
-        After what the change may last, so many periods follow.
+        It ends with `periods` gait periods after the longest allowed transient.
         """
         before, after = change
 
         def controller() -> ScheduledOffset:
-            return ScheduledOffset(self.make(before), [(time, after)])
+            return ScheduledOffset(self.make_controller(before), [(time, after)])
 
-        duration = ticks(time + (self.lasting + periods) * self.period)
-        return Job(maker, controller, duration, record_hz=RECORD_HZ)
+        duration = next_sample(time + (self.transient_periods + periods) * self.period)
+        return Job(factory, controller, duration, record_hz=RECORD_HZ)
 
 
-def ticks(time: float) -> float:
-    """Return the time (s) of the first sample then or later: samples are taken every other tick."""
+def next_sample(time: float) -> float:
+    """Return the time (s) of the next sample; there is one every other tick."""
     return round(math.ceil(time * RECORD_HZ - 1e-6) / RECORD_HZ, 9)
 
 
-def _plant(drive: Drive) -> Plant:
+def _make_plant(setup: GaitSetup) -> Plant:
     settings: dict[str, Any] = {
-        "supply_pa": drive.supply_pa, "tick": TICK, "pneumatics": drive.chambers,
+        "supply_pa": setup.supply_pa, "tick": TICK, "pneumatics": setup.chambers,
     }  # fmt: skip
-    if drive.plant == "twin":
+    if setup.plant == "twin":
         from srs_twin.plants.twin.snake import TwinSnake
 
-        settings["contact"] = drive.twin_contact
-        return TwinSnake(drive.spec, **settings)
+        settings["contact"] = setup.twin_contact
+        return TwinSnake(setup.spec, **settings)
     from srs_twin.plants.analytical import AnalyticalSnake
 
-    # Under the pulses of learning the model with given bends slips (docs/learning.md).
-    return AnalyticalSnake(drive.spec, model="compliant", friction="wheel", **settings)
+    # With the pulses of learning, the model with prescribed bends slips too much (docs/learning.md).
+    return AnalyticalSnake(setup.spec, model="compliant", friction="wheel", **settings)
 
 
 @dataclass(frozen=True)
-class Measured:
-    """A measured footprint.
+class FootprintMeasurement:
+    """Measured footprint.
 
     Attributes:
-        drive: robot, controller, plant.
-        offsets: rising.
-        steady: the path at each.
-        spread: half the range of the repeats, of each number of `steady`.
-        transients: the changes of offset that were measured.
-        repeats: runs an offset, and a change.
-        periods: of each that were measured.
+        setup: robot, gait and plant.
+        offsets: offsets in ascending order.
+        steady: path at each offset.
+        spread: half the range over the repeats, of each value of `steady`.
+        transients: measured changes of offset.
+        repeats: runs per offset and per change.
+        periods: measured gait periods of each steady run.
     """
 
-    drive: Drive
+    setup: GaitSetup
     offsets: tuple[float, ...]
     steady: tuple[SteadyPath, ...]
     spread: tuple[SteadyPath, ...]
@@ -212,52 +227,52 @@ class Measured:
     periods: int
 
 
-LEAST_OFFSETS, MOST_OFFSETS = 3, 101
-LEAST_PERIODS, MOST_PERIODS = 3, 200
-MOST_PHASES = 64
+MIN_OFFSETS = 3
+MAX_OFFSETS = 101
+MIN_PERIODS = 3
+MAX_PERIODS = 200
+MAX_PHASES = 64
 
 
 @dataclass(frozen=True)
-class Study:
-    """The runs that a footprint is measured by.
+class FootprintStudy:
+    """Runs from which a footprint is measured.
 
     Attributes:
-        drive: robot, controller, plant.
-        offsets: three or more, on both sides of 0, rising.
-        changes: (before, after) of the changes of offset to measure.
-        periods: of each steady run that are measured.
-        phases: runs an offset and a change, begun at equally spaced phases of the gait.
+        setup: robot, gait and plant.
+        offsets: three or more offsets on both sides of 0, in ascending order.
+        changes: (before, after) of each change of offset to measure.
+        periods: measured gait periods of each steady run.
+        phases: runs per offset and per change, at equidistant phases of the gait.
     """
 
-    drive: Drive
+    setup: GaitSetup
     offsets: tuple[float, ...]
     changes: tuple[tuple[float, float], ...]
     periods: int = 6
     phases: int = 4
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be measured.
+        """Validate offsets, changes and counts.
 
         Raises:
-            InputError: offsets or numbers out of their range.
+            InputError: a value is not allowed.
         """
-        for offset in (*self.offsets, *(each for change in self.changes for each in change)):
-            self.drive.make(offset)
+        for offset in (*self.offsets, *itertools.chain.from_iterable(self.changes)):
+            self.setup.make_controller(offset)
+        message = f"offsets {_listed(self.offsets)} are not allowed"
         if not all(b > a for a, b in zip(self.offsets, self.offsets[1:], strict=False)):
-            given = f"offsets {_listed(self.offsets)} are not allowed"
-            raise InputError(f"{given}; each must be there once, rising")
-        both = self.offsets and self.offsets[0] < 0 < self.offsets[-1]
-        if not (both and LEAST_OFFSETS <= len(self.offsets) <= MOST_OFFSETS):
-            raise InputError(
-                f"offsets {_listed(self.offsets)} are not allowed; a planner needs {LEAST_OFFSETS} to "
-                f"{MOST_OFFSETS}, on both sides of 0"
-            )
+            raise InputError(f"{message}; give each once, in ascending order")
+        both_sides = self.offsets and self.offsets[0] < 0 < self.offsets[-1]
+        if not (both_sides and MIN_OFFSETS <= len(self.offsets) <= MAX_OFFSETS):
+            raise InputError(f"{message}; a planner needs {MIN_OFFSETS} to {MAX_OFFSETS}, on both sides of 0")
         for before, after in self.changes:
             if before == after or not {before, after} <= set(self.offsets):
                 raise InputError(
-                    f"a change from offset {before:g} to {after:g} is none between two measured ones"
+                    f"a change from offset {before:g} to {after:g} is not allowed; it must be between two "
+                    "measured offsets"
                 )
-        limits = {"periods": (LEAST_PERIODS, MOST_PERIODS), "phases": (1, MOST_PHASES)}
+        limits = {"periods": (MIN_PERIODS, MAX_PERIODS), "phases": (1, MAX_PHASES)}
         for name, (low, high) in limits.items():
             value = getattr(self, name)
             if not low <= value <= high:
@@ -265,45 +280,50 @@ class Study:
 
     @property
     def runs(self) -> int:
-        """How many runs it takes."""
+        """Number of runs."""
         return self.phases * (len(self.offsets) + len(self.changes))
 
     def measure(
         self, *, threads: int | None = None, progress: Callable[[int], None] | None = None
-    ) -> Measured:
-        """Run and measure.
+    ) -> FootprintMeasurement:
+        """Run the plant and measure the footprint.
 
         Args:
-            threads: how many runs at once; default one a processor. The numbers do not depend on it.
-            progress: called with how many runs are done.
+            threads: number of parallel runs; default: one per processor. The result does not depend on it.
+            progress: called with the number of finished runs.
 
         Raises:
-            DivergedError: a run diverged; the message says which.
-            InputError: the snake gets nowhere at an offset.
+            DivergedError: a run diverged; the message names it.
+            InputError: the snake does not move forward at an offset.
         """
-        drive, maker = self.drive, self.drive.plant_maker()
-        shares = [k / self.phases for k in range(self.phases)]
+        setup, factory = self.setup, self.setup.plant_factory()
+        phases = [k / self.phases for k in range(self.phases)]
         jobs = [
-            drive.steady_job(maker, offset, 2 * math.pi * share, self.periods)
+            setup.steady_job(factory, offset, 2 * math.pi * phase, self.periods)
             for offset in self.offsets
-            for share in shares
+            for phase in phases
         ]
-        times = [drive.change_time(share) for share in shares]
+        times = [setup.change_time(phase) for phase in phases]
         jobs += [
-            drive.change_job(maker, change, time, STEADY_PERIODS) for change in self.changes for time in times
+            setup.change_job(factory, change, time, STEADY_PERIODS)
+            for change in self.changes
+            for time in times
         ]
         runs = self._run(jobs, threads, progress)
         repeats = [runs[k : k + self.phases] for k in range(0, len(runs), self.phases)]
-        found = {
-            offset: self._steady(offset, each)
-            for offset, each in zip(self.offsets, repeats[: len(self.offsets)], strict=True)
+        steady = {
+            offset: self._steady(offset, repeat)
+            for offset, repeat in zip(self.offsets, repeats[: len(self.offsets)], strict=True)
         }
+        paths = {offset: path for offset, (path, _) in steady.items()}
         transients = [
-            self._transient(change, times, each, {offset: path for offset, (path, _) in found.items()})
-            for change, each in zip(self.changes, repeats[len(self.offsets) :], strict=True)
+            self._transient(change, times, repeat, paths)
+            for change, repeat in zip(self.changes, repeats[len(self.offsets) :], strict=True)
         ]
-        paths, spread = zip(*found.values(), strict=True)
-        return Measured(drive, self.offsets, paths, spread, tuple(transients), self.phases, self.periods)
+        means, spreads = zip(*steady.values(), strict=True)
+        return FootprintMeasurement(
+            setup, self.offsets, means, spreads, tuple(transients), self.phases, self.periods
+        )
 
     def _run(
         self, jobs: Sequence[Job], threads: int | None, progress: Callable[[int], None] | None
@@ -311,15 +331,15 @@ class Study:
         runs = []
         for k, run in enumerate(run_many(jobs, threads=threads, progress=progress)):
             if isinstance(run, DivergedError):
-                run.args = (f"{self._named(k // self.phases)}: {run}",)
+                run.args = (f"{self._job_name(k // self.phases)}: {run}",)
                 raise run
             runs.append(run)
         return runs
 
     def _steady(self, offset: float, runs: Sequence[Trajectory]) -> tuple[SteadyPath, SteadyPath]:
-        """Return the path at an offset and its spread."""
+        """Return the path at an offset and half its range over the repeats."""
         with named_in_errors(f"offset {offset:g}"):
-            return mean_path([steady_path(self.drive, run, self.periods) for run in runs])
+            return average_repeats([steady_path(self.setup, run, self.periods) for run in runs])
 
     def _transient(
         self,
@@ -328,31 +348,33 @@ class Study:
         runs: Sequence[Trajectory],
         paths: Mapping[float, SteadyPath],
     ) -> Transient:
-        """Return what a change of offset does, at whatever phase of the gait it comes."""
-        geometry, period, (before, after) = self.drive.spec.geometry, self.drive.period, change
+        """Return the transient after a change of offset, the largest over the phases of the gait."""
+        geometry, period, (before, after) = self.setup.spec.geometry, self.setup.period, change
         with named_in_errors(f"offset {before:g} to {after:g}"):
-            found = [
-                transient(run, geometry, period, Change(time, before, after), (paths[before], paths[after]))
+            transients = [
+                measure_transient(
+                    run, geometry, period, OffsetChange(time, before, after), (paths[before], paths[after])
+                )
                 for run, time in zip(runs, times, strict=True)
             ]
-            return widest(found)
+            return combine_transients(transients)
 
-    def _named(self, number: int) -> str:
+    def _job_name(self, number: int) -> str:
         if number < len(self.offsets):
             return f"offset {self.offsets[number]:g}"
         return "offset {:g} to {:g}".format(*self.changes[number - len(self.offsets)])
 
 
-def steady_path(drive: Drive, run: Trajectory, periods: int) -> SteadyPath:
-    """Return the path over the last periods of a run.
+def steady_path(setup: GaitSetup, run: Trajectory, periods: int) -> SteadyPath:
+    """Return the path over the last gait periods of a run.
 
     Raises:
-        InputError: the run is too short, or the snake gets nowhere.
+        InputError: the run is too short, or the snake does not move forward.
     """
-    window = GaitWindow.ending_at(run, drive.period, float(run.time[-1]), periods)
+    window = GaitWindow.ending_at(run, setup.period, float(run.time[-1]), periods)
     if window is None:
         raise InputError(f"the run is shorter than {periods} gait periods")
-    return SteadyPath.of(run, drive.spec.geometry, window)
+    return SteadyPath.measure(run, setup.spec.geometry, window)
 
 
 def _listed(offsets: Sequence[float]) -> str:
@@ -362,70 +384,74 @@ def _listed(offsets: Sequence[float]) -> str:
 Changes = Sequence[tuple[float, float]]
 
 
-def study(
-    drive: Drive, *, offsets: Sequence[float] | None = None, changes: Changes | None = None, **counts: int
-) -> Study:
-    """Return the study of a footprint, with its defaults filled in.
+def footprint_study(
+    setup: GaitSetup, *, offsets: Sequence[float] | None = None, changes: Changes | None = None, **counts: int
+) -> FootprintStudy:
+    """Return the study of a footprint, with defaults filled in.
 
     Args:
-        drive: robot, controller, plant.
-        offsets: rising; default −0.3 to 0.3 under learning, −0.4 to 0.4 else, in steps of 0.1.
-        changes: (before, after) of offsets; default `changes_between`.
-        **counts: periods and phases of the `Study`.
+        setup: robot, gait and plant.
+        offsets: offsets in ascending order; default: −0.3 to 0.3 with learning, otherwise −0.4 to 0.4, in
+            steps of 0.1.
+        changes: (before, after) of the changes of offset; default: `default_changes`.
+        **counts: periods and phases of the `FootprintStudy`.
 
     Raises:
-        InputError: what cannot be measured.
+        InputError: a value is not allowed.
     """
-    rows = drive.offsets if offsets is None else tuple(float(each) for each in offsets)
-    checked = Study(drive, rows, (), **counts)
-    return replace(checked, changes=changes_between(rows) if changes is None else tuple(changes))
+    rows = setup.offsets if offsets is None else tuple(float(offset) for offset in offsets)
+    study = FootprintStudy(setup, rows, (), **counts)
+    return replace(study, changes=default_changes(rows) if changes is None else tuple(changes))
 
 
-def changes_between(offsets: Sequence[float]) -> tuple[tuple[float, float], ...]:
-    """Return the changes that say most: among the outermost offsets and 0, and half way (where measured).
+def default_changes(offsets: Sequence[float]) -> tuple[tuple[float, float], ...]:
+    """Return the changes among 0 and the outermost offsets, and between 0 and half of those, if measured.
 
-    Between changes that were measured a footprint is linear in their size.
+    A planner interpolates linearly between measured changes.
     """
     low, high = min(offsets), max(offsets)
-    full = [each for each in (low, 0.0, high) if each in offsets]
+    full = [offset for offset in (low, 0.0, high) if offset in offsets]
     pairs = [(a, b) for a in full for b in full if a != b]
     if 0.0 in offsets:
-        for end in (low, high):
-            inner = [each for each in offsets if 0 < each / end < 1]
-            half = min(inner, key=lambda each: abs(each - end / 2), default=None)
+        for outermost in (low, high):
+            inner = [offset for offset in offsets if 0 < offset / outermost < 1]
+            half = min(inner, key=lambda offset: abs(offset - outermost / 2), default=None)
             if half is not None:
                 pairs += [(0.0, half), (half, 0.0)]
     return tuple(pairs)
 
 
 _DIGITS = 4
+"""Decimals of values in a footprint file."""
+
 _SPREADS = {"curvature_per_m": "curvature", "speed_m_s": "speed", "left_m": "left", "right_m": "right"}
+"""Key of a footprint file's spread → attribute of `SteadyPath`."""
 
 
-def footprint_file(measured: Measured, name: str) -> FootprintFile:
-    """Return a measurement as a file's content, each column with unit, status and source."""
-    drive, paths, source = measured.drive, measured.steady, _source(measured)
+def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
+    """Return a measurement as the content of a file, with unit, status and source of each column."""
+    setup, paths, source = measured.setup, measured.steady, _source(measured)
     edge = "as curvature_per_m; the farthest that any repeat reached"
-    # The snake lies straight at first, longer than it ever is in its gait.
-    body = drive.spec.geometry
-    at_rest = round((body.body_length + body.width) / 2, _DIGITS)
+    # The straight snake at the start is longer than it ever is during the gait.
+    body = setup.spec.geometry
+    straight = round((body.body_length + body.width) / 2, _DIGITS)
 
     def record(value: object, unit: str, source: str) -> dict[str, object]:
         return {"value": value, "unit": unit, "status": "calibrated", "source": source}
 
     content: dict[str, Any] = {
         "name": name,
-        "title": f"{drive.spec.title.split(':')[0]}, {drive.frequency:g} Hz, "
-        f"{drive.supply_pa / 1000:.4g} kPa, as measured on {_plant_text(drive)}",
-        "robot": drive.spec.name,
-        "contact": drive.twin_contact,
+        "title": f"{setup.spec.title.split(':')[0]}, {setup.frequency:g} Hz, "
+        f"{setup.supply_pa / 1000:.4g} kPa, as measured on {_plant_text(setup)}",
+        "robot": setup.spec.name,
+        "contact": setup.twin_contact,
         "offset": record(list(measured.offsets), "1", "chosen"),
         "curvature_per_m": record(_column(paths, "curvature"), "1/m", source),
         "speed_m_s": record(_column(paths, "speed"), "m/s", "as curvature_per_m; along the arc"),
         "left_m": record(_column(paths, "left"), "m", edge),
         "right_m": record(_column(paths, "right"), "m", "as left_m"),
-        "ahead_m": record(max(*_column(paths, "ahead"), at_rest), "m", "as left_m, or straight"),
-        "behind_m": record(max(*_column(paths, "behind"), at_rest), "m", "as ahead_m"),
+        "ahead_m": record(max(*_column(paths, "ahead"), straight), "m", "as left_m, or straight"),
+        "behind_m": record(max(*_column(paths, "behind"), straight), "m", "as ahead_m"),
         "spread": {
             "source": f"half the range over {measured.repeats} phases of the gait at the start",
             **{key: _column(measured.spread, name) for key, name in _SPREADS.items()},
@@ -436,114 +462,114 @@ def footprint_file(measured: Measured, name: str) -> FootprintFile:
             "status": "calibrated",
             "source": f"as curvature_per_m, each change at {measured.repeats} phases of the gait: the widest "
             "and longest of them, and the mean jump",
-            "changes": [_change(each) for each in measured.transients],
+            "changes": [_change_entry(transient) for transient in measured.transients],
         }
     return FootprintFile.model_validate(content)
 
 
-def command(study: Study, robot: str, name: str) -> str:
-    """Return the command that measures the same again.
+def calibrate_command(study: FootprintStudy, robot: str, name: str) -> str:
+    """Return the command that repeats a measurement.
 
     Args:
-        study: what was measured.
-        robot: as it was given, a name or a path.
-        name: of the footprint.
+        study: study of the footprint.
+        robot: robot as given, a name or a path.
+        name: name of the footprint.
     """
-    drive = study.drive
+    setup = study.setup
     words = [
-        f"srs-twin calibrate footprint {robot} --name {name} --controller {drive.controller}",
-        f"--frequency {drive.frequency:g} --pressure {drive.supply_pa / 1000:.9g}",
+        f"srs-twin calibrate footprint {robot} --name {name} --controller {setup.controller}",
+        f"--frequency {setup.frequency:g} --pressure {setup.supply_pa / 1000:.9g}",
     ]
-    if drive.controller == "ilc":
-        words.append(f"--target {drive.target:g}")
-    if drive.plant != "twin":
-        words.append(f"--plant {drive.plant}")
+    if setup.controller == "ilc":
+        words.append(f"--target {setup.target:g}")
+    if setup.plant != "twin":
+        words.append(f"--plant {setup.plant}")
     else:
-        words.append(f"--contact {drive.twin_contact}")
-    if drive.chambers != "lag":
-        words.append(f"--chambers {drive.chambers}")
-    if study.offsets != drive.offsets:
+        words.append(f"--contact {setup.twin_contact}")
+    if setup.chambers != "lag":
+        words.append(f"--chambers {setup.chambers}")
+    if study.offsets != setup.offsets:
         words.append("--offsets=" + ",".join(f"{offset:g}" for offset in study.offsets))
-    if study.changes != changes_between(study.offsets):
+    if study.changes != default_changes(study.offsets):
         words.append("--no-transients")
     words.append(f"--periods {study.periods} --phases {study.phases}")
     return " ".join(words)
 
 
-def header(study: Study, robot: str, name: str, versions: Mapping[str, str]) -> list[str]:
-    """Return the lines that say how a file came to be, those that identify it first."""
+def header_lines(study: FootprintStudy, robot: str, name: str, versions: Mapping[str, str]) -> list[str]:
+    """Return the comment lines of a footprint file; the first two identify the study."""
     with_versions = ", ".join(f"{package} {version}" for package, version in versions.items())
     return [*_identity(study, robot, name), f"with: {with_versions}"]
 
 
 def robot_hash(spec: RobotSpec) -> str:
-    """Return the SHA-256 of a robot's numbers in SI, of those that are not their defaults.
+    """Return the SHA-256 of a robot's values in SI units that differ from their defaults.
 
-    A parameter that is added later, and does nothing by default, leaves it as it was.
+    A new parameter whose default has no effect does not change the hash.
     """
 
-    def told(part: Any) -> Any:
-        if not is_dataclass(part):
-            return part
-        values = {each: getattr(part, each.name) for each in fields(part)}
-        return {each.name: told(value) for each, value in values.items() if value != each.default}
+    def non_defaults(section: Any) -> Any:
+        if not is_dataclass(section):
+            return section
+        values = {field: getattr(section, field.name) for field in fields(section)}
+        return {field.name: non_defaults(value) for field, value in values.items() if value != field.default}
 
-    return hashlib.sha256(repr(told(spec)).encode()).hexdigest()
+    return hashlib.sha256(repr(non_defaults(spec)).encode()).hexdigest()
 
 
-def refuse_other(path: Path, study: Study, robot: str, name: str) -> None:
-    """Refuse a place where another file stands than one that this study wrote.
+def check_same_study(path: Path, study: FootprintStudy, robot: str, name: str) -> None:
+    """Check that an existing file is from the same study, which may be replaced.
 
     Raises:
-        InputError: it does, or the place cannot be read.
+        InputError: it is not, or the file cannot be read.
     """
     if not os.path.lexists(path):
         return
     first = [line.removeprefix("# ") for line in read_text(path).splitlines()[:2]]
     if first != _identity(study, robot, name):
         raise InputError(
-            f"{display_path(path)}: another footprint stands there; --overwrite replaces it, "
-            "--name and --out lead elsewhere"
+            f"{display_path(path)}: the file exists with another footprint; --overwrite replaces it; --name or "
+            "--out choose another file"
         )
 
 
-def _identity(study: Study, robot: str, name: str) -> list[str]:
+def _identity(study: FootprintStudy, robot: str, name: str) -> list[str]:
     return [
-        f"measured by: {command(study, robot, name)}",
-        f"robot {study.drive.spec.name}, sha256 of its numbers: {robot_hash(study.drive.spec)}",
+        f"measured by: {calibrate_command(study, robot, name)}",
+        f"robot {study.setup.spec.name}, sha256 of its numbers: {robot_hash(study.setup.spec)}",
     ]
 
 
 def _column(paths: Sequence[SteadyPath], key: str) -> list[float]:
-    # Not -0.0, which a straight path may round to.
+    # Adding 0.0 turns -0.0, to which a straight path may round, into 0.0.
     return [round(getattr(path, key), _DIGITS) + 0.0 for path in paths]
 
 
-def _change(each: Transient) -> dict[str, float]:
+def _change_entry(transient: Transient) -> dict[str, float]:
     keys = ("from_offset", "to_offset", "left_m", "right_m", "length_m", "dx_m", "dy_m", "dheading_rad")
-    values = dict(zip(keys, astuple(each), strict=True))
+    values = dict(zip(keys, astuple(transient), strict=True))
     return {key: round(value, _DIGITS) + 0.0 for key, value in values.items()}
 
 
-def _source(measured: Measured) -> str:
+def _source(measured: FootprintMeasurement) -> str:
     return (
-        f"measured on {_plant_text(measured.drive)} by `srs-twin calibrate footprint`, over "
+        f"measured on {_plant_text(measured.setup)} by `srs-twin calibrate footprint`, over "
         f"{measured.periods} gait periods at each of {measured.repeats} phases of the gait at the start"
     )
 
 
-def _plant_text(drive: Drive) -> str:
-    if not isinstance(drive.plant, str):
-        return "a plant of one's own"
-    named = {"twin": "the twin", "analytical": "the analytical model compliant"}[drive.plant]
-    return named if drive.chambers == "lag" else f"{named} with {drive.chambers} chambers"
+def _plant_text(setup: GaitSetup) -> str:
+    if not isinstance(setup.plant, str):
+        return "a custom plant"
+    named = {"twin": "the twin", "analytical": "the analytical model compliant"}[setup.plant]
+    return named if setup.chambers == "lag" else f"{named} with {setup.chambers} chambers"
 
 
-def rows(measured: Measured) -> list[Sequence[str]]:
-    """Return the table that people read: offset, then speed, curvature and edges with their spread."""
-    found: list[Sequence[str]] = []
+def table_rows(measured: FootprintMeasurement) -> list[Sequence[str]]:
+    """Return the rows of the printed table: offset, then speed, curvature and edges with their spread."""
+    rows: list[Sequence[str]] = []
     for offset, path, spread in zip(measured.offsets, measured.steady, measured.spread, strict=True):
         names = ("speed", "curvature", "left", "right")
         cells = (f"{getattr(path, name):.4f} ± {getattr(spread, name):.4f}" for name in names)
-        found.append((f"{offset:g}", *cells))
-    return found
+        rows.append((f"{offset:g}", *cells))
+    return rows

@@ -1,20 +1,21 @@
-r"""Friction of the wheels from pulls with a spring car (Eq. 17, Table 2) and from coasting.
+r"""Friction of the wheels from pulls with a spring car (Eq. 17, Table 2) and from coasting tests.
 
-**Pulls.** The spring's largest deformation as motion begins,
+**Pulls.** Each pull gives one coefficient from the largest deformation of the spring as motion begins,
 
 $$ \mu = \frac{k\,\Delta L_{max}}{m g}, $$
 
-once for each pull, along with wheels that roll and across with wheels held. The estimate is the mean over the
-pulls with its standard error, grown by what is not known of k and m, which all pulls share. It is the
-friction at which motion begins; while the robot slides it may be less. A table of pulls is a plain CSV file
-with one pull a row: ``along_mm`` or ``across_mm``, the spring's largest deformation (m without a unit; a
-blank cell: not pulled that way). ``spring_n_per_m`` and ``mass_kg`` are the same in every row that has them,
-as are their standard errors ``spring_error_n_per_m`` and ``mass_error_kg``, which may be left out.
+along the body with rolling wheels, and across it with blocked wheels. The estimate is the mean over the
+pulls. Its standard error includes the errors of k and m, which all pulls share. This is the static
+coefficient; the kinetic one may be smaller. A table of pulls is a CSV file with one pull per row:
+``along_mm`` or ``across_mm``, the largest deformation of the spring (m without a unit; an empty cell: no pull
+in that direction). ``spring_n_per_m`` and ``mass_kg`` are the same in all rows that have them, as are their
+optional standard errors ``spring_error_n_per_m`` and ``mass_error_kg``.
 
-**Coasting.** The robot is thrown across the floor, straight, with vented chambers. Along its wheels it loses
-μ_t g/(1 + s), across them μ_n g; thrown at an angle, what the friction law says (`floor.slide`, which also
-tells what s is). Where each run began and how fast it was thrown is found along with μ_t and μ_n; a
-direction in which it went no further than noise is taken as not thrown at all.
+**Coasting tests.** The straight robot with vented chambers is pushed and released on the floor. It
+decelerates by μ_t g/(1 + s) along its wheels and by μ_n g across them; in other directions the friction law
+determines the deceleration (`floor.slide`, which also defines s). Initial position and velocity of each run
+are fitted together with μ_t and μ_n. If a run moves by no more than the noise in one direction, its initial
+velocity in that direction is taken as 0.
 """
 
 from __future__ import annotations
@@ -27,10 +28,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.identification.estimate import IDENTIFIED, KNOWN, Estimate, Parameter, Residual, Role, Verdict
-from srs_twin.identification.fit_file import DataSet, fingerprint, trajectory_hash, with_roles
+from srs_twin.identification.estimate import (
+    IDENTIFIED_ERROR,
+    UNIDENTIFIABLE_ERROR,
+    FitEstimate,
+    Parameter,
+    Residual,
+    Role,
+    Verdict,
+)
+from srs_twin.identification.fit_file import DataSet, array_hash, assign_roles, trajectory_hash
 from srs_twin.identification.least_squares import LEVEL, Watch, least_squares
-from srs_twin.identification.unknowns import Unknown, unknowns
+from srs_twin.identification.parameters import FreeParameter, free_parameters
 from srs_twin.plants.analytical.floor import slide, spin_share
 from srs_twin.recordings.body.trajectories import moving_slope
 from srs_twin.recordings.csv_table import CsvColumn, CsvTable, first_line_names, read_file, read_table
@@ -40,23 +49,26 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.trajectory import Trajectory
 
 _NAMES = ("friction.mu_t", "friction.mu_n")
-_WAYS = ("along", "across")
-_LEAST_PULLS = 2
+
+_DIRECTIONS = ("along", "across")
+"""Directions of pulls and coasting, in the order of `_NAMES`."""
+
+_MIN_PULLS = 2
 
 
 @dataclass(frozen=True)
 class Pulls:
-    """What a spring car measured.
+    """Measurements with a spring car.
 
     Attributes:
         along: largest deformation of the spring in each pull with rolling wheels, m.
-        across: the same, across the body or with wheels held, m.
-        stiffness: k of the spring, N/m.
-        mass: m of what was pulled, kg.
+        across: the same across the body or with blocked wheels, m.
+        stiffness: stiffness k of the spring, N/m.
+        mass: mass m of the pulled robot, kg.
         stiffness_error: standard error of k, N/m.
         mass_error: standard error of m, kg.
-        name: what the data are called.
-        sha256: of their file; empty where there is none.
+        name: name of the data.
+        sha256: SHA-256 of the file; empty if there is none.
     """
 
     along: Sequence[float]
@@ -69,298 +81,326 @@ class Pulls:
     sha256: str = ""
 
     def __post_init__(self) -> None:
-        for what in ("stiffness", "mass"):
-            value, error = getattr(self, what), getattr(self, f"{what}_error")
+        for name in ("stiffness", "mass"):
+            value, error = getattr(self, name), getattr(self, f"{name}_error")
             if not (math.isfinite(value) and value > 0 and math.isfinite(error) and 0 <= error < value):
                 raise InputError(
-                    f"{self.name}: {what} {value!r} with error {error!r} is not allowed; it must be above 0 "
+                    f"{self.name}: {name} {value!r} with error {error!r} is not allowed; it must be above 0 "
                     "and its error smaller"
                 )
-        for way in _WAYS:
-            pulls = np.asarray(getattr(self, way), dtype=float)
+        for direction in _DIRECTIONS:
+            pulls = np.asarray(getattr(self, direction), dtype=float)
             if pulls.ndim != 1 or not (np.isfinite(pulls) & (pulls >= 0)).all():
-                raise InputError(f"{self.name}: pulls {way} must be a list of lengths in m, 0 or more")
+                raise InputError(f"{self.name}: pulls {direction} must be a list of lengths in m, 0 or more")
             if len(pulls) == 1:
-                what = f"one pull {way} does not show its scatter"
-                raise InputError(f"{self.name}: {what}; give 2 or more, or none")
+                raise InputError(
+                    f"{self.name}: one pull {direction} does not show the scatter; give 2 or more, or none"
+                )
 
     @property
     def factor(self) -> float:
-        """Friction coefficient over deformation, 1/m."""
+        """Friction coefficient per deformation, 1/m."""
         return self.stiffness / (self.mass * GRAVITY)
 
-    def coefficients(self, way: str) -> np.ndarray:
-        """Return μ of each pull "along" or "across"."""
-        return self.factor * np.asarray(getattr(self, way), dtype=float)
+    def coefficients(self, direction: str) -> np.ndarray:
+        """Return μ of each pull in a direction, "along" or "across"."""
+        return self.factor * np.asarray(getattr(self, direction), dtype=float)
 
     def data_set(self, role: Role) -> DataSet:
-        """Return what a fit says of these data."""
-        along, across = (np.asarray(getattr(self, way), dtype=float) for way in _WAYS)
-        used = fingerprint(along, across, np.array([self.stiffness, self.mass]))
+        """Return name, hash and size of the data."""
+        along, across = (np.asarray(getattr(self, direction), dtype=float) for direction in _DIRECTIONS)
+        used = array_hash(along, across, np.array([self.stiffness, self.mass]))
         return DataSet(self.name, self.sha256 or used, role, len(along) + len(across))
 
 
-def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> Estimate:
-    """Return μ_t and μ_n; a direction that was not pulled is not identifiable.
+def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
+    """Estimate μ_t and μ_n from pulls; without pulls in a direction its coefficient is not identifiable.
 
     Args:
-        pulls: what was measured.
-        validation: pulls to hold the estimate against.
+        pulls: measured pulls.
+        validation: pulls for validation.
 
     Raises:
-        InputError: pulls to validate with that are also fitted.
+        InputError: validation pulls are also fitted.
     """
-    everything = with_roles("pulls", [pulls], validation)
+    data_with_roles = assign_roles("pulls", [pulls], validation)
     shared = (pulls.stiffness_error / pulls.stiffness) ** 2 + (pulls.mass_error / pulls.mass) ** 2
-    values = [pulls.coefficients(way) for way in _WAYS]
-    means = np.array([each.mean() if len(each) else np.nan for each in values])
-    own = np.array([each.var(ddof=1) / len(each) if len(each) else np.nan for each in values])
-    covariance = np.diag(own) + shared * np.outer(means, means)
+    values = [pulls.coefficients(direction) for direction in _DIRECTIONS]
+    means = np.array([value.mean() if len(value) else np.nan for value in values])
+    variances = np.array([value.var(ddof=1) / len(value) if len(value) else np.nan for value in values])
+    # Errors of k and m affect both coefficients by the same factor, so they correlate.
+    covariance = np.diag(variances) + shared * np.outer(means, means)
     errors = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = covariance / np.outer(errors, errors)
-    found = [_parameter(k, values[k], means[k], own[k], errors[k]) for k in range(2)]
-    for k, each in enumerate(found):
-        if each.value is None:
+    parameters = [_parameter(k, values[k], means[k], variances[k], errors[k]) for k in range(2)]
+    for k, parameter in enumerate(parameters):
+        if parameter.value is None:
             correlation[k], correlation[:, k] = np.nan, np.nan
         else:
             correlation[k, k] = 1.0
-    scatter = [max(float(each.std(ddof=1)), 1e-12) if len(each) else math.nan for each in values]
+    scatter = [max(float(value.std(ddof=1)), 1e-12) if len(value) else math.nan for value in values]
     residuals = tuple(
-        Residual(f"{data.name} {way}", "1", data.coefficients(way) - means[k], scatter[k], role)
-        for data, role in everything
-        for k, way in enumerate(_WAYS)
-        if len(values[k]) and len(data.coefficients(way))
+        Residual(f"{data.name} {direction}", "1", data.coefficients(direction) - means[k], scatter[k], role)
+        for data, role in data_with_roles
+        for k, direction in enumerate(_DIRECTIONS)
+        if len(values[k]) and len(data.coefficients(direction))
     )
-    samples = sum(len(each) for each in values)
+    samples = sum(len(value) for value in values)
     held = {"mass_kg": pulls.mass, "spring_n_per_m": pulls.stiffness}
-    return Estimate(tuple(found), correlation, residuals, (), samples, float(samples), 1.0, held)
+    return FitEstimate(tuple(parameters), correlation, residuals, (), samples, float(samples), 1.0, held)
 
 
-def _parameter(k: int, values: np.ndarray, mean: float, own: float, error: float) -> Parameter:
+def _parameter(k: int, values: np.ndarray, mean: float, variance: float, error: float) -> Parameter:
     from scipy import stats
 
-    if len(values) < _LEAST_PULLS:
-        return Parameter(_NAMES[k], "1", "not identifiable", why=f"nothing was pulled {_WAYS[k]}")
-    if error >= KNOWN * mean:
-        why = f"the pulls {_WAYS[k]} scatter as much as they measure"
+    if len(values) < _MIN_PULLS:
+        why = f"there are no pulls {_DIRECTIONS[k]}"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
-    # Welch-Satterthwaite: what all pulls share is taken as known from many measurements.
-    freedom = (len(values) - 1) * (error**2 / own) ** 2 if own > 0 else np.inf
-    reach = float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error
-    verdict: Verdict = "identified" if error <= IDENTIFIED * mean else "weakly identified"
-    return Parameter(_NAMES[k], "1", verdict, float(mean), float(error), max(mean - reach, 0.0), mean + reach)
+    if error >= UNIDENTIFIABLE_ERROR * mean:
+        why = f"the scatter of the pulls {_DIRECTIONS[k]} is as large as their mean"
+        return Parameter(_NAMES[k], "1", "not identifiable", why=why)
+    # Welch-Satterthwaite; the shared errors of k and m count as known with many degrees of freedom.
+    freedom = (len(values) - 1) * (error**2 / variance) ** 2 if variance > 0 else np.inf
+    half_width = float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error
+    verdict: Verdict = "identified" if error <= IDENTIFIED_ERROR * mean else "weakly identified"
+    low, high = max(mean - half_width, 0.0), mean + half_width
+    return Parameter(_NAMES[k], "1", verdict, float(mean), float(error), low, high)
 
 
 _CONSTANTS = ("spring_n_per_m", "mass_kg", "spring_error_n_per_m", "mass_error_kg")
-"""Columns of what all pulls of a table share; the errors may be left out."""
+"""Columns of constants that all pulls of a table share; the errors are optional."""
 
-_LONGEST = 10.0  # m: no spring of a scale deforms that much
+_MAX_DEFORMATION_M = 10.0
+"""Largest plausible deformation; a larger one has the wrong unit."""
+
 _EXAMPLE = "along_mm,across_mm,spring_n_per_m,mass_kg"
 
 
-def is_pulls(path: str | os.PathLike[str]) -> bool:
-    """Say whether a file's first line names a column of pulls.
+def is_pull_table(path: str | os.PathLike[str]) -> bool:
+    """Return whether the first line of a file names a column of pulls.
 
     Raises:
         InputError: the file cannot be read.
     """
-    names = first_line_names(path)
-    return any(name == way or name.startswith((f"{way}_", f"{way} ")) for name in names for way in _WAYS)
+    return any(
+        name == direction or name.startswith((f"{direction}_", f"{direction} "))
+        for name in first_line_names(path)
+        for direction in _DIRECTIONS
+    )
 
 
-def read_pulls(path: str | os.PathLike[str]) -> Pulls:
+def read_pull_table(path: str | os.PathLike[str]) -> Pulls:
     """Read a table of pulls.
 
     Raises:
-        InputError: no such file, columns missing or of other units, cells that are no such number.
+        InputError: the file does not exist, a column is missing or has a wrong unit, or a cell is invalid.
     """
-    known: dict[str, dict[str, float]] = dict.fromkeys(_WAYS, LENGTHS)
+    known: dict[str, dict[str, float]] = dict.fromkeys(_DIRECTIONS, LENGTHS)
     table = read_table(read_file(path), known | {name: {} for name in _CONSTANTS})
-    found = {each.name: each for each in table.columns}
-    for each in table.columns:
-        if each.number or each.letter:
-            raise table.error(each, f"{each.text}: these columns have no numbers; {_EXAMPLE}")
-    if not found.keys() & set(_WAYS):
+    columns = {column.name: column for column in table.columns}
+    for column in table.columns:
+        if column.number or column.letter:
+            raise table.error(column, f"{column.text}: these columns have no numbers; {_EXAMPLE}")
+    if not columns.keys() & set(_DIRECTIONS):
         raise table.file.error(f"neither 'along' nor 'across'; a table of pulls has {_EXAMPLE}", 1)
     for name in _CONSTANTS[:2]:
-        if name not in found:
+        if name not in columns:
             raise table.file.error(f"no column '{name}'; a table of pulls has {_EXAMPLE}", 1)
     rows, _ = table.read(table.columns)
-    values = {each.name: column for each, column in zip(table.columns, rows.T, strict=True)}
-    along, across = (_deformations(table, found[way], values[way]) if way in found else [] for way in _WAYS)
+    values = {column.name: cells for column, cells in zip(table.columns, rows.T, strict=True)}
+    along, across = (
+        _deformations(table, columns[name], values[name]) if name in columns else [] for name in _DIRECTIONS
+    )
     stiffness, mass, stiffness_error, mass_error = (
-        _constant(table, found[name], values[name]) if name in found else 0.0 for name in _CONSTANTS
+        _constant(table, columns[name], values[name]) if name in columns else 0.0 for name in _CONSTANTS
     )
     file = table.file
     return Pulls(along, across, stiffness, mass, stiffness_error, mass_error, file.name, file.sha256)
 
 
 def _deformations(table: CsvTable, column: CsvColumn, values: np.ndarray) -> list[float]:
-    """Return the deformations in a column, m, without its blank cells."""
-    wrong = np.flatnonzero((values < 0) | (values > _LONGEST))
+    """Return the deformations in a column, m, without empty cells."""
+    wrong = np.flatnonzero((values < 0) | (values > _MAX_DEFORMATION_M))
     if wrong.size:
         row = int(wrong[0])
-        given = f"{column.text}: {values[row] / column.factor:g} is not allowed"
-        allowed = f"a deformation of 0 to {_LONGEST / column.factor:g} {column.unit or 'm'}"
-        raise table.error(column, f"{given}; {allowed}", row)
-    return [float(each) for each in values if np.isfinite(each)]
+        message = f"{column.text}: {values[row] / column.factor:g} is not allowed"
+        allowed = f"a deformation of 0 to {_MAX_DEFORMATION_M / column.factor:g} {column.unit or 'm'}"
+        raise table.error(column, f"{message}; {allowed}", row)
+    return [float(value) for value in values if np.isfinite(value)]
 
 
 def _constant(table: CsvTable, column: CsvColumn, values: np.ndarray) -> float:
-    """Return the one number that a column holds."""
-    given = np.flatnonzero(np.isfinite(values))
-    if not given.size:
-        raise table.error(column, f"{column.text}: no number in it", 0)
-    first = float(values[given[0]])
-    other = given[values[given] != first]
-    if other.size:
-        row = int(other[0])
-        what = f"{values[row]:g} here and {first:g} before; one file, one spring and one mass"
-        raise table.error(column, f"{column.text}: {what}", row)
+    """Return the single value of a constant column."""
+    rows = np.flatnonzero(np.isfinite(values))
+    if not rows.size:
+        raise table.error(column, f"{column.text}: the column has no number", 0)
+    first = float(values[rows[0]])
+    different = rows[values[rows] != first]
+    if different.size:
+        row = int(different[0])
+        message = f"{values[row]:g} here and {first:g} above; a file is for one spring and one mass"
+        raise table.error(column, f"{column.text}: {message}", row)
     return first
 
 
-_MOST_TURN = 0.2  # rad: beyond it the body is no longer a point
-_LEAST_SAMPLES = 8
-_LEAST_SPEED = 0.02  # m/s
-_NOISE = 1e-3  # m
-_SEEN = 3.0  # times the noise: what it must go in a direction to have been thrown that way
+_MAX_TURN_RAD = 0.2
+"""Largest change of heading during coasting; beyond it the robot does not slide as a point mass does."""
+
+_MIN_SAMPLES = 8
+"""Smallest number of samples of a coasting test."""
+
+_MIN_SPEED_M_S = 0.02
+"""Smallest initial speed of a coasting test."""
+
+_NOISE_M = 1e-3
+"""Standard deviation of the measured position."""
+
+_MIN_TRAVEL = 3.0
+"""Smallest travel in a direction, in standard deviations, for its initial velocity to be fitted."""
 
 
 @dataclass(frozen=True)
-class Coasting:
-    """One throw.
+class CoastingTest:
+    """Recorded deceleration of the straight robot after a push.
 
     Attributes:
-        name: of the data.
-        sha256: of them.
-        time: from the first sample used, shape (samples,), s.
-        place: centre of mass along and across the mean heading, from the first sample, (samples, 2), m.
-        velocity: a first guess of how it was thrown, along and across, m/s.
-        span: begin and end of what was used, s on the recording's clock.
+        name: name of the data.
+        sha256: SHA-256 of the data.
+        time: time from the first used sample, shape (samples,), s.
+        position: centre of mass along and across the mean heading, from the first sample, (samples, 2), m.
+        velocity: first guess of the initial velocity, along and across, m/s.
+        span: begin and end of the used samples on the recording's clock, s.
     """
 
     name: str
     sha256: str
     time: np.ndarray
-    place: np.ndarray
+    position: np.ndarray
     velocity: tuple[float, float]
     span: tuple[float, float]
 
     @classmethod
-    def of(cls, trajectory: Trajectory, name: str, *, start: float | None = None) -> Coasting:
-        """Return the throw that a trajectory shows.
+    def from_trajectory(
+        cls, trajectory: Trajectory, name: str, *, start: float | None = None
+    ) -> CoastingTest:
+        """Extract the coasting test from a trajectory.
 
         Args:
-            trajectory: a recording, or a plant's.
-            name: what to call it.
-            start: from when on nobody touches the robot, s; None: from where it is fastest.
+            trajectory: recording or simulation.
+            name: name of the data.
+            start: time from which the robot is not touched, s; None: the time of its largest speed.
 
         Raises:
-            InputError: too short, too slow, or the robot turns.
+            InputError: it is too short or too slow, or the robot turns.
         """
         time, com = trajectory.time, trajectory.com
-        if len(time) < _LEAST_SAMPLES:
-            raise InputError(f"{name}: {len(time)} samples; {_LEAST_SAMPLES} or more are wanted")
+        if len(time) < _MIN_SAMPLES:
+            raise InputError(f"{name}: {len(time)} samples; {_MIN_SAMPLES} or more are needed")
         speed = np.hypot(*moving_slope(time, com).T)
         first = int(np.argmax(speed)) if start is None else int(np.searchsorted(time, start))
         time, com = time[first:], com[first:]
-        if len(time) < _LEAST_SAMPLES:
-            wanted = f"{_LEAST_SAMPLES} or more are wanted"
-            raise InputError(f"{name}: {len(time)} samples after the throw; {wanted}")
-        if speed[first] < _LEAST_SPEED:
+        if len(time) < _MIN_SAMPLES:
+            raise InputError(f"{name}: {len(time)} samples after the push; {_MIN_SAMPLES} or more are needed")
+        if speed[first] < _MIN_SPEED_M_S:
             raise InputError(
-                f"{name}: it moves at {speed[first]:.2g} m/s at most; a throw of "
-                f"{_LEAST_SPEED:g} m/s or more is wanted"
+                f"{name}: the largest speed is {speed[first]:.2g} m/s; {_MIN_SPEED_M_S:g} m/s is needed"
             )
         heading = trajectory["heading"][first:]
-        if np.ptp(heading) > _MOST_TURN:
+        if np.ptp(heading) > _MAX_TURN_RAD:
             raise InputError(
-                f"{name}: it turns by {np.ptp(heading):.2g} rad while it coasts; {_MOST_TURN:g} rad at most: "
-                "throw it straight along or across"
+                f"{name}: it turns by {np.ptp(heading):.2g} rad while it coasts; {_MAX_TURN_RAD:g} rad is "
+                "allowed: push it straight along or across"
             )
         c, s = np.cos(heading.mean()), np.sin(heading.mean())
-        place = (com - com[0]) @ np.array([[c, -s], [s, c]])
-        guess = moving_slope(time, place)[0]
+        position = (com - com[0]) @ np.array([[c, -s], [s, c]])
+        guess = moving_slope(time, position)[0]
         velocity, span = (float(guess[0]), float(guess[1])), (float(time[0]), float(time[-1]))
-        return cls(name, trajectory_hash(trajectory), time - time[0], place, velocity, span)
+        return cls(name, trajectory_hash(trajectory), time - time[0], position, velocity, span)
 
     def data_set(self, role: Role) -> DataSet:
-        """Return what a fit says of these data."""
+        """Return name, hash and size of the data."""
         return DataSet(self.name, self.sha256, role, 2 * len(self.time), *self.span)
 
 
 def fit_coasting(
-    runs: Sequence[Coasting],
+    runs: Sequence[CoastingTest],
     spec: RobotSpec,
     *,
-    validation: Sequence[Coasting] = (),
+    validation: Sequence[CoastingTest] = (),
     law: str = "wheel",
     wheel_inertia: bool = True,
     watch: Watch | None = None,
-) -> Estimate:
-    """Return μ_t and μ_n from throws.
+) -> FitEstimate:
+    """Estimate μ_t and μ_n from coasting tests.
 
     Args:
-        runs: throws; along them and across them, to know both.
-        spec: the robot, whose wheels and masses say how much the wheels' spinning adds.
-        validation: throws to hold the estimate against; of these only the throw itself is fitted.
-        law: "axis", "wheel" or "ellipse".
-        wheel_inertia: whether wheels have to stop spinning, as the robot's and the twin's; the analytical
-            plant's and skids have none.
-        watch: is told how far the search is, see `least_squares`.
+        runs: coasting tests; in both directions to determine both coefficients.
+        spec: robot, whose wheels and masses determine the effect of the wheels' rotational inertia.
+        validation: coasting tests for validation; only their initial velocities are fitted.
+        law: friction law, "axis", "wheel" or "ellipse".
+        wheel_inertia: whether the wheels have rotational inertia, as in the robot and the twin; skids and the
+            wheels of the analytical plant have none.
+        watch: progress callback, see `least_squares`.
 
     Raises:
-        InputError: no run, an unknown law, or a run to validate with that is also fitted.
+        InputError: there is no run, the law is unknown, or a validation run is also fitted.
     """
     if law not in LAWS or law == "viscous":
-        raise InputError(f"friction law '{law}' is unknown here; allowed: axis, wheel, ellipse")
-    with_roles("coasting runs", runs, validation)
+        raise InputError(f"friction law '{law}' is not allowed here; allowed: axis, wheel, ellipse")
+    assign_roles("coasting tests", runs, validation)
     share = spin_share(spec) if wheel_inertia else 0.0
 
     def residuals(values: Mapping[str, float]) -> list[Residual]:
-        return [each for k, run in enumerate(runs) for each in _missed(run, k, values, law, share)]
+        return [
+            residual
+            for k, run in enumerate(runs)
+            for residual in _coasting_residuals(run, k, values, law, share)
+        ]
 
-    thrown = [unknown for k, run in enumerate(runs) for unknown in _throw(run, k)]
-    held = {"spin_share": share}
-    found = least_squares(residuals, [*unknowns(spec, _NAMES), *thrown], held=held, watch=watch)
-    if not validation or len(found.values) < len(_NAMES):
-        return found
-    return _validated(found, validation, law, share)
+    velocities = [unknown for k, run in enumerate(runs) for unknown in _initial_velocities(run, k)]
+    unknowns = [*free_parameters(spec, _NAMES), *velocities]
+    estimate = least_squares(residuals, unknowns, held={"spin_share": share}, watch=watch)
+    if not validation or len(estimate.values) < len(_NAMES):
+        return estimate
+    return _with_validation(estimate, validation, law, share)
 
 
-def _throw(run: Coasting, k: int) -> list[Unknown]:
-    """Return the velocities that can be seen of a throw, as unknowns."""
+def _initial_velocities(run: CoastingTest, k: int) -> list[FreeParameter]:
+    """Return the initial velocities of run k as nuisance parameters, if the run moves in their direction."""
     few = len(run.time) // 4
-    went = np.abs(run.place[-few:].mean(axis=0) - run.place[: max(1, few // 4)].mean(axis=0))
+    travel = np.abs(run.position[-few:].mean(axis=0) - run.position[: max(1, few // 4)].mean(axis=0))
     return [
-        Unknown(f"{way}_{k}", "m/s", guess, guess - 2.0, guess + 2.0, 1.0, nuisance=True)
-        for way, guess, far in zip(_WAYS, run.velocity, went, strict=True)
-        if far > _SEEN * _NOISE
+        FreeParameter(f"{direction}_{k}", "m/s", guess, guess - 2.0, guess + 2.0, 1.0, nuisance=True)
+        for direction, guess, distance in zip(_DIRECTIONS, run.velocity, travel, strict=True)
+        if distance > _MIN_TRAVEL * _NOISE_M
     ]
 
 
-def _missed(run: Coasting, k: int, values: Mapping[str, float], law: str, share: float) -> list[Residual]:
-    """Return residuals of throw k by direction; where it began is their mean, and taken out."""
-    thrown = values.get(f"along_{k}", 0.0), values.get(f"across_{k}", 0.0)
+def _coasting_residuals(
+    run: CoastingTest, k: int, values: Mapping[str, float], law: str, share: float
+) -> list[Residual]:
+    """Return the residuals of run k by direction; subtracting their mean fits the initial position."""
+    velocity = values.get(f"along_{k}", 0.0), values.get(f"across_{k}", 0.0)
     mu_t, mu_n = (values[name] for name in _NAMES)
-    off = run.place - slide(thrown, run.time, law=law, mu_t=mu_t, mu_n=mu_n, share=share)
+    difference = run.position - slide(velocity, run.time, law=law, mu_t=mu_t, mu_n=mu_n, share=share)
     return [
-        Residual(f"{run.name} {way}", "m", column - column.mean(), _NOISE)
-        for way, column in zip(_WAYS, off.T, strict=True)
+        Residual(f"{run.name} {direction}", "m", column - column.mean(), _NOISE_M)
+        for direction, column in zip(_DIRECTIONS, difference.T, strict=True)
     ]
 
 
-def _validated(found: Estimate, validation: Sequence[Coasting], law: str, share: float) -> Estimate:
-    """Return the estimate with residuals of throws that it has not seen, each thrown as suits it best."""
+def _with_validation(
+    estimate: FitEstimate, validation: Sequence[CoastingTest], law: str, share: float
+) -> FitEstimate:
+    """Return the estimate with the residuals of validation runs, whose initial velocities are fitted."""
     added: list[Residual] = []
     for run in validation:
 
-        def residuals(values: Mapping[str, float], run: Coasting = run) -> list[Residual]:
-            return _missed(run, 0, {**found.values, **values}, law, share)
+        def residuals(values: Mapping[str, float], run: CoastingTest = run) -> list[Residual]:
+            return _coasting_residuals(run, 0, {**estimate.values, **values}, law, share)
 
-        thrown = _throw(run, 0)
-        seen = least_squares(residuals, thrown).residuals if thrown else residuals({})
-        added += [replace(each, role="validation") for each in seen]
-    return replace(found, residuals=(*found.residuals, *added))
+        velocities = _initial_velocities(run, 0)
+        new = least_squares(residuals, velocities).residuals if velocities else residuals({})
+        added += [replace(residual, role="validation") for residual in new]
+    return replace(estimate, residuals=(*estimate.residuals, *added))

@@ -1,9 +1,9 @@
-"""Locomotion: what is left to find when friction and actuators are known, from runs of the crawling robot.
+"""Fits of friction, lengths, masses or stiffness to runs of the crawling robot.
 
-Either plant is driven as the robot was and held against what was measured: by period-averaged speed and yaw
-rate (`averages`), by path, heading and bends over time (`shapes`), or by both. Of the masses only their
-ratios act, and stiffness and damping only over them; with bends as given (`complete`) stiffness does not
-act at all. The verdicts say so, whatever is asked for.
+Either plant is driven by the recorded valve states. Its motion is compared with the measured one by
+period-averaged speed and yaw rate (`averages`), by path, heading and bends over time (`shapes`), or by both.
+Only ratios of the masses have an effect, and stiffness and damping only relative to them; with prescribed
+bends (`complete`) the stiffness has none. Such parameters are reported as not identifiable.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ import numpy as np
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
-from srs_twin.identification.estimate import Estimate, Parameter, Residual, Role
-from srs_twin.identification.fit_file import DataSet, trajectory_hash, with_roles
+from srs_twin.identification.estimate import FitEstimate, Parameter, Residual, Role
+from srs_twin.identification.fit_file import DataSet, assign_roles, trajectory_hash
 from srs_twin.identification.least_squares import Search, SearchOptions, Watch, least_squares
-from srs_twin.identification.unknowns import unknowns, with_values
+from srs_twin.identification.parameters import free_parameters, with_values
 from srs_twin.plants.base import Plant
 from srs_twin.pneumatics import Pneumatics
 from srs_twin.recordings.body.trajectories import numbered_columns
@@ -33,7 +33,6 @@ from srs_twin.trajectory import Trajectory
 PLANTS = ("analytical", "twin")
 AGAINST = ("averages", "shapes", "both")
 
-# What a measured value may be off by, and units; a bend by what markers leave of it, if that is more.
 NOISE = {
     "speed": (2e-3, "m/s"),
     "yaw_rate": (1e-2, "rad/s"),
@@ -41,35 +40,43 @@ NOISE = {
     "heading": (2e-2, "rad"),
     "bend": (2e-2, "rad"),
 }
-_STEPS = (3e-2, 0.1)
-"""Of differences, in z, fine and coarse: the analytical plants have kinks."""
+"""Expected standard deviation and unit of a signal; a bend's is larger if its markers give a larger error."""
 
-MOST_TWIN_RUNS = 150
-"""How often a search runs the twin through all recordings at most."""
+_STEP = 3e-2
+"""Step of differences in z for the analytical plants, which have kinks."""
+
+_COARSE_STEP = 0.1
+"""Coarse step in z for the analytical plants."""
+
+MAX_TWIN_RUNS = 150
+"""Largest number of times that a search simulates all recordings with the twin."""
 
 _CLOSE_STEPS = {"tolerance": 2e-5}  # m/s
-"""Settings with which an analytical plant is fitted: friction is resolved ten times as closely as by default.
-With the default, differences between runs are those of the step control."""
+"""Settings of an analytical plant in a fit: the tolerance of the friction is a tenth of the default one,
+with which differences between runs are dominated by the step control."""
 
 _COMPLIANT_STEPS = _CLOSE_STEPS | {"timestep": 0.0005, "slip_speed": 0.001}  # s, m/s
-"""The same for `compliant`, whose steps have a fixed length. With the default (2 ms, 0.25 mm/s) the sum of
-squares has many minima a few standard errors apart, and derivatives contain this ripple. The slip speed is
-that of the twin."""
+"""Settings of `compliant` in a fit, which has a fixed time step. With the default (2 ms, 0.25 mm/s) the sum
+of squares has many local minima a few standard errors apart, and derivatives contain this ripple. The slip
+speed is that of the twin."""
 
-_DIVERGED = 1e3
-_RATE = 50.0  # Hz: at which shapes are compared at most
+_DIVERGED_RESIDUAL = 1e3
+"""Residual of all samples of a run that diverges; large, so that the search avoids such values."""
+
+_MAX_RATE_HZ = 50.0
+"""Largest sampling rate at which shapes are compared, Hz."""
 
 
 @dataclass(frozen=True)
 class GaitRun:
-    """One measured run of the crawling robot.
+    """Measured run of the crawling robot.
 
     Attributes:
-        trajectory: what was measured, from rest, with the gait's frequency in its metadata.
-        controller: what commanded the valves.
-        supply_pa: Pa, gauge.
-        name: of the data.
-        chambers: of the plant of a robot, where pressures were recorded instead of valves; None: its own.
+        trajectory: measured motion from rest, with the gait frequency in its metadata.
+        controller: controller that replays the recorded valve states.
+        supply_pa: gauge pressure of the supply, Pa.
+        name: name of the data.
+        chambers: pneumatic model for a robot, if pressures were recorded instead of valves; else None.
     """
 
     trajectory: Trajectory
@@ -79,18 +86,18 @@ class GaitRun:
     chambers: Callable[[RobotSpec], Pneumatics] | None = None
 
     def data_set(self, role: Role) -> DataSet:
-        """Return what a fit says of these data."""
+        """Return name, hash and size of the data."""
         return DataSet(self.name, trajectory_hash(self.trajectory), role, len(self.trajectory))
 
 
 @dataclass(frozen=True)
 class PlantModel:
-    """Which plant stands for the robot.
+    """Plant with which the robot is simulated.
 
     Attributes:
         plant: "analytical" or "twin".
-        settings: as the plant takes them, such as model="compliant", friction="wheel"; they replace the
-            finer steps of fits against the analytical plant.
+        settings: settings of the plant, such as model="compliant", friction="wheel"; they replace the finer
+            steps that fits use for the analytical plant.
     """
 
     plant: str = "analytical"
@@ -101,22 +108,36 @@ class PlantModel:
             raise UnknownNameError("plant", self.plant, PLANTS)
 
     def search_options(self, against: str) -> SearchOptions:
-        """Return how a search suits the plant.
+        """Return the settings of a search with this plant.
 
-        The twin's motion is smooth to 1e-3 in z. But its path and heading follow the unknowns only up to
-        1e-2, and farther off they say nothing; its bends follow them up to 1, so they lead the search. What
-        data tell is judged over the few per cent that they leave open. `compliant` has kinks as the twin has,
-        finer ones, but all of its signals follow the unknowns.
+        The twin's motion is smooth down to 1e-3 in z. Its path and heading are monotonic in the parameters
+        only within 1e-2, but its bends within 1, so the first stage uses the bends. Identifiability is judged
+        over the few per cent that the data leave undetermined. `compliant` has finer kinks than the twin, and
+        all its signals are monotonic.
         """
         if self.plant == "twin":
-            guide = None if against == "averages" else lambda each: " bend_" in each.name
-            return SearchOptions(3e-3, 3e-2, 3e-4, guide, telling=3e-2, enough=1e-2, most_runs=MOST_TWIN_RUNS)
+            uses_shapes = against != "averages"
+            return SearchOptions(
+                step=3e-3,
+                coarse_step=3e-2,
+                tolerance=3e-4,
+                first_stage=(lambda residual: " bend_" in residual.name) if uses_shapes else None,
+                identifiability_step=3e-2,
+                target_rms=1e-2,
+                max_runs=MAX_TWIN_RUNS,
+            )
         if self.settings.get("model") == "compliant":
-            return SearchOptions(1e-2, 3e-2, 1e-4, lambda each: True, telling=1e-2)
-        return SearchOptions(*_STEPS)
+            return SearchOptions(
+                step=1e-2,
+                coarse_step=3e-2,
+                tolerance=1e-4,
+                first_stage=lambda residual: True,
+                identifiability_step=1e-2,
+            )
+        return SearchOptions(_STEP, _COARSE_STEP)
 
     def build(self, spec: RobotSpec, supply_pa: float, chambers: Pneumatics | None = None) -> Plant:
-        """Return the plant of a robot, with chambers of its own or given ones."""
+        """Return the plant of a robot, optionally with given chambers."""
         settings = self.settings if chambers is None else {**self.settings, "pneumatics": chambers}
         if self.plant == "twin":
             from srs_twin.plants.twin.snake import TwinSnake
@@ -127,11 +148,11 @@ class PlantModel:
         steps = _COMPLIANT_STEPS if settings.get("model") == "compliant" else _CLOSE_STEPS
         return AnalyticalSnake(spec, supply_pa=supply_pa, **{**steps, **settings})
 
-    def follow(self, run: GaitRun, spec: RobotSpec) -> Trajectory:
-        """Return what the plant does when it is driven as the robot was.
+    def simulate(self, run: GaitRun, spec: RobotSpec) -> Trajectory:
+        """Return the motion of the plant under the valve states of a run.
 
         Raises:
-            DivergedError: it diverges.
+            DivergedError: the simulation diverges.
         """
         plant = self.build(spec, run.supply_pa, run.chambers(spec) if run.chambers else None)
         span = float(run.trajectory.time[-1] - run.trajectory.time[0])
@@ -140,7 +161,7 @@ class PlantModel:
 
 
 _Data = tuple[GaitRun, dict[str, np.ndarray], Role]
-"""A run, its signals and its role."""
+"""Run, its measured signals and its role."""
 
 
 def fit_locomotion(
@@ -155,124 +176,137 @@ def fit_locomotion(
     watch: Watch | None = None,
     reference: PlantModel | None = None,
     known: Sequence[Parameter] = (),
-) -> Estimate:
-    """Return what gait runs tell of a robot.
+) -> FitEstimate:
+    """Fit parameters of a robot to gait runs.
 
     Args:
-        runs: what was measured.
-        spec: the robot that the search starts from; what is not asked for is held at its values.
-        names: what is unknown, see `unknowns`.
-        model: the plant that stands for the robot; default the analytical one.
-        against: "averages", "shapes" or "both".
-        validation: runs to hold the estimate against.
-        starts: how many searches; one may end in a minimum that is not the least, with a large residual.
-            Against the twin one does, where shapes lead it.
-        watch: is told how far the search is, see `least_squares`.
-        reference: a plant that is nearer to the robot than the model; shows by how much the model's own error
-            moves the estimate, see `least_squares`. None: intervals suppose that the model is right.
-        known: parameters that were measured; they are held there, and not fitted.
+        runs: measured runs.
+        spec: robot whose values are the start of the search and of the fixed parameters.
+        names: names of the free parameters, see `parameters`.
+        model: plant with which the robot is simulated; default: the analytical one.
+        against: compared signals: "averages", "shapes" or "both".
+        validation: runs for validation.
+        starts: number of searches; a single one may end in a local minimum with a large residual. With
+            shapes and the twin one is enough.
+        watch: progress callback, see `least_squares`.
+        reference: better model of the robot that shows the bias by model error, see `least_squares`; None:
+            the intervals assume that the model is right.
+        known: measured parameters, which are fixed at their values.
 
     Raises:
-        InputError: no run, too few for so many unknowns, a run without a whole gait period, or one to
-            validate with that is also fitted.
+        InputError: there is no run, there are too few for the number of parameters, a run has no complete
+            gait period, or a validation run is also fitted.
     """
     if against not in AGAINST:
         raise UnknownNameError("residual", against, AGAINST)
     model = model or PlantModel()
-    spec = with_values(spec, {each.name: each.value for each in known if each.value is not None})
-    looked_for = unknowns(spec, [name for name in names if all(name != each.name for each in known)])
-    everything = [
+    spec = with_values(
+        spec, {parameter.name: parameter.value for parameter in known if parameter.value is not None}
+    )
+    unknowns = free_parameters(
+        spec, [name for name in names if all(name != parameter.name for parameter in known)]
+    )
+    data = [
         (run, signals(run.trajectory, None, against, run.name), role)
-        for run, role in with_roles("gait runs", runs, validation)
+        for run, role in assign_roles("gait runs", runs, validation)
     ]
 
     def residuals(data: Sequence[_Data], values: Mapping[str, float]) -> list[Residual]:
         robot = with_values(spec, values)
-        found: list[Residual] = []
-        for run, seen, role in data:
+        result: list[Residual] = []
+        for run, measured, role in data:
             try:
-                predicted = signals(model.follow(run, robot), run.trajectory, against, run.name)
-                off = {name: seen[name] - predicted[name] for name in seen}
+                predicted = signals(model.simulate(run, robot), run.trajectory, against, run.name)
+                differences = {name: measured[name] - predicted[name] for name in measured}
             except DivergedError:
-                off = {name: np.full_like(each, _DIVERGED) for name, each in seen.items()}
-            for name, each in off.items():
+                differences = {
+                    name: np.full_like(signal, _DIVERGED_RESIDUAL) for name, signal in measured.items()
+                }
+            for name, difference in differences.items():
                 scale, unit = NOISE[name if name in NOISE else name.rpartition("_")[0]]
-                stated = run.trajectory.columns.get(name.replace("bend", "bend_error"))
-                if "bend" in name and stated is not None:
-                    scale = max(scale, float(np.sqrt(np.mean(stated**2))))
-                found.append(Residual(f"{run.name} {name}", unit, each, scale, role))
-        return found
+                bend_error = run.trajectory.columns.get(name.replace("bend", "bend_error"))
+                if "bend" in name and bend_error is not None:
+                    scale = max(scale, float(np.sqrt(np.mean(bend_error**2))))
+                result.append(Residual(f"{run.name} {name}", unit, difference, scale, role))
+        return result
 
     options = model.search_options(against)
-    fitted = [each for each in everything if each[2] == "fit"]
-    kept = partial(residuals, [each for each in everything if each[2] != "fit"])
+    fitted = [entry for entry in data if entry[2] == "fit"]
+    validation_residuals = partial(residuals, [entry for entry in data if entry[2] != "fit"])
 
     def refit(values: Mapping[str, float]) -> dict[str, float]:
         assert reference is not None
-        robot, made = with_values(spec, values), []  # the search starts where that of the data did
+        robot, simulated = with_values(spec, values), []
         for run, _, role in fitted:
-            moved = replace(run, trajectory=reference.follow(run, robot))
-            made.append((moved, signals(moved.trajectory, None, against, run.name), role))
-        search = Search(partial(residuals, made), looked_for, options, None)
-        return search.values(search.run(np.array([each.coordinate(each.start) for each in looked_for])).z)
+            copy = replace(run, trajectory=reference.simulate(run, robot))
+            simulated.append((copy, signals(copy.trajectory, None, against, run.name), role))
+        # The search starts where the fit did, so that both may end in the same local minimum.
+        search = Search(partial(residuals, simulated), unknowns, options, None)
+        start = np.array([unknown.coordinate(unknown.start) for unknown in unknowns])
+        return search.values(search.run(start).z)
 
-    if not looked_for and known:
-        return Estimate((), np.zeros((0, 0)), (*residuals(fitted, {}), *kept({}))).with_known(known)
-    found = least_squares(
+    if not unknowns and known:
+        all_residuals = (*residuals(fitted, {}), *validation_residuals({}))
+        return FitEstimate((), np.zeros((0, 0)), all_residuals).with_fixed(known)
+    estimate = least_squares(
         partial(residuals, fitted),
-        looked_for,
+        unknowns,
         options=options,
         starts=starts,
         watch=watch,
-        validation=kept,
+        validation=validation_residuals,
         refit=None if reference is None else refit,
     )
-    return found.with_known(known)
+    return estimate.with_fixed(known)
 
 
 def signals(
-    trajectory: Trajectory, like: Trajectory | None, against: str, name: str
+    trajectory: Trajectory, measured: Trajectory | None, against: str, name: str
 ) -> dict[str, np.ndarray]:
-    """Return what runs are compared by, name → shape (samples,).
+    """Return the signals by which runs are compared, name → shape (samples,).
 
     Args:
-        trajectory: a run.
-        like: a measured run on whose times and place to put it; None: its own.
+        trajectory: run.
+        measured: measured run to whose times and pose the run is aligned; None: the run itself is measured.
         against: one of `AGAINST`.
-        name: of the run, for messages.
+        name: name of the run for messages.
 
     Raises:
-        InputError: averages are wanted of a run that has no whole gait period.
+        InputError: averages are requested of a run without a complete gait period.
     """
-    found: dict[str, np.ndarray] = {}
+    result: dict[str, np.ndarray] = {}
     if against != "shapes":
         metrics = plant_metrics(trajectory)
         if metrics["com_speed_m_s"] is None:
-            wanted = "three whole periods and gait_frequency_hz in the metadata are wanted"
-            raise InputError(f"{name}: no average over gait periods; {wanted}")
-        found["speed"] = np.array([metrics["com_speed_m_s"]])
-        found["yaw_rate"] = np.array([metrics["yaw_rate_rad_s"]])
+            raise InputError(
+                f"{name}: no average over gait periods; three complete periods, and gait_frequency_hz in the "
+                "metadata, are needed"
+            )
+        result["speed"] = np.array([metrics["com_speed_m_s"]])
+        result["yaw_rate"] = np.array([metrics["yaw_rate_rad_s"]])
     if against != "averages":
-        found |= _shapes(trajectory, like or trajectory, moved=like is not None)
-    return found
+        result |= _shapes(trajectory, measured or trajectory, is_aligned=measured is not None)
+    return result
 
 
-def _shapes(trajectory: Trajectory, like: Trajectory, *, moved: bool) -> dict[str, np.ndarray]:
-    """Return path, heading and bends at some of the times of another run, laid upon it as well as can be."""
-    span = like.time[-1] - like.time[0]
-    count = min(len(like), int(span * _RATE) + 1)
+def _shapes(trajectory: Trajectory, measured: Trajectory, *, is_aligned: bool) -> dict[str, np.ndarray]:
+    """Return path, heading and bends at equidistant times of a measured run, aligned by a rigid motion."""
+    span = measured.time[-1] - measured.time[0]
+    count = min(len(measured), int(span * _MAX_RATE_HZ) + 1)
     clock = np.linspace(0.0, span, count)
 
-    def at(run: Trajectory, values: np.ndarray) -> np.ndarray:
+    def resample(run: Trajectory, values: np.ndarray) -> np.ndarray:
         flat = values.reshape(len(run), -1).T
-        return np.stack([np.interp(clock, run.time - run.time[0], each) for each in flat], axis=1)
+        return np.stack([np.interp(clock, run.time - run.time[0], column) for column in flat], axis=1)
 
-    path, heading = at(trajectory, trajectory.com), at(trajectory, trajectory["heading"])[:, 0]
-    if moved:
-        other, aim = at(like, like.com), at(like, like["heading"])[:, 0]
-        turn = float((aim - heading).mean())
+    path, heading = resample(trajectory, trajectory.com), resample(trajectory, trajectory["heading"])[:, 0]
+    if is_aligned:
+        # A plant starts at the origin: only the shape of the path is compared, not its place.
+        target = resample(measured, measured.com)
+        target_heading = resample(measured, measured["heading"])[:, 0]
+        turn = float((target_heading - heading).mean())
         c, s = math.cos(turn), math.sin(turn)
-        path = (path - path.mean(axis=0)) @ np.array([[c, s], [-s, c]]) + other.mean(axis=0)
+        path = (path - path.mean(axis=0)) @ np.array([[c, s], [-s, c]]) + target.mean(axis=0)
         heading = heading + turn
-    found = {"path_x": path[:, 0], "path_y": path[:, 1], "heading": heading}
-    return found | numbered_columns("bend", at(trajectory, trajectory.stack("bend")))
+    shapes = {"path_x": path[:, 0], "path_y": path[:, 1], "heading": heading}
+    return shapes | numbered_columns("bend", resample(trajectory, trajectory.stack("bend")))

@@ -1,4 +1,4 @@
-"""Options of commands that fit."""
+"""Options of the fitting commands."""
 
 from __future__ import annotations
 
@@ -8,34 +8,26 @@ from typing import Annotated
 from srs_twin.cli.options import JsonOption, QuietOption, argument, option
 
 FITS = "calibration/fits"
+"""Default folder of fit files."""
 
+FilesArgument = Annotated[list[str], argument("FILE", "Recordings or tables to fit.")]
+RobotOption = Annotated[str, option("--robot -r ROBOT", "Initial robot, shipped or a file.")]
 
-FilesArgument = Annotated[list[str], argument("FILE", "Recordings or tables that the fit is made from.")]
-
-
-RobotOption = Annotated[str, option("--robot -r ROBOT", "Where the search starts: shipped, or a file.")]
-
-
-_VALIDATE = "Held against the fit, which does not see it; repeatable."
-
-
+_VALIDATE = "Recording or table for validation, not used by the fit (repeatable)."
 ValidateOption = Annotated[list[str] | None, option("--validate FILE", _VALIDATE)]
 
-
-_FIND = "What to look for, as friction.mu_t,friction.mu_n."
-
-
+_FIND = "Parameters to fit, as friction.mu_t,friction.mu_n."
 FindOption = Annotated[str | None, option("--find NAMES", _FIND)]
 
 
 @dataclass(frozen=True)
 class FitOptions:
-    """Where a fit goes, and whether to be quiet.
+    """Output files of a fit, and how it is reported.
 
     Options:
-        name: Of the fit and its file. [default: ROBOT_WHAT]
-        out: Its file. [default: calibration/fits/NAME.yaml]
-        overwrite: Replace the fit of another command.
+        name: Name of the fit and its file. [default: ROBOT_WHAT]
+        out: Fit file. [default: calibration/fits/NAME.yaml]
+        overwrite: Replace an existing fit by another command.
     """
 
     name: Annotated[str | None, option("--name NAME")] = None

@@ -1,23 +1,24 @@
-r"""Paths of a crawling snake, averaged over periods: speed, curvature, edges, transients.
+r"""Period-averaged path of a crawling snake: speed, curvature, edges and transients.
 
-A pose is a point of the path and the direction of the path there, as a planner has it. With arcs of curvature
-κ and length L as motions
+A pose is a point of the path and the direction of the path there. An arc of curvature κ and length L is the
+motion
 
 $$ A_κ(L) = \Bigl(L\,\mathrm{sinc}\tfrac{κL}{2},\; \text{at the angle}\; \tfrac{κL}{2};\;\; κL\Bigr), $$
 
-poses are put after each other: P ∘ A is where the arc leads from P. Arrays of poses have one leading axis.
+and P ∘ A is the pose at the end of the arc that starts at P. Arrays of poses have one leading axis.
 
-`SteadyPath` is how a snake crawls under one offset (Fig. 58, Table 8). `transient` measures what a change of
-offset does to the path, against the instant change that the dissertation assumes: at the time t_s of the
-change the path is at the pose P, found from the steady arc before it. An instant change would go on with the
-steady arc of the new offset, P ∘ A(v (t − t_s)). The path that is settled again goes
+`SteadyPath` describes crawling at a constant offset (Fig. 58, Table 8). `measure_transient` measures the
+effect of a change of offset relative to the dissertation's assumption of an instant change. At the time t_s
+of the change the path is at the pose P, which is extrapolated from the steady arc before it. After an instant
+change the snake would follow the steady arc of the new offset, P ∘ A(v (t − t_s)). The real path, once
+settled, is
 
 $$ P ∘ D ∘ A(v (t − t_s)) $$
 
-with one displacement D for ever: as if the snake had jumped by D at the change and followed the new arc from
-there. It is settled when each period from then on turns the body as the new offset does, but for 10 % of what
-the two offsets differ, or for twice as much as periods still differ at the end of the run: learning never
-rests.
+with a constant displacement D, as if the snake had jumped by D at the change and then followed the new arc.
+The path has settled when every later period turns the body as the new offset does, within 10 % of the
+difference between the two offsets. Learning does not come to rest, so twice the variation between periods at
+the end of the run is allowed if that is larger.
 """
 
 from __future__ import annotations
@@ -40,8 +41,11 @@ from srs_twin.planning.footprint import Transient
 from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 
-_STRAIGHT = 1e-9  # 1/m: an arc of less curvature is a line to rounding
-_SMALL_TURN = 1e-4  # rad: below it a series is better than a quotient of two small numbers
+_STRAIGHT_PER_M = 1e-9
+"""Curvature below which an arc is a line, within rounding."""
+
+_SMALL_TURN_RAD = 1e-4
+"""Turn below which a series is more accurate than a quotient of two small numbers."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +53,8 @@ class Poses:
     """Poses, or motions from one pose to another.
 
     Attributes:
-        place: x + i y, shape (n,) or (), m.
-        heading: same shape, rad.
+        place: position x + i y, shape (n,) or (), m.
+        heading: heading, same shape, rad.
     """
 
     place: np.ndarray
@@ -58,60 +62,60 @@ class Poses:
 
     @classmethod
     def arc(cls, curvature: float, length: np.ndarray | float) -> Poses:
-        """Return the motions A_κ(L); negative lengths (m) lead back."""
+        """Return the motions A_κ(L); a negative length (m) is a motion backward."""
         half = curvature * np.asarray(length, dtype=float) / 2
         return cls(length * np.sinc(half / np.pi) * np.exp(1j * half), 2 * half)
 
-    def then(self, other: Poses) -> Poses:
-        """Return self ∘ other: the other motion begun at this pose."""
+    def compose(self, other: Poses) -> Poses:
+        """Return self ∘ other, the end of the other motion when it starts at this pose."""
         return Poses(self.place + np.exp(1j * self.heading) * other.place, self.heading + other.heading)
 
     def inverse(self) -> Poses:
-        """Return the motion that undoes this one."""
+        """Return the inverse motion."""
         return Poses(-np.exp(-1j * self.heading) * self.place, -self.heading)
 
     def mean(self) -> Poses:
-        """Return the mean of poses that lie close to each other."""
+        """Return the mean of poses that are close to each other."""
         return Poses(np.asarray(self.place.mean()), np.asarray(self.heading.mean()))
 
     def coordinates(self, points: np.ndarray, curvature: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return path coordinates of points about arcs through these poses, as `planning.swept` has them.
+        """Return the coordinates of points relative to arcs through these poses, as in `planning.swept`.
 
         Args:
-            points: shape (n, points, 2), m; with a single pose any first axis.
-            curvature: of the arcs, 1/m.
+            points: points, shape (n, points, 2), m; with a single pose n is arbitrary.
+            curvature: curvature of the arcs, 1/m.
 
         Returns:
-            Place along the arc from the pose, and distance to its left, each (n, points), m.
+            Position along the arc from the pose, and distance to the left of the arc, each (n, points), m.
         """
-        away = points[..., 0] + 1j * points[..., 1] - self.place[..., None]
-        away = away * np.exp(-1j * self.heading)[..., None]
-        u, w = away.real, away.imag
+        relative = points[..., 0] + 1j * points[..., 1] - self.place[..., None]
+        relative = relative * np.exp(-1j * self.heading)[..., None]
+        u, w = relative.real, relative.imag
         across, down = curvature * u, 1 - curvature * w
         left = (2 * w - curvature * (u**2 + w**2)) / (1 + np.hypot(across, down))
-        along = np.arctan2(across, down) / curvature if abs(curvature) > _STRAIGHT else u
+        along = np.arctan2(across, down) / curvature if abs(curvature) > _STRAIGHT_PER_M else u
         return along, left
 
 
-def averaged_path(trajectory: Trajectory, window: GaitWindow) -> tuple[np.ndarray, Poses]:
+def period_averaged_path(trajectory: Trajectory, window: GaitWindow) -> tuple[np.ndarray, Poses]:
     """Return times (s) and poses of the period-averaged path of the centre of mass in a window.
 
-    Each pose is in the middle of a period, its direction that of the period's chord. The mean of an arc lies
-    inside of it, by (1 − sinc(φ/2))/κ where a period turns by φ; that is put back. What the body sways in a
-    period is in single poses still; means over whole periods of them are free of it.
+    Each pose is that at the middle of a period, with the direction of the period's chord. The mean over an
+    arc lies inside it, by (1 − sinc(φ/2))/κ for a turn φ per period; this is corrected. Single poses still
+    contain the sway of the body within a period, but means of them over whole periods do not.
 
     Args:
-        trajectory: one run.
-        window: K periods, in which the snake is taken to turn at one rate.
+        trajectory: run.
+        window: K periods, in which the turning rate is taken as constant.
 
     Returns:
-        (instants,) each, over K − 1 periods.
+        Times and poses, (instants,) each, over K − 1 periods.
     """
     mean, velocity = window.running_mean(trajectory, trajectory.com)
     turn = float(window.running_mean(trajectory, trajectory["heading"])[1].mean()) * window.period
     chord = (velocity[:, 0] + 1j * velocity[:, 1]) * window.period
     half = turn / 2
-    inside = half / 12 if abs(half) < _SMALL_TURN else (1 - np.sinc(half / np.pi)) / (2 * np.sin(half))
+    inside = half / 12 if abs(half) < _SMALL_TURN_RAD else (1 - np.sinc(half / np.pi)) / (2 * np.sin(half))
     place = mean[:, 0] + 1j * mean[:, 1] - 1j * inside * chord
     times = window.times(window.periods - 1) + window.period / 2
     return times, Poses(place, np.unwrap(np.angle(chord)))
@@ -119,15 +123,15 @@ def averaged_path(trajectory: Trajectory, window: GaitWindow) -> tuple[np.ndarra
 
 @dataclass(frozen=True)
 class SteadyPath:
-    """How a snake goes its arc.
+    """Steady crawling along an arc.
 
     Attributes:
-        speed: of the centre of mass along the arc, m/s.
-        curvature: 1/m, positive to the left.
-        left: how far the body reaches to the left of the arc, m.
-        right: … to the right, m.
-        ahead: … before the centre of mass along the arc, m.
-        behind: … after it, m.
+        speed: speed of the centre of mass along the arc, m/s.
+        curvature: curvature of the arc, 1/m, positive to the left.
+        left: farthest extent of the body to the left of the arc, m.
+        right: farthest extent to the right of the arc, m.
+        ahead: farthest extent in front of the centre of mass along the arc, m.
+        behind: farthest extent behind the centre of mass along the arc, m.
     """
 
     speed: float
@@ -138,70 +142,75 @@ class SteadyPath:
     behind: float
 
     @classmethod
-    def of(cls, trajectory: Trajectory, geometry: Geometry, window: GaitWindow) -> SteadyPath:
-        """Measure whole periods of a run.
+    def measure(cls, trajectory: Trajectory, geometry: Geometry, window: GaitWindow) -> SteadyPath:
+        """Measure the steady path over whole periods of a run.
 
-        The body is the band of its width about its centre line, not its connectors alone: between two of
-        them it bulges; it is round at both ends.
+        The body is the band of the robot's width about its centre line, with round ends. The connectors alone
+        would not do, as the band bulges between them.
 
         Args:
-            trajectory: one run.
-            geometry: of its robot.
-            window: three periods or more.
+            trajectory: run.
+            geometry: geometry of its robot.
+            window: three or more periods.
 
         Raises:
-            InputError: the snake gets nowhere, or backward.
+            InputError: the snake does not move forward.
         """
         chords, turns = displacement_per_period(trajectory, window)
         chord, turn = float(chords.mean()), float(turns.mean())
         if not chord >= MIN_TRAVEL_BODY_LENGTHS * body_length(trajectory):
             raise InputError(
-                f"the snake goes {1000 * chord:.3g} mm ahead in a gait period, so that it has no footprint; "
-                "another pressure or frequency may help"
+                f"the snake moves {1000 * chord:.3g} mm ahead in a gait period, too little for a footprint; "
+                "try another pressure or frequency"
             )
         speed = chord / window.period / float(np.sinc(turn / (2 * np.pi)))
         curvature = path_curvature(chord, turn)
-        times, poses = averaged_path(trajectory, window)
-        begin = poses.then(Poses.arc(curvature, speed * (window.start - times))).mean()
-        seen = (trajectory.time >= window.start - 1e-9) & (trajectory.time <= window.end + 1e-9)
-        on_the_arc = begin.then(Poses.arc(curvature, speed * (trajectory.time[seen] - window.start)))
-        along, left = on_the_arc.coordinates(body_sides(trajectory, geometry)[seen], curvature)
-        # Head and tail are round; the twin collides them so.
-        ends, aside = on_the_arc.coordinates(trajectory.position[seen][:, [0, -1]], curvature)
-        reach = geometry.width / 2 / (1 - curvature * aside)  # of their discs, as angles seen from the centre
-        reach = np.arcsin(curvature * reach) / curvature if abs(curvature) > _STRAIGHT else reach
-        ahead = max(along.max(), (ends + reach).max())
-        behind = max(-along.min(), (reach - ends).max())
+        times, poses = period_averaged_path(trajectory, window)
+        begin = poses.compose(Poses.arc(curvature, speed * (window.start - times))).mean()
+        in_window = (trajectory.time >= window.start - 1e-9) & (trajectory.time <= window.end + 1e-9)
+        on_arc = begin.compose(Poses.arc(curvature, speed * (trajectory.time[in_window] - window.start)))
+        along, left = on_arc.coordinates(body_sides(trajectory, geometry)[in_window], curvature)
+        # Head and tail are discs, as in the twin's collision geometry.
+        ends, offset = on_arc.coordinates(trajectory.position[in_window][:, [0, -1]], curvature)
+        extent = (
+            geometry.width / 2 / (1 - curvature * offset)
+        )  # of the discs, as angles about the arc's centre
+        if abs(curvature) > _STRAIGHT_PER_M:
+            extent = np.arcsin(curvature * extent) / curvature
+        ahead = max(along.max(), (ends + extent).max())
+        behind = max(-along.min(), (extent - ends).max())
         return cls(speed, curvature, *map(float, (left.max(), -left.min(), ahead, behind)))
 
 
-def mean_path(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPath]:
-    """Return one path for repeated measurements, and by how much they differ: half their range.
+def average_repeats(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPath]:
+    """Return one path for repeated measurements, and half their range.
 
-    Speed and curvature are means, edges and ends the farthest reached.
+    Speed and curvature are means; the extents of the body are maxima.
     """
-    values = np.array([astuple(each) for each in repeats])
-    names = [each.name for each in fields(SteadyPath)]
-    mean = [name in ("speed", "curvature") for name in names]
-    found = np.where(mean, values.mean(axis=0), values.max(axis=0))
-    return SteadyPath(*found.tolist()), SteadyPath(*(np.ptp(values, axis=0) / 2).tolist())
+    values = np.array([astuple(repeat) for repeat in repeats])
+    names = [field.name for field in fields(SteadyPath)]
+    is_mean = [name in ("speed", "curvature") for name in names]
+    combined = np.where(is_mean, values.mean(axis=0), values.max(axis=0))
+    return SteadyPath(*combined.tolist()), SteadyPath(*(np.ptp(values, axis=0) / 2).tolist())
 
 
 BothPaths = tuple[SteadyPath, SteadyPath]
 STEADY_PERIODS = 4
-"""Over how many periods the path is looked at before a change and once it is settled."""
+"""Number of periods over which the path is averaged, before a change and after it has settled."""
+
 SETTLED = 0.1
-"""Share of the change of the turn of a period that may be missing when a change is over."""
-RESTLESS = 0.1
-"""Larger shares at the end of a run are no unrest of learning any more: the path has not settled."""
+"""Error in the turn per period, relative to its change, below which a change is complete."""
+
+MAX_UNREST = 0.1
+"""Largest such error at the end of a run; with a larger one the path has not settled."""
 
 
 @dataclass(frozen=True)
-class Change:
-    """One run in which the offset changed.
+class OffsetChange:
+    """Change of offset in a run.
 
     Attributes:
-        time: of the change, s.
+        time: time of the change, s.
         before: offset before it.
         after: offset after it.
     """
@@ -211,19 +220,20 @@ class Change:
     after: float
 
 
-def transient(
-    trajectory: Trajectory, geometry: Geometry, period: float, change: Change, paths: BothPaths
+def measure_transient(
+    trajectory: Trajectory, geometry: Geometry, period: float, change: OffsetChange, paths: BothPaths
 ) -> Transient:
     """Measure one change of offset.
 
-    Body that is still on the arc before the change does not count: a planner sweeps that with the old arc.
+    The part of the body that is still on the arc before the change does not count, as a planner includes it
+    in that arc.
 
     Args:
-        trajectory: a run with some periods before the change and, once it is over, some after it.
-        geometry: of its robot.
-        period: of the gait, s.
-        change: when and what.
-        paths: the steady path of the old offset, and that of the new one.
+        trajectory: run with some periods before the change and some after the path has settled.
+        geometry: geometry of its robot.
+        period: gait period, s.
+        change: change of offset.
+        paths: steady paths of the old and the new offset.
 
     Raises:
         InputError: the run is too short.
@@ -231,60 +241,68 @@ def transient(
     old = GaitWindow.ending_at(trajectory, period, change.time, STEADY_PERIODS)
     if old is None:
         raise InputError(f"a change of offset needs {STEADY_PERIODS} gait periods before it")
-    settled, (before, after) = _settled(trajectory, period, change.time, paths), paths
+    settled, (before, after) = _settling_time(trajectory, period, change.time, paths), paths
     end = min(settled + STEADY_PERIODS * period, float(trajectory.time[-1]))
     new = GaitWindow.ending_at(trajectory, period, end, STEADY_PERIODS)
     assert new is not None, "it begins after the change"
-    begin = _back(trajectory, old, change.time, before).mean()
-    jumped = begin.inverse().then(_back(trajectory, new, change.time, after)).mean()
+    begin = _extrapolate(trajectory, old, change.time, before).mean()
+    jump = begin.inverse().compose(_extrapolate(trajectory, new, change.time, after)).mean()
 
-    seen = (trajectory.time >= change.time - 1e-9) & (trajectory.time <= settled + 1e-9)
-    body, way = body_sides(trajectory, geometry)[seen], after.speed * (trajectory.time[seen] - change.time)
-    _, left = begin.then(Poses.arc(after.curvature, way)).coordinates(body, after.curvature)
-    # Not what the old arc sweeps up to the change, a body before it at most.
-    at, aside = begin.coordinates(body, before.curvature)
-    swept = (aside <= before.left) & (aside >= -before.right)
-    swept &= (at <= before.ahead) & (at >= -before.ahead - before.behind)
-    beyond = [np.where(swept, 0.0, out).max() for out in (left - after.left, -left - after.right)]
-    left_by, right_by = (max(float(each), 0.0) for each in beyond)
-    length, place = after.speed * (settled - change.time), jumped.place
-    turned = float(np.angle(np.exp(1j * jumped.heading)))
+    during = (trajectory.time >= change.time - 1e-9) & (trajectory.time <= settled + 1e-9)
+    body = body_sides(trajectory, geometry)[during]
+    distance = after.speed * (trajectory.time[during] - change.time)
+    _, left = begin.compose(Poses.arc(after.curvature, distance)).coordinates(body, after.curvature)
+    # Exclude the area that the old arc sweeps up to the change, at most one body length before it.
+    along, offset = begin.coordinates(body, before.curvature)
+    swept = (offset <= before.left) & (offset >= -before.right)
+    swept &= (along <= before.ahead) & (along >= -before.ahead - before.behind)
+    excess = [np.where(swept, 0.0, out).max() for out in (left - after.left, -left - after.right)]
+    left_excess, right_excess = (max(float(distance), 0.0) for distance in excess)
+    length, place = after.speed * (settled - change.time), jump.place
+    turn = float(np.angle(np.exp(1j * jump.heading)))
     return Transient(
-        change.before, change.after, left_by, right_by, length, float(place.real), float(place.imag), turned
+        change.before,
+        change.after,
+        left_excess,
+        right_excess,
+        length,
+        float(place.real),
+        float(place.imag),
+        turn,
     )
 
 
-def _settled(trajectory: Trajectory, period: float, time: float, paths: BothPaths) -> float:
-    """Return from when on (s) each period turns as the new offset does.
+def _settling_time(trajectory: Trajectory, period: float, time: float, paths: BothPaths) -> float:
+    """Return the time (s) from which each period turns as the new offset does.
 
     Raises:
-        InputError: the run ends before it is seen.
+        InputError: the run ends before the path has settled.
     """
     heading = interpolant(trajectory, trajectory["heading"])
     begins = trajectory.time[trajectory.time >= time - 1e-9]
     begins = begins[begins <= trajectory.time[-1] - period + 1e-9]
     old, new = (path.curvature * path.speed * period for path in paths)
-    missing = abs(heading(begins + period) - heading(begins) - new) / abs(new - old)
-    unrest = missing[begins >= trajectory.time[-1] - STEADY_PERIODS * period - 1e-9].max(initial=0.0)
-    off = np.flatnonzero(missing > max(SETTLED, 2 * unrest))
-    first = int(off[-1]) + 1 if len(off) else 0
-    if unrest > RESTLESS or first >= len(begins):
+    error = abs(heading(begins + period) - heading(begins) - new) / abs(new - old)
+    unrest = error[begins >= trajectory.time[-1] - STEADY_PERIODS * period - 1e-9].max(initial=0.0)
+    unsettled = np.flatnonzero(error > max(SETTLED, 2 * unrest))
+    first = int(unsettled[-1]) + 1 if len(unsettled) else 0
+    if unrest > MAX_UNREST or first >= len(begins):
         raise InputError(
-            f"the path is not settled {(trajectory.time[-1] - time) / period:.3g} gait periods after it"
+            f"the path has not settled {(trajectory.time[-1] - time) / period:.3g} gait periods after it"
         )
     return float(begins[first])
 
 
-def widest(repeats: Sequence[Transient]) -> Transient:
-    """Return one transient for the same change at several phases of the gait: widest, longest, mean jump."""
+def combine_transients(repeats: Sequence[Transient]) -> Transient:
+    """Return one transient for a change at several phases of the gait: largest extents, mean displacement."""
     first = repeats[0]
     left, right, length = (max(getattr(t, name) for t in repeats) for name in ("left", "right", "length"))
     dx, dy = (float(np.mean([getattr(t, name) for t in repeats])) for name in ("dx", "dy"))
-    turned = float(np.angle(np.mean([np.exp(1j * t.dheading) for t in repeats])))
-    return Transient(first.before, first.after, left, right, length, dx, dy, turned)
+    turn = float(np.angle(np.mean([np.exp(1j * t.dheading) for t in repeats])))
+    return Transient(first.before, first.after, left, right, length, dx, dy, turn)
 
 
-def _back(trajectory: Trajectory, window: GaitWindow, time: float, path: SteadyPath) -> Poses:
-    """Return where a steady path was, or will be, at a time (s), from each pose in a window."""
-    times, poses = averaged_path(trajectory, window)
-    return poses.then(Poses.arc(path.curvature, path.speed * (time - times)))
+def _extrapolate(trajectory: Trajectory, window: GaitWindow, time: float, path: SteadyPath) -> Poses:
+    """Return the pose of a steady path at a time (s), extrapolated from each pose in a window."""
+    times, poses = period_averaged_path(trajectory, window)
+    return poses.compose(Poses.arc(path.curvature, path.speed * (time - times)))

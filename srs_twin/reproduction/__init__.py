@@ -1,1 +1,1 @@
-"""The dissertation's claims as rows: each one statement, the runs that produce it, and a verdict a plant."""
+"""Reproduction of the dissertation: claims, the runs that they need, and a verdict for each plant."""

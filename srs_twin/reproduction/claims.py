@@ -1,6 +1,6 @@
-"""Claims: what the dissertation states, one row a statement, each with the rule by which it is met.
+"""Claims of the dissertation: statements, the runs that check them, and the rules by which they are met.
 
-The file is read into strict models; a table's entry holds its numbers, which become a row each.
+The file is validated strictly. A claim with a table contains many numbers, one row per number.
 """
 
 from __future__ import annotations
@@ -25,15 +25,20 @@ from srs_twin.scenario.fields import Section, quantity
 
 
 def _functions(module: ModuleType) -> dict[str, Callable[..., Any]]:
-    """Return the public functions that a module defines, by name."""
-    found = inspect.getmembers(module, inspect.isfunction)
-    return {name: each for name, each in found if each.__module__ == module.__name__ and name[0] != "_"}
+    """Return the public functions of a module, by name."""
+    members = inspect.getmembers(module, inspect.isfunction)
+    return {
+        name: function
+        for name, function in members
+        if function.__module__ == module.__name__ and name[0] != "_"
+    }
 
 
 COMPUTATIONS = _functions(computations)
-"""What a file names as `law`: each takes what is set, and returns ``<column>.<metric>`` → number."""
+"""Functions for the key `law`: each takes the fields `set` and returns ``<column>.<metric>`` → number."""
+
 TRACES = _functions(traces)
-"""What a file names as `trace.…`: each takes a trajectory, and returns a number or None."""
+"""Functions for metrics `trace.…`: each takes a trajectory and returns a number or None."""
 
 Plain = bool | int | float | Annotated[str, Field(max_length=200)]
 Set = Plain | Annotated[list[float], Field(min_length=1, max_length=100)]
@@ -53,47 +58,49 @@ Category = Group | Literal["shape", "by_construction", "law", "fit"]
 
 def _check_answer(text: str) -> str:
     if not text.startswith(("Yes: ", "No: ")):
-        raise ValueError("could_fail must begin with 'Yes: ' or 'No: '")
+        raise ValueError("could_fail must start with 'Yes: ' or 'No: '")
     return text
 
 
 Falsifiability = Annotated[str, Field(max_length=500), AfterValidator(_check_answer)]
-"""Whether a row could have been missed, in a sentence."""
+"""Whether a row could have been missed, in one sentence."""
 
 _BOUND = 1e9
+"""Largest magnitude of a published value."""
+
 CLAIMS_BYTES = 128 * 1024
-"""Largest file of claims: 166 rows, with the reason for each, take 72 kB."""
+"""Largest size of a claims file; 166 rows with their reasons take 72 kB."""
 
 
 class RunRequest(Section):
-    """A scenario, points of a sweep or a computation that are run."""
+    """Request for runs of a scenario or sweep, or for a computation."""
 
     scenario: Name | None = None
-    """Shipped scenario that is run."""
+    """Shipped scenario."""
     sweep: Name | None = None
-    """Shipped sweep whose points are run."""
+    """Shipped sweep."""
     law: Name | None = None
-    """Computation that takes the place of runs."""
+    """Computation, instead of runs."""
     set: Changes = {}
-    """Fields of the scenario or arguments of the computation that are otherwise."""
+    """Changed fields of the scenario, or arguments of the computation."""
     periods: float | None = quantity(3.0, 1000.0, None)
     """Simulated time in periods."""
     where: Fields = {}
-    """Points of the sweep that count: varied field and its value."""
+    """Points of the sweep that are used: varied field and its value."""
 
     @model_validator(mode="after")
-    def _one_origin(self) -> Self:
-        if sum(each is not None for each in (self.scenario, self.sweep, self.law)) != 1:
+    def _check_source(self) -> Self:
+        if sum(source is not None for source in (self.scenario, self.sweep, self.law)) != 1:
             raise ValueError("give exactly one of scenario, sweep and law")
         if self.where and self.sweep is None:
-            raise ValueError("where belongs to a sweep")
+            raise ValueError("where is only for a sweep")
         if self.periods is not None and self.scenario is None:
-            raise ValueError("periods belongs to a scenario")
+            raise ValueError("periods is only for a scenario")
         return self
 
     @property
     def kind(self) -> str:
-        """What it is: "scenario", "sweep" or "law"."""
+        """Kind of the request: "scenario", "sweep" or "law"."""
         return next(kind for kind in ("scenario", "sweep", "law") if getattr(self, kind) is not None)
 
     @property
@@ -102,26 +109,26 @@ class RunRequest(Section):
         return str(getattr(self, self.kind))
 
     def check_names(self, document: Document, loc: Loc) -> None:
-        """Report a scenario, a sweep or a computation that there is not."""
+        """Report a scenario, sweep or computation that does not exist."""
         names = COMPUTATIONS if self.kind == "law" else shipped_names(self.kind)
         if self.name not in names:
             document.report((*loc, self.kind), str(UnknownNameError(self.kind, self.name, names)))
 
 
 class Measure(RunRequest):
-    """A number that a run, the runs of a sweep or a computation give."""
+    """Number computed from a run, the runs of a sweep or a computation."""
 
     metric: Name
-    """Metric, `comparison.…`, `trace.…` (of the trajectory), or what a computation names."""
+    """Metric, `comparison.…`, `trace.…` (of the trajectory), or a result of a computation."""
     take: Take | None = None
-    """What is taken of the values of a sweep's points."""
+    """Aggregate of the values of a sweep's points."""
     plant: Literal["analytical", "twin"] | None = None
-    """Whose, whatever column is asked for."""
+    """Plant, for all columns."""
     size: bool = False
-    """Whether the sign is left out."""
+    """Whether the magnitude is used."""
 
     def check_names(self, document: Document, loc: Loc) -> None:
-        """Report a trace that there is not, besides what is run."""
+        """Report a scenario, sweep, computation or trace that does not exist."""
         super().check_names(document, loc)
         prefix, _, trace = self.metric.partition(".")
         if prefix == "trace" and trace not in TRACES:
@@ -129,52 +136,52 @@ class Measure(RunRequest):
 
 
 class Cause(Section):
-    """Cause of a miss: shown by a switch or by a section of the documentation, or presumed without either."""
+    """Cause of a missed row: shown by a switched assumption or by documentation, or presumed."""
 
     says: Name
-    """In words."""
+    """Description."""
     columns: list[Column] = ["analytical", "twin"]
-    """Which columns it explains."""
+    """Columns that it explains."""
     docs: Name | None = None
-    """Section of the documents that shows it (docs/models.md#why-they-differ)."""
+    """Section of the documentation that shows it (docs/models.md#why-they-differ)."""
     switch: Name | None = None
-    """Name of the assumption that is switched."""
+    """Name of the switched assumption."""
     set: Changes = {}
-    """Fields of the scenario that switch it: with them the row must be met."""
+    """Fields of the scenario that switch it; with them the row must be met."""
 
     @model_validator(mode="after")
-    def _one_proof(self) -> Cause:
+    def _check_evidence(self) -> Self:
         if (self.docs and self.switch) or bool(self.set) != (self.switch is not None):
             raise ValueError("give docs, or switch with set, or neither for a presumed cause")
         return self
 
 
 class TableRows(Section):
-    """How the numbers of a table become rows of their own."""
+    """Rule that makes rows from the numbers of a table."""
 
     at: Name
-    """Key of a row of the table that says where."""
+    """Key of the setting in each row of the table."""
     field: Name
-    """Field of the sweep that has this value there."""
+    """Field of the sweep with this setting."""
     sweep: Name
-    """Sweep that has a point a row."""
+    """Sweep with a point per setting."""
     columns: dict[Name, Name]
-    """Key of a row of the table → metric."""
+    """Key in a row of the table → metric."""
     signed: list[Name] = []
-    """Columns printed without a sign: that of `at`; at 0 the sign is unknown, and sizes are compared."""
+    """Columns printed without a sign, which is that of `at`; at 0 magnitudes are compared."""
     fit: list[Name] = []
     """Columns that may be used to calibrate."""
     fit_at: list[float] = []
-    """Where they may be."""
+    """Settings at which they may be used to calibrate."""
     could_fail: dict[Name, Falsifiability]
     """Column → whether its rows could have been missed."""
     could_fail_fit: Falsifiability
-    """The same of the rows that may be used to calibrate."""
+    """Whether rows that may be used to calibrate could have been missed."""
     cause: dict[Name, list[Cause]] = {}
-    """Column → why its rows are missed, as far as known."""
+    """Column → known causes of its missed rows."""
 
     @model_validator(mode="after")
-    def _every_column_could_fail(self) -> Self:
+    def _check_columns(self) -> Self:
         if self.could_fail.keys() != self.columns.keys():
             raise ValueError("could_fail needs a sentence for each of the columns, and no other")
         if not self.cause.keys() <= self.columns.keys():
@@ -182,24 +189,24 @@ class TableRows(Section):
         return self
 
     def is_fitted(self, column: str, at: float, rows: Sequence[Mapping[str, float]]) -> bool:
-        """Return whether a number may be used to calibrate, or repeats one that may, in the same column."""
+        """Return whether a number may be used to calibrate, or equals one of the same column that may."""
         if column not in self.fit:
             return False
-        this = next(row for row in rows if row[self.at] == at)
-        return this[column] in {row[column] for row in rows if row[self.at] in self.fit_at}
+        setting = next(row for row in rows if row[self.at] == at)
+        return setting[column] in {row[column] for row in rows if row[self.at] in self.fit_at}
 
 
 class Claim(Section):
-    """One statement of the dissertation, and how it is checked."""
+    """Statement of the dissertation and the rule that checks it."""
 
     id: Annotated[str, Field(pattern=r"^[a-z0-9]+([.-][a-z0-9]+)*$", max_length=80)]
     """Name of the row."""
     source: Name
     """Section, figure, table, errata."""
     robot: Literal["gen1", "gen2", "gen3", "gen4"] | None = None
-    """Generation that it is about."""
+    """Generation of the robot."""
     says: Annotated[str, Field(min_length=1, max_length=600)]
-    """The statement."""
+    """Statement."""
     use: Use
     """fit, holdout, law or shape."""
     could_fail: Falsifiability | None = None
@@ -207,7 +214,7 @@ class Claim(Section):
     tolerance: Tolerance | None = None
     """Origin of a prediction's tolerance: the dissertation's statement, its measurement error, or ours."""
     limitation: Limitation | None = None
-    """Why a prediction is no headline, whatever its tolerance."""
+    """Reason why a prediction is no headline, whatever its tolerance."""
     value: float | None = quantity(-_BOUND, _BOUND, None, unit="the unit")
     """Published value."""
     unit: Name = "1"
@@ -219,41 +226,41 @@ class Claim(Section):
     rule: Rule | None = None
     """near, below, above, or ordering: each measure larger than the next."""
     measure: Measure | None = None
-    """What is held against the value."""
+    """Measure compared with the value."""
     measures: list[Measure] = []
-    """What is combined, or put in order."""
+    """Measures that are combined or ordered."""
     combine: Combine = "value"
-    """How measures become one number."""
+    """Combination of measures into one number."""
     columns: list[Column] = ["analytical", "twin"]
-    """What is judged."""
+    """Judged columns."""
     quick: bool = False
-    """Whether --quick runs it."""
+    """Whether --quick includes the row."""
     cause: list[Cause] = []
-    """Why it is missed, as far as known."""
+    """Known causes of a missed row."""
     table: TableRows | None = None
-    """How `rows` become rows."""
+    """Rule that makes rows of `rows`."""
     rows: list[dict[Name, float]] = []
     """Numbers of a table."""
     note: Annotated[str, Field(max_length=1000)] | None = None
-    """What a reader must know."""
+    """Note for readers."""
 
     @model_validator(mode="after")
-    def _evidence(self) -> Self:
+    def _check_evidence(self) -> Self:
         if (self.could_fail is None) == (self.table is None):
             raise ValueError("could_fail is needed: 'Yes: …' or 'No: …'; a table has it in `table`")
         if (self.tolerance is None) == (self.use == "holdout"):
-            raise ValueError("tolerance belongs to every holdout, and to no other use")
+            raise ValueError("tolerance is needed for every holdout, and not allowed for other uses")
         if self.limitation is not None and self.use != "holdout":
-            raise ValueError("limitation belongs to a holdout")
+            raise ValueError("limitation is only for a holdout")
         if self.group == "headline" and not self.falsifiable:
-            raise ValueError("a headline prediction must be able to fail: could_fail must begin with Yes")
+            raise ValueError("a headline prediction must be able to fail: could_fail must start with Yes")
         return self
 
     @model_validator(mode="after")
-    def _what_belongs_together(self) -> Claim:
+    def _check_rule(self) -> Claim:
         if self.table is not None:
             if not self.rows or self.tol is None or self.rule is not None:
-                raise ValueError("a table needs rows and tol, and its rows are held near their values")
+                raise ValueError("a table needs rows and tol, and no rule, as its rows must be near")
             return self
         if self.rule is None:
             raise ValueError("a rule is needed: near, below, above or ordering")
@@ -261,7 +268,7 @@ class Claim(Section):
             raise ValueError("give either measure or measures")
         if self.rule == "ordering":
             if len(self.measures) < 2 or self.value is not None or self.combine != "value":
-                raise ValueError("ordering takes two measures or more, and no value")
+                raise ValueError("ordering needs two measures or more, and no value")
             return self
         if self.value is None:
             raise ValueError(f"{self.rule} needs a value")
@@ -273,7 +280,7 @@ class Claim(Section):
 
     @property
     def fitted(self) -> bool:
-        """Whether it may be used to calibrate, so that it is no prediction."""
+        """Whether it may be used to calibrate, so that it is not a prediction."""
         return self.use == "fit"
 
     @property
@@ -283,14 +290,14 @@ class Claim(Section):
 
     @property
     def group(self) -> Group | None:
-        """Group in which a prediction is counted; None for rows of another use."""
+        """Group of a prediction; None for other uses."""
         if self.use != "holdout":
             return None
         return self.limitation or ("own_tolerance" if self.tolerance == "ours" else "headline")
 
     @property
     def category(self) -> Category:
-        """Heading under which the row is counted: the group of a prediction, else the use."""
+        """Heading of the row: the group of a prediction, otherwise the use."""
         if self.group is not None:
             return self.group
         if self.use == "shape" and not self.falsifiable:
@@ -298,23 +305,25 @@ class Claim(Section):
         return self.use  # type: ignore[return-value]  # holdouts have a group
 
     @property
-    def taken(self) -> list[Measure]:
-        """What is measured."""
+    def all_measures(self) -> list[Measure]:
+        """All measures, single or multiple."""
         return [self.measure] if self.measure else self.measures
 
-    def switched(self, cause: Cause) -> Claim:
-        """Return the claim of scenarios whose fields are as a cause sets them."""
-        changed = [each.model_copy(update={"set": {**each.set, **cause.set}}) for each in self.taken]
-        return self.model_copy(update={"measure": None, "measures": changed})
+    def with_switch(self, cause: Cause) -> Claim:
+        """Return the claim with the fields of its scenarios changed by a cause."""
+        measures = [
+            measure.model_copy(update={"set": {**measure.set, **cause.set}}) for measure in self.all_measures
+        ]
+        return self.model_copy(update={"measure": None, "measures": measures})
 
     @property
     def low(self) -> float:
-        """Least value that is allowed; a tolerance widens a bound outward."""
+        """Smallest allowed value; a tolerance widens a bound outward."""
         return self._bound("above", -1)
 
     @property
     def high(self) -> float:
-        """Greatest value that is allowed."""
+        """Largest allowed value."""
         return self._bound("below", 1)
 
     def _bound(self, rule: Rule, side: int) -> float:
@@ -325,7 +334,7 @@ class Claim(Section):
 
     @property
     def allowed(self) -> str:
-        """What is allowed, in words."""
+        """Allowed values as text."""
         if self.rule == "ordering":
             return "each above the next"
         if math.isinf(self.low):
@@ -334,7 +343,7 @@ class Claim(Section):
 
 
 COLUMNS = get_args(Column)
-"""Who can meet a row: a plant, or a computation that needs none."""
+"""Columns of verdicts: the plants, and "alone" for computations without a plant."""
 
 
 def claims_file() -> Path:
@@ -343,69 +352,69 @@ def claims_file() -> Path:
 
 
 def load_claims(path: Path | None = None) -> tuple[Claim, ...]:
-    """Load the rows of a file of claims, the shipped one by default; a table's numbers are a row each.
+    """Load the rows of a claims file, by default the shipped one.
 
     Raises:
-        InputError: not readable.
-        InputFileError: everything that is wrong with it, one line each.
+        InputError: the file cannot be read.
+        InputFileError: the file is invalid; lists all problems, one per line.
     """
     document, claims = load_list(path or claims_file(), Claim, "claims")
     rows: list[Claim] = []
     for i, claim in claims:
-        places: list[Loc] = (
+        locs: list[Loc] = (
             [(i, "measure")] if claim.measure else [(i, "measures", k) for k in range(len(claim.measures))]
         )
-        for loc, measure in zip(places, claim.taken, strict=True):
+        for loc, measure in zip(locs, claim.all_measures, strict=True):
             measure.check_names(document, loc)
         rows += _rows(claim)
     for name, count in Counter(row.id for row in rows).items():
         if count > 1:
-            document.report((), f"the row {name} is there {count} times")
+            document.report((), f"the row {name} is listed {count} times; list it once")
     document.raise_problems()
     return tuple(rows)
 
 
-def load_list(path: Path, model: type[Model], what: str) -> tuple[Document, list[tuple[int, Model]]]:
-    """Read a list of sections; return the document with its problems, and index and section of what is right.
+def load_list(path: Path, model: type[Model], label: str) -> tuple[Document, list[tuple[int, Model]]]:
+    """Read a list of sections; return the document with its problems, and (index, section) of the valid ones.
 
     Args:
-        path: of the file.
-        model: of each section.
-        what: what it is a list of, in words.
+        path: file.
+        model: model of each section.
+        label: name of the sections in messages, plural.
 
     Raises:
-        InputError: not readable.
+        InputError: the file cannot be read.
     """
     document = load_yaml(path, limit=CLAIMS_BYTES)
-    given = document.data if isinstance(document.data, list) else []
-    if not given:
-        document.report((), f"must be a list of {what}")
-    found = [(i, validate(model, document, each, prefix=(i,))) for i, each in enumerate(given)]
-    return document, [(i, each) for i, each in found if each is not None]
+    entries = document.data if isinstance(document.data, list) else []
+    if not entries:
+        document.report((), f"must be a list of {label}")
+    sections = [(i, validate(model, document, entry, prefix=(i,))) for i, entry in enumerate(entries)]
+    return document, [(i, section) for i, section in sections if section is not None]
 
 
-def chosen(claims: tuple[Claim, ...], only: tuple[str, ...], *, quick: bool) -> tuple[Claim, ...]:
-    """Return the rows with these names, or whose names begin with one of them and a dot; laws first.
+def select_claims(claims: tuple[Claim, ...], only: tuple[str, ...], *, quick: bool) -> tuple[Claim, ...]:
+    """Return the rows with given names, or with names that start with one and a dot; laws first.
 
     Args:
-        claims: all of them.
+        claims: all rows.
         only: names; empty: all.
-        quick: leave out what is not in the quick subset.
+        quick: whether only the quick rows are returned.
 
     Raises:
-        UnknownNameError: a name that no row has.
+        UnknownNameError: no row has this name.
     """
-    named = {name: [c for c in claims if f"{c.id}.".startswith(f"{name}.")] for name in only}
+    by_name = {name: [c for c in claims if f"{c.id}.".startswith(f"{name}.")] for name in only}
     for name in only:
-        if not named[name]:
+        if not by_name[name]:
             raise UnknownNameError("claim", name, (claim.id for claim in claims), "docs/reproduction.md")
-    wanted = {claim.id for found in named.values() for claim in found}
-    found = [each for each in claims if (not only or each.id in wanted) and (each.quick or not quick)]
-    return tuple(sorted(found, key=lambda claim: claim.use != "law"))
+    ids = {claim.id for group in by_name.values() for claim in group}
+    selected = [claim for claim in claims if (not only or claim.id in ids) and (claim.quick or not quick)]
+    return tuple(sorted(selected, key=lambda claim: claim.use != "law"))
 
 
 def _rows(claim: Claim) -> Iterator[Claim]:
-    """Yield a claim itself, of a table a row for each number."""
+    """Yield the claim itself, or one row per number of its table."""
     table = claim.table
     if table is None:
         yield claim
@@ -415,18 +424,18 @@ def _rows(claim: Claim) -> Iterator[Claim]:
         for column, metric in table.columns.items():
             value = -row[column] if column in table.signed and at < 0 else row[column]
             use: Use = "fit" if table.is_fitted(column, at, claim.rows) else claim.use
-            prediction = use == "holdout"
+            is_prediction = use == "holdout"
             size = column in table.signed and at == 0
             unit = "m/s" if metric.endswith("_m_s") else "m"
             yield claim.model_copy(
                 update={
-                    "id": f"{claim.id}.{column}.{_place(at)}",
+                    "id": f"{claim.id}.{column}.{_setting_name(at)}",
                     "says": f"{column} {value:g} {unit} at {table.at} {at:g}",
                     "use": use,
                     "cause": table.cause.get(column, []),
-                    "could_fail": table.could_fail[column] if prediction else table.could_fail_fit,
-                    "tolerance": claim.tolerance if prediction else None,
-                    "limitation": claim.limitation if prediction else None,
+                    "could_fail": table.could_fail[column] if is_prediction else table.could_fail_fit,
+                    "tolerance": claim.tolerance if is_prediction else None,
+                    "limitation": claim.limitation if is_prediction else None,
                     "rule": "near",
                     "value": value,
                     "unit": unit,
@@ -437,7 +446,7 @@ def _rows(claim: Claim) -> Iterator[Claim]:
             )
 
 
-def _place(at: float) -> str:
-    """Return a number as part of a row's name: 0.3 is p03, −0.3 is m03."""
+def _setting_name(at: float) -> str:
+    """Return a setting as part of a row's name: 0.3 is p03, −0.3 is m03."""
     sign = "m" if at < 0 else "p"
     return f"{sign}{abs(at):g}".replace(".", "") if at else "0"

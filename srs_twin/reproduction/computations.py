@@ -1,4 +1,4 @@
-"""Computations that rows need and no scenario gives: pulls, loads, changes of offset, the planner's study."""
+"""Computations of claims that no scenario covers: pulls, wheel loads, changes of offset, planner success."""
 
 from __future__ import annotations
 
@@ -18,46 +18,51 @@ if TYPE_CHECKING:
 
 Numbers = dict[str, float | None]
 
-_PULL_S, _GAINED_M_S = 1.0, 1e-3
-"""A pull lasts so long. What has come loose gains speed in the second half of it; axles that still hold only
-creep, at a speed in proportion to the pull (13 mm/s at most in generation 1)."""
-_PULLS = 12
+_PULL_S = 1.0
+"""Duration of a pull."""
+
+_MIN_GAIN_M_S = 1e-3
+"""Gain of speed in the second half of a pull by which a sliding robot is recognised. Axles that hold only
+creep, at a constant speed proportional to the pull (13 mm/s at most in generation 1)."""
+
+_BISECTIONS = 12
+"""Number of bisections of the pull."""
 
 
 def spring_car(robot: str) -> Numbers:
-    """Pull a straight snake along and across until it comes loose (Section 3.4, Eq. 17): μ = F/(m g).
+    """Return friction coefficients from pulling a straight snake (Section 3.4, Eq. 17): μ = F/(m g).
 
-    The twin is pulled by a force on every body in proportion to its mass, a level component of gravity,
-    and the coefficient bisected. The analytical model has friction as a law: the largest force over the
-    load that any connector meets in a gait is its coefficient.
+    The twin is pulled by a force on every body proportional to its mass, a horizontal component of gravity;
+    the coefficient at which it starts to slide is found by bisection. In the analytical model friction is a
+    law, so the coefficient is the largest ratio of force to load of any connector during a gait.
 
     Args:
-        robot: a shipped robot.
+        robot: name of a shipped robot.
 
     Returns:
         ``mu_t`` and ``mu_n`` of both plants.
     """
-    felt = _felt(robot)
+    mu_t, mu_n = _analytical_coefficients(robot)
     return {
-        "analytical.mu_t": felt[0],
-        "analytical.mu_n": felt[1],
-        "twin.mu_t": _loose(robot, along=True),
-        "twin.mu_n": _loose(robot, along=False),
+        "analytical.mu_t": mu_t,
+        "analytical.mu_n": mu_n,
+        "twin.mu_t": _twin_coefficient(robot, along=True),
+        "twin.mu_n": _twin_coefficient(robot, along=False),
     }
 
 
-def _loose(robot: str, *, along: bool) -> float:
-    """Return the level pull over the weight at which the twin comes loose."""
+def _twin_coefficient(robot: str, *, along: bool) -> float:
+    """Return the ratio of horizontal pull to weight at which the twin starts to slide."""
     friction = load_robot(robot).friction
     guess = friction.mu_t if along else friction.mu_n
     low, high = 0.0, 2.0 * max(guess, 0.5)
-    for _ in range(_PULLS):
+    for _ in range(_BISECTIONS):
         pull = (low + high) / 2
-        low, high = (low, pull) if _comes_loose(robot, pull, along=along) else (pull, high)
+        low, high = (low, pull) if _slides(robot, pull, along=along) else (pull, high)
     return (low + high) / 2
 
 
-def _comes_loose(robot: str, pull: float, *, along: bool) -> bool:
+def _slides(robot: str, pull: float, *, along: bool) -> bool:
     from srs_twin.plants.twin.snake import TwinSnake
 
     plant = TwinSnake(load_robot(robot))
@@ -66,105 +71,108 @@ def _comes_loose(robot: str, pull: float, *, along: bool) -> bool:
     plant.physics.model.opt.gravity[:] = (*((pull * GRAVITY, 0) if along else (0, pull * GRAVITY)), -GRAVITY)
     half = round(_PULL_S / plant.tick / 2)
     speeds = [float(np.hypot(*plant.step(vented).com_velocity)) for _ in range(2 * half)]
-    return speeds[-1] - speeds[half] > _GAINED_M_S
+    return speeds[-1] - speeds[half] > _MIN_GAIN_M_S
 
 
-def _felt(robot: str) -> tuple[float, float]:
-    """Return the largest friction over load of the analytical connectors, along and across."""
+def _analytical_coefficients(robot: str) -> tuple[float, float]:
+    """Return the largest ratios of friction to load of the analytical connectors, along and across."""
     from srs_twin.rollout import rollout
 
     scenario = load_scenario(f"{robot}_straight")
     load = scenario.robot.mass.array() * GRAVITY
-    most = np.zeros(2)
+    largest = np.zeros(2)
 
-    def look(state: SnakeState) -> None:
+    def observe(state: SnakeState) -> None:
         c, s = np.cos(state.theta), np.sin(state.theta)
         x, y = state.contact_force.T
-        felt = np.abs([x * c + y * s, y * c - x * s]) / load
-        np.maximum(most, felt.max(axis=1), out=most)
+        ratio = np.abs([x * c + y * s, y * c - x * s]) / load
+        np.maximum(largest, ratio.max(axis=1), out=largest)
 
     rollout(
-        scenario.build_plant("analytical"), scenario.build_controller(), scenario.duration, observers=(look,)
+        scenario.build_plant("analytical"),
+        scenario.build_controller(),
+        scenario.duration,
+        observers=(observe,),
     )
-    return float(most[0]), float(most[1])
+    return float(largest[0]), float(largest[1])
 
 
 def tail_load(scenario: str, frequency_hz: float) -> Numbers:
-    """Return the least load on the twin's tail over that at rest: below 0 a wheel lifts (Section 3.4.3)."""
+    """Return the twin's smallest tail load relative to rest; below 0 a wheel lifts (Section 3.4.3)."""
     from srs_twin.plants.twin.snake import TwinSnake
     from srs_twin.rollout import rollout
 
-    given = _with(load_scenario(scenario), frequency_hz=frequency_hz)
-    plant = given.build_plant("twin")
-    assert isinstance(plant, TwinSnake), "asked for"
+    loaded = _with_controller(load_scenario(scenario), frequency_hz=frequency_hz)
+    plant = loaded.build_plant("twin")
+    assert isinstance(plant, TwinSnake), "requested above"
     wheels = plant.physics.wheel_loads()[-1].size
-    rest = float(given.robot.mass.array()[-1]) * GRAVITY / wheels
-    least = math.inf
+    rest = float(loaded.robot.mass.array()[-1]) * GRAVITY / wheels
+    smallest = math.inf
 
-    def look(state: SnakeState) -> None:
-        nonlocal least
+    def observe(state: SnakeState) -> None:
+        nonlocal smallest
         if state.time > 2 / frequency_hz:
-            least = min(least, float(plant.physics.wheel_loads()[-1].min()) / rest)
+            smallest = min(smallest, float(plant.physics.wheel_loads()[-1].min()) / rest)
 
-    rollout(plant, given.build_controller(), given.duration, observers=(look,))
-    return {"twin.least": least}
+    rollout(plant, loaded.build_controller(), loaded.duration, observers=(observe,))
+    return {"twin.least": smallest}
 
 
 def change_of_offset(scenario: str, before: float, after: float, at_period: float) -> Numbers:
-    """Change the offset of a learning snake once: how its path turns first, and in the end (Section 5.3).
+    """Return the first and final curvature of the path after a change of offset with learning (Section 5.3).
 
     Args:
-        scenario: under iterative learning, which says frequency and duration.
-        before: offset at first.
-        after: offset from the change on.
-        at_period: when, in periods.
+        scenario: scenario with iterative learning.
+        before: offset before the change.
+        after: offset after the change.
+        at_period: time of the change, gait periods.
 
     Returns:
-        Of both plants ``first``: curvature over the first period after the change over the final one.
+        ``first`` of both plants: curvature over the first period after the change, relative to the final one.
     """
     from srs_twin.control.commands import ScheduledOffset
     from srs_twin.control.gait import Gait
     from srs_twin.control.learning import ILC
     from srs_twin.rollout import rollout
 
-    given = _with(load_scenario(scenario), offset=before)
-    found: Numbers = {}
+    loaded = _with_controller(load_scenario(scenario), offset=before)
+    numbers: Numbers = {}
     for plant in ("analytical", "twin"):
-        gait = given.build_controller()
-        assert isinstance(gait, Gait | ILC) and gait.frequency is not None, "scenarios of gaits only"
+        gait = loaded.build_controller()
+        assert isinstance(gait, Gait | ILC) and gait.frequency is not None, "only scenarios with gaits"
         time = at_period / gait.frequency
-        run = rollout(given.build_plant(plant), ScheduledOffset(gait, [(time, after)]), given.duration)
+        run = rollout(loaded.build_plant(plant), ScheduledOffset(gait, [(time, after)]), loaded.duration)
         first, last = (
-            _curvature(run, t, 1 / gait.frequency) for t in (time, given.duration - 1 / gait.frequency)
+            _curvature(run, t, 1 / gait.frequency) for t in (time, loaded.duration - 1 / gait.frequency)
         )
-        found[f"{plant}.first"] = first / last
-    return found
+        numbers[f"{plant}.first"] = first / last
+    return numbers
 
 
 def _curvature(run: Trajectory, begin: float, period: float) -> float:
-    """Return the turn of one period over the way of the centre of mass, 1/m."""
+    """Return the turn over one period divided by the distance of the centre of mass, 1/m."""
     times = np.array([begin, begin + period])
     heading = np.interp(times, run.time, run["heading"])
     x, y = (np.interp(times, run.time, run[name]) for name in ("com_x", "com_y"))
     return float(np.diff(heading)[0] / np.hypot(np.diff(x)[0], np.diff(y)[0]))
 
 
-def _with(scenario: Scenario, **controller: float) -> Scenario:
-    """Return a scenario whose controller has other numbers."""
+def _with_controller(scenario: Scenario, **controller: float) -> Scenario:
+    """Return a scenario with other controller settings."""
     document = dict(scenario.document)
     return parse_scenario(document | {"controller": {**document["controller"], **controller}})
 
 
 def planner_success(planner: str, draws: int) -> Numbers:
-    """Plan in the field of Fig. 54 with 1 to 18 obstacles (Fig. 55).
+    """Return the success rates of a planner in the field of Fig. 54 with 1 to 18 obstacles (Fig. 55).
 
     Args:
-        planner: "greedy", the text's, or "best_first".
-        draws: of the obstacles, for each count.
+        planner: "greedy", the dissertation's, or "best_first".
+        draws: number of random fields for each number of obstacles.
 
     Returns:
-        ``count_1`` … ``count_18``: shares of draws with a path; ``trend``: their rank correlation with the
-        count, −1 where success falls at every step.
+        ``count_1`` … ``count_18``: share of fields with a path. ``trend``: rank correlation of the share with
+        the number of obstacles, −1 if the share decreases at every step.
     """
     from scipy.stats import spearmanr
 
@@ -180,26 +188,26 @@ def planner_success(planner: str, draws: int) -> Numbers:
     shares = []
     for count in counts:
         problems = (Problem(FIG54_START, FIG54_GOAL, fig54_world(count, k), body, arcs) for k in range(draws))
-        shares.append(sum(plan(each, planner=planner).found for each in problems) / draws)
+        shares.append(sum(plan(problem, planner=planner).found for problem in problems) / draws)
     trend = float(spearmanr(list(counts), shares).statistic)
-    found: Numbers = {f"alone.count_{count}": share for count, share in zip(counts, shares, strict=True)}
-    return found | {"alone.trend": None if math.isnan(trend) else trend}
+    numbers: Numbers = {f"alone.count_{count}": share for count, share in zip(counts, shares, strict=True)}
+    return numbers | {"alone.trend": None if math.isnan(trend) else trend}
 
 
 def bend_at(robot: str, pressure_psi: float) -> Numbers:
-    """Return the bend of a free module at a pressure by the robot's gain, degrees (Section 2.1)."""
+    """Return the bend of an unloaded module at a pressure by the robot's gain, degrees (Section 2.1)."""
     actuator = load_robot(robot).actuator
     pascal = 6894.757 * pressure_psi
     return {"alone.bend_deg": math.degrees(actuator.gain * pascal)}
 
 
 def turn_limit(speed_m_s: float, radius_m: float) -> Numbers:
-    """Return how fast a circle of Table 8 is turned along, degrees a second (Section 5.3)."""
+    """Return the turning rate on a circle of Table 8, degrees per second (Section 5.3)."""
     return {"alone.turn_deg_s": math.degrees(speed_m_s / radius_m)}
 
 
 def footprint_edges(footprint: str) -> Numbers:
-    """Return a footprint's width going straight and its shift at the tightest turn, m (Table 9)."""
+    """Return a footprint's width when straight, and its shift at the largest curvature, m (Table 9)."""
     from srs_twin.planning.footprint import load_footprint
 
     body = load_footprint(footprint)
@@ -212,7 +220,7 @@ def footprint_edges(footprint: str) -> Numbers:
 
 
 def primitive_error(count: int, turn_rad: float, length_m: float) -> Numbers:
-    """Return how far the planner's arcs end from where Eq. 33 (signs put right, E7) has them at most, m."""
+    """Return the largest distance between ends of the planner's arcs and Eq. 33 (signs as in E7), m."""
     from srs_twin.planning.arcs import Primitives
     from srs_twin.robot.world import Pose
 

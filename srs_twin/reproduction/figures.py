@@ -1,7 +1,6 @@
-"""The dissertation's figures drawn again from the runs that are there, in the order of the text.
+"""Figures of the dissertation, drawn from finished runs, in the order of the dissertation.
 
-What stands in the file of figures and lacks its runs is left out; nothing is run for a picture but what
-`jobs` names.
+A figure without its runs is left out. Only `figure_jobs` requests runs for figures alone.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from srs_twin.errors import UnknownNameError
 from srs_twin.io.files import data_root
 from srs_twin.planning.pictures import following_plot
 from srs_twin.reproduction.claims import COLUMNS, Name, RunRequest, load_list
-from srs_twin.reproduction.runs import Job, Store, points_of, sweep_of
+from srs_twin.reproduction.runs import ReproductionJob, RunStore, points_of, sweep_of
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.fields import Section
 from srs_twin.scenario.loading import parse_scenario
@@ -39,78 +38,78 @@ from srs_twin.viewing.plots.runs import (
 from srs_twin.viewing.plots.style import finish, panels
 
 
-class Picture(Section):
-    """One figure, and what is run for it."""
+class FigureEntry(Section):
+    """Figure of the dissertation and the runs that it shows."""
 
     figure: Name
-    """As the text counts it: 31a."""
+    """Number in the dissertation: 31a."""
     caption: Name
-    """What is shown, and of which runs."""
+    """Caption."""
     draw: Name
-    """Which picture."""
+    """Kind of drawing, see `DRAWINGS`."""
     of: Annotated[list[RunRequest], Field(min_length=1, max_length=10)]
-    """What is run for it."""
+    """Runs of the figure."""
     metric: Name | None = None
-    """Of a sweep: what is drawn, by the sweep's own plot of it."""
+    """For a sweep: metric, drawn by the sweep's own plot of it."""
     names: list[Name] = []
-    """Of the runs, where several are drawn over each other."""
+    """Labels of the runs, if several are drawn together."""
 
 
-def load_pictures(path: Path | None = None) -> tuple[Picture, ...]:
-    """Load a file of figures, the shipped one by default.
+def load_figures(path: Path | None = None) -> tuple[FigureEntry, ...]:
+    """Load a file of figures, by default the shipped one.
 
     Raises:
-        InputError: not readable.
-        InputFileError: everything that is wrong with it, one line each.
+        InputError: the file cannot be read.
+        InputFileError: the file is invalid; lists all problems, one per line.
     """
-    place = path or data_root() / "calibration/published/figures.yaml"
-    document, pictures = load_list(place, Picture, "figures")
-    for i, picture in pictures:
-        for k, runs in enumerate(picture.of):
+    file = path or data_root() / "calibration/published/figures.yaml"
+    document, entries = load_list(file, FigureEntry, "figures")
+    for i, entry in entries:
+        for k, runs in enumerate(entry.of):
             runs.check_names(document, (i, "of", k))
-        if picture.draw not in DRAWINGS:
-            document.report((i, "draw"), str(UnknownNameError("picture", picture.draw, DRAWINGS)))
+        if entry.draw not in DRAWINGS:
+            document.report((i, "draw"), str(UnknownNameError("picture", entry.draw, DRAWINGS)))
     document.raise_problems()
-    return tuple(picture for _, picture in pictures)
+    return tuple(entry for _, entry in entries)
 
 
-def jobs(pictures: tuple[Picture, ...], store: Store) -> list[Job]:
-    """Return what pictures need to be run."""
-    return [job for picture in pictures for runs in picture.of for job in store.jobs(runs)]
+def figure_jobs(entries: tuple[FigureEntry, ...], store: RunStore) -> list[ReproductionJob]:
+    """Return the jobs of figures."""
+    return [job for entry in entries for runs in entry.of for job in store.jobs(runs)]
 
 
-def drawn(pictures: tuple[Picture, ...], store: Store) -> Iterator[tuple[Picture, Figure]]:
-    """Yield the pictures whose runs are there, and have what they show."""
-    for picture in pictures:
-        if all(store.row(job.key) is not None for job in jobs((picture,), store)):
-            figure = DRAWINGS[picture.draw](store, picture)
+def draw_figures(entries: tuple[FigureEntry, ...], store: RunStore) -> Iterator[tuple[FigureEntry, Figure]]:
+    """Yield the figures whose runs are finished and have the data to draw."""
+    for entry in entries:
+        if all(store.row(job.key) is not None for job in figure_jobs((entry,), store)):
+            figure = DRAWINGS[entry.draw](store, entry)
             if figure is not None:
-                yield picture, figure
+                yield entry, figure
 
 
 Trajectories = Mapping[str, Trajectory]
-Drawing = Callable[[Store, Picture], Figure | None]
+Drawing = Callable[[RunStore, FigureEntry], Figure | None]
 
 
-def _trajectories(store: Store, runs: RunRequest) -> Trajectories:
-    """Return plant → trajectory of a scenario that was run."""
+def _trajectories(store: RunStore, runs: RunRequest) -> Trajectories:
+    """Return plant → trajectory of a finished scenario."""
     (job,) = store.jobs(runs)
-    found = {plant: store.trajectory(job.key, plant) for plant in COLUMNS[:2]}
-    return {plant: run for plant, run in found.items() if run is not None}
+    trajectories = {plant: store.trajectory(job.key, plant) for plant in COLUMNS[:2]}
+    return {plant: run for plant, run in trajectories.items() if run is not None}
 
 
-def _of_runs(plot: Callable[[Trajectories], Figure]) -> Drawing:
-    """Return what draws runs by a plot that needs nothing else."""
-    return lambda store, picture: plot(_trajectories(store, picture.of[0]))
+def _from_runs(plot: Callable[[Trajectories], Figure]) -> Drawing:
+    """Return the drawing of a plot that needs only runs."""
+    return lambda store, entry: plot(_trajectories(store, entry.of[0]))
 
 
-def _of_robot(plot: Callable[[Trajectories, RobotSpec], Figure | None]) -> Drawing:
-    """Return what draws runs by a plot that needs the robot as well."""
+def _from_runs_and_robot(plot: Callable[[Trajectories, RobotSpec], Figure | None]) -> Drawing:
+    """Return the drawing of a plot that needs runs and the robot."""
 
-    def drawing(store: Store, picture: Picture) -> Figure | None:
-        (job,) = store.jobs(picture.of[0])
-        assert job.experiment is not None, "scenarios only"
-        return plot(_trajectories(store, picture.of[0]), parse_scenario(job.experiment.base).robot)
+    def drawing(store: RunStore, entry: FigureEntry) -> Figure | None:
+        (job,) = store.jobs(entry.of[0])
+        assert job.experiment is not None, "only for scenarios"
+        return plot(_trajectories(store, entry.of[0]), parse_scenario(job.experiment.base).robot)
 
     return drawing
 
@@ -120,22 +119,22 @@ def _difference(runs: Trajectories, robot: RobotSpec) -> Figure | None:
     return error_plot(compare(runs["analytical"], runs["twin"]), robot) if len(runs) == 2 else None
 
 
-def _learning(store: Store, picture: Picture) -> Figure | None:
+def _learning(store: RunStore, entry: FigureEntry) -> Figure | None:
     """Draw amplitudes, targets and duties by period (Fig. 48, 50)."""
-    runs = _trajectories(store, picture.of[0])
+    runs = _trajectories(store, entry.of[0])
     return learning_plot(runs) if all(map(is_learning, runs.values())) else None
 
 
-def _sweep(store: Store, picture: Picture) -> Figure:
-    """Draw a metric as the sweep's own file does (Fig. 31 to 33, 38, 39, 41, 44)."""
-    (runs,) = picture.of
+def _sweep(store: RunStore, entry: FigureEntry) -> Figure:
+    """Draw a metric of a sweep as its file specifies (Fig. 31 to 33, 38, 39, 41, 44)."""
+    (runs,) = entry.of
     sweep, points = sweep_of(runs.name), points_of(runs)
     rows = [store.row(job.key) for job in store.jobs(runs)]
     columns: dict[str, list[Any]] = {"status": ["done" if row else "failed" for row in rows]}
     columns |= {name: [point.changes[name] for point in points] for name in sweep.fields}
     for metric in dict.fromkeys(name for row in rows if row for name in row.values):
         columns[metric] = [row.values.get(metric) if row else None for row in rows]
-    return draw(next(plot for plot in sweep.plots if plot.metric == picture.metric), columns)
+    return draw(next(plot for plot in sweep.plots if plot.metric == entry.metric), columns)
 
 
 def _over_time(runs: Trajectories, value: Callable[[Trajectory], np.ndarray], label: str) -> Figure:
@@ -153,23 +152,25 @@ def _tail(runs: Trajectories) -> Figure:
 
 
 def _readings(runs: Trajectories) -> Figure:
-    """Draw what the embedded sensors read beside the bends (Fig. 40, 47)."""
+    """Draw sensor readings with the bends (Fig. 40, 47)."""
     count = next(iter(runs.values())).stack("bend").shape[1]
     figure, rows = panels(1.2 + 1.3 * count, count, share_y=True)
     for style, run in runs_with_styles(runs):
-        seen = run.time >= run.time[-1] - 2.0
+        last_seconds = run.time >= run.time[-1] - 2.0
+        time = run.time[last_seconds]
         for j, axes in enumerate(rows, start=1):
-            axes.plot(run.time[seen], run[f"sensed_{j}"][seen], color=style.color, linewidth=0.5, alpha=0.4)
-            axes.plot(run.time[seen], run[f"bend_{j}"][seen], **style.line)
+            readings, bends = run[f"sensed_{j}"][last_seconds], run[f"bend_{j}"][last_seconds]
+            axes.plot(time, readings, color=style.color, linewidth=0.5, alpha=0.4)
+            axes.plot(time, bends, **style.line)
             finish(axes, f"$q_{{{j}}}$ (rad)")
-    rows[0].set_title("Bends, and what the sensors read (thin)", fontsize=10)
+    rows[0].set_title("Bends, and sensor readings (thin)", fontsize=10)
     rows[0].legend(loc="upper right", fontsize=8, frameon=False, ncols=2)
     rows[-1].set_xlabel("time (s)")
     return figure
 
 
 def _step(runs: Trajectories, robot: RobotSpec) -> Figure:
-    """Draw the step to 8 psi beside Eq. 14 with the robot's time constants, the published ones (Fig. 20)."""
+    """Draw the step to 8 psi and Eq. 14 with the robot's time constants, the published ones (Fig. 20)."""
     figure = _over_time(runs, lambda run: run["bend_1"], "bend (rad)")
     axes, slow, fast = figure.axes[0], robot.actuator.tau_fill, robot.actuator.tau_mode
     time = np.linspace(0, 1, 400)
@@ -181,11 +182,11 @@ def _step(runs: Trajectories, robot: RobotSpec) -> Figure:
     return figure
 
 
-def _paths(store: Store, picture: Picture) -> Figure:
-    """Draw the paths of several runs over each other, each with its name (Fig. 34, 37)."""
+def _paths(store: RunStore, entry: FigureEntry) -> Figure:
+    """Draw the labelled paths of several runs (Fig. 34, 37)."""
     figure, (axes,) = panels(4.5)
-    colors = colormaps["viridis"](np.linspace(0.0, 0.9, len(picture.of)))
-    for name, color, runs in zip(picture.names, colors, picture.of, strict=True):
+    colors = colormaps["viridis"](np.linspace(0.0, 0.9, len(entry.of)))
+    for name, color, runs in zip(entry.names, colors, entry.of, strict=True):
         for style, run in runs_with_styles(_trajectories(store, runs)):
             axes.plot(*run.com.T, color=color, linestyle=style.dash, label=f"{name}, {style.label}")
     axes.set_aspect("equal", adjustable="datalim")
@@ -194,33 +195,33 @@ def _paths(store: Store, picture: Picture) -> Figure:
     return figure
 
 
-def _success(store: Store, picture: Picture) -> Figure:
-    """Draw the planner's success against the number of obstacles (Fig. 55)."""
-    (job,) = store.jobs(picture.of[0])
+def _success(store: RunStore, entry: FigureEntry) -> Figure:
+    """Draw the planner's success rate over the number of obstacles (Fig. 55)."""
+    (job,) = store.jobs(entry.of[0])
     row = store.row(job.key)
     shares = {count: row.values.get(f"alone.count_{count}") for count in range(1, 19)} if row else {}
     known = {count: share for count, share in shares.items() if share is not None}
     figure, (axes,) = panels(3.2)
     axes.plot([*known], [*known.values()], color="0.2", marker="o", markersize=4)
     axes.set_ylim(0, 1.05)
-    title = "The text's greedy search, 50 draws each"
+    title = "The dissertation's greedy search, 50 draws per number of obstacles"
     finish(axes, "share of draws with a path", "obstacles", title=title)
     return figure
 
 
 DRAWINGS: Mapping[str, Drawing] = {
-    "above": _of_robot(plan_view),
-    "bends": _of_runs(bend_plot),
-    "difference": _of_robot(_difference),
+    "above": _from_runs_and_robot(plan_view),
+    "bends": _from_runs(bend_plot),
+    "difference": _from_runs_and_robot(_difference),
     "learning": _learning,
     "paths": _paths,
-    "plan": _of_robot(following_plot),
-    "readings": _of_runs(_readings),
-    "speed": _of_runs(speed_plot),
-    "step": _of_robot(_step),
+    "plan": _from_runs_and_robot(following_plot),
+    "readings": _from_runs(_readings),
+    "speed": _from_runs(speed_plot),
+    "step": _from_runs_and_robot(_step),
     "success": _success,
     "sweep": _sweep,
-    "tail": _of_runs(_tail),
-    "tracking": _of_runs(tracking_plot),
+    "tail": _from_runs(_tail),
+    "tracking": _from_runs(tracking_plot),
 }
-"""What figures.yaml names as `draw`."""
+"""Drawings for the key `draw` of figures.yaml."""

@@ -1,4 +1,4 @@
-"""Reports of a reproduction: reproduce.json, reproduce.html, and rows as text."""
+"""Output of a reproduction: reproduce.json, reproduce.html, and rows as text."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from srs_twin.reproduction.verdicts import (
     EXPLAINED,
     MET,
     MISSED,
-    Judged,
+    JudgedClaim,
     Outcome,
     outcomes_document,
 )
@@ -24,7 +24,7 @@ from srs_twin.viewing.html.page import Table, colored, picture, render
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from srs_twin.reproduction.figures import Picture
+    from srs_twin.reproduction.figures import FigureEntry
 
 
 USES = ("law", "holdout", "shape", "fit")
@@ -65,84 +65,84 @@ MEANINGS: dict[Category, str] = {
     "law": "Laws are true by construction or theory; they test the program.",
     "fit": "Robots were calibrated with these values, or may be.",
 }
-"""Category → description of its rows."""
+"""Category → properties that its rows have in common."""
 
 _NOTHING = "–"
 
 
-def count(rows: Sequence[Judged], column: str, uses: Sequence[str] = USES) -> dict[str, int]:
-    """Return how many rows of a column are "met", "explained" and "missed", and "all" of them."""
+def count_verdicts(rows: Sequence[JudgedClaim], column: str, uses: Sequence[str] = USES) -> dict[str, int]:
+    """Return the numbers of rows of a column that are "met", "explained" and "missed", and of "all"."""
     verdicts = [
         row.outcomes[column].verdict for row in rows if row.claim.use in uses and column in row.outcomes
     ]
     return {name: verdicts.count(name) for name in (MET, EXPLAINED, MISSED)} | {"all": len(verdicts)}
 
 
-def by_category(rows: Sequence[Judged]) -> dict[Category, list[Judged]]:
-    """Return category → its rows, in the order of the page, including categories without rows."""
+def by_category(rows: Sequence[JudgedClaim]) -> dict[Category, list[JudgedClaim]]:
+    """Return category → its rows, in the order of the page, including empty categories."""
     return {name: [row for row in rows if row.claim.category == name] for name in TITLES}
 
 
-def summary_line(rows: Sequence[Judged]) -> str:
-    """Return in one line how many rows each plant meets, with headline predictions first."""
-    names = {"twin": "the twin meets", "analytical": "the analytical model", "alone": "without a plant"}
-    words = {
+def summary_line(rows: Sequence[JudgedClaim]) -> str:
+    """Return a sentence with the numbers of rows that each plant meets, headline predictions first."""
+    columns = {"twin": "the twin meets", "analytical": "the analytical model", "alone": "without a plant"}
+    groups = {
         "headline predictions": [row for row in rows if row.claim.group == "headline"],
         "other predictions": [row for row in rows if row.claim.group not in (None, "headline")],
         "orders and trends": by_category(rows)["shape"],
         "laws": by_category(rows)["law"],
     }
-    parts = []
-    for column, name in names.items():
-        counts = {word: count(some, column) for word, some in words.items()}
-        told = [f"{each[MET]} of {each['all']} {word}" for word, each in counts.items() if each["all"]]
-        fitted = count(rows, column, ("fit",))
+    sentences = []
+    for column, name in columns.items():
+        counts = {label: count_verdicts(group, column) for label, group in groups.items()}
+        texts = [f"{count[MET]} of {count['all']} {label}" for label, count in counts.items() if count["all"]]
+        fitted = count_verdicts(rows, column, ("fit",))
         if fitted["all"]:
-            told.append(f"(separately: {fitted[MET]} of {fitted['all']} rows for calibration)")
-        if told:
-            parts.append(f"{name} {', '.join(told).replace(', (', ' (')}")
-    return f"Of {len(rows)} rows {'; '.join(parts)}."
+            texts.append(f"(separately: {fitted[MET]} of {fitted['all']} rows for calibration)")
+        if texts:
+            sentences.append(f"{name} {', '.join(texts).replace(', (', ' (')}")
+    return f"Of {len(rows)} rows {'; '.join(sentences)}."
 
 
-def published(claim: Claim) -> str:
-    """Return the published value, or the rule of a row that has none."""
+def published_text(claim: Claim) -> str:
+    """Return the published value, or the rule of a row without one."""
     if claim.value is None:
         return "order"
     sign = {"below": "≤ ", "above": "≥ "}.get(str(claim.rule), "")
-    return f"{sign}{short(claim.value)}"
+    return f"{sign}{number_text(claim.value)}"
 
 
-def cell(outcome: Outcome | None) -> str:
-    """Return what came out, as text: one number, or those of an ordering; a dash where there is none."""
+def outcome_text(outcome: Outcome | None) -> str:
+    """Return the value of an outcome, or those of an ordering; a dash if missing."""
     if outcome is None:
         return _NOTHING
     if math.isfinite(outcome.value):
-        return short(outcome.value)
+        return number_text(outcome.value)
     known = [value for value in outcome.values if math.isfinite(value)]
     if len(known) < len(outcome.values) or not known:
         return _NOTHING
-    return " > ".join(map(short, known)) if outcome.verdict == MET else ", ".join(map(short, known))
+    return (" > " if outcome.verdict == MET else ", ").join(map(number_text, known))
 
 
-def short(value: float) -> str:
-    """Return a number with three significant digits; whole ones in full."""
+def number_text(value: float) -> str:
+    """Return a number with three significant digits, whole ones with all digits."""
     if value == 0:
         return "0"
     return str(int(value)) if float(value).is_integer() and abs(value) < 1e6 else f"{value:.3g}"
 
 
-def percent(claim: Claim, outcome: Outcome | None) -> str:
-    """Return the relative error as text, empty where there is none, or where only a bound is published."""
+def error_text(claim: Claim, outcome: Outcome | None) -> str:
+    """Return the relative error in per cent; empty if it is undefined or only a bound is published."""
     if outcome is None or claim.rule != "near" or not math.isfinite(outcome.error):
         return ""
-    whole = round(100 * outcome.error)
-    return f"{whole:+d} %" if whole else "0 %"
+    rounded = round(100 * outcome.error)
+    return f"{rounded:+d} %" if rounded else "0 %"
 
 
-def verdict(row: Judged) -> str:
-    """Return the verdict of a row in one word, or one for each plant where they differ."""
-    found = [row.outcomes[name].verdict for name in COLUMNS if name in row.outcomes]
-    return found[0] if len(set(found)) == 1 else ", ".join(found) or _NOTHING
+def verdict_text(row: JudgedClaim) -> str:
+    """Return the verdict of a row, or one per plant if they differ."""
+    verdicts = [row.outcomes[name].verdict for name in COLUMNS if name in row.outcomes]
+    return verdicts[0] if len(set(verdicts)) == 1 else ", ".join(verdicts) or _NOTHING
 
 
 _HEADINGS = (
@@ -151,25 +151,25 @@ _HEADINGS = (
 )  # fmt: skip
 
 
-def write_json(path: Path, rows: Sequence[Judged], changes: Sequence[str]) -> None:
-    """Write rows and outcomes, whole or not at all.
+def write_json(path: Path, rows: Sequence[JudgedClaim], changes: Sequence[str]) -> None:
+    """Write claims and outcomes as JSON atomically.
 
     Args:
-        path: the file; an earlier one is replaced.
-        rows: judged.
-        changes: verdicts that are not those of the baseline, in words.
+        path: file to write or replace.
+        rows: judged claims.
+        changes: changes from the baseline, as text.
 
     Raises:
-        InputError: the place cannot be written.
+        InputError: the path cannot be written.
     """
     outcomes = outcomes_document(rows)
     document = {
         "summary": {
-            column: {use: count(rows, column, (use,)) for use in USES}
+            column: {use: count_verdicts(rows, column, (use,)) for use in USES}
             for column in ("analytical", "twin", "alone")
         },
         "groups": {
-            column: {name: count(some, column) for name, some in by_category(rows).items()}
+            column: {name: count_verdicts(group, column) for name, group in by_category(rows).items()}
             for column in ("analytical", "twin", "alone")
         },
         "changed_from_baseline": list(changes),
@@ -179,29 +179,32 @@ def write_json(path: Path, rows: Sequence[Judged], changes: Sequence[str]) -> No
     write_text(path, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
-def _row(row: Judged, outcomes: Any) -> dict[str, Any]:
+def _row(row: JudgedClaim, outcomes: Any) -> dict[str, Any]:
     claim = row.claim
     names = "id source robot says use group could_fail tolerance fitted rule value unit allowed".split()
     return {name: getattr(claim, name) for name in names} | {"outcomes": outcomes}
 
 
 def write_html(
-    path: Path, rows: Sequence[Judged], figures: Sequence[tuple[Picture, Figure]], changes: Sequence[str]
+    path: Path,
+    rows: Sequence[JudgedClaim],
+    figures: Sequence[tuple[FigureEntry, Figure]],
+    changes: Sequence[str],
 ) -> None:
-    """Write the page, whole or not at all; it needs nothing from outside itself.
+    """Write the self-contained HTML page atomically.
 
     Args:
-        path: the file; an earlier one is replaced.
-        rows: judged.
-        figures: drawn again, in the order of the text.
-        changes: verdicts that are not those of the baseline, in words.
+        path: file to write or replace.
+        rows: judged claims.
+        figures: figures in the order of the dissertation.
+        changes: changes from the baseline, as text.
 
     Raises:
-        InputError: the place cannot be written.
+        InputError: the path cannot be written.
     """
     sections = {
-        TITLES[name]: Table(_HEADINGS, [_cells(row) for row in some], range(2, 8), note=MEANINGS[name])
-        for name, some in by_category(rows).items()
+        TITLES[name]: Table(_HEADINGS, [_cells(row) for row in group], range(2, 8), note=MEANINGS[name])
+        for name, group in by_category(rows).items()
     }
     content = render(
         "reproduction/report.html",
@@ -209,33 +212,33 @@ def write_html(
         subtitle=summary_line(rows),
         changes=changes,
         sections=sections,
-        figures=[picture(figure, f"Fig. {each.figure}: {each.caption}") for each, figure in figures],
+        figures=[picture(figure, f"Fig. {entry.figure}: {entry.caption}") for entry, figure in figures],
         versions=Table(["package", "version"], list(versions().items())),
     )
     write_text(path, content)
 
 
-def _cells(row: Judged) -> list[str]:
-    claim, found = row.claim, row.outcomes
+def _cells(row: JudgedClaim) -> list[str]:
+    claim, outcomes = row.claim, row.outcomes
     unit = "" if claim.unit == "1" or claim.value is None else f" {claim.unit}"
-    first, second = found.get("analytical") or found.get("alone"), found.get("twin")
-    why = dict.fromkeys(outcome.why for outcome in found.values() if outcome.why)
+    first, second = outcomes.get("analytical") or outcomes.get("alone"), outcomes.get("twin")
+    reasons = dict.fromkeys(outcome.why for outcome in outcomes.values() if outcome.why)
     return [
         claim.id,
         f"{claim.says} ({claim.source})",
-        f"{published(claim)}{unit}",
+        f"{published_text(claim)}{unit}",
         claim.allowed,
-        _colored(first),
-        percent(claim, first),
-        _colored(second),
-        percent(claim, second),
+        _colored_outcome(first),
+        error_text(claim, first),
+        _colored_outcome(second),
+        error_text(claim, second),
         claim.could_fail or "",
-        "; ".join(why),
+        "; ".join(reasons),
     ]
 
 
-def _colored(outcome: Outcome | None) -> str:
+def _colored_outcome(outcome: Outcome | None) -> str:
     if outcome is None:
         return ""
-    words = {MET: "", EXPLAINED: " (explained)", MISSED: " (missed)"}[outcome.verdict]
-    return colored(cell(outcome) + words, "met" if outcome.verdict == MET else "missed")
+    note = {MET: "", EXPLAINED: " (explained)", MISSED: " (missed)"}[outcome.verdict]
+    return colored(outcome_text(outcome) + note, "met" if outcome.verdict == MET else "missed")

@@ -1,6 +1,6 @@
-"""Runs that claims need, each under a key of all that decides it, so that rows share runs that are kept.
+"""Runs for claims, stored under a hash of all their inputs, so that claims share runs and keep finished ones.
 
-What is missing runs in worker processes; what comes of each is kept as soon as it is done.
+Missing runs are done by worker processes, and each result is stored as soon as it is finished.
 """
 
 from __future__ import annotations
@@ -29,19 +29,23 @@ from srs_twin.studies.sweep.task import DONE, Row, failed_row, run_point
 from srs_twin.trajectory import Trajectory
 
 Document = dict[str, Any]
-Alter = Callable[[Document], Document]
-Started = Callable[[int], Callable[[Row], None]]
+
+DocumentChange = Callable[[Document], Document]
+"""Function that changes a scenario document; tests inject faults with it."""
+
+ProgressFactory = Callable[[int], Callable[[Row], None]]
+"""Function called with the number of missing runs; returns a function to call with each finished row."""
 
 
 @dataclass(frozen=True)
-class Job:
-    """Something that a worker runs.
+class ReproductionJob:
+    """Scenario or computation that a worker runs.
 
     Attributes:
-        key: SHA-256 of everything that decides the results, hex.
-        experiment: the whole scenario; None of a computation.
-        law: name of the computation; None of a run.
-        arguments: of the computation.
+        key: SHA-256 of all inputs of the results, hexadecimal.
+        experiment: complete scenario; None for a computation.
+        law: name of the computation; None for a scenario.
+        arguments: arguments of the computation.
     """
 
     key: str
@@ -50,13 +54,13 @@ class Job:
     arguments: Mapping[str, Set] = field(default_factory=dict)
 
     @property
-    def keeps(self) -> bool:
-        """Whether its trajectories are kept."""
+    def stores_trajectories(self) -> bool:
+        """Whether its trajectories are stored."""
         return self.experiment is not None and self.experiment.trajectories
 
     @property
     def steps(self) -> float:
-        """How many time steps it simulates: nobody shall wait for a long one at the end."""
+        """Number of time steps; long jobs start first, so that the last one does not delay the end."""
         if self.experiment is None:
             return math.inf
         base = self.experiment.base
@@ -65,7 +69,7 @@ class Job:
 
 @cache
 def sweep_of(name: str) -> Sweep:
-    """Return a shipped sweep, loaded once."""
+    """Return a shipped sweep, cached."""
     return load_sweep(name)
 
 
@@ -76,15 +80,16 @@ def _experiment(name: str, periods: float | None) -> Experiment:
 
 
 def points_of(request: RunRequest) -> tuple[Point, ...]:
-    """Return the points of a sweep that count, in the order of their jobs."""
-    return tuple(each for each in sweep_of(request.name).points if _counts(each.changes, request.where))
+    """Return the points of a sweep that a request uses, in the order of their jobs."""
+    points = sweep_of(request.name).points
+    return tuple(point for point in points if _matches(point.changes, request.where))
 
 
-def _counts(place: Mapping[str, Plain], where: Mapping[str, Plain]) -> bool:
-    return all(_same(place[name], value) for name, value in where.items())
+def _matches(changes: Mapping[str, Plain], where: Mapping[str, Plain]) -> bool:
+    return all(_equal(changes[name], value) for name, value in where.items())
 
 
-def _same(one: Plain, other: Plain) -> bool:
+def _equal(one: Plain, other: Plain) -> bool:
     if isinstance(one, str) or isinstance(other, str):
         return one == other
     return math.isclose(one, other, rel_tol=1e-9, abs_tol=1e-12)
@@ -92,7 +97,7 @@ def _same(one: Plain, other: Plain) -> bool:
 
 @cache
 def _data_digests() -> dict[str, str]:
-    """Return the shipped robots and footprints, which computations read by name → SHA-256, hex."""
+    """Return the SHA-256 of the shipped robots and footprints, by name, as computations read them."""
     files = [path for kind in ("robot", "footprint") for path in shipped_folder(kind).glob("*.yaml")]
     return {path.stem: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(files)}
 
@@ -101,48 +106,48 @@ HTML, JSON, JUNIT = "reproduce.html", "reproduce.json", "reproduce.xml"
 
 
 @contextmanager
-def open_store(folder: Path, alter: Alter | None = None) -> Iterator[Store]:
-    """Lock a folder for what comes of runs, as a context, and see what is there.
+def open_store(folder: Path, change: DocumentChange | None = None) -> Iterator[RunStore]:
+    """Open and lock a folder of stored runs.
 
     Args:
-        folder: where it is kept; made where it is missing.
-        alter: changes the plain data of every scenario that is run (tests put faults in with it).
+        folder: folder; created if missing.
+        change: change of every scenario document before it is run, for tests.
 
     Raises:
-        InputError: the folder cannot be written, is locked, or holds something else.
+        InputError: the folder cannot be written, is locked, or contains something else.
     """
     check_output_folder(folder, (HTML, JSON, JUNIT))
     with RowStore(folder) as store:
-        yield Store(store, alter)
+        yield RunStore(store, change)
 
 
-class Store:
-    """The jobs of runs, and what came of them."""
+class RunStore:
+    """Jobs for requests and their stored results."""
 
-    def __init__(self, store: RowStore, alter: Alter | None) -> None:
-        self._store, self._alter = store, alter
+    def __init__(self, store: RowStore, change: DocumentChange | None) -> None:
+        self._store, self._change = store, change
         self._rows = {row.key: row for row in self._store.rows() if row.status == DONE}
         self._failures: dict[str, str] = {}
-        self._jobs: dict[str, Job] = {}
+        self._jobs: dict[str, ReproductionJob] = {}
         self._keys: dict[str, tuple[str, ...]] = {}
 
-    def jobs(self, request: RunRequest) -> tuple[Job, ...]:
-        """Return one job, or one a point of the sweep; what several claims need is one job.
+    def jobs(self, request: RunRequest) -> tuple[ReproductionJob, ...]:
+        """Return the job of a request, or one per point of its sweep; equal requests share jobs.
 
         Raises:
-            InputError: the scenario or sweep cannot be used.
+            InputError: the scenario or sweep is invalid.
         """
-        same = json.dumps([request.kind, request.name, request.set, request.periods, request.where])
-        if same not in self._keys:
-            made = list(self._made(request))
-            for job in made:
-                # One that keeps its trajectories also serves those that need none.
-                if job.key not in self._jobs or job.keeps:
+        text = json.dumps([request.kind, request.name, request.set, request.periods, request.where])
+        if text not in self._keys:
+            jobs = list(self._make_jobs(request))
+            for job in jobs:
+                # A job that stores trajectories replaces an equal one that does not.
+                if job.key not in self._jobs or job.stores_trajectories:
                     self._jobs[job.key] = job
-            self._keys[same] = tuple(job.key for job in made)
-        return tuple(self._jobs[key] for key in self._keys[same])
+            self._keys[text] = tuple(job.key for job in jobs)
+        return tuple(self._jobs[key] for key in self._keys[text])
 
-    def _made(self, request: RunRequest) -> Iterator[Job]:
+    def _make_jobs(self, request: RunRequest) -> Iterator[ReproductionJob]:
         if request.kind == "law":
             key = digest_of(
                 law=request.name,
@@ -151,72 +156,79 @@ class Store:
                 sources=source_digests("srs_twin.reproduction.computations"),
                 data=_data_digests(),
             )
-            yield Job(key, law=request.name, arguments=request.set)
+            yield ReproductionJob(key, law=request.name, arguments=request.set)
             return
         sweep = sweep_of(request.name) if request.kind == "sweep" else None
         experiment = sweep.experiment if sweep else _experiment(request.name, request.periods)
         for changes in [point.changes for point in points_of(request)] if sweep else [{}]:
             document = experiment.document({**changes, **request.set})  # type: ignore[dict-item]
-            if self._alter is not None:
-                document = self._alter(document)
+            if self._change is not None:
+                document = self._change(document)
             plants = experiment.plants
-            whole = Experiment(document, plants, trajectories=sweep is None)
-            yield Job(run_key(document, plants, RUNNER), whole)
+            complete = Experiment(document, plants, trajectories=sweep is None)
+            yield ReproductionJob(run_key(document, plants, RUNNER), complete)
 
-    def run(self, jobs: Iterable[Job], *, workers: int | None = None, started: Started | None = None) -> None:
-        """Run what is missing and keep what comes of each as it finishes; what fails becomes a failed row.
+    def run(
+        self,
+        jobs: Iterable[ReproductionJob],
+        *,
+        workers: int | None = None,
+        progress: ProgressFactory | None = None,
+    ) -> None:
+        """Run missing jobs and store each result as it finishes; an error gives a failed row.
 
         Args:
-            jobs: of `jobs`.
-            workers: how many processes; default one a processor.
-            started: called with the number of jobs that are due, if there are any; returns what is called
-                with every row.
+            jobs: jobs from `jobs`.
+            workers: number of processes; default: one per processor.
+            progress: called with the number of missing jobs, if there are any; returns a function that is
+                called with each row.
 
         Raises:
-            InputError: a row cannot be kept.
+            InputError: a row cannot be stored.
         """
-        # What stands under a key may have been replaced by a job that also keeps its trajectories.
-        known = [self._jobs[key] for key in dict.fromkeys(job.key for job in jobs)]
-        due = sorted((job for job in known if not self._has(job)), key=lambda job: job.steps, reverse=True)
-        if not due:
+        # A job may have been replaced by an equal one that also stores trajectories.
+        current = [self._jobs[key] for key in dict.fromkeys(job.key for job in jobs)]
+        missing = [job for job in current if not self._is_finished(job)]
+        missing.sort(key=lambda job: job.steps, reverse=True)
+        if not missing:
             return
-        finished_row = started(len(due)) if started is not None else None
+        on_row = progress(len(missing)) if progress is not None else None
         start_server("srs_twin.studies.sweep.warm")
-        with closing(run_tasks(carry_out, due, workers=workers)) as finished:
+        with closing(run_tasks(run_job, missing, workers=workers)) as finished:
             for done in finished:
-                row = done.result or failed_row(due[done.number].key, done.error)
+                row = done.result or failed_row(missing[done.number].key, done.error)
                 self._store.add(row)
                 if row.status == DONE:
                     self._rows[row.key] = row
                 else:
                     self._failures[row.key] = row.reason or "it failed"
-                if finished_row is not None:
-                    finished_row(row)
+                if on_row is not None:
+                    on_row(row)
 
     def row(self, key: str) -> Row | None:
-        """Return what came of a job; None where it was not run, or failed."""
+        """Return the result of a job; None if it has not run or has failed."""
         return self._rows.get(key)
 
     def failure(self, key: str) -> str:
-        """Return why a job failed; empty where it did not."""
+        """Return the reason why a job failed; empty if it did not."""
         return self._failures.get(key, "")
 
     def trajectory(self, key: str, plant: str) -> Trajectory | None:
-        """Return a trajectory that was kept; None where there is none."""
+        """Return a stored trajectory; None if there is none."""
         path = self._store.trajectory_file(key, plant)
         return Trajectory.from_parquet(path) if path.is_file() else None
 
-    def _has(self, job: Job) -> bool:
-        if job.key not in self._rows or job.experiment is None or not job.keeps:
+    def _is_finished(self, job: ReproductionJob) -> bool:
+        if job.key not in self._rows or job.experiment is None or not job.stores_trajectories:
             return job.key in self._rows
         return all(self._store.trajectory_file(job.key, plant).is_file() for plant in job.experiment.plants)
 
 
-def carry_out(job: Job) -> Row:
-    """Do a job, here or in a worker; what it does wrong becomes a failed row."""
+def run_job(job: ReproductionJob) -> Row:
+    """Run a job in this process; an error gives a failed row."""
     if job.experiment is not None:
         return run_point(job.experiment, Point(job.key, {}))
-    assert job.law is not None, "a job is a run or a computation"
+    assert job.law is not None, "a job is a scenario or a computation"
     start = time.perf_counter()
     try:
         values = COMPUTATIONS[job.law](**job.arguments)

@@ -1,16 +1,17 @@
-"""Scorecard: how far each capability is to be trusted, graded after NASA-STD-7009, with the figure behind it.
+"""Scorecard: credibility grades of each capability after NASA-STD-7009, with their reasons.
 
-Grades are 0 (nothing is known) to 4, and come from what is kept: verdicts of the baseline, intervals of
-`srs-twin uncertainty`, sources of the robots' numbers.
+Grades range from 0 (nothing is known) to 4. They are derived from stored results: verdicts of the baseline,
+intervals of `srs-twin uncertainty`, and sources of the robots' parameters.
 
-- verification: all laws of the dissertation met, 2; and a refined time step changes a prediction by less than
-  a fifth of what the inputs do, 3.
-- validation: headline predictions met, three quarters or more, 2; fewer, 1; none met or none there, 0.
-  Predictions of other groups (tolerance of ours, fitted robot, …) are named and count for nothing. More than
-  2 needs measurements of one's own: nothing here was validated against hardware.
-- input pedigree: share of the robot's numbers that were measured: three quarters, 3; two fifths, 2; fewer, 1.
-- uncertainty: intervals propagated from the inputs, 2; none, 0.
-- robustness: sensitivities known, 2; only trends that could have failed checked, 1; neither, 0.
+- verification: 2 if all laws of the dissertation are met; 3 if in addition a refined time step changes a
+  prediction by less than a fifth of its input uncertainty.
+- validation: 2 if three quarters of the headline predictions are met, 1 if fewer, 0 if none. Predictions of
+other
+  groups (own tolerance, fitted robot, …) are listed but not counted. More than 2 needs own measurements;
+  nothing here was validated against hardware.
+- input pedigree: share of measured robot parameters: 3 for three quarters, 2 for two fifths, 1 for fewer.
+- uncertainty: 2 if intervals were propagated from the inputs, otherwise 0.
+- robustness: 2 if sensitivities are known, 1 if only trends that could have failed were checked, otherwise 0.
 """
 
 from __future__ import annotations
@@ -41,19 +42,28 @@ _CAPABILITIES = {
     "planning": ("plan-", "eq33"),
     "following": ("follow-", "experiments", "table9"),
 }
-_APART: dict[Category, str] = {
+_OTHER_GROUPS: dict[Category, str] = {
     "own_tolerance": "own tolerance",
     "fitted_robot": "fitted",
     "tuned_controller": "tuned",
     "chosen_obstacles": "own obstacles",
     "between_models": "models",
 }
-_MOST, _MANY, _SMALL = 0.75, 0.4, 0.2
+"""Category of a prediction that is not a headline → its label."""
+
+_MOST = 0.75
+"""Share that counts as most."""
+
+_MANY = 0.4
+"""Share that counts as many."""
+
+_SMALL_NUMERICAL_ERROR = 0.2
+"""Numerical error relative to the input uncertainty that counts as small."""
 
 
 @dataclass(frozen=True)
 class Grade:
-    """A grade, 0 to 4, and the figure behind it."""
+    """Grade from 0 to 4 and the reason for it."""
 
     grade: int
     why: str
@@ -61,25 +71,26 @@ class Grade:
 
 def scorecard(claims: Sequence[Claim], baseline: Baseline) -> dict[str, dict[str, Grade]]:
     """Return capability → factor → grade."""
-    kept = [json.loads(path.read_text("utf-8")) for path in sorted((data_root() / INTERVALS).glob("*.json"))]
-    found = {}
-    for name, beginnings in _CAPABILITIES.items():
-        own = [claim for claim in claims if claim.id.startswith(beginnings)]
-        robots = sorted({claim.robot for claim in own if claim.robot})
-        intervals = [each for each in kept if each["robot"] in robots]
-        met = {name: _met(own, baseline, name) for name in TITLES}
-        found[name] = {
+    folder = data_root() / INTERVALS
+    documents = [json.loads(path.read_text("utf-8")) for path in sorted(folder.glob("*.json"))]
+    grades = {}
+    for name, prefixes in _CAPABILITIES.items():
+        own_claims = [claim for claim in claims if claim.id.startswith(prefixes)]
+        robots = sorted({claim.robot for claim in own_claims if claim.robot})
+        intervals = [document for document in documents if document["robot"] in robots]
+        met = {category: _count_met(own_claims, baseline, category) for category in TITLES}
+        grades[name] = {
             "verification": _verification(met["law"], intervals),
             "validation": _validation(met),
             "input pedigree": _pedigree(robots),
             "uncertainty": _uncertainty(intervals),
             "robustness": _robustness(met["shape"], intervals),
         }
-    return found
+    return grades
 
 
-def _met(claims: Sequence[Claim], baseline: Baseline, category: Category) -> tuple[int, int]:
-    """Return how many rows of a category the twin meets, or the program without a plant, and of how many."""
+def _count_met(claims: Sequence[Claim], baseline: Baseline, category: Category) -> tuple[int, int]:
+    """Return the number of rows of a category that the twin (or no plant) meets, and the number of rows."""
     verdicts = []
     for claim in claims:
         row = baseline.outcomes.get(claim.id, {})
@@ -95,20 +106,22 @@ def _verification(law: tuple[int, int], intervals: Sequence[Mapping[str, Any]]) 
     if met < rows:
         return Grade(1, text)
     for document in intervals:
-        spread = _target(document)
-        if spread["u_num"] is not None and spread["u_num"] < _SMALL * spread["u_input"]:
-            share = 100 * spread["u_num"] / spread["u_input"]
-            return Grade(3, f"{text}; time step {share:.0f} % of the inputs' spread")
+        metric = _target(document)
+        if metric["u_num"] is not None and metric["u_num"] < _SMALL_NUMERICAL_ERROR * metric["u_input"]:
+            share = 100 * metric["u_num"] / metric["u_input"]
+            return Grade(3, f"{text}; time step {share:.0f} % of the input uncertainty")
     return Grade(2, text)
 
 
 def _validation(counts: Mapping[Category, tuple[int, int]]) -> Grade:
     met, rows = counts["headline"]
-    apart = ", ".join(
-        f"{words} {counts[name][0]} of {counts[name][1]}" for name, words in _APART.items() if counts[name][1]
+    other = ", ".join(
+        f"{label} {counts[name][0]} of {counts[name][1]}"
+        for name, label in _OTHER_GROUPS.items()
+        if counts[name][1]
     )
     text = f"headline {met} of {rows}" if rows else "no headline"
-    text += f" (apart: {apart})" if apart else ""
+    text += f" (separately: {other})" if other else ""
     grade = 0 if not met else 2 if met >= _MOST * rows else 1
     return Grade(grade, f"{text}; {UNVALIDATED}")
 
@@ -125,10 +138,10 @@ def _pedigree(robots: Sequence[str]) -> Grade:
 
 def _uncertainty(intervals: Sequence[Mapping[str, Any]]) -> Grade:
     for document in intervals:
-        spread, target = _target(document), document["target"]
-        low, high = spread["interval_95"]
-        stated = spread["published"]
-        verdict = "" if stated is None else f", published {stated:.3g} {spread['verdict']}"
+        metric, target = _target(document), document["target"]
+        low, high = metric["interval_95"]
+        published = metric["published"]
+        verdict = "" if published is None else f", published {published:.3g} {metric['verdict']}"
         return Grade(2, f"{document['scenario']}, {target['metric']}: {low:.3g} to {high:.3g}{verdict}")
     return Grade(0, "no intervals")
 
@@ -138,11 +151,12 @@ def _robustness(trends: tuple[int, int], intervals: Sequence[Mapping[str, Any]])
     for document in intervals:
         indices = _target(document)["sensitivity"]
         if indices:
-            most = max(indices, key=lambda name: float(indices[name]["total"]))
-            return Grade(2, f"most from {most}, {100 * indices[most]['total']:.0f} %; {text}")
+            largest = max(indices, key=lambda name: float(indices[name]["total"]))
+            return Grade(2, f"most from {largest}, {100 * indices[largest]['total']:.0f} %; {text}")
     return Grade(1 if trends[1] else 0, text)
 
 
 def _target(document: Mapping[str, Any]) -> Mapping[str, Any]:
-    found: Mapping[str, Any] = document["plants"][document["target"]["plant"]][document["target"]["metric"]]
-    return found
+    target = document["target"]
+    metric: Mapping[str, Any] = document["plants"][target["plant"]][target["metric"]]
+    return metric

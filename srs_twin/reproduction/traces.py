@@ -1,4 +1,4 @@
-"""Numbers read off a trajectory that rows need and no metric is: drifts, regularity, time constants."""
+"""Quantities of a trajectory that claims need and no metric covers: drifts, regularity, time constants."""
 
 from __future__ import annotations
 
@@ -14,12 +14,14 @@ from srs_twin.robot.geometry import arc_between, measured_bend, pair_heading
 from srs_twin.trajectory import Trajectory
 
 _MARKER_M = 0.01
-"""Half the distance of the two markers of a connector."""
+"""Distance of each of the two markers of a connector from its centre."""
+
 _ARC_POINTS = 101
+"""Number of points of an arc."""
 
 
 def tail_drift(run: Trajectory) -> float | None:
-    """Return how fast the tail's heading drifts, rad/s: the slope of its mean over gait periods (Fig. 30)."""
+    """Return the drift of the tail's heading, rad/s: slope of its mean over gait periods (Fig. 30)."""
     window = GaitWindow.from_trajectory(run)
     if window is None:
         return None
@@ -28,26 +30,26 @@ def tail_drift(run: Trajectory) -> float | None:
 
 
 def speed_regularity(run: Trajectory) -> float | None:
-    """Return how much the speed of the centre of mass repeats: its correlation a gait period later."""
+    """Return the correlation of the speed of the centre of mass with itself one gait period later."""
     window = GaitWindow.from_trajectory(run)
     if window is None:
         return None
     rate = 1 / float(np.median(np.diff(run.time)))
     speed = np.hypot(*(np.gradient(run.com, run.time, axis=0).T))
-    apart = round(window.period * rate)
-    steady = speed[round(2 * apart) :]
-    if len(steady) < 2 * apart:
+    lag = round(window.period * rate)
+    steady = speed[round(2 * lag) :]
+    if len(steady) < 2 * lag:
         return None
-    return float(np.corrcoef(steady[:-apart], steady[apart:])[0, 1])
+    return float(np.corrcoef(steady[:-lag], steady[lag:])[0, 1])
 
 
 def third_harmonic(run: Trajectory) -> float | None:
-    """Return the largest third harmonic of a bend over its first: 1/3 of a square wave, 0 of a sine."""
+    """Return the largest ratio of a bend's third harmonic to its first; 1/3 for a square wave."""
     window = GaitWindow.from_trajectory(run)
     if window is None:
         return None
-    seen = (run.time >= window.start - 1e-9) & (run.time <= window.end + 1e-9)
-    time, bends = run.time[seen], run.stack("bend")[seen]
+    in_window = (run.time >= window.start - 1e-9) & (run.time <= window.end + 1e-9)
+    time, bends = run.time[in_window], run.stack("bend")[in_window]
     frequency = 1 / window.period
     shares = [
         fit_sine(time, bend, 3 * frequency).amplitude / fit_sine(time, bend, frequency).amplitude
@@ -57,7 +59,7 @@ def third_harmonic(run: Trajectory) -> float | None:
 
 
 def sensor_error(run: Trajectory) -> float | None:
-    """Return the RMS of reading less bend over all segments, over the RMS of the bends."""
+    """Return the RMS of the sensor error over all segments, relative to the RMS of the bends."""
     if not run.has("sensed_1"):
         return None
     bend = run.stack("bend")
@@ -65,31 +67,31 @@ def sensor_error(run: Trajectory) -> float | None:
 
 
 def algorithm_1_error(run: Trajectory) -> float | None:
-    """Return the largest error of the bends of Algorithm 1 (Table 3), from two markers an end, rad."""
-    heading = _marked_headings(run)
-    found = measured_bend(heading[:, :-1], heading[:, 1:])
-    return float(np.abs(found - run.stack("bend")).max())
+    """Return the largest error of the bends of Algorithm 1 (Table 3), from two markers per connector, rad."""
+    heading = _marker_headings(run)
+    bend = measured_bend(heading[:, :-1], heading[:, 1:])
+    return float(np.abs(bend - run.stack("bend")).max())
 
 
 def algorithm_2_error(run: Trajectory) -> float | None:
-    """Return by how much the arcs of Algorithm 2 (Table 4) are off a segment's length at most, over it.
+    """Return the largest relative error of the arc lengths of Algorithm 2 (Table 4).
 
-    They go through the connectors with the curvature that Algorithm 1 gives. Only of robots without rigid
-    gaps, whose segments are arcs from end to end.
+    The arcs go through the connectors with the curvature of Algorithm 1. This is only for robots without
+    rigid gaps, whose segments are complete arcs.
     """
     length = body_length(run) / (run.position.shape[1] - 1)
-    place, heading = run.position, _marked_headings(run)
+    position, heading = run.position, _marker_headings(run)
     curvature = measured_bend(heading[:, :-1], heading[:, 1:]) / length
-    arcs = arc_between(place[:, :-1], place[:, 1:], curvature, points=_ARC_POINTS)
-    found = np.linalg.norm(np.diff(arcs, axis=-2), axis=-1).sum(axis=-1)
-    return float(np.abs(found / length - 1).max())
+    arcs = arc_between(position[:, :-1], position[:, 1:], curvature, points=_ARC_POINTS)
+    arc_length = np.linalg.norm(np.diff(arcs, axis=-2), axis=-1).sum(axis=-1)
+    return float(np.abs(arc_length / length - 1).max())
 
 
-def _marked_headings(run: Trajectory) -> np.ndarray:
-    """Return headings from markers a centimetre ahead of and behind each connector, (samples, N), rad."""
+def _marker_headings(run: Trajectory) -> np.ndarray:
+    """Return headings from markers 1 cm in front of and behind each connector, (samples, N), rad."""
     theta = run.stack("theta")
-    along = _MARKER_M * np.stack([np.cos(theta), np.sin(theta)], axis=-1)
-    return pair_heading(run.position - along, run.position + along)
+    offset = _MARKER_M * np.stack([np.cos(theta), np.sin(theta)], axis=-1)
+    return pair_heading(run.position - offset, run.position + offset)
 
 
 def step_tau_1(run: Trajectory) -> float | None:
@@ -108,7 +110,7 @@ def step_c0(run: Trajectory) -> float:
 
 
 def step_c1(run: Trajectory) -> float:
-    """Return C₁ of Eq. 14, rad: what makes bend and rate zero at the start (E2)."""
+    """Return C₁ of Eq. 14, rad, which makes bend and rate zero at the start (E2)."""
     slow, fast = _time_constants(run)
     return -step_c0(run) * slow / (slow - fast)
 
@@ -119,13 +121,13 @@ def step_c2(run: Trajectory) -> float:
 
 
 def step_a(run: Trajectory) -> float:
-    """Return 1/(τ₁τ₂), which the text calls a, 1/s² (E1)."""
+    """Return a = 1/(τ₁τ₂) in the dissertation's notation, 1/s² (E1)."""
     slow, fast = _time_constants(run)
     return 1 / (slow * fast)
 
 
 def step_b(run: Trajectory) -> float:
-    """Return 1/τ₁ + 1/τ₂, which the text calls b, 1/s (E1)."""
+    """Return b = 1/τ₁ + 1/τ₂ in the dissertation's notation, 1/s (E1)."""
     slow, fast = _time_constants(run)
     return 1 / slow + 1 / fast
 
@@ -136,55 +138,56 @@ def step_c(run: Trajectory) -> float:
 
 
 def _time_constants(run: Trajectory) -> tuple[float, float]:
-    """Return τ₁ and τ₂ of an overdamped step response, from the moments of what is missing at each time.
+    """Return τ₁ and τ₂ of an overdamped step response y from the moments of 1 − y.
 
-    ∫(1 − y) dt = τ₁ + τ₂ and ∫ t (1 − y) dt = τ₁² + τ₁τ₂ + τ₂²: no fit, no start values.
+    ∫(1 − y) dt = τ₁ + τ₂ and ∫ t (1 − y) dt = τ₁² + τ₁τ₂ + τ₂², so that neither a fit nor initial values are
+    needed.
     """
-    missing = 1 - run["bend_1"] / run["bend_1"][-1]
-    total = float(np.trapezoid(missing, run.time))
-    moment = float(np.trapezoid(run.time * missing, run.time))
+    remainder = 1 - run["bend_1"] / run["bend_1"][-1]
+    total = float(np.trapezoid(remainder, run.time))
+    moment = float(np.trapezoid(run.time * remainder, run.time))
     product = total**2 - moment
     root = math.sqrt(max(total**2 / 4 - product, 0.0))
     return total / 2 + root, total / 2 - root
 
 
 def learning_law_error(run: Trajectory) -> float:
-    """Return by how much a duty differs at most from that of Eq. 32 with k = 0.3 after the period before it.
+    """Return the largest difference of a duty from that of Eq. 32 with k = 0.3 and the previous period.
 
-    Every chamber's own error and duty of one period give its duty of the next, held between 0 and 1.
+    The error and duty of each chamber in one period determine its duty in the next, clipped to 0 to 1.
     """
-    seen = PeriodAmplitudes.from_trajectory(run)
-    asked = np.clip(seen.duty[:-1] + 0.3 * seen.error[:-1], 0, 1)
-    changed = np.isfinite(asked) & (seen.duty[1:] < 1)
-    return float(np.abs(seen.duty[1:] - asked)[changed].max(initial=0.0))
+    periods = PeriodAmplitudes.from_trajectory(run)
+    expected = np.clip(periods.duty[:-1] + 0.3 * periods.error[:-1], 0, 1)
+    is_updated = np.isfinite(expected) & (periods.duty[1:] < 1)
+    return float(np.abs(periods.duty[1:] - expected)[is_updated].max(initial=0.0))
 
 
 def free_periods(run: Trajectory) -> float:
-    """Return how many periods pass at full duty before the first target stands."""
-    seen = PeriodAmplitudes.from_trajectory(run)
-    full = (seen.duty == 1).all(axis=(1, 2))
+    """Return the number of periods at full duty before the first target is set."""
+    periods = PeriodAmplitudes.from_trajectory(run)
+    full = (periods.duty == 1).all(axis=(1, 2))
     return float(np.argmin(full) if not full.all() else len(full))
 
 
 def target_left(run: Trajectory) -> float:
-    """Return the target of the + chambers at the end, rad."""
+    """Return the final target of the + chambers, rad."""
     return float(np.nanmean(PeriodAmplitudes.from_trajectory(run).target[-1, :, 0]))
 
 
 def target_right(run: Trajectory) -> float:
-    """Return the target of the − chambers at the end, rad."""
+    """Return the final target of the − chambers, rad."""
     return float(np.nanmean(PeriodAmplitudes.from_trajectory(run).target[-1, :, 1]))
 
 
 def smallest_amplitude(run: Trajectory) -> float:
-    """Return the target over the smallest amplitude of the recorded period, the third (Section 5.1)."""
-    seen = PeriodAmplitudes.from_trajectory(run)
-    return float(np.nanmean(seen.target[-1]) / seen.amplitude[2].min())
+    """Return the target over the smallest amplitude of the recorded (third) period (Section 5.1)."""
+    periods = PeriodAmplitudes.from_trajectory(run)
+    return float(np.nanmean(periods.target[-1]) / periods.amplitude[2].min())
 
 
 def saturated_after(run: Trajectory) -> float:
-    """Return in how many periods after the first update a chamber still passes its target by 5 % or more."""
-    seen = PeriodAmplitudes.from_trajectory(run)
+    """Return the number of periods after the first update in which a chamber exceeds its target by 5 %."""
+    periods = PeriodAmplitudes.from_trajectory(run)
     begin = int(free_periods(run))
-    over: np.ndarray = seen.amplitude[begin:] > 1.05 * seen.target[begin:]
+    over: np.ndarray = periods.amplitude[begin:] > 1.05 * periods.target[begin:]
     return float(over.any(axis=(1, 2)).sum())

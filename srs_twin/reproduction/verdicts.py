@@ -1,4 +1,4 @@
-"""Verdicts: what came of a row in a column, met or missed and why, and whether that is what was committed."""
+"""Verdicts: outcome of each claim in each column, its cause if missed, and comparison with the baseline."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from srs_twin.errors import InputError
 from srs_twin.io.files import data_root, display_path, write_text
 from srs_twin.io.json_files import read_json
 from srs_twin.reproduction.claims import TRACES, Cause, Claim, Measure
-from srs_twin.reproduction.runs import Job, Started, Store
+from srs_twin.reproduction.runs import ProgressFactory, ReproductionJob, RunStore
 from srs_twin.scenario.provenance import versions
 
 MET: Final = "met"
@@ -24,7 +24,7 @@ EXPLAINED: Final = "explained"
 MISSED: Final = "missed"
 
 _NOTHING = 1e-12
-"""Numbers below are none to divide by."""
+"""Magnitude below which a number is not used as a divisor."""
 
 
 def _json(value: float, info: SerializationInfo) -> float | None:
@@ -35,21 +35,21 @@ def _json(value: float, info: SerializationInfo) -> float | None:
 
 
 Number = Annotated[
-    float, BeforeValidator(lambda given: math.nan if given is None else given), PlainSerializer(_json)
+    float, BeforeValidator(lambda value: math.nan if value is None else value), PlainSerializer(_json)
 ]
-"""A number that JSON has as null where it is none."""
+"""Number that is null in JSON if it is not finite."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a row in one column.
+    """Outcome of a claim in one column.
 
     Attributes:
-        verdict: "met"; "missed"; "explained", which is missed with a cause that is shown, and not met.
-        values: of the measures, in the row's unit; NaN where there is none.
-        value: what is held against the published one; NaN of an ordering, and where there is none.
-        error: (value − published)/|published|; NaN where there is no such number.
-        why: the cause, or why there is no value; empty where nothing is known.
+        verdict: "met", "missed", or "explained" if it is missed and the cause is shown.
+        values: values of the measures in the claim's unit; NaN if missing.
+        value: number that is compared with the published one; NaN for an ordering or if missing.
+        error: (value − published)/|published|; NaN if undefined.
+        why: cause, or reason why there is no value; empty if unknown.
     """
 
     verdict: Literal["met", "explained", "missed"]
@@ -60,94 +60,94 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Judged:
-    """A row and what came of it.
+class JudgedClaim:
+    """Claim with its outcomes.
 
     Attributes:
-        claim: the row.
-        outcomes: column → what came of it there.
+        claim: claim.
+        outcomes: column → outcome.
     """
 
     claim: Claim
     outcomes: Mapping[str, Outcome] = field(default_factory=dict)
 
 
-def judged(store: Store, claim: Claim, column: str) -> Outcome:
-    """Return what came of a row in a column, from the runs that are there.
+def judge_column(store: RunStore, claim: Claim, column: str) -> Outcome:
+    """Return the outcome of a claim in a column, from finished runs.
 
     Args:
-        store: what was run.
-        claim: the row.
+        store: store of runs.
+        claim: claim.
         column: "analytical", "twin" or "alone".
     """
-    values = tuple(_number(store, measure, column) for measure in claim.taken)
+    values = tuple(_number(store, measure, column) for measure in claim.all_measures)
     if any(math.isnan(value) for value in values):
-        return Outcome(MISSED, values, math.nan, math.nan, _reason(store, claim))
+        return Outcome(MISSED, values, math.nan, math.nan, _missing_reason(store, claim))
     if claim.rule == "ordering":
-        met = all(a > b for a, b in zip(values, values[1:], strict=False))
-        return Outcome(MET if met else MISSED, values, math.nan, math.nan)
-    value = combined(claim.combine, values)
+        is_met = all(a > b for a, b in zip(values, values[1:], strict=False))
+        return Outcome(MET if is_met else MISSED, values, math.nan, math.nan)
+    value = combine(claim.combine, values)
     assert claim.value is not None, "checked by the file's model"
     error = (value - claim.value) / abs(claim.value) if claim.value else math.nan
-    met = claim.low <= value <= claim.high
-    return Outcome(MET if met else MISSED, values, value, error)
+    is_met = claim.low <= value <= claim.high
+    return Outcome(MET if is_met else MISSED, values, value, error)
 
 
-def _number(store: Store, measure: Measure, column: str) -> float:
+def _number(store: RunStore, measure: Measure, column: str) -> float:
     owner = measure.plant or column
     values = np.array([_value(store, job, owner, measure.metric) for job in store.jobs(measure)])
     if measure.size:
         values = np.abs(values)
     if not len(values) or (measure.take is None and len(values) > 1):
         return math.nan
-    return float(taken(measure.take, values))
+    return float(aggregate(measure.take, values))
 
 
-def _value(store: Store, job: Job, owner: str, metric: str) -> float:
+def _value(store: RunStore, job: ReproductionJob, owner: str, metric: str) -> float:
     row = store.row(job.key)
     if row is None:
         return math.nan
     kind, _, name = metric.partition(".")
     if kind == "trace":
         trajectory = store.trajectory(job.key, owner)
-        found = None if trajectory is None else TRACES[name](trajectory)
+        value = None if trajectory is None else TRACES[name](trajectory)
     else:
-        found = row.values.get(metric if kind == "comparison" else f"{owner}.{metric}")
-    return math.nan if found is None else float(found)
+        value = row.values.get(metric if kind == "comparison" else f"{owner}.{metric}")
+    return math.nan if value is None else float(value)
 
 
-def _reason(store: Store, claim: Claim) -> str:
-    """Say why there is no number."""
-    failed = (store.failure(job.key) for measure in claim.taken for job in store.jobs(measure))
-    said = next(filter(None, failed), "there is no such number in the run")
-    return f"no value: {said}"
+def _missing_reason(store: RunStore, claim: Claim) -> str:
+    """Return the reason why a claim has no value."""
+    failures = (store.failure(job.key) for measure in claim.all_measures for job in store.jobs(measure))
+    reason = next(filter(None, failures), "the run has no such number")
+    return f"no value: {reason}"
 
 
-def combined(how: str, values: tuple[float, ...]) -> float:
-    """Return one number of one measure or two; NaN where it would divide by nothing.
+def combine(combination: str, values: tuple[float, ...]) -> float:
+    """Return the combination of one or two measures; NaN for a division by zero.
 
     Args:
-        how: "value", "ratio" a/b, "excess" a/b − 1, "difference" a − b, or "unevenness" |a + b|/|a|.
-        values: of the measures.
+        combination: "value", "ratio" a/b, "excess" a/b − 1, "difference" a − b, or "unevenness" |a + b|/|a|.
+        values: values of the measures.
     """
     a, b = values[0], values[-1]
-    if how == "difference":
+    if combination == "difference":
         return a - b
-    if how == "unevenness":
+    if combination == "unevenness":
         return abs(a + b) / abs(a) if abs(a) > _NOTHING else math.nan
-    if how in ("ratio", "excess"):
+    if combination in ("ratio", "excess"):
         ratio = a / b if abs(b) > _NOTHING else math.nan
-        return ratio - 1 if how == "excess" else ratio
+        return ratio - 1 if combination == "excess" else ratio
     return a
 
 
-def taken(how: str | None, values: np.ndarray) -> float:
-    """Return what is taken of the values of several runs; NaN as soon as one of them has none."""
-    if how == "most":
+def aggregate(name: str | None, values: np.ndarray) -> float:
+    """Return an aggregate of the values of several runs, "most", "least", "spread" or the mean."""
+    if name == "most":
         return float(values.max())
-    if how == "least":
+    if name == "least":
         return float(values.min())
-    if how == "spread":
+    if name == "spread":
         return float(np.ptp(values) / abs(values.mean())) if abs(values.mean()) > _NOTHING else math.nan
     return float(values.mean())
 
@@ -158,31 +158,31 @@ _OUTCOMES = TypeAdapter(Mapping[str, Mapping[str, Outcome]])
 
 @dataclass(frozen=True)
 class Baseline:
-    """What came of each row when the baseline was written.
+    """Outcomes at the time when the baseline was written.
 
     Attributes:
-        outcomes: row → column → outcome.
-        versions: package → version that it was written with.
+        outcomes: claim → column → outcome.
+        versions: package → version at that time.
     """
 
     outcomes: Mapping[str, Mapping[str, Outcome]]
     versions: Mapping[str, str]
 
-    def changes(self, rows: Sequence[Judged]) -> list[str]:
-        """Return a line for each verdict that is not the one it was; a row that is new has no change.
+    def changes(self, rows: Sequence[JudgedClaim]) -> list[str]:
+        """Return a line for each changed verdict; a new claim is not a change.
 
-        A better verdict is a change as well: a tolerance may have been widened.
+        A better verdict is a change as well, because a tolerance may have been widened.
 
         Args:
-            rows: judged now.
+            rows: present verdicts.
         """
-        found = []
+        lines = []
         for row in rows:
             for column, outcome in row.outcomes.items():
                 before = self.outcomes.get(row.claim.id, {}).get(column)
                 if before is not None and outcome.verdict != before.verdict:
-                    found.append(f"{row.claim.id}, {column}: {outcome.verdict}, was {before.verdict}")
-        return found
+                    lines.append(f"{row.claim.id}, {column}: {outcome.verdict}, was {before.verdict}")
+        return lines
 
 
 def baseline_file() -> Path:
@@ -191,78 +191,91 @@ def baseline_file() -> Path:
 
 
 def load_baseline(path: Path | None = None) -> Baseline:
-    """Load a baseline, the shipped one by default.
+    """Load a baseline, by default the shipped one.
 
     Raises:
-        InputError: it is not there, or none of ours.
+        InputError: the file does not exist or is not a baseline.
     """
-    place = path or baseline_file()
+    file = path or baseline_file()
     try:
-        given = read_json(place)
-        return Baseline(_OUTCOMES.validate_python(given["rows"]), dict(given["versions"]))
+        document = read_json(file)
+        return Baseline(_OUTCOMES.validate_python(document["rows"]), dict(document["versions"]))
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{display_path(place)}: not a baseline; --write-baseline writes one") from error
+        raise InputError(f"{display_path(file)}: not a baseline; --write-baseline writes one") from error
 
 
-def write_baseline(rows: Sequence[Judged], path: Path | None = None) -> Path:
-    """Write the outcomes of rows as the baseline, whole or not at all; return where.
+def write_baseline(rows: Sequence[JudgedClaim], path: Path | None = None) -> Path:
+    """Write outcomes as the baseline atomically; return its path.
 
     Raises:
-        InputError: it cannot be written.
+        InputError: the path cannot be written.
     """
-    place = path or baseline_file()
+    file = path or baseline_file()
     document = {"versions": versions(), "rows": outcomes_document(rows, digits=4)}
-    write_text(place, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
-    return place
+    write_text(file, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
+    return file
 
 
-def outcomes_document(rows: Sequence[Judged], *, digits: int | None = None) -> dict[str, Any]:
-    """Return outcomes as JSON values: row → column → verdict, values, value, error, why.
+def outcomes_document(rows: Sequence[JudgedClaim], *, digits: int | None = None) -> dict[str, Any]:
+    """Return outcomes as JSON values: claim → column → verdict, values, value, error, why.
 
     Args:
-        rows: judged.
-        digits: significant ones that are kept; None: all.
+        rows: judged claims.
+        digits: number of significant digits; None: all.
     """
-    found = {row.claim.id: row.outcomes for row in rows}
-    return _OUTCOMES.dump_python(found, mode="json", context={"digits": digits})
+    outcomes = {row.claim.id: row.outcomes for row in rows}
+    return _OUTCOMES.dump_python(outcomes, mode="json", context={"digits": digits})
 
 
 def judge(
-    claims: Sequence[Claim], store: Store, *, workers: int | None = None, started: Started | None = None
-) -> tuple[Judged, ...]:
-    """Run what rows need and is not there yet, and judge them; then run what may explain those missed.
+    claims: Sequence[Claim],
+    store: RunStore,
+    *,
+    workers: int | None = None,
+    progress: ProgressFactory | None = None,
+) -> tuple[JudgedClaim, ...]:
+    """Run and judge claims, then run the switched assumptions that may explain missed ones.
 
     Args:
-        claims: the rows.
-        store: what was run before, and where new runs are kept.
-        workers: how many processes; default one a processor.
-        started: called with the number of runs that are due, before each round; returns what is called with
-            every run that is finished.
+        claims: claims.
+        store: store of runs.
+        workers: number of processes; default: one per processor.
+        progress: called with the number of missing runs before each round; returns a function that is called
+            with each finished row.
 
     Raises:
-        InputError: a scenario or sweep cannot be used, or results cannot be kept.
+        InputError: a scenario or sweep is invalid, or a result cannot be stored.
     """
 
-    def run(wanted: Iterable[Claim]) -> None:
-        jobs = [job for claim in wanted for measure in claim.taken for job in store.jobs(measure)]
-        store.run(jobs, workers=workers, started=started)
+    def run(selected: Iterable[Claim]) -> None:
+        jobs = [job for claim in selected for measure in claim.all_measures for job in store.jobs(measure)]
+        store.run(jobs, workers=workers, progress=progress)
 
     run(claims)
-    rows = [Judged(each, {name: judged(store, each, name) for name in each.columns}) for each in claims]
-    run(row.claim.switched(cause) for row in rows for cause in _to_be_shown(row))
+    rows = [
+        JudgedClaim(claim, {column: judge_column(store, claim, column) for column in claim.columns})
+        for claim in claims
+    ]
+    run(row.claim.with_switch(cause) for row in rows for cause in _switchable_causes(row))
     return tuple(
-        replace(row, outcomes={k: _explained(store, row.claim, k, each) for k, each in row.outcomes.items()})
+        replace(
+            row,
+            outcomes={
+                column: _explain(store, row.claim, column, outcome)
+                for column, outcome in row.outcomes.items()
+            },
+        )
         for row in rows
     )
 
 
-def _to_be_shown(row: Judged) -> list[Cause]:
-    """Return the causes that runs must show, of the columns that are missed."""
+def _switchable_causes(row: JudgedClaim) -> list[Cause]:
+    """Return the causes of missed columns that runs with a switched assumption must show."""
     missed = {name for name, outcome in row.outcomes.items() if outcome.verdict != MET}
     return [cause for cause in row.claim.cause if cause.switch is not None and missed & set(cause.columns)]
 
 
-def _explained(store: Store, claim: Claim, column: str, outcome: Outcome) -> Outcome:
+def _explain(store: RunStore, claim: Claim, column: str, outcome: Outcome) -> Outcome:
     """Return a missed outcome with the first cause that is shown, or with the presumed cause."""
     causes = [cause for cause in claim.cause if column in cause.columns]
     if outcome.verdict == MET or not causes:
@@ -272,9 +285,9 @@ def _explained(store: Store, claim: Claim, column: str, outcome: Outcome) -> Out
             return replace(outcome, verdict=EXPLAINED, why=f"{cause.says} ({cause.docs})")
         if cause.switch is None:
             return replace(outcome, why=f"presumed cause: {cause.says}")
-        switched = judged(store, claim.switched(cause), column)
+        switched = judge_column(store, claim.with_switch(cause), column)
         if switched.verdict == MET:
             why = f"{cause.switch}: {cause.says}; met with this assumption switched"
             return replace(outcome, verdict=EXPLAINED, why=why)
-    tried = ", ".join(f"{cause.switch}" for cause in causes)
-    return replace(outcome, why=outcome.why or f"not met either with {tried} switched")
+    switches = ", ".join(f"{cause.switch}" for cause in causes)
+    return replace(outcome, why=outcome.why or f"not met either with {switches} switched")

@@ -1,8 +1,4 @@
-<<<<<<<< HEAD:tests/comparison/test_diff.py
-"""`srs-twin diff`: changed values between two sets of results."""
-========
 """`srs-twin diff`: differences between two sets of results."""
->>>>>>>> c6:tests/cli/test_diff.py
 
 from __future__ import annotations
 
@@ -47,7 +43,7 @@ def call(capsys, *words):
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    """Return a folder with two runs of one scenario, and a run with another offset."""
+    """Return a folder with two runs of one scenario, and one of another offset."""
     folder = tmp_path_factory.mktemp("runs")
     for name, offset in (("a", 0.0), ("b", 0.0), ("c", 0.001)):
         (folder / "walk.yaml").write_text(SCENARIO.format(offset=offset))
@@ -56,31 +52,19 @@ def runs(tmp_path_factory):
     return folder
 
 
-<<<<<<<< HEAD:tests/comparison/test_diff.py
-def test_a_run_equals_itself(runs, capsys):
-========
 def test_run_has_no_difference_from_itself(runs, capsys):
->>>>>>>> c6:tests/cli/test_diff.py
     code, out, err = call(capsys, "diff", str(runs / "a"), str(runs / "b"))
     assert (code, err) == (0, "") and out.startswith("0 different, ")
     assert int(out.split()[2]) > 20  # wall times, which do differ, are left out
 
 
-<<<<<<<< HEAD:tests/comparison/test_diff.py
-def test_files_of_a_killed_run_are_ignored(runs, capsys, tmp_path):
-========
 def test_files_of_a_killed_run_are_not_results(runs, capsys, tmp_path):
->>>>>>>> c6:tests/cli/test_diff.py
     shutil.copytree(runs / "a", tmp_path / "a")
     shutil.copytree(runs / "c/walk", tmp_path / "a/walk/.part-killed/.earlier")
     assert call(capsys, "diff", str(runs / "a"), str(tmp_path / "a"))[0] == 0
 
 
-<<<<<<<< HEAD:tests/comparison/test_diff.py
-def test_a_different_offset_changes_the_yaw_rate(runs, capsys, tmp_path):
-========
 def test_changed_offset_changes_the_yaw_rate(runs, capsys, tmp_path):
->>>>>>>> c6:tests/cli/test_diff.py
     a, c = str(runs / "a/walk"), str(runs / "c/walk/metrics.json")
     report = tmp_path / "moved.xml"
     code, out, _ = call(capsys, "diff", a, c, "--json", "--junit", str(report))
@@ -95,18 +79,14 @@ def test_changed_offset_changes_the_yaw_rate(runs, capsys, tmp_path):
     assert "analytical.wall_s" not in moved and "expectations[0].met" not in moved
     (case,) = ElementTree.parse(report).iter("testcase")
     assert "analytical.yaw_rate_rad_s: " in case.find("failure").text
-    # Wide tolerances, for all metrics or for one, allow the small difference.
+    # The difference is small: wide tolerances, of all or of one metric, take it in.
     assert call(capsys, "diff", a, c, "--rel", "1", "--abs", "10")[0] == 0
     (tmp_path / "wide.yaml").write_text("metrics: {yaw_rate_rad_s: {abs: 10}}\n")
     _, out, _ = call(capsys, "diff", a, c, "--tolerances", str(tmp_path / "wide.yaml"), "--json")
     assert {each["metric"] for each in json.loads(out)["moved"]} == moved.keys() - {yaw["metric"]}
 
 
-<<<<<<<< HEAD:tests/comparison/test_diff.py
-def test_a_missing_scenario_is_a_change(runs, capsys, tmp_path):
-========
 def test_missing_scenario_is_a_difference(runs, capsys, tmp_path):
->>>>>>>> c6:tests/cli/test_diff.py
     shutil.copytree(runs / "a", tmp_path / "more")
     shutil.copytree(runs / "a/walk", tmp_path / "more/other")
     code, out, _ = call(capsys, "diff", str(runs / "a"), str(tmp_path / "more"), "--json")
@@ -116,7 +96,7 @@ def test_missing_scenario_is_a_difference(runs, capsys, tmp_path):
 
 
 def test_sweeps_are_paired_by_their_fields(capsys, tmp_path, monkeypatch):
-    """Row keys may differ, because they depend on the target and the commit."""
+    """Keys may differ: another target or another commit has other keys."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sweep.yaml").write_text(SWEEP + "plants: [analytical]\n")
     (tmp_path / "turned.yaml").write_text(SWEEP.replace("[41, 55]", "[55, 41]") + "plants: [analytical]\n")
@@ -131,11 +111,7 @@ def test_sweeps_are_paired_by_their_fields(capsys, tmp_path, monkeypatch):
     assert {each["where"] for each in moved} == {"supply.pressure_kpa=41", "supply.pressure_kpa=42"}
 
 
-<<<<<<<< HEAD:tests/comparison/test_diff.py
-def test_an_expectation_that_is_no_longer_judged_is_a_change(capsys, tmp_path):
-========
 def test_expectation_that_is_no_longer_judged_is_a_difference(capsys, tmp_path):
->>>>>>>> c6:tests/cli/test_diff.py
     row = {"metric": "com_speed_m_s", "of": "twin", "met": True}
     for name, found in (("a", row), ("b", row | {"met": False, "state": "not_judged"})):
         run = {"scenario": "walk", "plants": {}, "comparison": None, "expectations": [found], "versions": {}}
@@ -146,11 +122,7 @@ def test_expectation_that_is_no_longer_judged_is_a_difference(capsys, tmp_path):
     assert (code, moved["metric"], moved["a"], moved["b"]) == (1, "expectations[0].met", True, "not judged")
 
 
-<<<<<<<< HEAD:tests/comparison/test_diff.py
-def test_a_changed_verdict_is_a_change(capsys, tmp_path):
-========
 def test_changed_verdict_is_a_difference(capsys, tmp_path):
->>>>>>>> c6:tests/cli/test_diff.py
     outcome = {"verdict": "met", "value": 1.0, "values": [1.0], "error": 0.0, "why": ""}
     rows = [{"id": "row", "outcomes": {"twin": outcome}}]
     for name, verdict in (("a", "met"), ("b", "missed")):
@@ -162,11 +134,7 @@ def test_changed_verdict_is_a_difference(capsys, tmp_path):
 
 
 @pytest.mark.parametrize("options", [(), ("--json",)])
-<<<<<<<< HEAD:tests/comparison/test_diff.py
-def test_control_characters_in_names_are_not_printed(capsys, tmp_path, options):
-========
 def test_control_characters_in_results_are_escaped(capsys, tmp_path, options):
->>>>>>>> c6:tests/cli/test_diff.py
     for name, verdict in (("a", "met"), ("b", "[red]x\x1b[31m\x9b")):
         outcomes = {"twin": {"verdict": verdict, "value": 1.0}}
         document = {"rows": [{"id": "\x1b[31mrow\x7f", "outcomes": outcomes}], "versions": {}}
@@ -179,7 +147,7 @@ def test_control_characters_in_results_are_escaped(capsys, tmp_path, options):
     ("words", "said"),
     [
         (("nowhere", "a"), "nowhere: no such file"),
-        (("empty", "a"), "empty: the folder has no results (metrics.json, results.parquet, reproduce.json)"),
+        (("empty", "a"), "empty: holds no results (metrics.json, results.parquet, reproduce.json)"),
         (("a/walk/analytical.parquet", "a"), "analytical.parquet: not the results of a run"),
         (("junk.json", "a"), "junk.json:1:13: not JSON"),
         (("list.json", "a"), "list.json: not the results of a run"),
@@ -190,7 +158,7 @@ def test_control_characters_in_results_are_escaped(capsys, tmp_path, options):
         (("a", "a", "--junit", "a.yaml"), "--junit a.yaml: the file name of a report must end in .xml"),
     ],
 )
-def test_invalid_arguments_are_reported(runs, capsys, monkeypatch, words, said):
+def test_bad_input(runs, capsys, monkeypatch, words, said):
     monkeypatch.chdir(runs)
     (runs / "empty").mkdir(exist_ok=True)
     (runs / "junk.json").write_text('{"plants": 3')
@@ -221,7 +189,7 @@ def test_single_runs_are_compared_regardless_of_their_names():
 
 
 @given(st.floats(-1e300, 1e300), st.floats(0, 0.1))
-def test_tolerance_follows_its_definition(a, rel):
+def test_the_tolerance_is_that_of_its_docstring(a, rel):
     b = a * (1 + 0.05)
     expected = abs(a - b) <= max(1e-9, rel * max(abs(a), abs(b)))
     assert Tolerance(rel=rel, abs=1e-9).allows(a, b) == expected
@@ -229,13 +197,8 @@ def test_tolerance_follows_its_definition(a, rel):
 
 
 @pytest.mark.slow
-<<<<<<<< HEAD:tests/comparison/test_diff.py
-def test_default_tolerances_allow_another_arithmetic(tmp_path):
-    """Other variants of sin and exp in the C library change the last digits, but no metric."""
-========
 def test_rounding_differences_are_within_the_default_tolerances(tmp_path):
     """The C library's other variants of sin and exp: last digits differ, no metric moves."""
->>>>>>>> c6:tests/cli/test_diff.py
     (tmp_path / "sweep.yaml").write_text(SWEEP)
     results = {}
     for name, tunables in (("own", ""), ("other", "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4")):
@@ -255,24 +218,12 @@ def test_documented_tolerances_load(tmp_path):
     _, _, rest = page.partition("```yaml tolerances\n")
     (tmp_path / "tolerances.yaml").write_text(rest.partition("```")[0])
     allowed = load_tolerances(tmp_path / "tolerances.yaml")
-    assert (
-        allowed.for_metric("analytical.com_speed_m_s").rel
-        == allowed.for_metric("twin.com_speed_m_s").rel
-        == 0.01
-    )
-    assert (
-        allowed.for_metric("twin.yaw_rate_rad_s").abs
-        == 0.005
-        != allowed.for_metric("analytical.yaw_rate_rad_s").abs
-    )
+    assert allowed.of("analytical.com_speed_m_s").rel == allowed.of("twin.com_speed_m_s").rel == 0.01
+    assert allowed.of("twin.yaw_rate_rad_s").abs == 0.005 != allowed.of("analytical.yaw_rate_rad_s").abs
 
 
 def test_foreign_files_are_refused(tmp_path):
-<<<<<<<< HEAD:tests/comparison/test_diff.py
-    with pytest.raises(InputError, match="the folder has no results"):
-========
     with pytest.raises(InputError, match="holds no results"):
->>>>>>>> c6:tests/cli/test_diff.py
         read_results(tmp_path)
 
 
@@ -282,15 +233,14 @@ def sweep_of(path, value: float):
     import pyarrow.parquet as pq
 
     row = {"key": ["k"], "seed": [1], "status": ["done"], "exit_code": [0], "twin.com_speed_m_s": [value]}
-    metadata = {"srs_twin.sweep": '{"versions": {}}'}
-    pq.write_table(pa.table(row).replace_schema_metadata(metadata), path)
+    pq.write_table(pa.table(row).replace_schema_metadata({"srs_twin.sweep": '{"versions": {}}'}), path)
     return str(path)
 
 
 @pytest.mark.parametrize(
     ("value", "text"), [(math.nan, "NaN"), (math.inf, "Infinity"), (-math.inf, "-Infinity")]
 )
-def test_nan_and_infinity_are_text_in_json(capsys, tmp_path, value, text):
+def test_numbers_that_json_does_not_have_are_printed_as_text(capsys, tmp_path, value, text):
     a, b = sweep_of(tmp_path / "a.parquet", 0.1), sweep_of(tmp_path / "b.parquet", value)
     code, out, _ = call(capsys, "diff", a, b, "--json")
     (moved,) = json.loads(out, parse_constant=pytest.fail)["moved"]
@@ -306,17 +256,13 @@ def test_nan_and_infinity_are_text_in_json(capsys, tmp_path, value, text):
      '{"versions": {}, "scenario": "s", "plants": [], "comparison": {}, "expectations": [1]}'],
 )  # fmt: skip
 @pytest.mark.parametrize("name", ["metrics.json", "plan.json", "sweep.json", "reproduce.json"])
-def test_foreign_json_is_refused(capsys, tmp_path, name, content):
+def test_json_of_something_else_is_refused(capsys, tmp_path, name, content):
     (tmp_path / name).write_text(content)
     code, out, err = call(capsys, "diff", str(tmp_path / name), str(tmp_path / name), "--json")
     assert (code, out) == (2, "") and "not the results of a run, a sweep or a reproduction" in err
 
 
-<<<<<<<< HEAD:tests/comparison/test_diff.py
-def test_results_are_searched_in_deep_folders(capsys, tmp_path, monkeypatch):
-========
 def test_results_are_found_in_nested_folders(capsys, tmp_path, monkeypatch):
->>>>>>>> c6:tests/cli/test_diff.py
     levels = sys.getrecursionlimit() + 50
     monkeypatch.chdir(tmp_path)
     for _ in range(levels):
@@ -331,4 +277,4 @@ def test_results_are_found_in_nested_folders(capsys, tmp_path, monkeypatch):
         for _ in range(levels):  # pytest's own removal recurses
             os.chdir("..")
             os.rmdir("a")
-    assert code == 2 and "a: the folder has no results" in err
+    assert code == 2 and "a: holds no results" in err

@@ -104,7 +104,7 @@ def gait_valves(offset: float, ticks: range) -> list[np.ndarray]:
 def test_full_duties_give_the_valves_of_eq_13_with_and_without_offset(before, after):
     for steering, seen in (("targets_and_wave", (before, after)), ("targets", (0.0, 0.0))):
         controller = ILC(1.0, before, target=0.7, steering=steering, free_periods=50)
-        # Readings must vary; otherwise the sensors are detected as dead and the modules are vented.
+        # SensorReadings must vary; otherwise the sensors are detected as dead and the modules are vented.
         rows = np.tile(0.7 * np.sin(2 * np.pi * TICK * np.arange(300))[:, None], SEGMENTS)
         valves = valves_of(controller, rows[:150])
         controller.offset = after

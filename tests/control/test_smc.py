@@ -26,7 +26,7 @@ from srs_twin.pneumatics.valves import LAYOUTS
 TICK = 1e-3
 DEGREE = math.pi / 180
 BOTH = [DirectSMC, IterativeSMC]
-# Readings of a faulty sensor, and more often those of a working one.
+# SensorReadings of a faulty sensor, and more often those of a working one.
 readings = st.floats(-1.5, 1.5) | st.floats(allow_nan=True, allow_infinity=True)
 MODULES, EXAMPLES = 200, 25  # 2 controllers × 25 × 200 = 10,000 histories
 

@@ -15,7 +15,7 @@ from conftest import ROOT
 from srs_twin import load_robot
 from srs_twin.cli import main
 from srs_twin.identification.fit_file import load_fit
-from srs_twin.identification.unknowns import unknowns
+from srs_twin.identification.parameters import free_parameters
 
 PAGE = (ROOT / "docs/your-robot.md").read_text("utf-8")
 COMMANDS = [
@@ -69,7 +69,7 @@ def test_hidden_parameters_are_in_the_intervals(walked_through):
 def test_identified_robot_is_the_hidden_one(walked_through):
     robot = load_robot(walked_through / "robots/my_snake.yaml")
     found = [name for name in HIDDEN if name.startswith(("friction", "actuator", "modules"))]
-    for unknown in unknowns(robot, found):
+    for unknown in free_parameters(robot, found):
         near = {"friction": 0.02, "modules": 0.01, "actuator": 0.05}[unknown.name.partition(".")[0]]
         assert unknown.start == pytest.approx(HIDDEN[unknown.name], rel=near, abs=0.005), unknown.name
 

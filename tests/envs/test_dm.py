@@ -1,4 +1,4 @@
-"""The face of dm_env: its own test mixin, the same numbers as gymnasium's, and its rules for the end."""
+"""dm_env interface: dm_env's test mixin, agreement with Gymnasium, discounts at the end."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class _Mixin(test_utils.EnvironmentTestMixin):
     task: str
 
     def make_object_under_test(self):
-        # Short, so that the mixin's twenty steps see ends and new beginnings.
+        # Short, so that the mixin's twenty steps include ends and resets.
         return dm.load(self.task, seed=1, limit_s=0.3)
 
 
@@ -32,34 +32,34 @@ class TestModule(_Mixin, absltest.TestCase):
     task = "Module"
 
 
-def test_every_task_has_met_the_mixin():
+def test_every_task_is_tested_by_the_mixin():
     assert {TestGoTo.task, TestObstacles.task, TestModule.task} == set(TASKS)
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_both_faces_tell_the_same(task):
+def test_dm_env_and_gymnasium_give_equal_values(task):
     env, twin = SnakeEnv(task, limit_s=0.3), dm.load(task, seed=7, limit_s=0.3)
     env.action_space.seed(0)
     observation, _ = env.reset(seed=7)
-    told = twin.reset()
-    assert np.concatenate(list(told.observation.values())).tolist() == observation.tolist()
-    assert [each.name for each in env.task.observations] == list(told.observation)
-    while not told.last():
+    timestep = twin.reset()
+    assert np.concatenate(list(timestep.observation.values())).tolist() == observation.tolist()
+    assert [signal.name for signal in env.task.observations] == list(timestep.observation)
+    while not timestep.last():
         action = env.action_space.sample()
         observation, reward, terminated, truncated, _ = env.step(action)
-        told = twin.step(action)
-        assert np.concatenate(list(told.observation.values())).tolist() == observation.tolist()
-        assert told.reward == reward
-    assert truncated and not terminated and told.discount == 1.0
+        timestep = twin.step(action)
+        assert np.concatenate(list(timestep.observation.values())).tolist() == observation.tolist()
+        assert timestep.reward == reward
+    assert truncated and not terminated and timestep.discount == 1.0
 
 
-def test_the_goal_ends_with_discount_0_and_names_are_those_of_the_table():
+def test_goal_ends_an_episode_with_discount_0():
     env = dm.load("GoTo", seed=0)
     assert env.action_spec().name.split("\t") == ["offset", "frequency_hz", "pressure_kpa"]
     env.reset()
     physics = env.physics
     physics.episode.goal = physics.episode._goal = type(physics.episode._goal)(0.0, 0.0, None, 0.1)
-    told = env.step(np.array([0.0, 2.0, 45.0], dtype=np.float32))
-    assert told.step_type is dm_env.StepType.LAST and told.discount == 0.0
+    timestep = env.step(np.array([0.0, 2.0, 45.0], dtype=np.float32))
+    assert timestep.step_type is dm_env.StepType.LAST and timestep.discount == 0.0
     assert physics.twin.bend_angles().shape == (4,)
     assert physics.time() == pytest.approx(0.1) and env.control_timestep() == pytest.approx(0.1)

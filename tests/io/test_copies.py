@@ -135,7 +135,7 @@ def test_pickles_continue_bit_for_bit_in_another_process(tmp_path):
     assert done.stdout.split() == expected
 
 
-class Steered(Gait):
+class ScheduledOffset(Gait):
     """A user's gait with one more attribute."""
 
     def __init__(self, extra: Any) -> None:
@@ -155,7 +155,7 @@ class Steered(Gait):
 )
 def test_controller_with_an_attribute_that_cannot_be_copied_is_rejected(method, extra, message):
     with pytest.raises(InputError, match=rf"attribute 'extra' is {message}; use save\(\) and restore\(\)"):
-        METHODS[method](Steered(extra))
+        METHODS[method](ScheduledOffset(extra))
 
 
 def test_incomplete_state_is_rejected_and_changes_nothing():

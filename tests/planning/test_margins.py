@@ -138,7 +138,9 @@ def test_only_runs_that_reach_the_goal_count_by_their_excursion(monkeypatch, end
     monkeypatch.setattr(excursions, "following", lambda run: about)
     document = load_scenario("follow_fig56").document
     straight = {"kind": "given", "turns_rad": [0.0], "step_m": 1.0, "footprint": "gen2_gait"}
-    run = excursions.Tried({**document, "planner": straight, "world": {}, "expect": []}, 0.4, "analytical", 0)
+    run = excursions.FollowerRun(
+        {**document, "planner": straight, "world": {}, "expect": []}, 0.4, "analytical", 0
+    )
     before, after = run.run()
     assert before == pytest.approx(0.02 * np.sin(0.75) ** 2)
     arrived = ending == "goal_reached"

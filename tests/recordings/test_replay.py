@@ -16,7 +16,7 @@ from srs_twin.cli import main
 from srs_twin.comparison.compare import MeasuredDifference
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError, InputFileError
-from srs_twin.identification.unknowns import with_values
+from srs_twin.identification.parameters import with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.recorded import RecordedPressures
 from srs_twin.scenario.loading import parse_scenario
@@ -303,7 +303,7 @@ def test_a_replay_of_pressures_can_be_repeated_from_another_folder(perfect, tmp_
         (["w.csv", "--valves", "none.csv"], "none.csv: no such file"),
         (["w.csv", "--plants", "twn"], "--plants: 'twn' is unknown; allowed: analytical, twin"),
         (["w.csv", "--expect", "e.yaml"], "e.yaml:1:19: expect[0].metric"),
-        (["w.csv", "--check"], "--check: nothing is expected; give --expect FILE.yaml"),
+        (["w.csv", "--check"], "--check: there are no expectations; give --expect FILE.yaml"),
         (["w.csv", "--fit", "none.yaml"], "none.yaml: no such file"),
         (["w.csv", "--offset", "1e6"], "frames in common"),
         (["w.csv", "--pressure", "-3"], "supply.pressure_kpa"),

@@ -14,8 +14,8 @@ from srs_twin.comparison.compare import MeasuredDifference
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.identification.actuator import Response
+from srs_twin.identification.parameters import with_values
 from srs_twin.identification.recorded_runs import gait_run
-from srs_twin.identification.unknowns import with_values
 from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.signals.logs import on_bench
@@ -138,7 +138,7 @@ def test_bend_log_of_a_chain_has_the_geometry_of_the_plant(tmp_path):
 def test_a_bend_log_can_be_used_for_actuator_fits(bench):
     motion, log = str(bench / "sensor.csv"), str(bench / "sensor.valves.csv")
     take = RecordingReader(offset_s=0.0).take(motion, log, MODULE)
-    response = Response.of_recording(take, "sensor", SUPPLY)
+    response = Response.from_recording(take, "sensor", SUPPLY)
     assert response.bend.shape == (2001, 1) and np.isfinite(response.bend).all()
     with pytest.raises(InputError, match="sensor: bends alone do not tell where a robot crawled"):
         gait_run(take, "sensor", SUPPLY)
@@ -239,7 +239,10 @@ def test_bench_replay_command(bench, srs_twin, tmp_path):
     again = srs_twin("run", str(run / "scenario.resolved.yaml"), "--check", "--out", "x", "-q", cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     refused = srs_twin(*words, "--bench", "--law", "axis", cwd=tmp_path)
-    assert refused.returncode == 2 and "--law: take it out; on a bench there is no floor" in refused.stderr
+    assert (
+        refused.returncode == 2
+        and "--law: remove this option; on a bench there is no floor" in refused.stderr
+    )
     floor = srs_twin(*words, "-q", cwd=tmp_path)
     assert floor.returncode == 2 and "bends alone do not tell" in floor.stderr
 

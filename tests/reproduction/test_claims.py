@@ -1,4 +1,4 @@
-"""The claims: what was given is there with no tolerance loosened, and a bad file is refused in words."""
+"""Claims file: completeness, tolerances no wider than the original ones, and messages for invalid files."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from conftest import ROOT
 
 from srs_twin.attribution import PlantVariants
 from srs_twin.errors import InputFileError, UnknownNameError
-from srs_twin.reproduction.claims import chosen, load_claims
+from srs_twin.reproduction.claims import load_claims, select_claims
 from srs_twin.scenario.loading import load_scenario
 
 pytestmark = pytest.mark.fast
 
 CLAIMS = load_claims()
 
-# The list that the project began with: claim → relative tolerance, where one was set.
-GIVEN = {
+# Original list of claims: claim → relative tolerance, if one was set.
+ORIGINAL = {
     "act-step-gen4": 0.01, "friction-spring-car": 0.03, "gen1-forward": 0.3, "gen1-shape-rms": None,
     "gen1-no-turn": None, "gen1-circles": None, "gen1-grid": None, "gen2-top-speed": 0.15,
     "gen2-ten-times-gen1": None, "gen2-straight": None, "gen2-radius": None, "gen2-fig34": None,
@@ -41,56 +41,59 @@ HOLDOUTS = {
 }  # fmt: skip
 
 
-def named(claim):
+def rows_of(claim):
+    """Return the rows of a claim."""
     return [row for row in CLAIMS if row.id == claim or row.id.startswith(f"{claim}.")]
 
 
-@pytest.mark.parametrize("claim", GIVEN)
-def test_what_was_given_is_there(claim):
-    assert named(claim)
+@pytest.mark.parametrize("claim", ORIGINAL)
+def test_every_original_claim_has_rows(claim):
+    assert rows_of(claim)
 
 
-@pytest.mark.parametrize("claim", [claim for claim, tol in GIVEN.items() if tol is not None])
-def test_no_tolerance_is_loosened(claim):
+@pytest.mark.parametrize("claim", [claim for claim, tol in ORIGINAL.items() if tol is not None])
+def test_no_tolerance_is_wider_than_the_original_one(claim):
     checked = 0
-    for row in named(claim):
-        # Rows of our own beside the one given: a correlation, and the plants' difference.
+    for row in rows_of(claim):
+        # Rows that we added to a claim: correlations and differences between the plants.
         if not row.value or row.rule == "ordering" or row.unit.startswith("correlation"):
             continue
         for bound in (row.low, row.high):
             if math.isfinite(bound):
-                assert abs(bound - row.value) <= GIVEN[claim] * abs(row.value) * (1 + 1e-9), row.id
+                assert abs(bound - row.value) <= ORIGINAL[claim] * abs(row.value) * (1 + 1e-9), row.id
                 checked += 1
     assert checked
 
 
-def test_the_bounds_of_every_row_are_those_written_down():
-    """No command writes the file: who changes a bound changes it there as well, in the same commit."""
-    head, *written = (ROOT / "tests/reproduction/bounds.csv").read_text("utf-8").splitlines()
-    assert head == "id,low,high"
-    assert [f"{row.id},{row.low:.9g},{row.high:.9g}" for row in CLAIMS] == written
+def test_bounds_of_every_row_are_those_of_the_committed_table():
+    """A changed bound must be changed in bounds.csv by hand, in the same commit."""
+    header, *expected = (ROOT / "tests/reproduction/bounds.csv").read_text("utf-8").splitlines()
+    assert header == "id,low,high"
+    assert [f"{row.id},{row.low:.9g},{row.high:.9g}" for row in CLAIMS] == expected
 
 
-def test_uses_are_those_given():
-    assert all(row.use == "law" for claim in LAWS for row in named(claim) if row.id != "table9.larger")
-    assert all(row.use in ("holdout", "law", "shape") for claim in HOLDOUTS for row in named(claim))
-    table = {row.id: row.use for row in named("table8")}
+def test_uses_are_the_original_ones():
+    assert all(row.use == "law" for claim in LAWS for row in rows_of(claim) if row.id != "table9.larger")
+    assert all(row.use in ("holdout", "law", "shape") for claim in HOLDOUTS for row in rows_of(claim))
+    table = {row.id: row.use for row in rows_of("table8")}
     fitted = {name for name, use in table.items() if use == "fit"}
     columns = ("speed", "radius", "left", "right")
     repeated = {"table8.right.p01", "table8.right.p02", "table8.left.m02"}
-    assert fitted == repeated | {f"table8.{what}.{at}" for what in columns for at in ("0", "p03", "m03")}
+    assert fitted == repeated | {
+        f"table8.{column}.{setting}" for column in columns for setting in ("0", "p03", "m03")
+    }
     assert len(table) == 28
 
 
-def test_there_are_enough_rows_and_names_are_unique():
+def test_there_are_at_least_fifty_rows_with_unique_names():
     assert len(CLAIMS) >= 50
     assert len({row.id for row in CLAIMS}) == len(CLAIMS)
 
 
-def test_a_table_gives_a_row_a_number_with_the_sign_of_its_side():
+def test_table_rows_have_the_sign_of_their_offset():
     rows = {row.id: row for row in CLAIMS}
     right = rows["table8.radius.m02"]
-    assert (right.value, right.taken[0].where) == (-0.8445, {"controller.offset": -0.2})
+    assert (right.value, right.all_measures[0].where) == (-0.8445, {"controller.offset": -0.2})
     assert (right.low, right.high) == pytest.approx((-1.2 * 0.8445, -0.8 * 0.8445))
 
 
@@ -100,10 +103,10 @@ def slugs(page):
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-def test_causes_name_sections_and_switches_that_there_are():
+def test_causes_name_existing_sections_and_switches():
     switches = {switch.name for switch in PlantVariants(load_scenario("gen3_straight"))._all_switches()}
     causes = [cause for row in CLAIMS for cause in row.cause]
-    # What both plants assume alike is no switch between them.
+    # The supply flow is an assumption of both plants, so it is no switch between them.
     assert {cause.switch for cause in causes if cause.switch} <= switches | {"supply flow"}
     for docs in {cause.docs for cause in causes if cause.docs}:
         page, _, anchor = docs.partition("#")
@@ -111,12 +114,12 @@ def test_causes_name_sections_and_switches_that_there_are():
         assert not anchor or anchor in slugs(page), docs
 
 
-def test_rows_are_chosen_by_name_and_laws_come_first():
-    found = chosen(CLAIMS, ("gen2-radius", "gen2-straight"), quick=False)
-    assert [row.use for row in found] == ["law", "shape", "shape", "shape"]
-    assert all(row.quick for row in chosen(CLAIMS, (), quick=True))
+def test_rows_are_selected_by_name_prefix_with_laws_first():
+    rows = select_claims(CLAIMS, ("gen2-radius", "gen2-straight"), quick=False)
+    assert [row.use for row in rows] == ["law", "shape", "shape", "shape"]
+    assert all(row.quick for row in select_claims(CLAIMS, (), quick=True))
     with pytest.raises(UnknownNameError, match="did you mean gen2-radius"):
-        chosen(CLAIMS, ("gen2-radios",), quick=False)
+        select_claims(CLAIMS, ("gen2-radios",), quick=False)
 
 
 ROW = """\
@@ -134,7 +137,7 @@ ROW = """\
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "words"),
+    ("old", "new", "message"),
     [
         ("use: holdout", "use: guess", "4:8: [0].use: must be one of fit, holdout, law, shape"),
         ("  rule: near\n", "", "a rule is needed: near, below, above or ordering"),
@@ -143,26 +146,26 @@ ROW = """\
         ("com_speed_m_s", "trace.tail_drif", "unknown trace 'tail_drif'; did you mean tail_drift?"),
         ("  value: 0.2\n", "", "near needs a value"),
         ("  measure:", "  mesure:", "unknown key; did you mean measure?"),
-        ("scenario: gen2_straight", "scenario: x, law: y", "exactly one of scenario, sweep and law"),
+        ("scenario: gen2_straight", "scenario: x, law: y", "give exactly one of scenario, sweep and law"),
         ("value: 0.2", "value: .nan", "must be a number"),
-        ("- id: one", f"{ROW}- id: one", "the row one is there 2 times"),
+        ("- id: one", f"{ROW}- id: one", "the row one is listed 2 times; list it once"),
         (ROW, "{}\n", "must be a list of claims"),
         ('  could_fail: "Yes: a slower robot misses"\n', "", "could_fail is needed: 'Yes: …' or 'No: …'"),
-        ("Yes: a slower", "Perhaps a slower", "could_fail must begin with 'Yes: ' or 'No: '"),
-        ("  tolerance: ours\n", "", "tolerance belongs to every holdout, and to no other use"),
-        ("use: holdout", "use: shape", "tolerance belongs to every holdout, and to no other use"),
+        ("Yes: a slower", "Perhaps a slower", "could_fail must start with 'Yes: ' or 'No: '"),
+        ("  tolerance: ours\n", "", "tolerance is needed for every holdout, and not allowed for other uses"),
+        ("use: holdout", "use: shape", "needed for every holdout, and not allowed for other uses"),
         ("tolerance: ours", "tolerance: a guess", "must be one of dissertation, measurement, ours"),
-        ("use: holdout", "limitation: fitted_robot\n  use: law", "tolerance belongs to every holdout"),
+        ("use: holdout", "limitation: fitted_robot\n  use: law", "tolerance is needed for every holdout"),
         (
             '"Yes: a slower robot misses"\n  tolerance: ours', '"No: by symmetry"\n  tolerance: measurement',
             "a headline prediction must be able to fail",
         ),
     ],
 )  # fmt: skip
-def test_a_bad_file_is_refused_in_words(old, new, words, tmp_path):
+def test_an_invalid_file_is_refused_with_a_message(old, new, message, tmp_path):
     path = tmp_path / "claims.yaml"
     path.write_text(ROW)
     assert [row.id for row in load_claims(path)] == ["one"]
     path.write_text(ROW.replace(old, new, 1))
-    with pytest.raises(InputFileError, match=re.escape(words)):
+    with pytest.raises(InputFileError, match=re.escape(message)):
         load_claims(path)

@@ -1,4 +1,4 @@
-"""The file of figures: what it names is there, and a bad one is refused in words."""
+"""File of figures: its sweeps have the plots, and invalid files are refused with a message."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ import re
 import pytest
 
 from srs_twin.errors import InputFileError
-from srs_twin.reproduction.figures import load_pictures
+from srs_twin.reproduction.figures import load_figures
 from srs_twin.reproduction.runs import sweep_of
 
 pytestmark = pytest.mark.fast
 
 
 def test_sweeps_have_the_plots_that_figures_show():
-    pictures = load_pictures()
-    assert len(pictures) >= 50
-    for picture in pictures:
-        assert (picture.draw == "sweep") == (picture.metric is not None), picture.figure
-        assert len(picture.names) in (0, len(picture.of))
-        if picture.metric is not None:
-            (runs,) = picture.of
-            assert picture.metric in {plot.metric for plot in sweep_of(runs.name).plots}
+    figures = load_figures()
+    assert len(figures) >= 50
+    for figure in figures:
+        assert (figure.draw == "sweep") == (figure.metric is not None), figure.figure
+        assert len(figure.names) in (0, len(figure.of))
+        if figure.metric is not None:
+            (runs,) = figure.of
+            assert figure.metric in {plot.metric for plot in sweep_of(runs.name).plots}
 
 
 FIGURE = "- {figure: '38', caption: Speed, draw: sweep, metric: com_speed_m_s, of: [{sweep: fig38}]}\n"
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "words"),
+    ("old", "new", "message"),
     [
         ("draw: sweep", "draw: swep", "[0].draw: unknown picture 'swep'; did you mean sweep?"),
         ("fig38}", "fig3}", "[0].of[0].sweep: unknown sweep 'fig3'; did you mean"),
@@ -37,10 +37,10 @@ FIGURE = "- {figure: '38', caption: Speed, draw: sweep, metric: com_speed_m_s, o
         (FIGURE, "{}\n", "must be a list of figures"),
     ],
 )  # fmt: skip
-def test_a_bad_file_is_refused_in_words(old, new, words, tmp_path):
+def test_an_invalid_figures_file_is_refused_with_a_message(old, new, message, tmp_path):
     path = tmp_path / "figures.yaml"
     path.write_text(FIGURE)
-    assert [each.figure for each in load_pictures(path)] == ["38"]
+    assert [entry.figure for entry in load_figures(path)] == ["38"]
     path.write_text(FIGURE.replace(old, new, 1))
-    with pytest.raises(InputFileError, match=re.escape(words)):
-        load_pictures(path)
+    with pytest.raises(InputFileError, match=re.escape(message)):
+        load_figures(path)

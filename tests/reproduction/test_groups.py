@@ -1,4 +1,4 @@
-"""Groups of predictions: they partition the holdouts, and agree with the runs that they are made of."""
+"""Groups of predictions: a partition of the holdouts that agrees with their runs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from srs_twin.control.gait import Gait
 from srs_twin.reproduction.claims import COLUMNS, load_claims
 from srs_twin.reproduction.report import MEANINGS, TITLES, by_category
 from srs_twin.reproduction.runs import sweep_of
-from srs_twin.reproduction.verdicts import MET, Judged, load_baseline
+from srs_twin.reproduction.verdicts import MET, JudgedClaim, load_baseline
 from srs_twin.robot.file import load_robot
 from srs_twin.scenario.loading import load_scenario
 
@@ -34,8 +34,8 @@ NAMES = {"ids": lambda claim: claim.id}
 
 
 def documents(claim):
-    """Return the scenarios that a row runs, as plain data."""
-    for measure in claim.taken:
+    """Yield the documents of the scenarios that a row runs."""
+    for measure in claim.all_measures:
         if measure.scenario is not None:
             yield load_scenario(measure.scenario).document
         elif measure.sweep is not None:
@@ -43,12 +43,12 @@ def documents(claim):
 
 
 def test_groups_partition_the_holdouts():
-    rows = by_category([Judged(claim) for claim in CLAIMS])
+    rows = by_category([JudgedClaim(claim) for claim in CLAIMS])
     assert list(rows) == list(TITLES) == list(MEANINGS) and tuple(rows)[: len(GROUPS)] == GROUPS
     grouped = [row.claim.id for name in GROUPS for row in rows[name]]
     assert sorted(grouped) == sorted(claim.id for claim in HOLDOUTS)
-    everything = [row.claim.id for some in rows.values() for row in some]
-    assert sorted(everything) == sorted(claim.id for claim in CLAIMS)
+    all_rows = [row.claim.id for group in rows.values() for row in group]
+    assert sorted(all_rows) == sorted(claim.id for claim in CLAIMS)
     assert all(rows[name] for name in GROUPS)
 
 
@@ -56,7 +56,7 @@ def test_groups_partition_the_holdouts():
 def test_headline_predictions_have_no_tolerance_of_ours(claim):
     assert claim.tolerance in ("dissertation", "measurement") and claim.limitation is None
     assert claim.tol is None
-    # A tolerance from measurement error is an interval about the value, a stated bound is none.
+    # A measurement error gives an interval around the value; a stated bound does not.
     assert (claim.tolerance == "measurement") == (claim.rule == "near")
 
 
@@ -67,34 +67,34 @@ def test_measurement_errors_are_the_differences_of_published_speeds():
 
 
 @pytest.mark.parametrize("claim", HOLDOUTS, **NAMES)
-def test_limitations_are_those_of_the_runs(claim):
+def test_limitations_agree_with_the_runs(claim):
     runs = list(documents(claim))
-    fitted = any("calibration/fits/" in json.dumps(run["robot"]) for run in runs)
-    assert fitted == (claim.group == "fitted_robot")
-    chosen = any(run.get("planner") or (run.get("world") or {}).get("obstacles") for run in runs)
-    assert chosen == (claim.group == "chosen_obstacles")
-    compared = all(measure.metric.startswith("comparison.") for measure in claim.taken)
-    assert compared == (claim.group == "between_models")
-    tuned = any(run["controller"]["kind"] in ("direct_smc", "iterative_smc") for run in runs)
-    assert not (tuned and claim.group == "headline")
-    assert tuned or claim.group != "tuned_controller"
+    is_fitted = any("calibration/fits/" in json.dumps(run["robot"]) for run in runs)
+    assert is_fitted == (claim.group == "fitted_robot")
+    has_obstacles = any(run.get("planner") or (run.get("world") or {}).get("obstacles") for run in runs)
+    assert has_obstacles == (claim.group == "chosen_obstacles")
+    is_comparison = all(measure.metric.startswith("comparison.") for measure in claim.all_measures)
+    assert is_comparison == (claim.group == "between_models")
+    is_tuned = any(run["controller"]["kind"] in ("direct_smc", "iterative_smc") for run in runs)
+    assert not (is_tuned and claim.group == "headline")
+    assert is_tuned or claim.group != "tuned_controller"
 
 
-def test_a_row_that_is_missed_is_said_to_be_able_to_fail():
+def test_missed_rows_are_documented_as_falsifiable():
     outcomes = load_baseline().outcomes
     for claim in CLAIMS:
-        if any(each.verdict != MET for each in outcomes[claim.id].values()):
+        if any(outcome.verdict != MET for outcome in outcomes[claim.id].values()):
             assert claim.falsifiable, claim.id
 
 
-def test_own_tolerances_are_admitted():
+def test_own_tolerances_are_stated():
     for claim in HOLDOUTS:
         if claim.tolerance == "ours":
             assert re.search(r"\bours?\b|we assume|was a condition|were searched", claim.could_fail), claim.id
 
 
-def test_a_line_through_the_fitted_rows_of_table_8_meets_what_is_said_of_it():
-    """The rows' sentences say that a line meets every predicted speed and edge, and three of four radii."""
+def test_a_line_through_the_fitted_rows_of_table_8_meets_the_documented_rows():
+    """A line meets all predicted speeds and edges and three of four radii, as the rows document."""
     runs = {run.offset: run for run in published_runs()}
     fitted = [-0.3, 0.0, 0.3]
 
@@ -103,18 +103,18 @@ def test_a_line_through_the_fitted_rows_of_table_8_meets_what_is_said_of_it():
 
     def met(value):
         measured = {offset: value(run) for offset, run in runs.items()}
-        line = {at: np.interp(at, fitted, [measured[each] for each in fitted]) for at in measured}
+        line = {at: np.interp(at, fitted, [measured[key] for key in fitted]) for at in measured}
         return [abs(line[at] / measured[at] - 1) <= 0.2 for at in runs if at not in fitted]
 
     assert all(met(lambda run: run.speed_m_s))
     assert all(met(lambda run: run.left_m)) and all(met(lambda run: run.right_m))
-    # Of radii the error is that of 1/curvature.
+    # The curvature is interpolated; the error is that of the radius.
     line = np.interp([-0.2, -0.1, 0.1, 0.2], fitted, [curvature(runs[at]) for at in fitted])
     radii = np.array([1 / curvature(runs[at]) for at in (-0.2, -0.1, 0.1, 0.2)])
     assert (np.abs(1 / line / radii - 1) <= 0.2).sum() == 3
 
 
-def test_rows_that_repeat_a_fitted_number_are_no_predictions():
+def test_rows_that_repeat_a_fitted_number_are_not_predictions():
     table = {claim.id: claim for claim in CLAIMS if claim.id.startswith("table8.")}
     fitted = {(name.split(".")[1], abs(claim.value)) for name, claim in table.items() if claim.use == "fit"}
     for name, claim in table.items():
@@ -125,10 +125,10 @@ def test_mirror_image_of_a_gait_shifts_the_phase_by_half_a_period():
     (claim,) = (claim for claim in CLAIMS if claim.id == "gen3-symmetry.mirror")
     spec, tick = load_robot("gen3"), 0.001
     gaits = []
-    for measure in claim.taken:
+    for measure in claim.all_measures:
         document = load_scenario(measure.scenario).document["controller"]
-        given = document | {key.removeprefix("controller."): value for key, value in measure.set.items()}
-        gait = Gait(given["frequency_hz"], given["offset"], phase=given.get("phase_rad", 0.0))
+        settings = document | {key.removeprefix("controller."): value for key, value in measure.set.items()}
+        gait = Gait(settings["frequency_hz"], settings["offset"], phase=settings.get("phase_rad", 0.0))
         gait.reset(spec, tick)
         gaits.append(gait)
     for time in np.arange(0, 2 / gaits[0].frequency, tick):
@@ -140,7 +140,7 @@ def test_mirror_image_of_a_gait_shifts_the_phase_by_half_a_period():
 def test_readme_counts_the_rows_of_the_claims_file(title):
     readme = (ROOT / "README.md").read_text("utf-8")
     (line,) = re.findall(rf"^\| \**{re.escape(title)}\** \| (.*?) \| (.*?) \|(.*)\|$", readme, re.M)
-    (category,) = (name for name, each in TITLES.items() if each == title)
+    (category,) = (name for name, value in TITLES.items() if value == title)
     outcomes = load_baseline().outcomes
     for column, cell in zip(("twin", "analytical", "alone"), line, strict=True):
         assert column in COLUMNS

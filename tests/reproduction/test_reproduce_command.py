@@ -1,4 +1,4 @@
-"""`srs-twin reproduce` as a person starts it: files, cache, exit codes, the pages made of the baseline."""
+"""`srs-twin reproduce`: files, stored runs, exit codes, and the pages generated from the baseline."""
 
 from __future__ import annotations
 
@@ -10,85 +10,85 @@ from xml.etree import ElementTree
 
 import pytest
 from conftest import ROOT
-from reproduction import judged_claims, markdown, replace_between, table
+from reproduction import between, markdown, remembered, table
 
 from srs_twin.cli import main
 from srs_twin.reproduction.claims import load_claims
-from srs_twin.reproduction.command import _narrow
+from srs_twin.reproduction.command import _short_text
 from srs_twin.reproduction.verdicts import MET, Outcome, load_baseline
 
 FEW = ("--only", "table9.limit", "--only", "eq33", "--only", "actuator-90", "--only", "act-step-gen4")
 OUT = "out/reproduce"
 
 
-class Outside(HTMLParser):
-    """Collects what a page would load from elsewhere."""
+class ExternalReferences(HTMLParser):
+    """Collector of references to resources outside the page."""
 
     def __init__(self):
         super().__init__()
-        self.found = []
+        self.references = []
 
     def handle_starttag(self, tag, attrs):
         for name, value in attrs:
             if name in ("src", "href") and not (value or "").startswith(("data:", "#")):
-                self.found.append((tag, value))
+                self.references.append((tag, value))
 
 
-def test_rows_are_run_judged_kept_and_told(srs_twin, tmp_path):
+def test_rows_are_run_judged_stored_and_printed(srs_twin, tmp_path):
     done = srs_twin("reproduce", *FEW, "--out", OUT, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert re.search(r"^table9\.limit +9 +8\.87 .* met$", done.stdout, re.M)
     assert re.search(r"^actuator-90\.gen2 .*\(fitted\)$", done.stdout, re.M)
     folder = tmp_path / OUT
-    found = json.loads((folder / "reproduce.json").read_text("utf-8"))
-    rows = {row["id"]: row for row in found["rows"]}
+    document = json.loads((folder / "reproduce.json").read_text("utf-8"))
+    rows = {row["id"]: row for row in document["rows"]}
     assert rows["act-step-gen4.tau1"]["fitted"] and rows["eq33"]["outcomes"]["alone"]["verdict"] == MET
-    assert found["changed_from_baseline"] == []
-    assert found["groups"]["alone"]["law"] == {"met": 2, "explained": 0, "missed": 0, "all": 2}
+    assert document["changed_from_baseline"] == []
+    assert document["groups"]["alone"]["law"] == {"met": 2, "explained": 0, "missed": 0, "all": 2}
     assert {name: row["could_fail"] for name, row in rows.items()} == {
         claim.id: claim.could_fail for claim in CLAIMS if claim.id in rows
     }
     for name, row in rows.items():
         for column, outcome in row["outcomes"].items():
-            kept = BASELINE.outcomes[name][column]
-            # Four digits are kept; the errors of a computation are rounding.
-            assert outcome["values"] == pytest.approx(kept.values, rel=6e-4, abs=1e-9), (name, column)
+            baseline = BASELINE.outcomes[name][column]
+            # The baseline has four digits; errors of computations are rounding errors.
+            assert outcome["values"] == pytest.approx(baseline.values, rel=6e-4, abs=1e-9), (name, column)
     page = (folder / "reproduce.html").read_text("utf-8")
-    outside = Outside()
-    outside.feed(page)
-    assert outside.found == [] and "<script" not in page
+    parser = ExternalReferences()
+    parser.feed(page)
+    assert parser.references == [] and "<script" not in page
     assert "could it have failed?" in page and "No: the value is the ratio of two published values." in page
     assert "Fig. 20" in page and "Fig. 31" not in page
     suites = ElementTree.parse(folder / "reproduce.xml").getroot()
     failed = {case.get("classname") for case in suites.iter("testcase") if case.find("failure") is not None}
     assert failed == {"actuator-90.gen1", "actuator-90.gen4"}
-    kept = {path: path.stat().st_mtime_ns for path in folder.rglob("*.parquet")}
+    times = {path: path.stat().st_mtime_ns for path in folder.rglob("*.parquet")}
     again = srs_twin("reproduce", *FEW, "--out", OUT, cwd=tmp_path)
     assert again.stdout == done.stdout
-    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*.parquet")} == kept
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*.parquet")} == times
 
 
-@pytest.mark.parametrize(("values", "shown"), [((0.25, 0.12), "0.25 > 0.12"), ((0.25, 0.123), "0.25…0.12")])
-def test_an_ordering_is_shortened_only_where_it_is_wider_than_its_column(values, shown):
-    assert _narrow(Outcome(MET, values, math.nan, math.nan)) == shown
+@pytest.mark.parametrize(("values", "text"), [((0.25, 0.12), "0.25 > 0.12"), ((0.25, 0.123), "0.25…0.12")])
+def test_an_ordering_is_shortened_only_if_wider_than_its_column(values, text):
+    assert _short_text(Outcome(MET, values, math.nan, math.nan)) == text
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("options", "message"),
     [
         (("--only", "table88"), "unknown claim 'table88'; did you mean"),
-        (("--quick", "--write-baseline"), "--write-baseline needs all rows; leave --only and --quick out"),
+        (("--quick", "--write-baseline"), "--write-baseline needs all rows; remove --only and --quick"),
     ],
 )
-def test_bad_input(words, said, srs_twin, tmp_path):
-    done = srs_twin("reproduce", *words, cwd=tmp_path)
-    assert done.returncode == 2 and said in done.stderr and "Traceback" not in done.stderr
+def test_invalid_options_exit_with_2(options, message, srs_twin, tmp_path):
+    done = srs_twin("reproduce", *options, cwd=tmp_path)
+    assert done.returncode == 2 and message in done.stderr and "Traceback" not in done.stderr
     assert not (tmp_path / "runs").exists()
 
 
 @pytest.mark.parametrize("before", ["met", pytest.param("missed", marks=pytest.mark.slow)])
-def test_a_verdict_that_changed_is_exit_code_1_better_or_worse(before, tmp_path, monkeypatch, capsys):
-    was = json.dumps(
+def test_changed_verdicts_exit_with_1_better_or_worse(before, tmp_path, monkeypatch, capsys):
+    baseline = json.dumps(
         {
             "versions": {},
             "rows": {
@@ -99,31 +99,27 @@ def test_a_verdict_that_changed_is_exit_code_1_better_or_worse(before, tmp_path,
         }
     )
     path = tmp_path / "baseline.json"
-    path.write_text(was)
+    path.write_text(baseline)
     monkeypatch.setattr("srs_twin.reproduction.verdicts.baseline_file", lambda: path)
-    with pytest.raises(SystemExit) as left:
+    with pytest.raises(SystemExit) as stopped:
         main(["reproduce", "--only", "actuator-90.gen1", "--out", str(tmp_path / "out"), "--quiet"])
-    assert left.value.code == 1
-    told = capsys.readouterr().err
-    assert f"changed from the baseline: actuator-90.gen1, alone: explained, was {before}" in told
-    assert "--write-baseline" in told
+    assert stopped.value.code == 1
+    messages = capsys.readouterr().err
+    assert f"changed from the baseline: actuator-90.gen1, alone: explained, was {before}" in messages
+    assert "--write-baseline" in messages
 
-
-# What stands in the documents is what the committed baseline says.
 
 CLAIMS, BASELINE = load_claims(), load_baseline()
-ROWS = judged_claims(CLAIMS, BASELINE)
+ROWS = remembered(CLAIMS, BASELINE)
 
 
 @pytest.mark.parametrize(("page", "text"), [("README.md", table), ("docs/reproduction.md", markdown)])
-def test_pages_say_what_the_baseline_says(page, text):
-    found = (ROOT / page).read_text("utf-8")
-    assert found == replace_between(found, "reproduction", text(ROWS)), (
-        "uv run python docs/reproduction.py writes it anew"
-    )
+def test_pages_show_the_committed_baseline(page, text):
+    current = (ROOT / page).read_text("utf-8")
+    assert current == between(current, "reproduction", text(ROWS)), "run docs/reproduction.py to write it"
 
 
-def test_the_baseline_has_every_row_and_no_other():
+def test_the_baseline_has_exactly_the_rows_of_the_claims():
     assert {(row.id, column) for row in CLAIMS for column in row.columns} == {
         (name, column) for name, columns in BASELINE.outcomes.items() for column in columns
     }

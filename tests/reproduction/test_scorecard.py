@@ -1,4 +1,4 @@
-"""The scorecard: grades follow the figures that are kept."""
+"""Scorecard: grades follow from the verdicts of the baseline and the stored uncertainties."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from srs_twin.reproduction.verdicts import Baseline, load_baseline
 
 
 def with_verdict(baseline, names, verdict):
-    """Return a baseline in which rows of these names have another verdict."""
+    """Return a baseline with another verdict for the named rows."""
     outcomes = {
-        name: {k: replace(each, verdict=verdict) for k, each in row.items()} if name in names else row
+        name: {k: replace(outcome, verdict=verdict) for k, outcome in row.items()} if name in names else row
         for name, row in baseline.outcomes.items()
     }
     return Baseline(outcomes, baseline.versions)
@@ -24,8 +24,10 @@ def with_verdict(baseline, names, verdict):
 
 def test_every_claim_belongs_to_one_capability():
     for claim in load_claims():
-        of = [name for name, starts in module._CAPABILITIES.items() if claim.id.startswith(starts)]
-        assert len(of) == 1, claim.id
+        capabilities = [
+            name for name, prefixes in module._CAPABILITIES.items() if claim.id.startswith(prefixes)
+        ]
+        assert len(capabilities) == 1, claim.id
 
 
 def test_nothing_is_graded_as_validated_against_hardware():
@@ -36,34 +38,34 @@ def test_nothing_is_graded_as_validated_against_hardware():
         assert UNVALIDATED in row["validation"].why
 
 
-def test_a_law_or_a_prediction_that_is_missed_lowers_its_grade():
-    claims, kept = load_claims(), load_baseline()
-    before = scorecard(claims, kept)["crawling, generation 2"]
+def test_a_missed_law_lowers_the_grade_of_the_verification():
+    claims, baseline = load_claims(), load_baseline()
+    before = scorecard(claims, baseline)["crawling, generation 2"]
     assert (before["verification"].grade, before["validation"].grade) == (3, 1)
     laws = [claim.id for claim in claims if claim.use == "law"]
-    worse = scorecard(claims, with_verdict(kept, laws, "missed"))["crawling, generation 2"]
+    worse = scorecard(claims, with_verdict(baseline, laws, "missed"))["crawling, generation 2"]
     assert (worse["verification"].grade, worse["validation"].grade) == (1, 1)
 
 
 @pytest.mark.parametrize(("verdict", "grade"), [("met", 2), ("explained", 0), ("missed", 0)])
-def test_validation_rests_on_headline_predictions_alone(verdict, grade):
-    claims, kept = load_claims(), load_baseline()
+def test_validation_depends_only_on_headline_predictions(verdict, grade):
+    claims, baseline = load_claims(), load_baseline()
     headline = [claim.id for claim in claims if claim.group == "headline"]
     others = [claim.id for claim in claims if claim.group not in (None, "headline")]
-    before = scorecard(claims, kept)
-    for name, row in scorecard(claims, with_verdict(kept, others, verdict)).items():
+    before = scorecard(claims, baseline)
+    for name, row in scorecard(claims, with_verdict(baseline, others, verdict)).items():
         assert row["validation"].grade == before[name]["validation"].grade, name
-    changed = scorecard(claims, with_verdict(kept, headline, verdict))
+    changed = scorecard(claims, with_verdict(baseline, headline, verdict))
     for name in ("crawling, generation 1", "crawling, generation 2", "crawling, generation 3"):
         assert changed[name]["validation"].grade == grade, name
 
 
-def test_predictions_of_other_groups_are_named_apart():
-    why = scorecard(load_claims(), load_baseline())["following"]["validation"].why
-    assert why.startswith("no headline (apart: own obstacles 10 of 11)")
+def test_predictions_of_other_groups_are_listed_separately():
+    message = scorecard(load_claims(), load_baseline())["following"]["validation"].why
+    assert message.startswith("no headline (separately: own obstacles 10 of 11)")
 
 
-def test_the_command_prints_it_and_runs_nothing(srs_twin, tmp_path):
+def test_the_command_prints_the_scorecard_without_a_run(srs_twin, tmp_path):
     done = srs_twin("reproduce", "--scorecard", "--json", cwd=tmp_path)
     assert done.returncode == 0
     assert set(json.loads(done.stdout)["planning"]) == set(FACTORS)
@@ -73,8 +75,8 @@ def test_the_command_prints_it_and_runs_nothing(srs_twin, tmp_path):
 
 
 @pytest.mark.parametrize(("u_num", "grade"), [(1e-4, 3), (1e-2, 2), (None, 2)])
-def test_a_small_error_of_the_time_step_is_worth_a_grade(u_num, grade):
-    spread = {"u_num": u_num, "u_input": 0.01}
-    document = {"plants": {"twin": {"m": spread}}, "target": {"plant": "twin", "metric": "m"}}
+def test_a_small_time_step_error_raises_the_grade(u_num, grade):
+    uncertainty = {"u_num": u_num, "u_input": 0.01}
+    document = {"plants": {"twin": {"m": uncertainty}}, "target": {"plant": "twin", "metric": "m"}}
     assert module._verification((3, 3), [document]).grade == grade
     assert module._verification((2, 3), [document]).grade == 1

@@ -276,7 +276,7 @@ def test_environments_agree_with_the_cpu_engine():
         here, there = (env.step(action) for env in made)
         assert np.abs(here[0] - there[0]).max() < 1e-3 and np.abs(here[1] - there[1]).max() < 1e-4
         assert (here[3] == there[3]).all()
-    with pytest.warns(EngineWarning, match="surroundings of its own"):
+    with pytest.warns(EngineWarning, match="obstacles differ between episodes"):
         gymnasium.make_vec("srs_twin.envs:SRSTwin/Obstacles-v0", num_envs=1, **ON).reset(seed=1)
 
 

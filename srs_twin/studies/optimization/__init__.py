@@ -1,1 +1,1 @@
-"""What robot should be built, and how should it move: studies of designs and gaits over two fidelities."""
+"""Optimisation of robot designs and gaits with two fidelities, `compliant` and the twin."""

@@ -1,4 +1,4 @@
-"""`srs-twin optimize`: which robot and gait are best, by many cheap runs and few of the twin."""
+"""`srs-twin optimize`: search for the best robot and gait with two fidelities."""
 
 from __future__ import annotations
 
@@ -19,16 +19,18 @@ from srs_twin.cli.options import (
 from srs_twin.cli.progress import RunCounter
 
 if TYPE_CHECKING:
-    from srs_twin.studies.optimization.answer import Answer
-    from srs_twin.studies.optimization.loading import Study
+    from srs_twin.studies.optimization.loading import OptimizationStudy
+    from srs_twin.studies.optimization.result import StudyResult
     from srs_twin.studies.sweep.task import Row
 
 STUDIES = Path("runs/studies")
-_COLUMNS = 6
+
+_MAX_COLUMNS = 6
+"""Largest number of best designs in the printed table."""
 
 
 def optimize(
-    given: Annotated[str, argument("STUDY", shipped=["study"])],
+    name: Annotated[str, argument("STUDY", of=["study"])],
     out: Annotated[str | None, option("--out DIR")] = None,
     engine: Annotated[str, option("--engine NAME")] = "local",
     workers: Annotated[int | None, jobs_option("--workers N")] = None,
@@ -38,60 +40,61 @@ def optimize(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Find the best robot or gait for a question in a file.
+    """Find the best robot or gait for the objectives of a study file.
 
-    Searches the analytical model compliant, and corrects it by few runs of the twin; every result is the
-    twin's. What an earlier start left in the folder is kept, and it goes on from there.
+    The search uses the analytical model compliant and corrects it by a few runs of the twin; all results are
+    the twin's. An interrupted search resumes in the same folder.
 
     Options:
-        given: A shipped study or a file.
-        out: Folder of results. [default: runs/studies/STUDY]
-        engine: Who runs the designs: local, ray or warp.
-        address: Of a Ray cluster, or the device of warp, as cuda:0. [default: this machine's]
-        changed: Go on in a folder of another version; keep what still belongs.
+        name: Shipped study or study file.
+        out: Output folder. [default: runs/studies/STUDY]
+        engine: Engine for the runs: local, ray or warp.
+        address: Address of a Ray cluster, or device of warp, as cuda:0. [default: local]
+        changed: Resume in a folder of another version; keep the runs that still apply.
     """
-    from srs_twin.studies.sweep.command import chosen_engine
+    from srs_twin.studies.sweep.command import make_engine
 
-    runner = chosen_engine(engine, workers, address)
-    from srs_twin.studies.optimization.answer import Answer
+    runner = make_engine(engine, workers, address)
     from srs_twin.studies.optimization.loading import load_study
-    from srs_twin.studies.optimization.runs import Runs
-    from srs_twin.studies.optimization.search import TOLD, search
+    from srs_twin.studies.optimization.result import StudyResult
+    from srs_twin.studies.optimization.runs import StudyRuns
+    from srs_twin.studies.optimization.search import MAX_REPORTED, search
 
-    study = load_study(given, set=changed_fields.changes())
+    study = load_study(name, set=changed_fields.changes())
     folder = Path(out) if out else STUDIES / study.name
     budget = study.file.budget
     total = budget.twin + (budget.compliant if "compliant" in study.experiments else 0)
-    total += 1 + TOLD * (2 + budget.uncertain) + budget.uncertain  # of what the best are worth
-    best = _Best(study)
+    # After the search: the initial scenario, and per design two refinements and the draws of the robot.
+    total += 1 + MAX_REPORTED * (2 + budget.uncertain) + budget.uncertain
+    best = _BestSoFar(study)
     with RunCounter(study.name, total, quiet=quiet, status=best.text) as counting:
 
-        def told(part: str, row: Row) -> None:
-            best.take(part, row)
+        def on_row(part: str, row: Row) -> None:
+            best.add(part, row)
             counting(failed=row.exit_code != 0)
 
-        with interruptible(f"what was run is kept in {folder}, start again to go on"):
-            with Runs(study, folder, runner, told, changed=changed) as runs:
-                answer = Answer.of(study, search(study, runs), runs)
-            # Here: matplotlib's import would delay the search.
-            from srs_twin.studies.optimization.report import write_answer
+        with interruptible(f"finished runs are kept in {folder}; start again to resume"):
+            with StudyRuns(study, folder, runner, on_row, changed=changed) as runs:
+                result = StudyResult.evaluate(study, search(study, runs), runs)
+            # Imported here, because matplotlib would delay the search.
+            from srs_twin.studies.optimization.report import write_result
 
-            files = write_answer(answer, folder)
+            files = write_result(result, folder)
     if as_json:
-        print_json(answer.document())
+        print_json(result.document())
     elif not quiet:
-        _show(answer)
+        _print_result(result)
     say(f"files in {folder}: {', '.join(files)}", quiet=quiet)
 
 
-class _Best:
-    """The best result so far of the first objective that keeps the constraints, for the line of progress."""
+class _BestSoFar:
+    """Best feasible value of the first objective so far at each fidelity, for the progress line."""
 
-    def __init__(self, study: Study) -> None:
+    def __init__(self, study: OptimizationStudy) -> None:
         self._study, self._values = study, dict[str, float]()
 
-    def take(self, part: str, row: Row) -> None:
-        """Take a run that has finished."""
+    def add(self, part: str, row: Row) -> None:
+        """Update with a finished run."""
         import numpy as np
 
         from srs_twin.studies.optimization.runs import Run
@@ -103,42 +106,40 @@ class _Best:
             self._values[part] = best(value, self._values.get(part, value))
 
     def text(self) -> str:
-        """Return it in words."""
+        """Return the values as text."""
         return ", ".join(f"{part} {value:.4g}" for part, value in self._values.items())
 
 
-def _show(answer: Answer) -> None:
-    """Print the best designs, and what the page says of them."""
+def _print_result(result: StudyResult) -> None:
+    """Print the best designs, their gains and limitations."""
     from srs_twin.identification.fitting import print_table
-    from srs_twin.studies.optimization.report import bound_lines, marked, share_text
+    from srs_twin.studies.optimization.report import bound_lines, mark_bound, percentage
     from srs_twin.viewing.plots.labels import field_label, metric_label
 
-    study, told = answer.study, answer.document()
-    shown = told["best"][:_COLUMNS]
+    study, document = result.study, result.document()
+    shown = document["best"][:_MAX_COLUMNS]
     lines = []
     for name in study.space.variables:
-        values = [marked(each["variables"][name], name in each["on_bound"]) for each in shown]
+        values = [mark_bound(design["variables"][name], name in design["on_bound"]) for design in shown]
         lines.append((field_label(name), "", *values))
-    for name in answer.metrics:
-        results = [told["begun"][name], *(each["metrics"][name] for each in shown)]
+    for name in result.metrics:
+        results = [document["begun"][name], *(design["metrics"][name] for design in shown)]
         lines.append((metric_label(name), *("–" if value is None else f"{value:.4g}" for value in results)))
-    print_table(("", "as it stands", *(f"best/{k + 1}" for k in range(len(shown)))), lines, left=(0,))
-    if len(told["best"]) > _COLUMNS:
-        print(f"{len(told['best'])} designs on the front; study.json has all")
-    for line in bound_lines(answer):
+    headings = ("", "initial scenario", *(f"best/{k + 1}" for k in range(len(shown))))
+    print_table(headings, lines, left=(0,))
+    if len(document["best"]) > _MAX_COLUMNS:
+        print(f"{len(document['best'])} designs on the front; study.json has all")
+    for line in bound_lines(result):
         print(line)
-    for k, each in enumerate(told["best"][:3]):
-        if (share := each["beats_next"]) is not None:
+    for k, design in enumerate(document["best"][:3]):
+        if (share := design["beats_next"]) is not None:
             print(f"best/{k + 1} is better than best/{k + 2} for {100 * share:.0f} % of the drawn robots")
-        for metric, gain in each["gains"].items():
+        for metric, gain in design["gains"].items():
             ends = gain["interval_95"]
-            sure = "" if ends is None else f" (95 %: {share_text(ends[0])} to {share_text(ends[1])})"
-            print(f"best/{k + 1}: {metric_label(metric)} {share_text(gain['share'])}{sure}")
-        if not each["keeps_constraints"]:
-            print(
-                f"best/{k + 1}: it misses the constraints, as every run of the twin did; it misses them least"
-            )
-        if not each["survives"]:
-            print(f"best/{k + 1}: more than 1 % changes as the twin is refined")
-    counts = ", ".join(f"{count} runs of {part}" for part, count in told["evaluations"].items())
-    print(counts)
+            interval = "" if ends is None else f" (95 %: {percentage(ends[0])} to {percentage(ends[1])})"
+            print(f"best/{k + 1}: {metric_label(metric)} {percentage(gain['share'])}{interval}")
+        if not design["keeps_constraints"]:
+            print(f"best/{k + 1}: misses the constraints, as all runs of the twin do, by the least amount")
+        if not design["survives"]:
+            print(f"best/{k + 1}: changes by more than 1 % with a finer time step or more hinges")
+    print(", ".join(f"{count} runs of {part}" for part, count in document["evaluations"].items()))

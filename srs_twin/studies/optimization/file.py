@@ -1,4 +1,4 @@
-"""The study file as a strict model."""
+"""Model of the study file, which validates it strictly."""
 
 from __future__ import annotations
 
@@ -11,102 +11,102 @@ from srs_twin.scenario.fields import Line, PathOrName, Section, quantity
 from srs_twin.studies.sweep.table import FieldName, Plain
 
 SEGMENTS = "robot.segments"
-"""Stands for all of a robot's numbers that go with how many segments it has."""
+"""Variable for the number of segments; it changes all parameters of the robot that depend on it."""
 
 
 class VariableFile(Section):
-    """Between which values a field may be chosen."""
+    """Range of a field that the study optimises."""
 
-    low: float = Field(ge=-1e12, le=1e12, description="Least value.")
+    low: float = Field(ge=-1e12, le=1e12, description="Smallest value.")
     high: float = Field(ge=-1e12, le=1e12, description="Largest value.")
     scale: Literal["linear", "log"] = "linear"
-    """How the search measures distances; log: by ratios."""
+    """Scale on which the search measures distances; log: ratios."""
     whole: bool = False
-    """Whole numbers only."""
+    """Whether only integers are allowed."""
     hold: list[Literal["total_length", "total_mass"]] | None = None
-    """What stays as it is while the number of segments changes (robot.segments)."""
+    """Quantities that stay constant when the number of segments changes (robot.segments)."""
     bounds_source: Words | None = None
-    """Physical reason for low and high, which the result repeats for designs on a bound."""
+    """Physical reason for low and high, repeated in the result for designs on a bound."""
 
     @model_validator(mode="after")
     def _in_order(self) -> VariableFile:
         if not self.low < self.high:
-            raise ValueError(f"low {self.low:g} is not below high {self.high:g}")
+            raise ValueError(f"low {self.low:g} must be below high {self.high:g}")
         if self.scale == "log" and self.low <= 0:
             raise ValueError(f"scale: log needs values above 0, but low is {self.low:g}")
         return self
 
 
 class ObjectiveFile(Section):
-    """What is to be as large or as small as can be."""
+    """Metric to maximise or minimise."""
 
     metric: str
     """One of `srs-twin list --metrics`."""
     goal: Literal["maximize", "minimize"]
-    """Which of both."""
+    """Direction of the optimisation."""
     quantile: float | None = quantity(0.01, 0.99, None)
-    """Of the designs that are told of, the one is best whose results under what is uncertain of the robot
-    (budget.uncertain) have the best such quantile (default: the result of the robot as it stands counts)."""
+    """Quantile over the robot's uncertain parameters (budget.uncertain) by which the reported designs are
+    ranked (default: by the result of the nominal robot)."""
 
 
 class ConstraintFile(Section):
-    """What a design has to keep."""
+    """Limit of a metric that a design must satisfy."""
 
     metric: str
     """One of `srs-twin list --metrics`."""
-    below: float | None = Field(None, ge=-1e12, le=1e12, description="It must not be above this.")
-    above: float | None = Field(None, ge=-1e12, le=1e12, description="It must not be below this.")
+    below: float | None = Field(None, ge=-1e12, le=1e12, description="Largest allowed value.")
+    above: float | None = Field(None, ge=-1e12, le=1e12, description="Smallest allowed value.")
 
     @model_validator(mode="after")
-    def _says_something(self) -> ConstraintFile:
+    def _has_limit(self) -> ConstraintFile:
         if self.below is None and self.above is None:
             raise ValueError("give below or above")
         return self
 
 
 class BudgetFile(Section):
-    """How many runs a study may take."""
+    """Numbers of runs of a study."""
 
     compliant: int = quantity(8, 1_000_000, 400)
-    """Of the analytical model compliant, where that can run the scenario."""
+    """Runs of the analytical model compliant, if it can run the scenario."""
     twin: int = quantity(4, 1_000_000, 40)
-    """Of the twin."""
+    """Runs of the twin."""
     uncertain: int = quantity(0, 10_000, 0)
-    """Of the twin, for each of the best designs, with what is uncertain of the robot; 0: none."""
+    """Runs of the twin per best design, with draws of the robot's uncertain parameters; 0: none."""
 
 
 class StudyFile(Section):
-    """A question: which values of some fields are best."""
+    """Optimisation of some fields of a scenario."""
 
     title: Line | None = None
-    """One line for people (default: the name)."""
+    """Title, one line (default: the name)."""
     scenario: PathOrName
-    """A shipped name or the path of a file."""
+    """Scenario, a shipped name or the path of a file."""
     fixed: dict[FieldName, Plain | list[Plain]] = Field(
-        {}, description="Fields with another value than the scenario's."
+        {}, description="Fields with a different value than in the scenario."
     )
     variables: dict[FieldName, VariableFile] = Field(
-        min_length=1, max_length=20, description="Fields that are chosen."
+        min_length=1, max_length=20, description="Fields to optimise."
     )
     objectives: list[ObjectiveFile] = Field(
-        min_length=1, max_length=2, description="One, or two whose Pareto front is sought."
+        min_length=1, max_length=2, description="One objective, or two for a Pareto front."
     )
-    constraints: list[ConstraintFile] = Field([], max_length=20, description="What has to be kept.")
+    constraints: list[ConstraintFile] = Field([], max_length=20, description="Constraints on metrics.")
     budget: BudgetFile = BudgetFile()
     seed: int = quantity(0, 2**32 - 1, 0)
-    """Of the search."""
+    """Random seed of the search."""
 
     @model_validator(mode="after")
-    def _what_belongs_together(self) -> StudyFile:
+    def _check_combinations(self) -> StudyFile:
         for name, variable in self.variables.items():
             if variable.hold and name != SEGMENTS:
-                raise ValueError(f"hold belongs to {SEGMENTS}, not to {name}")
-        robust = any(each.quantile is not None for each in self.objectives)
+                raise ValueError(f"hold is only for {SEGMENTS}; remove it from {name}")
+        robust = any(objective.quantile is not None for objective in self.objectives)
         if robust and not (self.budget.uncertain and len(self.objectives) == 1):
-            raise ValueError("quantile takes one objective, and a budget of uncertain runs")
+            raise ValueError("quantile needs a single objective and budget.uncertain above 0")
         return self
 
 
 def study_json_schema() -> dict[str, Any]:
-    """Return a schema (draft 2020-12) that knows every key with its title, description, unit and range."""
+    """Return the JSON Schema (draft 2020-12) of study files."""
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | StudyFile.model_json_schema()

@@ -1,4 +1,4 @@
-"""From a study file to a Study; everything that is wrong is reported at once, with its place."""
+"""Loading of studies; all problems of a file are reported together, each with its location."""
 
 from __future__ import annotations
 
@@ -19,123 +19,126 @@ from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.scenario.modified import Changes, changed_fields, marked
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.optimization.file import SEGMENTS, StudyFile
-from srs_twin.studies.optimization.space import Space
-from srs_twin.studies.sweep.points import Experiment, leaves
-from srs_twin.studies.uncertainty.study import compliant_partner
+from srs_twin.studies.optimization.space import DesignSpace
+from srs_twin.studies.sweep.points import Experiment, leaf_names
+from srs_twin.studies.uncertainty.study import compliant_scenario
 
 
 @dataclass(frozen=True)
-class Study:
-    """A question that can be answered.
+class OptimizationStudy:
+    """Loaded and validated study.
 
     Attributes:
-        name: of the folder of results.
-        file: what was asked.
-        scenario: that is changed.
-        space: of designs.
-        experiments: "compliant" (where that can run the scenario) and "twin" → what they run.
-        document: plain data of the file.
-        changes: fields that differ from the study's file; `title` names them.
+        name: name, also of the output folder.
+        file: content of the study file.
+        scenario: scenario that is varied.
+        space: design space.
+        experiments: "compliant" (if it can run the scenario) and "twin" → experiment at this fidelity.
+        document: study file as plain data.
+        changes: fields that differ from the study file; `title` names them.
     """
 
     name: str
     file: StudyFile
     scenario: Scenario
-    space: Space
+    space: DesignSpace
     experiments: Mapping[str, Experiment]
     document: Mapping[str, Any] = field(repr=False)
     changes: Changes = ()
 
     @property
     def title(self) -> str:
-        """One line for people."""
+        """Title, one line."""
         return marked(self.file.title or self.name, self.changes)
 
 
-def load_study(name_or_path: str | os.PathLike[str], *, set: Sequence[Override] = ()) -> Study:
-    """Load a study: a shipped name (gen2_speed) or the path of a study file.
+def load_study(name_or_path: str | os.PathLike[str], *, set: Sequence[Override] = ()) -> OptimizationStudy:
+    """Load a study by its shipped name (gen2_speed) or the path of a study file.
 
     Args:
-        name_or_path: of the study.
-        set: fields of the scenario that are fixed besides those of the file; `seed` is the study's.
+        name_or_path: name or path of the study.
+        set: fields of the scenario to fix in addition to those of the file; `seed` is that of the study.
 
     Raises:
-        InputError: not found or not readable.
-        InputFileError: everything that is wrong with it, one line each.
+        InputError: the file does not exist or cannot be read.
+        InputFileError: the file is invalid; lists all problems, one per line.
     """
     path = find_file("study", name_or_path)
     document = load_yaml(path)
     written = copy.deepcopy(document.data)
     for change in set:
-        whose = change.loc if change.loc == ("seed",) else ("fixed", format_path(change.loc))
-        document.apply(replace(change, loc=whose))
+        loc = change.loc if change.loc == ("seed",) else ("fixed", format_path(change.loc))
+        document.apply(replace(change, loc=loc))
     file = validate(StudyFile, document, document.data)
     scenario: Scenario | None = None
-    foreign: tuple[str, ...] = ()
+    scenario_errors: tuple[str, ...] = ()
     if file is not None:
         with document.report_errors("scenario"):
             try:
                 scenario = load_scenario(file.scenario)
             except InputFileError as error:
-                foreign = error.lines
+                scenario_errors = error.lines
     study = None
     if file is not None and scenario is not None:
         _check_metrics(document, file)
         study = _study(results_name(path), document, file, scenario)
-        _check_ends(document, study)
-    document.raise_problems(foreign)
-    assert study is not None, "no problem was reported"
+        _check_range_ends(document, study)
+    document.raise_problems(scenario_errors)
+    assert study is not None, "a document without problems gives a study"
     return replace(study, changes=_changes(study, written, [change.loc for change in set]))
 
 
-def _changes(study: Study, written: Mapping[str, Any], locs: Sequence[Loc]) -> Changes:
-    """Return the fields that were set, those of the scenario and the study's seed."""
+def _changes(study: OptimizationStudy, written: Mapping[str, Any], locs: Sequence[Loc]) -> Changes:
+    """Return the changed fields of the scenario, and the study's seed if it was changed."""
     after = study.experiments["twin"]
     before = replace(after, base=study.scenario.document).with_fixed(written.get("fixed") or {})
-    found = changed_fields(before, after.base, [loc for loc in locs if loc != ("seed",)])
+    changes = changed_fields(before, after.base, [loc for loc in locs if loc != ("seed",)])
     seed: dict[str, Any] = {"seed": 0, **written}
-    return found + changed_fields(seed, study.document, [loc for loc in locs if loc == ("seed",)])
+    return changes + changed_fields(seed, study.document, [loc for loc in locs if loc == ("seed",)])
 
 
-def _study(name: str, document: Document, file: StudyFile, scenario: Scenario) -> Study:
+def _study(name: str, document: Document, file: StudyFile, scenario: Scenario) -> OptimizationStudy:
     settings = scenario.document["plants"].get("twin", {})
     base: Any = {**scenario.document, "plants": {"twin": settings}, "expect": []}
     base = Experiment(base, ("twin",)).with_fixed(file.fixed)
     experiments = {"twin": Experiment(base, ("twin",))}
-    partner = None
+    compliant = None
     try:
-        partner = compliant_partner(parse_scenario(base, name=scenario.name))
+        compliant = compliant_scenario(parse_scenario(base, name=scenario.name))
     except InputError as error:
         document.report(("fixed",), str(error))
-    if partner is not None:
-        experiments = {"compliant": Experiment(partner, ("analytical",)), **experiments}
-    return Study(name, file, scenario, Space(file.variables, base["robot"]), experiments, document.data)
+    if compliant is not None:
+        experiments = {"compliant": Experiment(compliant, ("analytical",)), **experiments}
+    space = DesignSpace(file.variables, base["robot"])
+    return OptimizationStudy(name, file, scenario, space, experiments, document.data)
 
 
 def _check_metrics(document: Document, file: StudyFile) -> None:
     for section in ("objectives", "constraints"):
-        for i, each in enumerate(getattr(file, section)):
-            if each.metric not in METRIC_UNITS:
-                text = str(UnknownNameError("metric", each.metric, METRIC_UNITS, METRICS_LISTED))
+        for i, entry in enumerate(getattr(file, section)):
+            if entry.metric not in METRIC_UNITS:
+                text = str(UnknownNameError("metric", entry.metric, METRIC_UNITS, METRICS_LISTED))
                 document.report((section, i, "metric"), text)
 
 
-def _check_ends(document: Document, study: Study) -> None:
-    """Let the scenario's own checks see the least and the largest value of each variable."""
-    size, said = study.space.size, set[str]()
+def _check_range_ends(document: Document, study: OptimizationStudy) -> None:
+    """Validate the scenario with the smallest and the largest value of each variable."""
+    size, reported = study.space.size, set[str]()
     for i, name in enumerate(study.file.variables):
         for end, share in (("low", 0.0), ("high", 1.0)):
             shares = np.full(size, 0.5)
             shares[i] = share
-            for part in study.experiments.values():
+            for experiment in study.experiments.values():
                 try:
-                    parse_scenario(part.document(study.space.changes(shares)), name="")
+                    parse_scenario(experiment.document(study.space.changes(shares)), name="")
                 except InputFileError as error:
                     for line in dict.fromkeys(error.lines):
                         text = line.removeprefix(": ")
-                        if text in said:
+                        if text in reported:
                             continue
-                        said.add(text)
-                        unknown = "unknown key" in text and "did you mean" not in text
-                        hint = did_you_mean(name, [SEGMENTS, *leaves(part.base)]) if unknown else ""
+                        reported.add(text)
+                        is_unknown = "unknown key" in text and "did you mean" not in text
+                        hint = (
+                            did_you_mean(name, [SEGMENTS, *leaf_names(experiment.base)]) if is_unknown else ""
+                        )
                         document.report(("variables", name, end), text + hint)

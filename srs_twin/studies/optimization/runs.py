@@ -1,8 +1,8 @@
-"""Runs of designs: each is kept as soon as it is finished, and none is run twice.
+"""Runs of designs: each is stored as soon as it is finished, and none is run twice.
 
-A search asks for designs in an order that depends on the seed and on results alone. So one that was
-interrupted is begun again from the start, finds its earlier runs here, and goes on where it was; workers
-change how fast that is, nothing else.
+The order of the designs in a search depends only on the seed and on results. An interrupted search is
+therefore restarted from the beginning: it requests the same designs, and finished runs are read from the
+store. The number of workers changes only the speed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.io.files import check_output_folder, display_path
 from srs_twin.scenario.provenance import run_key, source_digests, versions
-from srs_twin.studies.optimization.loading import Study
+from srs_twin.studies.optimization.loading import OptimizationStudy
 from srs_twin.studies.sweep.execution import Engine
 from srs_twin.studies.sweep.points import RUNNER, Changes, Point
 from srs_twin.studies.sweep.store import RowStore, SweepIdentity
@@ -27,17 +27,18 @@ from srs_twin.studies.sweep.task import DONE, Row, failed_row
 PLANTS = {"compliant": "analytical", "twin": "twin"}
 """Fidelity → plant that runs it."""
 
-Told = Callable[[str, Row], None]
+RowCallback = Callable[[str, Row], None]
+"""Function called with the fidelity and the row of each newly finished run."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """One design at one fidelity.
+    """Run of a design at one fidelity.
 
     Attributes:
-        part: "compliant" or "twin".
-        shares: of the design, shape (d,).
-        row: what came of it.
+        part: fidelity, "compliant" or "twin".
+        shares: design as shares of the ranges, shape (d,).
+        row: result.
     """
 
     part: str
@@ -45,48 +46,54 @@ class Run:
     row: Row
 
     def metric(self, name: str) -> float:
-        """Return a metric; NaN where there is none."""
+        """Return a metric; NaN without a value."""
         return metric_of(self.row, self.part, name)
 
 
 def metric_of(row: Row, part: str, name: str) -> float:
-    """Return a metric of a row at a fidelity; NaN where there is none."""
+    """Return a metric of a row at a fidelity; NaN without a value."""
     value = row.values.get(f"{PLANTS[part]}.{name}")
     return float("nan") if value is None or row.status != DONE else value
 
 
-class Runs(AbstractContextManager["Runs"]):
-    """The runs of a study, in a folder that is locked.
+class StudyRuns(AbstractContextManager["StudyRuns"]):
+    """Runs of a study in a locked folder.
 
     Attributes:
-        asked: all runs in the order in which they were asked for, each once.
+        requested: all requested runs in order, each once.
     """
 
     def __init__(
-        self, study: Study, folder: Path, engine: Engine, told: Told | None = None, *, changed: bool = False
+        self,
+        study: OptimizationStudy,
+        folder: Path,
+        engine: Engine,
+        on_row: RowCallback | None = None,
+        *,
+        changed: bool = False,
     ) -> None:
         """Open the folder.
 
         Args:
-            study: whose runs they are.
-            folder: made where it is missing.
-            engine: who runs what is missing.
-            told: called with each run that finishes now.
-            changed: go on in a folder of another study; runs that both have stay.
+            study: study.
+            folder: folder of the runs; created if missing.
+            engine: engine for new runs.
+            on_row: called with each newly finished run.
+            changed: continue in the folder of another study; the runs that still apply are kept.
 
         Raises:
             InputError: the folder cannot be written, is locked, or belongs to another study.
         """
-        self._study, self._engine, self._told = study, engine, told
-        self.asked: list[Run] = []
-        self._known: dict[str, Row] = {}
-        self._seen: dict[str, Run] = {}
+        self._study, self._engine, self._on_row = study, engine, on_row
+        self.requested: list[Run] = []
+        self._rows: dict[str, Row] = {}
+        self._requested_by_key: dict[str, Run] = {}
         check_output_folder(folder, ())
         with ExitStack() as opened:
             self._stores = {part: opened.enter_context(RowStore(folder / part)) for part in study.experiments}
             for part, store in self._stores.items():
-                self._settle(folder / part, part, store, changed=changed)
-                self._known |= {row.key: row for row in store.rows()}
+                self._check_identity(folder / part, part, store, changed=changed)
+                self._rows |= {row.key: row for row in store.rows()}
             self._opened = opened.pop_all()
 
     def __exit__(self, *error: object) -> None:
@@ -95,47 +102,47 @@ class Runs(AbstractContextManager["Runs"]):
 
     def run(self, part: str, shares: np.ndarray) -> list[Run]:
         """Return the runs of designs, shape (designs, d), at one fidelity; raises as `rows`."""
-        found = []
-        rows = self.rows(part, [self._study.space.changes(each) for each in shares])
-        for row, each in zip(rows, shares, strict=True):
-            if row.key not in self._seen:
-                self._seen[row.key] = Run(part, each, row)
-                self.asked.append(self._seen[row.key])
-            found.append(self._seen[row.key])
-        return found
+        runs = []
+        rows = self.rows(part, [self._study.space.changes(design) for design in shares])
+        for row, design in zip(rows, shares, strict=True):
+            if row.key not in self._requested_by_key:
+                self._requested_by_key[row.key] = Run(part, design, row)
+                self.requested.append(self._requested_by_key[row.key])
+            runs.append(self._requested_by_key[row.key])
+        return runs
 
     def rows(self, part: str, changes: Sequence[Changes]) -> list[Row]:
-        """Return what came of changes of the scenario at one fidelity, "compliant" or "twin".
+        """Return the results of changes to the scenario at one fidelity; run those that are missing.
 
         Raises:
-            InputError: a row cannot be kept.
+            InputError: a row cannot be written.
         """
         experiment, plant = self._study.experiments[part], PLANTS[part]
-        points = [Point(run_key(experiment.document(each), (plant,), RUNNER), each) for each in changes]
-        missing = list({p.key: p for p in points if p.key not in self._known}.values())
-        if missing:  # an engine may take seconds to begin
+        points = [Point(run_key(experiment.document(change), (plant,), RUNNER), change) for change in changes]
+        missing = list({p.key: p for p in points if p.key not in self._rows}.values())
+        if missing:  # starting an engine may take seconds
             with closing(self._engine(experiment, missing)) as rows:  # type: ignore[type-var]
                 for done in rows:
                     row = done.result or failed_row(missing[done.number].key, done.error)
                     self._stores[part].add(row)
-                    self._known[row.key] = row
-                    if self._told is not None:
-                        self._told(part, row)
-        return [self._known[point.key] for point in points]
+                    self._rows[row.key] = row
+                    if self._on_row is not None:
+                        self._on_row(part, row)
+        return [self._rows[point.key] for point in points]
 
-    def forget(self) -> None:
-        """Begin another search: what was asked for is not told any more, and not run again either."""
-        self.asked, self._seen = [], {}
+    def reset(self) -> None:
+        """Start another search: clear the list of requested runs, but keep their results."""
+        self.requested, self._requested_by_key = [], {}
 
-    def _settle(self, folder: Path, part: str, store: RowStore, *, changed: bool) -> None:
-        """Refuse a folder that belongs to another study, unless told; note whose it is."""
+    def _check_identity(self, folder: Path, part: str, store: RowStore, *, changed: bool) -> None:
+        """Refuse the folder of another study unless `changed`; store the identity of this one."""
         experiment, names = self._study.experiments[part], list(self._study.space.variables)
         rest: tuple[Mapping[str, object], ...] = (versions(), source_digests(RUNNER))
         now = SweepIdentity("", *json.loads(json.dumps((experiment.base, names, *rest))))
         before = store.identity()
         if before is not None and before != now and not changed:
             raise InputError(
-                f"{display_path(folder)}: its runs are of another study, or of another version of the "
-                "program; give --changed to keep those that still belong, or another --out"
+                f"{display_path(folder)}: its runs are of another study or another version of the program; "
+                "give --changed to keep those that still apply, or another --out"
             )
-        store.keep_identity(now)
+        store.set_identity(now)

@@ -1,4 +1,4 @@
-"""Sweeps: one scenario over many values of its fields, rows that survive whatever happens to the process."""
+"""Sweeps: runs of a scenario over many values of its fields, stored row by row so that they can resume."""
 
 from srs_twin.extensions import lazy
 

@@ -33,12 +33,16 @@ if TYPE_CHECKING:
     from srs_twin.viewing.html.page import Table as TextTable
 
 SWEEPS = Path("runs/sweeps")
-_SHOWN_REASONS = 5
-_MOST_PUBLISHED = 30  # rows of published values; more are for the report
+
+_MAX_REASONS = 5
+"""Largest number of failure reasons that are printed."""
+
+_MAX_PUBLISHED = 30
+"""Largest number of published values that are printed; the report has all."""
 
 
 def sweep(
-    given: Annotated[str, argument("SWEEP", shipped=["sweep"])],
+    name: Annotated[str, argument("SWEEP", of=["sweep"])],
     out: Annotated[str | None, option("--out DIR")] = None,
     engine: Annotated[str, option("--engine NAME")] = "local",
     workers: Annotated[int | None, jobs_option("--workers N")] = None,
@@ -53,89 +57,89 @@ def sweep(
 ) -> None:
     """Run a scenario over grids, lists or samples of its fields.
 
-    What an earlier start left in the folder is kept, and it goes on from there.
+    An interrupted sweep resumes in the same folder.
 
     Options:
-        given: A shipped sweep or a file.
-        out: Folder of results. [default: runs/sweeps/SWEEP]
-        engine: Who runs the points: local, ray, or warp (twins on an accelerator).
-        address: Of a Ray cluster, or the device of warp, as cuda:0. [default: this machine's]
-        retry_failed: Run again what failed.
-        changed: Go on in a folder of an earlier version; keep what still belongs.
-        without: Leave out the points with this value; may be repeated.
-        plants: analytical, twin or both. [default: the sweep's]
+        name: Shipped sweep or sweep file.
+        out: Output folder. [default: runs/sweeps/SWEEP]
+        engine: Engine for the runs: local, ray, or warp (twins on an accelerator).
+        address: Address of a Ray cluster, or device of warp, as cuda:0. [default: local]
+        retry_failed: Run failed points again.
+        changed: Resume in a folder of another version; keep the rows that still apply.
+        without: Leave out the points with this value (repeatable).
+        plants: Plants: analytical, twin or both. [default: the sweep's]
     """
-    chosen = chosen_engine(engine, workers, address)
+    runner = make_engine(engine, workers, address)
     from srs_twin.scenario.modified import marked
     from srs_twin.studies.sweep.execution import open_sweep
     from srs_twin.studies.sweep.loading import load_sweep
 
-    found = load_sweep(given, set=changed_fields.changes(), plants=parse_plants(plants))
-    for warning in () if quiet else found.warnings:
+    loaded = load_sweep(name, set=changed_fields.changes(), plants=parse_plants(plants))
+    for warning in () if quiet else loaded.warnings:
         say(f"warning: {warning}")
-    folder = Path(out) if out else SWEEPS / found.name
-    wanted = wanted_points(found, without or ())
-    with open_sweep(found, folder, changed=changed) as opened:
-        missing = tuple(p for p in opened.missing(retry_failed=retry_failed) if p.key in wanted)
-        there = len(wanted) - len(missing)
-        if there and not quiet:
-            say(f"{there} of {len(wanted)} rows are there already, {len(missing)} to do")
+    folder = Path(out) if out else SWEEPS / loaded.name
+    selected = select_points(loaded, without or ())
+    with open_sweep(loaded, folder, changed=changed) as opened:
+        missing = tuple(p for p in opened.missing(retry_failed=retry_failed) if p.key in selected)
+        existing = len(selected) - len(missing)
+        if existing and not quiet:
+            say(f"{existing} of {len(selected)} rows exist already, {len(missing)} to do")
 
-        def kept() -> str:
+        def interrupted_message() -> str:
             summary = opened.finish()
             rows = summary.done + summary.failed
-            return f"{rows} of {summary.points} rows are kept, start again to go on"
+            return f"{rows} of {summary.points} rows are kept; start again to resume"
 
-        with interruptible(kept):
-            with RunCounter(found.name, len(missing), quiet=quiet) as counting:
-                opened.run(chosen, missing, lambda row: counting(failed=row.exit_code != 0))
+        with interruptible(interrupted_message):
+            with RunCounter(loaded.name, len(missing), quiet=quiet) as counting:
+                opened.run(runner, missing, lambda row: counting(failed=row.exit_code != 0))
             summary = opened.finish()
     if as_json:
-        done = {"rows": summary.done, "failed": summary.failed, "sha256": summary.sha256}
-        print_json(done | {"results": str(summary.folder / "results.parquet")})
+        document = {"rows": summary.done, "failed": summary.failed, "sha256": summary.sha256}
+        print_json(document | {"results": str(summary.folder / "results.parquet")})
     elif not quiet:
-        _show(summary, marked(found.name, found.changes) if found.changes else None)
+        _print_summary(summary, marked(loaded.name, loaded.changes) if loaded.changes else None)
     say(f"files in {summary.folder}: {', '.join(summary.files)}", quiet=quiet)
     if summary.exit_code:
-        _complain(summary)
+        _print_failures(summary)
         raise typer.Exit(summary.exit_code)
 
 
-def wanted_points(found: Sweep, without: Sequence[str]) -> set[str]:
+def select_points(swept: Sweep, without: Sequence[str]) -> set[str]:
     """Return the keys of the points of a sweep that are not left out.
 
     Args:
-        found: the sweep.
-        without: `field=value` each.
+        swept: sweep.
+        without: values to leave out, each as `field=value`.
 
     Raises:
-        InputError: a field is not varied, or never has this value.
+        UnknownNameError: a field is not varied, or never has this value.
     """
     from srs_twin.errors import UnknownNameError
 
-    wanted = {point.key: point.changes for point in found.points}
-    for each in without:
-        field, _, value = each.partition("=")
-        if field not in found.fields:
-            raise UnknownNameError("varied field", field, found.fields)
-        values = {str(point.changes[field]) for point in found.points}
+    selected = {point.key: point.changes for point in swept.points}
+    for excluded in without:
+        field, _, value = excluded.partition("=")
+        if field not in swept.fields:
+            raise UnknownNameError("varied field", field, swept.fields)
+        values = {str(point.changes[field]) for point in swept.points}
         if value not in values:
             raise UnknownNameError(f"value of {field}", value, values)
-        wanted = {key: changes for key, changes in wanted.items() if str(changes[field]) != value}
-    return set(wanted)
+        selected = {key: changes for key, changes in selected.items() if str(changes[field]) != value}
+    return set(selected)
 
 
-def chosen_engine(name: str, workers: int | None, address: str | None) -> Engine:
-    """Return the engine of a name.
+def make_engine(name: str, workers: int | None, address: str | None) -> Engine:
+    """Return an engine by name.
 
     Raises:
-        InputError: it cannot be had so.
-        UnknownNameError: there is no such engine.
+        InputError: the options do not suit the engine, or it is not available.
+        UnknownNameError: the engine does not exist.
     """
     if name == "local":
         from srs_twin.compute.workers import start_server
 
-        # First of all: it loads what workers need while this process loads what it needs itself.
+        # Started first: it imports what workers need while this process imports its own modules.
         start_server("srs_twin.studies.sweep.warm")
     from srs_twin.errors import UnknownNameError
     from srs_twin.studies.sweep import execution
@@ -149,43 +153,43 @@ def chosen_engine(name: str, workers: int | None, address: str | None) -> Engine
 
         return on_device(address, workers)
     if address is not None:
-        raise InputError("--address belongs to the engines ray and warp")
+        raise InputError("--address is only for the engines ray and warp; remove it")
     return execution.local(workers)
 
 
-def _show(summary: Summary, title: str | None) -> None:
-    """Print what the results span, and where they are."""
-    lines = new_table("metric", "least", "median", "most", title=title)
-    for name, (least, median, most) in summary.spans.items():
-        lines.add_row(name, *(f"{value:.4g}" for value in (least, median, most)))
+def _print_summary(summary: Summary, title: str | None) -> None:
+    """Print the ranges of the results, published values, and the paths of the files."""
+    table = new_table("metric", "least", "median", "most", title=title)
+    for name, values in summary.ranges.items():
+        table.add_row(name, *(f"{value:.4g}" for value in values))
     terminal = console()
-    if summary.spans:
-        terminal.print(lines)
-    if summary.published is not None and len(summary.published.rows) <= _MOST_PUBLISHED:
-        terminal.print(_published(summary.published))
+    if summary.ranges:
+        terminal.print(table)
+    if summary.published is not None and len(summary.published.rows) <= _MAX_PUBLISHED:
+        terminal.print(_published_table(summary.published))
     print(f"{summary.done} of {summary.points} runs done, {summary.failed} failed")
     print(f"results sha256 {summary.sha256}")
     print(f"report {display_path(summary.folder / 'report.html')}")
 
 
-def _published(found: TextTable) -> Table:
-    """Return the table of published values: under the name of each metric a line a place."""
-    lines = new_table(*found.headings[1:], title=f"beside {found.title}")
-    # Names of fields may be broken, numbers not.
-    for column in lines.columns[: found.headings.index("published") - 1]:
+def _published_table(published: TextTable) -> Table:
+    """Return the table of published values, grouped by metric."""
+    table = new_table(*published.headings[1:], title=f"compared with {published.title}")
+    # Field names may wrap; numbers must not.
+    for column in table.columns[: published.headings.index("published") - 1]:
         column.no_wrap = False
     metric = None
-    for name, *cells in found.rows:
+    for name, *cells in published.rows:
         if name != metric:
-            lines.add_row(name)
+            table.add_row(name)
         metric = name
-        lines.add_row(*(f"{'' if i else '  '}{cell}" for i, cell in enumerate(cells)))
-    return lines
+        table.add_row(*(f"{'' if i else '  '}{cell}" for i, cell in enumerate(cells)))
+    return table
 
 
-def _complain(summary: Summary) -> None:
-    """Say why runs failed, the most frequent reasons first."""
-    for reason, count in list(summary.reasons.items())[:_SHOWN_REASONS]:
+def _print_failures(summary: Summary) -> None:
+    """Print the reasons of failed runs, the most frequent first."""
+    for reason, count in list(summary.reasons.items())[:_MAX_REASONS]:
         say(f"{count} failed: {reason}")
-    if len(summary.reasons) > _SHOWN_REASONS:
-        say(f"and for {len(summary.reasons) - _SHOWN_REASONS} other reasons: see results.parquet")
+    if len(summary.reasons) > _MAX_REASONS:
+        say(f"and for {len(summary.reasons) - _MAX_REASONS} other reasons: see results.parquet")

@@ -1,4 +1,4 @@
-"""From a sweep file to a Sweep; everything that is wrong is reported at once, with its place."""
+"""Loading of sweeps; all problems of a file are reported together, each with its location."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import NOT_PHYSICS, versions
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.file import RangeFile, SweepFile
-from srs_twin.studies.sweep.points import Experiment, Sweep, Value, leaves, sample
-from srs_twin.studies.sweep.table import Published, Values
+from srs_twin.studies.sweep.points import Experiment, Sweep, Value, leaf_names, sample
+from srs_twin.studies.sweep.table import ColumnValues, Published
 
 
-def check_beside(document: Document, file: SweepFile, given: Published) -> None:
-    """Report what is wrong with published values.
+def check_published(document: Document, file: SweepFile, published: Published) -> None:
+    """Report problems of published values.
 
     Args:
-        document: what the problems are reported to.
-        file: the sweep.
-        given: its published values.
+        document: document to which problems are reported.
+        file: content of the sweep file.
+        published: its published values.
     """
-    for field, values in given.at.items():
+    for field, values in published.at.items():
         if field in file.vary:
-            _check_values(document, file, field, values)
+            _check_published_fields(document, file, field, values)
         else:
             hint = did_you_mean(field, file.vary) or f"; varied: {format_names(list(file.vary))}"
             document.report(("beside", "at", field), f"is not varied{hint}", at_key=True)
     columns = list(METRIC_UNITS) if file.metrics is None else [m for m in file.metrics if m in METRIC_UNITS]
-    for metric in given.metrics:
+    for metric in published.metrics:
         loc = ("beside", "metrics", metric)
         if metric not in METRIC_UNITS:
             document.report(
@@ -51,50 +51,50 @@ def check_beside(document: Document, file: SweepFile, given: Published) -> None:
             )
         elif metric not in columns:
             document.report(loc, "is not among the sweep's metrics; add it there", at_key=True)
-    _check_lengths(document, given)
+    _check_lengths(document, published)
 
 
-def _check_lengths(document: Document, given: Published) -> None:
-    first, values = next(iter(given.at.items()))
-    for section, lists in (("at", given.at), ("metrics", given.metrics)):
+def _check_lengths(document: Document, published: Published) -> None:
+    first, values = next(iter(published.at.items()))
+    for section, lists in (("at", published.at), ("metrics", published.metrics)):
         for name, column in lists.items():
             if len(column) != len(values):
                 message = f"has {len(column)} values, but {first} has {len(values)}"
                 document.report(("beside", section, name), message)
-    if all(len(column) == len(values) for column in given.at.values()):
-        places = Counter(zip(*given.at.values(), strict=True))
-        twice = [place for place, count in places.items() if count > 1]
-        if twice:
-            named = ", ".join(f"{n} {v}" for n, v in zip(given.at, twice[0], strict=True))
-            document.report(("beside", "at"), f"{named} is given twice")
+    if all(len(column) == len(values) for column in published.at.values()):
+        counts = Counter(zip(*published.at.values(), strict=True))
+        repeated = [settings for settings, count in counts.items() if count > 1]
+        if repeated:
+            named = ", ".join(f"{n} {v}" for n, v in zip(published.at, repeated[0], strict=True))
+            document.report(("beside", "at"), f"{named} is given twice; give it once")
 
 
-def _check_values(document: Document, file: SweepFile, field: str, values: Sequence[Any]) -> None:
-    """Report texts and truth values that no point has; numbers may lie anywhere, see `not_run`."""
+def _check_published_fields(document: Document, file: SweepFile, field: str, values: Sequence[Any]) -> None:
+    """Report texts and truth values that no point has; `unmatched_values` warns about numbers."""
     varied = file.vary[field]
-    numbers = isinstance(varied, RangeFile) or any(_is_number(value) for value in varied)
-    others = [] if isinstance(varied, RangeFile) else [value for value in varied if not _is_number(value)]
+    has_numbers = isinstance(varied, RangeFile) or any(_is_number(value) for value in varied)
+    texts = [] if isinstance(varied, RangeFile) else [value for value in varied if not _is_number(value)]
     for i, value in enumerate(values):
-        known = numbers if _is_number(value) else value in others
-        if not known:
-            has = ", ".join(map(str, others[:10])) if others else "numbers"
+        is_known = has_numbers if _is_number(value) else value in texts
+        if not is_known:
+            allowed = ", ".join(map(str, texts[:10])) if texts else "numbers"
             document.report(
-                ("beside", "at", field, i), f"{field} never is {value!r}; it is varied over {has}"
+                ("beside", "at", field, i), f"{field} never is {value!r}; it is varied over {allowed}"
             )
 
 
-def not_run(sweep: Sweep) -> tuple[str, ...]:
-    """Return a warning for every field with published values at numbers that no point has."""
-    found = []
+def unmatched_values(sweep: Sweep) -> tuple[str, ...]:
+    """Return a warning for each field with published values at numbers that no point has."""
+    warnings = []
     for field, values in sweep.beside.at.items() if sweep.beside else ():
         column = [row[sweep.fields.index(field)] for row in sweep.values]
-        there = Values("", np.unique([float(value) for value in column if _is_number(value)]))
-        missing = [value for value in values if _is_number(value) and not there.at(value).any()]
+        numbers = ColumnValues("", np.unique([float(value) for value in column if _is_number(value)]))
+        missing = [value for value in values if _is_number(value) and not numbers.rows_with(value).any()]
         if missing:
             named = ", ".join(f"{value:g}" for value in missing[:5])
             more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
-            found.append(f"beside: no run has {field} {named}{more}")
-    return tuple(found)
+            warnings.append(f"beside: no run has {field} {named}{more}")
+    return tuple(warnings)
 
 
 def _is_number(value: Any) -> bool:
@@ -107,16 +107,16 @@ def load_sweep(
     set: Sequence[Override] = (),
     plants: Sequence[str] | None = None,
 ) -> Sweep:
-    """Load a sweep: a shipped name (fig31) or the path of a sweep file.
+    """Load a sweep by its shipped name (fig31) or the path of a sweep file.
 
     Args:
-        name_or_path: of the sweep.
-        set: fields of the scenario that are fixed besides those of the file.
-        plants: in place of the file's.
+        name_or_path: name or path of the sweep.
+        set: fields of the scenario to fix in addition to those of the file.
+        plants: plants that run, instead of the file's.
 
     Raises:
-        InputError: not found or not readable.
-        InputFileError: everything that is wrong with it, one line each.
+        InputError: the file does not exist or cannot be read.
+        InputFileError: the file is invalid; lists all problems, one per line.
     """
     path = find_file("sweep", name_or_path)
     document, name = load_yaml(path), results_name(path)
@@ -126,40 +126,40 @@ def load_sweep(
     if plants is not None:
         document.apply(Override(f"--plants {','.join(plants)}", ("plants",), list(plants)))
     file = validate(SweepFile, document, document.data)
-    scenario, foreign = _scenario(document)
+    scenario, scenario_errors = _scenario(document)
     sweep = None
     if file is not None and scenario is not None:
-        sweep = _Loading(document, file, scenario).sweep(name)
-    document.raise_problems(foreign)
-    assert sweep is not None and scenario is not None, "no problem was reported"
-    return _modified(sweep, scenario, written, [change.loc for change in set])
+        sweep = _Loader(document, file, scenario).sweep(name)
+    document.raise_problems(scenario_errors)
+    assert sweep is not None and scenario is not None, "a document without problems gives a sweep"
+    return _with_changes(sweep, scenario, written, [change.loc for change in set])
 
 
-def _modified(sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], locs: Sequence[Loc]) -> Sweep:
-    """Return a sweep with the fields that were set in its title, without the published values they decide.
+def _with_changes(sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], locs: Sequence[Loc]) -> Sweep:
+    """Return a sweep with its changes named in the title, and without published values that they affect.
 
     Args:
-        sweep: as it runs.
-        scenario: the unmodified scenario.
-        written: plain data of the sweep's file.
-        locs: paths of the scenario's fields that were set.
+        sweep: sweep with the changes.
+        scenario: unmodified scenario.
+        written: sweep file as plain data.
+        locs: paths of the changed fields of the scenario.
     """
     before = replace(sweep.experiment, base=scenario.document).with_fixed(written.get("fixed") or {})
-    found = changed_fields(before, sweep.experiment.base, locs)
-    named = written["plants"] if written.get("plants") is not None else list(scenario.plants)
-    changes = with_plants(found, named, sweep.experiment.plants)
+    changed = changed_fields(before, sweep.experiment.base, locs)
+    plants = written["plants"] if written.get("plants") is not None else list(scenario.plants)
+    changes = with_plants(changed, plants, sweep.experiment.plants)
     if not changes:
         return sweep
     title, beside, warnings = marked(sweep.title, changes), sweep.beside, sweep.warnings
     if beside is not None:
-        by = {metric: _deciding(changes, metric) for metric in beside.metrics}
-        kept = {metric: values for metric, values in beside.metrics.items() if not by[metric]}
-        if left_out := [metric for metric in by if metric not in kept]:
-            fields = ", ".join(dict.fromkeys(field for metric in left_out for field in by[metric]))
+        affecting = {metric: _affecting_fields(changes, metric) for metric in beside.metrics}
+        kept = {metric: values for metric, values in beside.metrics.items() if not affecting[metric]}
+        if left_out := [metric for metric in affecting if metric not in kept]:
+            fields = ", ".join(dict.fromkeys(field for metric in left_out for field in affecting[metric]))
             text = f"published values of {', '.join(left_out)} are left out, because {fields} was changed"
             beside = beside.model_copy(update={"metrics": kept}) if kept else None
             warnings = (*warnings, f"beside: {text}")
-    # sweep.yaml, which is made from it, can be run again.
+    # The document becomes sweep.yaml, which must be loadable.
     document = {key: value for key, value in sweep.document.items() if key != "beside"}
     document |= {"title": title[:200]}
     if beside is not None:
@@ -167,54 +167,55 @@ def _modified(sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], locs
     return replace(sweep, title=title, changes=changes, beside=beside, warnings=warnings, document=document)
 
 
-def _deciding(changes: Changes, metric: str) -> list[str]:
-    """Return the changed fields that decide a metric of any plant."""
-    return [each["field"] for each in changes if any(decides(each["field"], metric, p) for p in PLANTS)]
+def _affecting_fields(changes: Changes, metric: str) -> list[str]:
+    """Return the changed fields that affect a metric of any plant."""
+    return [change["field"] for change in changes if any(decides(change["field"], metric, p) for p in PLANTS)]
 
 
 def _scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]:
-    """Return the scenario, and what is wrong with its own file."""
-    given = document.get("scenario")
-    if not isinstance(given, str):
+    """Return the scenario of a sweep file, and the problems of the scenario file."""
+    name = document.get("scenario")
+    if not isinstance(name, str):
         return None, ()
     with document.report_errors("scenario"):
         try:
-            return load_scenario(given), ()
+            return load_scenario(name), ()
         except InputFileError as error:
             return None, error.lines
     return None, ()
 
 
-_OF_PLANTS = {
-    "periods": "nothing runs where plants is []; take it out",
-    "trajectories": "there are none where plants is []",
-    "beside": "is of plants, and plants is []; take it out",
+_NEEDS_PLANTS = {
+    "periods": "no plant runs with plants: []; remove it",
+    "trajectories": "no plant runs with plants: []; remove it",
+    "beside": "has values of plants, but no plant runs with plants: []; remove it",
 }
+"""Keys that are not allowed for a sweep that is only planned → message."""
 
 
-class _Loading:
-    """Checks a sweep against its scenario and puts it together."""
+class _Loader:
+    """Validation of a sweep against its scenario."""
 
     def __init__(self, document: Document, file: SweepFile, scenario: Scenario) -> None:
         self._document, self._file = document, file
-        named = scenario.plants if file.plants is None else file.plants
-        self._plants = tuple(p for p in PLANTS if p in named)
+        plants = scenario.plants if file.plants is None else file.plants
+        self._plants = tuple(p for p in PLANTS if p in plants)
         self._scenario = dict(scenario.document)
         settings = self._scenario["plants"]
-        # Where nothing runs, the scenario still is what its file says.
+        # A scenario that is only planned keeps its plants, as it must stay valid.
         self._scenario["plants"] = {
             plant: settings.get(plant, {}) for plant in self._plants or scenario.plants
         }
         self._warnings = scenario.warnings
 
     def sweep(self, name: str) -> Sweep | None:
-        """Return the sweep, or None after reporting what is wrong with it."""
+        """Return the sweep, or None after reporting problems."""
         file, before = self._file, len(self._document.problems)
         self._check_names()
         self._check_planning()
         self._check_metrics()
         if file.beside is not None:
-            check_beside(self._document, file, file.beside)
+            check_published(self._document, file, file.beside)
         values, robots = None, self._robots()
         with self._document.report_errors("vary"):
             values = sample(file.vary, file.sampling)
@@ -239,7 +240,7 @@ class _Loading:
             warnings=self._warnings,
             beside=file.beside,
         )
-        sweep = replace(sweep, warnings=(*sweep.warnings, *not_run(sweep)))
+        sweep = replace(sweep, warnings=(*sweep.warnings, *unmatched_values(sweep)))
         self._check_values(sweep)
         return None if len(self._document.problems) > before else sweep
 
@@ -249,24 +250,24 @@ class _Loading:
             for field in getattr(self._file, section):
                 if field.partition(".")[0] in NOT_PHYSICS:
                     self._report(
-                        section, field, "says how results are named or judged, not what is simulated"
+                        section, field, "is a name or expectation without effect on the simulation; remove it"
                     )
                 elif field == "duration_s" and self._file.periods is not None:
-                    self._report(section, field, "periods says how long a run is; take one of them out")
+                    self._report(section, field, "is set by periods as well; remove one of them")
                 elif section == "fixed" and field in self._file.vary:
-                    self._report(section, field, "is varied as well; take one of them out")
+                    self._report(section, field, "is varied as well; remove one of them")
                 first, *path = parse_path(field)
                 if first == "plants" and idle.intersection(path[:1]):
                     self._report(section, field, f"{path[0]} does not run here; add it to plants")
 
     def _check_planning(self) -> None:
-        """Where nothing runs there must be a plan."""
+        """Check a sweep without plants, which must have a planner."""
         if self._plants:
             return
         if "planner" not in self._scenario:
-            text = "none, but the scenario has no planner: there is nothing to do"
+            text = "is empty, but the scenario has no planner: there is nothing to do; name a plant"
             self._document.report(("plants",), text)
-        for key, text in _OF_PLANTS.items():
+        for key, text in _NEEDS_PLANTS.items():
             if getattr(self._file, key):
                 self._document.report((key,), text, at_key=True)
 
@@ -276,11 +277,11 @@ class _Loading:
         for i, metric in enumerate(self._file.metrics or ()):
             self._check_metric(("metrics", i), metric, known)
         for i, plot in enumerate(self._file.plots):
-            drawn = known if self._file.metrics is None else list(self._file.metrics)
-            self._check_metric(("plots", i, "metric"), plot.metric, drawn)
+            plotted = known if self._file.metrics is None else list(self._file.metrics)
+            self._check_metric(("plots", i, "metric"), plot.metric, plotted)
             for key in ("x", "y", "by"):
                 field = getattr(plot, key)
-                if field is None or field in self._file.vary or (plot.kind == "scatter" and field in drawn):
+                if field is None or field in self._file.vary or (plot.kind == "scatter" and field in plotted):
                     continue
                 hint = (
                     did_you_mean(field, self._file.vary) or f"; varied: {format_names(list(self._file.vary))}"
@@ -296,63 +297,63 @@ class _Loading:
             self._document.report(loc, str(UnknownNameError("metric", metric, known, METRICS_LISTED)))
 
     def _robots(self) -> dict[str, Any]:
-        """Return the robots that are named, so that the key of a point knows what is in their files."""
-        found = {}
+        """Return name → document of each named robot; keys of points depend on these contents."""
+        robots = {}
         values = self._file.vary.get("robot", ())
         varied = () if isinstance(values, RangeFile) else values
-        given = [("fixed", self._file.fixed.get("robot")), *(("vary", value) for value in varied)]
-        for section, name in given:
+        names = [("fixed", self._file.fixed.get("robot")), *(("vary", value) for value in varied)]
+        for section, name in names:
             try:
                 if isinstance(name, str):
-                    found[name] = load_robot_file(name).model_dump(mode="json")
+                    robots[name] = load_robot_file(name).model_dump(mode="json")
             except InputError as error:
                 self._report(section, "robot", str(error))
-        return found
+        return robots
 
     def _check_values(self, sweep: Sweep) -> None:
-        """Let the scenario's own checks see fixed values, and varied ones each beside the others' first."""
+        """Validate the scenario with each varied value, together with the first values of other fields."""
         first = dict(zip(sweep.fields, sweep.values[0], strict=True))
-        seen: set[str] = set()
-        for loc, changes in self._probes(sweep, first):
+        reported: set[str] = set()
+        for loc, changes in self._test_points(sweep, first):
             try:
                 parse_scenario(sweep.experiment.document(changes), name="")
             except InputFileError as error:
-                # What is wrong with every point is said once, where it was written.
+                # A problem of all points is reported once.
                 for line in dict.fromkeys(error.lines):
-                    if line not in seen:
-                        self._blame(loc, line.removeprefix(": "))
-                seen.update(error.lines)
+                    if line not in reported:
+                        self._report_problem(loc, line.removeprefix(": "))
+                reported.update(error.lines)
 
-    def _probes(
+    def _test_points(
         self, sweep: Sweep, first: Mapping[str, Value]
     ) -> Iterator[tuple[tuple[str | int, ...], Mapping[str, Value]]]:
-        """Yield where values stand and the changes of a point that has them."""
+        """Yield the location of values in the file and the changes of a point with them."""
         if self._file.sampling.kind == "list":
             for row in sweep.values:
                 yield ("vary",), dict(zip(sweep.fields, row, strict=True))
             return
         yield ("vary",), first
-        for j, (field, given) in enumerate(self._file.vary.items()):
-            if isinstance(given, RangeFile):
+        for j, (field, varied) in enumerate(self._file.vary.items()):
+            if isinstance(varied, RangeFile):
                 column = [row[j] for row in sweep.values if not isinstance(row[j], str)]
                 ends = {"from": min(column), "to": max(column)}
                 for end, value in ends.items():
                     yield ("vary", field, end), {**first, field: value}
             else:
-                for i, value in enumerate(given):
+                for i, value in enumerate(varied):
                     yield ("vary", field, i), {**first, field: value}
 
-    def _blame(self, loc: tuple[str | int, ...], text: str) -> None:
-        """Report a problem of a point where its field stands in the file."""
-        place, _, message = text.partition(": ")
+    def _report_problem(self, loc: tuple[str | int, ...], text: str) -> None:
+        """Report a problem of a point at the location of the field that causes it."""
+        path, _, message = text.partition(": ")
         for section in ("vary", "fixed"):
             for field in getattr(self._file, section):
-                if place == field or place.startswith((f"{field}.", f"{field}[")):
-                    where = loc if loc[:2] == (section, field) else (section, field)
-                    unknown = message.startswith("unknown key")
-                    elsewhere = unknown and "did you mean" not in message
-                    hint = did_you_mean(field, leaves(self._scenario)) if elsewhere else ""
-                    self._document.report(where, message + hint, at_key=unknown)
+                if path == field or path.startswith((f"{field}.", f"{field}[")):
+                    field_loc = loc if loc[:2] == (section, field) else (section, field)
+                    is_unknown = message.startswith("unknown key")
+                    needs_hint = is_unknown and "did you mean" not in message
+                    hint = did_you_mean(field, leaf_names(self._scenario)) if needs_hint else ""
+                    self._document.report(field_loc, message + hint, at_key=is_unknown)
                     return
         self._document.report(loc[:2], text)
 

@@ -1,4 +1,4 @@
-"""The sweep engine that steps twins on an accelerator, many points at a time, and measures them here."""
+"""Sweep engine that steps the twins of many points together on an accelerator; metrics use the CPU."""
 
 from __future__ import annotations
 
@@ -17,79 +17,80 @@ from srs_twin.studies.sweep.execution import Engine, local
 from srs_twin.studies.sweep.points import Experiment, Point
 from srs_twin.studies.sweep.task import Row, run_point
 
-TOGETHER = 1024
-"""Worlds at a time: each distinct robot is built by the processor first and kept until its run is done."""
+BATCH_SIZE = 1024
+"""Largest number of worlds at a time; distinct robots are compiled on the CPU and kept until their run is
+done."""
 
 
 def on_device(device: str | None = None, workers: int | None = None) -> Engine:
-    """Return the engine that runs twins by MuJoCo Warp, and by `local` what that cannot do, with a warning.
+    """Return the engine that runs twins with MuJoCo Warp, and all others with `local` and a warning.
 
     Args:
-        device: as Warp calls it; None: an accelerator, and `local` for everything where there is none.
-        workers: of `local`.
+        device: Warp device; None: an accelerator, or `local` for all points if there is none.
+        workers: number of workers of `local`.
 
     Raises:
         InputError: MuJoCo Warp is not installed.
     """
-    kind = warp_batch()
-    if device is None and not kind.accelerated():
-        told = "engine 'warp' finds no accelerator; all points run on the processor (engine 'local')"
-        warnings.warn(told, EngineWarning, stacklevel=1)
+    batch_class = warp_batch()
+    if device is None and not batch_class.accelerated():
+        message = "engine 'warp' finds no accelerator; all points run on the processor (engine 'local')"
+        warnings.warn(message, EngineWarning, stacklevel=1)
         return local(workers)
 
     def run(experiment: Experiment, points: Sequence[Point]) -> Iterator[TaskResult[Row]]:
-        left: dict[int, str] = {}
-        for first in range(0, len(points), TOGETHER):
-            chunk = range(first, min(first + TOGETHER, len(points)))
+        unsupported: dict[int, str] = {}
+        for first in range(0, len(points), BATCH_SIZE):
+            chunk = range(first, min(first + BATCH_SIZE, len(points)))
             groups: dict[Any, list[tuple[int, Scenario, Any]]] = defaultdict(list)
             for k in chunk:
                 try:
                     scenario = parse_scenario(experiment.document(points[k].changes))
                     twin = scenario.build_plant("twin")
-                    kind.check(twin)
-                    groups[_alike(experiment, scenario)].append((k, scenario, twin))
+                    batch_class.check(twin)
+                    groups[_group_key(experiment, scenario)].append((k, scenario, twin))
                 except SrsError as error:
-                    left[k] = str(error)
+                    unsupported[k] = str(error)
             for group in groups.values():
                 try:
-                    ran = _run(kind, device, group)
+                    trajectories = _run(batch_class, device, group)
                 except InputError as error:
-                    left |= dict.fromkeys([k for k, _, _ in group], str(error))
+                    unsupported |= dict.fromkeys([k for k, _, _ in group], str(error))
                     continue
-                for (k, _, _), done in zip(group, ran, strict=True):
-                    yield TaskResult(k, run_point(experiment, points[k], {"twin": done}), None)
-        if left:
-            why = next(iter(left.values()))
-            told = f"{len(left)} of {len(points)} points run on the processor: {why}"
-            warnings.warn(told, EngineWarning, stacklevel=1)
-            numbers = list(left)
+                for (k, _, _), trajectory in zip(group, trajectories, strict=True):
+                    yield TaskResult(k, run_point(experiment, points[k], {"twin": trajectory}), None)
+        if unsupported:
+            why = next(iter(unsupported.values()))
+            message = f"{len(unsupported)} of {len(points)} points run on the processor: {why}"
+            warnings.warn(message, EngineWarning, stacklevel=1)
+            numbers = list(unsupported)
             for row in local(workers)(experiment, [points[k] for k in numbers]):
                 yield TaskResult(numbers[row.number], row.result, row.error)
 
     return run
 
 
-def _alike(experiment: Experiment, scenario: Scenario) -> tuple[Any, ...]:
-    """Return what runs that go together have in common.
+def _group_key(experiment: Experiment, scenario: Scenario) -> tuple[Any, ...]:
+    """Return the timing that runs of one batch must share.
 
     Raises:
-        InputError: a scenario that no batch of scripts can run.
+        InputError: the scenario cannot run in a batch.
     """
     timing = scenario.timing
     if "twin" not in experiment.plants:
-        raise InputError("engine 'warp' runs twins; there is none")
+        raise InputError("engine 'warp' runs only twins; add twin to plants")
     if timing["begin"] is not None:
-        raise InputError("engine 'warp' cannot do a start that moves; the processor can")
+        raise InputError("engine 'warp' cannot start from a moving state")
     return tuple(timing[name] for name in ("duration", "seed", "record_hz"))
 
 
-def _run(kind: Any, device: str | None, group: Sequence[tuple[int, Scenario, Any]]) -> list[Any]:
-    """Run scenarios of like timing; raises InputError for what the device cannot do."""
+def _run(batch_class: Any, device: str | None, group: Sequence[tuple[int, Scenario, Any]]) -> list[Any]:
+    """Run scenarios with the same timing in one batch; raises InputError if the device cannot."""
     scenarios = [scenario for _, scenario, _ in group]
     timing = scenarios[0].timing
     return list(
         run_scripts(
-            kind([twin for _, _, twin in group], device=device),
+            batch_class([twin for _, _, twin in group], device=device),
             [scenario.build_controller() for scenario in scenarios],
             timing["duration"], seed=timing["seed"], record_hz=timing["record_hz"],
             poses=[scenario.timing["pose"] for scenario in scenarios],

@@ -1,9 +1,8 @@
-"""Pictures of a sweep: a metric over two fields, along one, or against another column.
+"""Plots of a sweep: a metric over two fields, along one field, or against another column.
 
-A metric over two fields is drawn as filled contours: of a regular grid, or of scattered points by
-triangulation. Means are over seeds alone: where other fields vary as well, there is a line, or a row of
-contours, for each combination of their values. What cannot be drawn (all failed, no value anywhere) gives a
-picture that says so.
+A metric over two fields is drawn as filled contours, of a regular grid or by triangulation of scattered
+points. Means are taken only over seeds. If other fields vary as well, there is a line, or a row of contours,
+for each combination of their values. A plot without any value contains a note instead.
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ from matplotlib.tri import TriAnalyzer, Triangulation
 from srs_twin.studies.sweep.table import (
     COMPARISON,
     PLAN,
+    ColumnValues,
     Plot,
     Published,
     SweepTable,
-    Values,
     group_means,
 )
 from srs_twin.viewing.plots.labels import field_label
@@ -39,78 +38,100 @@ from srs_twin.viewing.plots.style import PUBLISHED_COLOR, finish, side_by_side, 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-_MOST_LINES = 12
-_MOST_ROWS = 6  # of contours
+_MAX_LINES = 12
+"""Largest number of values that a legend distinguishes; more have a colour bar."""
+
+_MAX_ROWS = 6
+"""Largest number of rows of contours."""
+
 _LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False}
 _ABOVE: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.99), "borderaxespad": 0.2}
-_SPACES: dict[str, Any] = {"handletextpad": 0.4, "columnspacing": 1.2, "handlelength": 2.8}
-_WIDTH, _HEIGHT, _TOP, _BOTTOM = 9.0, 4.2, 0.75, 0.5
-_KEY = 1.3  # right margin with a colour bar or a legend in it
+_SPACING: dict[str, Any] = {"handletextpad": 0.4, "columnspacing": 1.2, "handlelength": 2.8}
+
+# Sizes of figures, inches.
+_WIDTH = 9.0
+_HEIGHT = 4.2
+_TOP = 0.75
+_BOTTOM = 0.5
+_KEY_WIDTH = 1.3
+"""Right margin for a colour bar or legend."""
+
 _MARK: dict[str, Any] = {"linestyle": "none", "markersize": 4.5, "markerfacecolor": "none", "zorder": 4}
-# Colours of marks: neither a plant's nor one of the scales of values.
+
+# Their colours occur neither in plants nor in colour scales.
 _MARKS = {"failed": ("x", "#CC3311"), "no value": ("o", "0.35")}
 
 
 def draw(
     plot: Plot, table: pa.Table | Mapping[str, Iterable[Any]], published: Published | None = None
 ) -> Figure:
-    """Return the picture.
+    """Return the figure of a plot.
 
     Args:
-        plot: what is wanted; of each plant that has the metric, else of the comparison.
-        table: results of a sweep, a row a point: varied fields by their dotted path, `status`, metrics as
-            ``<plant>.<metric>`` and ``comparison.<metric>``. The order of the rows changes nothing.
-        published: published values; a line has those of its metric along x, with a marker of their own.
+        plot: plot; it shows each plant that has the metric, otherwise the comparison.
+        table: results of a sweep, one row per point: varied fields by their dotted path, `status`, metrics as
+            ``<plant>.<metric>`` and ``comparison.<metric>``. The order of rows does not matter.
+        published: published values; a line plot shows those of its metric along x.
 
     Raises:
-        InputError: there is no such column.
+        InputError: a column does not exist.
     """
-    rows = SweepTable.of(table)
-    owners = rows.owners(plot.metric)
-    # A metric of the plants is theirs; the comparison's stands alone.
+    results = SweepTable.from_columns(table)
+    owners = results.owners(plot.metric)
+    # If plants have the metric, the comparison is not shown.
     owners = [owner for owner in owners if owner != COMPARISON] or owners
-    contour = plot.kind == "contour"
-    if plot.kind == "line" and plot.by is None and (apart := _apart(plot, rows)):
-        plot = plot.model_copy(update={"by": apart[0]})
-    figure = _contour(plot, rows, owners) if contour else _plane(plot, rows, owners, published)
-    figure.suptitle(_title(plot, rows, owners), x=0.01, ha="left", fontsize=10)
+    if plot.kind == "line" and plot.by is None and (separate := _separate_fields(plot, results)):
+        plot = plot.model_copy(update={"by": separate[0]})
+    if plot.kind == "contour":
+        figure = _draw_contours(plot, results, owners)
+    else:
+        figure = _draw_line_or_scatter(plot, results, owners, published)
+    figure.suptitle(_title(plot, results, owners), x=0.01, ha="left", fontsize=10)
     return figure
 
 
-def _apart(plot: Plot, rows: SweepTable) -> list[str]:
-    """Return the fields that a picture has to keep apart besides those that it names."""
-    return [] if plot.kind == "scatter" else rows.mixed(filter(None, (plot.x, plot.y, plot.by)))
+def _separate_fields(plot: Plot, results: SweepTable) -> list[str]:
+    """Return further varied fields whose values need a line or a row each."""
+    if plot.kind == "scatter":
+        return []
+    return results.unplotted_settings(filter(None, (plot.x, plot.y, plot.by)))
 
 
-def _title(plot: Plot, rows: SweepTable, owners: list[str]) -> str:
-    """Return the title, and below it what the picture leaves out."""
-    metric = rows.metric(plot.metric, owners[0]).label.partition(" (")[0]
-    drawn = [plot.x, *([plot.y] if plot.y else [])]
-    names = [rows.values(name, owners[0]).label.partition(" (")[0] for name in drawn]
-    notes = []
-    if plot.kind != "scatter" and rows.repeats:
-        notes = [f"each value the mean over {', '.join(map(field_label, rows.repeats))}"]
-    if apart := _apart(plot, rows):
-        what, count = ", ".join(map(field_label, apart)), len(rows.groups(apart))
-        some = f", {_MOST_ROWS} of {count} shown" if plot.kind == "contour" and count > _MOST_ROWS else ""
-        notes += [f"one {'row' if plot.kind == 'contour' else 'line'} for each {what}{some}"]
-    failed = int(rows.failed.sum())
-    notes += [f"{failed} of {len(rows.failed)} runs failed"] if failed else []
-    values = [rows.metric(plot.metric, owner).numbers for owner in owners]
-    lacking = sum(int((np.isnan(each) & ~rows.failed).sum()) for each in values)
-    notes += [f"{lacking} values missing"] if lacking else []
-    known = np.concatenate(values)
-    different = np.unique(known[np.isfinite(known)])
-    notes += [f"every value is {different[0]:.4g}"] if len(different) == 1 else []
+def _title(plot: Plot, results: SweepTable, owners: list[str]) -> str:
+    """Return the title, with notes on a second line."""
+    metric = results.metric(plot.metric, owners[0]).label.partition(" (")[0]
+    axes = [plot.x, *([plot.y] if plot.y else [])]
+    names = [results.values(name, owners[0]).label.partition(" (")[0] for name in axes]
+    notes = _notes(plot, results, owners)
     against = "against" if plot.kind == "scatter" else "over"
     title = f"{metric[:1].upper()}{metric[1:]} {against} {' and '.join(names)}"
     return "\n".join([title, *([f"({'; '.join(notes)})"] if notes else [])])
 
 
+def _notes(plot: Plot, results: SweepTable, owners: list[str]) -> list[str]:
+    """Return notes on means, further fields, failed runs and missing values."""
+    notes = []
+    if plot.kind != "scatter" and results.repeats:
+        notes = [f"each value the mean over {', '.join(map(field_label, results.repeats))}"]
+    if separate := _separate_fields(plot, results):
+        fields, count = ", ".join(map(field_label, separate)), len(results.groups(separate))
+        shown = f", {_MAX_ROWS} of {count} shown" if plot.kind == "contour" and count > _MAX_ROWS else ""
+        notes += [f"one {'row' if plot.kind == 'contour' else 'line'} for each {fields}{shown}"]
+    failed = int(results.failed.sum())
+    notes += [f"{failed} of {len(results.failed)} runs failed"] if failed else []
+    values = [results.metric(plot.metric, owner).numbers for owner in owners]
+    missing = sum(int((np.isnan(value) & ~results.failed).sum()) for value in values)
+    notes += [f"{missing} values missing"] if missing else []
+    known = np.concatenate(values)
+    distinct = np.unique(known[np.isfinite(known)])
+    notes += [f"every value is {distinct[0]:.4g}"] if len(distinct) == 1 else []
+    return notes
+
+
 def _panels(columns: int, rows: int = 1, *, key: bool) -> tuple[Figure, np.ndarray]:
-    """Return a figure and its panels (rows, columns) with common axes; a key has room on the right."""
+    """Return a figure and its panels (rows, columns) with common axes, optionally with space for a key."""
     height, space = (_HEIGHT, 0.08) if rows == 1 else (_TOP + _BOTTOM + 2.2 * rows, 0.16)
-    right = _KEY if key else 0.25
+    right = _KEY_WIDTH if key else 0.25
     figure, panels = side_by_side(
         height, columns, rows, right=right, top=_TOP, space=space, sharex=True, sharey=True
     )
@@ -120,13 +141,14 @@ def _panels(columns: int, rows: int = 1, *, key: bool) -> tuple[Figure, np.ndarr
 
 
 def color_bar(
-    figure: Figure, norm: Normalize, cmap: str, values: Values, ticks: Sequence[float] | None = None
+    figure: Figure, norm: Normalize, cmap: str, values: ColumnValues, ticks: Sequence[float] | None = None
 ) -> None:
-    """Draw the bar that says which colour means what, in the room on the right."""
+    """Draw a colour bar in the right margin."""
     height = figure.get_figheight()
     bottom = _BOTTOM / height
-    place = (1 - (_KEY - 0.12) / _WIDTH, bottom, 0.16 / _WIDTH, 1 - _TOP / height - bottom)
-    bar = figure.colorbar(ScalarMappable(norm, cmap), cax=figure.add_axes(place, label="colors"), ticks=ticks)
+    rectangle = (1 - (_KEY_WIDTH - 0.12) / _WIDTH, bottom, 0.16 / _WIDTH, 1 - _TOP / height - bottom)
+    axes = figure.add_axes(rectangle, label="colors")
+    bar = figure.colorbar(ScalarMappable(norm, cmap), cax=axes, ticks=ticks)
     bar.set_label(values.label, fontsize=9)
     bar.ax.tick_params(labelsize=8)
     if values.names:
@@ -134,16 +156,16 @@ def color_bar(
 
 
 def legend_above(axes: Axes, handles: Sequence[Line2D] = ()) -> None:
-    """Lay a legend above the plane on the right, where it covers nothing: handles, then what was marked."""
+    """Draw a legend above the plot on the right: the handles, then labelled marks."""
     marked, _ = axes.get_legend_handles_labels()
-    shown = [*handles, *(each for each in marked if isinstance(each, Line2D))]
+    shown = [*handles, *(artist for artist in marked if isinstance(artist, Line2D))]
     if shown:
-        legend = axes.legend(handles=shown, ncols=len(shown), **_LEGEND, **_ABOVE, **_SPACES)
+        legend = axes.legend(handles=shown, ncols=len(shown), **_LEGEND, **_ABOVE, **_SPACING)
         axes.add_artist(legend)
 
 
-def name_ticks(axis: Axis, values: Values) -> None:
-    """Write texts at the ticks of an axis that stands for texts, and whole numbers where it counts."""
+def set_ticks(axis: Axis, values: ColumnValues) -> None:
+    """Set the ticks of an axis: texts for a text column, whole numbers for integers."""
     known = values.numbers[np.isfinite(values.numbers)]
     if values.names:
         axis.set_ticks(range(len(values.names)), labels=values.names)
@@ -151,63 +173,70 @@ def name_ticks(axis: Axis, values: Values) -> None:
         axis.set_major_locator(MaxNLocator(integer=True))
 
 
-def mark_rows(axes: Axes, x: np.ndarray, y: np.ndarray, what: str, *, across: bool = False) -> None:
-    """Mark runs without a value, named in the legend.
+def mark_rows(axes: Axes, x: np.ndarray, y: np.ndarray, label: str, *, relative: bool = False) -> None:
+    """Mark runs without a value.
 
     Args:
-        axes: where.
-        x: positions, in data.
-        y: positions, in data.
-        what: "failed" or "no value".
-        across: y is a share of the height instead.
+        axes: axes.
+        x: positions, in data coordinates.
+        y: positions, in data coordinates.
+        label: "failed" or "no value", for the legend.
+        relative: whether y is a share of the height instead.
     """
     if len(x):
-        transform = axes.get_xaxis_transform() if across else axes.transData
-        marker, color = _MARKS[what]
-        look = {"marker": marker, "color": color, "markeredgewidth": 1.1, **_MARK}
-        axes.plot(x, y, **look, transform=transform, clip_on=not across, label=what)
+        transform = axes.get_xaxis_transform() if relative else axes.transData
+        marker, color = _MARKS[label]
+        style = {"marker": marker, "color": color, "markeredgewidth": 1.1, **_MARK}
+        axes.plot(x, y, **style, transform=transform, clip_on=not relative, label=label)
 
 
-def say(axes: Axes, failed: np.ndarray) -> None:
-    """Say in the plane that there is nothing to draw, and why."""
-    rows, bad = len(failed), int(failed.sum())
+def write_empty_note(axes: Axes, failed: np.ndarray) -> None:
+    """Write into empty axes why there is nothing to draw."""
+    rows, failures = len(failed), int(failed.sum())
     if not rows:
         text = "there are no runs"
-    elif bad == rows:
+    elif failures == rows:
         text = "the run failed" if rows == 1 else f"all {rows} runs failed"
     else:
-        text = f"no value in {rows - bad} runs" + (f", {bad} failed" if bad else "")
+        text = f"no value in {rows - failures} runs" + (f", {failures} failed" if failures else "")
     axes.text(0.5, 0.5, f"nothing to draw: {text}", transform=axes.transAxes, ha="center", fontsize=10)
 
 
-def span(all_values: Sequence[Values]) -> tuple[float, float]:
-    """Return the least and the greatest of all numbers; 0 and 1 where there is none, apart in any case."""
-    known = [values.numbers[np.isfinite(values.numbers)] for values in all_values]
+def value_range(columns: Sequence[ColumnValues]) -> tuple[float, float]:
+    """Return the range of all numbers, widened if it is empty; (0, 1) without numbers."""
+    known = [column.numbers[np.isfinite(column.numbers)] for column in columns]
     numbers = np.concatenate([*known, np.zeros(0)])
     if not len(numbers):
         return 0.0, 1.0
     low, high = float(numbers.min()), float(numbers.max())
     if high - low > 1e-9 * max(abs(low), abs(high)):
         return low, high
-    room = 0.5 * abs(low) or 0.5
-    return low - room, high + room
+    margin = 0.5 * abs(low) or 0.5
+    return low - margin, high + margin
 
 
 _LEVELS = 14
-_BOTH_SIGNS = 0.1  # of the greatest value: how far a value lies beyond zero for zero to be the middle colour
-_FLATTEST = 1e-5  # least ratio of a triangle's inner circle to its outer one; flatter ones say nothing
-_MOST_DOTS = 400
+"""Approximate number of contour levels."""
+
+_MIN_OPPOSITE = 0.1
+"""Extent of the values on the other side of zero, relative to the largest, for a symmetric colour scale."""
+
+_MIN_CIRCLE_RATIO = 1e-5
+"""Smallest ratio of a triangle's inscribed to its circumscribed circle; flatter triangles are left out."""
+
+_MAX_DOTS = 400
+"""Largest number of points that are marked on contours."""
 
 
 @dataclass(frozen=True)
 class Points:
-    """The points of a plane, a row each, in order of y, then x.
+    """Points of a plane with their mean values, in order of y, then x.
 
     Attributes:
-        x: shape (points,).
-        y: shape (points,).
-        z: mean of the values there, NaN where there is none, shape (points,).
-        failed: whether every run there failed, shape (points,).
+        x: x coordinates, shape (points,).
+        y: y coordinates, shape (points,).
+        z: mean value at each point, NaN if missing, shape (points,).
+        failed: whether all runs at a point failed, shape (points,).
     """
 
     x: np.ndarray
@@ -216,72 +245,78 @@ class Points:
     failed: np.ndarray
 
     @staticmethod
-    def of(x: np.ndarray, y: np.ndarray, z: np.ndarray, failed: np.ndarray) -> Points:
-        """Put rows at the same place together."""
-        there = np.isfinite(x) & np.isfinite(y)
-        places, which = np.unique(np.stack([y[there], x[there]], axis=-1), axis=0, return_inverse=True)
+    def from_rows(x: np.ndarray, y: np.ndarray, z: np.ndarray, failed: np.ndarray) -> Points:
+        """Combine rows with the same coordinates."""
+        known = np.isfinite(x) & np.isfinite(y)
+        points, which = np.unique(np.stack([y[known], x[known]], axis=-1), axis=0, return_inverse=True)
         which = which.reshape(-1)
-        all_failed = group_means(which, len(places), failed[there].astype(float)) == 1.0
-        return Points(places[:, 1], places[:, 0], group_means(which, len(places), z[there]), all_failed)
+        all_failed = group_means(which, len(points), failed[known].astype(float)) == 1.0
+        return Points(points[:, 1], points[:, 0], group_means(which, len(points), z[known]), all_failed)
 
     @property
     def known(self) -> np.ndarray:
-        """Which points have a value."""
+        """Whether a point has a value, shape (points,)."""
         return np.isfinite(self.z)
 
     @property
     def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """x, y and values (y, x) of a full grid of two by two or more; None where they are no such grid."""
+        """x, y and values (y, x) of a complete grid of at least 2 by 2 points; None for other points."""
         columns, rows = np.unique(self.x), np.unique(self.y)
         if min(len(columns), len(rows)) < 2 or len(columns) * len(rows) != len(self.z):
             return None
         return columns, rows, np.ma.masked_invalid(self.z.reshape(len(rows), len(columns)))
 
 
-def _contour(plot: Plot, rows: SweepTable, owners: list[str]) -> Figure:
-    """Draw one panel a plant, all with the same colours, and a row for each value of what varies besides."""
-    apart = _apart(plot, rows)
-    parts = rows.groups(apart)[:_MOST_ROWS]
-    figure, panels = _panels(len(owners), len(parts), key=True)
-    x, y = rows.values(plot.x, owners[0]), rows.values(str(plot.y), owners[0])
-    values = [rows.metric(plot.metric, owner) for owner in owners]
+def _draw_contours(plot: Plot, results: SweepTable, owners: list[str]) -> Figure:
+    """Draw one panel per plant with common colours, and one row per value of further fields."""
+    separate = _separate_fields(plot, results)
+    groups = results.groups(separate)[:_MAX_ROWS]
+    figure, panels = _panels(len(owners), len(groups), key=True)
+    x, y = results.values(plot.x, owners[0]), results.values(str(plot.y), owners[0])
+    values = [results.metric(plot.metric, owner) for owner in owners]
     points = [
-        [Points.of(x.numbers[k], y.numbers[k], each.numbers[k], rows.failed[k]) for each in values]
-        for _, k in parts
+        [
+            Points.from_rows(x.numbers[k], y.numbers[k], value.numbers[k], results.failed[k])
+            for value in values
+        ]
+        for _, k in groups
     ]
-    levels, cmap = _scale([each.z for row in points for each in row])
-    for (texts, k), row, shown in zip(parts, panels, points, strict=True):
-        where = [f"{field_label(name)}: {text}" for name, text in zip(apart, texts, strict=True)]
-        for axes, owner, each in zip(row, owners, shown, strict=True):
-            if each.known.any():
-                _fill(axes, each, levels, cmap)
+    levels, cmap = _levels_and_colors([cell.z for row in points for cell in row])
+    for (texts, k), row, cells in zip(groups, panels, points, strict=True):
+        labels = [f"{field_label(name)}: {text}" for name, text in zip(separate, texts, strict=True)]
+        for axes, owner, cell in zip(row, owners, cells, strict=True):
+            if cell.known.any():
+                _fill(axes, cell, levels, cmap)
             else:
-                say(axes, rows.failed[k])
-            for what, which in (("failed", each.failed), ("no value", ~each.known & ~each.failed)):
-                mark_rows(axes, each.x[which], each.y[which], what)
-            for limits, ends in ((axes.set_xlim, span([x])), (axes.set_ylim, span([y]))):
-                room = 0.03 * (ends[1] - ends[0])
-                limits(ends[0] - room, ends[1] + room)
+                write_empty_note(axes, results.failed[k])
+            for label, which in (("failed", cell.failed), ("no value", ~cell.known & ~cell.failed)):
+                mark_rows(axes, cell.x[which], cell.y[which], label)
+            for set_limits, ends in (
+                (axes.set_xlim, value_range([x])),
+                (axes.set_ylim, value_range([y])),
+            ):
+                margin = 0.03 * (ends[1] - ends[0])
+                set_limits(ends[0] - margin, ends[1] + margin)
             legend_above(axes)
-            axes.set_title(", ".join((style_of(owner).label, *where)), fontsize=9, loc="left")
-            name_ticks(axes.xaxis, x)
+            axes.set_title(", ".join((style_of(owner).label, *labels)), fontsize=9, loc="left")
+            set_ticks(axes.xaxis, x)
         finish(row[0], y.label)
-        name_ticks(row[0].yaxis, y)
+        set_ticks(row[0].yaxis, y)
     for axes in panels[-1]:
         axes.set_xlabel(x.label, fontsize=9)
-    if any(each.known.any() for row in points for each in row):
+    if any(cell.known.any() for row in points for cell in row):
         color_bar(figure, BoundaryNorm(levels, 256), cmap, values[0], levels[::2].tolist())
     return figure
 
 
 def _fill(axes: Axes, points: Points, levels: np.ndarray, cmap: str) -> None:
-    """Fill the plane between the points; where they span none, colour the points themselves."""
+    """Draw filled contours between points; if the points span no area, colour the points themselves."""
     grid, known = points.grid, points.known
     style: dict[str, Any] = {"levels": levels, "cmap": cmap}
     thin: dict[str, Any] = {"levels": levels, "colors": "k", "linewidths": 0.3, "alpha": 0.5}
-    mesh = None if grid else _mesh(points.x[known], points.y[known])
+    mesh = None if grid else _triangulate(points.x[known], points.y[known])
     dots: dict[str, Any] = {"s": 3.0, "color": "0.25", "linewidths": 0.0}
-    if grid is not None and _has_cell(grid[2]):
+    if grid is not None and _has_complete_cell(grid[2]):
         axes.contourf(*grid, **style)
         axes.contour(*grid, **thin)
     elif mesh is not None:
@@ -289,168 +324,188 @@ def _fill(axes: Axes, points: Points, levels: np.ndarray, cmap: str) -> None:
         axes.tricontour(mesh, points.z[known], **thin)
     else:
         dots = {"s": 45.0, "c": points.z[known], "cmap": cmap, "vmin": levels[0], "vmax": levels[-1]}
-    if "c" in dots or known.sum() <= _MOST_DOTS:
+    if "c" in dots or known.sum() <= _MAX_DOTS:
         axes.scatter(points.x[known], points.y[known], zorder=3, **dots)
 
 
-def _has_cell(values: np.ndarray) -> bool:
-    """Whether at least one cell of a grid has a value at all four corners."""
-    there = ~np.ma.getmaskarray(values)
-    return bool((there[1:, 1:] & there[1:, :-1] & there[:-1, 1:] & there[:-1, :-1]).any())
+def _has_complete_cell(values: np.ndarray) -> bool:
+    """Return whether at least one cell of a grid has a value at all four corners."""
+    known = ~np.ma.getmaskarray(values)
+    return bool((known[1:, 1:] & known[1:, :-1] & known[:-1, 1:] & known[:-1, :-1]).any())
 
 
-def _mesh(x: np.ndarray, y: np.ndarray) -> Triangulation | None:
-    """Return triangles between points, None where they span no plane."""
+def _triangulate(x: np.ndarray, y: np.ndarray) -> Triangulation | None:
+    """Return a triangulation of points; None if they span no area."""
     if len(x) < 3:
         return None
-    # Fields have units of their own: as they lie on the paper.
-    u, v = (((each - each.min()) / (np.ptp(each) or 1.0)) for each in (x, y))
+    # Fields have different units, so triangles are formed in coordinates scaled to the plot.
+    u, v = (((values - values.min()) / (np.ptp(values) or 1.0)) for values in (x, y))
     try:
-        corners = Triangulation(u, v)
+        scaled = Triangulation(u, v)
     except (RuntimeError, ValueError):
-        return None  # all on a line
-    with np.errstate(invalid="ignore"):  # of triangles without an area
-        ratios = np.ma.filled(TriAnalyzer(corners).circle_ratios(rescale=False), 0.0)
-    flat = ~(ratios >= _FLATTEST)
-    return None if flat.all() else Triangulation(x, y, corners.triangles, mask=flat)
+        return None  # all points are on a line
+    with np.errstate(invalid="ignore"):  # from triangles without an area
+        ratios = np.ma.filled(TriAnalyzer(scaled).circle_ratios(rescale=False), 0.0)
+    flat = ~(ratios >= _MIN_CIRCLE_RATIO)
+    return None if flat.all() else Triangulation(x, y, scaled.triangles, mask=flat)
 
 
-def _scale(values: Sequence[np.ndarray]) -> tuple[np.ndarray, str]:
-    """Return levels common to all panels and the colours: about zero where there are both signs."""
-    low, high = span([Values("", each) for each in values])
-    most = max(abs(low), abs(high))
-    if low < 0 < high and min(-low, high) > _BOTH_SIGNS * most:
-        return np.asarray(MaxNLocator(_LEVELS, symmetric=True).tick_values(-most, most)), "RdBu_r"
+def _levels_and_colors(values: Sequence[np.ndarray]) -> tuple[np.ndarray, str]:
+    """Return contour levels and colour map for all panels, symmetric about zero if both signs occur."""
+    low, high = value_range([ColumnValues("", value) for value in values])
+    largest = max(abs(low), abs(high))
+    if low < 0 < high and min(-low, high) > _MIN_OPPOSITE * largest:
+        levels = MaxNLocator(_LEVELS, symmetric=True).tick_values(-largest, largest)
+        return np.asarray(levels), "RdBu_r"
     return np.asarray(MaxNLocator(_LEVELS).tick_values(low, high)), "viridis"
 
 
-class _Shades:
-    """Colours that tell the values of a column apart: by a legend where they are few, else by a bar.
+class _Colors:
+    """Colours of the values of a column, explained by a legend if they are few, otherwise by a colour bar.
 
     Attributes:
-        by: the column, of each owner.
-        groups: its different values.
-        few: whether a legend names them.
-        norm: from values to the places of their colours along the bar.
+        column: values of the first owner.
+        groups: distinct values.
+        few: whether a legend is used.
+        norm: map from values to positions on the colour map.
     """
 
-    def __init__(self, by: Sequence[Values]) -> None:
-        numbers = np.concatenate([each.numbers for each in by])
-        self.by, self.groups = by[0], np.unique(numbers[np.isfinite(numbers)])
-        self.few = len(self.groups) <= _MOST_LINES
-        self.norm = Normalize(*span(by))
-        shares = np.linspace(0.0, 0.92, len(self.groups)) if self.few else self.norm(self.groups)
-        self.colors = dict(zip(self.groups.tolist(), map(to_hex, colormaps["viridis"](shares)), strict=True))
+    def __init__(self, columns: Sequence[ColumnValues]) -> None:
+        numbers = np.concatenate([column.numbers for column in columns])
+        self.column, self.groups = columns[0], np.unique(numbers[np.isfinite(numbers)])
+        self.few = len(self.groups) <= _MAX_LINES
+        self.norm = Normalize(*value_range(columns))
+        positions = np.linspace(0.0, 0.92, len(self.groups)) if self.few else self.norm(self.groups)
+        colors = map(to_hex, colormaps["viridis"](positions))
+        self.colors = dict(zip(self.groups.tolist(), colors, strict=True))
 
-    def name(self, figure: Figure, axes: Axes) -> None:
-        """Say which colour is which value."""
+    def draw_key(self, figure: Figure, axes: Axes) -> None:
+        """Draw the legend or the colour bar."""
         if not self.few:
-            color_bar(figure, self.norm, "viridis", self.by)
+            color_bar(figure, self.norm, "viridis", self.column)
             return
         handles = [
-            Line2D([], [], color=self.colors[group], label=self.by.text(group)) for group in self.groups
+            Line2D([], [], color=self.colors[group], label=self.column.text(group)) for group in self.groups
         ]
-        beside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "alignment": "left"}
-        title = textwrap.fill(self.by.label, 18)
-        axes.legend(handles=handles, title=title, title_fontsize=8, **_LEGEND, **beside)
+        position: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "alignment": "left"}
+        title = textwrap.fill(self.column.label, 18)
+        axes.legend(handles=handles, title=title, title_fontsize=8, **_LEGEND, **position)
 
 
-def _plane(plot: Plot, rows: SweepTable, owners: list[str], published: Published | None) -> Figure:
-    """Draw lines or dots with a colour a value of `by`, and at the lower edge where runs failed."""
+def _draw_line_or_scatter(
+    plot: Plot, results: SweepTable, owners: list[str], published: Published | None
+) -> Figure:
+    """Draw lines or dots, coloured by the column `by`, and marks of failed runs at the lower edge."""
     figure, ((axes,),) = _panels(1, key=plot.by is not None)
-    lines, colored = plot.kind == "line", plot.by is not None
-    same = Values("", np.zeros(len(rows.failed)))
-    by = [rows.values(plot.by, owner) if plot.by else same for owner in owners]
-    shades = _Shades(by)
-    x, values = rows.values(plot.x, owners[0]), rows.metric(plot.metric, owners[0])
+    is_line, is_colored = plot.kind == "line", plot.by is not None
+    constant = ColumnValues("", np.zeros(len(results.failed)))
+    by = [results.values(plot.by, owner) if plot.by else constant for owner in owners]
+    colors = _Colors(by)
+    x, values = results.values(plot.x, owners[0]), results.metric(plot.metric, owners[0])
     drawn = 0
-    for owner, shade in zip(owners, by, strict=True):
-        along, height = rows.values(plot.x, owner).numbers, rows.metric(plot.metric, owner).numbers
-        for _, k in rows.groups(_apart(plot, rows)):
-            part = (along[k], height[k], Values("", shade.numbers[k], shade.names))
-            drawn += (_draw_lines if lines else _draw_dots)(axes, owner, *part, shades, colored)
+    for owner, column in zip(owners, by, strict=True):
+        owner_x = results.values(plot.x, owner).numbers
+        owner_y = results.metric(plot.metric, owner).numbers
+        for _, k in results.groups(_separate_fields(plot, results)):
+            subset = (owner_x[k], owner_y[k], ColumnValues("", column.numbers[k], column.names))
+            drawn += (_draw_lines if is_line else _draw_dots)(axes, owner, *subset, colors, is_colored)
     finish(axes, values.label)
     axes.set_xlabel(x.label, fontsize=9)
-    name_ticks(axes.xaxis, x)
-    where = np.unique(x.numbers[rows.failed & np.isfinite(x.numbers)])
-    mark_rows(axes, where, np.full(len(where), 0.025), "failed", across=True)
+    set_ticks(axes.xaxis, x)
+    failed_x = np.unique(x.numbers[results.failed & np.isfinite(x.numbers)])
+    mark_rows(axes, failed_x, np.full(len(failed_x), 0.025), "failed", relative=True)
     if not drawn:
-        say(axes, rows.failed)
-    # Plans are told apart by what they vary over alone.
-    samples = [_sample(owner, line=lines, plain=colored) for owner in owners if owner != PLAN]
-    if lines and published is not None and plot.x in published.at and plot.metric in published.metrics:
-        colors = shades.colors if colored and shades.few else {}
-        samples.append(_draw_published(axes, published, plot, x, by[0], colors))
+        write_empty_note(axes, results.failed)
+    # A plan has no plant to distinguish, so it has no legend entry.
+    samples = [_sample(owner, line=is_line, plain=is_colored) for owner in owners if owner != PLAN]
+    if is_line and published is not None and plot.x in published.at and plot.metric in published.metrics:
+        line_colors = colors.colors if is_colored and colors.few else {}
+        samples.append(_draw_published(axes, published, plot, x, by[0], line_colors))
     legend_above(axes, samples)
-    if colored:
-        shades.name(figure, axes)
+    if is_colored:
+        colors.draw_key(figure, axes)
     return figure
 
 
 def _draw_lines(
-    axes: Axes, owner: str, x: np.ndarray, y: np.ndarray, by: Values, shades: _Shades, colored: bool
+    axes: Axes,
+    owner: str,
+    x: np.ndarray,
+    y: np.ndarray,
+    by: ColumnValues,
+    colors: _Colors,
+    is_colored: bool,
 ) -> int:
-    """Draw a line a value of `by`, through the mean over seeds at each x; return the number of points."""
+    """Draw a line per value of `by` through the means over seeds; return the number of points."""
     drawn = 0
-    for i, group in enumerate(shades.groups):
-        # Smaller and smaller, for lines of names that lie upon each other.
-        steps = len(shades.groups) - 1 - i if by.names and shades.few else 0
-        there = (by.numbers == group) & np.isfinite(x)
-        places, which = np.unique(x[there], return_inverse=True)
-        means = group_means(which.reshape(-1), len(places), y[there])
-        style = _look(owner) | ({"color": shades.colors[group]} if colored else {})
-        style |= {"markersize": (3.5 if shades.few else 2.0) + 2.0 * steps}
-        axes.plot(places, means, linewidth=1.3 if shades.few else 0.9, **style)
+    for i, group in enumerate(colors.groups):
+        # Markers become smaller from line to line, so that coinciding lines stay visible.
+        steps = len(colors.groups) - 1 - i if by.names and colors.few else 0
+        rows = (by.numbers == group) & np.isfinite(x)
+        positions, which = np.unique(x[rows], return_inverse=True)
+        means = group_means(which.reshape(-1), len(positions), y[rows])
+        style = _line_style(owner) | ({"color": colors.colors[group]} if is_colored else {})
+        style |= {"markersize": (3.5 if colors.few else 2.0) + 2.0 * steps}
+        axes.plot(positions, means, linewidth=1.3 if colors.few else 0.9, **style)
         drawn += int(np.isfinite(means).sum())
     return drawn
 
 
 def _draw_dots(
-    axes: Axes, owner: str, x: np.ndarray, y: np.ndarray, by: Values, shades: _Shades, colored: bool
+    axes: Axes,
+    owner: str,
+    x: np.ndarray,
+    y: np.ndarray,
+    by: ColumnValues,
+    colors: _Colors,
+    is_colored: bool,
 ) -> int:
-    """Draw a dot a run, in an order that is not that of the rows; return how many there are."""
-    there = np.isfinite(x) & np.isfinite(y) & np.isfinite(by.numbers)
-    order = np.flatnonzero(there)[np.lexsort((y[there], x[there], by.numbers[there]))]
-    shade, style = by.numbers[order], style_of(owner)
+    """Draw a dot per run, independent of the order of rows; return the number of dots."""
+    known = np.isfinite(x) & np.isfinite(y) & np.isfinite(by.numbers)
+    order = np.flatnonzero(known)[np.lexsort((y[known], x[known], by.numbers[known]))]
+    levels, style = by.numbers[order], style_of(owner)
     color: dict[str, Any] = {"color": style.color}
-    if colored and shades.few:
-        color = {"c": [shades.colors[each] for each in shade]}
-    elif colored:
-        color = {"c": shade, "cmap": "viridis", "norm": shades.norm}
+    if is_colored and colors.few:
+        color = {"c": [colors.colors[level] for level in levels]}
+    elif is_colored:
+        color = {"c": levels, "cmap": "viridis", "norm": colors.norm}
     axes.scatter(x[order], y[order], s=16, marker=style.marker, alpha=0.85, linewidths=0, **color)
     return len(order)
 
 
 def _draw_published(
-    axes: Axes, published: Published, plot: Plot, x: Values, by: Values, colors: Mapping[float, str]
+    axes: Axes,
+    published: Published,
+    plot: Plot,
+    x: ColumnValues,
+    by: ColumnValues,
+    colors: Mapping[float, str],
 ) -> Line2D:
-    """Mark the published values of a metric along x, in the colour of their line where it is known.
+    """Mark the published values of a metric along x, in the colour of their line if it is known.
 
     Returns:
-        What the legend shows of them.
+        Legend entry.
     """
     style: dict[str, Any] = {"linestyle": "none", "marker": "*", "markersize": 10, "markeredgecolor": "white"}
     groups = published.at.get(plot.by, ()) if plot.by else ()
-    for i, (place, value) in enumerate(
-        zip(published.at[plot.x], published.metrics[plot.metric], strict=True)
-    ):
+    points = zip(published.at[plot.x], published.metrics[plot.metric], strict=True)
+    for i, (position, value) in enumerate(points):
         color = colors.get(by.number(groups[i])) if groups else None
         if value is not None:
-            axes.plot(
-                x.number(place), value, color=color or PUBLISHED_COLOR, markeredgewidth=0.6, zorder=5, **style
-            )
-    # A dollar would begin a formula.
+            color = color or PUBLISHED_COLOR
+            axes.plot(x.number(position), value, color=color, markeredgewidth=0.6, zorder=5, **style)
+    # An unescaped dollar sign would start a formula.
     label = f"published, {published.source}".replace("$", r"\$")
     return Line2D([], [], color=PUBLISHED_COLOR, label=label, **style)
 
 
 def _sample(owner: str, *, line: bool = True, plain: bool = False) -> Line2D:
-    """Return what the legend shows of an owner."""
-    look = _look(owner) | ({} if line else {"linestyle": "none"}) | ({"color": "0.3"} if plain else {})
-    return Line2D([], [], **look, markersize=4, label=style_of(owner).label)
+    """Return the legend entry of an owner."""
+    style = _line_style(owner) | ({} if line else {"linestyle": "none"}) | ({"color": "0.3"} if plain else {})
+    return Line2D([], [], **style, markersize=4, label=style_of(owner).label)
 
 
-def _look(owner: str) -> dict[str, Any]:
+def _line_style(owner: str) -> dict[str, Any]:
     """Return colour, dash and marker of an owner's line."""
     style = style_of(owner)
     return {"color": style.color, "linestyle": style.dash, "marker": style.marker}

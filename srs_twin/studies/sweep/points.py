@@ -1,4 +1,4 @@
-"""A sweep and its points: how values of fields are put together, and the key of each point."""
+"""Points of a sweep: combinations of field values, and the key of each point."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ if TYPE_CHECKING:
 
 
 RUNNER = "srs_twin.studies.sweep.task"
-"""Module that runs a point: its sources, with those it imports, decide a row."""
+"""Module that runs a point; a row's key includes its sources and those of its imports."""
 
 Value = bool | int | float | str
 Changes = Mapping[str, Value]
 
 BY_A_SWEEP = "varied by a sweep"
-"""Source of a robot's number that a sweep sets."""
+"""Source of a robot parameter that a sweep sets."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """One run of a sweep.
+    """Run of a sweep.
 
     Attributes:
-        key: SHA-256 of everything that decides the results, hex.
+        key: SHA-256 of all inputs of the results, hexadecimal.
         changes: dotted field → value.
     """
 
@@ -50,14 +50,14 @@ class Point:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What all points of a sweep have in common; small enough to go to every worker.
+    """Common inputs of all points of a sweep; small enough to be sent to every worker.
 
     Attributes:
-        base: plain data of the scenario, defaults and robot written out, `fixed` fields set.
-        plants: which plants run; none: the scenario is only planned.
+        base: scenario with defaults, robot and `fixed` fields, as plain data.
+        plants: plants that run; empty: the scenario is only planned.
         periods: simulated time in periods of the gait or the reference; None: the scenario's duration_s.
-        robots: name → plain data of each robot that the field `robot` takes.
-        trajectories: whether they are kept.
+        robots: name → robot as plain data, for each value of the field `robot`.
+        trajectories: whether trajectories are stored.
     """
 
     base: Mapping[str, Any] = field(repr=False)
@@ -67,7 +67,7 @@ class Experiment:
     trajectories: bool = False
 
     def document(self, changes: Changes) -> dict[str, Any]:
-        """Return plain data of the scenario with these changes, as `parse_scenario` takes them."""
+        """Return the scenario with changes as plain data, for `parse_scenario`."""
         document: dict[str, Any] = {k: v for k, v in self.base.items() if k not in ("expect", "changes")}
         for name, value in changes.items():
             document = self.with_change(document, name, value)
@@ -77,45 +77,45 @@ class Experiment:
 
     def with_fixed(self, fixed: Mapping[str, Value | list[Value]]) -> dict[str, Any]:
         """Return the base with other values of some fields."""
-        found = dict(self.base)
+        document = dict(self.base)
         for name, value in fixed.items():
-            found = self.with_change(found, name, value)
-        return found
+            document = self.with_change(document, name, value)
+        return document
 
     def with_change(self, document: Any, name: str, value: Value | list[Value]) -> Any:
-        """Return plain data of a scenario with one field changed; a robot's name stands for its file."""
-        whole: Any = self.robots.get(str(value), value) if name == "robot" else value
-        where = parse_path(name)
+        """Return a scenario with one field changed, as plain data; a robot's name becomes its content."""
+        content: Any = self.robots.get(str(value), value) if name == "robot" else value
+        path = parse_path(name)
         if name == "planner.kind":
-            document = _planned_by(document, value)
-        if where == PRESET:
+            document = _with_planner_keys(document, value)
+        if path == PRESET:
             twin = with_preset(document["plants"].get("twin", {}), value)
             return {**document, "plants": {**document["plants"], "twin": twin}}
-        if len(where) == 3 and where[0] == "robot" and not isinstance(whole, Mapping):
-            # A number that the robot does not have yet has no record either.
-            unit = section_units(str(where[1])).get(str(where[2]))
+        if len(path) == 3 and path[0] == "robot" and not isinstance(content, Mapping):
+            # A parameter that the robot does not have yet needs a new record.
+            unit = section_units(str(path[1])).get(str(path[2]))
             if unit is not None:
-                whole = replace_value(None, value, unit, BY_A_SWEEP)
-        return changed(document, where, whole)
+                content = replace_value(None, value, unit, BY_A_SWEEP)
+        return with_value(document, path, content)
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """One scenario over many values of its fields.
+    """Loaded and validated sweep.
 
     Attributes:
-        name: of the folder of results.
-        title: one line for people.
-        experiment: what all points have in common.
-        fields: the varied fields, dotted, in the order of the file.
-        values: a value for each field, a row a point.
-        metrics: which become columns; None: all.
-        plots: pictures of the results.
-        versions: package → version: those that decide the numbers.
-        document: plain data of the sweep file.
-        warnings: what a person should know before believing the results.
-        beside: what was published of the metrics; the keys of points do not depend on it.
-        changes: fields that differ from the sweep's file; `title` names them.
+        name: name, also of the output folder.
+        title: title, one line.
+        experiment: common inputs of all points.
+        fields: varied fields, dotted, in the order of the file.
+        values: values of the fields, one row per point.
+        metrics: metrics that become columns; None: all.
+        plots: plots of the results.
+        versions: package → version, of packages that affect the results.
+        document: sweep file as plain data.
+        warnings: warnings about the results.
+        beside: published values; the keys of points do not depend on them.
+        changes: fields that differ from the sweep file; `title` names them.
     """
 
     name: str
@@ -133,28 +133,29 @@ class Sweep:
 
     @cached_property
     def points(self) -> tuple[Point, ...]:
-        """The runs, each once, in the order of the file."""
-        found: dict[str, Point] = {}
+        """Points without duplicates, in the order of the file."""
+        points: dict[str, Point] = {}
         for row in self.values:
             changes = dict(zip(self.fields, row, strict=True))
             key = run_key(self.experiment.document(changes), self.experiment.plants, RUNNER)
-            found.setdefault(key, Point(key, changes))
-        return tuple(found.values())
+            points.setdefault(key, Point(key, changes))
+        return tuple(points.values())
 
 
-def _planned_by(document: Any, kind: Any) -> Any:
-    """Return plain data of a scenario without what another kind of planner knows nothing of."""
+def _with_planner_keys(document: Any, kind: Any) -> Any:
+    """Return a scenario without planner keys that another kind of planner does not have."""
     planner = document.get("planner")
     if not isinstance(planner, Mapping) or kind not in PLANNER_FILES:
         return document
     known = PLANNER_FILES[str(kind)].model_fields
-    return {**document, "planner": {key: each for key, each in planner.items() if key in known}}
+    return {**document, "planner": {key: value for key, value in planner.items() if key in known}}
 
 
-def changed(data: Any, loc: Loc, value: Value | list[Value]) -> Any:
-    """Return plain data with one value replaced; what is on the way is copied, the rest shared.
+def with_value(data: Any, loc: Loc, value: Value | list[Value]) -> Any:
+    """Return plain data with one value replaced; containers on its path are copied, others shared.
 
-    A plain value in place of a robot's record changes its number: unit stays, status and source say so.
+    If a robot record is replaced by a number, its value changes, the unit stays, and status and source say
+    so.
     """
     if not loc:
         if isinstance(data, Mapping) and {"value", "unit"} <= data.keys() and not isinstance(value, Mapping):
@@ -162,22 +163,21 @@ def changed(data: Any, loc: Loc, value: Value | list[Value]) -> Any:
         return value
     first, rest = loc[0], loc[1:]
     if isinstance(data, list) and isinstance(first, int) and first < len(data):
-        return [*data[:first], changed(data[first], rest, value), *data[first + 1 :]]
+        return [*data[:first], with_value(data[first], rest, value), *data[first + 1 :]]
     inner = data if isinstance(data, Mapping) else {}
-    return {**inner, first: changed(inner.get(first), rest, value)}
+    return {**inner, first: with_value(inner.get(first), rest, value)}
 
 
-def leaves(data: Any, prefix: str = "") -> Iterator[str]:
-    """Yield the dotted names of all plain values in plain data; records of a robot count as one."""
+def leaf_names(data: Any, prefix: str = "") -> Iterator[str]:
+    """Yield the dotted names of all scalar values in plain data; a robot record counts as one."""
     if isinstance(data, Mapping) and not {"value", "unit"} <= data.keys():
         for key, value in data.items():
-            yield from leaves(value, f"{prefix}.{key}" if prefix else str(key))
-    else:
+            yield from leaf_names(value, f"{prefix}.{key}" if prefix else str(key))
         yield prefix
 
 
 def _duration(document: Mapping[str, Any], plants: tuple[str, ...], periods: float) -> Any:
-    """Return so many periods of gait or reference in whole ticks, s; the given duration without them."""
+    """Return a number of gait or reference periods in whole ticks, s; the given duration without periods."""
     controller = document.get("controller", {})
     frequency = (controller.get("reference") or controller).get("frequency_hz")
     ticks = [document.get("plants", {}).get(plant, {}).get("tick_s", 0.02) for plant in plants]
@@ -188,33 +188,33 @@ def _duration(document: Mapping[str, Any], plants: tuple[str, ...], periods: flo
     return round(math.ceil(periods / frequency / tick * (1 - 1e-12)) * tick, 9)
 
 
-Given = Mapping[str, Sequence[Value] | RangeFile]
+Varied = Mapping[str, Sequence[Value] | RangeFile]
 
 
-def sample(vary: Given, sampling: SamplingFile) -> list[tuple[Value, ...]]:
-    """Return the points, a row each with a value for each field.
+def sample(vary: Varied, sampling: SamplingFile) -> list[tuple[Value, ...]]:
+    """Return the points, one row each with a value per field.
 
     Raises:
-        InputError: lists of unequal length, a range without a count, or too many points.
+        InputError: lists have different lengths, a range has no count, or there are too many points.
     """
     if sampling.kind in ("latin_hypercube", "sobol"):
-        return _drawn(list(vary.values()), sampling)
-    lists = [_listed(name, values) for name, values in vary.items()]
+        return _space_filling_points(list(vary.values()), sampling)
+    lists = [_value_list(name, values) for name, values in vary.items()]
     if sampling.kind == "list":
         lengths = {name: len(values) for name, values in zip(vary, lists, strict=True)}
         if len(set(lengths.values())) > 1:
             counts = ", ".join(f"{name} {length}" for name, length in lengths.items())
-            raise InputError(f"sampling: list takes as many values of each field, but there are {counts}")
+            raise InputError(
+                f"sampling: list needs the same number of values of each field, but there are {counts}"
+            )
         return list(zip(*lists, strict=True))
-    count = 1
-    for values in lists:
-        count *= len(values)
+    count = math.prod(len(values) for values in lists)
     if count > MAX_POINTS:
         raise InputError(f"the grid has {count} points; at most {MAX_POINTS} are allowed")
     return list(product(*lists))
 
 
-def _listed(name: str, values: Sequence[Value] | RangeFile) -> list[Value]:
+def _value_list(name: str, values: Sequence[Value] | RangeFile) -> list[Value]:
     if not isinstance(values, RangeFile):
         return list(values)
     if values.count is None:
@@ -223,18 +223,21 @@ def _listed(name: str, values: Sequence[Value] | RangeFile) -> list[Value]:
     return [float(value) for value in spaced(values.start, values.stop, values.count)]
 
 
-def _drawn(fields: Sequence[Sequence[Value] | RangeFile], sampling: SamplingFile) -> list[tuple[Value, ...]]:
-    """Spread points over the ranges; of a list, every value gets an equal share."""
+def _space_filling_points(
+    fields: Sequence[Sequence[Value] | RangeFile], sampling: SamplingFile
+) -> list[tuple[Value, ...]]:
+    """Return points spread over the ranges; the values of a list are equally frequent."""
     from scipy.stats import qmc
 
     assert sampling.count is not None, "checked by the file's model"
     engine = qmc.Sobol if sampling.kind == "sobol" else qmc.LatinHypercube
     unit = engine(d=len(fields), rng=sampling.seed or 0).random(sampling.count)
-    columns = [_placed(values, shares) for values, shares in zip(fields, unit.T, strict=True)]
+    columns = [_values_at(values, shares) for values, shares in zip(fields, unit.T, strict=True)]
     return list(zip(*columns, strict=True))
 
 
-def _placed(values: Sequence[Value] | RangeFile, shares: np.ndarray) -> list[Value]:
+def _values_at(values: Sequence[Value] | RangeFile, shares: np.ndarray) -> list[Value]:
+    """Return the values of a field at shares of its range or list, from 0 to 1."""
     if not isinstance(values, RangeFile):
         return [values[int(share * len(values))] for share in shares]
     if values.scale == "log":

@@ -1,4 +1,4 @@
-"""report.html of a sweep: what was varied, a row a run, and means over seeds."""
+"""HTML report of a sweep: varied fields, results by run, and means over seeds."""
 
 from __future__ import annotations
 
@@ -18,28 +18,32 @@ if TYPE_CHECKING:
     from srs_twin.studies.sweep.points import Sweep
 
 
-MOST_RUNS = 200
-"""Beyond so many runs there is no row a run."""
+MAX_RUNS = 200
+"""Largest number of rows of a table of runs."""
 
-_MOST_COLUMNS = 24
-_COLUMNS = 6  # of metrics side by side: what a printed page holds
+_MAX_COLUMNS = 24
+"""Largest number of metric columns in a report."""
+
+_COLUMNS_PER_TABLE = 6
+"""Number of metric columns that fit on a printed page."""
+
 _NONE = "–"
 
 
 @dataclass(frozen=True)
 class Summary:
-    """Outcome of a sweep.
+    """Summary of a sweep.
 
     Attributes:
-        folder: of its files.
-        points: number of runs of the sweep.
-        done: number of those that succeeded.
-        reasons: why runs failed → their number.
-        exit_code: the highest of the failed runs; 0 where none failed.
-        sha256: of the results, see `results.digest`.
-        spans: speed, yaw rate and amplitude of each plant → least, median and most.
-        files: names of the files written.
-        published: published values beside those of the plants, where the sweep has any.
+        folder: output folder.
+        points: number of points.
+        done: number of successful runs.
+        reasons: reason of failure → number of runs.
+        exit_code: highest exit code of the failed runs; 0 without failures.
+        sha256: digest of the results, see `store.rows_digest`.
+        ranges: metric → (minimum, median, maximum), for the summary metrics.
+        files: names of the written files.
+        published: table of published values and results; None without published values.
     """
 
     folder: Path
@@ -48,7 +52,7 @@ class Summary:
     reasons: Mapping[str, int]
     exit_code: int
     sha256: str
-    spans: Mapping[str, tuple[float, float, float]]
+    ranges: Mapping[str, tuple[float, float, float]]
     files: tuple[str, ...]
     published: Table | None = None
 
@@ -60,132 +64,136 @@ class Summary:
 
 @dataclass(frozen=True)
 class _Column:
-    """A metric of a plant or of the comparison: its heading, and a number a run, NaN where there is none."""
+    """Metric of a plant or of the comparison: heading, and a number per run, NaN if missing."""
 
     heading: str
     numbers: np.ndarray
 
     def text(self, run: int) -> str:
-        """Write a run's number to the fourth digit of the column's largest."""
+        """Return a run's number, to the fourth digit of the column's largest."""
         largest = np.abs(self.numbers[np.isfinite(self.numbers)]).max(initial=0)
         places = 3 - int(np.floor(np.log10(largest))) if largest else 0
         number = self.numbers[run]
         return f"{number:z.{max(places, 0)}f}" if np.isfinite(number) else _NONE
 
-    def mean(self, runs: np.ndarray) -> str:
-        """Write mean ± standard deviation of runs, and of how many where some have no value."""
+    def mean_text(self, runs: np.ndarray) -> str:
+        """Return mean ± standard deviation of runs, and their number if some have no value."""
         numbers = self.numbers[runs]
         known = numbers[np.isfinite(numbers)]
         if not len(known):
             return _NONE
-        spread = f" ± {known.std(ddof=1):.2g}" if len(known) > 1 else ""
-        return f"{known.mean():.4g}{spread}" + (f" ({len(known)})" if len(known) < len(numbers) else "")
+        std = f" ± {known.std(ddof=1):.2g}" if len(known) > 1 else ""
+        return f"{known.mean():.4g}{std}" + (f" ({len(known)})" if len(known) < len(numbers) else "")
 
 
-def run_tables(rows: SweepTable, metrics: Sequence[str]) -> list[Table]:
-    """Return a row a run in the order of the fields' values, few metrics a table.
+def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
+    """Return tables with one row per run, ordered by the fields' values, with a few metrics each.
 
     Args:
-        rows: results of a sweep; of more than `MOST_RUNS` runs, what is returned says so and has no rows.
-        metrics: what is shown, of each plant that has it; of a list, its mean.
+        results: results of a sweep; with more than `MAX_RUNS` runs, a note replaces the rows.
+        metrics: shown metrics, of each owner; for a list metric its mean.
     """
-    if len(rows.failed) > MOST_RUNS:
-        return [Table((), (), note=f"{len(rows.failed)} runs, a row each in results.parquet.")]
-    fields, failed = [rows.values(name, "") for name in rows.fields], rows.failed
+    if len(results.failed) > MAX_RUNS:
+        return [Table((), (), note=f"{len(results.failed)} runs; their rows are in results.parquet.")]
+    fields, failed = [results.values(name, "") for name in results.fields], results.failed
     order = np.lexsort([field.numbers for field in reversed(fields)])
-    columns, left_out = _columns(rows, metrics)
+    columns, note = _metric_columns(results, metrics)
     headings = (*(field.label for field in fields), *(["status"] if failed.any() else []))
-    named = [tuple(field.text(field.numbers[i]) for field in fields) for i in order]
+    starts = [tuple(field.text(field.numbers[i]) for field in fields) for i in order]
     if failed.any():
-        named = [(*names, "failed" if failed[i] else "done") for names, i in zip(named, order, strict=True)]
-    return _tables(headings, zip(named, order, strict=True), columns, _Column.text, left_out)
+        starts = [(*start, "failed" if failed[i] else "done") for start, i in zip(starts, order, strict=True)]
+    return _split_tables(headings, zip(starts, order, strict=True), columns, _Column.text, note)
 
 
-def means(rows: SweepTable, metrics: Sequence[str]) -> list[Table]:
-    """Return mean ± standard deviation over seeds, a row a combination of all other fields.
+def mean_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
+    """Return mean ± standard deviation over seeds, with one row per combination of all other fields.
 
-    None where every combination has one run. What was varied on purpose is never averaged over.
+    It is empty if each combination has only one run.
 
     Args:
-        rows: results of a sweep; runs that failed are left out.
-        metrics: as `run_tables` takes them.
+        results: results of a sweep; failed runs are left out.
+        metrics: see `run_tables`.
     """
-    groups = rows.groups(rows.settings)
-    if len(groups) == len(rows.failed):
+    groups = results.groups(results.settings)
+    if len(groups) == len(results.failed):
         return []
-    if len(groups) > MOST_RUNS:
+    if len(groups) > MAX_RUNS:
         return [Table((), (), note=f"{len(groups)} combinations; their runs are in results.parquet.")]
-    done = [(texts, each[~rows.failed[each]]) for texts, each in groups]
-    lines = [((*texts, str(len(each))), each) for texts, each in done]
-    columns, not_shown = _columns(rows, metrics)
-    return _tables((*map(field_label, rows.settings), "runs"), lines, columns, _Column.mean, not_shown)
+    successful = [(texts, rows[~results.failed[rows]]) for texts, rows in groups]
+    lines = [((*texts, str(len(rows))), rows) for texts, rows in successful]
+    columns, note = _metric_columns(results, metrics)
+    headings = (*map(field_label, results.settings), "runs")
+    return _split_tables(headings, lines, columns, _Column.mean_text, note)
 
 
-def _columns(rows: SweepTable, metrics: Sequence[str]) -> tuple[list[_Column], str]:
-    """Return the columns of metrics, those of one metric side by side, and what is said of those left out."""
-    found = []
+def _metric_columns(results: SweepTable, metrics: Sequence[str]) -> tuple[list[_Column], str]:
+    """Return the columns of metrics, owners side by side, and a note if some are left out."""
+    columns = []
     for metric in dict.fromkeys(metrics):
-        for owner in rows.holders(metric):
-            values = rows.metric(metric, owner)
+        for owner in results.owners_if_any(metric):
+            values = results.metric(metric, owner)
             heading = values.label if owner in (COMPARISON, PLAN) else f"{values.label}, {owner}"
-            found.append(_Column(heading, values.numbers))
-    if len(found) <= _MOST_COLUMNS:
-        return found, ""
-    said = f"{_MOST_COLUMNS} of {len(found)} columns are shown; results.parquet has all."
-    return found[:_MOST_COLUMNS], said
+            columns.append(_Column(heading, values.numbers))
+    if len(columns) <= _MAX_COLUMNS:
+        return columns, ""
+    note = f"{_MAX_COLUMNS} of {len(columns)} columns are shown; results.parquet has all."
+    return columns[:_MAX_COLUMNS], note
 
 
-def _tables(
+def _split_tables(
     headings: tuple[str, ...],
     lines: Iterable[tuple[tuple[str, ...], Any]],
     columns: Sequence[_Column],
     cell: Callable[[_Column, Any], str],
     note: str,
 ) -> list[Table]:
-    """Return tables of as many columns as a page holds; one without columns where there are none.
+    """Return tables with as many metric columns as fit on a page; at least one table.
 
     Args:
-        headings: of what every table begins with.
-        lines: what a line begins with, and which of the numbers of each column are its own.
-        columns: of all tables.
-        cell: writes what a column has for these runs.
-        note: below each table.
+        headings: headings of the first columns of each table.
+        lines: first cells of each line, and its run or runs.
+        columns: metric columns.
+        cell: function that returns a metric's text for these runs.
+        note: note below each table.
     """
-    made, lines = [], list(lines)
-    for first in range(0, max(len(columns), 1), _COLUMNS):
-        few = columns[first : first + _COLUMNS]
-        rows = tuple((*begin, *(cell(column, own) for column in few)) for begin, own in lines)
-        shown = (*headings, *(column.heading for column in few))
-        made.append(Table(shown, rows, range(len(shown)), note))
-    return made
+    tables, lines = [], list(lines)
+    for first in range(0, max(len(columns), 1), _COLUMNS_PER_TABLE):
+        chunk = columns[first : first + _COLUMNS_PER_TABLE]
+        rows = tuple((*start, *(cell(column, runs) for column in chunk)) for start, runs in lines)
+        all_headings = (*headings, *(column.heading for column in chunk))
+        tables.append(Table(all_headings, rows, range(len(all_headings)), note))
+    return tables
 
 
 REPORT = "report.html"
 
-_MOST_LISTED = 12  # values of a field that are written out
-_MOST_REASONS = 20
+_MAX_VALUES = 12
+"""Largest number of values of a field that are listed."""
+
+_MAX_REASONS = 20
+"""Largest number of failure reasons that are listed."""
 
 
 def write_report(
     path: Path,
     sweep: Sweep,
     summary: Summary,
-    rows: SweepTable,
+    results: SweepTable,
     metrics: Sequence[str],
     pictures: Mapping[str, bytes],
 ) -> None:
-    """Write the page, whole or not at all; it needs nothing from outside itself.
+    """Write the self-contained HTML page atomically.
 
     Args:
-        path: file to write; an existing one is replaced.
-        sweep: what was run.
-        summary: how it ended.
-        rows: the results.
-        metrics: what the tables show.
+        path: file to write or replace.
+        sweep: sweep.
+        summary: its summary.
+        results: its results.
+        metrics: metrics of the tables.
         pictures: title → PNG.
 
     Raises:
-        InputError: the place cannot be written.
+        InputError: the path cannot be written.
     """
     versions = [("results sha256", summary.sha256), *sweep.versions.items()]
     content = render(
@@ -198,9 +206,9 @@ def write_report(
         varied=_varied(sweep),
         published=summary.published,
         plots=[image(content, "png", title) for title, content in pictures.items()],
-        runs=run_tables(rows, metrics),
-        repeats=", ".join(map(field_label, rows.repeats)),
-        means=means(rows, metrics),
+        runs=run_tables(results, metrics),
+        repeats=", ".join(map(field_label, results.repeats)),
+        means=mean_tables(results, metrics),
         made_with=Table(["", ""], versions),
     )
     write_text(path, content)
@@ -208,37 +216,37 @@ def write_report(
 
 def _counts(summary: Summary) -> str:
     missing = summary.points - summary.done - summary.failed
-    said = f"{summary.done} of {summary.points} runs done, {summary.failed} failed"
-    return f"{said}, {missing} not run yet" if missing else said
+    text = f"{summary.done} of {summary.points} runs done, {summary.failed} failed"
+    return f"{text}, {missing} not run yet" if missing else text
 
 
 def _failures(summary: Summary) -> Table:
-    rows = [(reason, str(count)) for reason, count in list(summary.reasons.items())[:_MOST_REASONS]]
+    rows = [(reason, str(count)) for reason, count in list(summary.reasons.items())[:_MAX_REASONS]]
     more = len(summary.reasons) - len(rows)
     note = f"And {more} other reasons: see results.parquet." if more else ""
     return Table(["reason", "runs"], rows, numbers=[1], note=note)
 
 
 def _varied(sweep: Sweep) -> Table:
-    """Return the table of fields: what was varied, and what was otherwise than in the scenario."""
+    """Return the table of varied and fixed fields."""
     rows = []
     for name, column in zip(sweep.fields, zip(*sweep.values, strict=True), strict=True):
-        rows.append((field_label(name), name, _values(list(dict.fromkeys(column)))))
+        rows.append((field_label(name), name, _values_text(list(dict.fromkeys(column)))))
     for name, value in sweep.document.get("fixed", {}).items():
-        rows.append((field_label(name), name, f"{_plain(value)} (fixed)"))
+        rows.append((field_label(name), name, f"{_value_text(value)} (fixed)"))
     if sweep.experiment.periods is not None:
         rows.append(("simulated time", "periods", f"{sweep.experiment.periods:g} periods"))
     rows.append(("plants", "plants", " and ".join(sweep.experiment.plants)))
-    return Table(["what", "field", "values"], rows)
+    return Table(["quantity", "field", "values"], rows)
 
 
-def _values(values: list[Any]) -> str:
-    if len(values) <= _MOST_LISTED:
-        return ", ".join(map(_plain, values))
+def _values_text(values: list[Any]) -> str:
+    if len(values) <= _MAX_VALUES:
+        return ", ".join(map(_value_text, values))
     if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
-        return f"{_plain(min(values))} to {_plain(max(values))}, {len(values)} values"
-    return f"{', '.join(map(_plain, values[:_MOST_LISTED]))} and {len(values) - _MOST_LISTED} more"
+        return f"{_value_text(min(values))} to {_value_text(max(values))}, {len(values)} values"
+    return f"{', '.join(map(_value_text, values[:_MAX_VALUES]))} and {len(values) - _MAX_VALUES} more"
 
 
-def _plain(value: Any) -> str:
+def _value_text(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)

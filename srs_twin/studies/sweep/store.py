@@ -1,8 +1,8 @@
-"""Rows that are kept as soon as they are finished, and the table they become.
+"""Storage of rows as soon as they are finished, and the table of results.
 
-An SQLite file in the sweep's folder. A row is there or not, never in part; nobody else can write while a
-sweep does. Its log is not flushed to the disk at every row: what a process finished before it was killed
-stays, only a power cut may take the last rows along, and they are run again.
+Rows are in an SQLite file in the sweep's folder. A row is written completely or not at all, and only one
+process can write. The log is not flushed to disk after every row: rows of a killed process are kept, but a
+power failure may lose the last ones, which are then run again.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 FILE = "rows.sqlite"
 
-# What this program may be made to read: no row of ours is larger.
-_LONGEST_BYTES = 1_000_000
+_MAX_BYTES = 1_000_000
+"""Largest size of a value that is read, as protection against damaged files; rows are smaller."""
 
 
 Parsed = TypeVar("Parsed")
@@ -41,15 +41,15 @@ Parsed = TypeVar("Parsed")
 
 @dataclass(frozen=True)
 class SweepIdentity:
-    """Which sweep rows belong to, as plain data of JSON.
+    """Identity of the sweep to which rows belong, as JSON values.
 
     Attributes:
         keys: hash of the keys of all points.
-        scenario: the base's document.
-        fields: what is varied.
+        scenario: scenario of the experiment.
+        fields: varied fields.
         versions: package → version.
-        sources: module that computes rows → hash of its source; none where it was not kept yet.
-        files: file that rows read → hash of its contents.
+        sources: module that computes rows → hash of its source; empty in files of older versions.
+        files: file that points read → hash of its contents.
     """
 
     keys: str
@@ -60,8 +60,9 @@ class SweepIdentity:
     files: dict[str, str] = field(default_factory=dict)
 
 
-_DAMAGE = (sqlite3.Error, UnicodeDecodeError)  # a message of SQLite may quote what is damaged
-# Exclusive first: the log then needs no shared memory, and network drives will do.
+_DAMAGE = (sqlite3.Error, UnicodeDecodeError)  # a message of SQLite may quote damaged text
+
+# Exclusive locking comes first: the log then needs no shared memory, so network drives work.
 _OPENING = (
     "PRAGMA locking_mode=EXCLUSIVE",
     "PRAGMA journal_mode=WAL",
@@ -72,71 +73,72 @@ _OPENING = (
     "CREATE TABLE IF NOT EXISTS rows (key TEXT PRIMARY KEY, status TEXT, row TEXT NOT NULL)",
     "COMMIT",
 )
-_FULL = "cannot be written ({}); what was finished is kept, start again to go on"
-_FOREIGN = "not the rows of a sweep ({}); give another --out"
-_REFUSALS = {
+_DISK_FULL = "cannot be written ({}); finished rows are kept, start again to resume"
+_NOT_A_STORE = "not the rows of a sweep ({}); give another --out"
+_MESSAGES = {
     sqlite3.SQLITE_BUSY: "another sweep works in this folder; wait for it or give another --out",
-    **dict.fromkeys((sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR), _FULL),
-    **dict.fromkeys((sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_ERROR), _FOREIGN),
+    **dict.fromkeys((sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR), _DISK_FULL),
+    **dict.fromkeys((sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_ERROR), _NOT_A_STORE),
 }
+"""SQLite error code → message."""
 _IDENTITY = TypeAdapter(SweepIdentity)
 _ROW = TypeAdapter(tuple[dict[str, Any], float, str | None, int])
 
 
 class RowStore(contextlib.AbstractContextManager["RowStore"]):
-    """The rows of one sweep; a context manager that locks the folder."""
+    """Stored rows of one sweep; a context manager that locks the folder."""
 
     def __init__(self, folder: Path) -> None:
-        """Open or make the file, and the folder.
+        """Open or create the file, and the folder.
 
         Raises:
-            InputError: the folder cannot be written, another sweep works in it, or the file is none of ours.
+            InputError: the folder cannot be written, another sweep works in it, or the file is not a store.
         """
         self._path = folder / FILE
-        self._new = not os.path.lexists(self._path)
+        self._is_new = not os.path.lexists(self._path)
         try:
             self._missing = missing_folders(folder)
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(f"{display_path(folder)}: cannot be made ({error.strerror})") from error
+            raise InputError(f"{display_path(folder)}: cannot be created ({error.strerror})") from error
         try:
-            self._base = sqlite3.connect(self._path, timeout=0, isolation_level=None)
-            self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST_BYTES)
-            for line in _OPENING:
-                self._base.execute(line)
+            self._database = sqlite3.connect(self._path, timeout=0, isolation_level=None)
+            self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MAX_BYTES)
+            for statement in _OPENING:
+                self._database.execute(statement)
         except _DAMAGE as error:
-            raise self._refusal(error) from error
+            raise self._input_error(error) from error
 
     def __exit__(self, *error: object) -> None:
-        """Unlock the folder; a file that this made is not left without a row."""
-        # Closing also tidies up; on a full disk there is nothing to tidy with, and every row is safe.
+        """Unlock the folder; delete a new file without rows."""
+        # Closing writes the log back; if the disk is full this fails, but the rows are safe in the log.
         with contextlib.suppress(sqlite3.Error, OSError):
-            empty = self._new and not self._base.execute("SELECT 1 FROM rows LIMIT 1").fetchall()
-            self._base.close()
-            if empty:
+            is_empty = self._is_new and not self._database.execute("SELECT 1 FROM rows LIMIT 1").fetchall()
+            self._database.close()
+            if is_empty:
                 self._path.unlink()
         remove_empty_folders(self._missing)
 
     def identity(self) -> SweepIdentity | None:
-        """Return what `keep_identity` kept, None where it never did.
+        """Return the stored identity; None if there is none.
 
         Raises:
-            InputError: something else stands there.
+            InputError: the stored identity is damaged.
         """
-        found = self._read("SELECT value FROM about WHERE name = 'sweep'")
-        return self._parsed(_IDENTITY, found[0][0]) if found else None
+        rows = self._read("SELECT value FROM about WHERE name = 'sweep'")
+        return self._parse(_IDENTITY, rows[0][0]) if rows else None
 
-    def keep_identity(self, identity: SweepIdentity) -> None:
-        """Keep which sweep the rows belong to."""
+    def set_identity(self, identity: SweepIdentity) -> None:
+        """Store the identity of the sweep to which the rows belong."""
         self._write("INSERT OR REPLACE INTO about VALUES ('sweep', ?)", json.dumps(asdict(identity)))
 
     def add(self, row: Row) -> None:
-        """Keep a row and its files; one of the same key is replaced.
+        """Store a row and its files; replace one with the same key.
 
         Raises:
             InputError: they cannot be written.
         """
-        # The row is what says that a point is done: its files come first.
+        # The files come first, because the row marks the point as finished.
         for plant, parquet in row.files.items():
             with atomic_write(self.trajectory_file(row.key, plant)) as part:
                 part.write_bytes(parquet)
@@ -144,76 +146,86 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         self._write("INSERT OR REPLACE INTO rows VALUES (?, ?, ?)", row.key, row.status, content)
 
     def trajectory_file(self, key: str, plant: str) -> Path:
-        """Return where the trajectory of a plant is kept."""
+        """Return the path of a stored trajectory."""
         return self._path.parent / "trajectories" / f"{key}.{plant}.parquet"
 
     def rows(self) -> Iterator[Row]:
         """Yield all rows in the order of their keys."""
         for key, status, content in self._read("SELECT key, status, row FROM rows ORDER BY key"):
-            values, wall, reason, exit_code = self._parsed(_ROW, content)
+            values, wall, reason, exit_code = self._parse(_ROW, content)
             yield Row(key, status, values, wall, reason, exit_code)
 
     def keys(self, *, failed: bool) -> set[str]:
-        """Return the keys of what is there; without failed rows if they are to be tried again."""
-        found = self._read("SELECT key FROM rows WHERE ? OR status <> ?", failed, FAILED)
-        return {key for (key,) in found}
+        """Return the keys of the stored rows, optionally without those of failed runs."""
+        rows = self._read("SELECT key FROM rows WHERE ? OR status <> ?", failed, FAILED)
+        return {key for (key,) in rows}
 
-    def keep(self, keys: Iterable[str]) -> None:
-        """Drop all rows but these."""
+    def retain(self, keys: Iterable[str]) -> None:
+        """Delete all rows except those with the given keys."""
         kept = set(keys)
-        gone = [(key,) for (key,) in self._read("SELECT key FROM rows") if key not in kept]
-        with self._guarded():
-            self._base.execute("BEGIN")
-            self._base.executemany("DELETE FROM rows WHERE key = ?", gone)
-            self._base.execute("COMMIT")
+        removed = [(key,) for (key,) in self._read("SELECT key FROM rows") if key not in kept]
+        with self._errors_translated():
+            self._database.execute("BEGIN")
+            self._database.executemany("DELETE FROM rows WHERE key = ?", removed)
+            self._database.execute("COMMIT")
 
-    def _parsed(self, kind: TypeAdapter[Parsed], content: Any) -> Parsed:
+    def _parse(self, adapter: TypeAdapter[Parsed], content: Any) -> Parsed:
         try:
-            return kind.validate_json(content)
+            return adapter.validate_json(content)
         except ValidationError as error:
             raise InputError(
                 f"{display_path(self._path)}: not the rows of a sweep; give another --out"
             ) from error
 
     def _read(self, query: str, *arguments: Any) -> list[Any]:
-        with self._guarded():
-            return self._base.execute(query, arguments).fetchall()
+        with self._errors_translated():
+            return self._database.execute(query, arguments).fetchall()
 
     def _write(self, query: str, *arguments: Any) -> None:
-        with self._guarded():
-            self._base.execute(query, arguments)
+        with self._errors_translated():
+            self._database.execute(query, arguments)
 
     @contextlib.contextmanager
-    def _guarded(self) -> Iterator[None]:
+    def _errors_translated(self) -> Iterator[None]:
         try:
             yield
         except _DAMAGE as error:
-            raise self._refusal(error) from error
+            raise self._input_error(error) from error
 
-    def _refusal(self, error: Exception) -> InputError:
+    def _input_error(self, error: Exception) -> InputError:
         code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-        text = _REFUSALS.get(code, "cannot be used ({}); give another --out")
+        text = _MESSAGES.get(code, "cannot be used ({}); give another --out")
         return InputError(f"{display_path(self._path)}: {text.format(error)}")
 
 
 RESULTS = "results.parquet"
 
 _NUMBERS = re.compile(r"(_\d+)?(_period_\d+)?$")
+"""Ending of the column name of an element of a list metric."""
 
-_FIRST_OF_PLANS = ("plan_found", "plan_length_m", "plan_s")
-_FIRST = ("com_speed_m_s", "yaw_rate_rad_s", "mean_bend_amplitude_rad", "com_speed_rel", "shape_rms_body")
+_SUMMARY_METRICS = (
+    "com_speed_m_s",
+    "yaw_rate_rad_s",
+    "mean_bend_amplitude_rad",
+    "com_speed_rel",
+    "shape_rms_body",
+)
+"""Metrics that are shown first."""
+
+_PLAN_SUMMARY_METRICS = ("plan_found", "plan_length_m", "plan_s")
+"""Metrics that are shown first for a sweep that is only planned."""
 
 
-def table(sweep: Sweep, rows: Sequence[Row]) -> pa.Table:
-    """Return one row a point, ordered by key.
+def result_table(sweep: Sweep, rows: Sequence[Row]) -> pa.Table:
+    """Return the results with one row per point, ordered by key.
 
     Columns: ``key``, the varied fields by their dotted names, ``status``, ``reason``, ``exit_code``, the
-    metrics as ``<plant>.<metric>`` and ``comparison.<metric>``, of what is only planned as
-    ``plan.<metric>`` (null where there is none), ``wall_s``.
+    metrics as ``<plant>.<metric>`` and ``comparison.<metric>``, or as ``plan.<metric>`` if the scenario is
+    only planned (null if missing), ``wall_s``.
 
     Args:
-        sweep: whose rows they are.
-        rows: in any order.
+        sweep: sweep.
+        rows: its rows, in any order.
     """
     import pyarrow as pa
 
@@ -227,95 +239,98 @@ def table(sweep: Sweep, rows: Sequence[Row]) -> pa.Table:
     for metric in _metrics(sweep, rows):
         columns[metric] = pa.array([row.values.get(metric) for row in rows], pa.float64())
     columns["wall_s"] = pa.array([row.wall_s for row in rows], pa.float64())
-    about = {"srs_twin.sweep": json.dumps({"title": sweep.title, "versions": dict(sweep.versions)})}
-    return pa.table(columns).replace_schema_metadata(about)
+    metadata = json.dumps({"title": sweep.title, "versions": dict(sweep.versions)})
+    return pa.table(columns).replace_schema_metadata({"srs_twin.sweep": metadata})
 
 
-def write(path: Path, found: pa.Table) -> None:
-    """Write a table as Parquet, whole or not at all.
+def write_table(path: Path, results: pa.Table) -> None:
+    """Write a table as a Parquet file atomically.
 
     Raises:
-        InputError: the place cannot be written.
+        InputError: the path cannot be written.
     """
     import pyarrow.parquet as pq
 
     with atomic_write(path) as part:
-        pq.write_table(found, part, compression="zstd")
+        pq.write_table(results, part, compression="zstd")
 
 
-def digest(rows: Sequence[Row]) -> str:
-    """Return the SHA-256 of rows, hex: whatever their order, wall times left out."""
-    total = hashlib.sha256()
+def rows_digest(rows: Sequence[Row]) -> str:
+    """Return the SHA-256 of rows, hexadecimal, independent of their order and without wall times."""
+    digest = hashlib.sha256()
     for row in sorted(rows, key=lambda row: row.key):
         values = {name: value for name, value in row.values.items() if name != PLAN_TIME}
         content = [row.key, row.status, values, row.reason, row.exit_code]
-        total.update(json.dumps(content, sort_keys=True).encode())
-    return total.hexdigest()
+        digest.update(json.dumps(content, sort_keys=True).encode())
+    return digest.hexdigest()
 
 
-def spans(found: pa.Table) -> dict[str, tuple[float, float, float]]:
-    """Return least, median and most of what people look at first, where there is any."""
+def metric_ranges(results: pa.Table) -> dict[str, tuple[float, float, float]]:
+    """Return (minimum, median, maximum) of the summary metrics that are present."""
     import numpy as np
 
-    spans = {}
-    for name in found.column_names:
+    ranges = {}
+    for name in results.column_names:
         owner, _, metric = name.partition(".")
-        if metric in (_FIRST_OF_PLANS if owner == PLAN else _FIRST):
-            values = found.column(name).drop_null().to_numpy()
+        if metric in (_PLAN_SUMMARY_METRICS if owner == PLAN else _SUMMARY_METRICS):
+            values = results.column(name).drop_null().to_numpy()
             if len(values):
-                spans[name] = (float(values.min()), float(np.median(values)), float(values.max()))
-    return spans
+                ranges[name] = (float(values.min()), float(np.median(values)), float(values.max()))
+    return ranges
 
 
 def shown_metrics(sweep: Sweep) -> tuple[str, ...]:
-    """Return the metrics that people are shown first: the file's, else those drawn and in `spans`."""
+    """Return the metrics of reports: those of the file, otherwise plotted, published and summary metrics."""
     if sweep.metrics is not None:
         return sweep.metrics
     published = sweep.beside.metrics if sweep.beside else ()
-    first = _FIRST if sweep.experiment.plants else _FIRST_OF_PLANS
-    return tuple(dict.fromkeys((*(plot.metric for plot in sweep.plots), *published, *first)))
+    summary = _SUMMARY_METRICS if sweep.experiment.plants else _PLAN_SUMMARY_METRICS
+    return tuple(dict.fromkeys((*(plot.metric for plot in sweep.plots), *published, *summary)))
 
 
-def shown_columns(sweep: Sweep, found: pa.Table) -> pa.Table:
-    """Return a table without the metrics that are not `shown_metrics`."""
-    metrics, names = set(shown_metrics(sweep)), found.column_names
-    about = {*names[: names.index("exit_code") + 1], "wall_s"}
-    return found.select([n for n in names if n in about or _NUMBERS.sub("", n.partition(".")[2]) in metrics])
+def shown_columns(sweep: Sweep, results: pa.Table) -> pa.Table:
+    """Return a table with only those metrics that are `shown_metrics`."""
+    metrics, names = set(shown_metrics(sweep)), results.column_names
+    other = {*names[: names.index("exit_code") + 1], "wall_s"}
+    return results.select(
+        [n for n in names if n in other or _NUMBERS.sub("", n.partition(".")[2]) in metrics]
+    )
 
 
 def _metrics(sweep: Sweep, rows: Sequence[Row]) -> list[str]:
-    """Return the metrics that become columns, in the order in which runs name them."""
-    found = dict.fromkeys(name for row in rows for name in row.values) or _expected(sweep)
+    """Return the metrics that become columns, in their order in the rows."""
+    names = dict.fromkeys(name for row in rows for name in row.values) or _plotted_columns(sweep)
     if sweep.metrics is None:
-        return list(found)
-    return [name for name in found if _NUMBERS.sub("", name.partition(".")[2]) in _stems(sweep.metrics)]
+        return list(names)
+    stems = _stems(sweep.metrics)
+    return [name for name in names if _NUMBERS.sub("", name.partition(".")[2]) in stems]
 
 
-def _expected(sweep: Sweep) -> dict[str, None]:
-    """Return the columns that pictures need where no run has come to say which there are."""
-    named = (name for plot in sweep.plots for name in (plot.metric, plot.x, plot.by))
-    wanted = [name for name in named if name is not None and name not in sweep.fields]
+def _plotted_columns(sweep: Sweep) -> dict[str, None]:
+    """Return the columns that plots need, for a table without any results."""
+    plotted = (name for plot in sweep.plots for name in (plot.metric, plot.x, plot.by))
+    metrics = [name for name in plotted if name is not None and name not in sweep.fields]
     owners = {
         name: ("comparison",) if name in COMPARISON_UNITS else sweep.experiment.plants or (PLAN,)
-        for name in wanted
+        for name in metrics
     }
-    return dict.fromkeys(f"{owner}.{name}" for name in wanted for owner in owners[name])
+    return dict.fromkeys(f"{owner}.{name}" for name in metrics for owner in owners[name])
 
 
 def _stems(metrics: Sequence[str]) -> set[str]:
-    """Return what the names of these metrics begin with, numbered elements and chambers included."""
+    """Return the column names of metrics without numbers, including those of the two chambers."""
     return {f"{metric}{side}" for metric in metrics for side in ("", "_plus", "_minus")}
 
 
 def _column(values: Sequence[Any]) -> pa.Array:
-    """Return values of a field as one column: all numbers, all true or false, or all text."""
+    """Return the values of a field as one column of truth values, integers, floats or texts."""
     import pyarrow as pa
 
-    kinds = {type(value) for value in values}
-    if kinds <= {bool}:
+    types = {type(value) for value in values}
+    if types <= {bool}:
         return pa.array(values, pa.bool_())
-    if kinds <= {int}:
+    if types <= {int}:
         return pa.array(values, pa.int64())
-    if kinds <= {int, float}:
+    if types <= {int, float}:
         return pa.array([float(value) for value in values], pa.float64())
     return pa.array([value if isinstance(value, str) else json.dumps(value) for value in values], pa.string())

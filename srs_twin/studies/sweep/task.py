@@ -1,4 +1,4 @@
-"""What a worker does for one point: run it, measure it, and say it in a row of plain values."""
+"""Task of a worker: run a point of a sweep, compute its metrics, and return them as a row."""
 
 from __future__ import annotations
 
@@ -22,28 +22,32 @@ from srs_twin.studies.sweep.points import Experiment, Point
 from srs_twin.trajectory import Trajectory
 
 DONE, FAILED = "done", "failed"
-PLAN = "plan"
-"""Whose metrics those of a scenario are that is only planned."""
-PLAN_TIME = f"{PLAN}.plan_s"
 
-# Wall times of two runs are never the same: one column has them all.
+PLAN = "plan"
+"""Owner of the metrics of a scenario that is only planned."""
+
+PLAN_TIME = f"{PLAN}.plan_s"
+"""Column of the planning time, which differs between equal runs."""
+
+# Wall times of metrics are left out: they differ between equal runs, and the column wall_s has the total.
 _TIMES = ("wall_s", "realtime_factor")
-_planned_before: set[str] = set()
+
+_warmed_planners: set[str] = set()
+"""Kinds of planners that have run in this process."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """What came of one point.
+    """Result of one point.
 
     Attributes:
-        key: of the point.
+        key: key of the point.
         status: "done" or "failed".
-        values: ``<plant>.<metric>``, ``comparison.<metric>`` and ``plan.<metric>`` → number, None where
-            there is none.
-        wall_s: what it took, s.
-        reason: why it failed.
-        exit_code: what that failure means on the command line; 0 where there is none.
-        files: plant → trajectory as Parquet, for the runs that keep them.
+        values: ``<plant>.<metric>``, ``comparison.<metric>`` and ``plan.<metric>`` → value, None if missing.
+        wall_s: wall time, s.
+        reason: reason of a failure.
+        exit_code: exit code of the failure on the command line; 0 without a failure.
+        files: plant → trajectory as Parquet, if trajectories are stored.
     """
 
     key: str
@@ -58,12 +62,12 @@ class Row:
 def run_point(
     experiment: Experiment, point: Point, ran: Mapping[str, Trajectory | SrsError] = MappingProxyType({})
 ) -> Row:
-    """Run the plants of a point, or only plan it, and measure; what it does wrong becomes a failed row.
+    """Run the plants of a point, or only plan it, and compute its metrics; an error gives a failed row.
 
     Args:
-        experiment: whose point.
-        point: which.
-        ran: plants that have run already → what came of them.
+        experiment: common inputs of the sweep.
+        point: point.
+        ran: results of plants that have already run.
     """
     start = time.perf_counter()
     trajectories: dict[str, Trajectory] = {}
@@ -72,14 +76,14 @@ def run_point(
     try:
         scenario = parse_scenario(experiment.document(point.changes))
         if not experiment.plants:
-            values |= flat_metrics(PLAN, _planned(scenario))
+            values |= flat_metrics(PLAN, _plan_metrics(scenario))
         for plant in experiment.plants:
-            done = ran.get(plant)
-            if isinstance(done, SrsError):
-                raise done
-            if done is None:
-                done = rollout(scenario.build_plant(plant), scenario.build_controller(), **scenario.timing)
-            trajectories[plant] = done
+            result = ran.get(plant)
+            if isinstance(result, SrsError):
+                raise result
+            if result is None:
+                result = rollout(scenario.build_plant(plant), scenario.build_controller(), **scenario.timing)
+            trajectories[plant] = result
             metrics = plant_metrics(trajectories[plant])
             if scenario.measured is not None:
                 metrics |= MeasuredDifference.between(scenario.measured, trajectories[plant]).metrics
@@ -89,72 +93,75 @@ def run_point(
             comparison = compare(analytical, twin, gap_factor=scenario.file.comparison.gap_factor)
             values |= flat_metrics("comparison", comparison.metrics)
     except SrsError as error:
-        trajectories |= _begun(error, experiment.plants, trajectories)
+        trajectories |= _partial_trajectory(error, experiment.plants, trajectories)
         reason, exit_code, values = " ".join(str(error).split()), error.exit_code, {}
-    files = {plant: _parquet(each) for plant, each in trajectories.items()} if experiment.trajectories else {}
+    stored = trajectories if experiment.trajectories else {}
+    files = {plant: _parquet(trajectory) for plant, trajectory in stored.items()}
     wall = time.perf_counter() - start
     return Row(point.key, FAILED if reason else DONE, values, wall, reason, exit_code, files)
 
 
 def failed_row(key: str, error: Exception | None, wall_s: float = 0.0) -> Row:
-    """Return the row of what an error ended, or a worker that went down."""
+    """Return the row of a point that ended with an error or whose worker crashed."""
     code = error.exit_code if isinstance(error, SrsError) else SrsError.exit_code
     return Row(key, FAILED, {}, wall_s, escape_unprintable(" ".join(str(error).split())), code)
 
 
-def _planned(scenario: Scenario) -> dict[str, Any]:
-    """Return the metrics of a plan, and its wall time.
+def _plan_metrics(scenario: Scenario) -> dict[str, Any]:
+    """Return the metrics of a plan, and its planning time.
 
     Raises:
-        InputError: there is nothing to plan, or the planner cannot.
+        InputError: the scenario has no planner, or planning is not possible.
     """
     planner = scenario.planner
     if planner is None:
         raise InputError("there is no planner; give planner, and controller.kind: follow")
-    if planner.file.kind not in _planned_before:
-        # What is loaded and compiled once a process is in no point's time.
+    if planner.file.kind not in _warmed_planners:
+        # The first plan includes imports and compilation, which the planning time must not.
         planner.plan_anew()
-        _planned_before.add(planner.file.kind)
-    found = planner.plan_anew()
-    return plan_metrics(found.found, found.segments, found.expanded) | {"plan_s": found.seconds}
+        _warmed_planners.add(planner.file.kind)
+    result = planner.plan_anew()
+    return plan_metrics(result.found, result.segments, result.expanded) | {"plan_s": result.seconds}
 
 
-def _begun(error: SrsError, plants: tuple[str, ...], done: Mapping[str, Trajectory]) -> dict[str, Trajectory]:
-    """Return what a plant that diverged did up to there."""
+def _partial_trajectory(
+    error: SrsError, plants: tuple[str, ...], done: Mapping[str, Trajectory]
+) -> dict[str, Trajectory]:
+    """Return the trajectory of a plant that diverged, up to that time."""
     trajectory = getattr(error, "trajectory", None)
     plant = next((plant for plant in plants if plant not in done), None)
     return {} if trajectory is None or plant is None else {plant: trajectory}
 
 
 def flat_metrics(prefix: str, metrics: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return metrics as single numbers; elements of lists are numbered, chambers are plus and minus.
+    """Return metrics as scalars; elements of lists are numbered, chambers are named plus and minus.
 
     Args:
-        prefix: whose they are, in front of each name: a plant, "comparison" or "plan".
-        metrics: by name, as metrics.json has them.
+        prefix: owner, in front of each name: a plant, "comparison" or "plan".
+        metrics: metrics by name, as in metrics.json.
     """
-    found: dict[str, float | None] = {}
+    scalars: dict[str, float | None] = {}
     for name, value in metrics.items():
         if name in _TIMES:
             continue
-        for ending, number in _leaves(value):
-            found[f"{prefix}.{name}{ending}"] = None if number is None else float(number)
-    return found
+        for ending, number in _scalars(value):
+            scalars[f"{prefix}.{name}{ending}"] = None if number is None else float(number)
+    return scalars
 
 
-def _leaves(value: Any) -> Iterator[tuple[str, float | None]]:
-    """Yield the ends of names and the numbers of a metric: a number, or a list of segments or of periods."""
+def _scalars(value: Any) -> Iterator[tuple[str, float | None]]:
+    """Yield name endings and scalars of a metric: a number, or a list by segment or by period."""
     if not isinstance(value, list | tuple):
         yield "", value
         return
-    for i, each in enumerate(value, start=1):
-        if not isinstance(each, list | tuple):
-            yield f"_{i}", each
-        elif each and isinstance(each[0], list | tuple):
-            yield from ((f"{ending}_period_{i}", number) for ending, number in _leaves(each))
+    for i, entry in enumerate(value, start=1):
+        if not isinstance(entry, list | tuple):
+            yield f"_{i}", entry
+        elif entry and isinstance(entry[0], list | tuple):
+            yield from ((f"{ending}_period_{i}", number) for ending, number in _scalars(entry))
         else:
             yield from (
-                (f"_{side}_{i}", number) for side, number in zip(("plus", "minus"), each, strict=True)
+                (f"_{side}_{i}", number) for side, number in zip(("plus", "minus"), entry, strict=True)
             )
 
 

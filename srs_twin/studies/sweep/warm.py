@@ -1,7 +1,7 @@
-"""What every run of a sweep needs, loaded: imported once by the server that worker processes come from.
+"""Imports and kernels that every run of a sweep needs, loaded once by the server that forks workers.
 
-One short run of the analytical model loads the kernels, compiled earlier or not, and what measures a run:
-half a second that no worker has to spend again. MuJoCo is left to those that need it.
+A short run of the analytical model loads the compiled kernels and the metrics, which saves each worker half a
+second. MuJoCo is imported only by workers that need it.
 """
 
 from srs_twin.comparison.metrics import plant_metrics

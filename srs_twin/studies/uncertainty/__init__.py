@@ -1,1 +1,1 @@
-"""Every number with an interval: what is uncertain of a robot, propagated to what a scenario predicts."""
+"""Uncertainty of predictions: propagation of a robot's uncertain parameters to the metrics of a scenario."""

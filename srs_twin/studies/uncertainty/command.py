@@ -1,4 +1,4 @@
-"""`srs-twin uncertainty`: how sure a scenario's predictions are, and what to measure next."""
+"""`srs-twin uncertainty`: prediction intervals of a scenario's metrics, and measurements that narrow them."""
 
 from __future__ import annotations
 
@@ -24,12 +24,16 @@ from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
     from srs_twin.studies.sweep.task import Row
+    from srs_twin.studies.uncertainty.metric_uncertainty import MetricUncertainty
     from srs_twin.studies.uncertainty.propagation import Propagation
-    from srs_twin.studies.uncertainty.spreads import Spread
 
 STUDIES = Path("runs/uncertainty")
-_NEXT = 3
+
+_MAX_MEASUREMENTS = 3
+"""Largest number of suggested measurements."""
+
 _NOTHING = 5e-4
+"""Magnitude below which a printed value is 0, in the unit of the metric."""
 
 
 def uncertainty(
@@ -48,147 +52,161 @@ def uncertainty(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Say how sure predictions are, and what to measure next.
+    """Compute prediction intervals of a scenario's metrics.
 
-    Propagates what is uncertain of the robot's numbers, as its file says, to every metric of a scenario.
-    What an earlier start left in the folder is kept, and it goes on from there.
+    The uncertain parameters of the robot file are propagated to every metric. The output also ranks the
+    causes and suggests what to measure next. An interrupted study resumes in the same folder.
 
     Options:
         out: Output folder. [default: runs/uncertainty/SCENARIO]
-        plants: analytical, twin or both. [default: the scenario's]
+        plants: Plants: analytical, twin or both. [default: the scenario's]
         samples: Number of robots drawn from the distributions.
-        twin: Number of samples that the twin runs where the model compliant runs all of them.
-        without: Number that keeps its value, as friction.drag_n; repeatable.
+        twin: Number of runs of the twin, if compliant runs all samples.
+        without: Parameter that keeps its value, as friction.drag_n (repeatable).
         engine: Engine for the runs: local, ray, or warp (twins on an accelerator).
-        changed: Resume in the folder of an earlier version; keep the rows that still apply.
-        form: Values of a field that are equally likely, as pneumatics.kind=lag,orifice; repeatable.
-        write: Keep the intervals in calibration/intervals, where expectations find them.
+        changed: Resume in a folder of another version; keep the rows that still apply.
+        form: Equally likely values of a field, as pneumatics.kind=lag,orifice (repeatable).
+        write: Write the intervals to calibration/intervals, for expectations.
     """
-    from srs_twin.studies.sweep.command import chosen_engine
+    from srs_twin.studies.sweep.command import make_engine
 
-    runner = chosen_engine(engine, workers, None)
+    runner = make_engine(engine, workers, None)
     from srs_twin.experiment import INTERVALS
     from srs_twin.io.files import check_output_folder
     from srs_twin.robot.file import RobotFile
     from srs_twin.robot.priors import Priors
     from srs_twin.scenario.loading import load_scenario
     from srs_twin.studies.uncertainty.propagation import propagate
-    from srs_twin.studies.uncertainty.study import Study
+    from srs_twin.studies.uncertainty.study import UncertaintyStudy
 
-    found = load_scenario(scenario, set=changes.changes())
-    if write and found.left_out:
-        fields = ", ".join(dict.fromkeys(field for each in found.left_out for field in each["because"]))
+    loaded = load_scenario(scenario, set=changes.changes())
+    if write and loaded.left_out:
+        fields = ", ".join(dict.fromkeys(field for entry in loaded.left_out for field in entry["because"]))
         raise InputError(f"--write keeps intervals of unmodified scenarios, but {fields} was changed")
-    priors = Priors.from_robot(RobotFile.model_validate(found.document["robot"]), without=without or ())
-    chosen = tuple(parse_plants(plants) or found.plants)
-    study = Study(
-        found,
+    priors = Priors.from_robot(RobotFile.model_validate(loaded.document["robot"]), without=without or ())
+    study = UncertaintyStudy(
+        loaded,
         priors,
-        chosen,
+        tuple(parse_plants(plants) or loaded.plants),
         samples=samples,
-        costly=min(twin, samples),
-        seed=found.seed,
-        forms=_forms(form or ()),
+        twin_samples=min(twin, samples),
+        seed=loaded.seed,
+        discrete_choices=_parse_choices(form or ()),
     )
-    folder = Path(out) if out else STUDIES / found.name
+    folder = Path(out) if out else STUDIES / loaded.name
     if write:
-        check_output_folder(INTERVALS, (f"{found.name}.json",), option="")
+        check_output_folder(INTERVALS, (f"{loaded.name}.json",), option="")
 
     @contextmanager
     def counting(part: str, count: int) -> Iterator[Callable[[Row], Any]]:
-        with RunCounter(f"{found.name}, {part}", count, quiet=quiet) as shown:
-            yield lambda row: shown(failed=row.exit_code != 0)
+        with RunCounter(f"{loaded.name}, {part}", count, quiet=quiet) as progress:
+            yield lambda row: progress(failed=row.exit_code != 0)
 
-    with interruptible(f"what was run is kept in {folder}, start again to go on"):
+    with interruptible(f"finished runs are kept in {folder}; start again to resume"):
         result = propagate(study, folder, runner, counting, changed=changed)
         files = result.write(folder)
     if as_json:
         print_json(result.document())
     elif not quiet:
-        _show(result)
-    _warn(result, quiet=quiet)
+        _print_result(result)
+    _print_warnings(result, quiet=quiet)
     if write:
         say(f"kept in {result.keep()}", quiet=quiet)
     say(f"files in {folder}: {', '.join(files)}", quiet=quiet)
 
 
-def _forms(given: Sequence[str]) -> dict[str, tuple[Any, ...]]:
+def _parse_choices(options: Sequence[str]) -> dict[str, tuple[Any, ...]]:
     from srs_twin.io.documents import Override
 
-    found = {}
-    for text in given:
+    choices = {}
+    for text in options:
         name, _, values = text.partition("=")
-        found[name] = tuple(
+        choices[name] = tuple(
             Override.parse(f"--form {text}", name, value).value for value in values.split(",")
         )
-    return found
+    return choices
 
 
 def _short(value: float) -> str:
     return "0" if abs(value) < _NOTHING else f"{value:.3g}"
 
 
-def _rough(error: float) -> str:
+def _error_text(error: float) -> str:
     """Return a standard error with two digits."""
     return "0" if abs(error) < _NOTHING / 10 else f"{error:.2g}"
 
 
-def _counted(spread: Spread) -> str:
-    """Return the number of samples, and of runs where a surrogate predicted the rest."""
-    return f"{spread.count} samples" + (f", {spread.runs} runs" if spread.runs < spread.count else "")
+def _count_text(uncertainty: MetricUncertainty) -> str:
+    """Return the number of samples, and of runs if a surrogate was used."""
+    runs = f", {uncertainty.runs} runs" if uncertainty.runs < uncertainty.count else ""
+    return f"{uncertainty.count} samples{runs}"
 
 
-def _show(result: Propagation) -> None:
-    """Print the intervals of the usual metrics, their limits, and what to measure."""
-    from srs_twin.comparison.metrics import METRIC_UNITS
-    from srs_twin.identification.fitting import print_table
-    from srs_twin.studies.uncertainty.remarks import outside_marks
+def _print_result(result: Propagation) -> None:
+    """Print the intervals of common metrics, remarks, and suggested measurements."""
     from srs_twin.viewing.plots.labels import metric_label
 
-    study, marks = result.study, ""
-    for plant, spreads in result.plants.items():
-        lines, usual = [], _counted(spreads[result.target[1]]) if result.target[1] in spreads else ""
-        for metric, spread in spreads.items():
-            if metric in METRIC_UNITS:
-                ends = [spread.interval(name) for name in ("interval_50", "interval_95")]
-                cells = (f"{_short(low)}–{_short(high)}" for low, high in ends)
-                value = _short(spread.value)
-                mark = "" if value in map(_short, ends[0]) else outside_marks(spread)
-                marks = max(marks, mark)
-                count = _counted(spread)
-                label = metric_label(metric) + ("" if count == usual else f", {count}")
-                errors = ", ".join(map(_rough, spread.errors[2:]))
-                verdict = spread.verdict
-                stated = "" if spread.published is None else _short(spread.published)
-                stated += "" if verdict is None else f" {verdict.value}"
-                lines.append((label, value + mark, *cells, errors, stated))
-        print_table(
-            (f"{plant}, {usual}", "value", "50 %", "95 %", "± at 95 %", "published"), lines, left=(0,)
-        )
+    marks = "".join([_print_plant(result, plant) for plant in result.plants])
     print("± at 95 %: standard errors of the two ends of the 95 % interval")
-    if any(spread.verdict for spreads in result.plants.values() for spread in spreads.values()):
+    if any(entry.verdict for entries in result.plants.values() for entry in entries.values()):
         print(
             "published: within or outside the 95 % interval; undecided within two standard errors of an end"
         )
     if marks:
         print("* outside its 50 % interval, ** outside its 95 % interval")
-    runs = ", ".join(f"{count} runs of {part}" for part, count in study.parts.items())
+    study = result.study
+    runs = ", ".join(f"{count} runs of {part}" for part, count in study.runs.items())
     print(f"{len(study.priors.parameters)} uncertain numbers of {study.scenario.robot.name}; {runs}")
-    lost = {part: count for part, count in result.failed.items() if count}
-    if lost:
-        print("without a result: " + ", ".join(f"{count} of {part}" for part, count in lost.items()))
+    failed = {part: count for part, count in result.failed.items() if count}
+    if failed:
+        print("without a result: " + ", ".join(f"{count} of {part}" for part, count in failed.items()))
     for text in result.limits["remarks"]:
         print(text)
     plant, metric = result.target
-    for each in result.measure_next()[:_NEXT]:
+    for entry in result.measure_next()[:_MAX_MEASUREMENTS]:
         print(
-            f"measuring {each['parameter']} to ±10 % would narrow the {plant}'s {metric_label(metric)} "
-            f"from {each['width_now']:.3g} to {each['width']:.3g}"
+            f"measuring {entry['parameter']} to ±10 % would narrow the {plant}'s {metric_label(metric)} "
+            f"from {entry['width_now']:.3g} to {entry['width']:.3g}"
         )
 
 
-def _warn(result: Propagation, *, quiet: bool) -> None:
-    """Say on stderr which errors are too large, and what to do."""
+def _print_plant(result: Propagation, plant: str) -> str:
+    """Print the table of one plant; return the marks of values outside their intervals."""
+    from srs_twin.comparison.metrics import METRIC_UNITS
+    from srs_twin.identification.fitting import print_table
+    from srs_twin.studies.uncertainty.remarks import outside_marks
+    from srs_twin.viewing.plots.labels import metric_label
+
+    uncertainties, marks, rows = result.plants[plant], "", []
+    target = result.target[1]
+    usual_count = _count_text(uncertainties[target]) if target in uncertainties else ""
+    for metric, uncertainty in uncertainties.items():
+        if metric not in METRIC_UNITS:
+            continue
+        ends = [uncertainty.interval(name) for name in ("interval_50", "interval_95")]
+        value = _short(uncertainty.value)
+        # A value that is printed like an end of its interval is not marked as outside.
+        mark = "" if value in map(_short, ends[0]) else outside_marks(uncertainty)
+        marks += mark
+        count, verdict = _count_text(uncertainty), uncertainty.verdict
+        published = "" if uncertainty.published is None else _short(uncertainty.published)
+        published += "" if verdict is None else f" {verdict.value}"
+        rows.append(
+            (
+                metric_label(metric) + ("" if count == usual_count else f", {count}"),
+                value + mark,
+                *(f"{_short(low)}–{_short(high)}" for low, high in ends),
+                ", ".join(map(_error_text, uncertainty.errors[2:])),
+                published,
+            )
+        )
+    headings = (f"{plant}, {usual_count}", "value", "50 %", "95 %", "± at 95 %", "published")
+    print_table(headings, rows, left=(0,))
+    return marks
+
+
+def _print_warnings(result: Propagation, *, quiet: bool) -> None:
+    """Print on stderr the errors that are too large, and the options that reduce them."""
     limits = result.limits
     say(*(f"warning: {text}" for text in limits["warnings"]), quiet=quiet)
     if limits["remedy"]:

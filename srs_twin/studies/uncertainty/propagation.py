@@ -1,9 +1,9 @@
-"""Uncertain numbers of a robot, propagated to every metric of a scenario on each plant.
+"""Propagation of a robot's uncertain parameters to all metrics of a scenario on each plant.
 
-Each plant runs at quasi-random samples of the robot's uncertain numbers, through the sweep engine, whose
-rows survive. The twin is costly: where the analytical model `compliant` can run the scenario it is the
-twin's cheap partner, which runs at all samples; the twin runs at the first of them, and `predicted` predicts
-it at the others. `spreads` has intervals and their errors, `remarks` the limits of a result in words.
+Each plant runs at quasi-random samples of the uncertain parameters, as a sweep, so an interrupted study
+resumes. If the analytical model `compliant` can run the scenario, it is the low-fidelity plant of the twin
+and runs at all samples. The twin runs only at the first of them; `predict_twin` predicts the rest.
+`metric_uncertainty` computes the intervals and their errors, `remarks` the limitations of a result.
 """
 
 from __future__ import annotations
@@ -25,11 +25,16 @@ from srs_twin.io.files import write_text
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import judged_digest
 from srs_twin.studies.sweep.execution import open_sweep
-from srs_twin.studies.sweep.store import write
+from srs_twin.studies.sweep.store import write_table
+from srs_twin.studies.uncertainty.metric_uncertainty import (
+    RANGES,
+    MetricUncertainty,
+    predict_twin,
+    sampling_errors,
+)
 from srs_twin.studies.uncertainty.remarks import Remarks, remedy
-from srs_twin.studies.uncertainty.spreads import RANGES, Spread, predicted, sampling_errors
-from srs_twin.studies.uncertainty.study import COMPLIANT, Study
-from srs_twin.studies.uncertainty.surrogates import Chaos
+from srs_twin.studies.uncertainty.study import COMPLIANT, UncertaintyStudy
+from srs_twin.studies.uncertainty.surrogates import PolynomialChaos
 from srs_twin.viewing.plots.labels import metric_label
 
 if TYPE_CHECKING:
@@ -39,185 +44,229 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, int], AbstractContextManager["Callable[[Row], Any]"]]
 RESULT, SAMPLES, PICTURE = "intervals.json", "samples.parquet", "intervals.png"
-OWN_ROWS = 3
-"""Runs after the samples: medians of the numbers, the numbers of the robot file, half of the step."""
-_ENOUGH = 0.9  # of the samples have a number
-_CENTRES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of a prior, where a measurement of it might land
-_MEASURED_TO = 0.1  # of the number, 95 %
-_FORETOLD = 4096
+
+REFERENCE_ROWS = 3
+"""Runs after the samples: medians of the parameters; the robot file's values; the latter with half the
+step."""
+
+_MIN_KNOWN = 0.9
+"""Smallest share of samples with a value for a metric to be included."""
+
+_CENTRES = (0.1, 0.3, 0.5, 0.7, 0.9)
+"""Probabilities of the prior at which a measurement is assumed."""
+
+_MEASUREMENT_ERROR = 0.1
+"""Half the 95 % interval of an assumed measurement, relative to the value."""
+
+_PREDICTION_SAMPLES = 4096
+"""Samples of the surrogate for the effect of a measurement."""
 
 
 @dataclass(frozen=True)
 class Propagation:
-    """What the uncertain numbers do to a scenario's metrics.
+    """Result of a propagation.
 
     Attributes:
-        study: what ran.
-        rows: part → metric → number at each sample, then at the `OWN_ROWS`.
+        study: study.
+        rows: fidelity → metric → value at each sample, then at the `REFERENCE_ROWS`.
     """
 
-    study: Study
+    study: UncertaintyStudy
     rows: Mapping[str, Mapping[str, np.ndarray]] = field(repr=False)
 
     @cached_property
-    def plants(self) -> dict[str, dict[str, Spread]]:
-        """Plant → metric → what is known of it."""
-        return {plant: self._spreads(plant) for plant in self.study.plants}
+    def plants(self) -> dict[str, dict[str, MetricUncertainty]]:
+        """Plant → metric → its uncertainty."""
+        return {plant: self._uncertainties(plant) for plant in self.study.plants}
 
-    def _spreads(self, plant: str) -> dict[str, Spread]:
-        rows, found = self.rows[plant], {}
-        partner = self.rows.get(COMPLIANT) if plant == "twin" else None
+    def _uncertainties(self, plant: str) -> dict[str, MetricUncertainty]:
+        rows, included = self.rows[plant], {}
+        low_fidelity = self.rows.get(COMPLIANT) if plant == "twin" else None
         for metric, column in rows.items():
-            drawn = column[:-OWN_ROWS]
-            cheap = partner.get(metric) if partner is not None else None
-            if not np.isfinite(column[-2]) or np.isfinite(drawn).mean() < _ENOUGH:
+            runs = column[:-REFERENCE_ROWS]
+            low = low_fidelity.get(metric) if low_fidelity is not None else None
+            if not np.isfinite(column[-2]) or np.isfinite(runs).mean() < _MIN_KNOWN:
                 continue
-            if partner is not None and (cheap is None or np.isfinite(cheap[:-OWN_ROWS]).mean() < _ENOUGH):
+            if low_fidelity is not None and (
+                low is None or np.isfinite(low[:-REFERENCE_ROWS]).mean() < _MIN_KNOWN
+            ):
                 continue
-            if cheap is None:
-                samples, surrogate = drawn, np.zeros(2 * len(RANGES))
+            if low is None:
+                samples, surrogate = runs, np.zeros(2 * len(RANGES))
             else:
-                samples, surrogate = predicted(self.study.shares, cheap[:-OWN_ROWS], drawn)
-            found[metric] = column, samples, surrogate
-        indices = self._indices({name: samples for name, (_, samples, _) in found.items()})
-        said = {(e.subject, e.metric): e for e in self.study.scenario.expect if e.stated is not None}
-        spreads = {}
-        for name, (column, samples, surrogate) in found.items():
-            at_medians, value, halved = (float(each) for each in column[-OWN_ROWS:])
-            stated = said.get((plant, name))
-            spreads[name] = Spread(
-                value, halved, at_medians, samples, int(np.isfinite(column[:-OWN_ROWS]).sum()),
-                sampling_errors(samples), surrogate,
-                published=None if stated is None else stated.stated, **indices.get(name, {}),
-            )  # fmt: skip
-        return spreads
+                samples, surrogate = predict_twin(self.study.shares, low[:-REFERENCE_ROWS], runs)
+            included[metric] = column, samples, surrogate
+        indices = self._indices({name: samples for name, (_, samples, _) in included.items()})
+        published = {(e.subject, e.metric): e for e in self.study.scenario.expect if e.stated is not None}
+        uncertainties = {}
+        for name, (column, samples, surrogate) in included.items():
+            at_medians, value, half_timestep = (float(entry) for entry in column[-REFERENCE_ROWS:])
+            expectation = published.get((plant, name))
+            uncertainties[name] = MetricUncertainty(
+                value,
+                half_timestep,
+                at_medians,
+                samples,
+                int(np.isfinite(column[:-REFERENCE_ROWS]).sum()),
+                sampling_errors(samples),
+                surrogate,
+                published=None if expectation is None else expectation.stated,
+                **indices.get(name, {}),
+            )
+        return uncertainties
 
     def _indices(self, samples: Mapping[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
-        """Return Sobol's first-order and total indices of metrics, and their errors."""
+        """Return the Sobol indices of metrics and their errors; empty for correlated parameters."""
         names = [name for name, column in samples.items() if _varies(column)]
         if not names or not self.study.priors.independent:
             return {}
-        chaos = Chaos.fit(self.study.shares, np.stack([_filled(samples[name]) for name in names], axis=1))
+        results = np.stack([_fill_missing(samples[name]) for name in names], axis=1)
+        chaos = PolynomialChaos.fit(self.study.shares, results)
         return {
             name: {
-                "first": chaos.indices[0, :, k], "total": chaos.indices[1, :, k], "doubt": chaos.error[..., k]
+                "first": chaos.indices[0, :, k],
+                "total": chaos.indices[1, :, k],
+                "index_half_width": chaos.index_half_width[..., k],
             }
             for k, name in enumerate(names)
-        }  # fmt: skip
+        }
 
     @property
     def target(self) -> tuple[str, str]:
-        """Plant and metric that people ask about first: the first with a published value, or the speed."""
+        """Plant and metric of the summary: the first with a published value, otherwise the speed."""
         for plant in reversed([p for p in PLANTS if p in self.plants]):
-            spreads = self.plants[plant]
-            for metric, spread in spreads.items():
-                if spread.published:
+            uncertainties = self.plants[plant]
+            for metric, uncertainty in uncertainties.items():
+                if uncertainty.published:
                     return plant, metric
         plant = [p for p in PLANTS if p in self.plants][-1]
         names = self.plants[plant]
         if not names:
-            raise InputError(f"{self.study.scenario.name}: no metric of the {plant} plant has enough numbers")
+            raise InputError(
+                f"{self.study.scenario.name}: no metric of the {plant} plant has a value in "
+                f"{100 * _MIN_KNOWN:.0f} % of the samples"
+            )
         return plant, "com_speed_m_s" if "com_speed_m_s" in names else next(iter(names))
 
     def measure_next(self, plant: str | None = None, metric: str | None = None) -> list[dict[str, Any]]:
-        """Return what measuring each number to ±10 % would leave of a metric's interval, the best first.
+        """Return the interval of a metric after measuring each parameter to ±10 %, the narrowest first.
 
         Args:
-            plant: whose metric, and
-            metric: which; None: `target`.
+            plant: plant of the metric.
+            metric: metric; None for either: `target`.
 
         Raises:
-            UnknownNameError: there is no such metric.
+            UnknownNameError: the metric does not exist.
         """
         if plant is None or metric is None:
             plant, metric = self.target
         if metric not in self.plants[plant]:
             raise UnknownNameError("metric", metric, self.plants[plant])
-        priors, spread = self.study.priors, self.plants[plant][metric]
-        now = np.ptp(spread.interval("interval_95"))
-        if not now > 0 or spread.first is None:
+        priors, uncertainty = self.study.priors, self.plants[plant][metric]
+        width_now = np.ptp(uncertainty.interval("interval_95"))
+        if not width_now > 0 or uncertainty.first is None:
             return []
         chaos = self._chaos(plant, metric)
-        fresh = self.study.draw(_FORETOLD, self.study.seed + 1)
-        rest = np.random.default_rng(self.study.seed).choice(chaos.rest[:, 0], _FORETOLD)
-        found = []
+        shares = self.study.draw(_PREDICTION_SAMPLES, self.study.seed + 1)
+        # Residuals of the surrogate are added, so that the predicted intervals contain its error.
+        rng = np.random.default_rng(self.study.seed)
+        residuals = rng.choice(chaos.residuals[:, 0], _PREDICTION_SAMPLES)
+        entries = []
         for i, prior in enumerate(priors.parameters):
             lows, highs = [], []
             for centre in prior.quantile(np.array(_CENTRES)):
-                after = prior.with_measurement(float(centre), _MEASURED_TO / 1.96 * abs(float(centre)))
-                moved = fresh.copy()
-                moved[:, i] = prior.cdf(after.quantile(fresh[:, i]))
-                low, high = np.quantile(chaos.at(moved)[:, 0] + rest, RANGES["interval_95"])
+                std = _MEASUREMENT_ERROR / 1.96 * abs(float(centre))
+                measured = prior.with_measurement(float(centre), std)
+                shares_after = shares.copy()
+                shares_after[:, i] = prior.cdf(measured.quantile(shares[:, i]))
+                values = chaos.at(shares_after)[:, 0] + residuals
+                low, high = np.quantile(values, RANGES["interval_95"])
                 lows.append(low)
                 highs.append(high)
             width, middle = float(np.mean(np.subtract(highs, lows))), len(lows) // 2
-            if width < now:
+            if width < width_now:
                 ends = [float(lows[middle]), float(highs[middle])]
-                found.append(
-                    {"parameter": prior.path, "interval_95": ends, "width": width, "width_now": float(now)}
+                entries.append(
+                    {
+                        "parameter": prior.path,
+                        "interval_95": ends,
+                        "width": width,
+                        "width_now": float(width_now),
+                    }
                 )
-        return sorted(found, key=lambda each: each["width"])
+        return sorted(entries, key=lambda entry: entry["width"])
 
     def swings(self) -> list[dict[str, Any]]:
-        """Return the effect of each number alone on the target, in the order of the total indices.
+        """Return the effect of each uncertain quantity alone on the target, by total index.
 
-        A row has the `parameter`, the metric with it at the `low` and the `high` end of its 95 % and
-        the rest at their medians, and the `error` of both: two standard deviations of left-out samples.
+        An entry has the `parameter`, the metric with it at the `low` and the `high` end of its 95 % interval
+        and all others at their medians, and the `error` of both: two standard deviations of left-out samples.
         """
         plant, metric = self.target
-        spread, chaos, names = self.plants[plant][metric], self._chaos(plant, metric), self.study.names
-        if spread.total is None:
+        uncertainty, chaos = self.plants[plant][metric], self._chaos(plant, metric)
+        names = self.study.names
+        if uncertainty.total is None:
             return []
         count = len(names)
         shares = np.full((2 * count, count), 0.5 - 1e-9)
         shares[np.arange(2 * count), np.repeat(np.arange(count), 2)] = np.tile(RANGES["interval_95"], count)
-        ends = chaos.at(self.study.settled(shares))[:, 0].reshape(count, 2).tolist()
-        error = 2 * float(np.sqrt((chaos.rest[:, 0] ** 2).mean()))
+        ends = chaos.at(self.study.snapped(shares))[:, 0].reshape(count, 2).tolist()
+        error = 2 * float(np.sqrt((chaos.residuals[:, 0] ** 2).mean()))
         return [
             {"parameter": names[i], "low": ends[i][0], "high": ends[i][1], "error": error}
-            for i in np.argsort(-spread.total, kind="stable")
+            for i in np.argsort(-uncertainty.total, kind="stable")
         ]
 
     @cached_property
     def remarks(self) -> dict[str, Remarks]:
-        """Plant → limits of its result for the target's metric."""
+        """Plant → limitations of its result for the target's metric."""
         study, metric = self.study, self.target[1]
         return {
             plant: Remarks(
-                plant, metric_label(metric), spreads[metric], study.priors, study.names, study.samples,
-                plant == "twin" and study.partner is not None,
+                plant,
+                metric_label(metric),
+                uncertainties[metric],
+                study.priors,
+                study.names,
+                study.samples,
+                has_surrogate=plant == "twin" and study.surrogate_scenario is not None,
             )
-            for plant, spreads in self.plants.items() if metric in spreads
-        }  # fmt: skip
-
-    @cached_property
-    def limits(self) -> dict[str, Any]:
-        """Errors that are too large, the options that would do, and what else to know, in words."""
-        found = [each for remarks in self.remarks.values() for each in remarks.shortfalls()]
-        words = [text for remarks in self.remarks.values() for text in (remarks.order(), remarks.outside())]
-        return {
-            "warnings": [each.words for each in found],
-            "remedy": dict(remedy(found, self.study.samples, self.study.costly)),
-            "remarks": [text for text in words if text],
+            for plant, uncertainties in self.plants.items()
+            if metric in uncertainties
         }
 
     @cached_property
-    def _expansions(self) -> dict[tuple[str, str], Chaos]:
+    def limits(self) -> dict[str, Any]:
+        """Warnings about large errors, options that remedy them, and further remarks."""
+        shortfalls = [shortfall for remarks in self.remarks.values() for shortfall in remarks.shortfalls()]
+        texts = [
+            text
+            for remarks in self.remarks.values()
+            for text in (remarks.ranking_text(), remarks.outside_text())
+        ]
+        return {
+            "warnings": [shortfall.words for shortfall in shortfalls],
+            "remedy": dict(remedy(shortfalls, self.study.samples, self.study.twin_samples)),
+            "remarks": [text for text in texts if text],
+        }
+
+    @cached_property
+    def _expansions(self) -> dict[tuple[str, str], PolynomialChaos]:
         return {}
 
-    def _chaos(self, plant: str, metric: str) -> Chaos:
-        """Return the expansion of one metric, made once."""
-        if (found := self._expansions.get((plant, metric))) is not None:
-            return found
-        samples = _filled(self.plants[plant][metric].samples)
-        return self._expansions.setdefault((plant, metric), Chaos.fit(self.study.shares, samples[:, None]))
+    def _chaos(self, plant: str, metric: str) -> PolynomialChaos:
+        """Return the chaos expansion of one metric, cached."""
+        if (chaos := self._expansions.get((plant, metric))) is not None:
+            return chaos
+        samples = _fill_missing(self.plants[plant][metric].samples)[:, None]
+        return self._expansions.setdefault((plant, metric), PolynomialChaos.fit(self.study.shares, samples))
 
     def document(self) -> dict[str, Any]:
-        """Return plain data of all of it, as `--json` prints it."""
+        """Return the result as JSON values, as `--json` prints it."""
         names = self.study.names
         plants = {
-            plant: {metric: spread.document(names) for metric, spread in spreads.items()}
-            for plant, spreads in self.plants.items()
+            plant: {metric: uncertainty.document(names) for metric, uncertainty in uncertainties.items()}
+            for plant, uncertainties in self.plants.items()
         }
         plant, metric = self.target
         return {
@@ -230,39 +279,38 @@ class Propagation:
             "swings": self.swings(),
             **self.limits,
             "target": {"plant": plant, "metric": metric},
-            "fidelity": {"evaluations": self.study.parts, "failed": self.failed},
+            "fidelity": {"evaluations": self.study.runs, "failed": self.failed},
             "priors": self.study.priors.document(),
-            "forms": {name: list(values) for name, values in self.study.forms.items()},
+            "forms": {name: list(values) for name, values in self.study.discrete_choices.items()},
         }
 
     def write(self, folder: Path) -> tuple[str, ...]:
-        """Write document, samples and picture into a folder; return their names.
+        """Write document, samples and plot into a folder; return their names.
 
         Raises:
             InputError: a file cannot be written.
         """
         import pyarrow as pa
 
-        # matplotlib takes longer to import than a result without pictures has to wait.
+        # Imported here, because matplotlib would delay results without plots.
         from srs_twin.studies.uncertainty.plots import draw_intervals
         from srs_twin.viewing.plots.picture_file import save
 
-        drawn = self.study.priors.quantile(self.study.shares[:, : len(self.study.priors.parameters)])
-        columns = dict(zip(self.study.priors.paths, drawn.T, strict=True))
-        columns |= {
-            f"{plant}.{name}": s.samples for plant, each in self.plants.items() for name, s in each.items()
-        }
-        samples = pa.table({name: pa.array(each, from_pandas=True) for name, each in columns.items()})
+        parameters = self.study.priors.quantile(self.study.shares[:, : len(self.study.priors.parameters)])
+        columns = dict(zip(self.study.priors.paths, parameters.T, strict=True))
+        for plant, uncertainties in self.plants.items():
+            columns |= {f"{plant}.{name}": entry.samples for name, entry in uncertainties.items()}
+        samples = pa.table({name: pa.array(column, from_pandas=True) for name, column in columns.items()})
         document = self.document()
-        picture = draw_intervals(self.study.scenario.title, document)
+        figure = draw_intervals(self.study.scenario.title, document)
         with replace_files(folder, (RESULT, SAMPLES, PICTURE)) as fresh:
-            write(fresh / SAMPLES, samples)
-            save(picture, fresh / PICTURE)
+            write_table(fresh / SAMPLES, samples)
+            save(figure, fresh / PICTURE)
             (fresh / RESULT).write_text(json.dumps(document, indent=2) + "\n", "utf-8")
         return RESULT, SAMPLES, PICTURE
 
     def keep(self) -> Path:
-        """Keep the result where expectations with `within` look for it, with a digest of what made it.
+        """Write the intervals for expectations with `within`, with a digest of the scenario.
 
         Raises:
             InputError: the file cannot be written.
@@ -274,9 +322,9 @@ class Propagation:
 
     @property
     def failed(self) -> dict[str, int]:
-        """Part → how many of its samples gave nothing at all."""
+        """Fidelity → number of samples without any value."""
         return {
-            part: int(np.isnan([column[:-OWN_ROWS] for column in rows.values()]).all(axis=0).sum())
+            part: int(np.isnan([column[:-REFERENCE_ROWS] for column in rows.values()]).all(axis=0).sum())
             if rows
             else 0
             for part, rows in self.rows.items()
@@ -284,48 +332,53 @@ class Propagation:
 
 
 def _rounded(data: Any) -> Any:
-    """Return plain data with six digits a number, as many as anybody reads."""
+    """Return plain data with numbers rounded to six digits."""
     if isinstance(data, dict):
-        return {key: _rounded(each) for key, each in data.items()}
+        return {key: _rounded(value) for key, value in data.items()}
     if isinstance(data, list):
-        return [_rounded(each) for each in data]
+        return [_rounded(value) for value in data]
     return float(f"{data:.6g}") if isinstance(data, float) else data
 
 
 def _varies(samples: np.ndarray) -> bool:
-    """Return whether nearly all samples have a number, and these are not all the same."""
+    """Return whether enough samples have a value and these are not all equal."""
     known = np.isfinite(samples)
-    return bool(known.mean() >= _ENOUGH and np.std(samples[known]) > 1e-9 * abs(samples[known].mean()))
+    return bool(known.mean() >= _MIN_KNOWN and np.std(samples[known]) > 1e-9 * abs(samples[known].mean()))
 
 
-def _filled(samples: np.ndarray) -> np.ndarray:
-    """Return samples with the median where there is none: few enough not to matter."""
+def _fill_missing(samples: np.ndarray) -> np.ndarray:
+    """Return samples with missing values replaced by the median; they are few enough not to matter."""
     return np.where(np.isfinite(samples), samples, np.nanmedian(samples))
 
 
 def propagate(
-    study: Study, folder: Path, engine: Engine, progress: Progress | None = None, *, changed: bool = False
+    study: UncertaintyStudy,
+    folder: Path,
+    engine: Engine,
+    progress: Progress | None = None,
+    *,
+    changed: bool = False,
 ) -> Propagation:
-    """Run the missing rows of a folder and return the result.
+    """Run a study in a folder, with the rows that are missing there, and return the result.
 
     Args:
-        study: the runs.
-        folder: of the rows; one subfolder per part.
-        engine: executor of the runs.
-        progress: given a part and the number of runs to come, a context that takes each row.
-        changed: resume in a folder of another version, as `open_sweep` takes it.
+        study: study.
+        folder: output folder; one subfolder per fidelity.
+        engine: engine for the runs.
+        progress: function of a fidelity and its number of missing runs; returns a context that gets each row.
+        changed: resume in a folder of another version, see `open_sweep`.
 
     Raises:
-        InputError: nothing could be run, or a folder cannot be written.
+        InputError: a folder cannot be written, or there is no result.
     """
     rows = {}
-    for part in study.parts:
+    for part in study.runs:
         sweep = study.sweep(part)
         with open_sweep(sweep, folder / part, changed=changed) as opened:
             missing = opened.missing()
             with progress(part, len(missing)) if progress and missing else nullcontext() as finished:
                 opened.run(engine, missing, finished)
-            if missing or changed:  # an earlier result does not belong to these rows
+            if missing or changed:  # an earlier result is not valid for these rows
                 remove_completion_mark(folder / RESULT)
             opened.finish()
         rows[part] = _columns(folder / part / "results.parquet", sweep)
@@ -333,16 +386,16 @@ def propagate(
 
 
 def _columns(path: Path, sweep: Sweep) -> dict[str, np.ndarray]:
-    """Return metric → number of each point of a sweep, NaN where there is none."""
+    """Return metric → value at each point of a sweep, NaN if missing."""
     import pyarrow.parquet as pq
 
     table = pq.read_table(path)
-    place = {key: i for i, key in enumerate(table.column("key").to_pylist())}
-    rows = [place.get(point.key) for point in sweep.points]
+    index = {key: i for i, key in enumerate(table.column("key").to_pylist())}
+    rows = [index.get(point.key) for point in sweep.points]
     prefix = f"{sweep.experiment.plants[0]}."
-    found = {}
+    columns = {}
     for name in table.column_names:
         if name.startswith(prefix):
             values = table.column(name).to_numpy(zero_copy_only=False).astype(float)
-            found[name.removeprefix(prefix)] = np.array([np.nan if i is None else values[i] for i in rows])
-    return found
+            columns[name.removeprefix(prefix)] = np.array([np.nan if i is None else values[i] for i in rows])
+    return columns

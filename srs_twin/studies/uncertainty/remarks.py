@@ -1,9 +1,9 @@
-r"""Limits of a result in words: errors that are too large, an order that is not resolved, a value outside.
+r"""Limitations of a result as text: large errors, an unresolved ranking, a value outside its interval.
 
-An end of a 95 % interval is rough where its standard error exceeds 5 % of the interval's width. The width is
-then uncertain by more than 2 √2 · 5 % = 14 %. A total index is rough where half of its 95 % interval exceeds
-0.1, because causes that differ by less than 0.14 cannot then be told apart. Standard errors fall as one over
-the square root of the number of samples, which gives the number that would do.
+The end of a 95 % interval is inaccurate if its standard error exceeds 5 % of the interval's width; the width
+is then uncertain by more than 2 √2 · 5 % = 14 %. A total index is inaccurate if half its 95 % interval
+exceeds 0.1; causes that differ by less than 0.14 cannot then be distinguished. Standard errors decrease with
+the square root of the number of samples, which gives the number that is needed.
 """
 
 from __future__ import annotations
@@ -15,29 +15,39 @@ from dataclasses import dataclass
 import numpy as np
 
 from srs_twin.robot.priors import Priors
-from srs_twin.studies.uncertainty.spreads import BOUNDING, RANGES, Spread
+from srs_twin.studies.uncertainty.metric_uncertainty import MIN_BOUNDING_SAMPLES, RANGES, MetricUncertainty
 from srs_twin.studies.uncertainty.surrogates import quadratic_samples
 
-ROUGH_END = 0.05
-"""Largest standard error of an interval end, as a share of the width of the 95 % interval."""
-ROUGH_INDEX = 0.1
-"""Largest half of the 95 % interval of a total index."""
-MOST = 65536
+MAX_END_ERROR = 0.05
+"""Largest standard error of an interval end, relative to the width of the 95 % interval."""
+
+MAX_INDEX_ERROR = 0.1
+"""Largest half width of the 95 % interval of a total index."""
+
+MAX_SAMPLES = 65536
 """Largest number of samples of a study."""
-_MARGIN = 1.5  # of needed samples: standard errors are estimates, too low ones for few samples
-_USUAL_RUNS = 64
-_LISTED = 3
-_MIDDLE = (0.25, 0.75)  # shares of a distribution that count as its middle
+
+_MARGIN = 1.5
+"""Factor of the estimated number of samples; standard errors from few samples are too low."""
+
+_DEFAULT_RUNS = 64
+"""Default number of runs of the twin."""
+
+_MAX_LISTED = 3
+"""Largest number of names in a text."""
+
+_MIDDLE = (0.25, 0.75)
+"""Probabilities between which a value counts as close to its median."""
 
 
 @dataclass(frozen=True)
 class Shortfall:
-    """A part of a result that needs more runs.
+    """Error of a result that more runs would reduce.
 
     Attributes:
-        words: the error, its limit and the reason for the limit.
-        samples: number of samples that would do; 0: no more than now.
-        runs: number of runs of the twin that would do; 0: no more than now.
+        words: error, limit and reason for the limit.
+        samples: number of samples that suffices; 0: no more are needed.
+        runs: number of runs of the twin that suffices; 0: no more are needed.
     """
 
     words: str
@@ -47,25 +57,25 @@ class Shortfall:
 
 @dataclass(frozen=True)
 class Remarks:
-    """Limits of one plant's result for one metric, in words.
+    """Limitations of one plant's result for one metric.
 
     Attributes:
-        plant: its name.
-        label: of the metric, for people.
-        spread: of the metric.
-        priors: of the robot's numbers.
-        names: of all uncertain numbers, as the indices are ordered.
-        asked: number of samples of the study.
-        partner: whether the plant has a cheap partner.
+        plant: name of the plant.
+        label: label of the metric.
+        uncertainty: uncertainty of the metric.
+        priors: priors of the robot's parameters.
+        names: names of all uncertain quantities, in the order of the indices.
+        requested: number of samples of the study.
+        has_surrogate: whether a low-fidelity plant exists.
     """
 
     plant: str
     label: str
-    spread: Spread
+    uncertainty: MetricUncertainty
     priors: Priors
     names: Sequence[str]
-    asked: int
-    partner: bool
+    requested: int
+    has_surrogate: bool
 
     @property
     def subject(self) -> str:
@@ -73,161 +83,168 @@ class Remarks:
         return f"{self.plant}, {self.label}"
 
     def shortfalls(self) -> list[Shortfall]:
-        """Return the parts of the result whose errors are too large."""
-        low, high = self.spread.interval("interval_95")
+        """Return the errors that are too large."""
+        low, high = self.uncertainty.interval("interval_95")
         if not high > low:
             return []
-        return [each for each in (self._bounding(), self._ends(high - low), self._indices()) if each]
+        shortfalls = (self._bounding_shortfall(), self._end_shortfall(high - low), self._index_shortfall())
+        return [shortfall for shortfall in shortfalls if shortfall]
 
-    def _bounding(self) -> Shortfall | None:
-        count, tail = self.spread.count, RANGES["interval_95"][0]
-        if count >= BOUNDING:
+    def _bounding_shortfall(self) -> Shortfall | None:
+        count, tail = self.uncertainty.count, RANGES["interval_95"][0]
+        if count >= MIN_BOUNDING_SAMPLES:
             return None
         words = (
             f"{self.subject}: {count} samples do not bound the 95 % interval; with a probability of "
-            f"{100 * (1 - tail) ** count:.0f} % none of them lies beyond its true lower end, and likewise "
-            f"for the upper end ({BOUNDING} samples make that {100 * tail:g} %)"
+            f"{100 * (1 - tail) ** count:.0f} % none of them is beyond its true lower end, and likewise "
+            f"for the upper end ({MIN_BOUNDING_SAMPLES} samples make that {100 * tail:g} %)"
         )
-        # Twice as many: so few samples underestimate the errors of the ends.
-        return self._more(words, 2 * BOUNDING)
+        # Twice as many, because with few samples the errors of the ends are underestimated.
+        return self._sample_shortfall(words, 2 * MIN_BOUNDING_SAMPLES)
 
-    def _ends(self, width: float) -> Shortfall | None:
-        errors, limit = self.spread.errors[2:], ROUGH_END * width
+    def _end_shortfall(self, width: float) -> Shortfall | None:
+        errors, limit = self.uncertainty.errors[2:], MAX_END_ERROR * width
         if errors.max() <= limit:
             return None
         shares = " and ".join(f"{100 * error / width:.0f} %" for error in errors)
         words = (
             f"{self.subject}: standard errors of the ends of the 95 % interval are {shares} of its width; "
-            f"above {100 * ROUGH_END:.0f} % the width is uncertain by more than "
-            f"{100 * 2 * math.sqrt(2) * ROUGH_END:.0f} %"
+            f"above {100 * MAX_END_ERROR:.0f} % the width is uncertain by more than "
+            f"{100 * 2 * math.sqrt(2) * MAX_END_ERROR:.0f} %"
         )
-        if not self._predicted:
-            return self._more(words, _MARGIN * self.spread.count * float((errors.max() / limit) ** 2))
+        if not self._is_predicted:
+            needed = _MARGIN * self.uncertainty.count * float((errors.max() / limit) ** 2)
+            return self._sample_shortfall(words, needed)
         samples, runs = (
-            _power(_MARGIN * count * growth) if growth > 1 else 0
+            _next_power_of_two(_MARGIN * count * growth) if growth > 1 else 0
             for count, growth in (
-                (self.spread.count, _growth(self.spread.sampling, limit)),
-                (self.spread.runs, _growth(self.spread.surrogate, limit)),
+                (self.uncertainty.count, _growth(self.uncertainty.sampling, limit)),
+                (self.uncertainty.runs, _growth(self.uncertainty.surrogate, limit)),
             )
         )
         return Shortfall(words, samples, runs)
 
-    def _indices(self) -> Shortfall | None:
-        if self.spread.doubt is None or self.spread.doubt[1].max() <= ROUGH_INDEX:
+    def _index_shortfall(self) -> Shortfall | None:
+        half_width = self.uncertainty.index_half_width
+        if half_width is None or half_width[1].max() <= MAX_INDEX_ERROR:
             return None
-        error = min(float(self.spread.doubt[1].max()), 1.0)
+        error = min(float(half_width[1].max()), 1.0)
         words = (
             f"{self.subject}: total indices have errors of up to ±{100 * error:.0f} %; above "
-            f"±{100 * ROUGH_INDEX:.0f} % causes that differ by less than "
-            f"{100 * math.sqrt(2) * ROUGH_INDEX:.0f} % cannot be told apart"
+            f"±{100 * MAX_INDEX_ERROR:.0f} % causes that differ by less than "
+            f"{100 * math.sqrt(2) * MAX_INDEX_ERROR:.0f} % cannot be distinguished"
         )
-        count, least = self.spread.count, quadratic_samples(len(self.names))
-        growth = (error / ROUGH_INDEX) ** 2
-        if self._predicted and count >= least:
-            return Shortfall(words, runs=_power(self.spread.runs * growth))
-        return self._more(words, max(count * growth, least))
+        count, smallest = self.uncertainty.count, quadratic_samples(len(self.names))
+        growth = (error / MAX_INDEX_ERROR) ** 2
+        if self._is_predicted and count >= smallest:
+            return Shortfall(words, runs=_next_power_of_two(self.uncertainty.runs * growth))
+        return self._sample_shortfall(words, max(count * growth, smallest))
 
     @property
-    def _predicted(self) -> bool:
-        return self.spread.count > self.spread.runs
+    def _is_predicted(self) -> bool:
+        return self.uncertainty.count > self.uncertainty.runs
 
-    def _more(self, words: str, needed: float) -> Shortfall:
-        """Return a shortfall of samples that the plant itself runs."""
-        count = _power(needed)
-        if self.partner and self.spread.count < self.asked:
-            return Shortfall(words, count if count > self.asked else 0, count)  # no surrogate predicts them
-        return Shortfall(words, count, max(_USUAL_RUNS, self.spread.runs) if self.partner else 0)
+    def _sample_shortfall(self, words: str, needed: float) -> Shortfall:
+        """Return a shortfall of samples that the plant itself must run."""
+        count = _next_power_of_two(needed)
+        if self.has_surrogate and self.uncertainty.count < self.requested:
+            # The surrogate failed to predict the remaining samples.
+            return Shortfall(words, count if count > self.requested else 0, count)
+        runs = max(_DEFAULT_RUNS, self.uncertainty.runs) if self.has_surrogate else 0
+        return Shortfall(words, count, runs)
 
-    def order(self) -> str:
-        """Return a sentence about the largest cause and the resolved order of the causes."""
-        spread, ranks = self.spread, self.spread.ranks()
-        if len(ranks) < 2 or spread.total is None or spread.doubt is None:
+    def ranking_text(self) -> str:
+        """Return a sentence on the largest cause and the resolved ranking of the causes."""
+        uncertainty, ranks = self.uncertainty, self.uncertainty.ranks()
+        total, half_width = uncertainty.total, uncertainty.index_half_width
+        if len(ranks) < 2 or total is None or half_width is None:
             return ""
-        order = np.argsort(-spread.total, kind="stable")
+        order = np.argsort(-total, kind="stable")
         first = [self.names[i] for i in order if ranks[i][0] == 1]
         tied = sum(best < worst for best, worst in ranks)
         if len(first) > 1:
-            words = f"{self._samples} do not resolve the largest cause; it is {_listed(first)}"
+            words = f"{self._samples_text} do not resolve the largest cause; it is {_alternatives(first)}"
         else:
             top = int(order[0])
-            words = (
-                f"{first[0]} matters most (total index {_percent(spread.total[top], spread.doubt[1, top])})"
-            )
-            words += f"; {self._samples} do not resolve the order of {tied} others" if tied else ""
+            words = f"{first[0]} matters most (total index {_percent(total[top], half_width[1, top])})"
+            words += f"; {self._samples_text} do not resolve the order of {tied} others" if tied else ""
         return f"{self.subject}: {words}"
 
     @property
-    def _samples(self) -> str:
-        runs = f" ({self.spread.runs} runs)" if self._predicted else ""
-        return f"{self.spread.count} samples{runs}"
+    def _samples_text(self) -> str:
+        runs = f" ({self.uncertainty.runs} runs)" if self._is_predicted else ""
+        return f"{self.uncertainty.count} samples{runs}"
 
-    def outside(self) -> str:
+    def outside_text(self) -> str:
         """Return the reason for a value outside its own interval; empty for a value inside."""
-        spread = self.spread
-        name = next((each for each in reversed(RANGES) if _is_outside(spread, each)), None)
+        uncertainty = self.uncertainty
+        name = next((key for key in reversed(RANGES) if _is_outside(uncertainty, key)), None)
         if name is None:
             return ""
-        low, high = spread.interval(name)
-        side = "above" if spread.value > high else "below"
+        low, high = uncertainty.interval(name)
+        side = "above" if uncertainty.value > high else "below"
         share = name.removeprefix("interval_")
         words = (
-            f"{self.subject}: the value {spread.value:.3g} lies {side} its {share} % interval "
+            f"{self.subject}: the value {uncertainty.value:.3g} is {side} its {share} % interval "
             f"({low:.3g} to {high:.3g}), because it belongs to the numbers in the robot file and the "
             "interval to numbers drawn from their distributions"
         )
-        if not math.isfinite(spread.at_medians):
+        if not math.isfinite(uncertainty.at_medians):
             return words
-        skewed, bent = spread.value - spread.at_medians, spread.at_medians - spread.median
+        by_skewness = uncertainty.value - uncertainty.at_medians
+        by_nonlinearity = uncertainty.at_medians - uncertainty.median
         return (
             f"{words}. The file's numbers instead of the medians of their distributions change it by "
-            f"{skewed:+.2g}{self._skewed()}; nonlinearity changes it by {bent:+.2g} "
-            f"(median of the samples: {spread.median:.3g})"
+            f"{by_skewness:+.2g}{self._skewed_parameters()}; nonlinearity changes it by "
+            f"{by_nonlinearity:+.2g} (median of the samples: {uncertainty.median:.3g})"
         )
 
-    def _skewed(self) -> str:
-        """Return the numbers whose values in the file are far from their medians, largest cause first."""
-        weights = np.ones(len(self.names)) if self.spread.total is None else self.spread.total
+    def _skewed_parameters(self) -> str:
+        """Return the parameters whose values in the file are far from their medians, largest cause first."""
+        total = self.uncertainty.total
+        weights = np.ones(len(self.names)) if total is None else total
         order = np.argsort(-weights[: len(self.priors.parameters)], kind="stable")
-        found = []
+        texts = []
         for prior in (self.priors.parameters[i] for i in order):
             share = float(prior.cdf(np.array([prior.value]))[0])
             if not _MIDDLE[0] <= share <= _MIDDLE[1]:
                 median = float(prior.quantile(np.array([0.5]))[0])
-                found.append(f"{prior.path} {prior.value:.3g} instead of {median:.3g}")
-        return f" ({', '.join(found[:_LISTED])}{', …' if len(found) > _LISTED else ''})" if found else ""
+                texts.append(f"{prior.path} {prior.value:.3g} instead of {median:.3g}")
+        more = ", …" if len(texts) > _MAX_LISTED else ""
+        return f" ({', '.join(texts[:_MAX_LISTED])}{more})" if texts else ""
 
 
-def outside_marks(spread: Spread) -> str:
-    """Return "**" for a value outside its 95 % interval, "*" for one outside of 50 % only, else nothing."""
-    return "*" * sum(_is_outside(spread, name) for name in RANGES)
+def outside_marks(uncertainty: MetricUncertainty) -> str:
+    """Return "**" for a value outside its 95 % interval, "*" for one outside only that of 50 %, else ""."""
+    return "*" * sum(_is_outside(uncertainty, name) for name in RANGES)
 
 
-def remedy(shortfalls: Sequence[Shortfall], samples: int, costly: int) -> Mapping[str, int]:
-    """Return option → number with which a study would have no shortfalls; empty where none is known.
+def remedy(shortfalls: Sequence[Shortfall], samples: int, twin_samples: int) -> Mapping[str, int]:
+    """Return the options (name → number) with which a study would have no shortfalls; empty if unknown.
 
     Args:
-        shortfalls: of the study.
-        samples: that it had.
-        costly: runs of the twin that it had.
+        shortfalls: shortfalls of the study.
+        samples: its number of samples.
+        twin_samples: its number of runs of the twin.
     """
-    runs = max((each.runs for each in shortfalls), default=0)
-    wanted = {"samples": max([runs, *(each.samples for each in shortfalls)]), "twin": runs}
-    had = {"samples": samples, "twin": costly}
-    return {name: count for name, count in wanted.items() if count > had[name] and count <= MOST}
+    runs = max((shortfall.runs for shortfall in shortfalls), default=0)
+    needed = {"samples": max([runs, *(shortfall.samples for shortfall in shortfalls)]), "twin": runs}
+    present = {"samples": samples, "twin": twin_samples}
+    return {name: count for name, count in needed.items() if present[name] < count <= MAX_SAMPLES}
 
 
-def _is_outside(spread: Spread, name: str) -> bool:
-    low, high = spread.interval(name)
-    return high > low and not low <= spread.value <= high
+def _is_outside(uncertainty: MetricUncertainty, name: str) -> bool:
+    low, high = uncertainty.interval(name)
+    return high > low and not low <= uncertainty.value <= high
 
 
 def _growth(errors: np.ndarray, limit: float) -> float:
-    """Return the factor of runs that leaves one of two parts of the errors half of the allowed variance."""
+    """Return the factor of runs that reduces one of two error parts to half of the allowed variance."""
     return 2 * float((errors[2:].max() / limit) ** 2)
 
 
-def _power(count: float) -> int:
-    """Return the next power of two: the sizes at which a Sobol sequence is even."""
+def _next_power_of_two(count: float) -> int:
+    """Return the next power of two, as a Sobol sequence is balanced only at these sizes."""
     return 1 << max(math.ceil(count) - 1, 1).bit_length()
 
 
@@ -235,6 +252,7 @@ def _percent(share: float, error: float) -> str:
     return f"{100 * share:.0f} ± {100 * min(error, 1.0):.0f} %"
 
 
-def _listed(names: Sequence[str]) -> str:
-    shown = [*names[:_LISTED], *([f"{len(names) - _LISTED} others"] if len(names) > _LISTED else [])]
-    return f"{', '.join(shown[:-1])} or {shown[-1]}"
+def _alternatives(names: Sequence[str]) -> str:
+    more = [f"{len(names) - _MAX_LISTED} others"] if len(names) > _MAX_LISTED else []
+    listed = [*names[:_MAX_LISTED], *more]
+    return f"{', '.join(listed[:-1])} or {listed[-1]}"

@@ -1,4 +1,4 @@
-"""Study of a scenario whose robot has uncertain numbers: which runs it needs, and the sweep of each part."""
+"""Uncertainty study of a scenario: runs of each fidelity as sweeps over the uncertain parameters."""
 
 from __future__ import annotations
 
@@ -21,88 +21,88 @@ COMPLIANT = "compliant"
 
 
 @dataclass(frozen=True)
-class Study:
-    """A scenario and what is uncertain of its robot.
+class UncertaintyStudy:
+    """Scenario with uncertain parameters of the robot and discrete choices.
 
     Attributes:
-        scenario: what runs.
-        priors: of the robot's numbers.
-        forms: fields of the scenario → values that are equally likely, such as two models of the chambers.
-        plants: which run.
-        samples: of the cheap plants.
-        costly: samples of the twin where it has a cheap partner.
-        seed: of the samples.
+        scenario: scenario.
+        priors: priors of the robot's parameters.
+        discrete_choices: field of the scenario → equally likely values, such as two models of the chambers.
+        plants: plants that run.
+        samples: number of samples of the low-fidelity plants.
+        twin_samples: number of samples of the twin if it has a low-fidelity plant.
+        seed: random seed of the samples.
     """
 
     scenario: Scenario
     priors: Priors
     plants: tuple[str, ...]
     samples: int = 2048
-    costly: int = 64
+    twin_samples: int = 64
     seed: int = 0
-    forms: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
+    discrete_choices: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Uncertain quantities: paths of the robot's numbers, then the forms' fields."""
-        return (*self.priors.paths, *self.forms)
+        """Uncertain quantities: paths of the robot's parameters, then fields of the discrete choices."""
+        return (*self.priors.paths, *self.discrete_choices)
 
     def draw(self, count: int, seed: int) -> np.ndarray:
-        """Return independent shares u that fill the unit cube evenly, shape (count, d)."""
+        """Return Sobol points u in the unit cube, snapped, shape (count, d)."""
         from scipy.stats import qmc
 
-        drawn = qmc.Sobol(len(self.names), rng=seed).random_base2(max(count - 1, 1).bit_length())
-        return self.settled(drawn[:count])
+        samples = qmc.Sobol(len(self.names), rng=seed).random_base2(max(count - 1, 1).bit_length())
+        return self.snapped(samples[:count])
 
-    def settled(self, shares: np.ndarray) -> np.ndarray:
-        """Return shares with those of the forms in the middles of their values' parts."""
-        settled = shares.copy()
-        for i, values in enumerate(self.forms.values(), start=len(self.priors.parameters)):
-            settled[:, i] = (np.floor(shares[:, i] * len(values)) + 0.5) / len(values)
-        return settled
+    def snapped(self, shares: np.ndarray) -> np.ndarray:
+        """Return points with each discrete choice at the middle of its value's interval."""
+        snapped = shares.copy()
+        for i, values in enumerate(self.discrete_choices.values(), start=len(self.priors.parameters)):
+            snapped[:, i] = (np.floor(shares[:, i] * len(values)) + 0.5) / len(values)
+        return snapped
 
     @cached_property
-    def partner(self) -> Mapping[str, Any] | None:
-        """The scenario with `compliant` as its analytical plant; None where that cannot run it."""
-        return compliant_partner(self.scenario)
+    def surrogate_scenario(self) -> Mapping[str, Any] | None:
+        """Scenario with `compliant` as its analytical plant; None if that cannot run it."""
+        return compliant_scenario(self.scenario)
 
     @property
-    def parts(self) -> dict[str, int]:
-        """Part → number of samples that it runs."""
-        found = {"analytical": self.samples} if "analytical" in self.plants else {}
+    def runs(self) -> dict[str, int]:
+        """Fidelity ("analytical", "compliant" or "twin") → number of its samples."""
+        runs = {"analytical": self.samples} if "analytical" in self.plants else {}
         if "twin" in self.plants:
-            found |= (
+            runs |= (
                 {"twin": self.samples}
-                if self.partner is None
-                else {COMPLIANT: self.samples, "twin": self.costly}
+                if self.surrogate_scenario is None
+                else {COMPLIANT: self.samples, "twin": self.twin_samples}
             )
-        return found
+        return runs
 
     @cached_property
     def shares(self) -> np.ndarray:
-        """Independent shares u of all samples, shape (samples, d)."""
+        """Sobol points u of all samples, shape (samples, d)."""
         return self.draw(self.samples, self.seed)
 
     @property
     def medians(self) -> np.ndarray:
-        """Medians of the robot's uncertain numbers."""
+        """Medians of the robot's uncertain parameters."""
         return self.priors.quantile(np.full(len(self.priors.parameters), 0.5))
 
     def sweep(self, part: str) -> Sweep:
-        """Return the runs of a part: the samples, then the `OWN_ROWS`."""
+        """Return the runs of a fidelity: the samples, then the `REFERENCE_ROWS`."""
         plant = "twin" if part == "twin" else "analytical"
-        document = self.partner if part == COMPLIANT else self._alone(plant)
-        assert document is not None, "a part that runs"
+        document = self.surrogate_scenario if part == COMPLIANT else self._single_plant_document(plant)
+        assert document is not None, "a fidelity in `runs` has a scenario"
         step = f"plants.{plant}.timestep_s"
-        fields = (*(f"robot.{path}" for path in self.priors.paths), *self.forms, step)
+        fields = (*(f"robot.{path}" for path in self.priors.paths), *self.discrete_choices, step)
         h = float(document["plants"][plant]["timestep_s"])
-        shares, count = self.shares[: self.parts[part]], len(self.priors.parameters)
+        shares, count = self.shares[: self.runs[part]], len(self.priors.parameters)
         columns: list[list[Value]] = self.priors.quantile(shares[:, :count]).T.tolist()
-        for share, values in zip(shares[:, count:].T, self.forms.values(), strict=True):
-            columns.append([values[int(each * len(values))] for each in share])
-        own = [_at(document, name) for name in self.forms]
-        nominal = [*(prior.value for prior in self.priors.parameters), *own]
-        medians = [*self.medians.tolist(), *own]
+        for share, values in zip(shares[:, count:].T, self.discrete_choices.values(), strict=True):
+            columns.append([values[int(fraction * len(values))] for fraction in share])
+        own_choices = [_field_value(document, name) for name in self.discrete_choices]
+        nominal = [*(prior.value for prior in self.priors.parameters), *own_choices]
+        medians = [*self.medians.tolist(), *own_choices]
         rows = [
             *([*row, h] for row in zip(*columns, strict=True)),
             [*medians, h],
@@ -121,31 +121,31 @@ class Study:
             document={"scenario": self.scenario.name, "priors": self.priors.document()},
         )
 
-    def _alone(self, plant: str) -> dict[str, Any]:
+    def _single_plant_document(self, plant: str) -> dict[str, Any]:
         settings = self.scenario.document["plants"].get(plant, {})
         document = {**self.scenario.document, "plants": {plant: settings}, "expect": []}
         return dict(parse_scenario(document, name=self.scenario.name).document)
 
 
-def compliant_partner(scenario: Scenario) -> Mapping[str, Any] | None:
-    """Return plain data of a scenario with `compliant` as its only plant; None where that cannot run it."""
+def compliant_scenario(scenario: Scenario) -> Mapping[str, Any] | None:
+    """Return a scenario with `compliant` as its only plant, as plain data; None if that cannot run it."""
     twin = scenario.plants.get("twin") or TwinFile()
-    assert isinstance(twin, TwinFile), "so the scenario's model has it"
+    assert isinstance(twin, TwinFile), "the scenario's model ensures this type"
     settings = {"model": COMPLIANT, "friction": twin.law, "gaps": twin.gaps}
     document = {**scenario.document, "plants": {"analytical": settings}, "expect": []}
     try:
-        found = parse_scenario(document, name=scenario.name)
-        found.build_plant("analytical")
+        compliant = parse_scenario(document, name=scenario.name)
+        compliant.build_plant("analytical")
     except InputError:
         return None
-    return found.document
+    return compliant.document
 
 
-def _at(document: Any, name: str) -> Any:
+def _field_value(document: Any, name: str) -> Any:
     """Return the value of a dotted field of plain data.
 
     Raises:
-        UnknownNameError: there is none.
+        UnknownNameError: the field does not exist.
     """
     for key in name.split("."):
         if not isinstance(document, Mapping) or key not in document:

@@ -1,0 +1,276 @@
+"""Free parameters: robot parameters that a fit estimates, by their names in a robot file.
+
+A name is `section.key` of a robot file, followed by the number of a connector or segment where the file has
+a list: ``mass.connectors_kg_5``, ``modules.gain_plus_2``, ``modules.bias_rad_1``. Values are in the unit that
+the key names. ``mass.connectors_kg`` without a number is the mean; changing it scales all masses, including
+the wheels. ``actuator.bend_rad`` is the bend at the nominal supply pressure; ``modules.sensor_bias_rad`` is
+one value for the sensors of all modules.
+
+A search does not use the value itself but a coordinate z: ln(value), or value/scale if the value may be 0 or
+negative. One unit of z, a factor e or one scale, is a significant difference.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.robot.spec import WHEEL_SHARE, Modules, RobotSpec
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """Free parameter of a search.
+
+    Attributes:
+        name: see the module docstring; any name for a nuisance parameter.
+        unit: unit of the value.
+        start: initial value of the search.
+        low: lower bound.
+        high: upper bound.
+        scale: significant difference, in the unit; None: the value is positive and z is its logarithm.
+        nuisance: whether the value is not a result, such as the initial velocity of a coasting test.
+    """
+
+    name: str
+    unit: str
+    start: float
+    low: float
+    high: float
+    scale: float | None = None
+    nuisance: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.low <= self.start <= self.high or not self.low < self.high:
+            raise InputError(
+                f"{self.name}: the start {self.start:g} is not allowed; it must be from {self.low:g} to "
+                f"{self.high:g} {self.unit}"
+            )
+
+    def coordinate(self, value: float) -> float:
+        """Return the coordinate z of a value."""
+        return math.log(value) if self.scale is None else value / self.scale
+
+    def value(self, coordinate: float) -> float:
+        """Return the value at z, clipped to the bounds."""
+        value = math.exp(coordinate) if self.scale is None else coordinate * self.scale
+        return min(max(value, self.low), self.high)
+
+    def slope(self, value: float) -> float:
+        """Return the derivative of the value by z."""
+        return value if self.scale is None else self.scale
+
+
+@dataclass(frozen=True)
+class _Accessor:
+    """Getter and setter of a parameter in a robot; k is the index of the connector or segment, from 0."""
+
+    unit: str
+    low: float
+    high: float
+    get: Callable[[RobotSpec, int], float]
+    set: Callable[[RobotSpec, float, int], RobotSpec]
+    scale: float | None = None
+    numbered: str | None = None
+    lowest_allowed: Callable[[RobotSpec], float] = lambda spec: -math.inf
+
+
+def free_parameters(
+    spec: RobotSpec, names: Iterable[str], *, starts: Mapping[str, float] | None = None
+) -> tuple[FreeParameter, ...]:
+    """Return free parameters that start from the values of a robot.
+
+    Args:
+        spec: robot.
+        names: names of the parameters.
+        starts: other initial values, by name.
+
+    Raises:
+        UnknownNameError: a parameter does not exist.
+        InputError: this robot does not have a parameter, a name is repeated, or a start is out of bounds.
+    """
+    parameters: list[FreeParameter] = []
+    for name in names:
+        if any(name == parameter.name for parameter in parameters):
+            raise InputError(f"{name}: given twice; give each name once")
+        accessor, k = _checked_accessor(spec, name)
+        low = max(accessor.low, accessor.lowest_allowed(spec))
+        start = (starts or {}).get(name)
+        if start is None:
+            start = min(max(accessor.get(spec, k), low), accessor.high)
+        parameters.append(FreeParameter(name, accessor.unit, start, low, accessor.high, accessor.scale))
+    return tuple(parameters)
+
+
+def with_values(spec: RobotSpec, values: Mapping[str, float]) -> RobotSpec:
+    """Return a robot with other parameter values; other names are ignored.
+
+    Raises:
+        InputError: a robot cannot have these values.
+    """
+    for name, value in values.items():
+        if is_parameter(name):
+            accessor, k = _checked_accessor(spec, name)
+            spec = accessor.set(spec, value, k)
+    return spec
+
+
+def is_parameter(name: str) -> bool:
+    """Return whether a name is a robot parameter."""
+    return _key(name)[0] in _ACCESSORS
+
+
+def parameter_unit(name: str) -> str:
+    """Return the unit of a robot parameter.
+
+    Raises:
+        UnknownNameError: the parameter does not exist.
+    """
+    return _accessor(name)[0].unit
+
+
+def parameter_names() -> list[str]:
+    """Return the names of all fittable parameters, with N for a connector or segment number."""
+    return list(_ACCESSORS)
+
+
+def per_segment(spec: RobotSpec, *names: str) -> tuple[str, ...]:
+    """Return names with segment numbers from 1, such as ``modules.bias_rad_1``."""
+    return tuple(f"{name}_{j}" for name in names for j in range(1, spec.segments + 1))
+
+
+def _key(name: str) -> tuple[str, int]:
+    """Return a name with N for its number, and the number counted from 0; 0 if it has none."""
+    match = re.fullmatch(r"(.+_)([1-9]\d?)", name, flags=re.ASCII)
+    if match is None:
+        return "" if name.endswith("_N") else name, 0  # a literal N is not a number
+    return f"{match[1]}N", int(match[2]) - 1
+
+
+def _accessor(name: str) -> tuple[_Accessor, int]:
+    """Return the accessor of a parameter and its index, from 0.
+
+    Raises:
+        UnknownNameError: the parameter does not exist.
+    """
+    key, k = _key(name)
+    if key not in _ACCESSORS:
+        raise UnknownNameError("parameter", name, parameter_names(), "docs/identification.md")
+    return _ACCESSORS[key], k
+
+
+def _checked_accessor(spec: RobotSpec, name: str) -> tuple[_Accessor, int]:
+    """Return the accessor and index of a parameter that this robot has."""
+    accessor, k = _accessor(name)
+    count = {"connector": spec.geometry.connectors, "segment": spec.segments}.get(accessor.numbered or "", 1)
+    if k >= count:
+        raise InputError(
+            f"{name}: {spec.name} has {count} {accessor.numbered}s; give a number from 1 to {count}"
+        )
+    return accessor, k
+
+
+def _scalar(section: str, attribute: str, unit: str, low: float, high: float, **more: Any) -> _Accessor:
+    """Return the accessor of a scalar parameter of a section."""
+
+    def get(spec: RobotSpec, k: int) -> float:
+        return float(getattr(getattr(spec, section), attribute))
+
+    def put(spec: RobotSpec, value: float, k: int) -> RobotSpec:
+        changed: Any = replace(getattr(spec, section), **{attribute: value})
+        return replace(spec, **{section: changed})
+
+    return _Accessor(unit, low, high, get, put, **more)
+
+
+def _module(attribute: str, side: int | None, unit: str, low: float, high: float, **more: Any) -> _Accessor:
+    """Return the accessor of a parameter of single modules; side 0 is the + chamber."""
+
+    def get(spec: RobotSpec, k: int) -> float:
+        row = spec.modules.array(attribute)[k]
+        return float(row if side is None else row[side])
+
+    def put(spec: RobotSpec, value: float, k: int) -> RobotSpec:
+        modules = spec.modules
+        arrays = {field.name: modules.array(field.name) for field in fields(Modules)}
+        arrays[attribute][k if side is None else (k, side)] = value
+        return replace(spec, variation=Modules.from_arrays(**arrays))
+
+    return _Accessor(unit, low, high, get, put, numbered="segment", **more)
+
+
+def _mean_mass(spec: RobotSpec, k: int) -> float:
+    return spec.mass.total / spec.geometry.connectors
+
+
+def _scale_masses(spec: RobotSpec, value: float, k: int) -> RobotSpec:
+    factor = value / _mean_mass(spec, 0)
+    masses = tuple(factor * mass for mass in spec.mass.connectors)
+    return replace(spec, mass=replace(spec.mass, connectors=masses, wheel=factor * spec.mass.wheel))
+
+
+def _mass(spec: RobotSpec, k: int) -> float:
+    return spec.mass.connectors[k]
+
+
+def _set_mass(spec: RobotSpec, value: float, k: int) -> RobotSpec:
+    masses = list(spec.mass.connectors)
+    masses[k] = value
+    return replace(spec, mass=replace(spec.mass, connectors=tuple(masses)))
+
+
+def _lightest(spec: RobotSpec) -> float:
+    """Return the smallest mass of a connector, kg: just above that of its wheels, so that a body remains."""
+    return 2.01 * spec.mass.wheel / WHEEL_SHARE
+
+
+def _mean_sensor_bias(spec: RobotSpec, k: int) -> float:
+    return float(spec.modules.array("sensor_bias").mean())
+
+
+def _set_sensor_bias(spec: RobotSpec, value: float, k: int) -> RobotSpec:
+    return replace(spec, variation=replace(spec.modules, sensor_bias=(value,) * spec.segments))
+
+
+def _set_bend(spec: RobotSpec, value: float, k: int) -> RobotSpec:
+    return replace(spec, actuator=replace(spec.actuator, gain=value / spec.supply.nominal))
+
+
+# The bounds lie within those of robot files, so that every fitted robot can be written.
+_ACCESSORS: dict[str, _Accessor] = {
+    "geometry.segment_length_m": _scalar("geometry", "segment_length", "m", 0.005, 0.5),
+    "geometry.rigid_gap_m": _scalar("geometry", "rigid_gap", "m", 0.0, 0.2, scale=0.02),
+    "geometry.half_track_m": _scalar("geometry", "half_track", "m", 1e-3, 0.2),
+    "geometry.width_m": _scalar("geometry", "width", "m", 1e-3, 0.5),
+    "mass.connectors_kg": _Accessor("kg", 1e-3, 50.0, _mean_mass, _scale_masses),
+    "mass.connectors_kg_N": _Accessor(
+        "kg", 1e-3, 50.0, _mass, _set_mass, numbered="connector", lowest_allowed=_lightest
+    ),
+    "friction.mu_t": _scalar("friction", "mu_t", "1", 1e-3, 5.0),
+    "friction.mu_n": _scalar("friction", "mu_n", "1", 1e-3, 5.0),
+    "friction.drag_n": _scalar("friction", "drag", "N", 0.0, 50.0, scale=0.1),
+    "bending.stiffness_nm_per_rad": _scalar("bending", "stiffness", "N*m/rad", 1e-3, 1e3),
+    "bending.damping_time_s": _scalar("bending", "damping_time", "s", 1e-5, 10.0),
+    "actuator.tau_fill_s": _scalar("actuator", "tau_fill", "s", 1e-5, 50.0),
+    "actuator.tau_vent_s": _scalar("actuator", "tau_vent", "s", 1e-5, 50.0),
+    "actuator.tau_mode_s": _scalar("actuator", "tau_mode", "s", 1e-5, 50.0),
+    "actuator.bend_rad": _Accessor(
+        "rad", 2e-3, 6.2, lambda spec, k: spec.actuator.gain * spec.supply.nominal, _set_bend
+    ),
+    "actuator.bend_limit_rad": _scalar("actuator", "bend_limit", "rad", 0.1, 6.3),
+    "actuator.onset_share": _scalar("actuator", "onset_share", "1", 0.0, 1.0, scale=0.5),
+    "actuator.onset_rad": _scalar("actuator", "onset", "rad", 0.02, 6.2),
+    "actuator.onset_width_rad": _scalar("actuator", "onset_width", "rad", 0.02, 6.2),
+    "modules.gain_plus_N": _module("gain", 0, "1", 0.11, 9.0),
+    "modules.gain_minus_N": _module("gain", 1, "1", 0.11, 9.0),
+    "modules.tau_fill_plus_N": _module("tau_fill", 0, "1", 0.11, 9.0),
+    "modules.tau_fill_minus_N": _module("tau_fill", 1, "1", 0.11, 9.0),
+    "modules.tau_vent_plus_N": _module("tau_vent", 0, "1", 0.11, 9.0),
+    "modules.tau_vent_minus_N": _module("tau_vent", 1, "1", 0.11, 9.0),
+    "modules.bias_rad_N": _module("bias", None, "rad", -0.99, 0.99, scale=0.3),
+    "modules.sensor_bias_rad": _Accessor("rad", -0.99, 0.99, _mean_sensor_bias, _set_sensor_bias, scale=0.3),
+}

@@ -1,0 +1,185 @@
+r"""Uncertainty of one metric: prediction intervals, standard errors of their ends, sensitivity indices.
+
+The ends of an interval are sample quantiles q. Their standard errors have two parts,
+
+$$ \mathrm{se}^2 = \mathrm{se}_\text{sampling}^2 + \mathrm{se}_\text{surrogate}^2, \qquad
+\mathrm{se}_\text{surrogate}^2 = \frac{G-1}{G} \sum_g (q_{-g} - \bar q)^2 . $$
+
+The first is estimated by the bootstrap (Efron 1979, Annals of Statistics 7), which draws samples with
+replacement. Points of a Sobol sequence fill the space more evenly than independent ones, so it is an upper
+bound. The second applies to metrics that a surrogate predicts at most samples. It is a delete-a-group
+jackknife over the twin's runs, with random groups, because consecutive Sobol points form a pattern.
+
+The bootstrap cannot represent values beyond the outermost samples. All of n samples are above the quantile of
+probability p with the probability (1 − p)^n. With fewer than `MIN_BOUNDING_SAMPLES` samples this exceeds 2.5
+% for the ends of a 95 % interval, and the samples do not bound the interval.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import bootstrap
+
+from srs_twin.scenario.interval_verdict import IntervalVerdict, interval_verdict
+from srs_twin.studies.uncertainty.surrogates import predict_high_fidelity
+
+RANGES = {"interval_50": (0.25, 0.75), "interval_95": (0.025, 0.975)}
+_PROBABILITIES = [probability for ends in RANGES.values() for probability in ends]
+_TAIL = RANGES["interval_95"][0]
+
+MIN_BOUNDING_SAMPLES = math.ceil(math.log(_TAIL) / math.log(1 - _TAIL))
+"""Smallest number of samples that bounds a 95 % interval: 146."""
+
+_GROUPS = 8
+"""Number of groups of the jackknife."""
+
+_RESAMPLINGS = 400
+"""Number of bootstrap samples; the relative error of the standard error is 1/√(2·400), 4 %."""
+
+_BATCH = 50
+"""Bootstrap samples in memory at once."""
+
+
+@dataclass(frozen=True)
+class MetricUncertainty:
+    """Distribution of one metric of one plant.
+
+    Attributes:
+        value: value with the parameters of the robot file.
+        half_timestep: the same with half the time step.
+        at_medians: value with all uncertain parameters at their medians.
+        samples: values at the samples of the priors, shape (samples,); NaN if unknown.
+        runs: number of samples that the plant itself ran, without those of a surrogate.
+        sampling: standard errors of the ends of the 50 and 95 % intervals by sampling, shape (4,).
+        surrogate: standard errors of these ends by the surrogate, shape (4,).
+        first: first-order Sobol indices, shape (d,); None if parameters are correlated.
+        total: total Sobol indices, shape (d,).
+        index_half_width: half the 95 % interval of both indices, shape (2, d).
+        published: published value, if any.
+    """
+
+    value: float
+    half_timestep: float
+    at_medians: float
+    samples: np.ndarray
+    runs: int
+    sampling: np.ndarray
+    surrogate: np.ndarray
+    first: np.ndarray | None = None
+    total: np.ndarray | None = None
+    index_half_width: np.ndarray | None = None
+    published: float | None = None
+
+    def interval(self, name: str) -> tuple[float, float]:
+        """Return the ends of `interval_50` or `interval_95`."""
+        low, high = np.nanquantile(self.samples, RANGES[name])
+        return float(low), float(high)
+
+    @property
+    def count(self) -> int:
+        """Number of samples with a value."""
+        return int(np.isfinite(self.samples).sum())
+
+    @property
+    def median(self) -> float:
+        """Median over the samples."""
+        return float(np.nanmedian(self.samples))
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Standard errors of the ends of the 50 and 95 % intervals, shape (4,)."""
+        return np.hypot(self.sampling, self.surrogate)
+
+    @property
+    def numerical_error(self) -> float:
+        """Numerical error u_num by first-order Richardson extrapolation to a time step of 0."""
+        return 2 * abs(self.value - self.half_timestep)
+
+    @property
+    def verdict(self) -> IntervalVerdict | None:
+        """Verdict on the published value by the 95 % interval; None without a published value."""
+        if self.published is None:
+            return None
+        return interval_verdict(self.published, self.interval("interval_95"), self.errors[2:].tolist())
+
+    def ranks(self) -> list[tuple[int, int]]:
+        """Return the best and the worst rank that each parameter can have as a cause.
+
+        Two total indices differ if their difference exceeds their half widths, added in quadrature.
+        """
+        if self.total is None or self.index_half_width is None:
+            return []
+        limit = np.hypot(self.index_half_width[1][:, None], self.index_half_width[1])
+        is_larger = self.total[:, None] - self.total > limit
+        return [
+            (1 + int(above), len(self.total) - int(below))
+            for above, below in zip(is_larger.sum(axis=0), is_larger.sum(axis=1), strict=True)
+        ]
+
+    def document(self, names: tuple[str, ...]) -> dict[str, Any]:
+        """Return the distribution as JSON values.
+
+        Args:
+            names: names of the uncertain quantities.
+        """
+        row: dict[str, Any] = {"value": self.value}
+        row |= {name: list(self.interval(name)) for name in RANGES}
+        row |= {"interval_50_error": self.errors[:2].tolist(), "interval_95_error": self.errors[2:].tolist()}
+        row |= {"median": self.median}
+        row["value_at_medians"] = self.at_medians if math.isfinite(self.at_medians) else None
+        row |= {"samples": self.count, "runs": self.runs, "u_input": float(np.nanstd(self.samples))}
+        row["u_num"] = self.numerical_error if math.isfinite(self.half_timestep) else None
+        row["sensitivity"] = None
+        if self.first is not None and self.total is not None and self.index_half_width is not None:
+            keys = ("first", "total", "first_error", "total_error")
+            columns = np.array([self.first, self.total, *self.index_half_width]).T.tolist()
+            row["sensitivity"] = {
+                name: {**dict(zip(keys, column, strict=True)), "rank": list(rank)}
+                for name, column, rank in zip(names, columns, self.ranks(), strict=True)
+            }
+        verdict = self.verdict
+        return row | {"published": self.published, "verdict": None if verdict is None else verdict.value}
+
+
+def sampling_errors(samples: np.ndarray) -> np.ndarray:
+    """Return the standard errors of the ends of the 50 and 95 % intervals by sampling, shape (4,)."""
+    known = samples[np.isfinite(samples)]
+    result = bootstrap(
+        (known,),
+        lambda drawn, axis: np.quantile(drawn, _PROBABILITIES, axis=axis),
+        n_resamples=_RESAMPLINGS,
+        batch=_BATCH,
+        method="percentile",
+        rng=np.random.default_rng(0),
+    )
+    return np.asarray(result.standard_error)
+
+
+def predict_twin(shares: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the twin's metric at all samples, and the standard errors of interval ends by the surrogate.
+
+    Args:
+        shares: inputs u of all samples, shape (samples, d).
+        low: low-fidelity metric, shape (samples,); NaN if unknown.
+        high: twin's metric at the first samples, shape (fewer,).
+    """
+    count, is_known = len(high), np.isfinite(low)
+    is_known[:count] &= np.isfinite(high)
+    x, y, runs = shares[is_known], low[is_known], high[is_known[:count]]
+    samples = np.full(len(low), np.nan)
+    samples[is_known], hyperparameters = predict_high_fidelity(x, y, runs)
+    if np.isfinite(samples).sum() == len(runs):
+        return samples, np.zeros(len(_PROBABILITIES))  # nothing was predicted
+    group = np.random.default_rng(0).permutation(len(runs)) % _GROUPS
+    predicted = np.arange(len(runs), len(y))
+    ends = []
+    for g in range(_GROUPS):
+        stay, leave = np.flatnonzero(group != g), np.flatnonzero(group == g)
+        order = np.concatenate([stay, leave, predicted])
+        prediction, _ = predict_high_fidelity(x[order], y[order], runs[stay], hyperparameters)
+        ends.append(np.nanquantile(prediction, _PROBABILITIES))
+    return samples, np.sqrt((_GROUPS - 1) * np.var(ends, axis=0))

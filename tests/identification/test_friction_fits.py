@@ -1,0 +1,205 @@
+"""Friction fits to pull tests and coasting tests: Table 2, both plants, throws at any angle."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from laws.test_stopping import sliding_skid, sliding_wheel
+from scipy import stats
+from snakes import GRAVITY, robot, throw, vented
+
+from srs_twin import AnalyticalSnake, Plant, PreloadedContact, Trajectory, TwinSnake
+from srs_twin.errors import InputError
+from srs_twin.identification.friction import CoastingTest, Pulls, fit_coasting, fit_pulls
+from srs_twin.plants.analytical.floor import slide, spin_share
+
+SPEC = robot(stiffness=20.0)
+MU_T, MU_N = 0.06, 0.5
+SPRING, MASS = 120.0, 0.25
+
+
+def pulls(mu_t, mu_n, **more) -> Pulls:
+    lengths = [np.asarray(mu) * MASS * GRAVITY / SPRING for mu in (mu_t, mu_n)]
+    return Pulls(*lengths, SPRING, MASS, **more)
+
+
+def test_table_2_is_recovered():
+    """Ten pulls per direction have the mean and standard deviation of the text."""
+    shape = stats.zscore(np.random.default_rng(0).normal(size=10), ddof=1)
+    fit = fit_pulls(pulls(0.0966 + 0.0015 * shape, 0.68 + 0.01 * shape))
+    for name, mean, deviation in (("friction.mu_t", 0.0966, 0.0015), ("friction.mu_n", 0.68, 0.01)):
+        parameter = fit[name]
+        assert parameter.value == pytest.approx(mean) and parameter.verdict == "identified"
+        assert parameter.standard_error == pytest.approx(deviation / math.sqrt(10))
+        assert parameter.high - mean == pytest.approx(2.262 * deviation / math.sqrt(10), rel=1e-3)
+    assert fit.correlation[0, 1] == 0.0
+    assert len(fit.residuals) == 2 and fit.samples == 20
+
+
+def test_a_common_error_of_all_pulls_does_not_average_out():
+    fit = fit_pulls(pulls([0.1, 0.1001] * 50, [0.6, 0.6001] * 50, stiffness_error=0.03 * SPRING))
+    assert fit["friction.mu_t"].standard_error == pytest.approx(0.03 * 0.10005, rel=1e-3)
+    assert fit.correlation[0, 1] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_a_direction_without_pulls_is_not_identifiable():
+    fit = fit_pulls(pulls([0.1, 0.11], []))
+    assert fit["friction.mu_n"].verdict == "not identifiable" and fit["friction.mu_n"].value is None
+    assert fit["friction.mu_n"].why == "there are no pulls across"
+    assert fit["friction.mu_t"].value == pytest.approx(0.105)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"along": [0.1]}, "one pull along does not show the scatter"),
+        ({"along": [0.1, math.nan]}, "pulls along must be a list of lengths"),
+        ({"along": [0.1, -0.1]}, "0 or more"),
+        ({"mass": 0.0}, "mass 0.0 with error 0.0 is not allowed"),
+        ({"stiffness_error": 200.0}, "its error smaller"),
+    ],
+)
+def test_invalid_pulls_are_refused(values, message):
+    with pytest.raises(InputError, match=message):
+        Pulls(**({"along": [0.1, 0.1], "across": [0.5, 0.5], "stiffness": SPRING, "mass": MASS} | values))
+
+
+def test_intervals_from_pulls_cover_the_truth():
+    """100 repetitions with 95 %: fewer than 87 hits have a probability of 1 in 1,000."""
+    hits = 0
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        fit = fit_pulls(pulls(rng.normal(0.1, 0.01, 6), rng.normal(0.6, 0.05, 6)))["friction.mu_t"]
+        hits += fit.low <= 0.1 <= fit.high
+    assert stats.binom.cdf(86, 100, 0.95) < 1e-3
+    assert hits >= 87
+
+
+def thrown(
+    velocity, *, noise=0.0, seed=0, law="wheel", share=None, heading=0.3, seconds=1.0, mu=(MU_T, MU_N)
+) -> CoastingTest:
+    """Return a coasting test sampled at 100 Hz."""
+    time = np.arange(0.0, seconds, 0.01)
+    share = spin_share(SPEC) if share is None else share
+    way = slide(velocity, time, law=law, mu_t=mu[0], mu_n=mu[1], share=share)
+    c, s = np.cos(heading), np.sin(heading)
+    place = way @ np.array([[c, s], [-s, c]]) + [3.0, -2.0]
+    place = place + noise * np.random.default_rng(seed).normal(size=place.shape)
+    columns = {"time": time + 7.0, "com_x": place[:, 0], "com_y": place[:, 1]}
+    return CoastingTest.from_trajectory(
+        Trajectory(columns | {"heading": np.full_like(time, heading)}), f"throw_{seed}", start=7.0
+    )
+
+
+@pytest.mark.parametrize("degrees", [0, 20, 45, 80, 90])
+def test_a_sliding_point_stops_at_the_distance_of_sharp_friction(degrees):
+    """Reference: the independent integrators of the friction tests."""
+    velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
+    mu_t, mu_n = SPEC.friction.mu_t, SPEC.friction.mu_n
+    late = np.array([0.0, 4.0])
+    wheel = slide(velocity, late, law="wheel", mu_t=mu_t, mu_n=mu_n, share=0.03)[-1]
+    assert wheel == pytest.approx(sliding_wheel(velocity, 0.03), rel=0.005, abs=1e-4)
+    skid = slide(velocity, late, law="ellipse", mu_t=mu_t, mu_n=mu_n)[-1]
+    assert skid == pytest.approx(sliding_skid(velocity), rel=0.005, abs=1e-3)
+
+
+@pytest.mark.parametrize("law", ["axis", "wheel", "ellipse"])
+def test_throws_identify_both_coefficients(law):
+    share = 0.0 if law == "ellipse" else None
+    runs = [thrown(v, law=law, share=share, seed=k) for k, v in enumerate([(0.5, 0.0), (0.2, 0.8)])]
+    fit = fit_coasting(runs, SPEC, law=law, wheel_inertia=law != "ellipse")
+    assert fit["friction.mu_t"].value == pytest.approx(MU_T, rel=1e-3)
+    assert fit["friction.mu_n"].value == pytest.approx(MU_N, rel=1e-3)
+
+
+def test_a_throw_along_the_body_does_not_identify_normal_friction():
+    fit = fit_coasting([thrown((0.5, 0.0), noise=1e-3)], SPEC)
+    assert fit["friction.mu_t"].verdict == "identified"
+    assert fit["friction.mu_t"].value == pytest.approx(MU_T, rel=0.02)
+    assert fit["friction.mu_n"].verdict == "not identifiable" and fit["friction.mu_n"].value is None
+    fit = fit_coasting([thrown((0.0, 0.8), noise=1e-3)], SPEC)
+    assert fit["friction.mu_t"].value is None
+    assert fit["friction.mu_n"].value == pytest.approx(MU_N, rel=0.15)
+
+
+def test_wheel_inertia_is_separated_from_friction():
+    """Without the inertia of the wheels the estimated drag is too small by its effect."""
+    run = thrown((0.5, 0.0))
+    with_spin, without = (
+        fit_coasting([run], SPEC, wheel_inertia=w).values["friction.mu_t"] for w in (True, False)
+    )
+    assert with_spin / without == pytest.approx(1 + spin_share(SPEC), rel=1e-6)
+
+
+def test_intervals_from_coasting_cover_the_truth():
+    """25 repetitions with 95 %: fewer than 19 hits have a probability of 1 in 1,000."""
+    hits = np.zeros(2)
+    for seed in range(25):
+        runs = [thrown(v, noise=1e-3, seed=2 * seed + k) for k, v in enumerate([(0.5, 0.0), (0.0, 0.8)])]
+        fit = fit_coasting(runs, SPEC)
+        hits += [p.low <= truth <= p.high for p, truth in zip(fit.parameters, (MU_T, MU_N), strict=True)]
+    assert stats.binom.cdf(18, 25, 0.95) < 1e-3
+    assert (hits >= 19).all(), hits
+
+
+def test_validation_throws_do_not_influence_the_fit():
+    runs = [thrown((0.5, 0.0)), thrown((0.0, 0.8), seed=1)]
+    alone = fit_coasting(runs, SPEC)
+    other = thrown((0.4, 0.2), seed=2, noise=1e-3)
+    beside = fit_coasting(runs, SPEC, validation=[other])
+    assert beside.parameters == alone.parameters
+    assert beside.rms("validation") == pytest.approx(1.0, abs=0.15)
+    rough = fit_coasting(runs, SPEC, validation=[thrown((0.4, 0.2), seed=2, mu=(0.12, 0.5))])
+    assert rough.rms("validation") > 2
+    with pytest.raises(InputError, match="the same data as throw_0"):
+        fit_coasting(runs, SPEC, validation=[runs[0]])
+
+
+def coasted(plant: Plant, velocity: tuple[float, float], seconds: float) -> CoastingTest:
+    """Record the coasting of a plant with an initial velocity."""
+    throw(plant, velocity)
+    states = [plant.step(vented(SPEC)) for _ in range(round(seconds / plant.tick))]
+    com = np.array([state.com for state in states])
+    time = plant.tick * np.arange(len(states))
+    heading = np.array([state.heading for state in states])
+    columns = {"time": time, "com_x": com[:, 0], "com_y": com[:, 1], "heading": heading}
+    return CoastingTest.from_trajectory(Trajectory(columns), f"{plant.name} {velocity}", start=0.0)
+
+
+def test_coefficients_of_the_analytical_plant_are_recovered():
+    plant = AnalyticalSnake(SPEC, friction="wheel", tick=0.01)
+    runs = [coasted(plant, (0.5, 0.0), 1.0), coasted(plant, (0.0, 0.8), 0.4)]
+    fit = fit_coasting(runs, SPEC, wheel_inertia=False)
+    assert fit["friction.mu_t"].value == pytest.approx(SPEC.friction.mu_t, rel=0.01)
+    assert fit["friction.mu_n"].value == pytest.approx(SPEC.friction.mu_n, rel=0.01)
+
+
+@pytest.mark.parametrize(("wheels", "law"), [("rolling", "wheel"), ("skid", "ellipse")])
+def test_coefficients_of_the_twin_are_recovered(wheels, law):
+    plant = TwinSnake(SPEC, contact=PreloadedContact(wheels), tick=0.01)
+    runs = [coasted(plant, (0.5, 0.0), 1.0), coasted(plant, (0.0, 0.8), 0.4)]
+    fit = fit_coasting(runs, SPEC, law=law, wheel_inertia=wheels == "rolling")
+    assert fit["friction.mu_t"].value == pytest.approx(SPEC.friction.mu_t, rel=0.01)
+    # Contacts stop slip within 10 ms, so the friction tests allow 3 % of the distance.
+    assert fit["friction.mu_n"].value == pytest.approx(SPEC.friction.mu_n, rel=0.03)
+
+
+def test_unsuitable_throws_are_refused():
+    time = np.arange(0.0, 1.0, 0.01)
+    still = {"time": time, "com_x": 0 * time, "com_y": 0 * time, "heading": 0 * time}
+    with pytest.raises(InputError, match="the largest speed is 0 m/s"):
+        CoastingTest.from_trajectory(Trajectory(still), "x")
+    with pytest.raises(InputError, match="it turns by"):
+        CoastingTest.from_trajectory(
+            Trajectory(still | {"com_x": 0.3 * time, "heading": time}), "x", start=0.0
+        )
+    with pytest.raises(InputError, match="x: 4 samples; 8 or more are needed"):
+        CoastingTest.from_trajectory(Trajectory({name: column[:4] for name, column in still.items()}), "x")
+    with pytest.raises(InputError, match="2 samples after the push"):
+        CoastingTest.from_trajectory(Trajectory(still), "x", start=0.98)
+    with pytest.raises(InputError, match="friction law 'viscous' is not allowed here"):
+        fit_coasting([thrown((0.5, 0.0))], SPEC, law="viscous")
+    with pytest.raises(InputError, match="give at least one"):
+        fit_coasting([], SPEC)

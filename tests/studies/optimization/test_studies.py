@@ -1,0 +1,324 @@
+"""Optimization studies: file, search on functions with known optima, resuming, and the command."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from srs_twin.compute.workers import TaskResult
+from srs_twin.errors import InputError, InputFileError
+from srs_twin.io.files import shipped_names
+from srs_twin.scenario.loading import load_scenario, parse_scenario
+from srs_twin.studies.optimization.file import VariableFile
+from srs_twin.studies.optimization.loading import load_study
+from srs_twin.studies.optimization.report import bound_lines, write_result
+from srs_twin.studies.optimization.result import StudyResult
+from srs_twin.studies.optimization.runs import StudyRuns
+from srs_twin.studies.optimization.search import front, search
+from srs_twin.studies.optimization.space import DesignSpace
+from srs_twin.studies.sweep.task import DONE, FAILED, Row
+
+STUDY = """
+scenario: gen2_straight
+variables:
+  controller.frequency_hz: {{low: 0.5, high: 3.0}}
+  controller.phase_step_rad: {{low: 0.4, high: 2.6}}
+objectives: [{objectives}]
+constraints: [{constraints}]
+budget: {{compliant: {compliant}, twin: {twin}}}
+seed: {seed}
+"""
+SPEED = "{metric: com_speed_m_s, goal: maximize}"
+COST = "{metric: cost_of_transport, goal: minimize}"
+
+
+def study(tmp_path, *, objectives=SPEED, constraints="", twin=24, compliant=150, seed=0):
+    path = tmp_path / "question.yaml"
+    path.write_text(
+        STUDY.format(
+            objectives=objectives, constraints=constraints, twin=twin, compliant=compliant, seed=seed
+        ),
+        "utf-8",
+    )
+    return load_study(path)
+
+
+def speed(f, p, part):
+    """Return a Gaussian peak; that of the low-fidelity model is shifted, lower and tilted."""
+    if part == "compliant":
+        return 0.3 * math.exp(-(((f - 1.7) / 0.7) ** 2) - ((p - 1.3) / 0.5) ** 2) + 0.01 * f
+    return 0.4 * math.exp(-(((f - 2.0) / 0.6) ** 2) - ((p - 1.45) / 0.4) ** 2)
+
+
+def cost(f, p, part):
+    return 0.2 + (0.1 if part == "twin" else 0.08) * f**2
+
+
+class Engine:
+    """Engine with speed and cost by formula; it records the keys of its points."""
+
+    def __init__(self, breaks_after=math.inf, speed=speed):
+        self.keys, self._left, self._speed = [], breaks_after, speed
+
+    def __call__(self, experiment, points):
+        (plant,) = experiment.plants
+        part = {"analytical": "compliant"}.get(plant, plant)
+        for number, point in enumerate(points):
+            if self._left <= 0:
+                raise KeyboardInterrupt
+            self._left -= 1
+            self.keys.append(point.key)
+            f, p = (
+                point.changes.get(f"controller.{name}", 1.0) for name in ("frequency_hz", "phase_step_rad")
+            )
+            if f > 2.9:
+                yield TaskResult(number, Row(point.key, FAILED, {}, 0.0, "diverged", 3), None)
+                continue
+            values = {
+                f"{plant}.com_speed_m_s": self._speed(f, p, part),
+                f"{plant}.cost_of_transport": cost(f, p, part),
+            }
+            yield TaskResult(number, Row(point.key, DONE, values), None)
+
+
+def run_search(question, folder, engine=None):
+    """Return the optimum of a study in a folder."""
+    with StudyRuns(question, folder, engine or Engine()) as runs:
+        return search(question, runs)
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 5))])
+def test_few_runs_of_the_twin_find_an_optimum_that_the_cheap_model_misses(tmp_path, seed):
+    question = study(tmp_path, seed=seed)
+    result = run_search(question, tmp_path / "out")
+    best, *others = result.best
+    assert best.part == "twin" and sum(run.part == "twin" for run in result.runs) == 24
+    assert best.metric("com_speed_m_s") > 0.98 * 0.4
+    assert all(math.dist(best.shares, run.shares) > 0.1 for run in others)
+    cheap = max(
+        (run for run in result.runs if run.part == "compliant"), key=lambda run: run.metric("com_speed_m_s")
+    )
+    assert speed(*question.space.values(cheap.shares), "twin") < 0.9 * 0.4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("most_f", "most_p"), [(0.5, 2.6), (2.8, 0.4)])
+def test_optimum_at_two_bounds_is_found(tmp_path, most_f, most_p):
+    """For nine seeds the distance was at most 1 % of the ranges."""
+
+    def slope(f, p, part):
+        aside = abs(f - most_f) / 2.3 + abs(p - most_p) / 2.2
+        return 1.0 - aside / (2 if part == "twin" else 3)
+
+    study(tmp_path, compliant=80, twin=20)
+    path = tmp_path / "question.yaml"
+    path.write_text(path.read_text("utf-8").replace("high: 3.0", "high: 2.8"), "utf-8")
+    question = load_study(path)
+    best, *_ = run_search(question, tmp_path / "out", Engine(speed=slope)).best
+    bound = np.array([most_f == 2.8, most_p == 2.6])
+    assert np.abs(best.shares - bound).max() < 0.015
+
+
+def test_designs_on_a_bound_are_marked_in_document_and_text(tmp_path):
+    def slope(f, p, part):
+        return f - (p - 1.5) ** 2
+
+    study(tmp_path, compliant=40, twin=8)
+    path = tmp_path / "question.yaml"
+    text = path.read_text("utf-8").replace(
+        "high: 3.0", "high: 2.8, bounds_source: highest frequency measured"
+    )
+    path.write_text(text, "utf-8")
+    question = load_study(path)
+    with StudyRuns(question, tmp_path / "out", Engine(speed=slope)) as runs:
+        answer = StudyResult.evaluate(question, search(question, runs), runs)
+    best, *_ = answer.document()["best"]
+    row = {"bound": "high", "value": 2.8, "source": "highest frequency measured"}
+    assert best["on_bound"] == {"controller.frequency_hz": row}
+    first, *_, last = bound_lines(answer)
+    assert "best/1" in first and "is on its high bound 2.8 (highest frequency measured)" in first
+    assert "beyond such a bound" in last
+    write_result(answer, tmp_path / "written")
+    assert "2.8†" in (tmp_path / "written/report.html").read_text("utf-8")
+
+
+@pytest.mark.parametrize(("share", "bound"), [(0.0, "low"), (0.009, "low"), (0.011, None), (0.995, "high")])
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_a_design_within_one_per_cent_of_the_range_is_on_the_bound(share, bound, scale):
+    space = DesignSpace({"a": VariableFile(low=1, high=100, scale=scale)}, {})
+    assert space.bounds(np.array([share])) == ({} if bound is None else {"a": bound})
+
+
+@pytest.mark.parametrize("scale", ["linear", "log"])
+@pytest.mark.parametrize("whole", [False, True])
+def test_shares_map_to_both_bounds_and_back(scale, whole):
+    ranges = {
+        name: VariableFile(low=low, high=high, scale=scale, whole=whole)
+        for name, low, high in (("a", 1, 7), ("b", 3, 4000), ("c", 20, 21))
+    }
+    space = DesignSpace(ranges, {})
+    assert space.values(np.zeros(3)) == (1, 3, 20) and space.values(np.ones(3)) == (7, 4000, 21)
+    assert space.values(np.full(3, -0.1)) == (1, 3, 20) and space.values(np.full(3, 1.1)) == (7, 4000, 21)
+    for share in np.linspace(0, 1, 11):
+        values = space.values(np.full(3, share))
+        back = space.values(space.shares(dict(zip("abc", values, strict=True))))
+        assert back == pytest.approx(values, rel=2e-6)
+        if not whole:
+            assert space.shares(dict(zip("abc", values, strict=True))) == pytest.approx(share, abs=1e-4)
+    middle = space.values(np.full(3, 0.5))
+    assert middle[0] == pytest.approx({"linear": 4, "log": math.sqrt(7)}[scale], abs=0.5 if whole else 1e-5)
+
+
+@pytest.mark.slow
+def test_constraints_are_met(tmp_path):
+    """The fastest gait with a cost of 0.4 has f = √2."""
+    question = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.4}", twin=30)
+    best, *_ = run_search(question, tmp_path / "out").best
+    assert best.metric("cost_of_transport") <= 0.4
+    assert best.metric("com_speed_m_s") > 0.95 * speed(math.sqrt(2), 1.45, "twin")
+
+
+@pytest.mark.slow
+def test_searches_with_infeasible_constraints_or_exhausted_spaces_end(tmp_path):
+    question = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.1}")
+    best, *_ = run_search(question, tmp_path / "out").best
+    assert best.metric("cost_of_transport") == pytest.approx(cost(0.5, 0, "twin"), rel=0.01)
+    few = tmp_path / "few.yaml"
+    few.write_text(
+        "scenario: gen2_straight\nvariables:\n  robot.segments: {low: 2, high: 4, whole: true}\n"
+        f"objectives: [{SPEED}]\n",
+        "utf-8",
+    )
+    result = run_search(load_study(few), tmp_path / "few")
+    assert {load_study(few).space.values(run.shares) for run in result.runs} == {(2,), (3,), (4,)}
+
+
+def test_a_study_whose_twin_always_fails_is_refused_with_the_reason(tmp_path):
+    class Broken(Engine):
+        def __call__(self, experiment, points):
+            if experiment.plants == ("analytical",):
+                yield from super().__call__(experiment, points)
+                return
+            for number, point in enumerate(points):
+                yield TaskResult(number, Row(point.key, FAILED, {}, 0.0, "it diverged", 3), None)
+
+    with pytest.raises(InputError, match="no run of the twin has a result: it diverged"):
+        run_search(study(tmp_path), tmp_path / "out", Broken())
+
+
+@pytest.mark.slow
+def test_the_pareto_front_agrees_with_the_formulas(tmp_path):
+    """The front has the best phase and all frequencies up to the fastest; 93 % of its area is reached."""
+    question = study(tmp_path, objectives=f"{SPEED}, {COST}", twin=40, compliant=300)
+    best = run_search(question, tmp_path / "out").best
+    result = np.array([[run.metric("com_speed_m_s"), run.metric("cost_of_transport")] for run in best])
+    assert front(result * [-1, 1]).all()
+
+    def area(points):
+        """Return the area dominated by points (speed, cost), from speed 0 and cost 0.7."""
+        order = points[np.argsort(points[:, 1])]
+        order = order[order[:, 1] < 0.7]
+        least = np.append(order[1:, 1], 0.7)
+        return float(np.sum(np.maximum.accumulate(order[:, 0]) * (least - order[:, 1])))
+
+    f = np.linspace(0.5, 2.0, 400)  # higher frequencies are slower and cost more
+    truth = np.array([[speed(frequency, 1.45, "twin"), cost(frequency, 1.45, "twin")] for frequency in f])
+    assert area(result) > 0.93 * area(truth)
+
+
+@pytest.mark.slow
+def test_an_interrupted_search_resumes_with_the_same_result(tmp_path):
+    question = study(tmp_path)
+    whole = run_search(question, tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        run_search(question, tmp_path / "out", Engine(breaks_after=130))
+    engine = Engine()
+    again = run_search(question, tmp_path / "out", engine)
+    assert [run.row.key for run in again.runs] == [run.row.key for run in whole.runs]
+    assert len(engine.keys) == len({run.row.key for run in whole.runs}) - 130
+    other = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.4}")
+    assert run_search(other, tmp_path / "out").best  # reuses the runs
+    path = tmp_path / "question.yaml"
+    path.write_text(path.read_text("utf-8").replace("gen2_straight", "gen2_turn"), "utf-8")
+    with pytest.raises(InputError, match="of another study"):
+        run_search(load_study(path), tmp_path / "out")
+
+
+def test_the_number_of_segments_keeps_total_length_and_mass(tmp_path):
+    path = tmp_path / "body.yaml"
+    path.write_text(
+        "scenario: gen2_straight\nvariables:\n  robot.segments: {low: 2, high: 8, whole: true, "
+        f"hold: [total_length, total_mass]}}\nobjectives: [{SPEED}]\n",
+        "utf-8",
+    )
+    question = load_study(path)
+    before = load_scenario("gen2_straight").robot
+    for count, share in ((2, 0.0), (5, 0.5), (8, 1.0)):
+        changes = question.space.changes(np.array([share]))
+        robot = parse_scenario(question.experiments["twin"].document(changes)).robot
+        assert robot.segments == count
+        assert robot.geometry.body_length == pytest.approx(before.geometry.body_length)
+        assert robot.mass.array().sum() == pytest.approx(before.mass.array().sum())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("frequency_hz", "frequncy_hz", "unknown key; did you mean frequency_hz?"),
+        ("low: 0.5, high: 3.0", "low: 3.0, high: 0.5", "low 3 must be below high 0.5"),
+        ("low: 0.5, high: 3.0", "low: -1, high: 3.0", "controller.frequency_hz"),
+        ("com_speed_m_s", "com_sped_m_s", "did you mean com_speed_m_s"),
+        ("maximize", "maximise", "did you mean maximize"),
+        ("gen2_straight", "gen2_strait", "did you mean gen2_straight"),
+    ],
+)
+def test_invalid_studies_are_refused_with_their_location(tmp_path, old, new, message):
+    study(tmp_path)
+    path = tmp_path / "question.yaml"
+    path.write_text(path.read_text("utf-8").replace(old, new), "utf-8")
+    with pytest.raises(InputFileError) as error:
+        load_study(path)
+
+    assert message in str(error.value) and f"{path.name}:" in str(error.value)
+
+
+def test_the_best_scenario_of_the_command_can_be_run(srs_twin, tmp_path):
+    path = tmp_path / "question.yaml"
+    path.write_text(STUDY.format(objectives=SPEED, constraints="", twin=6, compliant=24, seed=3), "utf-8")
+    options = ("optimize", "question.yaml", "--set", "duration_s=2", "--out", "found", "--json")
+    done = srs_twin(*options, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    printed = json.loads(done.stdout)
+    best, *_ = printed["best"]
+    assert best["plant"] == "twin" and printed["evaluations"]["twin"] == 6
+    table = pq.read_table(tmp_path / "found/evaluations.parquet")
+    twin = [row for row in table.to_pylist() if row["part"] == "twin"]
+    assert best["metrics"]["com_speed_m_s"] == max(row["com_speed_m_s"] or 0.0 for row in twin)
+    assert srs_twin("run", "found/best/1.yaml", "--out", "again", "--quiet", cwd=tmp_path).returncode == 0
+    again = json.loads((tmp_path / "again/metrics.json").read_text("utf-8"))
+    assert again["plants"]["twin"]["com_speed_m_s"] == pytest.approx(
+        best["metrics"]["com_speed_m_s"], rel=1e-9
+    )
+    assert json.loads(srs_twin(*options, cwd=tmp_path).stdout) == printed
+
+
+@pytest.mark.parametrize("name", shipped_names("study"))
+def test_shipped_studies_load_and_their_designs_are_scenarios(name):
+    question = load_study(name)
+    assert set(question.experiments) == {"compliant", "twin"}
+    for share in (0.0, 0.5, 1.0):
+        design = question.space.changes(np.full(question.space.size, share))
+        assert parse_scenario(question.experiments["twin"].document(design)).robot.segments >= 2
+    assert all(variable.bounds_source for variable in question.file.variables.values())
+
+
+def test_without_cma_the_command_names_the_extra_before_any_run(srs_twin, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "cma", None)
+    done = srs_twin("optimize", "gen2_speed", "--workers", "1", "--out", "out", cwd=tmp_path)
+    assert done.returncode == 2 and "pip install 'srs-twin[optimize]'" in done.stderr
+    assert not (tmp_path / "out").exists()

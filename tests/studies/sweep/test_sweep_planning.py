@@ -1,0 +1,114 @@
+"""Sweeps without plants: planners in the same worlds, with their metrics as columns of one table."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import pyarrow.parquet as pq
+import pytest
+from small import execute, here, write
+
+from srs_twin.errors import InputFileError
+from srs_twin.planning.arcs import Primitives
+from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.planner import plan
+from srs_twin.planning.problem import Problem
+from srs_twin.robot.random_worlds import FIG54_GOAL, FIG54_START, fig54_world
+from srs_twin.studies.sweep.execution import open_sweep
+from srs_twin.studies.sweep.loading import load_sweep
+from srs_twin.studies.sweep.store import rows_digest
+
+WORLDS = """\
+scenario: plan_fig54_8
+plants: []
+fixed: {world.goal.radius_m: 0.02}
+vary:
+  planner.kind: [greedy, best_first]
+  world.random.count: [3, 12]
+  seed: [0, 1, 2]
+"""
+PICTURE = "plots: [{kind: line, x: world.random.count, metric: plan_found, by: planner.kind}]\n"
+
+
+def table(text, folder):
+    execute(load_sweep(write(folder, text)), folder / "out")
+    return pq.read_table(folder / "out/results.parquet").to_pylist()
+
+
+def test_rows_equal_direct_calls_of_the_planners(tmp_path):
+    rows = table(WORLDS + PICTURE, tmp_path)
+    assert len(rows) == 12 and {row["status"] for row in rows} == {"done"}
+    body, arcs = load_footprint("gen2_section52"), Primitives(21, math.pi / 3, 0.2)
+    for row in rows:
+        kind, world = row["planner.kind"], fig54_world(row["world.random.count"], row["seed"])
+        study_ = Problem(FIG54_START, FIG54_GOAL, world, body, arcs if kind == "greedy" else None)
+        answer = plan(study_, planner=kind)
+        assert row["plan.plan_found"] == answer.found and row["plan.plan_nodes"] == answer.expanded
+        if answer.found:
+            # The file's angles have six decimals.
+            assert row["plan.plan_length_m"] == pytest.approx(answer.length, abs=1e-4)
+        assert 0 < row["plan.plan_s"] < row["wall_s"]
+    assert not [name for name in rows[0] if name.startswith(("analytical.", "twin.", "comparison."))]
+    assert (tmp_path / "out/plots/1_line_plan_found.png").read_bytes().startswith(b"\x89PNG")
+    assert "plan found" in (tmp_path / "out/report.html").read_text("utf-8")
+
+
+def test_the_digest_does_not_depend_on_planning_time(tmp_path):
+    with open_sweep(load_sweep(write(tmp_path, WORLDS)), tmp_path / "out") as opened:
+        rows = [done.result for done in here(opened.sweep.experiment, opened.missing()[:4])]
+    slower = [replace(row, values={**row.values, "plan.plan_s": 9.0}) for row in rows]
+    longer = [replace(row, values={**row.values, "plan.plan_nodes": 9.0}) for row in rows]
+    assert rows_digest(rows) == rows_digest(slower) != rows_digest(longer)
+
+
+@pytest.mark.slow
+def test_a_missing_planner_fails_its_rows_and_can_be_excluded(tmp_path, srs_twin_process):
+    text = WORLDS.replace("best_first]", "ompl]").replace("[0, 1, 2]", "[0]")
+    (tmp_path / "ompl.py").write_text("raise ImportError('not installed')\n")
+    write(tmp_path, text)
+    hidden = {"PYTHONPATH": str(tmp_path)}
+    done = srs_twin_process("sweep", "small.yaml", "--out", "out", cwd=tmp_path, **hidden)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert "2 failed: planner ompl needs the extra of that name: pip install 'srs-twin[ompl]'" in done.stderr
+    assert "2 of 4 runs done, 2 failed" in done.stdout
+    without = ("--without", "planner.kind=ompl")
+    left = srs_twin_process("sweep", "small.yaml", "--out", "left", *without, cwd=tmp_path, **hidden)
+    assert left.returncode == 0, left.stderr
+    assert "2 of 4 runs done, 0 failed" in left.stdout
+    assert json.loads((tmp_path / "left/sweep.json").read_text())["failed"] == 0
+
+
+@pytest.mark.parametrize(
+    ("without", "says"),
+    [
+        ("planner.kin=ompl", "unknown varied field 'planner.kin'; did you mean planner.kind?"),
+        ("planner.kind=gredy", "unknown value of planner.kind 'gredy'; did you mean greedy?"),
+    ],
+)
+def test_invalid_exclusions_are_refused(without, says, tmp_path, srs_twin):
+    write(tmp_path, WORLDS)
+    done = srs_twin("sweep", "small.yaml", "--without", without, cwd=tmp_path)
+    assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (
+            "scenario: gen2_straight\nplants: []\nvary: {seed: [0, 1]}\n",
+            "plants: is empty, but the scenario has no planner",
+        ),
+        (WORLDS + "metrics: [com_speed_m_s]\n", "unknown metric 'com_speed_m_s'"),
+        (WORLDS + "metrics: [path_rms_m]\n", "unknown metric 'path_rms_m'"),
+        (WORLDS + "periods: 5\n", "periods: no plant runs with plants: []; remove it"),
+        (WORLDS + "trajectories: true\n", "trajectories: no plant runs with plants: []; remove it"),
+        (WORLDS.replace("greedy, ", "gready, "), "gready"),
+        (WORLDS + "beside: {source: x, at: {seed: [0]}, metrics: {com_speed_m_s: [1]}}\n", "beside: has"),
+    ],
+)  # fmt: skip
+def test_keys_that_need_a_plant_are_refused(text, says, tmp_path):
+    with pytest.raises(InputFileError) as caught:
+        load_sweep(write(tmp_path, text))
+    assert says in str(caught.value)

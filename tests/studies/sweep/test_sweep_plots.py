@@ -1,0 +1,378 @@
+"""Plots of sweeps: artists show the values of the table, and no table makes a plot fail."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.collections import PathCollection
+from matplotlib.colors import to_hex
+from matplotlib.contour import ContourSet
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+from pydantic import ValidationError
+
+from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS
+from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.studies.sweep.plots import draw
+from srs_twin.studies.sweep.table import Plot
+from srs_twin.viewing.plots.labels import field_label, metric_label
+from srs_twin.viewing.plots.picture_file import save
+
+F, P, OFFSET = "controller.frequency_hz", "supply.pressure_kpa", "controller.offset"
+SPEED, A, B = "com_speed_m_s", "analytical.com_speed_m_s", "twin.com_speed_m_s"
+
+
+def plot(kind, x, metric, y=None, by=None):
+    return Plot(kind=kind, x=x, metric=metric, y=y, by=by)
+
+
+CONTOUR = plot("contour", F, SPEED, P)
+LINE = plot("line", F, SPEED)
+
+
+def law(f, p):
+    return 0.1 + 0.02 * f + 0.003 * p
+
+
+def table(f, p, *, failed=(), missing=(), share=0.8):
+    rows = len(f)
+    lost = np.isin(np.arange(rows), [*failed, *missing])
+    ours = [None if gone else float(v) for gone, v in zip(lost, law(f, p), strict=True)]
+    return {
+        "key": [f"{i:064x}" for i in range(rows)],
+        F: list(map(float, f)),
+        P: list(map(float, p)),
+        "status": ["failed" if i in failed else "done" for i in range(rows)],
+        "reason": ["diverged" if i in failed else None for i in range(rows)],
+        A: ours,
+        B: [None if v is None else share * v for v in ours],
+        "comparison.com_speed_rel": [None if v is None else share - 1 for v in ours],
+        "wall_s": [0.1] * rows,
+    }
+
+
+def grid(frequencies=(0.5, 1.0, 1.5, 2.0), pressures=(20.0, 30.0, 40.0), **lost):
+    f, p = (item.ravel() for item in np.meshgrid(frequencies, pressures))
+    return table(f, p, **lost)
+
+
+def planes(figure: Figure):
+    """Return the axes without those of colour bars."""
+    return [axes for axes in figure.axes if axes.get_label() != "colors"]
+
+
+def curves(axes):
+    return [line for line in axes.lines if line.get_label().startswith("_")]
+
+
+def marks(axes, what):
+    (line,) = [line for line in axes.lines if line.get_label() == what]
+    return set(map(tuple, np.asarray(line.get_xydata()).round(9).tolist()))
+
+
+def dots(axes):
+    (result,) = [item for item in axes.collections if isinstance(item, PathCollection)]
+    return result
+
+
+def words(figure):
+    texts = [figure.get_suptitle(), *(text.get_text() for axes in figure.axes for text in axes.texts)]
+    return "\n".join(texts)
+
+
+def filled(axes):
+    return [item for item in axes.collections if isinstance(item, ContourSet) and item.filled]
+
+
+def test_a_contour_has_the_points_colours_and_labels_of_the_grid():
+    figure = draw(CONTOUR, pa.table(grid()))
+    left, right = planes(figure)
+    assert (left.get_title("left"), right.get_title("left")) == ("analytical", "twin (MuJoCo)")
+    assert left.get_xlabel() == "gait frequency (Hz)" and left.get_ylabel() == "supply pressure (kPa)"
+    first, second = filled(left)[0], filled(right)[0]
+    assert np.array_equal(first.levels, second.levels) and first.cmap.name == second.cmap.name
+    assert first.levels[0] <= 0.8 * law(0.5, 20) and first.levels[-1] >= law(2.0, 40)
+    (bar,) = [axes for axes in figure.axes if axes.get_label() == "colors"]
+    assert bar.get_ylabel() == "CoM speed (m/s)"
+    assert {tuple(p) for p in dots(left).get_offsets()} == set(zip(grid()[F], grid()[P], strict=True))
+
+
+def test_contour_lines_of_a_plane_are_exact():
+    """Level lines of a plane are straight, so linear interpolation is exact."""
+    (axes, _) = planes(draw(CONTOUR, grid()))
+    lines = next(c for c in axes.collections if isinstance(c, ContourSet) and not c.filled)
+    checked = 0
+    for level, segments in zip(lines.levels, lines.allsegs, strict=True):
+        for segment in segments:
+            if len(segment):
+                assert law(segment[:, 0], segment[:, 1]) == pytest.approx(level)
+                checked += 1
+    assert checked >= 3
+
+
+def test_scattered_points_are_triangulated():
+    rng = np.random.default_rng(3)
+    f, p = rng.uniform(0.5, 2, 40), rng.uniform(20, 40, 40)
+    (axes, _) = planes(draw(CONTOUR, table(f, p, failed=(4,))))
+    lines = next(c for c in axes.collections if isinstance(c, ContourSet) and not c.filled)
+    points = np.concatenate([s for segments in lines.allsegs for s in segments])
+    values = law(points[:, 0], points[:, 1])
+    assert np.abs(values[:, None] - lines.levels[None]).min(axis=1).max() < 1e-9
+    assert marks(axes, "failed") == {(round(f[4], 9), round(p[4], 9))}
+
+
+def test_failed_and_missing_points_have_different_markers():
+    values = grid(failed=(0, 11), missing=(3,))
+    figure = draw(CONTOUR, values)
+    for axes in planes(figure):
+        assert marks(axes, "failed") == {(values[F][i], values[P][i]) for i in (0, 11)}
+        assert marks(axes, "no value") == {(values[F][3], values[P][3])}
+    assert "2 of 12 runs failed" in words(figure) and "2 values missing" in words(figure)
+
+
+def test_values_of_both_signs_have_a_symmetric_colour_scale():
+    values = grid()
+    values["comparison.com_speed_rel"] = np.linspace(-0.2, 0.4, 12).tolist()
+    (axes,) = planes(draw(plot("contour", F, "com_speed_rel", P), values))
+    levels = filled(axes)[0].levels
+    assert levels == pytest.approx(-levels[::-1]) and filled(axes)[0].cmap.name == "RdBu_r"
+    assert axes.get_title("left") == "twin − analytical"
+
+
+def twice(field, values=(0.0, 0.4)):
+    """Return the grid at two values of a further field; the speed is three times as high at the second."""
+    low = grid()
+    both = {name: [*column, *column] for name, column in low.items()}
+    both[field] = [values[0]] * 12 + [values[1]] * 12
+    both[A] = [*low[A], *(3 * v for v in low[A])]
+    del both[B]
+    return both
+
+
+def test_seeds_are_averaged_with_a_note():
+    figure = draw(CONTOUR, twice("seed", (0, 1)))
+    (axes,) = planes(figure)
+    assert "each value the mean over seed" in words(figure)
+    assert filled(axes)[0].zmax == pytest.approx(2 * max(grid()[A]))
+    assert "mean over" not in words(draw(plot("scatter", F, SPEED), twice("seed", (0, 1))))
+
+
+def test_contours_do_not_average_over_varied_fields():
+    figure = draw(CONTOUR, twice(OFFSET))
+    first, second = planes(figure)
+    assert [axes.get_title("left") for axes in (first, second)] == [
+        "analytical, steering offset: 0",
+        "analytical, steering offset: 0.4",
+    ]
+    assert filled(first)[0].zmax == pytest.approx(max(grid()[A]))
+    assert filled(second)[0].zmax == pytest.approx(3 * max(grid()[A]))
+    assert np.array_equal(filled(first)[0].levels, filled(second)[0].levels)
+    assert "one row for each steering offset" in words(figure) and "mean over" not in words(figure)
+    many = {name: column * 8 for name, column in grid().items()} | {OFFSET: np.repeat(range(8), 12).tolist()}
+    figure = draw(CONTOUR, many)
+    assert len(planes(figure)) == 2 * 6 and "steering offset, 6 of 8 shown" in words(figure)
+
+
+def test_lines_do_not_average_over_varied_fields():
+    """The first remaining field determines the colour of a line; `by` gives one line per value."""
+    both = twice(OFFSET) | {P: [30.0] * 24, F: [1.0, 2.0, 3.0] * 8, "plants.twin.gaps": [True, False] * 12}
+    (axes,) = planes(draw(LINE, both | {"plants.twin.gaps": [True] * 24}))
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["0", "0.4"]
+    assert len(curves(axes)) == 2
+    figure = draw(plot("line", F, SPEED, by=OFFSET), both)
+    assert len(curves(planes(figure)[0])) == 4 and "one line for each gaps" in words(figure).lower()
+    # Every sample has different values: nothing is at the same place, and nothing is averaged.
+    sampled = grid() | {F: np.linspace(1, 2, 12).tolist(), OFFSET: np.linspace(0, 1, 12).tolist()}
+    figure = draw(LINE, sampled)
+    assert len(curves(planes(figure)[0])) == 2 and "one line" not in words(figure)
+
+
+def test_lines_show_the_table_by_value_and_plant():
+    values = grid(failed=(5,))
+    figure = draw(plot("line", F, SPEED, by=P), values)
+    (axes,) = planes(figure)
+    drawn = curves(axes)
+    assert len(drawn) == 2 * 3
+    for k, line in enumerate(drawn):
+        pressure, share = (20.0, 30.0, 40.0)[k % 3], (1.0, 0.8)[k // 3]
+        x, y = line.get_data()
+        assert np.array_equal(x, [0.5, 1.0, 1.5, 2.0])
+        expected = share * law(x, pressure)
+        expected[(x == 1.0) & (pressure == 30.0)] = np.nan
+        assert y == pytest.approx(expected, nan_ok=True)
+    assert len({line.get_color() for line in drawn[:3]}) == 3
+    assert [line.get_color() for line in drawn[:3]] == [line.get_color() for line in drawn[3:]]
+    assert len({line.get_linestyle() for line in drawn}) == 2
+    assert marks(axes, "failed") == {(1.0, 0.025)}
+    legend = axes.get_legend()
+    assert [text.get_text() for text in legend.get_texts()] == ["20", "30", "40"]
+    assert legend.get_title().get_text().replace("\n", " ") == "supply pressure (kPa)"
+
+
+def test_many_lines_have_a_colour_bar():
+    figure = draw(plot("line", F, SPEED, by=P), grid(pressures=np.linspace(20, 40, 13)))
+    (bar,) = [axes for axes in figure.axes if axes.get_label() == "colors"]
+    assert bar.get_ylabel() == "supply pressure (kPa)" and len(curves(planes(figure)[0])) == 26
+
+
+@pytest.mark.parametrize("count", [3, 13])
+def test_scatter_plots_show_the_table(count):
+    """Few colours are explained by a legend, many by a colour bar."""
+    given = grid(pressures=np.linspace(20, 40, count), missing=(2,))
+    del given[A]
+    figure = draw(plot("scatter", "com_speed_rel", SPEED, by=P), given)
+    (axes,) = planes(figure)
+    expected = [
+        (x, y, c) for x, y, c in zip(given["comparison.com_speed_rel"], given[B], given[P], strict=True) if y
+    ]
+    if count == 3:
+        key = axes.get_legend()
+        shades = {
+            to_hex(line.get_color()): float(text.get_text())
+            for line, text in zip(key.get_lines(), key.get_texts(), strict=True)
+        }
+        values = [shades[to_hex(color)] for color in dots(axes).get_facecolors()]
+    else:
+        values = dots(axes).get_array()
+    result = [(*at, c) for at, c in zip(dots(axes).get_offsets(), values, strict=True)]
+    assert np.array(sorted(result)) == pytest.approx(np.array(sorted(expected)))
+    assert axes.get_xlabel() == "CoM speed, relative difference" and axes.get_ylabel() == "CoM speed (m/s)"
+
+
+def test_text_and_boolean_values_are_categories():
+    values = grid(frequencies=(1.0, 2.0), pressures=(30.0,))
+    values["plants.analytical.model"] = ["simplified", "complete"]
+    values["plants.twin.gaps"] = [True, False]
+    (axes,) = planes(draw(plot("line", "plants.analytical.model", SPEED), values))
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["complete", "simplified"]
+    x, y = curves(axes)[0].get_data()
+    assert np.array_equal(x, [0, 1]) and y == pytest.approx([law(2.0, 30.0), law(1.0, 30.0)])
+    (axes,) = planes(draw(plot("line", "plants.twin.gaps", SPEED), values))
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["False", "True"]
+
+
+def test_lists_are_averaged():
+    values = grid() | {f"twin.bend_amplitude_rad_{j}": [0.1 * j] * 12 for j in (1, 2, 3)}
+    (axes,) = planes(draw(plot("line", F, "bend_amplitude_rad"), values))
+    assert axes.get_ylabel() == "bend amplitude (rad), mean over 3"
+    assert curves(axes)[0].get_ydata() == pytest.approx(0.2)
+    (axes,) = planes(draw(plot("line", F, "bend_amplitude_rad_3"), values))
+    assert curves(axes)[0].get_ydata() == pytest.approx(0.3)
+
+
+NOTHING = [
+    (table(np.zeros(0), np.zeros(0)), "there are no runs"),
+    (table(np.ones(1), np.ones(1), failed=(0,)), "the run failed"),
+    (grid(failed=range(12)), "all 12 runs failed"),
+    (grid(missing=range(12)), "no value in 12 runs"),
+    (grid(failed=(0, 1), missing=range(2, 12)), "no value in 10 runs, 2 failed"),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("values", "message"), NOTHING)
+@pytest.mark.parametrize(
+    "request_",
+    [CONTOUR, LINE, plot("line", F, SPEED, by=P), plot("scatter", F, SPEED, by=P)],
+    ids=lambda r: f"{r.kind}-{r.by}",
+)
+def test_a_plot_without_data_states_the_reason(values, message, request_, tmp_path):
+    figure = draw(request_, values)
+    assert f"nothing to draw: {message}" in words(figure)
+    save(figure, tmp_path / "x.png")
+
+
+def test_a_single_value_is_stated_and_shown():
+    figure = draw(CONTOUR, table(np.array([1.0]), np.array([30.0]), share=1.0))
+    assert f"every value is {law(1.0, 30.0):.4g}" in words(figure)
+    assert np.asarray(dots(planes(figure)[0]).get_array()) == pytest.approx([law(1.0, 30.0)])
+
+
+numbers = st.one_of(st.none(), st.floats(width=32), st.sampled_from([0.0, 1.0, -1.0, 1e300, 1e-300]))
+
+
+@settings(max_examples=25)
+@given(
+    rows=st.lists(
+        st.tuples(
+            st.sampled_from([0.0, 1.0, 2.0, 1e9]), st.floats(-1e6, 1e6), numbers,
+            st.sampled_from(["done", "failed"]),
+        ),
+        max_size=12,
+    ),
+    kind=st.sampled_from(["contour", "line", "scatter"]),
+)  # fmt: skip
+def test_any_table_can_be_drawn(rows, kind):
+    f, p, value, status = ([row[i] for row in rows] for i in range(4))
+    values = {F: f, P: p, "status": status, A: value, B: value[::-1]}
+    expected = plot(kind, F, SPEED, P) if kind == "contour" else plot(kind, F, SPEED, by=P)
+    draw(expected, values).canvas.draw()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", [".png", ".svg"])
+def test_equal_tables_give_equal_bytes_in_any_order(suffix, tmp_path):
+    rng = np.random.default_rng(5)
+    values = grid(failed=(5,), missing=(2,)) | {OFFSET: rng.choice([0.1, 0.2], 12).tolist()}
+    order = rng.permutation(12)
+    shuffled = {name: [column[i] for i in order] for name, column in values.items()}
+    for request in (
+        CONTOUR,
+        plot("line", F, SPEED, by=OFFSET),
+        plot("scatter", P, SPEED, by=F),
+    ):
+        for name, item in (("a", values), ("b", pa.table(shuffled))):
+            save(draw(request, item), tmp_path / f"{name}{suffix}")
+        first, second = ((tmp_path / f"{name}{suffix}").read_bytes() for name in "ab")
+        assert first == second
+    if suffix == ".png":
+        assert imread(tmp_path / "a.png").std() > 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"a{suffix}", f"b{suffix}"]
+
+
+def test_invalid_plots_are_refused(tmp_path):
+    with pytest.raises(UnknownNameError, match="unknown metric 'com_sped_m_s'; did you mean com_speed_m_s"):
+        draw(plot("line", F, "com_sped_m_s"), grid())
+    with pytest.raises(UnknownNameError, match="unknown column 'supply.presure_kpa'; did you mean"):
+        draw(plot("contour", F, SPEED, "supply.presure_kpa"), grid())
+    with pytest.raises(ValidationError, match="needs y"):
+        plot("contour", F, SPEED)
+    with pytest.raises(ValidationError, match="y is only for contour"):
+        plot("line", F, SPEED, P)
+    with pytest.raises(ValidationError, match="by is only for line"):
+        plot("contour", F, SPEED, P, by=OFFSET)
+    with pytest.raises(InputError, match=r"\.png or \.svg"):
+        save(draw(LINE, grid()), tmp_path / "x.gif")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        save(draw(LINE, grid()), tmp_path / "file/x.png")
+
+
+def test_every_metric_has_a_label_with_its_unit():
+    for metric, unit in (METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS).items():
+        label = metric_label(metric)
+        assert label.endswith(f"({unit})") == (unit != "1"), label
+        assert "_" not in label, label
+    assert metric_label("bend_amplitude_rad_2") == "bend amplitude 2 (rad)"
+
+
+@pytest.mark.parametrize(
+    ("field", "label"),
+    [
+        (F, "gait frequency (Hz)"),
+        (P, "supply pressure (kPa)"),
+        (OFFSET, "steering offset"),
+        ("duration_s", "simulated time (s)"),
+        ("plants.twin.timestep_s", "time step of the integrator, twin (s)"),
+        ("plants.twin.wheels", "wheels, twin"),
+        ("robot.bending.stiffness_nm_per_rad", "bending stiffness (N·m/rad)"),
+        ("robot.friction.mu_n", "friction μ_n"),
+        ("robot", "robot"),
+        ("pneumatics.leak_per_s", "pneumatics leak (1/s)"),
+    ],
+)
+def test_fields_have_readable_labels(field, label):
+    assert field_label(field) == label

@@ -1,0 +1,70 @@
+"""Sampling of sweeps: grids, lists, Latin hypercubes and Sobol sequences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from srs_twin.errors import InputError
+from srs_twin.studies.sweep.file import RangeFile, SamplingFile
+from srs_twin.studies.sweep.points import sample
+
+pytestmark = pytest.mark.fast
+
+GRID, LIST = SamplingFile(), SamplingFile(kind="list")
+
+
+def spread(low, high, count=None, scale="linear"):
+    return RangeFile.model_validate({"from": low, "to": high, "count": count, "scale": scale})
+
+
+def test_a_grid_has_every_combination_once():
+    points = sample({"a": [1, 2, 3], "b": ["x", "y"]}, GRID)
+    assert len(points) == 6 and set(points) == {(a, b) for a in (1, 2, 3) for b in "xy"}
+
+
+def test_ranges_have_both_ends_and_even_steps():
+    linear = [point[0] for point in sample({"a": spread(1, 3, 5)}, GRID)]
+    assert linear == [1.0, 1.5, 2.0, 2.5, 3.0]
+    log = np.array([point[0] for point in sample({"a": spread(1, 16, 5, "log")}, GRID)])
+    assert log == pytest.approx([1, 2, 4, 8, 16])
+
+
+def test_lists_are_combined_element_by_element():
+    assert sample({"a": [1, 2], "b": [3, 4]}, LIST) == [(1, 3), (2, 4)]
+    with pytest.raises(InputError, match="a 2, b 3"):
+        sample({"a": [1, 2], "b": [3, 4, 5]}, LIST)
+
+
+@given(st.integers(1, 60), st.integers(0, 2**32 - 1))
+def test_latin_hypercube_has_one_point_in_every_stratum(count, seed):
+    box = {"a": spread(-1, 1), "b": spread(1, 100, scale="log")}
+    points = np.array(sample(box, SamplingFile(kind="latin_hypercube", count=count, seed=seed)))
+    linear = (points[:, 0] + 1) / 2
+    log = np.log(points[:, 1]) / np.log(100)
+    for column in (linear, log):
+        assert sorted(np.floor(column * count * (1 - 1e-12)).astype(int)) == list(range(count))
+
+
+@given(st.integers(1, 7), st.integers(0, 2**32 - 1))
+def test_sobol_is_balanced(power, seed):
+    """Every elementary interval of a digital net in base 2 holds the same number of points: here halves."""
+    points = np.array(
+        sample({"a": spread(0, 1), "b": spread(0, 1)}, SamplingFile(kind="sobol", count=2**power, seed=seed))
+    )
+    assert list((points < 0.5).sum(axis=0)) == [2 ** (power - 1)] * 2
+
+
+def test_samples_use_all_values_of_a_list_equally_often():
+    points = sample(
+        {"a": ["x", "y", "z"], "b": spread(0, 1)}, SamplingFile(kind="latin_hypercube", count=30, seed=1)
+    )
+    assert {name: [point[0] for point in points].count(name) for name in "xyz"} == {"x": 10, "y": 10, "z": 10}
+
+
+def test_the_same_seed_gives_the_same_points():
+    box = {"a": spread(0, 1), "b": spread(0, 1)}
+    first, again, other = (sample(box, SamplingFile(kind="sobol", count=8, seed=seed)) for seed in (3, 3, 4))
+    assert first == again != other
