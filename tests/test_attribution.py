@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from srs_twin import Numerics, rollout
 from srs_twin.attribution import PlantVariants, contributions, explain, subsets
-from srs_twin.comparison.compare import MEASURES, Attribution, Share, gap_between
+from srs_twin.comparison.compare import MEASURES, Attribution, AssumptionShare, gap_between
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.experiment import prepare
 from srs_twin.scenario.loading import parse_scenario
@@ -55,7 +55,7 @@ def test_shapley_values_of_null_and_symmetric_players():
 def test_plot_has_bars_sorted_by_size_that_add_up():
     small, large = np.array([0.001, 0.1, 0.0, 0.0]), np.array([-0.004, 0.7, 0.05, 0.002])
     shares = [
-        Share(name, name, tuple(v), tuple(v - 1e-3), tuple(v + 1e-3), "averaged")
+        AssumptionShare(name, name, tuple(v), tuple(v - 1e-3), tuple(v + 1e-3), "averaged")
         for name, v in (("small", small), ("large", large))
     ]
     rest = np.full(4, 0.001)

@@ -28,7 +28,7 @@ BROKER = "127.0.0.1:1883"
 
 def shadow(
     context: typer.Context,
-    robot: Annotated[str | None, argument("ROBOT", of=["robot"])] = None,
+    robot: Annotated[str | None, argument("ROBOT", shipped=["robot"])] = None,
     setup: Annotated[Path | None, option("--setup FILE.yaml")] = None,
     mqtt: Annotated[str | None, option("--mqtt HOST:PORT")] = None,
     natnet: Annotated[str | None, option("--natnet HOST:PORT")] = None,

@@ -9,7 +9,7 @@ import pytest
 
 from srs_twin.cli import progress
 from srs_twin.cli.progress import RunCounter
-from srs_twin.identification.fitting import Searching
+from srs_twin.identification.fitting import FitProgress
 
 pytestmark = pytest.mark.fast
 
@@ -46,7 +46,7 @@ def test_progress_line_every_ten_seconds_has_rate_and_remaining_time(clock, caps
 
 
 def test_a_search_tells_how_well_it_fits_every_ten_seconds(clock, capsys):
-    with Searching("gen2_friction") as search:
+    with FitProgress("gen2_friction") as search:
         for runs in range(1, 24):
             clock.now += 1.0
             search(runs, 10.0 / runs)

@@ -10,12 +10,12 @@ from conftest import ROOT
 
 from srs_twin.envs import TASKS, make_task
 
-placed = runpy.run_path(str(ROOT / "docs/environment_tables.py"))["placed"]
+update_tables = runpy.run_path(str(ROOT / "docs/environment_tables.py"))["update_tables"]
 PAGE = (ROOT / "docs/environments.md").read_text("utf-8")
 
 
 def test_signal_tables_are_current():
-    assert placed(PAGE) == PAGE, "uv run python docs/environment_tables.py docs/environments.md writes them"
+    assert update_tables(PAGE) == PAGE, "uv run python docs/environment_tables.py docs/environments.md writes them"
 
 
 def test_signal_names_end_in_their_unit_and_bounds_are_finite():

@@ -30,7 +30,7 @@ _MAX_COLUMNS = 6
 
 
 def optimize(
-    name: Annotated[str, argument("STUDY", of=["study"])],
+    name: Annotated[str, argument("STUDY", shipped=["study"])],
     out: Annotated[str | None, option("--out DIR")] = None,
     engine: Annotated[str, option("--engine NAME")] = "local",
     workers: Annotated[int | None, jobs_option("--workers N")] = None,

@@ -42,7 +42,7 @@ _MAX_PUBLISHED = 30
 
 
 def sweep(
-    name: Annotated[str, argument("SWEEP", of=["sweep"])],
+    name: Annotated[str, argument("SWEEP", shipped=["sweep"])],
     out: Annotated[str | None, option("--out DIR")] = None,
     engine: Annotated[str, option("--engine NAME")] = "local",
     workers: Annotated[int | None, jobs_option("--workers N")] = None,
