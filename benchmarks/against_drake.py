@@ -20,12 +20,16 @@ penetration is 1.5 µm. The wheels hop, and 95 % of them are in the air on gen2_
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-import load_reference as reference
 import numpy as np
 import pydrake.all as drake
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+import load_reference as reference
 from load_reference import POINTS, G, Point, Result, friction_law, measured, moments, numbers, wheel_force
 
 Place = tuple[float, float, float]

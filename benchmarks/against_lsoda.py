@@ -9,15 +9,19 @@ only its integration is timed, while the shipped model's time is that of the who
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lsoda import CompleteModel, solve, stretches, trajectory
 from timing import Ratio, Result, Task, Timing, interleaved
 
 from srs_twin import AnalyticalSnake, Gait, Trajectory, load_robot, rollout
 from srs_twin.comparison.metrics import plant_metrics
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from lsoda import CompleteModel, solve, stretches, trajectory
 
 SUPPLY = 48.3e3  # Pa
 DURATION = 3.0  # s: at 2 Hz two periods of warm-up and four that count

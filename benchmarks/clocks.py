@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import sys
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -21,7 +22,6 @@ from pathlib import Path
 
 import numpy as np
 from grid import table
-from synthetic_takes import Take, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, InputError, RobotSpec, Trajectory, load_robot, rollout
 from srs_twin.control.replay import Replay
@@ -30,6 +30,9 @@ from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.signals.clock import join
 from srs_twin.recordings.signals.logs import read_valves
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from synthetic_takes import Take, write_motive
 
 CASES = ("start", "end", "change", "steady", "log start", "motion start")
 TOLD = ("start", "end", "change")

@@ -20,6 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 from firmware_rig import HOLD_S, WATCHDOG_S, Cause, Rig, Vent, until
 
 BOUND_S = 0.2

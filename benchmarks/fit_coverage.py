@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -24,7 +25,6 @@ from typing import Any
 import numpy as np
 from grid import table
 from scipy.stats import beta
-from synthetic_takes import Take, write_motive
 
 from srs_twin import Gait, RobotSpec, load_robot, rollout
 from srs_twin.errors import InputError
@@ -32,6 +32,9 @@ from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomoti
 from srs_twin.identification.recorded_runs import measured_length
 from srs_twin.identification.unknowns import with_values
 from srs_twin.recordings.recording import read_motion
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from synthetic_takes import Take, write_motive
 
 NAMES = (
     "friction.mu_t", "friction.mu_n", "bending.stiffness_nm_per_rad", "geometry.rigid_gap_m",

@@ -14,19 +14,22 @@ import argparse
 import copy
 import json
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import shapely
 from grid import table
-from witnessed_worlds import KINDS, Witnessed, drawn
 
 from srs_twin.compute.workers import each
 from srs_twin.planning.metrics import beyond, following_metrics
 from srs_twin.rollout import rollout
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.trajectory import Trajectory
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from witnessed_worlds import KINDS, Witnessed, drawn
 
 SCENARIOS = {"gen2": "follow_fig57", "gen4": "follow_gen4_a"}
 PLANTS = ("analytical", "twin")

@@ -19,17 +19,20 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from agreement import MATCHED_STIFFNESS
 from grid import Run, run_all, table
-from load_reference import POINTS, Result, measured, numbers, stored, turns
 from timing import ROUNDS
 
 from srs_twin import Gait, LoadedContact, PreloadedContact, TwinSnake, load_robot, rollout
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.robot.spec import GRAVITY, Tail
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from load_reference import POINTS, Result, measured, numbers, stored, turns
 
 GAITS = list(product((1.0, 1.5, 2.0), (0.0, 0.2)))
 STIFFNESSES = {"analytical": (None,), "twin": (None, MATCHED_STIFFNESS)}

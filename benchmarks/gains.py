@@ -21,18 +21,22 @@ minutes. What 4 decides matters: K twice as large is as good a step and opens ha
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Sequence
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from grid import table
-from module_law import Module
 
 from srs_twin import Trajectory
 from srs_twin.comparison.tracking import tracking_metrics
 from srs_twin.control.reference import Constant, Reference, Sine, Square, Staircase, Step
 from srs_twin.control.smc import EQ_30, K_S_PER_RAD, DirectSMC, IterativeSMC, SlidingMode
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from module_law import Module
 
 DEGREE = np.pi / 180
 STEP_RAD, SINE_RAD = 25 * DEGREE, 34.3 * DEGREE

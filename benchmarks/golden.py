@@ -26,11 +26,13 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet as pq
-from plan_worlds import drawn_problem
 from ruamel.yaml import YAML
 
 from srs_twin import plan
 from srs_twin.scenario.provenance import arithmetic
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from plan_worlds import drawn_problem
 
 HERE = Path(__file__).parent
 GOLDEN = HERE / "golden.json"

@@ -12,14 +12,17 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from grid import table
-from live_runs import NAMES, alarms, isolated
 
 from srs_twin.compute.workers import each
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from live_runs import NAMES, alarms, isolated
 
 
 def main() -> None:

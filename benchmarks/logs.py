@@ -9,6 +9,7 @@ of frames on which every marker was seen, and of those on which one was filled i
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -16,11 +17,13 @@ from pathlib import Path
 import numpy as np
 from grid import table
 from scipy.interpolate import CubicSpline
-from synthetic_takes import Take, write_motive
 from timing import ROUNDS
 
 from srs_twin import AnalyticalSnake, Gait, Trajectory, load_robot, rollout
 from srs_twin.recordings.recording import Recording, read_motion
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from synthetic_takes import Take, write_motive
 
 RATE = 120.0
 SPEC = load_robot("gen2")

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import sys
 import tempfile
 from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
@@ -21,11 +22,13 @@ from typing import Any
 
 import leak
 from grid import table
-from module_lines import LINES, PLANTS
 
 from srs_twin import load_scenario
 from srs_twin.experiment import run_scenario
 from srs_twin.io.files import atomic_write, shipped_names
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from module_lines import LINES, PLANTS
 
 DOCS = Path(__file__).parents[1] / "docs"
 FIGURES, PAGE = DOCS / "module.json", DOCS / "module.md"

@@ -9,15 +9,19 @@ margin included, for six footprints; `--worlds` of each kind. Plans are checked 
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections import defaultdict
+from pathlib import Path
 
 import numpy as np
 from grid import table
-from plan_sampling import TOUCH, deepest, misses
-from witnessed_worlds import bodies, walls
 
 from srs_twin.planning.planner import plan
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from plan_sampling import TOUCH, deepest, misses
+from witnessed_worlds import bodies, walls
 
 RATIOS = (1.05, 1.1, 1.3, 1.8)
 

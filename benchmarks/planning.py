@@ -25,8 +25,6 @@ from typing import Any
 
 import numpy as np
 from grid import table
-from plan_sampling import TOUCH, deepest, joints, misses
-from plan_worlds import drawn_problem
 from timing import machine
 
 from srs_twin.io.files import atomic_write
@@ -45,6 +43,10 @@ from srs_twin.robot.drawn_worlds import (
 )
 from srs_twin.robot.world import Bounds, Goal, Polygon, Pose, World
 from srs_twin.scenario.map_file import read_map
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from plan_sampling import TOUCH, deepest, joints, misses
+from plan_worlds import drawn_problem
 
 SPEED, STEP_S = 0.2, 1.0
 ARCS = Primitives(21, math.pi / 3, SPEED * STEP_S)

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from grid import table
-from witnessed_worlds import KINDS, bodies, drawn
 
 from srs_twin.planning.collision import surroundings
 from srs_twin.planning.footprint import Footprint, load_footprint
@@ -26,6 +27,9 @@ from srs_twin.planning.planner import plan
 from srs_twin.planning.pockets import COARSE, FINE, shut_in
 from srs_twin.planning.problem import Problem
 from srs_twin.robot.world import Polygon, Pose, World
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from witnessed_worlds import KINDS, bodies, drawn
 
 
 def false_proofs(case: Problem) -> int:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import math
 import re
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -23,8 +24,6 @@ from pathlib import Path
 
 import numpy as np
 from grid import table
-from offset_runs import fit_offsets, offset_runs, predicted
-from published_tables import PublishedRun, published_runs
 
 from srs_twin import load_robot
 from srs_twin.errors import InputError
@@ -34,6 +33,10 @@ from srs_twin.identification.footprint import PLANTS, Drive
 from srs_twin.identification.unknowns import with_values
 from srs_twin.io.files import atomic_write, data_root
 from srs_twin.scenario.provenance import versions
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from offset_runs import fit_offsets, offset_runs, predicted
+from published_tables import PublishedRun, published_runs
 
 FREQUENCY_HZ, SUPPLY_PA, TARGET_RAD = 1.5, 131e3, 0.7
 FITTED = (0.0, 0.3, -0.3)

@@ -8,13 +8,18 @@ and writes calibration/fits/gen4_table8_width.yaml. A body has one width: the an
 
 from __future__ import annotations
 
-from box_edges import WIDTH, BoxEdges, fit_width
+import sys
+from pathlib import Path
+
 from grid import table
 from table8_fit import place
 
 from srs_twin import load_robot
 from srs_twin.identification.fit_file import FitFile, fit_file, load_fit, write_fit
 from srs_twin.scenario.provenance import versions
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from box_edges import WIDTH, BoxEdges, fit_width
 
 PLANT = "analytical"
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import sys
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -23,10 +24,12 @@ from typing import Any
 import numpy as np
 from grid import table
 from scipy.interpolate import CubicSpline
-from synthetic_takes import MAPS, MOTIVE_LENGTHS, Take, stretched, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, InputError, RobotSpec, TwinSnake, load_robot, rollout
 from srs_twin.recordings.recording import read_motion
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from synthetic_takes import MAPS, MOTIVE_LENGTHS, Take, stretched, write_motive
 
 LAYOUTS = ("single", "head", "pair", "middles", "head_middles")
 HEADS = {"head": "snake:ahead", "head_middles": "snake:ahead", "pair": "snake:1a"}

@@ -29,7 +29,7 @@ import numpy as np
 from srs_twin.live.messages import COMMAND
 from srs_twin.live.mqtt import MqttLink
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE = ROOT / "examples/firmware"
 STUBS = Path(__file__).parent / "firmware_stubs"
 HOLD_S, WATCHDOG_S = 0.2, 1.0

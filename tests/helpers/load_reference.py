@@ -1,11 +1,11 @@
 """Explicit simulation of gaits on momentary wheel loads, independent of srs_twin: a reference for its twins.
 
-    uv run python benchmarks/load_reference.py                  # convergence of the stored values
-    uv run python benchmarks/load_reference.py --run            # run all points and store their values
-    uv run python benchmarks/load_reference.py --twins          # errors of the twins
-    uv run python benchmarks/load_reference.py --twin-slip      # errors of the twin at smaller slip speeds
-    uv run python benchmarks/load_reference.py --sensitivity    # to heights, tracks and contact times
-    uv run python benchmarks/load_reference.py --slip-mm-s 0.3 --step-ms 0.05 gen2_turn    # one run
+    uv run python tests/helpers/load_reference.py                  # convergence of the stored values
+    uv run python tests/helpers/load_reference.py --run            # run all points and store their values
+    uv run python tests/helpers/load_reference.py --twins          # errors of the twins
+    uv run python tests/helpers/load_reference.py --twin-slip      # errors of the twin at smaller slip speeds
+    uv run python tests/helpers/load_reference.py --sensitivity    # to heights, tracks and contact times
+    uv run python tests/helpers/load_reference.py --slip-mm-s 0.3 --step-ms 0.05 gen2_turn    # one run
 
 MuJoCo finds the normal forces of frictionless wheels (condim 1). Friction is an explicit force: positions and
 velocities at the beginning of a step, loads of the step before. Gait, chambers, MJCF and friction law are
@@ -40,7 +40,7 @@ from numba import njit
 
 VALUES = Path(__file__).with_suffix(".json")
 """Stored runs of the points, see `Runs`."""
-ROBOTS = Path(__file__).parents[1] / "calibration/robots"
+ROBOTS = Path(__file__).parents[2] / "calibration/robots"
 G = 9.81
 HINGES, LINK_SHARE = 2, 0.02
 SLOT_S = 1e-4
