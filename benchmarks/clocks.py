@@ -12,6 +12,7 @@ nothing but the gait in both, `log start` and `motion start`, the start in one o
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import sys
 import tempfile
@@ -162,6 +163,7 @@ def main() -> None:
     words.add_argument("--draws", type=int, default=500)
     words.add_argument("--seed", type=int, default=0)
     words.add_argument("--spread", type=float, default=0.0)
+    words.add_argument("--json", type=Path, help="also write the draws to this file")
     given = words.parse_args()
     with ProcessPoolExecutor() as pool:
         found = list(
@@ -188,6 +190,9 @@ def main() -> None:
         "median error, ms",
     ]
     print(table(head, rows), flush=True)
+    if given.json:
+        keys = ("case", "refused", "offset_error_s", "period_s")
+        given.json.write_text(json.dumps([dict(zip(keys, each, strict=True)) for each in found]), "utf-8")
     for reason in sorted({f"{each[0]}: {each[1][:150]}" for each in found if each[1] and each[0] in TOLD}):
         print(reason)
     for seed, each in enumerate(found, start=given.seed):

@@ -28,7 +28,6 @@ from grid import table
 from timing import machine
 
 from srs_twin.io.files import atomic_write
-from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.footprint import load_footprint
 from srs_twin.planning.plan import Plan
 from srs_twin.planning.planner import plan
@@ -38,29 +37,20 @@ from srs_twin.robot.drawn_worlds import (
     FIG54_GOAL,
     FIG54_SITES,
     FIG54_START,
-    fig54_world,
     strewn,
 )
 from srs_twin.robot.world import Bounds, Goal, Polygon, Pose, World
 from srs_twin.scenario.map_file import read_map
 
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
-from plan_sampling import TOUCH, deepest, joints, misses
-from plan_worlds import drawn_problem
+from plan_sampling import deepest, is_faulty
+from plan_worlds import ARCS, drawn_problem, fig54_problem
 
-SPEED, STEP_S = 0.2, 1.0
-ARCS = Primitives(21, math.pi / 3, SPEED * STEP_S)
 OMPL_S = 1.0
 COUNTS = range(1, len(FIG54_SITES) + 1)
 NARROW_COUNTS = (35, 40, 45, 50, 55)
 DRIVABLE = 0.1
 """A kink below this, rad, is one that a snake drives over."""
-
-
-def fig54_problem(count: int, seed: int, *, arcs: bool) -> Problem:
-    """Return a world of Fig. 54; the primitives are the text's, for `greedy`."""
-    body = load_footprint("gen2_section52")
-    return Problem(FIG54_START, FIG54_GOAL, fig54_world(count, seed), body, ARCS if arcs else None)
 
 
 def narrow_problem(count: int, seed: int, *, arcs: bool) -> Problem:
@@ -138,7 +128,7 @@ def safety(worlds: int) -> dict[str, Any]:
         if answer.found:
             depth = deepest(answer, problem)
             deepest_m = max(deepest_m, depth)
-            if depth > TOUCH or joints(answer, problem) > 1e-6 or misses(answer, problem):
+            if is_faulty(answer, problem):
                 bad.append(seed)
     return {
         "worlds": worlds,
@@ -250,7 +240,8 @@ def main(words: Sequence[str] | None = None) -> int:
     given = parser.parse_args(words)
     found, narrow = summary(study(given.draws)), summary(study(given.draws, NARROW_COUNTS, narrow_problem))
     print(f"{tables(found)}\n\nNarrow fields:\n\n{tables(narrow)}")
-    print(f"\nMaps of {FULL} occupied cells:\n\n{maps(given.maps)}")
+    if given.maps:
+        print(f"\nMaps of {FULL} occupied cells:\n\n{maps(given.maps)}")
     safe = safety(given.worlds)
     print("\n" + "\n".join(f"{key}: {value}" for key, value in safe.items()))
     if given.json:

@@ -49,7 +49,14 @@ Work = Callable[[int], object]
 
 
 def chain(segments: int) -> RobotSpec:
-    """Return a gen2 with that many segments, each like its own, and its wave: one in four segments."""
+    """Return generation 2 with another number of equal segments; four segments are one wavelength.
+
+    >>> robot, base = chain(16), load_robot("gen2")
+    >>> robot.segments, robot.geometry.pitch == base.geometry.pitch, robot.phase_step == base.phase_step
+    (16, True, True)
+    >>> round(robot.mass.total / base.mass.total, 9) == round(17 / 5, 9)
+    True
+    """
     spec = load_robot("gen2")
     return replace(
         spec,
@@ -147,11 +154,16 @@ def by_threads(quick: bool) -> Result:
 
 @dataclass(frozen=True)
 class ThreadCost:
-    """What runs cost on one thread and on more, by number of threads.
+    """Cost of runs by number of threads.
 
     Attributes:
         wall: wall times.
-        processor: processor times of all threads together.
+        processor: processor times, summed over the threads.
+
+    >>> wall = {1: Timing((4.0, 9.0, 4.4)), 2: Timing((7.0, 2.5, 8.0))}
+    >>> cost = ThreadCost(wall, processor={1: Timing((4.0, 4.2, 4.1)), 2: Timing((4.6, 4.4, 5.0))})
+    >>> cost.efficiency, cost.overhead, round(cost.speedup.value, 3), cost.json()["wall"][2]["median_s"]
+    (0.8, 1.1, 0.629, 7.0)
     """
 
     wall: dict[int, Timing]
@@ -159,17 +171,17 @@ class ThreadCost:
 
     @property
     def speedup(self) -> Ratio:
-        """Of more threads over one."""
+        """Speed of several threads relative to one."""
         return Ratio.of(self.wall[1], self.wall[THREADS])
 
     @property
     def efficiency(self) -> float:
-        """Share of the threads' time that was put to use, in the best round of each."""
+        """Parallel efficiency, from the best round of each number of threads."""
         return min(self.wall[1].seconds) / min(self.wall[THREADS].seconds) / THREADS
 
     @property
     def overhead(self) -> float:
-        """Processor time on more threads over that on one, in the best round of each."""
+        """Processor time on several threads relative to one, from the best round of each."""
         return min(self.processor[THREADS].seconds) / min(self.processor[1].seconds)
 
     def json(self) -> dict[str, Any]:

@@ -10,51 +10,27 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from grid import table
 
-from srs_twin import load_robot
-from srs_twin.sensing.calibration import Calibration, calibrate, fit_line
+from srs_twin.sensing.calibration import calibrate, fit_line
 from srs_twin.sensing.hall import (
     GAUSS,
-    MAGNET_DIAMETER,
-    MAGNET_HEIGHT,
     ORIENTATIONS,
     HallSensor,
     Strip,
-    element_place,
     field,
 )
 
-MM = 1e-3
-LENGTH = load_robot("gen4").geometry.segment_length
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from sensor_strips import BENDS, LENGTH, MM, line, of_cylinder, reach, strip
+
 DISTANCES = (3.1, 3.4, 3.7, 4.0, 4.3, 4.6)  # mm
 HEIGHTS = ((0.25, 0.25), (0.45, 0.45), (0.45, 0.7), (0.7, 0.7), (0.45, 0.9), (0.85, 0.7))  # h_m, h_s, mm
-BENDS = np.linspace(-np.pi / 2, np.pi / 2, 181)
-
-
-def strip(distance: float, heights: tuple[float, float], orientation: str, length: float = LENGTH) -> Strip:
-    magnet, element = heights
-    return Strip(
-        segment_length=length,
-        distance=distance * MM,
-        orientation=orientation,
-        magnet_height=magnet * MM,
-        element_height=element * MM,
-    )
-
-
-def line(of: Strip) -> Calibration:
-    """Fit the line from field (G) to angle."""
-    return fit_line(field(BENDS, of) / GAUSS, BENDS)
-
-
-def reach(of: Strip) -> float:
-    """Return the difference of the fields at ±90°, G."""
-    return float(abs(np.diff(field(np.array([-np.pi / 2, np.pi / 2]), of))[0]) / GAUSS)
 
 
 def cell(of: Strip) -> str:
@@ -98,25 +74,6 @@ def by_reading() -> None:
         for o in ORIENTATIONS
     ]
     print("\n" + table(["reading", "north", "L = 3.1 mm", "L = 4.6 mm"], rows), flush=True)
-
-
-def of_cylinder(of: Strip, parts: int = 12) -> np.ndarray:
-    """Return B_n (T) over `BENDS` of the whole cylinder, as many small dipoles, its axis along the moment."""
-    x, y, theta = element_place(BENDS, of)
-    across = ((np.arange(parts) + 0.5) / parts - 0.5) * MAGNET_DIAMETER
-    along = ((np.arange(parts) + 0.5) / parts - 0.5) * MAGNET_HEIGHT
-    u, v, w = (axis.ravel() for axis in np.meshgrid(across, across, along, indexing="ij"))
-    inside = u**2 + v**2 <= (MAGNET_DIAMETER / 2) ** 2
-    u, v, w = u[inside], v[inside], w[inside]
-    up = of.orientation == "up"
-    r = np.stack(
-        [x[:, None] - (u if up else w), y[:, None] - (w if up else u), np.broadcast_to(v, (len(x), len(v)))]
-    )
-    moment = np.array([0.0, of.moment, 0.0] if up else [of.moment, 0.0, 0.0])
-    square = (r**2).sum(axis=0)
-    b = 1e-7 * (3 * np.einsum("i,ijk->jk", moment, r) * r / square**2.5 - moment[:, None, None] / square**1.5)
-    b_x, b_y = b.mean(axis=2)[:2]
-    return b_y * np.cos(theta) - b_x * np.sin(theta)
 
 
 def dipole_or_cylinder() -> None:

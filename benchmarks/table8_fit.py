@@ -17,63 +17,26 @@ import argparse
 import math
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from grid import table
 
-from srs_twin import load_robot
 from srs_twin.errors import InputError
-from srs_twin.identification.fit_file import FitFile, fit_file, load_fit, write_fit
+from srs_twin.identification.fit_file import FitFile, fit_file, write_fit
 from srs_twin.identification.fitted_robot import fitted
 from srs_twin.identification.footprint import PLANTS, Drive
 from srs_twin.identification.unknowns import with_values
-from srs_twin.io.files import atomic_write, data_root
+from srs_twin.io.files import atomic_write
 from srs_twin.scenario.provenance import versions
 
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 from offset_runs import fit_offsets, offset_runs, predicted
 from published_tables import PublishedRun, published_runs
-
-FREQUENCY_HZ, SUPPLY_PA, TARGET_RAD = 1.5, 131e3, 0.7
-FITTED = (0.0, 0.3, -0.3)
-LENGTH = "geometry.segment_length_m"
-UNKNOWN = {LENGTH: 0.1164, "friction.mu_t": 0.0901, "modules.sensor_bias_rad": 0.0151}
-"""What is looked for, and where the search begins: from there every plant stands, and goes ahead."""
-ASKED = (
-    "friction.mu_n", "geometry.rigid_gap_m", "mass.connectors_kg", "bending.stiffness_nm_per_rad",
-    "bending.damping_time_s", "modules.bias_rad_1",
-)  # fmt: skip
-"""What is held at the robot's value, and asked after where that does not take too long."""
-
-
-@dataclass(frozen=True)
-class Study:
-    """One fit to the rows.
-
-    Attributes:
-        plant: that stands for the robot.
-        steering: what the offset acts on, see `ILC`.
-        held: what is not looked for but held, and asked after: a value, or None for that of the analytical
-            plant's fit.
-        asked: what is held at the robot's value, and asked after.
-    """
-
-    plant: str
-    steering: str = "targets"
-    held: Mapping[str, float | None] = field(default_factory=dict)
-    asked: tuple[str, ...] = ()
-
-
-STUDIES = {
-    "analytical": Study("analytical", asked=ASKED),
-    "twin": Study("twin", held={LENGTH: None}),
-    # A search for all three ended at 0.1555 m, 0.116 and 0.016 rad and gave length and mu_t no number.
-    "analytical_wave": Study("analytical", steering="targets_and_wave", held={LENGTH: 0.1555}),
-}
+from table8 import FITTED, STUDIES, UNKNOWN, drive_of, held_values, place, shipped, values_of
 
 
 def main() -> None:
@@ -114,22 +77,6 @@ def with_tables(text: str, tables: Sequence[str]) -> str:
     return text
 
 
-def place(study: str) -> Path:
-    """Return where the fit of a study is kept."""
-    return data_root() / "calibration" / "fits" / f"gen4_table8_{study}.yaml"
-
-
-def shipped() -> dict[str, FitFile]:
-    """Return the fits that there are, by study."""
-    return {study: load_fit(place(study)) for study in STUDIES if place(study).is_file()}
-
-
-def drive_of(study: str) -> Drive:
-    """Return generation 4 under Section 5.3's iterative learning."""
-    plant, steering = STUDIES[study].plant, STUDIES[study].steering
-    return Drive(load_robot("gen4"), FREQUENCY_HZ, SUPPLY_PA, "ilc", TARGET_RAD, plant, steering)
-
-
 def fit(study: str, threads: int | None = None) -> FitFile:
     """Fit a plant to three rows of Table 8 and predict all."""
     drive, rows, held = drive_of(study), published_runs(), held_values(study)
@@ -150,13 +97,6 @@ def fit(study: str, threads: int | None = None) -> FitFile:
         raise InputError(f"{found.text()}\n{', '.join(bare.withheld())} without a number: hold one of them")
     # Predicted with the numbers that stand in the file, and with no others.
     return make(averages=averages(rows, replace(drive, spec=fitted(bare, drive.spec)), threads))
-
-
-def held_values(study: str) -> dict[str, float]:
-    """Return what a study holds, and at which values."""
-    held = STUDIES[study].held
-    known = load_fit(place("analytical")).estimate().values if None in held.values() else {}
-    return {name: known[name] if value is None else value for name, value in held.items()}
 
 
 def title(study: str, held: Iterable[str]) -> str:
@@ -192,16 +132,6 @@ def averages(rows: Sequence[PublishedRun], drive: Drive, threads: int | None):
 
 def _named(speed: float, curvature: float, left: float, right: float) -> dict[str, float]:
     return {"speed_m_s": speed, "curvature_per_m": curvature, "left_m": left, "right_m": right}
-
-
-def values_of(fit: FitFile, kind: str) -> dict[float, tuple[float, float]]:
-    """Return offset → speed (m/s) and radius (m, no sign), kind "measured" or "predicted"."""
-    found = {}
-    for each in sorted(fit.data, key=lambda each: float(each.name.removeprefix("offset "))):
-        held = getattr(each, kind)
-        offset = float(each.name.removeprefix("offset "))
-        found[offset] = (held["speed_m_s"], 1 / abs(held["curvature_per_m"]))
-    return found
 
 
 def off(one: float, other: float) -> str:

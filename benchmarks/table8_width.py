@@ -8,60 +8,29 @@ and writes calibration/fits/gen4_table8_width.yaml. A body has one width: the an
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 
 from grid import table
-from table8_fit import place
 
-from srs_twin import load_robot
-from srs_twin.identification.fit_file import FitFile, fit_file, load_fit, write_fit
-from srs_twin.scenario.provenance import versions
+from srs_twin.identification.fit_file import FitFile, load_fit, write_fit
 
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
-from box_edges import WIDTH, BoxEdges, fit_width
-
-PLANT = "analytical"
+from table8 import fit_body_width, place
 
 
 def main() -> None:
-    """Fit, write and show."""
-    file = fit()
-    print(write_fit(file, place("width")))
+    """Fit and write, or show the written fit."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--show", action="store_true", help="show the written fit, without fitting")
+    if parser.parse_args().show:
+        file = load_fit(place("width"))
+    else:
+        file = fit_body_width()
+        print(write_fit(file, place("width")))
     print(file.estimate().text())
     print("\n" + edges_table(file))
-
-
-def edges(fitted: FitFile, role: str) -> list[BoxEdges]:
-    """Return the runs of a role, as a fit to speeds and radii holds them."""
-    found = []
-    for each in fitted.data:
-        if each.role == role:
-            assert each.measured is not None and each.predicted is not None, "the fit holds what it predicts"
-            measured, drawn = ((-told["left_m"], told["right_m"]) for told in (each.measured, each.predicted))
-            found.append(BoxEdges(float(each.name.removeprefix("offset ")), measured, drawn))
-    return found
-
-
-def fit() -> FitFile:
-    """Fit the width to three rows and predict all."""
-    moves, spec = load_fit(place(PLANT)), load_robot("gen4")
-    fitted, kept = edges(moves, "fit"), edges(moves, "validation")
-    found = fit_width(fitted, spec, validation=kept)
-    change = found.values[WIDTH] - spec.geometry.width
-    return fit_file(
-        found, name="gen4_table8_width", title="Generation 4's width from Table 8's boxes at 0 and ±0.3",
-        robot="gen4", method="edges", command="uv run python benchmarks/table8_width.py", versions=versions(),
-        data=[each.data_set("fit") for each in fitted] + [each.data_set("validation") for each in kept],
-        averages={
-            f"offset {each.offset:g}": (_named(*each.measured), _named(*each.of_width(change)))
-            for each in [*fitted, *kept]
-        },
-    )  # fmt: skip
-
-
-def _named(left: float, right: float) -> dict[str, float]:
-    return {"left_m": -left, "right_m": right}
 
 
 def edges_table(file: FitFile) -> str:

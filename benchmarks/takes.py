@@ -12,6 +12,7 @@ nothing from what reads them. A refused take is tried again with the remedy its 
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import sys
 import tempfile
@@ -96,18 +97,32 @@ def _helped(path: Path, spec: RobotSpec, truth: Any, take: Take) -> bool:
     return True
 
 
+def count(drawn: list[Drawn]) -> dict[str, Any]:
+    """Return the number of refused recordings, their messages, and the coverage of the 95 % intervals."""
+    error, stated = (np.concatenate([getattr(each, name) for each in drawn]) for name in ("error", "stated"))
+    refused = [each for each in drawn if each.refused]
+    return {
+        "draws": len(drawn),
+        "refused": len(refused),
+        "refused_after_remedy": [each.refused for each in refused if not each.after],
+        "coverage_95": float((np.abs(error) < 1.96 * stated).mean()),
+    }
+
+
 def main() -> None:
     words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     words.add_argument("--draws", type=int, default=200)
     words.add_argument("--seed", type=int, default=1000)
     words.add_argument("--noise-mm", type=float, nargs="+", default=[0.2, 0.4])
     words.add_argument("--plant", choices=["compliant", "twin"], default="compliant")
+    words.add_argument("--json", type=Path, help="also write the counts to this file")
     given = words.parse_args()
-    rows = []
+    rows, counts = [], {}
     for noise in given.noise_mm:
         with ProcessPoolExecutor() as pool:
             some = partial(draw, noise=1e-3 * noise, plant=given.plant)
             drawn = list(pool.map(some, range(given.seed, given.seed + given.draws)))
+        counts[f"{noise:g}"] = count(drawn)
         for layout in ("all", *LAYOUTS):
             own = [each for each in drawn if layout in ("all", each.layout)]
             read = [each for each in own if not each.refused]
@@ -128,6 +143,8 @@ def main() -> None:
                 print(f"refused at {noise:g} mm, {each.layout}: {each.refused}")
     head = ["noise, mm", "layout", "read", "refused, read once its remedy was followed"]
     print(table(head + ["within 95 %, %", "error, mrad", "stated, mrad"], rows), flush=True)
+    if given.json:
+        given.json.write_text(json.dumps(counts, indent=1), "utf-8")
 
 
 if __name__ == "__main__":

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import sensor as study
+import sensor_strips as study
+from benchmark_runs import run_benchmark
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
@@ -313,15 +313,15 @@ def test_a_cylinder_far_away_is_a_dipole():
     assert (ratios[1] - 1) / (ratios[0] - 1) == pytest.approx(1 / 16, rel=0.2)
 
 
-def test_the_study_prints_and_draws(tmp_path, monkeypatch, capsys):
+def test_sensor_benchmark_prints_tables_and_writes_a_figure(tmp_path):
     picture = tmp_path / "sensor.png"
-    monkeypatch.setattr(sys, "argv", ["sensor.py", "--out", str(picture)])
-    study.main()
-    said = capsys.readouterr().out
+    done = run_benchmark("sensor.py", "--out", str(picture))
+    assert done.returncode == 0, done.stderr
+    output = done.stdout
     assert picture.read_bytes().startswith(b"\x89PNG")
-    assert said.count("\n| --- |") == 5
-    assert "| θ = q | up |" in said
-    assert "nan" not in said
+    assert output.count("\n| --- |") == 5
+    assert "| θ = q | up |" in output
+    assert "nan" not in output
 
 
 # The noise

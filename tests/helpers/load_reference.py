@@ -566,7 +566,7 @@ def convergence(names: Iterable[str]) -> str:
 
 def twins(names: Iterable[str]) -> str:
     """Return a table of the reference and the errors of the twins."""
-    from front import crawled  # here, because the simulation takes nothing from srs_twin
+    from twin_at_reference import crawled  # here, because the simulation takes nothing from srs_twin
 
     settings = [(contact, step) for contact in ("loaded", "preloaded") for step in (0.001, 0.002)]
     head = ["point", "mm/s", "rad/s", "error, %", *(f"{c}, {1000 * step:g} ms" for c, step in settings)]
@@ -594,7 +594,7 @@ def twins(names: Iterable[str]) -> str:
 
 def twin_slips(names: Iterable[str]) -> str:
     """Return a table of the loaded twin's errors at smaller slip speeds, 1 ms, and extrapolated."""
-    from front import crawled  # here, because the simulation takes nothing from srs_twin
+    from twin_at_reference import crawled  # here, because the simulation takes nothing from srs_twin
 
     from srs_twin import LoadedContact
 

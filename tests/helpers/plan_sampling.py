@@ -102,3 +102,8 @@ def misses(plan: Plan, problem: Problem) -> bool:
         abs(math.remainder(end.heading - goal.heading, 2 * math.pi)) > goal.heading_tolerance + 1e-6
     )
     return far or turned
+
+
+def is_faulty(plan: Plan, problem: Problem) -> bool:
+    """Return whether a plan collides, has gaps between its segments or misses the goal."""
+    return deepest(plan, problem) > TOUCH or joints(plan, problem) > 1e-6 or misses(plan, problem)

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.footprint import Footprint, Transient, load_footprint
 from srs_twin.planning.problem import Problem
-from srs_twin.robot.drawn_worlds import strewn
+from srs_twin.robot.drawn_worlds import FIG54_GOAL, FIG54_START, fig54_world, strewn
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 BODIES = ("gen2_section52", "gen4_table8", "gen4_table9")
@@ -62,3 +63,13 @@ def _with_transients(body: Footprint) -> Footprint:
         Transient(body.offsets[-1], body.offsets[0], wide, 0.0, tight / 3),
     )
     return replace(body, transients=changes)
+
+
+SPEED, STEP_S = 0.2, 1.0
+ARCS = Primitives(21, math.pi / 3, SPEED * STEP_S)
+
+
+def fig54_problem(count: int, seed: int, *, arcs: bool) -> Problem:
+    """Return a world of Fig. 54; `arcs` adds the motion primitives of the dissertation's planner."""
+    body = load_footprint("gen2_section52")
+    return Problem(FIG54_START, FIG54_GOAL, fig54_world(count, seed), body, ARCS if arcs else None)
