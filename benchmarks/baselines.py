@@ -1,4 +1,4 @@
-"""The project's own controllers as policies of the environments: how often they arrive, how well they track.
+"""Success rates and tracking errors of the project's controllers as policies of the environments.
 
 uv run python benchmarks/baselines.py --episodes 20
 """
@@ -20,7 +20,7 @@ from srs_twin.envs.module import ModuleTask
 
 
 def scored(name: str, seed: int) -> Score:
-    """Play an episode of a task with the project's own policy."""
+    """Run one episode of a task with the project's own policy; return its scores."""
     task = make_task(name)
     policy = Pilot(task) if isinstance(task, CrawlTask) else None
     if isinstance(task, ModuleTask):

@@ -1,9 +1,10 @@
-"""Table 8 by model and discrepancy: each row predicted from the others.
+"""Predictions of each row of Table 8 from the other rows, with model and discrepancy.
 
     uv run python benchmarks/discrepancy.py
 
-Predictions are those of the committed baseline. The prior of the discrepancy: a fifth of the published mean,
-over an offset of 0.2; noise: 5 % of the mean, as the text's own scatter between mirrored offsets.
+The model predictions are those of the committed baseline. The prior standard deviation of the discrepancy is
+a fifth of the published mean, with a length scale of 0.2 in the offset. The noise is 5 % of the mean, the
+scatter between mirrored offsets in Table 8.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ def main() -> None:
                 if found and claim.value is not None:
                     offset = float(found[2]) / 10 * (-1 if found[1] == "m" else 1)
                     value = kept[name][plant].value
-                    if quantity == "radius":  # curvature: a straight walk has one too
-                        # At offset 0 the side is not printed; the fit takes it to be the right.
+                    if quantity == "radius":  # curvature also has a constant term: straight walks are curved
+                        # At offset 0 the table has no side; the fit assumes the right side.
                         side = -1 if offset == 0 else 1
                         rows.append((offset, side / claim.value, side / value))
                     else:

@@ -1,10 +1,10 @@
-"""Ends of intervals from 64 runs of the twin and its cheap partner, against those of 2,048 runs of the twin.
+"""Interval ends from 64 runs of the twin and a low-fidelity plant, compared with 2,048 runs of the twin.
 
     uv run python benchmarks/fidelities.py --out runs/fidelities [--samples 2048]
 
-Ten sets of 64 samples, each a part of the same sequence. A row a metric: correlation of the two fidelities,
-the worse end of each set as a share of the interval's width, how many sets are within 5 %, and how many ends
-are within two of their stated standard errors.
+Ten sets of 64 samples are taken from the same sequence. The table has one row per metric: the correlation of
+the two fidelities, the worse interval end of each set relative to the width of the interval, the number of
+sets within 5 %, and the number of ends within two stated standard errors.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ENDS = [0.025, 0.975]
 
 
 def main() -> None:
-    """Run, compare, print."""
+    """Run both plants, compare the interval ends and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("runs/fidelities"))
     parser.add_argument("--scenario", default="gen2_straight")

@@ -1,13 +1,14 @@
-"""Whether verdicts and intervals of gait fits hold where the model is wrong: analytical models, twin data.
+"""Coverage of gait fits with a wrong model: analytical models fitted to data of the twin.
 
     uv run python benchmarks/fit_coverage.py [--robots 300] [--first 0] [--only MODEL] [--out FILE] [--table]
 
-Each robot is gen2 or gen4 with another μ_t, μ_n and stiffness (each up to e^±0.3) and gap (up to 5 mm more or
-less), crawls twice for 2 s, and is captured with markers in pairs (noise 0.2 mm). `complete`, `simplified`
-and `compliant` are fitted to takes of the twin as shipped, and for one robot in three `compliant` to takes of
-`compliant` ("exact"), as `calibrate locomotion` does it but for one start: gap from the markers, the twin as
-reference. With `--truth finer` the twin as shipped is fitted to takes of a twin with half the step, six
-hinges a segment and chambers with orifices. A line of the file is a robot; those in it are skipped.
+Each robot is gen2 or gen4 with other values of μ_t, μ_n and stiffness (a factor up to e^±0.3 each) and of the
+rigid gap (up to ±5 mm). It crawls twice for 2 s and is captured with pairs of markers (noise 0.2 mm).
+`complete`, `simplified` and `compliant` are fitted to recordings of the shipped twin. For every third robot
+`compliant` is also fitted to recordings of `compliant` ("exact"). The fits follow `calibrate locomotion`,
+except that they have one start: the gap comes from the markers and the twin is the reference. With
+`--truth finer` the shipped twin is fitted to recordings of a twin with half the time step, six hinges per
+segment and chambers with orifices. Each line of the file is one robot; robots in the file are skipped.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ NAMES = (
 )  # fmt: skip
 GAITS = ((2.0, 0.0), (1.6, 0.2))
 SECONDS, REACH, GAP = 2.0, 0.3, 5e-3
-EXACT = 3  # every third robot of a kind is fitted by the exact model, too
+EXACT = 3  # every third robot of each kind is also fitted with the exact model
 TWIN = PlantModel("twin")
 FINER = PlantModel("twin", {"timestep": 0.0005, "hinges_per_segment": 6, "pneumatics": "orifice"})
 RIGID = ("complete", "simplified")
@@ -49,7 +50,7 @@ MODELS = {name: PlantModel(settings={"model": name, "friction": "wheel"}) for na
 
 
 def robot(seed: int) -> tuple[RobotSpec, dict[str, float]]:
-    """Return the robot that a fit starts from, and what is true of the one that crawls."""
+    """Return the initial robot of the fit and the true parameters of the robot that crawls."""
     rng = np.random.default_rng([22, seed])
     spec = load_robot(("gen2", "gen4")[seed % 2])
     factors = np.exp(rng.uniform(-REACH, REACH, 3))
@@ -59,7 +60,7 @@ def robot(seed: int) -> tuple[RobotSpec, dict[str, float]]:
 
 
 def fits(seed: int, truth_model: str, only: str | None = None) -> dict[str, Any]:
-    """Return what fits to the takes of a robot found, those of all models or of one."""
+    """Return the fit results for the recordings of one robot, for all models or a single one."""
     spec, truth = robot(seed)
     of_twin, of_takes = {"twin": (TWIN, MODELS), "finer": (FINER, {"twin": TWIN})}[truth_model]
     of_takes = {name: model for name, model in of_takes.items() if only in (None, name)}
@@ -76,7 +77,7 @@ def fits(seed: int, truth_model: str, only: str | None = None) -> dict[str, Any]
                 run = rollout(snake, Gait(*gait), SECONDS, record_hz=100)
                 take = Take(layout="pair", labeled=True, seed=10 * seed + k + 5 * bool(label))
                 write_motive(run, take, Path(folder) / f"{k}.csv")
-            for _ in range(2):  # the second time with the gap that the first has found
+            for _ in range(2):  # the second fit uses the gap from the first
                 recordings = [
                     read_motion(
                         Path(folder) / f"{k}.csv", near, layout="pair", head="snake:1a", gait_frequency_hz=f
@@ -109,7 +110,7 @@ def fits(seed: int, truth_model: str, only: str | None = None) -> dict[str, Any]
 
 
 def rows(done: list[dict[str, Any]]) -> Iterator[list[str]]:
-    """Yield the rows of the table: a parameter and model each, and each model with all of its parameters."""
+    """Yield the rows of the table: one per parameter and model, and one per model over its parameters."""
     for model in (*MODELS, "exact", "twin"):
         every: list[tuple[str, bool]] = []
         for name in NAMES:
@@ -136,14 +137,16 @@ def _row(model: str, name: str, some: list[tuple[str, bool]]) -> list[str]:
 
 
 def main() -> None:
-    """Fit what is not yet in the file, and print the table."""
+    """Fit the robots that are missing in the file, and print the table."""
     words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     words.add_argument("--robots", type=int, default=300)
     words.add_argument("--first", type=int, default=0, help="seed of the first robot")
     words.add_argument("--truth", choices=["twin", "finer"], default="twin")
-    words.add_argument("--only", choices=[*MODELS, "exact", "twin"], help="fit this model alone")
+    words.add_argument("--only", choices=[*MODELS, "exact", "twin"], help="fit only this model")
     words.add_argument("--out", type=Path, default=Path("coverage.jsonl"))
-    words.add_argument("--table", action="store_true", help="only print what is there")
+    words.add_argument(
+        "--table", action="store_true", help="print the table of the existing file without fitting"
+    )
     given = words.parse_args()
     lines = given.out.read_text("utf-8").splitlines() if given.out.exists() else []
     done = {each["seed"]: each for each in map(json.loads, lines) if each["plant"] == given.truth}
@@ -165,7 +168,7 @@ def main() -> None:
         )
     )
     if some := [each["fits"][m]["seconds"] for each in done.values() for m in each["fits"]]:
-        print(f"\n{len(done)} robots, {math.fsum(some) / len(some):.1f} s a fit")
+        print(f"\n{len(done)} robots, {math.fsum(some) / len(some):.1f} s per fit")
 
 
 if __name__ == "__main__":
