@@ -61,13 +61,13 @@ class Contact:
             mu: coefficient of friction.
             static: load at rest, N.
         """
-        found = drake.ProximityProperties()
+        result = drake.ProximityProperties()
         friction = drake.CoulombFriction(mu, mu)
-        drake.AddContactMaterial(found, point_stiffness=2 * self.stiffness, friction=friction)
+        drake.AddContactMaterial(result, point_stiffness=2 * self.stiffness, friction=friction)
         lagged = self.stiffness * self.relaxation / static
-        found.AddProperty("material", "hunt_crossley_dissipation", lagged)
-        found.AddProperty("material", "relaxation_time", self.relaxation / 2)  # sap's
-        return found
+        result.AddProperty("material", "hunt_crossley_dissipation", lagged)
+        result.AddProperty("material", "relaxation_time", self.relaxation / 2)  # sap's
+        return result
 
 
 class Snake:
@@ -104,7 +104,7 @@ class Snake:
         world, below = self.plant.world_body(), drake.RigidTransform([0, 0, -0.5])
         self.plant.RegisterCollisionGeometry(world, below, drake.Box(20, 20, 1), "floor", touch)
         self.plant.Finalize()
-        self._bends = np.array([each.velocity_start() for each in bends]).reshape(-1, reference.HINGES)
+        self._bends = np.array([item.velocity_start() for item in bends]).reshape(-1, reference.HINGES)
         self._simulator = drake.Simulator(builder.Build())
         self.context = self.plant.GetMyMutableContextFromRoot(self._simulator.get_mutable_context())
         start = drake.RigidTransform([0, 0, n["com_height_m"]])
@@ -125,9 +125,9 @@ class Snake:
         """Apply a force (N) and a moment (N·m) at the origin of each connector, shape (N, 3)."""
         applied = []
         for body, force, moment in zip(self.connectors, forces, moments, strict=True):
-            each = drake.ExternallyAppliedSpatialForce()
-            each.body_index, each.F_Bq_W = body.index(), drake.SpatialForce(moment, force)
-            applied.append(each)
+            item = drake.ExternallyAppliedSpatialForce()
+            item.body_index, item.F_Bq_W = body.index(), drake.SpatialForce(moment, force)
+            applied.append(item)
         self.plant.get_applied_spatial_force_input_port().FixValue(self.context, applied)
 
     def drag(self, moments: np.ndarray) -> None:
@@ -238,7 +238,7 @@ def simulate(point: Point, periods: int, step: float, contact: Contact, axles: b
         if axles:
             snake.drag(n["mu_t"] * load * radius)
         else:
-            frame, move, turn = (np.repeat(each, 2, axis=0) for each in snake.motion())
+            frame, move, turn = (np.repeat(item, 2, axis=0) for item in snake.motion())
             ahead = frame[:, :, 0] * [1, 1, 0]
             ahead /= np.linalg.norm(ahead, axis=1)[:, None]
             left = np.cross([0, 0, 1], ahead)
@@ -250,7 +250,7 @@ def simulate(point: Point, periods: int, step: float, contact: Contact, axles: b
             f_t, f_n, spin, drag = np.array([wheel_force(*wheel, law, step) for wheel in wheels]).T
             at_hub, at_foot = f_t[:, None] * ahead, f_n[:, None] * left
             moment = np.cross(hub, at_hub) + np.cross(foot, at_foot) + radius * drag[:, None] * left
-            snake.push(*(each.reshape(count, 2, 3).sum(axis=1) for each in (at_hub + at_foot, moment)))
+            snake.push(*(item.reshape(count, 2, 3).sum(axis=1) for item in (at_hub + at_foot, moment)))
         loads[k] = load = snake.advance((k + 1) * step, torques[k])
         com[k] = snake.plant.CalcCenterOfMassPositionInWorld(snake.context)[:2]
         frame = snake.motion()[0]
@@ -271,10 +271,10 @@ def main() -> None:
     )
     parser.add_argument("--relaxation-ms", type=float, default=1000 * Contact.relaxation)
     parser.add_argument("--solver", default=Contact.solver, help="solver: solver: lagged, sap or similar")
-    given = parser.parse_args()
-    how = given.periods, given.step_ms / 1000
-    contact = Contact(given.stiffness, given.relaxation_ms / 1000, given.solver)
-    for name in given.points or ("gen2_straight", "gen2_turn", "stiff_turn", "gen1_straight"):
+    options = parser.parse_args()
+    how = options.periods, options.step_ms / 1000
+    contact = Contact(options.stiffness, options.relaxation_ms / 1000, options.solver)
+    for name in options.points or ("gen2_straight", "gen2_turn", "stiff_turn", "gen1_straight"):
         for engine, run in (
             ("MuJoCo", lambda point: reference.simulate(point, *how, SLIP_M_S)),
             ("Drake, law", lambda point: simulate(point, *how, contact, axles=False)),

@@ -46,7 +46,7 @@ def run(quick: bool) -> Result:
         task.run()  # compiles
     times = interleaved(tasks)
     ratios = {
-        f"{plant} over {theirs}": Ratio.of(times[theirs], times[plant])
+        f"{plant} over {theirs}": Ratio.between(times[theirs], times[plant])
         for plant in snakes
         for theirs in ("PyElastica", "PyElastica, recording")
     }
@@ -54,7 +54,10 @@ def run(quick: bool) -> Result:
         [
             name,
             f"{1 / timing.median:.3g}",
-            *(str(Ratio.of(times[theirs], timing)) for theirs in ("PyElastica", "PyElastica, recording")),
+            *(
+                str(Ratio.between(times[theirs], timing))
+                for theirs in ("PyElastica", "PyElastica, recording")
+            ),
         ]
         for name, timing in times.items()
     ]

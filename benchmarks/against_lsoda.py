@@ -75,9 +75,9 @@ class Errors:
         return f"{100 * self.speed:.3f} %, {1e3 * self.path:.2f} mm"
 
 
-def errors(found: list[Trajectory], references: list[Trajectory]) -> Errors:
+def errors(result: list[Trajectory], references: list[Trajectory]) -> Errors:
     """Compare runs with their references, sample by sample."""
-    pairs = list(zip(found, references, strict=True))
+    pairs = list(zip(result, references, strict=True))
     return Errors(
         max(abs(_speed(run) / _speed(reference) - 1) for run, reference in pairs),
         max(float(np.sqrt(((run.com - ref.com) ** 2).sum(axis=1).mean())) for run, ref in pairs),
@@ -109,28 +109,28 @@ def _compare(friction: str, quick: bool) -> tuple[list[list[str]], dict[str, Any
     own = errors([case.shipped() for case in cases], references)
     tasks = {"shipped": _all([Task(case.shipped, DURATION) for case in cases])}
     tasks["shipped, 10 s"] = Task(lambda: cases[0].shipped(LONG), LONG)
-    found: dict[float, Errors] = {}
+    result: dict[float, Errors] = {}
     for tolerance in TOLERANCES[1:3] if quick else TOLERANCES:
         solved = [case.lsoda(tolerance) for case in cases]
-        found[tolerance] = errors([way for _, way in solved], references)
+        result[tolerance] = errors([lsoda_run for _, lsoda_run in solved], references)
         tasks[f"{tolerance:g}"] = _all([task for task, _ in solved])
-    matched = next((t for t in found if found[t].speed <= own.speed), min(found))
+    matched = next((t for t in result if result[t].speed <= own.speed), min(result))
     # Smaller tolerances only show that the errors decrease; timing them would dominate the run time.
     timed = {name: task for name, task in tasks.items() if name[0] == "s" or float(name) >= matched}
     times = interleaved(timed)
     rows = [[friction, "shipped default", str(own), _rate(times["shipped, 10 s"]), "1"]]
-    for tolerance, error in found.items():
+    for tolerance, error in result.items():
         cells = ["–", "–"]
         if f"{tolerance:g}" in times:
-            ratio = Ratio.of(times[f"{tolerance:g}"], times["shipped"])
+            ratio = Ratio.between(times[f"{tolerance:g}"], times["shipped"])
             cells = [_rate(times[f"{tolerance:g}"]), f"**{ratio}**" if tolerance == matched else str(ratio)]
         rows.append([friction, f"LSODA, {tolerance:g}", str(error), *cells])
     return rows, {
-        "ratio": Ratio.of(times[f"{matched:g}"], times["shipped"]).json(),
+        "ratio": Ratio.between(times[f"{matched:g}"], times["shipped"]).json(),
         "matched_tolerance": matched,
         "errors": {
             "shipped": vars(own),
-            "lsoda": {f"{t:g}": vars(error) for t, error in found.items()},
+            "lsoda": {f"{t:g}": vars(error) for t, error in result.items()},
         },
         "times": {name: timing.json() for name, timing in times.items()},
         "simulated_s_per_wall_s": 1 / times["shipped, 10 s"].median,

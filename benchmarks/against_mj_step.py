@@ -43,7 +43,7 @@ def run(quick: bool) -> Result:
             "default": Task(lambda: rollout(default, Gait(2.0, OFFSET), duration), duration),
         }
     )
-    ratios = {name: Ratio.of(times[name], times["mj_step"]) for name in ("preloaded", "default")}
+    ratios = {name: Ratio.between(times[name], times["mj_step"]) for name in ("preloaded", "default")}
     rates = {name: 1 / timing.median for name, timing in times.items()}
     return Result(
         f"(b) twin rollouts compared with a bare mj_step loop, gen2, {duration:g} s",

@@ -38,18 +38,18 @@ def main() -> None:
     arguments.add_argument(
         "--quick", action="store_true", help="simulate the corner points and the middle point only"
     )
-    given = arguments.parse_args()
-    common: dict[str, float] = {} if given.default else {"stiffness": MATCHED_STIFFNESS}
-    law = "axis" if given.default else "ellipse" if given.skid else "wheel"
+    selected = arguments.parse_args()
+    common: dict[str, float] = {} if selected.default else {"stiffness": MATCHED_STIFFNESS}
+    law = "axis" if selected.default else "ellipse" if selected.skid else "wheel"
     wheels: dict[str, object] = (
-        {} if given.default else {"contact": PreloadedContact("skid" if given.skid else "rolling")}
+        {} if selected.default else {"contact": PreloadedContact("skid" if selected.skid else "rolling")}
     )
-    loads: dict[str, object] = {} if given.default else {"inertia": "connector"}
-    if given.loads:
-        wheels = {"contact": LoadedContact(load=given.loads), "numerics": Numerics(wheel_spin=0.0)}
-        loads |= {"load": "static" if given.loads == "static" else "momentary"}
+    loads: dict[str, object] = {} if selected.default else {"inertia": "connector"}
+    if selected.loads:
+        wheels = {"contact": LoadedContact(load=selected.loads), "numerics": Numerics(wheel_spin=0.0)}
+        loads |= {"load": "static" if selected.loads == "static" else "momentary"}
     points = list(product(FREQUENCIES_HZ, PRESSURES_KPA))
-    if given.quick:
+    if selected.quick:
         points = points[::4]
     for gaps, offset in product((False, True), (0.0, 0.2)):
         runs = [

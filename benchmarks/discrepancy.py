@@ -29,9 +29,9 @@ def main() -> None:
         for plant in ("analytical", "twin"):
             rows = []
             for name, claim in claims.items():
-                found = re.fullmatch(rf"table8\.{quantity}\.([pm]?)(\d+)", name)
-                if found and claim.value is not None:
-                    offset = float(found[2]) / 10 * (-1 if found[1] == "m" else 1)
+                result = re.fullmatch(rf"table8\.{quantity}\.([pm]?)(\d+)", name)
+                if result and claim.value is not None:
+                    offset = float(result[2]) / 10 * (-1 if result[1] == "m" else 1)
                     value = kept[name][plant].value
                     if quantity == "radius":  # curvature also has a constant term: straight walks are curved
                         # At offset 0 the table has no side; the fit assumes the right side.
@@ -53,7 +53,7 @@ def main() -> None:
                 centre.append(middle)
                 held.append(low <= measured[i] <= high)
                 widths.append(high - low)
-            before, after = (np.sqrt(np.mean((each - measured) ** 2)) for each in (model, np.array(centre)))
+            before, after = (np.sqrt(np.mean((item - measured) ** 2)) for item in (model, np.array(centre)))
             what = "curvature" if quantity == "radius" else quantity
             cells = what, plant, f"{100 * before / scale:.0f} %", f"{100 * after / scale:.0f} %"
             print(

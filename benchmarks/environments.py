@@ -70,8 +70,8 @@ def measure(count: int, seconds: float, rounds: int, threads: int | None) -> Res
         "plain, 0.1 s": Plain(count, threads, STEP_S),
         "plain, 1 s": Plain(count, threads, 1.0),
     }
-    for each in contenders.values():
-        each.run(1.0)
+    for item in contenders.values():
+        item.run(1.0)
     spent: dict[str, list[float]] = {name: [] for name in contenders}
 
     def metered(name: str) -> None:
@@ -84,8 +84,8 @@ def measure(count: int, seconds: float, rounds: int, threads: int | None) -> Res
     # On a busy machine processor times are more reliable than wall times.
     work = {name: Timing(tuple(seconds)) for name, seconds in spent.items()}
     # Ratio of rates: time of the plain rollout over time of the vector.
-    ratios = {name: Ratio.of(times[name], times["vector"]) for name in times}
-    shares = {name: Ratio.of(work[name], work["vector"]) for name in times}
+    ratios = {name: Ratio.between(times[name], times["vector"]) for name in times}
+    shares = {name: Ratio.between(work[name], work["vector"]) for name in times}
     rows = [
         [name, three_figures(1 / times[name].median), str(ratios[name]), str(shares[name])] for name in times
     ]
@@ -112,7 +112,7 @@ def check() -> None:
     np.testing.assert_allclose(env_distance, distance, rtol=1e-6, atol=1e-5)
     if min(distance) < 0.1 or any(env.episode.ending for env in vector._envs.envs):
         raise AssertionError(f"distances {distance}: the snakes must crawl, and no episode may end")
-    print("distances travelled, m:", *(f"{each:.6f}" for each in distance))
+    print("distances travelled, m:", *(f"{item:.6f}" for item in distance))
 
 
 def main() -> None:

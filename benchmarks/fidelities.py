@@ -33,11 +33,11 @@ def main() -> None:
     parser.add_argument("--scenario", default="gen2_straight")
     parser.add_argument("--duration", type=float, default=5.0)
     parser.add_argument("--samples", type=int, default=2048)
-    given = parser.parse_args()
-    scenario = load_scenario(given.scenario, set={"duration_s": given.duration})
+    options = parser.parse_args()
+    scenario = load_scenario(options.scenario, set={"duration_s": options.duration})
     priors = Priors.of(RobotFile.model_validate(scenario.document["robot"]))
-    study = Study(scenario, priors, ("twin",), given.samples, given.samples)
-    rows = propagate(study, given.out, local()).rows
+    study = Study(scenario, priors, ("twin",), options.samples, options.samples)
+    rows = propagate(study, options.out, local()).rows
     print("| metric | correlation | worse end of each set, % of the width | within 5 % | within 2 s.e. |")
     print("|---|---|---|---|---|")
     for metric, plain in rows["twin"].items():
@@ -46,15 +46,17 @@ def main() -> None:
             continue
         full = np.quantile(costly, ENDS)
         width, worst, held = np.ptp(full), [], []
-        for first in range(0, given.samples - FEW + 1, max(FEW, given.samples // SETS // FEW * FEW))[:SETS]:
-            order = np.r_[first : first + FEW, 0:first, first + FEW : given.samples]
+        for first in range(0, options.samples - FEW + 1, max(FEW, options.samples // SETS // FEW * FEW))[
+            :SETS
+        ]:
+            order = np.r_[first : first + FEW, 0:first, first + FEW : options.samples]
             samples, surrogate = predicted(study.shares[order], cheap[order], costly[order][:FEW])
             errors = np.hypot(sampling_errors(samples), surrogate)
-            off = np.nanquantile(samples, ENDS) - full
-            worst.append(np.abs(off).max() / width)
-            held += list(np.abs(off) < 2 * errors[2:])
-        shown = " ".join(f"{100 * each:.1f}" for each in worst)
-        near = f"{sum(each < 0.05 for each in worst)} of {len(worst)}"
+            deviation = np.nanquantile(samples, ENDS) - full
+            worst.append(np.abs(deviation).max() / width)
+            held += list(np.abs(deviation) < 2 * errors[2:])
+        shown = " ".join(f"{100 * item:.1f}" for item in worst)
+        near = f"{sum(item < 0.05 for item in worst)} of {len(worst)}"
         same = np.corrcoef(cheap, costly)[0, 1]
         print(f"| {metric} | {same:.3f} | {shown} | {near} | {100 * np.mean(held):.0f} % |", flush=True)
 

@@ -65,7 +65,7 @@ def fits(seed: int, truth_model: str, only: str | None = None) -> dict[str, Any]
     of_twin, of_takes = {"twin": (TWIN, MODELS), "finer": (FINER, {"twin": TWIN})}[truth_model]
     of_takes = {name: model for name, model in of_takes.items() if only in (None, name)}
     exact = truth_model == "twin" and seed // 2 % EXACT == 0 and only in (None, "exact")
-    found: dict[str, Any] = {"seed": seed, "truth": truth, "plant": truth_model, "fits": {}}
+    result: dict[str, Any] = {"seed": seed, "truth": truth, "plant": truth_model, "fits": {}}
     for label, plant, models in (
         ("", of_twin, of_takes),
         ("exact", MODELS["compliant"], {"exact": MODELS["compliant"]}),
@@ -88,25 +88,25 @@ def fits(seed: int, truth_model: str, only: str | None = None) -> dict[str, Any]
                 assert known is not None and known.value is not None
                 near = with_values(spec, {known.name: known.value})
         runs = [
-            GaitRun(each.trajectory, Gait(*gait), spec.supply.nominal, f"gait_{k}")
-            for k, (each, gait) in enumerate(zip(recordings, GAITS, strict=True))
+            GaitRun(item.trajectory, Gait(*gait), spec.supply.nominal, f"gait_{k}")
+            for k, (item, gait) in enumerate(zip(recordings, GAITS, strict=True))
         ]
         for name, model in models.items():
             begin = time.perf_counter()
-            names = [each for each in NAMES if name not in RIGID or "bending" not in each]
+            names = [item for item in NAMES if name not in RIGID or "bending" not in item]
             estimate = fit_locomotion(
                 runs, near, names,
                 model=model, against="both", starts=1, known=[known],
                 reference=None if model is TWIN else TWIN,
             )  # fmt: skip
-            found["fits"][name] = {
+            result["fits"][name] = {
                 "scale": estimate.residual_scale, "misfit": estimate.misfit[1:],
                 "seconds": time.perf_counter() - begin,
                 "parameters": {
                     p.name: [p.verdict, p.value, p.standard_error, p.low, p.high] for p in estimate.parameters
                 },
             }  # fmt: skip
-    return found
+    return result
 
 
 def rows(done: list[dict[str, Any]]) -> Iterator[list[str]]:
@@ -115,10 +115,10 @@ def rows(done: list[dict[str, Any]]) -> Iterator[list[str]]:
         every: list[tuple[str, bool]] = []
         for name in NAMES:
             some = []
-            for each in done:
-                if name in (found := each["fits"].get(model, {}).get("parameters", {})):
-                    verdict, value, _, low, high = found[name]
-                    some.append((verdict, value is not None and low <= each["truth"][name] <= high))
+            for item in done:
+                if name in (result := item["fits"].get(model, {}).get("parameters", {})):
+                    verdict, value, _, low, high = result[name]
+                    some.append((verdict, value is not None and low <= item["truth"][name] <= high))
             if some:
                 every += some
                 yield _row(model, name, some)
@@ -147,18 +147,18 @@ def main() -> None:
     words.add_argument(
         "--table", action="store_true", help="print the table of the existing file without fitting"
     )
-    given = words.parse_args()
-    lines = given.out.read_text("utf-8").splitlines() if given.out.exists() else []
-    done = {each["seed"]: each for each in map(json.loads, lines) if each["plant"] == given.truth}
-    for seed in range(given.first, given.first + given.robots) if not given.table else ():
+    options = words.parse_args()
+    lines = options.out.read_text("utf-8").splitlines() if options.out.exists() else []
+    done = {item["seed"]: item for item in map(json.loads, lines) if item["plant"] == options.truth}
+    for seed in range(options.first, options.first + options.robots) if not options.table else ():
         if seed in done:
             continue
         try:
-            done[seed] = fits(seed, given.truth, given.only)
+            done[seed] = fits(seed, options.truth, options.only)
         except InputError as error:
             print(f"{seed}: {error}", flush=True)
             continue
-        with given.out.open("a", encoding="utf-8") as file:
+        with options.out.open("a", encoding="utf-8") as file:
             file.write(json.dumps(done[seed]) + "\n")
     head = ["model", "parameter", "fits", "identified, %", "cannot tell, %"]
     print(
@@ -167,7 +167,7 @@ def main() -> None:
             list(rows([*done.values()])),
         )
     )
-    if some := [each["fits"][m]["seconds"] for each in done.values() for m in each["fits"]]:
+    if some := [item["fits"][m]["seconds"] for item in done.values() for m in item["fits"]]:
         print(f"\n{len(done)} robots, {math.fsum(some) / len(some):.1f} s per fit")
 
 

@@ -22,7 +22,7 @@ import numpy as np
 import shapely
 from grid import table
 
-from srs_twin.compute.workers import each
+from srs_twin.compute.workers import item
 from srs_twin.planning.metrics import beyond, following_metrics
 from srs_twin.rollout import rollout
 from srs_twin.scenario.loading import load_scenario, parse_scenario
@@ -55,29 +55,29 @@ def run(order: Order) -> dict[str, Any]:
     case = drawn(kind, seed, planner.problem.footprint, run_up, planner.margin.run_up - planner.margin.path)
     document["world"] = _world(case)
     scenario = parse_scenario(document)
-    found = {"order": order, "kind": kind, "ending": "no_plan", "succeeded": False, "touched": False}
+    results = {"order": order, "kind": kind, "ending": "no_plan", "succeeded": False, "touched": False}
     assert scenario.planner is not None, "it follows"
     plan = scenario.planner.plan()
     if not plan.found:
-        return found
+        return results
     duration = float(math.ceil(20 + 2 * plan.length / min(planner.footprint.speeds)))
-    way = rollout(
+    motion = rollout(
         scenario.build_plant(plant), scenario.build_controller(), duration,
         pose=scenario.pose, seed=seed, record_hz=scenario.record_hz,
     )  # fmt: skip
-    metrics = following_metrics(way)
-    touched = touches(way, case) or bool(metrics["contacts"])
+    metrics = following_metrics(motion)
+    touched = touches(motion, case) or bool(metrics["contacts"])
     # Steering has no effect during the run-up, so it has a separate margin.
-    begun = [e.time for e in way.events if e.kind in ("replanned", "no_new_plan") and "run_up" in e.text]
-    later = way.time >= (begun[0] if begun else math.inf if run_up else 0.0)
-    return found | {
-        "ending": way.metadata["control"]["following"]["ending"] or "time_out",
+    begun = [e.time for e in motion.events if e.kind in ("replanned", "no_new_plan") and "run_up" in e.text]
+    later = motion.time >= (begun[0] if begun else math.inf if run_up else 0.0)
+    return results | {
+        "ending": motion.metadata["control"]["following"]["ending"] or "time_out",
         "touched": touched,
         "succeeded": bool(metrics["goal_reached"]) and not touched,
-        "inside": bool((beyond(way)[later] <= 0).all()),
+        "inside": bool((beyond(motion)[later] <= 0).all()),
         "clearance_m": metrics["clearance_m"],
         "replans": metrics["replans"],
-        "realtime": way.metadata.get("realtime_factor"),
+        "realtime": motion.metadata.get("realtime_factor"),
     }
 
 
@@ -95,10 +95,10 @@ def _world(case: Witnessed) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def touches(way: Trajectory, case: Witnessed) -> bool:
+def touches(motion: Trajectory, case: Witnessed) -> bool:
     """Return whether the body, straight between adjacent connectors, ever overlaps an obstacle."""
     body = shapely.buffer(
-        shapely.linestrings(way.position), way.metadata["body_width_m"] / 2 - 1e-3, cap_style="flat"
+        shapely.linestrings(motion.position), motion.metadata["body_width_m"] / 2 - 1e-3, cap_style="flat"
     )
     things = [shapely.Point(c.x, c.y).buffer(c.radius) for c in case.problem.world.obstacles]
     things += [shapely.Polygon(p.corners) for p in case.problem.world.polygons]
@@ -114,22 +114,22 @@ def main() -> None:
     words.add_argument("--robots", nargs="+", choices=SCENARIOS, default=list(SCENARIOS))
     words.add_argument("--plants", nargs="+", choices=PLANTS, default=PLANTS)
     words.add_argument("--json", type=Path, metavar="FILE", help="also write every run to this file")
-    given = words.parse_args()
-    seeds = range(given.first, given.first + given.worlds)
-    orders = [(r, p, seed, given.spread) for r in given.robots for p in given.plants for seed in seeds]
+    options = words.parse_args()
+    seeds = range(options.first, options.first + options.worlds)
+    orders = [(r, p, seed, options.spread) for r in options.robots for p in options.plants for seed in seeds]
     rows: list[dict[str, Any]] = []
-    for done in each(run, orders):
+    for done in item(run, orders):
         if done.result is None:
             raise SystemExit(f"{orders[done.number]}: {done.error}")
         rows.append(done.result)
     lines = []
-    for robot in given.robots:
-        for plant in given.plants:
+    for robot in options.robots:
+        for plant in options.plants:
             some = [row for row in rows if row["order"][:2] == (robot, plant)]
             lines.append([robot, plant, *summary(some)])
     print(table(HEADINGS, lines))
-    if given.json:
-        given.json.write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
 
 
 HEADINGS = (

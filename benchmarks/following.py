@@ -21,7 +21,7 @@ import numpy as np
 from grid import table
 
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.compute.workers import each
+from srs_twin.compute.workers import item
 from srs_twin.io.files import atomic_write
 from srs_twin.planning.footprint import load_footprint
 from srs_twin.planning.metrics import following_metrics, legs
@@ -62,37 +62,37 @@ def run(order: Order) -> dict[str, Any]:
             controller.pop(key, None)
         controller.update(BEARING)
     scenario = parse_scenario(document, name=name)
-    way = rollout(
+    motion = rollout(
         scenario.build_plant(plant), scenario.build_controller(), scenario.duration,
         pose=scenario.pose, seed=seed, record_hz=scenario.record_hz,
     )  # fmt: skip
-    ending = way.metadata["control"]["following"]["ending"] or "time_out"
+    ending = motion.metadata["control"]["following"]["ending"] or "time_out"
     names = (
         "goal_reached", "cross_track_rms_m", "cross_track_max_m", "inside_share", "contacts", "clearance_m",
         "arrival_error_m", "arrival_heading_error_rad", "following_time_s", "replans",
     )  # fmt: skip
-    metrics = plant_metrics(way)
+    metrics = plant_metrics(motion)
     return {
         "order": order,
         "ending": ending,
-        "inside_text_share": inside_text_share(way, scenario.robot.name),
-        "cross_track_later_m": cross_track_later(way),
+        "inside_text_share": inside_text_share(motion, scenario.robot.name),
+        "cross_track_later_m": cross_track_later(motion),
     } | {name: metrics[name] for name in names}
 
 
-def cross_track_later(way: Trajectory) -> float:
+def cross_track_later(motion: Trajectory) -> float:
     """Return the largest cross-track error after learning, m; 0 if the run ended before."""
-    aside = [np.abs(Route(leg.segments).places(way.com[leg.samples])[1]) for leg in legs(way)]
-    later = np.concatenate(aside)[way.time[: sum(map(len, aside))] > LEARNT_S]
+    aside = [np.abs(Route(leg.segments).places(motion.com[leg.samples])[1]) for leg in legs(motion)]
+    later = np.concatenate(aside)[motion.time[: sum(map(len, aside))] > LEARNT_S]
     return float(later.max(initial=0.0))
 
 
-def inside_text_share(way: Trajectory, robot: str) -> float:
+def inside_text_share(motion: Trajectory, robot: str) -> float:
     """Return the fraction of time in which the body is inside the dissertation's box about the path."""
-    control = way.metadata["control"]
+    control = motion.metadata["control"]
     text = control["following"] | {"footprint": asdict(load_footprint(TEXT_BOX[robot]))}
-    told = replace(way, metadata=way.metadata | {"control": control | {"following": text}})
-    return float(following_metrics(told)["inside_share"])
+    dissertation_run = replace(motion, metadata=motion.metadata | {"control": control | {"following": text}})
+    return float(following_metrics(dissertation_run)["inside_share"])
 
 
 def succeeded(row: dict[str, Any]) -> bool:
@@ -143,21 +143,21 @@ def main() -> None:
     options.add_argument("--followers", nargs="+", default=FOLLOWERS, choices=FOLLOWERS)
     options.add_argument("--workers", type=int, default=2)
     options.add_argument("--json", type=Path, metavar="FILE", help="also write every run to this file")
-    given = options.parse_args()
+    selected = options.parse_args()
     orders = [
         (name, follower, plant, seed)
-        for name in given.scenarios for plant in given.plants for follower in given.followers
-        for seed in range(given.seeds)
+        for name in selected.scenarios for plant in selected.plants for follower in selected.followers
+        for seed in range(selected.seeds)
     ]  # fmt: skip
     rows: list[dict[str, Any]] = [{}] * len(orders)
-    for done in each(run, orders, workers=given.workers):
+    for done in item(run, orders, workers=selected.workers):
         if done.result is None:
             raise SystemExit(f"{orders[done.number]}: {done.error}")
         rows[done.number] = done.result
-    groups = [rows[k : k + given.seeds] for k in range(0, len(rows), given.seeds)]
+    groups = [rows[k : k + selected.seeds] for k in range(0, len(rows), selected.seeds)]
     print(table(HEADINGS, [summary(group) for group in groups]))
-    if given.json:
-        with atomic_write(given.json) as part:
+    if selected.json:
+        with atomic_write(selected.json) as part:
             part.write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
 
 

@@ -54,11 +54,11 @@ def response(columns: Columns, plant: str, metric: str) -> tuple[np.ndarray, np.
     return frequencies, np.array(means), np.array(deviations)
 
 
-def draw(found: Mapping[str, Columns]) -> Figure:
+def draw(result: Mapping[str, Columns]) -> Figure:
     """Plot amplitude and phase lag over frequency; return the figure."""
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     for axes, (metric, label) in zip(figure.subplots(1, 2), SHOWN.items(), strict=True):
-        for controller, columns in found.items():
+        for controller, columns in result.items():
             for plant, (dash, marker) in PLANTS.items():
                 frequency, mean, deviation = response(columns, plant, metric)
                 axes.errorbar(
@@ -67,7 +67,7 @@ def draw(found: Mapping[str, Columns]) -> Figure:
                     markerfacecolor="none" if plant == "analytical" else None,
                 )  # fmt: skip
         axes.set_xscale("log")
-        axes.set_xticks(frequency, [f"{each:g}" for each in frequency])
+        axes.set_xticks(frequency, [f"{item:g}" for item in frequency])
         axes.minorticks_off()
         axes.set_xlabel("frequency (Hz)", fontsize=9)
         finish(axes, label)
@@ -76,28 +76,28 @@ def draw(found: Mapping[str, Columns]) -> Figure:
     return figure
 
 
-def report(found: Mapping[str, Columns]) -> str:
+def report(result: Mapping[str, Columns]) -> str:
     """Return the table: mean ± standard deviation."""
-    frequencies = response(found["direct"], "twin", "amplitude_rel")[0]
+    frequencies = response(result["direct"], "twin", "amplitude_rel")[0]
     rows = []
-    for controller, columns in found.items():
+    for controller, columns in result.items():
         for plant in PLANTS:
             for metric in SHOWN:
                 _, mean, deviation = response(columns, plant, metric)
                 cells = [f"{m:.3f} ± {d:.3f}" for m, d in zip(mean, deviation, strict=True)]
                 rows.append([controller, plant, SHOWN[metric], *cells])
-    return table(["SMC", "bench", "", *(f"{each:g} Hz" for each in frequencies)], rows)
+    return table(["SMC", "bench", "", *(f"{item:g} Hz" for item in frequencies)], rows)
 
 
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--results", type=Path, default=Path("runs/sweeps"), help="folder for the sweeps")
     arguments.add_argument("--out", type=Path, help="output file of the figure, .png or .svg")
-    given = arguments.parse_args()
-    found = {controller: results(controller, given.results) for controller in CONTROLLERS}
-    if given.out is not None:
-        save(draw(found), given.out)
-    print(report(found))
+    options = arguments.parse_args()
+    result = {controller: results(controller, options.results) for controller in CONTROLLERS}
+    if options.out is not None:
+        save(draw(result), options.out)
+    print(report(result))
 
 
 if __name__ == "__main__":

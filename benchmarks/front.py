@@ -108,8 +108,8 @@ def _contacts() -> None:
     costs, rows, values = _costs(runs), [], stored()
     with ProcessPoolExecutor() as pool:
         for label, options in CONTACTS:
-            found = [pool.submit(crawled, name, **options) for name in names]
-            both = [(each.result(), values[name]) for each, name in zip(found, names, strict=True)]
+            results = [pool.submit(crawled, name, **options) for name in names]
+            both = [(item.result(), values[name]) for item, name in zip(results, names, strict=True)]
             speed = 100 * np.array([a.speed_mm_s / b.speed[0] - 1 for a, b in both])
             turn = 100 * np.array([a.yaw_rate / b.yaw[0] - 1 for a, b in both if turns(b)])
             cells = [
@@ -151,7 +151,7 @@ def _costs(runs: dict[str, Run]) -> dict[str, float]:
 
 
 def _speeds(trajectories: list[Any]) -> np.ndarray:
-    return np.array([plant_metrics(each)["com_speed_m_s"] for each in trajectories])
+    return np.array([plant_metrics(item)["com_speed_m_s"] for item in trajectories])
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""A sweep that is killed at random, again and again: is what it leaves that of an undisturbed one?
+"""Sweeps killed at random: whether the final results equal those of an undisturbed sweep.
 
     uv run python benchmarks/kills.py [--kills 200] [--runs 400] [--seed 0]
     uv run python benchmarks/kills.py --commands 300 --finishes 2000
 
-Kills the sweep itself, one of its workers or the server that they come from by SIGKILL, at random times after
-its start or its latest row; starts it again until it is done, as often as needed. The rows must be those of a
-sweep that nobody disturbed. With --commands, run, sweep, optimize, uncertainty and reproduce are killed and
-resumed (`kills_of_commands.py`); with --finishes, processes finish their files in one folder at once.
+Kills the sweep, one of its workers or their fork server by SIGKILL, at random times after the start or the
+latest row, and starts the sweep again until it is complete. Its rows must equal those of an undisturbed
+sweep. With --commands, run, sweep, optimize, uncertainty and reproduce are killed and resumed
+(`kills_of_commands.py`). With --finishes, several processes complete their files in one folder at once.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from killed_sweeps import SWEEP, digest, disturbed, start
 
 
 def _of_commands(arguments: argparse.Namespace) -> int:
-    """Print what became of killed commands and of sets that were finished at once; return the exit code."""
+    """Print the results of killed commands and of sets completed at once; return the exit code."""
     faults: list[str] = []
     if arguments.finishes:
         with tempfile.TemporaryDirectory() as name:
             counts = kills_of_commands.finishes(Path(name), arguments.finishes)
-        print(f"sets finished at once: {dict(counts)}", flush=True)
+        print(f"sets completed at once: {dict(counts)}", flush=True)
         faults += [f"{count} {kind} sets" for kind, count in counts.items() if kind != "whole"]
     names = [arguments.only] if arguments.only else list(kills_of_commands.CASES)
     rng = random.Random(arguments.seed)
@@ -39,30 +39,30 @@ def _of_commands(arguments: argparse.Namespace) -> int:
         with tempfile.TemporaryDirectory() as name:
             for file, text in kills_of_commands.FILES.items():
                 (Path(name) / file).write_text(text)
-            found = kills_of_commands.killed(command, Path(name), -(-arguments.commands // len(names)), rng)
+            result = kills_of_commands.killed(command, Path(name), -(-arguments.commands // len(names)), rng)
         took = time.perf_counter() - begun
         print(
-            f"{command}: {found.kills} kills in {found.trials} trials, {took:.0f} s; after a kill: "
-            f"{dict(found.left)}; faults: {len(found.faults)}",
+            f"{command}: {result.kills} kills in {result.trials} trials, {took:.0f} s; after a kill: "
+            f"{dict(result.left)}; faults: {len(result.faults)}",
             flush=True,
         )
-        faults += found.faults
+        faults += result.faults
     print(*faults[:20], sep="\n")
     print(f"{len(faults)} faults")
     return 1 if faults else 0
 
 
 def main() -> None:
-    """Print what was killed and whether it did any harm."""
+    """Print the kills and whether the results are the same."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kills", type=int, default=200)
-    parser.add_argument("--runs", type=int, default=400)
+    parser.add_argument("--kills", type=int, default=200, help="number of kills")
+    parser.add_argument("--runs", type=int, default=400, help="number of runs of the sweep")
     parser.add_argument("--duration", type=float, default=100.0, help="simulated time of a run, s")
     parser.add_argument("--longest", type=float, default=0.5, help="longest time to the next kill, s")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=0, help="random seed")
     parser.add_argument("--commands", type=int, help="total number of kills of all commands")
     parser.add_argument("--only", choices=kills_of_commands.CASES, help="kill this command only")
-    parser.add_argument("--finishes", type=int, help="number of sets finished in one folder at once")
+    parser.add_argument("--finishes", type=int, help="number of sets completed in one folder at once")
     arguments = parser.parse_args()
     if arguments.commands or arguments.finishes:
         sys.exit(_of_commands(arguments))

@@ -1,9 +1,10 @@
-"""The width of generation 4's body from Table 8's boxes at 0 and ±0.3, predicting those at ±0.1 and ±0.2.
+"""Width of generation 4 fitted to the edges in Table 8 at offsets 0 and ±0.3, validated at ±0.1 and ±0.2.
 
-    uv run python benchmarks/table8_width.py
+    uv run python benchmarks/table8_width.py [--show]
 
-Takes what the plant reaches from the fit to speeds and radii (benchmarks/table8_fit.py), which must be there,
-and writes calibration/fits/gen4_table8_width.yaml. A body has one width: the analytical plant finds it.
+The lateral reach of the plant is taken from the fit to speeds and radii (`table8_fit.py`), which must exist.
+The result is written to calibration/fits/gen4_table8_width.yaml. The width is a property of the body, so only
+the analytical plant is used.
 """
 
 from __future__ import annotations
@@ -34,14 +35,14 @@ def main() -> None:
 
 
 def edges_table(file: FitFile) -> str:
-    """Return each row's edges beside the predicted ones."""
+    """Return the measured and predicted edges of each row."""
     rows = []
-    for each in sorted(file.data, key=lambda each: float(each.name.removeprefix("offset "))):
+    for item in sorted(file.data, key=lambda item: float(item.name.removeprefix("offset "))):
         cells = []
         for side in ("left_m", "right_m"):
-            told, seen = each.predicted[side], each.measured[side]
-            cells += [f"{seen:g}", f"{told:.3f} ({100 * (told / seen - 1):+.0f} %)"]
-        rows.append([each.name.removeprefix("offset "), "fit" if each.role == "fit" else "predicted", *cells])
+            prediction, seen = item.predicted[side], item.measured[side]
+            cells += [f"{seen:g}", f"{prediction:.3f} ({100 * (prediction / seen - 1):+.0f} %)"]
+        rows.append([item.name.removeprefix("offset "), "fit" if item.role == "fit" else "predicted", *cells])
     sides = [f"{side} edge: {whose}" for side in ("left", "right") for whose in ("Table 8 (m)", "fit")]
     return table(["offset", "row", *sides], rows)
 

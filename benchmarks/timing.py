@@ -44,7 +44,7 @@ class Ratio:
         value: ratio of the medians.
         least, most: smallest and largest ratio in one round.
 
-    >>> ratio = Ratio.of(Timing((2.0, 30.0, 4.0, 5.0, 6.0)), Timing((1.0, 1.0, 1.0, 2.0, 1.0)))
+    >>> ratio = Ratio.between(Timing((2.0, 30.0, 4.0, 5.0, 6.0)), Timing((1.0, 1.0, 1.0, 2.0, 1.0)))
     >>> (ratio.value, ratio.least, ratio.most), str(ratio)
     ((5.0, 2.0, 30.0), '5 (2 to 30)')
     """
@@ -54,7 +54,7 @@ class Ratio:
     most: float
 
     @classmethod
-    def of(cls, slow: Timing, fast: Timing) -> Ratio:
+    def between(cls, slow: Timing, fast: Timing) -> Ratio:
         """Compare two tasks that were timed in turns."""
         rounds = [a / b for a, b in zip(slow.seconds, fast.seconds, strict=True)]
         return cls(slow.median / fast.median, min(rounds), max(rounds))
@@ -73,7 +73,7 @@ class Task:
 
     Attributes:
         run: function that is called once per round; its result is ignored.
-        simulated: simulated seconds by which the time is divided, s.
+        simulated: simulated time that divides the measured time, s.
         clock: clock that measures the time, s.
     """
 
