@@ -22,7 +22,7 @@ import numpy as np
 import shapely
 from grid import table
 
-from srs_twin.compute.workers import item
+from srs_twin.compute.workers import each
 from srs_twin.planning.metrics import beyond, following_metrics
 from srs_twin.rollout import rollout
 from srs_twin.scenario.loading import load_scenario, parse_scenario
@@ -118,7 +118,7 @@ def main() -> None:
     seeds = range(options.first, options.first + options.worlds)
     orders = [(r, p, seed, options.spread) for r in options.robots for p in options.plants for seed in seeds]
     rows: list[dict[str, Any]] = []
-    for done in item(run, orders):
+    for done in each(run, orders):
         if done.result is None:
             raise SystemExit(f"{orders[done.number]}: {done.error}")
         rows.append(done.result)

@@ -21,7 +21,7 @@ import numpy as np
 from grid import table
 
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.compute.workers import item
+from srs_twin.compute.workers import each
 from srs_twin.io.files import atomic_write
 from srs_twin.planning.footprint import load_footprint
 from srs_twin.planning.metrics import following_metrics, legs
@@ -150,7 +150,7 @@ def main() -> None:
         for seed in range(selected.seeds)
     ]  # fmt: skip
     rows: list[dict[str, Any]] = [{}] * len(orders)
-    for done in item(run, orders, workers=selected.workers):
+    for done in each(run, orders, workers=selected.workers):
         if done.result is None:
             raise SystemExit(f"{orders[done.number]}: {done.error}")
         rows[done.number] = done.result
