@@ -236,6 +236,16 @@ def test_a_state_that_unpacks_to_far_more_is_refused(tmp_path):
         SavedState.read(tmp_path / "state.npz")
 
 
+def test_a_file_of_another_version_is_refused_by_its_version(tmp_path):
+    """Version 1 named classes by the modules of that time."""
+    tree = '{"version": 1, "of": {}, "content": {"@": "srs_twin.plants.loaded:Memory", "parts": {}}}'
+    np.savez(tmp_path / "state.npz", state=np.array(tree))
+    with pytest.raises(
+        InputError, match=r"state.npz: saved state of version 1; this program reads version \d"
+    ):
+        SavedState.read(tmp_path / "state.npz")
+
+
 @pytest.mark.parametrize("damage", ["empty", "text", "half", "no state", "code", "object"])
 def test_a_damaged_file_says_so(damage, tmp_path):
     path = tmp_path / "state.npz"
