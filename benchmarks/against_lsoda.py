@@ -21,7 +21,7 @@ from srs_twin import AnalyticalSnake, Gait, Trajectory, load_robot, rollout
 from srs_twin.comparison.metrics import plant_metrics
 
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
-from lsoda import CompleteModel, solve, stretches, trajectory
+from lsoda import CompleteModel, bend_intervals, solve, trajectory
 
 SUPPLY = 48.3e3  # Pa
 DURATION = 3.0  # s; at 2 Hz two periods of warm-up and four evaluated ones
@@ -54,7 +54,7 @@ class Case:
 
     def lsoda(self, tolerance: float) -> tuple[Task, Trajectory]:
         """Return the task that integrates with LSODA, and its trajectory."""
-        bends = stretches(SPEC, self.gait(), DURATION, SUPPLY)
+        bends = bend_intervals(SPEC, self.gait(), DURATION, SUPPLY)
         slip = self.plant().describe()["slip_speed_m_s"]
         model = CompleteModel(SPEC, friction=self.friction, slip=slip)
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from benchmark_runs import run_benchmark
 from conftest import ROOT
-from lsoda import CompleteModel, solve, stretches, trajectory
+from lsoda import CompleteModel, bend_intervals, solve, trajectory
 
 from srs_twin import AnalyticalSnake, Gait, load_robot, rollout
 
@@ -31,7 +31,7 @@ def test_lsoda_and_the_compiled_model_solve_the_same_equations(law, frequency, o
     fine = AnalyticalSnake(SPEC, friction=law, supply_pa=SUPPLY, timestep=0.00002)
     compiled = rollout(fine, Gait(frequency, offset), 0.6)
     gait = Gait(frequency, offset)
-    bends = stretches(SPEC, gait, 0.6, SUPPLY)
+    bends = bend_intervals(SPEC, gait, 0.6, SUPPLY)
     model = CompleteModel(SPEC, friction=law, slip=fine.describe()["slip_speed_m_s"])
     lsoda = trajectory(SPEC, gait, solve(model, bends, rtol=1e-6, atol=1e-9), bends)
     length = np.hypot(*np.diff(compiled.com, axis=0).T).sum()
@@ -44,7 +44,7 @@ def test_lsoda_and_the_compiled_model_solve_the_same_equations(law, frequency, o
 
 def test_lsoda_error_decreases_with_its_tolerance():
     gait = Gait(2.0, 0.2)
-    bends = stretches(SPEC, gait, 0.3, SUPPLY)
+    bends = bend_intervals(SPEC, gait, 0.3, SUPPLY)
     model = CompleteModel(SPEC, friction="wheel", slip=0.0005)
     paths = [solve(model, bends, rtol=t, atol=1e-3 * t)[:, :2] for t in (1e-2, 1e-5, 1e-8)]
     rough, good = (np.abs(path - paths[-1]).max() for path in paths[:2])

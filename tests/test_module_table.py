@@ -58,7 +58,7 @@ def test_benches_are_as_close_as_the_issue_asks():
 
 def test_only_what_is_compared_counts_for_apart():
     line = Line(
-        "x", "y", lambda v: v.of("static", "final_bend_rad"), "{:.1f} ± {:.1f}",
+        "x", "y", lambda v: v.select("static", "final_bend_rad"), "{:.1f} ± {:.1f}",
         beside=lambda v: (1.0 if v.plant == "twin" else 2.0,),
     )  # fmt: skip
     cells = line.cells(FIGURES)
@@ -68,6 +68,6 @@ def test_only_what_is_compared_counts_for_apart():
 
 def test_values_name_both_controllers():
     values = Values(FIGURES, "twin")
-    both = values.of("step_", "rise_time_s", unit=1e3)
-    each = [values.of(f"step_{kind}", "rise_time_s")[0] for kind in ("direct", "iterative")]
+    both = values.select("step_", "rise_time_s", unit=1e3)
+    each = [values.select(f"step_{kind}", "rise_time_s")[0] for kind in ("direct", "iterative")]
     assert both == pytest.approx([1e3 * one for one in each])

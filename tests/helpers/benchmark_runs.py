@@ -9,6 +9,6 @@ from conftest import ROOT
 
 
 def run_benchmark(script: str, *options: str) -> subprocess.CompletedProcess[str]:
-    """Run a script of benchmarks/ in a process of its own and capture what it prints."""
+    """Run a script of benchmarks/ in a separate process and capture its output."""
     words = [sys.executable, str(ROOT / "benchmarks" / script), *options]
     return subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=600)

@@ -1,11 +1,12 @@
-r"""Box edges: how wide a body is, from how far it reached beside its path at several offsets (Table 8).
+r"""Width of the body from the edges of the bounding box at several offsets (Table 8).
 
-The width of the body moves nothing but what the body covers, by half of it on either side:
+The width of the body does not affect its motion. It changes the lateral reach by half of the change on either
+side:
 
 $$ e = e_0 + \tfrac12 (w - w_0) $$
 
-for the reach e to one side, where a body of width w₀ that moves alike reaches e₀. So a plant has to be run
-once, with any width.
+Here e is the reach to one side, and e₀ is the reach of a body of width w₀ with the same motion. One run of
+the plant with any width is therefore sufficient.
 """
 
 from __future__ import annotations
@@ -23,17 +24,17 @@ from srs_twin.robot.spec import RobotSpec
 
 WIDTH = "geometry.width_m"
 ROUNDING = 0.005
-"""To which Table 8 gives edges, m."""
+"""Resolution of the edges in Table 8, m."""
 
 
 @dataclass(frozen=True)
 class BoxEdges:
-    """Reach beside the path in one run.
+    """Lateral reach in one run.
 
     Attributes:
         offset: φ, positive to the left.
-        measured: to the left and to the right, both positive, m.
-        drawn: the same of a plant whose body is as wide as the robot of the fit, m.
+        measured: reach to the left and to the right, both positive, m.
+        drawn: reach of a plant whose body has the width of the robot in the fit, m.
     """
 
     offset: float
@@ -41,27 +42,27 @@ class BoxEdges:
     drawn: tuple[float, float]
 
     def of_width(self, change: float) -> tuple[float, float]:
-        """Return what the plant reaches with a body wider by so much, m."""
+        """Return the reach of a body whose width differs by the given change, m."""
         left, right = self.drawn
         return left + change / 2, right + change / 2
 
     def data_set(self, role: Role) -> DataSet:
-        """Return what a fit says of these data."""
+        """Return the record of these data in a fit."""
         return DataSet(
             f"offset {self.offset:g}", fingerprint(np.array([self.offset, *self.measured])), role, 2
         )
 
 
 def fit_width(runs: Sequence[BoxEdges], spec: RobotSpec, *, validation: Sequence[BoxEdges] = ()) -> Estimate:
-    """Return the width with which a plant's boxes are those measured.
+    """Return the width for which the reach of a plant agrees with the measured one.
 
     Args:
-        runs: what was measured, and what the plant gave.
-        spec: the robot, with the width that was drawn.
-        validation: runs to hold the estimate against.
+        runs: measured reach and reach of the plant.
+        spec: robot with the width used by the plant.
+        validation: runs to validate the estimate.
 
     Raises:
-        InputError: no run, or one to validate with that is also fitted.
+        InputError: there is no run, or a validation run is also fitted.
     """
     roles = with_roles("box edges", runs, validation)
 
@@ -69,10 +70,10 @@ def fit_width(runs: Sequence[BoxEdges], spec: RobotSpec, *, validation: Sequence
         change = values[WIDTH] - spec.geometry.width
         return [
             Residual(
-                f"offset {each.offset:g}", "m", np.subtract(each.measured, each.of_width(change)),
+                f"offset {item.offset:g}", "m", np.subtract(item.measured, item.of_width(change)),
                 ROUNDING, role,
             )
-            for each, role in roles
+            for item, role in roles
         ]  # fmt: skip
 
     return least_squares(residuals, unknowns(spec, [WIDTH]))

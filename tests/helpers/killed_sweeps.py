@@ -27,12 +27,12 @@ WORKERS_DIED = 4
 
 @dataclass
 class Kills:
-    """What was killed.
+    """Kills of a sweep.
 
     Attributes:
-        victims: "sweep", "worker" or "server" → how often.
-        starts: how often the sweep was started.
-        rows: rows that were there after each kill.
+        victims: number of kills of "sweep", "worker" and "server".
+        starts: number of starts of the sweep.
+        rows: number of stored rows after each kill.
     """
 
     victims: Counter[str] = field(default_factory=Counter)
@@ -41,42 +41,42 @@ class Kills:
 
 
 def disturbed(sweep: Path, out: Path, kills: int, rng: random.Random, longest: float) -> Kills:
-    """Run a sweep to its end; kill it or a worker that many times on the way.
+    """Run a sweep to its end while its processes are killed a number of times.
 
     Args:
-        sweep: the file.
-        out: the folder of its results.
-        kills: how many.
-        rng: decides when and whom.
-        longest: the longest time to the next kill, s: from a start or the death of a worker, or (seven times
-            of ten) from the first row after that.
+        sweep: sweep file.
+        out: folder of the results.
+        kills: number of kills.
+        rng: random generator for times and victims.
+        longest: longest time to the next kill, s, from a start or the death of a worker, or (with probability
+            0.7) from the first row after it.
 
     Raises:
-        RuntimeError: the sweep failed by itself, or was done before all the kills.
+        RuntimeError: the sweep failed by itself, or ended before all kills.
     """
-    found = Kills()
+    result = Kills()
     while True:
         process = start(sweep, out)
-        found.starts += 1
-        while sum(found.victims.values()) < kills:
+        result.starts += 1
+        while sum(result.victims.values()) < kills:
             if rng.random() < 0.7:
                 _wait_for_a_row(process, out)
             if _ended(process, rng.uniform(0, longest)):
                 if process.returncode == WORKERS_DIED:
                     break
-                raise RuntimeError(f"done after {sum(found.victims.values())} kills only: take more runs")
+                raise RuntimeError(f"complete after only {sum(result.victims.values())} kills: use more runs")
             who, pid = _victim(process.pid, rng)
             with contextlib.suppress(ProcessLookupError):  # ended by itself, or with its server, just now
                 os.kill(pid, signal.SIGKILL)
-                found.victims[who] += 1
+                result.victims[who] += 1
             if who == "sweep":
                 break
         code = process.wait()
-        found.rows.append(rows(out))
+        result.rows.append(rows(out))
         if code == 0:
-            return found
-        # A point whose workers were killed three times in a row is a failed row, and tried again; so is the
-        # sweep where three workers in a row were killed before they could begin.
+            return result
+        # A point whose workers were killed three times in a row becomes a failed row, which is repeated.
+        # The sweep itself ends if three workers in a row are killed before they begin.
         if code not in (-signal.SIGKILL, WORKERS_DIED):
             raise RuntimeError(
                 f"the sweep ended with {code}: {process.stderr.read() if process.stderr else ''}"
@@ -84,13 +84,13 @@ def disturbed(sweep: Path, out: Path, kills: int, rng: random.Random, longest: f
 
 
 def start(sweep: Path, out: Path) -> subprocess.Popen[str]:
-    """Start a sweep of two workers."""
+    """Start a sweep with two workers."""
     words = [str(COMMAND), "sweep", str(sweep), "--out", str(out), "--workers", "2", "-q", "--retry-failed"]
     return subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
 
 
 def _victim(sweep: int, rng: random.Random) -> tuple[str, int]:
-    """Choose who is killed: the sweep every other time, else a worker, now and then the server."""
+    """Choose the process to kill: the sweep with probability 0.5, otherwise a worker or the fork server."""
     if rng.random() < 0.5:
         return "sweep", sweep
     servers = [pid for pid in children(sweep) if b"forkserver" in _command_line(pid)]
@@ -101,9 +101,9 @@ def _victim(sweep: int, rng: random.Random) -> tuple[str, int]:
 
 
 def children(pid: int) -> list[int]:
-    """Return the processes that a process has started."""
+    """Return the child processes of a process."""
     try:
-        return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+        return [int(item) for item in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
     except (FileNotFoundError, ProcessLookupError):
         return []
 
@@ -116,7 +116,7 @@ def _command_line(pid: int) -> bytes:
 
 
 def rows(out: Path) -> int:
-    """Return how many rows a folder has, seen from outside."""
+    """Return the number of stored rows, as seen by another process."""
     from srs_twin.studies.sweep.store import FILE, RowStore
 
     if not (out / FILE).exists():
@@ -126,18 +126,18 @@ def rows(out: Path) -> int:
             with RowStore(out) as store:
                 return len(store.keys(failed=True))
         except Exception:
-            time.sleep(0.05)  # a killed process takes a moment to let go
-    raise RuntimeError("the folder stays locked")
+            time.sleep(0.05)  # a killed process keeps the lock briefly
+    raise RuntimeError("the folder remains locked")
 
 
 def digest(out: Path) -> tuple[int, str]:
-    """Return how many runs a finished sweep has done, and the digest of its results."""
+    """Return the number of runs of a complete sweep, and the digest of its results."""
     about = json.loads((out / "sweep.json").read_text())
     return about["done"], about["results_sha256"]
 
 
 def pages(log: Path) -> int:
-    """Return how many pages a running sweep has written to the log of its rows."""
+    """Return the number of pages in the write-ahead log of a running sweep."""
     try:
         return log.stat().st_size // 4096
     except FileNotFoundError:
@@ -145,7 +145,7 @@ def pages(log: Path) -> int:
 
 
 def _wait_for_a_row(process: subprocess.Popen[str], out: Path) -> None:
-    """Wait until a sweep writes a row or ends."""
+    """Wait until a sweep stores another row or ends."""
     log = out / "rows.sqlite-wal"
     before = pages(log)
     while process.poll() is None and pages(log) == before:

@@ -1,12 +1,12 @@
-r"""Offset runs: what speeds and radii at several steering offsets tell of a robot (Table 8).
+r"""Fits to speeds and radii at several steering offsets (Table 8).
 
-Each row is one run: an offset φ, the speed v of the centre of mass and the radius R of its path. The plant is
-driven as the robot was, through `Drive`, start and learning included, and held against
+Each row is one run with offset φ, speed v of the centre of mass and radius R of the path. The plant is driven
+with the same start and learning as the robot (`Drive`) and compared with
 
-$$ v \quad\text{and}\quad \kappa = \operatorname{sgn}(\varphi)/R , $$
+$$ v \quad\text{and}\quad \kappa = \operatorname{sgn}(\varphi)/R . $$
 
-at φ = 0, where the table does not say to which side, with the sign of the side to which the other fitted
-rows lean. Rows to validate with have no say in the values.
+The table has no side for φ = 0; the sign there follows from the asymmetry of the other fitted rows.
+Validation rows do not affect the estimate.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from srs_twin.identification.unknowns import Unknown, unknowns, with_values
 from srs_twin.rollout import run_many
 
 PERIODS = 5
-"""At the end of a run, over which its path is measured."""
+"""Number of periods at the end of a run over which the path is measured."""
 
 NOISE = {"speed": (0.013, "m/s"), "curvature": (0.1, "1/m")}
-"""What a row may be off by: half of what offsets 0.3 and -0.3 of Table 8 differ by."""
+"""Standard deviation of a row: half the difference between offsets 0.3 and -0.3 in Table 8."""
 
 _STEP = 3e-2  # z
-_ENOUGH = 1e-3  # share of the sum of squares by which a step must lower it for the search to go on
+_ENOUGH = 1e-3  # smallest relative decrease of the sum of squares per step of the search
 _DIVERGED = 1e3
 
 
@@ -44,8 +44,8 @@ class OffsetRun:
 
     Attributes:
         offset: φ, positive to the left.
-        speed: of the centre of mass, m/s.
-        curvature: of its path, 1/m, positive to the left.
+        speed: speed of the centre of mass, m/s.
+        curvature: curvature of the path, 1/m, positive to the left.
     """
 
     offset: float
@@ -54,25 +54,25 @@ class OffsetRun:
 
     @property
     def radius(self) -> float:
-        """Of the path, m, without a sign."""
+        """Radius of the path, m, without a sign."""
         return 1 / abs(self.curvature) if self.curvature else math.inf
 
     def data_set(self, role: Role) -> DataSet:
-        """Return what a fit says of these data."""
+        """Return the record of these data in a fit."""
         sha256 = fingerprint(np.array([self.offset, self.speed, self.curvature]))
         return DataSet(f"offset {self.offset:g}", sha256, role, 2)
 
 
 def offset_runs(rows: Sequence[PublishedRun]) -> list[OffsetRun]:
-    """Return a table's rows with the signs of their paths.
+    """Return the rows of a table with signed curvatures.
 
     Args:
-        rows: as printed; radii have no sign. Offset 0 is taken to the side to which these rows lean: pairs
-            of opposite offsets among them, so give rows to fit and rows to validate with one after the other.
+        rows: printed rows without signs of the radii. The sign of offset 0 follows from the pairs of opposite
+            offsets among the rows, so convert fitted and validation rows separately.
     """
     by_offset = {row.offset: row for row in rows}
-    pairs = [each for each in by_offset if each > 0 and -each in by_offset]
-    lean = sum(1 / by_offset[each].radius_m - 1 / by_offset[-each].radius_m for each in pairs)
+    pairs = [item for item in by_offset if item > 0 and -item in by_offset]
+    lean = sum(1 / by_offset[item].radius_m - 1 / by_offset[-item].radius_m for item in pairs)
     return [
         OffsetRun(row.offset, row.speed_m_s, math.copysign(1 / row.radius_m, row.offset or lean))
         for row in rows
@@ -82,22 +82,22 @@ def offset_runs(rows: Sequence[PublishedRun]) -> list[OffsetRun]:
 def predicted(
     drive: Drive, offsets: Sequence[float], *, threads: int | None = None
 ) -> list[SteadyPath | None]:
-    """Return the settled path at each offset; None where the plant diverges or gets nowhere.
+    """Return the steady path at each offset; None if the plant diverges or does not advance.
 
     Args:
-        drive: robot, controller, plant.
+        drive: robot, controller and plant.
         offsets: φ of each run.
-        threads: how many runs at once; default one a processor.
+        threads: number of parallel runs; default: one per processor.
     """
     maker = drive.plant_maker()
     jobs = [drive.steady_job(maker, offset, 0.0, PERIODS) for offset in offsets]
-    found: list[SteadyPath | None] = []
+    result: list[SteadyPath | None] = []
     for run in run_many(jobs, threads=threads):
         try:
-            found.append(None if isinstance(run, DivergedError) else steady_path(drive, run, PERIODS))
+            result.append(None if isinstance(run, DivergedError) else steady_path(drive, run, PERIODS))
         except InputError:
-            found.append(None)
-    return found
+            result.append(None)
+    return result
 
 
 def fit_offsets(
@@ -111,21 +111,20 @@ def fit_offsets(
     noise: Mapping[str, float] | None = None,
     threads: int | None = None,
 ) -> Estimate:
-    """Return what runs at several offsets tell of a robot.
+    """Estimate robot parameters from runs at several offsets.
 
     Args:
-        runs: what was measured.
-        drive: how the robot was driven, which plant stands for it, and the robot that the search starts from.
-        names: what is unknown, see `unknowns`.
-        besides: what is held, but asked after: of these the estimate says which could not be told beside the
-            unknowns.
-        validation: runs to hold the estimate against.
-        starting: other values to start from, by name.
-        noise: other values for `NOISE`, by name.
-        threads: runs at once; default one a processor.
+        runs: measured runs.
+        drive: controller and plant, and the initial robot of the search.
+        names: unknown parameters, see `unknowns`.
+        besides: fixed parameters to test: the estimate names those that could not be identified in addition.
+        validation: runs to validate the estimate.
+        starting: other initial values, by name.
+        noise: other values of `NOISE`, by name.
+        threads: number of parallel runs; default: one per processor.
 
     Raises:
-        InputError: no run, too few for so many unknowns, or one to validate with that is also fitted.
+        InputError: there is no run, there are more unknowns than data, or a validation run is also fitted.
     """
     with_roles("runs at offsets", runs, validation)
     scales = {name: (noise or {}).get(name, scale) for name, (scale, _) in NOISE.items()}
@@ -134,7 +133,7 @@ def fit_offsets(
         _Rows(tuple(validation), drive, "validation", scales, threads),
     )
     wanted = unknowns(drive.spec, names, starts=starting)
-    # Validated where the search ended, also in what these data do not tell: never with what it began from.
+    # Validate with the final values of all parameters, also of unidentifiable ones.
     validating = kept.residuals if validation else None
     options = SearchOptions(_STEP, tolerance=_ENOUGH)
     estimate = least_squares(fitted.residuals, wanted, options=options, validation=validating)
@@ -142,32 +141,32 @@ def fit_offsets(
     hidden = [_hidden(fitted, estimate, wanted, other) for other in others]
     return replace(
         estimate,
-        parameters=(*estimate.parameters, *(each for each in hidden if each)),
+        parameters=(*estimate.parameters, *(item for item in hidden if item)),
         correlation=np.pad(
-            estimate.correlation, (0, sum(each is not None for each in hidden)), constant_values=np.nan
+            estimate.correlation, (0, sum(item is not None for item in hidden)), constant_values=np.nan
         ),
-        held={each.name: each.start for each in others},
+        held={item.name: item.start for item in others},
     )
 
 
 def _hidden(rows: _Rows, estimate: Estimate, wanted: Sequence[Unknown], other: Unknown) -> Parameter | None:
-    """Return a held number as not identifiable, None where the data could have told it beside the others."""
-    told = [each for each in wanted if each.name in estimate.values]
-    everything = [*told, other]
-    values = [*(estimate.values[each.name] for each in told), other.start]
-    z = np.array([each.coordinate(value) for each, value in zip(everything, values, strict=True)])
+    """Return a fixed parameter as not identifiable; None if the data could identify it in addition."""
+    prediction = [item for item in wanted if item.name in estimate.values]
+    everything = [*prediction, other]
+    values = [*(estimate.values[item.name] for item in prediction), other.start]
+    z = np.array([item.coordinate(value) for item, value in zip(everything, values, strict=True)])
 
     def jacobian(h: float) -> np.ndarray:
         return np.stack([_slope(rows, everything, z, i, h) for i in range(len(z))], axis=1)
 
     fine, coarse = jacobian(_STEP), jacobian(2 * _STEP)
     noise = estimate.residual_scale * math.sqrt(estimate.samples / estimate.independent)
-    widths = np.array([each.coordinate(each.high) - each.coordinate(each.low) for each in everything])
+    widths = np.array([item.coordinate(item.high) - item.coordinate(item.low) for item in everything])
     known = identifiability(fine, coarse - fine, noise, widths)
     if not known.hidden(-1):
         return None
     size = float(np.abs(fine[:, -1]).max())
-    beside = ", ".join(each.name for each in told)
+    beside = ", ".join(item.name for item in prediction)
     why = (
         f"held at {other.start:g}; beside {beside} its standard error would be {known.errors[-1]:.2g} in "
         f"units that matter, one of which changes the data by {size:.2g} times the noise at most"
@@ -176,16 +175,16 @@ def _hidden(rows: _Rows, estimate: Estimate, wanted: Sequence[Unknown], other: U
 
 
 def _slope(rows: _Rows, unknowns: Sequence[Unknown], z: np.ndarray, i: int, h: float) -> np.ndarray:
-    """Return the derivative of the weighted residuals by coordinate i."""
+    """Return the derivative of the weighted residuals with respect to coordinate i."""
 
     def weighted(at: float) -> np.ndarray:
         moved = z.copy()
         moved[i] = at
-        values = {each.name: each.value(float(v)) for each, v in zip(unknowns, moved, strict=True)}
+        values = {item.name: item.value(float(v)) for item, v in zip(unknowns, moved, strict=True)}
         held = unknowns[-1]
         if i < len(z) - 1:
             del values[held.name]
-        return np.concatenate([each.values / each.scale for each in rows.residuals(values)])
+        return np.concatenate([item.values / item.scale for item in rows.residuals(values)])
 
     up, down = z[i] + h, max(z[i] - h, unknowns[i].coordinate(unknowns[i].low))
     slope: np.ndarray = (weighted(up) - weighted(down)) / (up - down)
@@ -193,7 +192,7 @@ def _slope(rows: _Rows, unknowns: Sequence[Unknown], z: np.ndarray, i: int, h: f
 
 
 class _Rows:
-    """Runs of one role, and by how much a robot misses them."""
+    """Runs of one role and their residuals."""
 
     def __init__(
         self,
@@ -204,19 +203,19 @@ class _Rows:
         threads: int | None,
     ) -> None:
         self._runs, self._drive, self._role, self._scales, self._threads = runs, drive, role, scales, threads
-        # Searches and verdicts come back to the same values, and runs are dear.
+        # The search repeats values, and runs are expensive.
         self._known: dict[tuple[tuple[str, float], ...], list[SteadyPath | None]] = {}
 
     def residuals(self, values: Mapping[str, float]) -> list[Residual]:
-        """Return measured less predicted, speed and curvature of each run."""
+        """Return measured minus predicted speed and curvature of each run."""
         key = tuple(sorted((name, float(f"{value:.9g}")) for name, value in values.items()))
         if key not in self._known:
             moved = replace(self._drive, spec=with_values(self._drive.spec, values))
             self._known[key] = predicted(moved, [run.offset for run in self._runs], threads=self._threads)
-        found = []
+        result = []
         for run, path in zip(self._runs, self._known[key], strict=True):
             for name, (_, unit) in NOISE.items():
-                off = getattr(run, name) - getattr(path, name) if path else _DIVERGED
+                difference = getattr(run, name) - getattr(path, name) if path else _DIVERGED
                 label = f"offset {run.offset:g} {name}"
-                found.append(Residual(label, unit, np.array([off]), self._scales[name], self._role))
-        return found
+                result.append(Residual(label, unit, np.array([difference]), self._scales[name], self._role))
+        return result

@@ -1,4 +1,4 @@
-"""Seeded problems of many kinds for the planner: narrow and wide bodies, round and cornered obstacles."""
+"""Random problems for the planner: narrow and wide bodies, round and polygonal obstacles."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BODIES = ("gen2_section52", "gen4_table8", "gen4_table9")
 
 
 def drawn_problem(seed: int) -> Problem:
-    """Return a problem with this seed: body, field, start, goal and tolerance vary."""
+    """Return the problem of a seed, with random body, field, start, goal and tolerance."""
     rng = np.random.default_rng(seed)
     body = load_footprint(BODIES[seed % 3])
     if seed % 5 == 4:
@@ -48,7 +48,7 @@ def drawn_problem(seed: int) -> Problem:
 
 
 def _cornered(circle: Circle, rng: np.random.Generator) -> Polygon:
-    """Return a star-shaped polygon, not convex as a rule, in a circle."""
+    """Return a star-shaped, usually non-convex polygon inside a circle."""
     angles = (np.arange(7) + rng.uniform(0, 0.9, 7)) * 2 * math.pi / 7
     radii = circle.radius * rng.uniform(0.4, 1.0, 7)
     corners = zip(circle.x + radii * np.cos(angles), circle.y + radii * np.sin(angles), strict=True)
@@ -56,7 +56,7 @@ def _cornered(circle: Circle, rng: np.random.Generator) -> Polygon:
 
 
 def _with_transients(body: Footprint) -> Footprint:
-    """Return a body that leaves the arc after a change of offset, to the outside of the old turn."""
+    """Return a body that deviates to the outside of the old turn after a change of offset."""
     wide, tight = 0.3 * body.narrowest, 1 / max(body.tightest)
     changes = (
         Transient(body.offsets[0], body.offsets[-1], 0.0, wide, tight / 3),

@@ -22,37 +22,37 @@ METRICS = {
     "pneumatic_power_w": "pneumatic power, %",
     "position": "final position, % of the path",
 }
-"""Metric → its error and unit."""
+"""Headings of the errors, by metric."""
 FINE_S = 0.0000625
 Settings = Mapping[str, Any]
 Metrics = Mapping[str, Any]
 
 
 def run(name: str, settings: Settings) -> Trajectory:
-    """Return what the twin does in a scenario."""
+    """Simulate a scenario with the twin."""
     scenario = load_scenario(name)
     plant, gait = scenario.build_plant("twin", **settings), scenario.build_controller()
     return rollout(plant, gait, max(8, math.ceil(5 / (gait.frequency or 1))))
 
 
 def measured(name: str, settings: Settings) -> Metrics:
-    """Return the metrics of a run, and where it ended (m)."""
+    """Return the metrics of a run and its final position (m)."""
     trajectory = run(name, settings)
     return plant_metrics(trajectory) | {"position": trajectory.com[-1]}
 
 
-def error(metric: str, found: Metrics, reference: Metrics) -> float:
-    """Return the error of a metric in the unit of `METRICS`; NaN of the radius of a straight gait."""
+def error(metric: str, result: Metrics, reference: Metrics) -> float:
+    """Return the error of a metric in the unit of `METRICS`; NaN for the radius of a straight gait."""
     if metric == "position":
-        return float(100 * np.linalg.norm(found[metric] - reference[metric]) / reference["path_length_m"])
+        return float(100 * np.linalg.norm(result[metric] - reference[metric]) / reference["path_length_m"])
     if metric == "yaw_rate_rad_s":
-        return float(1e3 * (found[metric] - reference[metric]))
+        return float(1e3 * (result[metric] - reference[metric]))
     if metric == "turning_radius_m" and abs(reference["yaw_rate_rad_s"]) < 0.01:
         return math.nan
-    return float(100 * (found[metric] / reference[metric] - 1))
+    return float(100 * (result[metric] / reference[metric] - 1))
 
 
-def errors(found: Sequence[Metrics], reference: Sequence[Metrics]) -> np.ndarray:
+def errors(result: Sequence[Metrics], reference: Sequence[Metrics]) -> np.ndarray:
     """Return the errors, shape (metrics, scenarios)."""
-    pairs = list(zip(found, reference, strict=True))
+    pairs = list(zip(result, reference, strict=True))
     return np.array([[error(metric, *pair) for pair in pairs] for metric in METRICS])

@@ -24,29 +24,29 @@ def strip(distance: float, heights: tuple[float, float], orientation: str, lengt
     )
 
 
-def line(of: Strip) -> Calibration:
-    """Fit the line from field (G) to angle."""
-    return fit_line(field(BENDS, of) / GAUSS, BENDS)
+def line(sensor: Strip) -> Calibration:
+    """Fit the straight line from field (G) to angle."""
+    return fit_line(field(BENDS, sensor) / GAUSS, BENDS)
 
 
-def reach(of: Strip) -> float:
+def reach(sensor: Strip) -> float:
     """Return the difference of the fields at ±90°, G."""
-    return float(abs(np.diff(field(np.array([-np.pi / 2, np.pi / 2]), of))[0]) / GAUSS)
+    return float(abs(np.diff(field(np.array([-np.pi / 2, np.pi / 2]), sensor))[0]) / GAUSS)
 
 
-def of_cylinder(of: Strip, parts: int = 12) -> np.ndarray:
-    """Return B_n (T) over `BENDS` of the whole cylinder, as many small dipoles, its axis along the moment."""
-    x, y, theta = element_place(BENDS, of)
-    across = ((np.arange(parts) + 0.5) / parts - 0.5) * MAGNET_DIAMETER
-    along = ((np.arange(parts) + 0.5) / parts - 0.5) * MAGNET_HEIGHT
+def of_cylinder(sensor: Strip, elements: int = 12) -> np.ndarray:
+    """Return B_n (T) at `BENDS` of the whole cylinder, as small dipoles along the magnetic moment."""
+    x, y, theta = element_place(BENDS, sensor)
+    across = ((np.arange(elements) + 0.5) / elements - 0.5) * MAGNET_DIAMETER
+    along = ((np.arange(elements) + 0.5) / elements - 0.5) * MAGNET_HEIGHT
     u, v, w = (axis.ravel() for axis in np.meshgrid(across, across, along, indexing="ij"))
     inside = u**2 + v**2 <= (MAGNET_DIAMETER / 2) ** 2
     u, v, w = u[inside], v[inside], w[inside]
-    up = of.orientation == "up"
+    up = sensor.orientation == "up"
     r = np.stack(
         [x[:, None] - (u if up else w), y[:, None] - (w if up else u), np.broadcast_to(v, (len(x), len(v)))]
     )
-    moment = np.array([0.0, of.moment, 0.0] if up else [of.moment, 0.0, 0.0])
+    moment = np.array([0.0, sensor.moment, 0.0] if up else [sensor.moment, 0.0, 0.0])
     square = (r**2).sum(axis=0)
     b = 1e-7 * (3 * np.einsum("i,ijk->jk", moment, r) * r / square**2.5 - moment[:, None, None] / square**1.5)
     b_x, b_y = b.mean(axis=2)[:2]

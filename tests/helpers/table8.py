@@ -18,24 +18,23 @@ FREQUENCY_HZ, SUPPLY_PA, TARGET_RAD = 1.5, 131e3, 0.7
 FITTED = (0.0, 0.3, -0.3)
 LENGTH = "geometry.segment_length_m"
 UNKNOWN = {LENGTH: 0.1164, "friction.mu_t": 0.0901, "modules.sensor_bias_rad": 0.0151}
-"""What is looked for, and where the search begins: from there every plant stands, and goes ahead."""
+"""Unknown parameters and their initial values, from which every plant moves forward without diverging."""
 ASKED = (
     "friction.mu_n", "geometry.rigid_gap_m", "mass.connectors_kg", "bending.stiffness_nm_per_rad",
     "bending.damping_time_s", "modules.bias_rad_1",
 )  # fmt: skip
-"""What is held at the robot's value, and asked after where that does not take too long."""
+"""Fixed parameters whose identifiability is tested in the fast studies."""
 
 
 @dataclass(frozen=True)
 class Study:
-    """One fit to the rows.
+    """Fit to the rows.
 
     Attributes:
-        plant: that stands for the robot.
-        steering: what the offset acts on, see `ILC`.
-        held: what is not looked for but held, and asked after: a value, or None for that of the analytical
-            plant's fit.
-        asked: what is held at the robot's value, and asked after.
+        plant: plant that models the robot.
+        steering: target of the offset, see `ILC`.
+        held: fixed and tested parameters: a value, or None for the value in the fit of the analytical plant.
+        asked: parameters that are fixed at the value of the robot and tested.
     """
 
     plant: str
@@ -47,71 +46,74 @@ class Study:
 STUDIES = {
     "analytical": Study("analytical", asked=ASKED),
     "twin": Study("twin", held={LENGTH: None}),
-    # A search for all three ended at 0.1555 m, 0.116 and 0.016 rad and gave length and mu_t no number.
+    # A search for all three ended at 0.1555 m, 0.116 and 0.016 rad; length and mu_t were not identifiable.
     "analytical_wave": Study("analytical", steering="targets_and_wave", held={LENGTH: 0.1555}),
 }
 
 
 def place(study: str) -> Path:
-    """Return where the fit of a study is kept."""
+    """Return the path of the fit file of a study."""
     return data_root() / "calibration" / "fits" / f"gen4_table8_{study}.yaml"
 
 
 def shipped() -> dict[str, FitFile]:
-    """Return the fits that there are, by study."""
+    """Return the existing fits by study."""
     return {study: load_fit(place(study)) for study in STUDIES if place(study).is_file()}
 
 
 def drive_of(study: str) -> Drive:
-    """Return generation 4 under Section 5.3's iterative learning."""
+    """Return generation 4 with the iterative learning control of Section 5.3."""
     plant, steering = STUDIES[study].plant, STUDIES[study].steering
     return Drive(load_robot("gen4"), FREQUENCY_HZ, SUPPLY_PA, "ilc", TARGET_RAD, plant, steering)
 
 
 def held_values(study: str) -> dict[str, float]:
-    """Return what a study holds, and at which values."""
+    """Return the fixed parameters of a study and their values."""
     held = STUDIES[study].held
     known = load_fit(place("analytical")).estimate().values if None in held.values() else {}
     return {name: known[name] if value is None else value for name, value in held.items()}
 
 
 def values_of(fit: FitFile, kind: str) -> dict[float, tuple[float, float]]:
-    """Return offset → speed (m/s) and radius (m, no sign), kind "measured" or "predicted"."""
-    found = {}
-    for each in sorted(fit.data, key=lambda each: float(each.name.removeprefix("offset "))):
-        held = getattr(each, kind)
-        offset = float(each.name.removeprefix("offset "))
-        found[offset] = (held["speed_m_s"], 1 / abs(held["curvature_per_m"]))
-    return found
+    """Return speed (m/s) and unsigned radius (m) by offset; kind is "measured" or "predicted"."""
+    result = {}
+    for item in sorted(fit.data, key=lambda item: float(item.name.removeprefix("offset "))):
+        held = getattr(item, kind)
+        offset = float(item.name.removeprefix("offset "))
+        result[offset] = (held["speed_m_s"], 1 / abs(held["curvature_per_m"]))
+    return result
 
 
 PLANT = "analytical"
 
 
 def edges(fitted: FitFile, role: str) -> list[BoxEdges]:
-    """Return the runs of a role, as a fit to speeds and radii holds them."""
-    found = []
-    for each in fitted.data:
-        if each.role == role:
-            assert each.measured is not None and each.predicted is not None, "the fit holds what it predicts"
-            measured, drawn = ((-told["left_m"], told["right_m"]) for told in (each.measured, each.predicted))
-            found.append(BoxEdges(float(each.name.removeprefix("offset ")), measured, drawn))
-    return found
+    """Return the runs of a role from a fit to speeds and radii."""
+    result = []
+    for item in fitted.data:
+        if item.role == role:
+            assert item.measured is not None and item.predicted is not None, "the fit holds what it predicts"
+            measured, drawn = (
+                (-prediction["left_m"], prediction["right_m"])
+                for prediction in (item.measured, item.predicted)
+            )
+            result.append(BoxEdges(float(item.name.removeprefix("offset ")), measured, drawn))
+    return result
 
 
 def fit_body_width() -> FitFile:
-    """Fit the width to three rows and predict all."""
+    """Fit the width to three rows and predict all rows."""
     moves, spec = load_fit(place(PLANT)), load_robot("gen4")
     fitted, kept = edges(moves, "fit"), edges(moves, "validation")
-    found = fit_width(fitted, spec, validation=kept)
-    change = found.values[WIDTH] - spec.geometry.width
+    result = fit_width(fitted, spec, validation=kept)
+    change = result.values[WIDTH] - spec.geometry.width
     return fit_file(
-        found, name="gen4_table8_width", title="Generation 4's width from Table 8's boxes at 0 and ±0.3",
+        result, name="gen4_table8_width", title="Generation 4's width from Table 8's boxes at 0 and ±0.3",
         robot="gen4", method="edges", command="uv run python benchmarks/table8_width.py", versions=versions(),
-        data=[each.data_set("fit") for each in fitted] + [each.data_set("validation") for each in kept],
+        data=[item.data_set("fit") for item in fitted] + [item.data_set("validation") for item in kept],
         averages={
-            f"offset {each.offset:g}": (_named(*each.measured), _named(*each.of_width(change)))
-            for each in [*fitted, *kept]
+            f"offset {item.offset:g}": (_named(*item.measured), _named(*item.of_width(change)))
+            for item in [*fitted, *kept]
         },
     )  # fmt: skip
 

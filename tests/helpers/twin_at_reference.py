@@ -16,10 +16,10 @@ def crawled(name: str, periods: int | None = None, timestep: float = 0.001, **op
     """Return the result of the twin at a point of the reference, measured as `load_reference.simulate` does.
 
     Args:
-        name: of the point.
-        periods: number of periods of the gait; None: those of the point.
-        timestep: s.
-        options: of the twin.
+        name: name of the point.
+        periods: number of gait periods; None: those of the point.
+        timestep: time step, s.
+        options: options of the twin.
     """
     point, spec = POINTS[name], load_robot(POINTS[name].robot)
     if point.stiffness is not None:
