@@ -42,7 +42,7 @@ def test_a_known_width_is_recovered(width, drawn):
 def test_a_wider_body_moves_alike_and_reaches_farther_by_half():
     """What the fit takes for granted, of a snake that crawls and turns."""
     wide = replace(SPEC, geometry=replace(SPEC.geometry, width=SPEC.geometry.width + 0.04))
-    runs = [rollout(AnalyticalSnake(each), Gait(1.0, 0.2), 2.0) for each in (SPEC, wide)]
+    runs = [rollout(AnalyticalSnake(item), Gait(1.0, 0.2), 2.0) for item in (SPEC, wide)]
     assert np.array_equal(runs[0]["com_x"], runs[1]["com_x"])
     narrow, far = (body_sides(run, spec.geometry) for run, spec in zip(runs, (SPEC, wide), strict=True))
     apart = np.hypot(*np.moveaxis(far - narrow, -1, 0))
@@ -60,14 +60,14 @@ def test_the_same_row_cannot_fit_and_validate():
 def test_the_shipped_width_is_what_its_command_finds():
     shipped = load_fit(place("width"))
     assert fit_body_width().parameters == shipped.parameters
-    assert {each.name for each in shipped.data if each.role == "fit"} == {
+    assert {item.name for item in shipped.data if item.role == "fit"} == {
         "offset 0",
         "offset 0.3",
         "offset -0.3",
     }
     table = {f"offset {row.offset:g}": (row.left_m, row.right_m) for row in published_runs()}
-    for each in shipped.data:
-        assert (each.measured["left_m"], each.measured["right_m"]) == table[each.name]
+    for item in shipped.data:
+        assert (item.measured["left_m"], item.measured["right_m"]) == table[item.name]
 
 
 def test_the_page_shows_the_edges_of_the_shipped_width():
@@ -88,7 +88,7 @@ def test_the_scenario_has_the_robot_of_the_fits():
 
 
 def test_edges_are_read_with_their_sides():
-    found = edges(load_fit(place("analytical")), "fit")
-    assert len(found) == 3
-    for each in found:
-        assert min(*each.measured, *each.drawn) > 0
+    result = edges(load_fit(place("analytical")), "fit")
+    assert len(result) == 3
+    for item in result:
+        assert min(*item.measured, *item.drawn) > 0

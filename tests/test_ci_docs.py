@@ -1,4 +1,4 @@
-"""docs/ci.md: its workflow files are sound, and what they and the Containerfile call exists."""
+"""docs/ci.md: its workflow files are valid, and the commands in them and in the Containerfile exist."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ def github_steps():
     return ACTION["runs"]["steps"]
 
 
-def inputs_of(text, **given):
+def inputs_of(text, **argument):
     """Return a text of the action with its inputs in their places."""
-    values = {name: each["default"] for name, each in ACTION["inputs"].items()} | given
-    return re.sub(r"\$\{\{ inputs\.(\w+) \}\}", lambda found: values[found[1]], text)
+    values = {name: item["default"] for name, item in ACTION["inputs"].items()} | argument
+    return re.sub(r"\$\{\{ inputs\.(\w+) \}\}", lambda result: values[result[1]], text)
 
 
 def shell_lines():
@@ -74,12 +74,12 @@ def test_commands_and_options_exist(line):
         whole.commands[verb].make_context(verb, rest)
 
 
-def test_the_rule_catches_options_that_are_not_there():
+def test_option_check_rejects_unknown_options():
     with pytest.raises(TyperException, match="No such option: --junitt"):
         command().commands["run"].make_context("run", ["scenarios/", "--junitt", "out.xml"])
 
 
-def test_the_workflows_of_the_page_use_what_is_there():
+def test_workflows_of_the_page_use_existing_inputs():
     (job,) = workflow("github")["jobs"].values()
     checkout, ours = job["steps"]
     assert (ROOT / ours["uses"] / "action.yml").is_file() and checkout["uses"] == "actions/checkout@v4"
@@ -123,14 +123,14 @@ def bash(script, room, **variables):
     )
 
 
-def run_action(room, **given):
+def run_action(room, **argument):
     """Run the shell steps of the action with inputs in the places that it gives them."""
     files = {"GITHUB_OUTPUT": room / "output", "GITHUB_STEP_SUMMARY": room / "summary"}
     steps = [step for step in github_steps() if "run" in step]
     return [
         bash(
-            inputs_of(step["run"], **given), room, **files,
-            **{name: inputs_of(value, **given) for name, value in step.get("env", {}).items()},
+            inputs_of(step["run"], **argument), room, **files,
+            **{name: inputs_of(value, **argument) for name, value in step.get("env", {}).items()},
         )
         for step in steps
     ]  # fmt: skip
@@ -157,24 +157,24 @@ def test_inputs_are_never_executed(text, room):
     assert "srs-twin" in (room / "record").read_text().split()
 
 
-def test_no_workflow_pastes_an_expression_into_a_shell():
+def test_no_workflow_inserts_an_expression_into_a_shell():
     files = [*ROOT.glob(".github/**/*.yml"), ROOT / "ci/gitlab.yml"]
 
     def scripts(value):
-        for key, each in value.items() if isinstance(value, dict) else enumerate(value):
+        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
             if key in ("run", "script", "before_script"):
-                yield str(each)
-            elif isinstance(each, dict | list):
-                yield from scripts(each)
+                yield str(item)
+            elif isinstance(item, dict | list):
+                yield from scripts(item)
 
-    found = [text for path in files for text in scripts(YAML(typ="safe", pure=True).load(path))]
-    assert len(found) >= 5
-    assert not [text for text in found if "${{" in text]
+    result = [text for path in files for text in scripts(YAML(typ="safe", pure=True).load(path))]
+    assert len(result) >= 5
+    assert not [text for text in result if "${{" in text]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("least", "code"), [("0.1", 0), pytest.param("0.9", 1, marks=pytest.mark.slow)])
-def test_the_steps_of_the_action_run(room, least, code):
+def test_steps_of_the_action_run(room, least, code):
     (room / "scenarios/short.yaml").write_text(FAST.replace("LEAST", least))
     installed, done = run_action(room, project=str(ROOT))
     assert installed.returncode == 0
@@ -189,7 +189,7 @@ def test_the_steps_of_the_action_run(room, least, code):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("least", "code"), [("0.1", 0), ("0.9", 1)])
-def test_the_script_of_the_template_runs(room, least, code):
+def test_script_of_the_template_runs(room, least, code):
     (room / "scenarios/short.yaml").write_text(FAST.replace("LEAST", least))
     variables = TEMPLATE["variables"] | {"PROJECT": ROOT, "UV_CACHE_DIR": room / "cache"}
     done = bash("\n".join(TEMPLATE["script"]), room, **variables)
@@ -199,7 +199,7 @@ def test_the_script_of_the_template_runs(room, least, code):
     assert (room / artifacts["reports"]["junit"]).is_file() and (room / artifacts["paths"][0]).is_dir()
 
 
-def test_workflows_use_a_python_that_is_allowed():
+def test_workflows_use_a_supported_python():
     allowed = re.search(
         r'requires-python = ">=3\.(\d+),<3\.(\d+)"', (ROOT / "pyproject.toml").read_text("utf-8")
     )
@@ -210,16 +210,16 @@ def test_workflows_use_a_python_that_is_allowed():
     assert all(low <= int(version.split(".")[1]) < high for version in [*versions, *images])
 
 
-def test_exit_codes_are_those_of_the_readme():
+def test_exit_codes_agree_with_the_readme():
     def codes(text):
         return re.findall(r"^\| (\d+) \|", text, re.M)
 
     assert codes(DOCS) == codes((ROOT / "README.md").read_text("utf-8")) == ["0", "1", "2", "3", "4", "130"]
 
 
-def test_containerfile_copies_what_is_there_and_runs_as_nobody_special():
+def test_containerfile_copies_existing_files_and_runs_without_root():
     copied = [words.split()[:-1] for words in re.findall(r"^COPY (?!--from)(.*)$", CONTAINERFILE, re.M)]
-    sources = {source for each in copied for source in each}
+    sources = {source for item in copied for source in item}
     assert sources >= {"pyproject.toml", "srs_twin", "calibration", "models", "scenarios"}
     assert all((ROOT / source).exists() for source in sources)
     last = CONTAINERFILE.rpartition("FROM ")[2]
@@ -243,9 +243,9 @@ def container(tmp_path):
 def started(container):
     """Return the private folder that the program gets."""
     taken = ("NUMBA_CACHE_DIR", "MPLCONFIGDIR")
-    given = {name: value for name, value in os.environ.items() if name not in taken}
+    argument = {name: value for name, value in os.environ.items() if name not in taken}
     words = [str(container / "start/srs-twin"), "run", "a b"]
-    env = given | {"TMPDIR": str(container / "tmp")}
+    env = argument | {"TMPDIR": str(container / "tmp")}
     done = subprocess.run(words, env=env, capture_output=True, text=True, check=True)
     kernels, pictures, arguments = done.stdout.splitlines()
     assert (Path(kernels).name, Path(pictures).name) == ("numba", "matplotlib")
@@ -270,11 +270,11 @@ def test_caches_of_the_container_are_private_to_its_user(before, container):
         if os.getuid() != 0:
             pytest.skip("only root can give a folder away")
         os.chown(own, 65534, 65534)
-    found = started(container)
-    there = found.lstat()
+    result = started(container)
+    there = result.lstat()
     assert stat.S_ISDIR(there.st_mode) and stat.S_IMODE(there.st_mode) == 0o700
-    assert there.st_uid == os.getuid() and found.parent == own.parent
-    assert (found == own) == (before in ("nothing", "private"))
+    assert there.st_uid == os.getuid() and result.parent == own.parent
+    assert (result == own) == (before in ("nothing", "private"))
 
 
 def test_the_container_starts_with_private_caches():
@@ -284,7 +284,7 @@ def test_the_container_starts_with_private_caches():
     assert "CACHE_DIR" not in last and os.access(ROOT / "ci/container.sh", os.X_OK)
 
 
-def test_containerfile_installs_what_the_doctor_asks_for():
+def test_containerfile_installs_the_packages_of_the_doctor():
     remedies = [f"apt-get install {names} (Debian" for names in PACKAGES.values()]
     remedies.append(REMEDIES[VIEWERS]["without a screen"])
     asked = {
@@ -292,10 +292,10 @@ def test_containerfile_installs_what_the_doctor_asks_for():
         for remedy in remedies
         for name in re.findall(r"(?:apt-get install|^)((?: [\w-]+)+) \(Debian", remedy)
     }
-    packages = {word for each in asked for word in each.split()}
+    packages = {word for item in asked for word in item.split()}
     installed = set(re.search(r"no-install-recommends \\\n +(.*) \\\n", CONTAINERFILE).group(1).split())
     assert packages and packages == installed
 
 
-def test_readme_leads_here():
+def test_readme_links_to_the_ci_page():
     assert "(docs/ci.md)" in (ROOT / "README.md").read_text("utf-8")

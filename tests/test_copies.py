@@ -45,12 +45,12 @@ def copies(thing: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("case", first_by_default(4, map(pytest.param, CASES)), ids="-".join)
-def test_copies_made_during_a_run_continue_with_the_bits_of_the_original(case):
+def test_copies_during_a_run_continue_identically(case):
     plant, controller = started(scenario(*case), seed=5)
     go_on(plant, controller, 11)
     pairs = copies((plant, controller)) | {"alone": (copy.copy(plant), copy.copy(controller))}
-    pairs.pop("copy")  # of a tuple it is the tuple
-    # The copies move first, so that state which they share with the original has changed when it moves.
+    pairs.pop("copy")  # the copy of a tuple is the tuple itself
+    # The copies run first, so any state shared with the original changes before the original runs.
     moved = {name: go_on(*pair, 9) for name, pair in pairs.items()}
     here = go_on(plant, controller, 9)
     for name, (other, steering) in pairs.items():
@@ -62,7 +62,7 @@ def test_copies_made_during_a_run_continue_with_the_bits_of_the_original(case):
 
 
 @pytest.mark.parametrize("contact", ["loaded", "preloaded"])
-def test_copies_of_a_twin_keep_what_was_changed_in_its_model(contact):
+def test_copies_of_a_twin_keep_changes_of_its_model(contact):
     twin = TwinSnake(LONG, contact=contact)
     model = twin.physics.model.ptr
     model.body_mass[-1] *= 1.5
@@ -77,17 +77,17 @@ def test_copies_of_a_twin_keep_what_was_changed_in_its_model(contact):
         assert other.pneumatics is other.physics._pneumatics is not twin.pneumatics
     moved = {name: go_on(other, gait, 3) for name, other in others.items()}
     here = go_on(twin, gait, 3)
-    assert all(all(map(same, here, each)) for each in moved.values())
+    assert all(all(map(same, here, item)) for item in moved.values())
     assert not same(here[-1], go_on(restarted := TwinSnake(LONG, contact=contact), gait, 6)[-1])
     assert restarted.physics.model.ptr.body_mass[-1] != model.body_mass[-1]
 
 
-def test_a_copied_physics_is_one_that_steps_and_contacts_alone_are_refused():
+def test_physics_can_be_copied_and_contacts_alone_cannot():
     twin = TwinSnake(load_robot("gen2"), contact="loaded")
     physics = twin.physics.copy()
-    for each in (physics, twin.physics):
-        each.set_control(np.ones((4, 2)))
-        each.step(20)
+    for item in (physics, twin.physics):
+        item.set_control(np.ones((4, 2)))
+        item.step(20)
     assert (physics.data.qpos == twin.physics.data.qpos).all() and np.any(physics.data.qvel)
     with pytest.raises(InputError, match="leave out share_model"):
         physics.copy(share_model=True)
@@ -96,17 +96,17 @@ def test_a_copied_physics_is_one_that_steps_and_contacts_alone_are_refused():
             way(twin.physics.loaded)
 
 
-def test_a_copied_batch_continues_with_the_bits_of_the_original():
+def test_copied_batch_continues_identically():
     gen2 = load_robot("gen2")
     rough = replace(gen2, friction=replace(gen2.friction, mu_t=0.2))
     batch = TwinBatch([gen2, rough], threads=2)
     valves = np.random.default_rng(0).integers(0, 2, (8, 2, 4, 2)) * 2 - 1
-    for each in valves[:4]:
-        batch.step(each)
+    for item in valves[:4]:
+        batch.step(item)
     others = copies(batch)
-    moved = {name: [other.step(each) for each in valves[4:]] for name, other in others.items()}
-    here = [batch.step(each) for each in valves[4:]]
-    assert all(all(map(same, here, each)) for each in moved.values())
+    moved = {name: [other.step(item) for item in valves[4:]] for name, other in others.items()}
+    here = [batch.step(item) for item in valves[4:]]
+    assert all(all(map(same, here, item)) for item in moved.values())
 
 
 ELSEWHERE = """
@@ -121,7 +121,7 @@ for name in sys.argv[1:]:
 
 
 @pytest.mark.slow
-def test_pickles_continue_with_the_same_bits_in_another_process(tmp_path):
+def test_pickles_continue_identically_in_another_process(tmp_path):
     expected, names = [], []
     for case in (("loaded", "lag", "follow", "hall"), ("preloaded", "lag", "gait", "ideal")):
         plant, controller = started(scenario(*case), seed=5)
@@ -148,17 +148,17 @@ class Steered(Gait):
     ("own", "words"),
     [
         (lambda time: 0.1, "a function without a name in its module"),
-        ((each for each in ()), "a generator"),
+        ((item for item in ()), "a generator"),
         (ThreadPoolExecutor(1).submit, "a task of another thread"),
     ],
     ids=["function", "generator", "thread"],
 )
-def test_a_controller_with_what_cannot_be_copied_is_refused_and_the_remedy_named(way, own, words):
+def test_controller_that_cannot_be_copied_is_refused_with_a_remedy(way, own, words):
     with pytest.raises(InputError, match=rf"attribute 'own' is {words}; use save\(\) and restore\(\)"):
         WAYS[way](Steered(own))
 
 
-def test_an_incomplete_state_is_refused_and_nothing_of_it_taken():
+def test_incomplete_state_is_refused_without_side_effects():
     twin = TwinSnake(load_robot("gen2"))
     state = twin.save()
     twin.step(np.ones((4, 2)))

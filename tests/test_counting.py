@@ -1,4 +1,4 @@
-"""How far many runs are: what is said where stderr is no terminal, and what a terminal shows."""
+"""Progress messages of many runs, with and without a terminal."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.fast
 
 @pytest.fixture
 def clock(monkeypatch):
-    """A clock that a test turns."""
+    """Clock that a test advances."""
 
     class Clock:
         now = 100.0
@@ -29,13 +29,13 @@ def clock(monkeypatch):
     return clock
 
 
-def test_a_line_every_ten_seconds_with_rate_and_time_left(clock, capsys):
+def test_progress_line_every_ten_seconds_has_rate_and_remaining_time(clock, capsys):
     with Counting("grid", 100) as done:
         for second in range(5, 55):
             clock.now = 100.0 + second
             done(failed=second == 20)
     lines = capsys.readouterr().err.splitlines()
-    # The first run is done after 5 s, then one a second: workers take a while to start.
+    # The first run ends after 5 s because workers start slowly, then one run ends per second.
     assert lines == [
         "grid: 6 of 100, 1/s, 94 s left",
         "grid: 16 of 100, 1 failed, 1/s, 84 s left",
@@ -45,11 +45,11 @@ def test_a_line_every_ten_seconds_with_rate_and_time_left(clock, capsys):
     ]
 
 
-def test_a_search_tells_how_well_it_fits_every_ten_seconds(clock, capsys):
-    with Searching("gen2_friction") as told:
+def test_search_reports_its_misfit_every_ten_seconds(clock, capsys):
+    with Searching("gen2_friction") as message:
         for runs in range(1, 24):
             clock.now += 1.0
-            told(runs, 10.0 / runs)
+            message(runs, 10.0 / runs)
     assert capsys.readouterr().err.splitlines() == [
         "gen2_friction: 10 runs of the model, weighted residuals 1 RMS at best",
         "gen2_friction: 20 runs of the model, weighted residuals 0.5 RMS at best",
@@ -57,7 +57,7 @@ def test_a_search_tells_how_well_it_fits_every_ten_seconds(clock, capsys):
 
 
 @pytest.mark.parametrize("options", [{"quiet": True}, {}])
-def test_brief_or_quiet_ones_say_nothing(clock, capsys, options):
+def test_brief_or_quiet_runs_print_nothing(clock, capsys, options):
     with Counting("grid", 3, **options) as done:
         for _ in range(3):
             clock.now += 20.0 if options else 0.5
@@ -65,7 +65,7 @@ def test_brief_or_quiet_ones_say_nothing(clock, capsys, options):
     assert capsys.readouterr().err == ""
 
 
-def test_a_terminal_shows_a_bar(clock, monkeypatch):
+def test_terminal_shows_a_progress_bar(clock, monkeypatch):
     class Terminal(io.StringIO):
         def isatty(self):
             return True

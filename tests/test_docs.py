@@ -1,4 +1,4 @@
-"""What the pages tell a reader is so: commands parse, files load, examples run (links: the site's build)."""
+"""The documentation pages: commands parse, files load, examples run (links are checked by the site build)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from srs_twin.studies.sweep.loading import load_sweep
 BY_PATH = {page.path: page for page in PAGES}
 COMMANDS = [(page, line) for page in PAGES for line in (*page.commands, *page.mentions)]
 BLOCKS = [(page, block) for page in PAGES for block in page.blocks]
-# What else a reader types. A new program here needs a look at whether it can be checked.
+# Other programs in commands; decide for each new one whether its arguments can be checked.
 OTHERS = {"pip", "python3", "uv", "podman", "docker", ".ci/run", "python", "mosquitto"}
 GIVEN = {"scenario": "scenario", "scenarios": "scenario", "sweep": "sweep"}
 SCENARIO = set(ScenarioFile.model_fields)
@@ -38,30 +38,30 @@ def name_of(value):
 
 
 def parsed(words, *, mention=False):
-    """Parse what follows `srs-twin` without running it; return the context of a command, or None."""
+    """Parse the arguments of `srs-twin` without running it; return the context of a command, or None."""
     if "--help" in words or "--version" in words:
         words = [word for word in words if word not in ("--help", "--version")]
         assert not words or words[0] in command().commands
         return None
     while words and words[0].startswith("-"):
-        assert any(words[0] in each.opts for each in command().params), words[0]
+        assert any(words[0] in item.opts for item in command().params), words[0]
         words = words[1:]
-    given, name = command(), ""
-    while words and hasattr(given, "commands"):
+    group, name = command(), ""
+    while words and hasattr(group, "commands"):
         name, *words = words
-        assert name in given.commands, f"there is no command {name}"
-        given = given.commands[name]
-    if hasattr(given, "commands"):
+        assert name in group.commands, f"there is no command {name}"
+        group = group.commands[name]
+    if hasattr(group, "commands"):
         return None
     if mention and all(word.startswith("-") for word in words):
-        known = {spelt for each in given.params for spelt in (*each.opts, *each.secondary_opts)}
+        known = {spelt for item in group.params for spelt in (*item.opts, *item.secondary_opts)}
         assert set(words) <= known, f"{name} knows no {set(words) - known}"
         return None
-    return given.make_context(name, list(words))
+    return group.make_context(name, list(words))
 
 
 def is_there(kind, value, page):
-    """Say whether a scenario or sweep that a page names can be found."""
+    """Return whether a scenario or sweep named in a page exists."""
     if value.isupper() or value in page.files:
         return True
     if "/" in value or "." in value:
@@ -72,8 +72,8 @@ def is_there(kind, value, page):
 def check_srs_twin(page, words, *, mention=False):
     context = parsed(words, mention=mention)
     for parameter, kind in GIVEN.items():
-        given = context.params.get(parameter) if context else None
-        for value in [given] if isinstance(given, str) else given or []:
+        argument = context.params.get(parameter) if context else None
+        for value in [argument] if isinstance(argument, str) else argument or []:
             if context.info_name != "view":
                 assert is_there(kind, value, page), f"{kind} {value} is not there"
 
@@ -86,7 +86,7 @@ def check_script(words):
 
 
 @pytest.mark.parametrize(("page", "line"), COMMANDS, ids=lambda value: name_of(value) or str(value))
-def test_commands_parse_and_what_they_name_is_there(page, line):
+def test_commands_parse_and_name_existing_files(page, line):
     for part in line.split(" && "):
         words = words_of(part)
         if "srs-twin" in words and "build" not in words:
@@ -103,46 +103,46 @@ def test_commands_parse_and_what_they_name_is_there(page, line):
     "line",
     ["compare gen2_strait", "run scenarios/gone.yaml", "compare gen2_turn --explian", "colour gen2_turn"],
 )
-def test_the_rule_catches_what_is_not_there(line):
+def test_command_check_rejects_unknown_names(line):
     with pytest.raises((AssertionError, TyperException)):
         check_srs_twin(PAGES[0], line.split())
 
 
 @pytest.mark.parametrize(
-    ("page", "block"), [each for each in BLOCKS if each[1].language == "python"], ids=name_of
+    ("page", "block"), [item for item in BLOCKS if item[1].language == "python"], ids=name_of
 )
-def test_python_names_what_there_is(page, block):
+def test_python_blocks_use_existing_names(page, block):
     for node in ast.walk(ast.parse(block.text)):
         if isinstance(node, ast.Import):
-            for each in node.names:
-                importlib.import_module(each.name)
+            for item in node.names:
+                importlib.import_module(item.name)
         elif isinstance(node, ast.ImportFrom):
             module = importlib.import_module(node.module)
-            for each in node.names:
-                assert hasattr(module, each.name) or importlib.import_module(f"{node.module}.{each.name}")
+            for item in node.names:
+                assert hasattr(module, item.name) or importlib.import_module(f"{node.module}.{item.name}")
         elif isinstance(node, ast.Attribute) and getattr(node.value, "id", "") in ("srs", "srs_twin"):
             assert hasattr(importlib.import_module("srs_twin"), node.attr), node.attr
 
 
 def yaml_blocks():
-    done_elsewhere = {"github", "gitlab", "tolerances"}  # test_ci_docs.py, test_diff.py
-    return [(p, b) for p, b in BLOCKS if b.language == "yaml" and b.mark not in done_elsewhere]
+    checked_elsewhere = {"github", "gitlab", "tolerances"}  # test_ci_docs.py, test_diff.py
+    return [(p, b) for p, b in BLOCKS if b.language == "yaml" and b.mark not in checked_elsewhere]
 
 
 @pytest.mark.parametrize(("page", "block"), yaml_blocks(), ids=name_of)
-def test_yaml_loads(page, block, tmp_path, monkeypatch):
-    """Whole files as they are; parts over the file that the fence names (`yaml over PATH`), or a scenario."""
+def test_yaml_blocks_load(page, block, tmp_path, monkeypatch):
+    """Complete files load directly, fragments after merging into a scenario or the file `yaml over PATH`."""
     monkeypatch.chdir(tmp_path)
     for folder in ("calibration", "scenarios"):
         (tmp_path / folder).symlink_to(ROOT / folder)
-    for each in page.blocks:
-        if each.file:
-            (tmp_path / each.file).write_text(each.text, "utf-8")
+    for item in page.blocks:
+        if item.file:
+            (tmp_path / item.file).write_text(item.text, "utf-8")
     yaml = YAML(typ="safe", pure=True)
     document = yaml.load(block.text.replace("{…}", "{}"))
     if block.mark == "map":
-        found = read_map(document)
-        assert found.markers or found.bodies
+        result = read_map(document)
+        assert result.markers or result.bodies
         return
     path = tmp_path / "printed.yaml"
     if block.mark.startswith("over "):
@@ -156,7 +156,7 @@ def test_yaml_loads(page, block, tmp_path, monkeypatch):
         "vary": load_sweep,
         "geometry": load_robot,
         "objectives": load_study,
-        "broker": lambda given: load_setup(Path(given)),
+        "broker": lambda argument: load_setup(Path(argument)),
     }
     load = next((load for key, load in loaders.items() if key in printed), load_scenario)
     assert load(str(path))
@@ -171,8 +171,8 @@ README = BY_PATH[ROOT / "README.md"]
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", COMMANDED, ids=name_of)
-def test_commands_run_from_top_to_bottom(page, tmp_path, srs_twin_process):
-    """As a reader would: save what is to be saved, type what is to be typed."""
+def test_commands_of_a_page_run_in_order(page, tmp_path, srs_twin_process):
+    """Save the files and type the commands as a reader does."""
     page.save_files(tmp_path)
     for block in page.blocks:
         for line in block.text.splitlines() if block.mark == "runnable" else ():
@@ -184,11 +184,11 @@ def test_commands_run_from_top_to_bottom(page, tmp_path, srs_twin_process):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", SCRIPTED, ids=name_of)
-def test_python_runs_as_a_script(page, tmp_path):
+def test_python_of_a_page_runs_as_a_script(page, tmp_path):
     page.run_script(tmp_path)
 
 
-def test_the_first_command_is_the_main_job_and_gives_what_the_readme_says(tmp_path, srs_twin):
+def test_first_command_of_the_readme_gives_the_stated_results(tmp_path, srs_twin):
     README.save_files(tmp_path)
     first, again = README.commands[:2]
     assert first == "pip install uv && uv run srs-twin compare scenarios/gen2_straight.yaml"
@@ -207,32 +207,32 @@ def test_the_first_command_is_the_main_job_and_gives_what_the_readme_says(tmp_pa
 
 
 def printed(row):
-    """Return the numbers of the analytical and the twin column in the README's table of measured values."""
+    """Return the analytical and the twin column in the README's table of measured values."""
     (cells,) = re.findall(rf"^\| {row}[^|]*\|([^|]*)\|([^|]*)\|", README.text, re.M)
     return [float(cell) for cell in cells if cell.strip()]
 
 
-def test_one_test_command_everywhere():
+def test_test_command_is_the_same_everywhere():
     assert "uv run --group dev pytest" in README.commands
     assert "uv run --group dev pytest" in (ROOT / ".ci/run").read_text("utf-8")
 
 
-def test_a_script_that_fails_is_noticed(tmp_path):
+def test_failing_script_is_reported(tmp_path):
     path = tmp_path / "page.md"
     path.write_text("```python\nnumber = 1\n```\n\n```python\nassert number == 2\n```\n")
     with pytest.raises(AssertionError, match="assert number == 2"):
         Page(path).run_script(tmp_path)
 
 
-def test_the_pages_have_examples():
+def test_pages_have_examples():
     assert {page.name for page in COMMANDED} >= {"README.md", "docs/quickstart.md", "docs/add-a-robot.md"}
     assert {page.name for page in SCRIPTED} >= {
         "README.md", "docs/quickstart.md", "docs/add-a-controller.md", "docs/sweeps.md", "docs/logs.md"
     }  # fmt: skip
 
 
-def test_errata_that_the_project_names_are_listed():
-    """E1 to E29 stand in the errata once each, with a place and a remedy."""
+def test_errata_are_listed():
+    """E1 to E29 occur once each in the errata, with a location and a remedy."""
     text = next(page.text for page in PAGES if page.name == "docs/errata.md")
     rows = [line.split(" | ") for line in text.splitlines() if re.match(r"\| E\d+ \|", line)]
     assert [row[0].strip("| ") for row in rows] == [f"E{n}" for n in range(1, 30)]
@@ -249,16 +249,16 @@ def test_errata_that_the_project_names_are_listed():
     assert named and named <= set(range(1, 30))
 
 
-def test_what_is_known_to_be_missed_names_the_section_that_shows_why():
-    reasons = {each.known for name in shipped_names("scenario") for each in load_scenario(name).expect}
+def test_known_misses_name_an_existing_section():
+    reasons = {item.known for name in shipped_names("scenario") for item in load_scenario(name).expect}
     for reason in reasons - {None}:
         named = re.search(r"\((docs/[\w-]+\.md)#([\w-]+)\)$", reason)
         assert named, reason
         assert named[2] in BY_PATH[ROOT / named[1]].anchors, reason
 
 
-def test_every_source_that_a_page_names_exists():
+def test_sources_named_in_pages_exist():
     sources = [f"/{path.relative_to(ROOT)}" for path in ROOT.rglob("*.py") if ".venv" not in path.parts]
-    pages = [page for page in PAGES if "/add-a-" not in page.name]  # these make files of their own
+    pages = [page for page in PAGES if "/add-a-" not in page.name]  # these pages create their own sources
     named = {(page.name, name) for page in pages for name in re.findall(r"`([\w/]+\.py)`", page.prose)}
-    assert {each for each in named if not any(source.endswith(f"/{each[1]}") for source in sources)} == set()
+    assert {item for item in named if not any(source.endswith(f"/{item[1]}") for source in sources)} == set()

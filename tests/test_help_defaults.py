@@ -92,44 +92,42 @@ LIVE = {
 }
 
 
-def test_every_stated_default_is_checked_or_names_no_value():
+def test_stated_defaults_are_checked_or_have_no_value():
     checked = {*values(), *LIVE}
     rest = {
-        each for each in stated()
-        if each[:2] not in checked and each[2] not in PHRASES and not (each[1] == "out" and each[0] in PLACES)
+        item for item in stated()
+        if item[:2] not in checked and item[2] not in PHRASES and not (item[1] == "out" and item[0] in PLACES)
     }  # fmt: skip
     assert rest == set()
 
 
-def test_stated_values_are_those_that_the_commands_take():
-    texts = {each[:2]: each[2] for each in stated()}
+def test_stated_defaults_equal_those_of_the_commands():
+    texts = {item[:2]: item[2] for item in stated()}
     assert {key: texts[key] for key in values()} == values()
 
 
 @pytest.mark.parametrize("name", PLACES)
-def test_without_out_a_command_writes_where_its_help_says(name, srs_twin, tmp_path):
+def test_default_output_folder_is_the_one_in_the_help(name, srs_twin, tmp_path):
     """A file blocks the stated folder: the command must report it before it runs anything."""
-    (template,) = (text for of, parameter, text in stated() if (of, parameter) == (name, "out"))
+    (template,) = (text for source, parameter, text in stated() if (source, parameter) == (name, "out"))
     words, meant = PLACES[name]
-    place = Path(re.sub("[A-Z]{2,}", lambda found: meant[found[0]], template))
+    place = Path(re.sub("[A-Z]{2,}", lambda result: meant[result[0]], template))
     (tmp_path / place).parent.mkdir(parents=True)
     (tmp_path / place).write_text("in the way", "utf-8")
     done = srs_twin(*words.split(), cwd=tmp_path)
     assert done.returncode == 2
     assert str(place) in done.stderr
-    assert [each for each in tmp_path.rglob("*") if each.is_file()] == [tmp_path / place]
+    assert [item for item in tmp_path.rglob("*") if item.is_file()] == [tmp_path / place]
 
 
 @pytest.mark.parametrize(("words", "address"), [("shadow gen2", "127.0.0.1:1883"), ("emulate gen2", None)])
-def test_a_live_command_takes_name_and_broker_that_its_help_says(
-    words, address, srs_twin, tmp_path, monkeypatch
-):
+def test_live_commands_use_the_stated_name_and_broker(words, address, srs_twin, tmp_path, monkeypatch):
     from srs_twin.live import session
 
     asked: list[tuple[Any, ...]] = []
 
-    def refuse(*given: Any, **_: Any) -> None:
-        asked.append(given)
+    def refuse(*value: Any, **_: Any) -> None:
+        asked.append(value)
         raise InputError("refused")
 
     name = words.split()[0]
@@ -137,15 +135,15 @@ def test_a_live_command_takes_name_and_broker_that_its_help_says(
     monkeypatch.setattr(session, "warm_up", lambda spec: None)
     assert srs_twin(*words.split(), cwd=tmp_path).returncode == 2
     (robot, _, broker, *_) = asked[0]
-    texts = {each[:2]: each[2] for each in stated()}
+    texts = {item[:2]: item[2] for item in stated()}
     assert robot == texts[name, "name"].replace("ROBOT", "gen2")
     if address is not None:
         assert broker == address == texts[name, "mqtt"].partition(",")[0]
 
 
-def test_bodies_are_connectors_unless_others_are_named():
+def test_bodies_are_connectors_by_default():
     from srs_twin.live.shadow import Shadow
     from srs_twin.robot.file import load_robot
 
-    first, number = {each[:2]: each[2] for each in stated()}["shadow", "body"].split()[0].split("=")
+    first, number = {item[:2]: item[2] for item in stated()}["shadow", "body"].split()[0].split("=")
     assert Shadow(load_robot("gen2"), members=2)._frames[first] == int(number)

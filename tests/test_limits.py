@@ -30,28 +30,28 @@ def limits():
     """Return key → its limits and its default, of scenarios, sweeps and studies; bounds of fits."""
     spec = load_robot("gen2")
     bounds = {name: unknowns(spec, [name.replace("_N", "_1")])[0] for name in names_of_fields()}
-    found = {f"fit {name}": ["", f"{each.low:g}", "", f"{each.high:g}", ""] for name, each in bounds.items()}
-    found |= {f"ensemble {each.name}": ["", "", "", "", str(each.default)] for each in fields(Spreads)}
+    result = {f"fit {name}": ["", f"{item.low:g}", "", f"{item.high:g}", ""] for name, item in bounds.items()}
+    result |= {f"ensemble {item.name}": ["", "", "", "", str(item.default)] for item in fields(Spreads)}
     for kind in (scenario_json_schema, sweep_json_schema, study_json_schema):
         schema = kind()
         parts = {"": schema} | schema["$defs"]
-        for part, each in parts.items():
-            for name, given in properties(each):
-                numbers = [one for one in (given, *given.get("anyOf", [])) if limited(one)]
+        for part, item in parts.items():
+            for name, value in properties(item):
+                numbers = [one for one in (value, *value.get("anyOf", [])) if limited(one)]
                 if numbers:
-                    about = numbers[0] | ({"default": given["default"]} if "default" in given else {})
+                    about = numbers[0] | ({"default": value["default"]} if "default" in value else {})
                     key = f"{kind.__name__.split('_')[0]} {part}.{name}"
-                    found[key] = [str(about.get(keyword, "")) for keyword in KEYWORDS]
-    return found
+                    result[key] = [str(about.get(keyword, "")) for keyword in KEYWORDS]
+    return result
 
 
 def properties(schema):
     """Yield name and schema of each key, also of those of nested objects."""
-    for name, each in schema.get("properties", {}).items():
-        yield name, each
-        for one in (each, *each.get("anyOf", [])):
-            for inner, given in properties(one):
-                yield f"{name}.{inner}", given
+    for name, item in schema.get("properties", {}).items():
+        yield name, item
+        for one in (item, *item.get("anyOf", [])):
+            for inner, value in properties(one):
+                yield f"{name}.{inner}", value
 
 
 def limited(schema):
@@ -59,7 +59,7 @@ def limited(schema):
     return schema.get("type") in ("number", "integer") and bool(schema.keys() & set(KEYWORDS[:-1]))
 
 
-def test_limits_and_defaults_of_keys_are_those_that_files_rely_on():
+def test_limits_and_defaults_of_file_keys_are_unchanged():
     with FILE.open(encoding="utf-8", newline="") as file:
         kept = {key: values for key, *values in csv.reader(file)}
     now = limits()

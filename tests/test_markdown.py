@@ -50,7 +50,7 @@ def lost(text: str) -> list[str]:
     open_comments = [
         token.content for token in tokens if token.content.count("<!--") > token.content.count("-->")
     ]
-    shown = TARGET.sub(lambda found: "" if found[1] in LINKED else found[0], text)
+    shown = TARGET.sub(lambda result: "" if result[1] in LINKED else result[0], text)
     missing = words(plain, shown) - words(myst(), shown)
     breaks = [token.type for token in myst().parse(shown, {}) if token.type.startswith(("myst_", "front_"))]
     comments = [
@@ -60,7 +60,7 @@ def lost(text: str) -> list[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_the_site_shows_every_word_of_a_page(page):
+def test_site_shows_every_word_of_a_page(page):
     assert lost(page.text) == []
 
 
@@ -77,11 +77,11 @@ def test_the_site_shows_every_word_of_a_page(page):
         "a [span]{.wide} of text",
     ],
 )
-def test_a_construct_that_drops_text_is_found(dropped):
+def test_dropped_text_is_detected(dropped):
     assert lost(f"# Title\n\n{dropped}\n") != []
 
 
-def test_text_in_code_and_formulas_is_not_taken_for_such_a_construct():
+def test_text_in_code_and_formulas_is_ignored():
     text = (
         "# Title\n\n```\n% comment\n+++\n[a]: b\n```\n\n50 % of $x_i\\,y^*$ and\n\n$$ a_i + \\frac{b}{c} $$\n"
     )

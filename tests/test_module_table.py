@@ -33,9 +33,9 @@ def test_the_figures_are_of_every_scenario_of_the_chapter():
     wanted = {name for name in shipped_names("scenario") if name.startswith("module_")}
     assert FIGURES["scenarios"].keys() == wanted
     for plants in FIGURES["scenarios"].values():
-        for found in plants.values():
-            assert found.keys() <= METRIC_UNITS.keys()
-            assert not {"wall_s", "realtime_factor"} & found.keys()
+        for result in plants.values():
+            assert result.keys() <= METRIC_UNITS.keys()
+            assert not {"wall_s", "realtime_factor"} & result.keys()
     assert FIGURES["leak"]["draws"] >= 20
 
 
@@ -69,5 +69,5 @@ def test_only_what_is_compared_counts_for_apart():
 def test_values_name_both_controllers():
     values = Values(FIGURES, "twin")
     both = values.select("step_", "rise_time_s", unit=1e3)
-    each = [values.select(f"step_{kind}", "rise_time_s")[0] for kind in ("direct", "iterative")]
-    assert both == pytest.approx([1e3 * one for one in each])
+    item = [values.select(f"step_{kind}", "rise_time_s")[0] for kind in ("direct", "iterative")]
+    assert both == pytest.approx([1e3 * one for one in item])

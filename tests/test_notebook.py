@@ -1,4 +1,4 @@
-"""The quickstart runs top to bottom in an empty folder and shows what its text says."""
+"""The quickstart notebook runs in an empty folder and shows the results that its text states."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def text(cell) -> str:
     return "".join(out.get("text", "") or out.get("data", {}).get("text/plain", "") for out in cell.outputs)
 
 
-def test_it_is_stored_without_outputs_and_is_valid():
+def test_notebook_is_valid_and_stored_without_outputs():
     notebook = nbformat.read(NOTEBOOK, as_version=4)
     nbformat.validate(notebook)
     assert all(
@@ -38,7 +38,7 @@ def test_it_is_stored_without_outputs_and_is_valid():
 
 
 @pytest.mark.slow
-def test_plots_are_pictures(ran):
+def test_plots_are_images(ran):
     cells, _ = ran
     for name in ("plot", "bends", "errors"):
         (picture,) = (out.data["image/png"] for out in cells[name].outputs if "data" in out)
@@ -46,7 +46,7 @@ def test_plots_are_pictures(ran):
 
 
 @pytest.mark.slow
-def test_the_twin_is_slower_and_stiffness_takes_most_of_that_away(ran):
+def test_twin_is_slower_mainly_because_of_its_compliance(ran):
     cells, _ = ran
     soft, stiff = (float(share) for share in re.findall(r"([+-][\d.]+)% in speed", text(cells["change"])))
     assert soft < -5 and abs(stiff) < abs(soft) / 2
@@ -54,13 +54,13 @@ def test_the_twin_is_slower_and_stiffness_takes_most_of_that_away(ran):
 
 
 @pytest.mark.slow
-def test_the_run_lies_in_its_folder_and_no_display_is_told(ran):
+def test_run_is_in_its_folder_without_a_display(ran):
     cells, folder = ran
     assert "recording.rrd" in text(cells["keep"]) and (folder / "runs/gen2_straight/metrics.json").is_file()
     assert "there is no display to open a viewer on" in text(cells["open"])
 
 
-def test_links_lead_somewhere():
+def test_links_have_existing_targets():
     notebook = nbformat.read(NOTEBOOK, as_version=4)
     links = [link for cell in notebook.cells for link in re.findall(r"\]\(([^)]+)\)", cell.source)]
     assert links and all((NOTEBOOK.parent / link).is_file() for link in links)

@@ -39,11 +39,11 @@ def lawful(monkeypatch):
     """Put the law in place of the plants; return a drive."""
     asked = []
 
-    def told(drive, offsets, *, threads=None):
+    def message(drive, offsets, *, threads=None):
         asked.append(tuple(offsets))
         return [law(drive.spec, offset) for offset in offsets]
 
-    monkeypatch.setattr(module, "predicted", told)
+    monkeypatch.setattr(module, "predicted", message)
     return Drive(load_robot("gen4"), 1.5, 131e3, "ilc", 0.7, "analytical"), asked
 
 
@@ -76,7 +76,7 @@ def test_what_is_held_though_it_could_be_told_is_only_held(lawful):
     names = [name for name in TRUTH if name != "friction.mu_t"]
     runs = measured(OFFSETS, TRUTH | {"friction.mu_t": load_robot("gen4").friction.mu_t}, noise=0.001)
     found = fit_offsets(runs, lawful[0], names, besides=["friction.mu_t"])
-    assert [each.name for each in found.parameters] == names
+    assert [item.name for item in found.parameters] == names
     assert list(found.held) == ["friction.mu_t"]
 
 
@@ -123,7 +123,7 @@ FITS = shipped()
 
 def numbers(fit):
     """Return what a fit's file states, found or held, without a look at how the package takes it."""
-    return fit.held | {each.name: each.value for each in fit.parameters if each.value is not None}
+    return fit.held | {item.name: item.value for item in fit.parameters if item.value is not None}
 
 
 def test_all_studies_ship():
@@ -143,12 +143,12 @@ def test_a_shipped_fit_states_each_unknown_once_found_or_held(study):
 def test_the_shipped_fits_have_seen_offsets_0_and_03_alone(study):
     rows = {f"offset {row.offset:g}": row for row in published_runs()}
     fit = FITS[study]
-    assert {each.name for each in fit.data} == set(rows)
-    assert {each.name for each in fit.data if each.role == "fit"} == {"offset 0", "offset 0.3", "offset -0.3"}
-    for each in fit.data:
-        row = rows[each.name]
-        assert each.measured["speed_m_s"] == row.speed_m_s
-        assert abs(each.measured["curvature_per_m"]) == pytest.approx(1 / row.radius_m, rel=1e-5)
+    assert {item.name for item in fit.data} == set(rows)
+    assert {item.name for item in fit.data if item.role == "fit"} == {"offset 0", "offset 0.3", "offset -0.3"}
+    for item in fit.data:
+        row = rows[item.name]
+        assert item.measured["speed_m_s"] == row.speed_m_s
+        assert abs(item.measured["curvature_per_m"]) == pytest.approx(1 / row.radius_m, rel=1e-5)
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The site: it builds without a warning, a broken link is one, nothing of it comes from elsewhere."""
+"""The site builds without warnings, broken links fail, and no page loads external files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.studies.sweep.file import SweepFile
 
-# Attributes by which a browser fetches something without being asked; `href` only of these elements.
+# Attributes that make a browser load a file; `href` only for these elements.
 FETCHED = {"src", "srcset", "data", "poster", "action", "background"}
 FETCHING = {"link", "base", "image", "use"}
 
@@ -74,24 +74,24 @@ def is_foreign(target):
 
 
 @pytest.mark.slow
-def test_nothing_is_fetched_from_elsewhere(site):
+def test_no_page_loads_external_files(site):
     pages = list(site.rglob("*.html"))
     assert len(pages) > len(PAGES)
     for path in [*pages, *site.rglob("*.css")]:
-        foreign = [each for each in fetched(path.read_text("utf-8")) if is_foreign(each)]
+        foreign = [item for item in fetched(path.read_text("utf-8")) if is_foreign(item)]
         assert foreign == [], path
     assert not [path for path in site.rglob("*") if "mathjax" in path.name.lower()]
 
 
-def test_the_rule_catches_what_would_be_fetched():
+def test_external_files_are_detected():
     page = """<link rel="stylesheet" href="//fonts.example/a.css"><script src='https://cdn.example/x.js'></script>
     <style>@import "http://a.example/b.css"; body { background: url(https://c.example/d.png) }</style>
     <a href="https://fine.example">a link</a> <img src="../_images/hero.png">"""
-    assert len([each for each in fetched(page) if is_foreign(each)]) == 4
+    assert len([item for item in fetched(page) if is_foreign(item)]) == 4
 
 
 @pytest.mark.slow
-def test_scripts_load_nothing_by_themselves(site):
+def test_scripts_load_no_external_files(site):
     """The theme's scripts and the search index are all there is, and name no address to fetch from."""
     scripts = list(site.rglob("*.js"))
     assert scripts
@@ -103,14 +103,14 @@ def test_scripts_load_nothing_by_themselves(site):
 
 
 @pytest.mark.slow
-def test_every_page_is_in_it(site):
+def test_site_contains_every_page(site):
     for page in PAGES:
         assert (site / page.name).with_suffix(".html").is_file(), page.name
     assert "docs/index.html" in (site / "index.html").read_text("utf-8")
 
 
 @pytest.mark.slow
-def test_formulas_are_drawn_without_a_script(site):
+def test_formulas_need_no_script(site):
     shown = (site / "docs/models.html").read_text("utf-8")
     formulas = re.findall(r"(?<!\w)\$\$", next(p for p in PAGES if p.name == "docs/models.md").prose)
     assert shown.count('<div class="math">') == len(formulas) / 2 > 5
@@ -119,7 +119,7 @@ def test_formulas_are_drawn_without_a_script(site):
 
 def keys_of(schema):
     """Every key of every block of a schema; those of records are not blocks."""
-    blocks = [schema, *(each for name, each in schema["$defs"].items() if not name.startswith("Record"))]
+    blocks = [schema, *(item for name, item in schema["$defs"].items() if not name.startswith("Record"))]
     return {key for block in blocks for key in block.get("properties", {})}
 
 
@@ -127,7 +127,7 @@ def keys_of(schema):
 @pytest.mark.parametrize(
     ("page", "model"), [("scenario", ScenarioFile), ("sweep", SweepFile), ("robot", RobotFile)]
 )
-def test_every_key_stands_in_the_reference(site, page, model):
+def test_reference_contains_every_key(site, page, model):
     shown = (site / f"docs/reference/{page}.html").read_text("utf-8")
     rows = re.findall(r"<tr class=\"row-\w+\"><td>(.*?)</tr>", shown, re.S)
     cells = [[re.sub(r"<[^>]+>", "", cell).strip() for cell in row.split("<td>")] for row in rows]
@@ -138,34 +138,34 @@ def test_every_key_stands_in_the_reference(site, page, model):
 
 
 @pytest.mark.slow
-def test_ranges_units_and_defaults_are_those_of_the_model(site):
+def test_reference_shows_ranges_units_and_defaults_of_the_models(site):
     shown = (site / "docs/reference/scenario.html").read_text("utf-8")
     row = re.search(r"<tr[^>]*><td><p><code[^>]*><span class=\"pre\">record_hz</span>.*?</tr>", shown, re.S)
     words = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", row[0])).strip()
     assert words == "record_hz Hz a number from 0.1 to 10000 100.0 Recorded samples a second"
 
 
-def commands_in(given, words=("srs-twin",)):
-    inner = getattr(given, "commands", {})
+def commands_in(argument, words=("srs-twin",)):
+    inner = getattr(argument, "commands", {})
     if not inner:
-        yield " ".join(words), given
-    for name, each in inner.items():
-        yield from commands_in(each, (*words, name))
+        yield " ".join(words), argument
+    for name, item in inner.items():
+        yield from commands_in(item, (*words, name))
 
 
 @pytest.mark.slow
-def test_every_command_and_option_stands_in_the_reference(site):
+def test_reference_contains_every_command_and_option(site):
     shown = html.unescape(re.sub(r"<[^>]+>", "", (site / "docs/reference/commands.html").read_text("utf-8")))
     _, *parts = re.split(r"\n(srs-twin[\w -]*)¶\n", shown)
     sections = dict(zip(parts[::2], parts[1::2], strict=True))
-    for name, given in commands_in(command()):
-        for each in given.params:
-            assert each.opts[-1] in sections[name] or each.param_type_name == "argument", (name, each.opts)
-            assert not each.help or each.help[:20] in sections[name], (name, each.opts)
+    for name, argument in commands_in(command()):
+        for item in argument.params:
+            assert item.opts[-1] in sections[name] or item.param_type_name == "argument", (name, item.opts)
+            assert not item.help or item.help[:20] in sections[name], (name, item.opts)
 
 
 @pytest.mark.slow
-def test_every_public_name_stands_in_the_python_reference(site):
+def test_python_reference_contains_every_public_name(site):
     text = next(page.text for page in PAGES if page.name == "docs/reference/api.md")
     named = re.findall(r"^\.\. auto\w+:: srs_twin\.(\w+)$", text, re.M)
     assert sorted(named) == sorted(set(srs_twin.__all__) - {"__version__"})
@@ -188,7 +188,7 @@ def test_a_broken_link_or_anchor_fails(tmp_path):
 
 
 @pytest.mark.slow
-def test_search_works_from_a_file(site):
+def test_search_works_without_a_server(site):
     """The index is a script, not something to fetch, which browsers refuse for files."""
     index = (site / "searchindex.js").read_text("utf-8")
     assert index.startswith("Search.setIndex(")

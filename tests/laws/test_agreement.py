@@ -1,4 +1,4 @@
-"""With the same wheels, track and stiff bends both plants crawl alike, at several points and not at one."""
+"""Agreement of both plants with equal wheels, equal track and stiff bends, at several points."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STIFF = robot(stiffness=20.0)
     ("gap", "f", "kilopascals", "limit"),
     [(0.0, 1.0, 41, 0.04), (0.0, 2.0, 55, 0.04), (0.018, 1.5, 48, 0.06)],
 )
-def test_matched_plants_crawl_alike(gap, f, kilopascals, limit):
+def test_matched_plants_have_equal_speed_and_bends(gap, f, kilopascals, limit):
     reference, candidate = both(gap, f, kilopascals, 0.0, 4.0)
     metrics = compare(reference, candidate).metrics
     assert abs(metrics["com_speed_rel"]) < limit
@@ -26,7 +26,7 @@ def test_matched_plants_crawl_alike(gap, f, kilopascals, limit):
 
 
 @pytest.mark.parametrize("f", [1.0, 1.5, 2.0])
-def test_matched_plants_turn_alike(f):
+def test_matched_plants_have_equal_yaw_rate(f):
     reference, candidate = both(0.018, f, 48, 0.2, 6.0)
     yaw, twin_yaw = (plant_metrics(run)["yaw_rate_rad_s"] for run in (reference, candidate))
     assert yaw > 0.5
@@ -43,7 +43,7 @@ def test_matched_plants_turn_alike(f):
         (0.018, 1.0, 55, 0.2),
     ],
 )
-def test_matched_plants_on_skids_crawl_alike(gap, f, kilopascals, offset):
+def test_matched_plants_on_skids_have_equal_speed_and_yaw_rate(gap, f, kilopascals, offset):
     reference, candidate = both(gap, f, kilopascals, offset, 4.0, friction="ellipse", wheels="skid")
     metrics = compare(reference, candidate).metrics
     assert abs(metrics["com_speed_rel"]) < 0.025
@@ -63,7 +63,7 @@ def both(
     friction: str = "wheel",
     wheels: str = "rolling",
 ) -> list[Trajectory]:
-    """Run both plants under one gait: the analytical model, then the twin."""
+    """Simulate one gait with both plants: the analytical model, then the twin."""
     spec = replace(STIFF, geometry=replace(STIFF.geometry, rigid_gap=gap))
     plants = (
         AnalyticalSnake(spec, friction=friction, supply_pa=1e3 * kilopascals),

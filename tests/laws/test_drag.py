@@ -1,4 +1,4 @@
-"""Drag of tubes and belly brakes every connector along its heading, whatever it carries, on both plants."""
+"""Axial drag brakes every connector along its heading, independent of its load, on both plants."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def dragged(spec: RobotSpec, drag: float = DRAG, **changes: float) -> RobotSpec:
     ],
     ids=["complete", "compliant", "loaded", "preloaded", "skid"],
 )
-def test_it_adds_to_what_the_wheels_take_along_and_nothing_across(plant, rolls):
+def test_drag_adds_to_axial_friction_and_not_to_lateral_friction(plant, rolls):
     spec = dragged(STIFF)
     for direction, brake in (
         (0, STIFF.friction.mu_t * MASS * GRAVITY + DRAG),
@@ -43,42 +43,44 @@ def test_it_adds_to_what_the_wheels_take_along_and_nothing_across(plant, rolls):
         start = snake.physics.center_of_mass()[:2] if isinstance(snake, TwinSnake) else np.zeros(2)
         for _ in range(80):
             state = snake.step(vented(spec))
-        way = (MASS + rolls * (direction == 0)) * 0.5**2 / (2 * brake)
-        assert (state.com - start)[direction] == pytest.approx(way, rel=0.02)
+        distance = (MASS + rolls * (direction == 0)) * 0.5**2 / (2 * brake)
+        assert (state.com - start)[direction] == pytest.approx(distance, rel=0.02)
 
 
-def test_of_equal_connectors_under_the_axis_law_it_is_a_greater_mu_t():
+def test_drag_on_equal_connectors_with_the_axis_law_equals_a_larger_mu_t():
     spec = robot()
     share = DRAG / (spec.mass.total * GRAVITY)
     rougher = replace(spec, friction=replace(spec.friction, mu_t=spec.friction.mu_t + share))
-    found = [rollout(AnalyticalSnake(each), Gait(2.0, offset=0.3), 1.0) for each in (dragged(spec), rougher)]
+    runs = [
+        rollout(AnalyticalSnake(variant), Gait(2.0, offset=0.3), 1.0) for variant in (dragged(spec), rougher)
+    ]
     for name in ("com_x", "com_y", "heading"):
-        assert found[0][name] == pytest.approx(found[1][name], abs=1e-9)
+        assert runs[0][name] == pytest.approx(runs[1][name], abs=1e-9)
 
 
-def test_with_two_contacts_per_connector_it_is_not_a_greater_mu_t():
+def test_drag_with_two_contacts_per_connector_differs_from_a_larger_mu_t():
     spec = robot()
     share = DRAG / (spec.mass.total * GRAVITY)
     rougher = replace(spec, friction=replace(spec.friction, mu_t=spec.friction.mu_t + share))
     ends = [
-        rollout(TwinSnake(each, contact=LoadedContact("axis")), Gait(2.0), 2.0)["com_x"][-1]
-        for each in (dragged(spec), rougher)
+        rollout(TwinSnake(variant, contact=LoadedContact("axis")), Gait(2.0), 2.0)["com_x"][-1]
+        for variant in (dragged(spec), rougher)
     ]
     assert abs(ends[0] - ends[1]) > 0.02 * abs(ends[1])
 
 
 @pytest.mark.parametrize("contact", ["loaded", "preloaded"])
-def test_it_slows_the_twin_as_it_slows_the_compliant_model_at_any_step(contact):
-    def way(plant: AnalyticalSnake | TwinSnake) -> float:
-        found = rollout(plant, Gait(2.0), 2.0)
-        return float(found["com_x"][-1] - found["com_x"][0])
+def test_drag_slows_the_twin_and_the_compliant_model_at_any_time_step(contact):
+    def distance(plant: AnalyticalSnake | TwinSnake) -> float:
+        run = rollout(plant, Gait(2.0), 2.0)
+        return float(run["com_x"][-1] - run["com_x"][0])
 
     both = robot(), dragged(robot())
-    free, braked = (way(AnalyticalSnake(spec, model="compliant", friction="wheel")) for spec in both)
+    free, braked = (distance(AnalyticalSnake(spec, model="compliant", friction="wheel")) for spec in both)
     coarse, fine = (
-        [way(TwinSnake(spec, contact=contact, timestep=step)) for spec in both] for step in (1e-3, 5e-4)
+        [distance(TwinSnake(spec, contact=contact, timestep=step)) for spec in both] for step in (1e-3, 5e-4)
     )
     assert coarse == pytest.approx(fine, rel=0.02)
-    # Axial friction that is there anyway weighs more in the model, which is faster.
+    # Other axial friction has a larger effect in the model, which is faster.
     for twin in (coarse, fine):
         assert 0.6 * (free - braked) < twin[0] - twin[1] < free - braked

@@ -1,4 +1,4 @@
-"""A module without load obeys the identified second-order law, in the chambers and in MuJoCo."""
+"""An unloaded module follows the identified second-order law, in the chambers and in MuJoCo."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def step_response(time: np.ndarray) -> np.ndarray:
 
 
 def module(name: str, stiffness: float) -> RobotSpec:
-    """Return one light segment between two connectors of a robot, on a floor without friction."""
+    """Return one light segment between two connectors of a robot, on a frictionless floor."""
     spec = robot(name)
     return replace(
         chain((0.01, 0.01), length=0.01, gap=0.0, mu_t=0.0, mu_n=0.0),
@@ -41,7 +41,7 @@ def test_chambers_give_the_identified_step_response():
 
 
 def test_step_response_solves_the_identified_equation():
-    """Eq. 14 in the printed numbers: q̈ + 476.49 q̇ + 4221.8 (q − C₀) = 0, by differences."""
+    """Eq. 14 with the printed coefficients: q̈ + 476.49 q̇ + 4221.8 (q − C₀) = 0, by finite differences."""
     pneumatics = LagPneumatics(module("gen4", 1.0), supply_pa=SUPPLY)
     step = 1e-5
     time = np.arange(2, 30_000) * step
@@ -69,14 +69,14 @@ def test_bend_of_a_stiff_module_in_mujoco_follows_the_identified_step_response(t
 
 
 def test_stiff_module_in_mujoco_follows_the_chambers_through_valve_events():
-    """Valves at random every 5 ms, against the same chambers without a body: first order in the step."""
+    """Random valve states every 5 ms, compared with chambers alone: first order in the time step."""
     coarse, fine = _distance_from_free_bend(0.001), _distance_from_free_bend(0.00025)
     assert coarse < 0.02
     assert fine < 0.5 * coarse
 
 
 def _distance_from_free_bend(timestep: float) -> float:
-    """Return the RMS distance of the twin's bend from the free one, as a share of its deviation."""
+    """Return the RMS deviation of the twin's bend from the free bend, relative to its variation."""
     spec = module("gen2", 20.0)
     plant = TwinSnake(spec, timestep=timestep)
     free = LagPneumatics(spec, supply_pa=spec.supply.nominal)
@@ -89,7 +89,7 @@ def _distance_from_free_bend(timestep: float) -> float:
     return float(np.sqrt(np.mean(np.subtract(twin, chambers) ** 2)) / np.std(chambers))
 
 
-def test_soft_module_lags_and_overshoots_what_a_stiff_one_follows():
+def test_soft_module_deviates_more_than_a_stiff_one():
     errors = []
     for stiffness in (0.05, 20.0):
         plant = TwinSnake(module("gen4", stiffness), supply_pa=SUPPLY)

@@ -1,4 +1,4 @@
-"""A snake that only bends gains neither momentum nor moment of momentum from a floor without friction."""
+"""Bending alone does not change linear or angular momentum on a frictionless floor."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ def valves(plant: Plant) -> np.ndarray:
 
 @ALL
 @pytest.mark.parametrize("law", ["axis", "wheel", "ellipse", "viscous"])
-def test_analytical_snake_that_bends_keeps_its_momenta_to_rounding(options, law):
+def test_momentum_of_the_bending_analytical_snake_is_constant_to_rounding(options, law):
     plant = AnalyticalSnake(UNEVEN, friction=law, **options)
     gait = Gait(2.0, 0.2)
     throw(plant, (0.3, -0.2), spin=2.0, heading=0.4)
     gait.reset(plant.spec, plant.tick)
     begun = plant._body.state[kernels.MOMENT]
-    # `throw` leaves the plant at t = 0; the script bends it from there.
+    # `throw` leaves the plant at t = 0, where the script begins.
     h = plant.play(gait.script(2.0), 200)
     assert np.ptp(h.bend, axis=0).min() > 0.5
     assert h.com_velocity == pytest.approx(np.tile([0.3, -0.2], (200, 1)), abs=1e-13)
@@ -44,8 +44,8 @@ def test_analytical_snake_that_bends_keeps_its_momenta_to_rounding(options, law)
 
 
 @pytest.mark.parametrize("name", ["complete", "simplified", "compliant"])
-def test_moment_of_momentum_of_the_recorded_places_stays(name):
-    """Σ m ρ × ρ̇ from differences of places, which know nothing of the kernels' state."""
+def test_angular_momentum_of_the_recorded_positions_is_constant(name):
+    """Σ m ρ × ρ̇ from finite differences of positions, independent of the state of the kernels."""
     step = 2e-4
     plant = AnalyticalSnake(
         UNEVEN, timestep=step, pneumatics=Wave(UNEVEN, bias=0.2), **{**MODELS[name], "inertia": "point"}
@@ -59,24 +59,24 @@ def test_moment_of_momentum_of_the_recorded_places_stays(name):
     stations = -UNEVEN.geometry.pitch * np.arange(5)
     mass = UNEVEN.mass.array()
     begun = 2.0 * (mass * (stations - mass @ stations / mass.sum()) ** 2).sum()
-    # In its first milliseconds the yielding snake's bends take up the spin that it is thrown with.
+    # In the first milliseconds the compliant bends absorb part of the initial spin.
     assert moment[50:] == pytest.approx(np.full(len(moment) - 50, begun), abs=1e-6 * scale)
 
 
 @pytest.mark.parametrize("spec", [EVEN, UNEVEN], ids=["even", "uneven"])
 @pytest.mark.parametrize("smooth", [False, True], ids=["gait", "smooth"])
-def test_twins_momenta_drift_to_first_order_in_the_step(spec, smooth):
-    """Half the step, half the drift: generalised coordinates take the inertia of a step's beginning."""
+def test_momentum_drift_of_the_twin_is_first_order_in_the_time_step(spec, smooth):
+    """Half the time step halves the drift, because each step uses the inertia at its beginning."""
     drifts = np.array([drift(spec, timestep, smooth) for timestep in (0.001, 0.0005, 0.00025)])
     order = np.log2(drifts[:-1] / drifts[1:])
     assert order == pytest.approx(np.ones_like(order), abs=0.15)
-    # Connectors move at some 0.5 m/s, half a body turns at some 5 rad/s.
+    # Typical values: connectors move at 0.5 m/s, half a body turns at 5 rad/s.
     share = drifts[0] / [0.5, 5 * spec.mass.total * 0.08**2]
     assert (share < (0.002 if smooth else 0.05)).all()
 
 
 def drift(spec: RobotSpec, timestep: float, smooth: bool) -> tuple[float, float]:
-    """Return the largest speed of the centre of mass (m/s) and moment of momentum (kg·m²/s) of a twin.
+    """Return the largest speed of the centre of mass (m/s) and angular momentum (kg·m²/s) of a twin.
 
     Without preload: MuJoCo's contacts have no friction below 1e-5, which a preload multiplies.
     """

@@ -1,4 +1,4 @@
-"""The floor carries the snake's weight, and every connector its own share of it."""
+"""The floor carries the weight of the snake, and each connector its own weight."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ def test_each_connector_of_a_crawling_snake_carries_its_own_weight(crawling_load
     assert crawling_loads.mean(axis=0) == pytest.approx(WEIGHT, rel=0.10)
 
 
-def test_loads_of_a_crawling_snake_do_not_swing_by_their_mean(crawling_loads):
-    """A chain that is rigid out of plane swings by 0.73 to 1.24 of the mean."""
+def test_loads_of_a_crawling_snake_vary_by_less_than_their_mean(crawling_loads):
+    """With a chain that is rigid out of plane the standard deviation is 0.73 to 1.24 of the mean."""
     assert (crawling_loads.std(axis=0) / WEIGHT).max() < 0.4
 
 
-# gen3's tail weighs five times the rest and sinks deeper, so that the chain leans on it a little.
+# The tail of gen3 is five times as heavy and sinks deeper, so the chain rests on it slightly.
 @pytest.mark.parametrize("floor", FLOORS)
 @pytest.mark.parametrize(("name", "share"), [("gen2", 0.03), ("gen4", 0.03), ("gen3", 0.06)])
-def test_loads_at_rest(name, share, floor):
+def test_loads_at_rest_are_the_weights(name, share, floor):
     plant = TwinSnake(robot(name), **FLOORS[floor])
     for _ in range(100):
         plant.step(vented(plant.spec))
@@ -51,7 +51,7 @@ def test_loads_at_rest(name, share, floor):
     assert loads[:, 0] == pytest.approx(loads[:, 1], rel=1e-5 if floor == "loaded" else 1e-6)
 
 
-def test_preload_does_not_change_what_the_floor_carries():
+def test_preload_does_not_change_the_floor_loads():
     bare, pressed = (TwinSnake(SPEC, contact=PreloadedContact(preload=k)) for k in (0.0, 9.0))
     for plant in (bare, pressed):
         for _ in range(100):

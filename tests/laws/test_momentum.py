@@ -1,4 +1,4 @@
-"""What no force acts on does not move: momentum and moment of momentum on a floor without friction."""
+"""Without external forces, linear and angular momentum on a frictionless floor are constant."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SLIPPERY = robot(mu_t=0.0, mu_n=0.0)
 
 
 @pytest.mark.parametrize("law", ["axis", "wheel", "viscous"])
-def test_analytical_coasts_without_friction(law):
+def test_analytical_snake_coasts_without_friction(law):
     plant = AnalyticalSnake(SLIPPERY, friction=law)
     throw(plant, (0.3, -0.2), spin=2.0, heading=0.4)
     for _ in range(50):
@@ -35,7 +35,7 @@ def test_twin_coasts_without_friction():
     assert state.heading - heading == pytest.approx(2.0, rel=1e-2)
 
 
-def test_analytical_snake_cannot_push_itself_off_without_friction():
+def test_analytical_snake_gains_no_momentum_without_friction():
     spec = chain((0.03, 0.05, 0.02, 0.04, 0.1), mu_t=0.0, mu_n=0.0)
     plant = AnalyticalSnake(spec, timestep=2e-4)
     trajectory = rollout(plant, Gait(2.0, 0.2), 1.0, record_hz=5000)
@@ -77,14 +77,14 @@ def _largest_momentum(timestep: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize("masses", [(0.03,) * 5, (0.03, 0.05, 0.02, 0.1)])
 def test_isotropic_viscous_friction_gives_no_thrust(masses):
-    """Σ f = −c Σ m v: the centre of mass of a snake that starts at rest stays, whatever it does."""
+    """Σ f = −c Σ m v: the centre of mass of a snake that starts at rest does not move."""
     spec = chain(masses, mu_t=0.4, mu_n=0.4)
     trajectory = rollout(AnalyticalSnake(spec, friction="viscous"), Gait(2.0, 0.2), 5.0)
     assert np.abs(trajectory.com).max() < 1e-9
     assert np.abs(trajectory.stack("bend")).max() > 1.0
 
 
-def test_anisotropic_viscous_friction_does_give_thrust():
+def test_anisotropic_viscous_friction_gives_thrust():
     spec = robot(mu_t=0.4, mu_n=4.0)
     trajectory = rollout(AnalyticalSnake(spec, friction="viscous"), Gait(2.0), 5.0)
     assert trajectory["com_x"][-1] > 0.05

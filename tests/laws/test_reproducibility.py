@@ -1,4 +1,4 @@
-"""The same seed gives the same bytes, in whatever process."""
+"""The same seed gives the same bytes in every process."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ print(arithmetic(), hashlib.sha256(run["com_x"].tobytes() + run["heading"].tobyt
 
 @pytest.mark.slow
 def test_equal_arithmetic_means_equal_bits_under_every_blas_kernel():
-    """Kernels that the processor cannot execute are replaced by OpenBLAS, in the name as well."""
+    """OpenBLAS replaces kernels that the processor cannot execute, and reports the replacement."""
     digests: dict[str, set[str]] = {}
     for kernel in ("Haswell", "SkylakeX", "Sandybridge", "Nehalem"):
         environment = {**os.environ, "OPENBLAS_CORETYPE": kernel}
@@ -63,10 +63,10 @@ def test_equal_arithmetic_means_equal_bits_under_every_blas_kernel():
         name, digest = done.stdout.split()
         digests.setdefault(name, set()).add(digest)
     assert len(digests) > 1, "OPENBLAS_CORETYPE selects no other kernel here"
-    assert all(len(found) == 1 for found in digests.values())
+    assert all(len(result) == 1 for result in digests.values())
 
 
-def test_a_long_twin_does_not_depend_on_the_number_of_blas_threads():
+def test_a_long_twin_is_independent_of_the_number_of_blas_threads():
     dampers = []
     for threads in (1, 2):
         with threadpool_limits(threads, "blas"):
@@ -75,9 +75,9 @@ def test_a_long_twin_does_not_depend_on_the_number_of_blas_threads():
     assert np.array_equal(*dampers)
 
 
-def test_threads_that_build_twins_at_once_leave_the_number_of_blas_threads_as_it_was():
+def test_parallel_construction_of_twins_restores_the_number_of_blas_threads():
     def blas_threads():
-        return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
+        return {item["num_threads"] for item in threadpool_info() if item["user_api"] == "blas"}
 
     def hold(entered, leave):
         with one_blas_thread():
@@ -108,7 +108,7 @@ def test_a_blas_library_of_another_package_does_not_change_the_arithmetic():
     assert before == after
 
 
-def test_running_a_plant_again_repeats_itself():
+def test_a_second_rollout_gives_the_same_trajectory():
     for plant in (AnalyticalSnake(load_robot("gen2")), TwinSnake(load_robot("gen2"))):
         first = rollout(plant, Gait(2.0, 0.3), 0.4)
         rollout(plant, Gait(1.0, -0.3), 0.2, pose=(1.0, 2.0, 3.0))

@@ -1,4 +1,4 @@
-"""A straight snake thrown across the floor stops where Coulomb's law says, on both plants."""
+"""A straight snake thrown across the floor stops after the distance of Coulomb's law, on both plants."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from srs_twin.plants.twin.mjcf.numerics import LAW_OF
 SPEC = robot(stiffness=20.0)
 MU_T, MU_N = SPEC.friction.mu_t, SPEC.friction.mu_n
 MASS = SPEC.mass.total
-# Rolling wheels have to stop spinning as well: Σ I/R² with I = m R²/2, two wheels a connector.
+# Equivalent mass of the spinning wheels: Σ I/R² with I = m R²/2, two wheels per connector.
 SPIN_MASS = 2 * SPEC.geometry.connectors * SPEC.mass.wheel / 2
 
 
@@ -26,7 +26,7 @@ def twin(wheels: str = "rolling", contact: str = "preloaded", slip_speed: float 
 
 
 def stopped(plant: Plant, velocity: tuple[float, float], heading: float = 0.0) -> np.ndarray:
-    """Throw a plant, let it come to rest and return how far its centre of mass went, body frame, m."""
+    """Throw a plant and return the displacement of its centre of mass until it rests, body frame, m."""
     c, s = math.cos(heading), math.sin(heading)
     throw(plant, (c * velocity[0] - s * velocity[1], s * velocity[0] + c * velocity[1]), heading=heading)
     start = plant.physics.center_of_mass()[:2] if isinstance(plant, TwinSnake) else np.zeros(2)
@@ -37,10 +37,10 @@ def stopped(plant: Plant, velocity: tuple[float, float], heading: float = 0.0) -
 
 
 def sliding_wheel(velocity: tuple[float, float], spin_share: float) -> np.ndarray:
-    """Integrate a unit mass on free wheels under sharp Coulomb friction until it rests; return its way, m.
+    """Return the displacement until rest of a unit mass on free wheels with sharp Coulomb friction, m.
 
-    Floor force along: the axle's drag over what the wheels' inertia adds, or all the cone gives when that
-    is less; across: what the cone has left.
+    The floor force along the heading is the axle drag divided by one plus the inertia share of the wheels, or
+    the limit of the friction cone if that is smaller. The lateral force is the remainder of the cone.
     """
     step = 2e-4
     v, place = np.array(velocity), np.zeros(2)
@@ -57,11 +57,11 @@ def sliding_wheel(velocity: tuple[float, float], spin_share: float) -> np.ndarra
 
 @pytest.mark.parametrize("heading", [0.0, 2.0])
 @pytest.mark.parametrize("law", ["axis", "wheel", "ellipse"])
-def test_analytical_stops_along_and_across(law, heading):
+def test_analytical_snake_stops_along_and_across(law, heading):
     plant = AnalyticalSnake(SPEC, friction=law)
     along = stopped(plant, (0.5, 0.0), heading)
     assert along == pytest.approx([0.5**2 / (2 * MU_T * GRAVITY), 0], rel=0.01, abs=1e-9)
-    # With drag μ_t reserved, a wheel that does not roll still has its whole cone across.
+    # A wheel that does not roll has the whole friction cone in the lateral direction.
     across = stopped(plant, (0.0, -0.5), heading)
     assert across == pytest.approx([0, -(0.5**2) / (2 * MU_N * GRAVITY)], rel=0.01, abs=1e-9)
 
@@ -69,18 +69,18 @@ def test_analytical_stops_along_and_across(law, heading):
 @pytest.mark.parametrize("speed", [0.5, 1.0])
 def test_twin_stops_along(speed):
     expected = (MASS + SPIN_MASS) * speed**2 / (2 * MU_T * GRAVITY * MASS)
-    way = stopped(twin(), (speed, 0.0))
-    assert way == pytest.approx([expected, 0], rel=0.01, abs=1e-6)
+    displacement = stopped(twin(), (speed, 0.0))
+    assert displacement == pytest.approx([expected, 0], rel=0.01, abs=1e-6)
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0])
 def test_twin_stops_across(speed):
-    way = stopped(twin(), (0.0, speed))
-    assert way == pytest.approx([0, speed**2 / (2 * MU_N * GRAVITY)], rel=0.03, abs=1e-4)
+    displacement = stopped(twin(), (0.0, speed))
+    assert displacement == pytest.approx([0, speed**2 / (2 * MU_N * GRAVITY)], rel=0.03, abs=1e-4)
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0])
-def test_wheels_on_their_loads_stop_along_and_across(speed):
+def test_twin_with_loaded_contact_stops_along_and_across(speed):
     along = stopped(twin(contact="loaded"), (speed, 0.0), 2.0)
     expected = (MASS + SPIN_MASS) * speed**2 / (2 * MU_T * GRAVITY * MASS)
     assert along == pytest.approx([expected, 0], rel=1e-4, abs=1e-9)
@@ -88,10 +88,10 @@ def test_wheels_on_their_loads_stop_along_and_across(speed):
     assert across == pytest.approx([0, -(speed**2) / (2 * MU_N * GRAVITY)], rel=1e-4, abs=1e-7)
 
 
-def test_wheels_that_stop_within_a_step_get_no_kick_sideways():
-    """By symmetry there is none.
+def test_wheels_that_stop_within_a_step_get_no_lateral_impulse():
+    """By symmetry the lateral impulse is zero.
 
-    The friction solve leaves 1e-7 of friction's impulse at most, and its error lies along the wheels.
+    The friction solver has an error of at most 1e-7 of the friction impulse, along the wheels.
     """
     plant = twin(contact="loaded")
     sideways = [stopped(plant, (0.3 + 0.02 * k, 0.0), 0.7 * k)[1] for k in range(20)]
@@ -99,29 +99,29 @@ def test_wheels_that_stop_within_a_step_get_no_kick_sideways():
 
 
 @pytest.mark.parametrize("degrees", [30, 60])
-def test_wheels_on_their_loads_stop_at_an_angle(degrees):
+def test_twin_with_loaded_contact_stops_at_an_angle(degrees):
     velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
     expected = sliding_wheel(velocity, SPIN_MASS / MASS)
     assert stopped(twin(contact="loaded"), velocity, 0.3) == pytest.approx(expected, rel=0.01)
 
 
 @pytest.mark.parametrize("degrees", [30, 60, 87])
-def test_analytical_stops_at_an_angle_as_a_wheeled_point_does(degrees):
+def test_analytical_snake_stops_at_an_angle_like_a_wheeled_point(degrees):
     velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
-    way = stopped(AnalyticalSnake(SPEC, friction="wheel", slip_speed=1e-4), velocity)
-    assert way == pytest.approx(sliding_wheel(velocity, 0.0), rel=0.005, abs=1e-5)
+    displacement = stopped(AnalyticalSnake(SPEC, friction="wheel", slip_speed=1e-4), velocity)
+    assert displacement == pytest.approx(sliding_wheel(velocity, 0.0), rel=0.005, abs=1e-5)
 
 
 @pytest.mark.parametrize("degrees", [30, 60])
-def test_twin_stops_at_an_angle_as_a_wheeled_point_does(degrees):
+def test_twin_stops_at_an_angle_like_a_wheeled_point(degrees):
     velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
-    way, expected = stopped(twin(), velocity), sliding_wheel(velocity, SPIN_MASS / MASS)
-    assert way[0] == pytest.approx(expected[0], rel=0.02)
-    assert way[1] == pytest.approx(expected[1], rel=0.03)
+    displacement, expected = stopped(twin(), velocity), sliding_wheel(velocity, SPIN_MASS / MASS)
+    assert displacement[0] == pytest.approx(expected[0], rel=0.02)
+    assert displacement[1] == pytest.approx(expected[1], rel=0.03)
 
 
 def sliding_skid(velocity: tuple[float, float]) -> np.ndarray:
-    """Integrate a unit mass on skids under sharp friction of maximum dissipation; return its way, m."""
+    """Return the displacement until rest of a unit mass on skids with maximum dissipation, m."""
     step, v, place = 1e-4, np.array(velocity), np.zeros(2)
     mu = np.array([MU_T, MU_N])
     while np.hypot(*v) > 1e-3:
@@ -134,7 +134,7 @@ def sliding_skid(velocity: tuple[float, float]) -> np.ndarray:
 @pytest.mark.parametrize("heading", [0.0, 2.0])
 @pytest.mark.parametrize("speed", [0.5, 1.0])
 def test_skids_stop_along_and_across(speed, heading):
-    """No wheel has to stop spinning: the plain formula."""
+    """Skids have no spinning inertia, so the simple formula holds."""
     along = stopped(twin("skid"), (speed, 0.0), heading)
     assert along == pytest.approx([speed**2 / (2 * MU_T * GRAVITY), 0], rel=0.002, abs=1e-5)
     across = stopped(twin("skid"), (0.0, speed), heading)
@@ -142,7 +142,7 @@ def test_skids_stop_along_and_across(speed, heading):
 
 
 @pytest.mark.parametrize("degrees", [10, 30, 60, 80])
-def test_both_plants_stop_at_an_angle_as_a_sliding_point_does(degrees):
+def test_both_plants_on_skids_stop_at_an_angle_like_a_sliding_point(degrees):
     velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
     expected = sliding_skid(velocity)
     model = stopped(AnalyticalSnake(SPEC, friction="ellipse", slip_speed=1e-4), velocity)
@@ -151,7 +151,7 @@ def test_both_plants_stop_at_an_angle_as_a_sliding_point_does(degrees):
     assert stopped(twin("skid", "loaded"), velocity, 0.3) == pytest.approx(expected, rel=0.005, abs=1e-5)
 
 
-def test_axis_law_stops_each_direction_by_itself():
-    way = stopped(AnalyticalSnake(SPEC, friction="axis"), (0.6, 0.8))
+def test_axis_law_stops_each_direction_independently():
+    displacement = stopped(AnalyticalSnake(SPEC, friction="axis"), (0.6, 0.8))
     expected = [0.6**2 / (2 * MU_T * GRAVITY), 0.8**2 / (2 * MU_N * GRAVITY)]
-    assert way == pytest.approx(expected, rel=0.01)
+    assert displacement == pytest.approx(expected, rel=0.01)

@@ -1,4 +1,4 @@
-"""The floor has no preferred place, direction or side: turned, shifted and mirrored runs correspond."""
+"""The floor is isotropic: rotated, shifted and mirrored runs correspond."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PLANTS = {
     "loaded ellipse": lambda: TwinSnake(robot(), contact=LoadedContact("ellipse")),
 }
 OFFSET = 0.2
-# What sticks or slides multiplies rounding: by 3e7 in 2 s where friction across is ten times that along.
+# Stick-slip transitions amplify rounding errors: by 3e7 in 2 s if mu_n is ten times mu_t.
 ROUNDING = {"loaded ellipse": 1e-8}
 
 
@@ -46,7 +46,7 @@ def turning(name: str) -> Trajectory:
 
 @pytest.mark.parametrize("pose", [(0.0, 0.0, np.pi / 6), (0.3, -0.2, 0.0), (-1.0, 2.0, np.pi / 6)])
 @pytest.mark.parametrize("name", PLANTS)
-def test_turning_and_shifting_the_start_turns_and_shifts_the_trajectory(name, pose):
+def test_trajectory_follows_a_rotation_and_shift_of_the_start(name, pose):
     x, y, angle = pose
     here, there = turning(name), rollout(plant(name), Gait(2.0, OFFSET), 2.0, pose=pose)
     c, s = np.cos(angle), np.sin(angle)
@@ -60,7 +60,7 @@ def test_turning_and_shifting_the_start_turns_and_shifts_the_trajectory(name, po
 @pytest.mark.parametrize("name", PLANTS)
 def test_opposite_offset_with_half_a_period_gives_the_mirrored_path(name):
     left, right = turning(name), rollout(plant(name), Gait(2.0, -OFFSET, phase=np.pi), 2.0)
-    # The same code runs with left and right exchanged: no more than rounding is allowed to differ.
+    # The same code runs with left and right exchanged, so only rounding may differ.
     assert np.abs(right.position - left.position * [1, -1]).max() < 1e-9
     assert np.abs(right["heading"] + left["heading"]).max() < 1e-9
     for plus, minus in (("pressure_plus", "pressure_minus"), ("valve_plus", "valve_minus")):
