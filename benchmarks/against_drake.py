@@ -267,10 +267,10 @@ def main() -> None:
     parser.add_argument("--step-ms", type=float, default=0.05)
     parser.add_argument("--periods", type=int, default=6)
     parser.add_argument(
-        "--stiffness", type=float, default=Contact.stiffness, help="stiffness stiffness of a contact, N/m"
+        "--stiffness", type=float, default=Contact.stiffness, help="stiffness of a contact, N/m"
     )
     parser.add_argument("--relaxation-ms", type=float, default=1000 * Contact.relaxation)
-    parser.add_argument("--solver", default=Contact.solver, help="solver: solver: lagged, sap or similar")
+    parser.add_argument("--solver", default=Contact.solver, help="solver: lagged, sap or similar")
     options = parser.parse_args()
     how = options.periods, options.step_ms / 1000
     contact = Contact(options.stiffness, options.relaxation_ms / 1000, options.solver)

@@ -33,7 +33,7 @@ def main() -> None:
     arguments.add_argument(
         "--default", action="store_true", help="use the default settings instead of matched physics"
     )
-    arguments.add_argument("--skid", action="store_true", help="use use skids and the ellipse law")
+    arguments.add_argument("--skid", action="store_true", help="use skids and the ellipse law")
     arguments.add_argument("--loads", choices=LOADS, help="wheel loads in the friction law of the twin")
     arguments.add_argument(
         "--quick", action="store_true", help="simulate the corner points and the middle point only"
