@@ -1,48 +1,53 @@
-"""Gaits on momentary wheel loads in Drake, beside the same simulation in MuJoCo (`load_reference.py`).
+"""Gaits with momentary wheel loads in Drake, compared with the same simulation in MuJoCo.
 
     uv run --group drake python benchmarks/against_drake.py                      # four points, 0.05 ms
     uv run --group drake python benchmarks/against_drake.py --step-ms 0.025 gen2_turn
 
-The chain is built here in Drake's terms. The pitch and roll hinges in the middle of a segment join bodies
-without mass, which Drake admits inside a chain, so they approximate nothing. Springs are explicit, dampers
-implicit. Each point is run in two ways:
+The chain is built with the elements of Drake; the MuJoCo simulation is `load_reference.py`. The pitch and
+roll hinges in the middle of a segment join massless bodies. Drake accepts massless bodies inside a chain, so
+no approximation is needed. Springs are explicit and dampers implicit. Each point is simulated twice:
 
-- law: Drake finds the normal forces of smooth wheels; friction is `load_reference.wheel_force`, explicit, on
-  the loads of the step before.
-- axles: wheels are bodies on axles, and friction is Drake's (isotropic, mu_n). An axle's dry friction is a
-  damper whose moment is right at the speed of the step before.
+- law: Drake computes the normal forces of smooth wheels. Friction is `load_reference.wheel_force`, explicit,
+  with the loads of the previous step.
+- axles: wheels are bodies on axles with the friction of Drake (isotropic, mu_n). The dry friction of an axle
+  is a damper whose moment is correct at the speed of the previous step.
 
-Axles need the solver `lagged`. `sap` and `similar` make a step's problem convex, and contacts that slip glide
-above the floor: in `sap` by mu times slip times (relaxation + step), tenths of a millimetre, where the static
-penetration is 1.5 µm. The wheels hop, and 95 % of them are in the air on gen2_turn.
+Axles require the solver `lagged`. The solvers `sap` and `similar` make each step a convex problem, in which
+slipping contacts rise above the floor. In `sap` the height is mu times slip times (relaxation + step), tenths
+of a millimetre, while the static penetration is 1.5 µm. The wheels then bounce and are in the air for 95 % of
+the time on gen2_turn.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-import load_reference as reference
 import numpy as np
 import pydrake.all as drake
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+import load_reference as reference
 from load_reference import POINTS, G, Point, Result, friction_law, measured, moments, numbers, wheel_force
 
 Place = tuple[float, float, float]
 End = tuple[drake.RigidBody, Place]
 ORIGIN = (0.0, 0.0, 0.0)
 SLIP_M_S = 3e-4
-"""Slip speed of the reference's law and of the axles."""
+"""Slip speed of the reference law and of the axles, m/s."""
 
 
 @dataclass(frozen=True)
 class Contact:
-    """A compliant contact between a wheel and the floor.
+    """Compliant contact between a wheel and the floor.
 
     Attributes:
-        stiffness: N/m.
-        relaxation: damping, at the static load, over stiffness, s.
-        solver: Drake's `discrete_contact_approximation`.
+        stiffness: contact stiffness, N/m.
+        relaxation: damping at the static load divided by the stiffness, s.
+        solver: `discrete_contact_approximation` of Drake.
     """
 
     stiffness: float = 1e5
@@ -50,29 +55,29 @@ class Contact:
     solver: str = "lagged"
 
     def material(self, mu: float, static: float) -> drake.ProximityProperties:
-        """Return what wheels and floor are made of, each half as soft as the contact.
+        """Return the contact properties of a wheel or the floor, each half as stiff as the contact.
 
         Args:
             mu: coefficient of friction.
             static: load at rest, N.
         """
-        found = drake.ProximityProperties()
+        result = drake.ProximityProperties()
         friction = drake.CoulombFriction(mu, mu)
-        drake.AddContactMaterial(found, point_stiffness=2 * self.stiffness, friction=friction)
+        drake.AddContactMaterial(result, point_stiffness=2 * self.stiffness, friction=friction)
         lagged = self.stiffness * self.relaxation / static
-        found.AddProperty("material", "hunt_crossley_dissipation", lagged)
-        found.AddProperty("material", "relaxation_time", self.relaxation / 2)  # sap's
-        return found
+        result.AddProperty("material", "hunt_crossley_dissipation", lagged)
+        result.AddProperty("material", "relaxation_time", self.relaxation / 2)  # sap's
+        return result
 
 
 class Snake:
-    """The snake of `load_reference.mjcf` as a Drake plant, grown from its head backward along -x.
+    """Drake plant of the snake in `load_reference.mjcf`, built from the head backward along -x.
 
     Args:
-        n: the robot's numbers.
-        step: s.
-        contact: between wheels and floor.
-        axles: wheels are bodies on axles and have friction; else they are smooth parts of their connectors.
+        n: parameters of the robot.
+        step: time step, s.
+        contact: contact between wheels and floor.
+        axles: whether wheels are bodies on axles with friction, or smooth geometries of their connectors.
     """
 
     def __init__(self, n: dict[str, Any], step: float, contact: Contact, axles: bool) -> None:
@@ -99,7 +104,7 @@ class Snake:
         world, below = self.plant.world_body(), drake.RigidTransform([0, 0, -0.5])
         self.plant.RegisterCollisionGeometry(world, below, drake.Box(20, 20, 1), "floor", touch)
         self.plant.Finalize()
-        self._bends = np.array([each.velocity_start() for each in bends]).reshape(-1, reference.HINGES)
+        self._bends = np.array([item.velocity_start() for item in bends]).reshape(-1, reference.HINGES)
         self._simulator = drake.Simulator(builder.Build())
         self.context = self.plant.GetMyMutableContextFromRoot(self._simulator.get_mutable_context())
         start = drake.RigidTransform([0, 0, n["com_height_m"]])
@@ -117,22 +122,22 @@ class Snake:
         )
 
     def push(self, forces: np.ndarray, moments: np.ndarray) -> None:
-        """Apply a force (N) and a moment (N·m) at each connector's origin from now on, shape (N, 3)."""
+        """Apply a force (N) and a moment (N·m) at the origin of each connector, shape (N, 3)."""
         applied = []
         for body, force, moment in zip(self.connectors, forces, moments, strict=True):
-            each = drake.ExternallyAppliedSpatialForce()
-            each.body_index, each.F_Bq_W = body.index(), drake.SpatialForce(moment, force)
-            applied.append(each)
+            item = drake.ExternallyAppliedSpatialForce()
+            item.body_index, item.F_Bq_W = body.index(), drake.SpatialForce(moment, force)
+            applied.append(item)
         self.plant.get_applied_spatial_force_input_port().FixValue(self.context, applied)
 
     def drag(self, moments: np.ndarray) -> None:
-        """Hold each axle back with a moment, N·m: as a damper, implicit, that has it at the present speed."""
+        """Brake each axle with an implicit damper that has this moment (N·m) at the present speed."""
         slowest = reference.AXLE_SHARE * SLIP_M_S / self._n["wheel_radius_m"]
         for axle, moment in zip(self._axles, moments, strict=True):
             axle.SetDamping(self.context, moment / np.hypot(axle.get_angular_rate(self.context), slowest))
 
     def advance(self, time: float, moments: np.ndarray) -> np.ndarray:
-        """Step to a time with moments on the segments, N·m; return the loads over the step, N."""
+        """Simulate to a time with moments on the segments (N·m); return the mean loads, N."""
         torques = np.zeros(self.plant.num_velocities())
         torques[self._bends] = moments[:, None]
         self.plant.get_applied_generalized_force_input_port().FixValue(self.context, torques)
@@ -147,7 +152,7 @@ class Snake:
         return loads
 
     def _connector(self, i: int, touch: drake.ProximityProperties, axles: bool) -> drake.RigidBody:
-        """Add a connector and its wheels; its origin is their centre of mass, as in the MJCF."""
+        """Add a connector and its wheels; the origin is their centre of mass, as in the MJCF."""
         n = self._n
         track, radius, wheel = n["half_track_m"], n["wheel_radius_m"], n["wheel_kg"]
         neighbours, drop = 1 if i in (0, n["connectors"] - 1) else 2, n["com_height_m"] - radius
@@ -155,7 +160,7 @@ class Snake:
         mass = n["connectors_kg"][i] - 2 * wheel - links
         about, disc = mass * n["connector_gyration_m"] ** 2, wheel * radius**2 / 4
         across = about + 2 * (wheel * track**2 + disc)
-        if axles:  # what the wheels, which hang lower, leave of the same connector
+        if axles:  # remainder of the connector after the lower wheels are subtracted
             rise = 2 * wheel / mass * drop
             low = about - 2 * wheel * drop**2 - mass * rise**2
             body = self._body(f"c{i}", mass, (low, low, about), (0, 0, rise))
@@ -174,7 +179,7 @@ class Snake:
         return body
 
     def _segment(self, i: int) -> list[drake.RevoluteJoint]:
-        """Join connector i to the one before it by two bends, pitch and roll; return the bends."""
+        """Join connector i to the previous one by two bends, pitch and roll; return the bends."""
         n, edge = self._n, 1 / (2 * (reference.HINGES + 1))
         length, gap = n["segment_length_m"], n["rigid_gap_m"]
         half, front, rear = (length + gap) / 2, gap / 2 + length * edge, gap / 2 + length * (1 - edge)
@@ -211,14 +216,14 @@ class Snake:
 
 
 def simulate(point: Point, periods: int, step: float, contact: Contact, axles: bool) -> Result:
-    """Run a gait from rest, as `load_reference.simulate` does.
+    """Simulate a gait from rest, as `load_reference.simulate` does.
 
     Args:
         point: robot and gait.
-        periods: how many periods of the gait.
-        step: s.
-        contact: between wheels and floor.
-        axles: wheels on axles with Drake's friction, instead of the wheel law on Drake's loads.
+        periods: number of gait periods.
+        step: time step, s.
+        contact: contact between wheels and floor.
+        axles: whether wheels on axles use the friction of Drake, or the wheel law uses the loads of Drake.
     """
     n = numbers(point)
     snake = Snake(n, step, contact, axles)
@@ -233,7 +238,7 @@ def simulate(point: Point, periods: int, step: float, contact: Contact, axles: b
         if axles:
             snake.drag(n["mu_t"] * load * radius)
         else:
-            frame, move, turn = (np.repeat(each, 2, axis=0) for each in snake.motion())
+            frame, move, turn = (np.repeat(item, 2, axis=0) for item in snake.motion())
             ahead = frame[:, :, 0] * [1, 1, 0]
             ahead /= np.linalg.norm(ahead, axis=1)[:, None]
             left = np.cross([0, 0, 1], ahead)
@@ -245,7 +250,7 @@ def simulate(point: Point, periods: int, step: float, contact: Contact, axles: b
             f_t, f_n, spin, drag = np.array([wheel_force(*wheel, law, step) for wheel in wheels]).T
             at_hub, at_foot = f_t[:, None] * ahead, f_n[:, None] * left
             moment = np.cross(hub, at_hub) + np.cross(foot, at_foot) + radius * drag[:, None] * left
-            snake.push(*(each.reshape(count, 2, 3).sum(axis=1) for each in (at_hub + at_foot, moment)))
+            snake.push(*(item.reshape(count, 2, 3).sum(axis=1) for item in (at_hub + at_foot, moment)))
         loads[k] = load = snake.advance((k + 1) * step, torques[k])
         com[k] = snake.plant.CalcCenterOfMassPositionInWorld(snake.context)[:2]
         frame = snake.motion()[0]
@@ -256,16 +261,20 @@ def simulate(point: Point, periods: int, step: float, contact: Contact, axles: b
 def main() -> None:
     """Print three rows per point."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("points", nargs="*", metavar="POINT", help=f"of {', '.join(POINTS)}; default four")
+    parser.add_argument(
+        "points", nargs="*", metavar="POINT", help=f"of {', '.join(POINTS)}; default: four points"
+    )
     parser.add_argument("--step-ms", type=float, default=0.05)
     parser.add_argument("--periods", type=int, default=6)
-    parser.add_argument("--stiffness", type=float, default=Contact.stiffness, help="of a contact, N/m")
+    parser.add_argument(
+        "--stiffness", type=float, default=Contact.stiffness, help="stiffness of a contact, N/m"
+    )
     parser.add_argument("--relaxation-ms", type=float, default=1000 * Contact.relaxation)
-    parser.add_argument("--solver", default=Contact.solver, help="lagged, sap or similar")
-    given = parser.parse_args()
-    how = given.periods, given.step_ms / 1000
-    contact = Contact(given.stiffness, given.relaxation_ms / 1000, given.solver)
-    for name in given.points or ("gen2_straight", "gen2_turn", "stiff_turn", "gen1_straight"):
+    parser.add_argument("--solver", default=Contact.solver, help="solver: lagged, sap or similar")
+    options = parser.parse_args()
+    how = options.periods, options.step_ms / 1000
+    contact = Contact(options.stiffness, options.relaxation_ms / 1000, options.solver)
+    for name in options.points or ("gen2_straight", "gen2_turn", "stiff_turn", "gen1_straight"):
         for engine, run in (
             ("MuJoCo", lambda point: reference.simulate(point, *how, SLIP_M_S)),
             ("Drake, law", lambda point: simulate(point, *how, contact, axles=False)),

@@ -1,7 +1,7 @@
-"""(c) Both plants against PyElastica's continuum snake, each at its own defaults.
+"""(c) Both plants compared with the continuum snake of PyElastica, each with its default settings.
 
-Different bodies and different models: what is compared is how many seconds of a snake a second of computing
-buys. How far the twin's speed at its defaults is from its own refined limit, `refinement.py` shows.
+The bodies and the models differ. The comparison shows how many seconds of a snake one second of computing
+time simulates. `refinement.py` shows the error of the twin's speed with its default settings.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from timing import Ratio, Result, Task, interleaved
 
 from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, rollout
 
-SIMULATED = 1.0  # s of PyElastica's; ours longer, so that every task takes long enough to be timed
+SIMULATED = 1.0  # s; our plants simulate longer so that every task takes a measurable time
 NEEDS = "PyElastica is not installed: `uv run --group benchmarks python benchmarks/speed.py`"
 
 
 def run(quick: bool) -> Result:
-    """Time PyElastica with and without what its example records, twin and analytical model.
+    """Time PyElastica with and without the records of its example, the twin and the analytical model.
 
     Args:
-        quick: a fifth of PyElastica's simulated time.
+        quick: simulate a fifth of the time with PyElastica.
 
     Raises:
         ModuleNotFoundError: PyElastica is not installed.
@@ -46,7 +46,7 @@ def run(quick: bool) -> Result:
         task.run()  # compiles
     times = interleaved(tasks)
     ratios = {
-        f"{plant} over {theirs}": Ratio.of(times[theirs], times[plant])
+        f"{plant} over {theirs}": Ratio.between(times[theirs], times[plant])
         for plant in snakes
         for theirs in ("PyElastica", "PyElastica, recording")
     }
@@ -54,13 +54,16 @@ def run(quick: bool) -> Result:
         [
             name,
             f"{1 / timing.median:.3g}",
-            *(str(Ratio.of(times[theirs], timing)) for theirs in ("PyElastica", "PyElastica, recording")),
+            *(
+                str(Ratio.between(times[theirs], timing))
+                for theirs in ("PyElastica", "PyElastica, recording")
+            ),
         ]
         for name, timing in times.items()
     ]
     return Result(
-        "(c) gen2 against PyElastica's continuum snake",
-        ["what", "simulated s per wall s", "over PyElastica", "over PyElastica, recording"],
+        "(c) gen2 compared with the continuum snake of PyElastica",
+        ["what", "simulated s per wall s", "relative to PyElastica", "relative to PyElastica, recording"],
         rows,
         {
             "ratios": {name: ratio.json() for name, ratio in ratios.items()},
@@ -68,7 +71,7 @@ def run(quick: bool) -> Result:
             "simulated_s_per_wall_s": {name: 1 / timing.median for name, timing in times.items()},
         },
         [
-            "PyElastica: 50 elements, steps of 0.1 ms; recording 60 times a second or never.",
-            "Ours record 100 times a second. The twin's error at its defaults: `benchmarks/refinement.py`.",
+            "PyElastica: 50 elements, steps of 0.1 ms; with 60 records per second or none.",
+            "Our plants record 100 samples per second. Error of the twin: `benchmarks/refinement.py`.",
         ],
     )

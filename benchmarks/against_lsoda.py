@@ -1,36 +1,40 @@
-"""(a) The analytical model against LSODA on the same equations, at equal or better error.
+"""(a) The analytical model compared with LSODA on the same equations, at equal or smaller error.
 
-Errors are those of the mean speed, the largest over the gaits, against the compiled model with steps of
-1/64 ms; LSODA's own errors, which fall with its tolerance to a few millionths, vouch for that reference.
-LSODA's tolerance is the loosest whose error is no larger than that of the shipped default step; the ratio to
-its other tolerances is printed as well. What LSODA needs to know of valves and bends it gets for nothing:
-only its integration is timed, while the shipped model's time is that of the whole public call.
+Errors are errors of the mean speed, the largest over the gaits, relative to the compiled model with time
+steps of 1/64 ms. The error of LSODA decreases with its tolerance to a few millionths, which confirms this
+reference. The table marks the loosest tolerance of LSODA whose error is not larger than that of the shipped
+default step, and also gives the ratios for other tolerances. Valve times and bends are precomputed for LSODA:
+only its integration is timed, while the time of the shipped model includes the whole public call.
 """
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lsoda import CompleteModel, solve, stretches, trajectory
 from timing import Ratio, Result, Task, Timing, interleaved
 
 from srs_twin import AnalyticalSnake, Gait, Trajectory, load_robot, rollout
 from srs_twin.comparison.metrics import plant_metrics
 
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from lsoda import CompleteModel, bend_intervals, solve, trajectory
+
 SUPPLY = 48.3e3  # Pa
-DURATION = 3.0  # s: at 2 Hz two periods of warm-up and four that count
-LONG = 10.0  # s, for the simulated seconds per wall second
+DURATION = 3.0  # s; at 2 Hz two periods of warm-up and four evaluated ones
+LONG = 10.0  # s, to measure the simulated seconds per wall second
 REFERENCE_STEP = 0.001 / 64
 GAITS = ((2.0, 0.0), (2.0, 0.2), (2.0, 0.4))  # Hz, offset
-TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)  # relative; absolute a thousandth of it
+TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)  # relative; the absolute tolerance is a thousandth of it
 SPEC = load_robot("gen2")
 
 
 @dataclass(frozen=True)
 class Case:
-    """One friction law under one gait."""
+    """One friction law with one gait."""
 
     friction: str
     frequency: float
@@ -41,16 +45,16 @@ class Case:
         return Gait(self.frequency, self.offset)
 
     def plant(self, **options: float) -> AnalyticalSnake:
-        """Return the shipped model, with other numerical choices than its own if given."""
+        """Return the shipped model, optionally with other numerical settings."""
         return AnalyticalSnake(SPEC, friction=self.friction, supply_pa=SUPPLY, **options)
 
     def shipped(self, duration: float = DURATION, **options: float) -> Trajectory:
-        """Roll the shipped model out."""
+        """Simulate with the shipped model."""
         return rollout(self.plant(**options), self.gait(), duration)
 
     def lsoda(self, tolerance: float) -> tuple[Task, Trajectory]:
-        """Return LSODA's integration to be timed, and what it finds."""
-        bends = stretches(SPEC, self.gait(), DURATION, SUPPLY)
+        """Return the task that integrates with LSODA, and its trajectory."""
+        bends = bend_intervals(SPEC, self.gait(), DURATION, SUPPLY)
         slip = self.plant().describe()["slip_speed_m_s"]
         model = CompleteModel(SPEC, friction=self.friction, slip=slip)
 
@@ -71,9 +75,9 @@ class Errors:
         return f"{100 * self.speed:.3f} %, {1e3 * self.path:.2f} mm"
 
 
-def errors(found: list[Trajectory], references: list[Trajectory]) -> Errors:
-    """Measure runs against their references, sample by sample."""
-    pairs = list(zip(found, references, strict=True))
+def errors(result: list[Trajectory], references: list[Trajectory]) -> Errors:
+    """Compare runs with their references, sample by sample."""
+    pairs = list(zip(result, references, strict=True))
     return Errors(
         max(abs(_speed(run) / _speed(reference) - 1) for run, reference in pairs),
         max(float(np.sqrt(((run.com - ref.com) ** 2).sum(axis=1).mean())) for run, ref in pairs),
@@ -91,11 +95,11 @@ def run(quick: bool) -> Result:
         new, values[friction] = _compare(friction, quick)
         rows += new
     return Result(
-        f"(a) analytical `complete` against LSODA, gen2, {DURATION:g} s",
-        ["law", "solver", "error: speed, path", "simulated s per wall s", "times as long as shipped"],
+        f"(a) analytical `complete` compared with LSODA, gen2, {DURATION:g} s",
+        ["law", "solver", "error: speed, path", "simulated s per wall s", "time relative to shipped"],
         rows,
         values,
-        ["Bold: LSODA's loosest tolerance whose error in mean speed is no larger than the shipped model's."],
+        ["Bold: loosest tolerance of LSODA whose speed error is not larger than that of the shipped model."],
     )
 
 
@@ -105,28 +109,28 @@ def _compare(friction: str, quick: bool) -> tuple[list[list[str]], dict[str, Any
     own = errors([case.shipped() for case in cases], references)
     tasks = {"shipped": _all([Task(case.shipped, DURATION) for case in cases])}
     tasks["shipped, 10 s"] = Task(lambda: cases[0].shipped(LONG), LONG)
-    found: dict[float, Errors] = {}
+    result: dict[float, Errors] = {}
     for tolerance in TOLERANCES[1:3] if quick else TOLERANCES:
         solved = [case.lsoda(tolerance) for case in cases]
-        found[tolerance] = errors([way for _, way in solved], references)
+        result[tolerance] = errors([lsoda_run for _, lsoda_run in solved], references)
         tasks[f"{tolerance:g}"] = _all([task for task, _ in solved])
-    matched = next((t for t in found if found[t].speed <= own.speed), min(found))
-    # The tighter ones only show that the errors fall; they would cost more than all the others.
+    matched = next((t for t in result if result[t].speed <= own.speed), min(result))
+    # Smaller tolerances only show that the errors decrease; timing them would dominate the run time.
     timed = {name: task for name, task in tasks.items() if name[0] == "s" or float(name) >= matched}
     times = interleaved(timed)
     rows = [[friction, "shipped default", str(own), _rate(times["shipped, 10 s"]), "1"]]
-    for tolerance, error in found.items():
+    for tolerance, error in result.items():
         cells = ["–", "–"]
         if f"{tolerance:g}" in times:
-            ratio = Ratio.of(times[f"{tolerance:g}"], times["shipped"])
+            ratio = Ratio.between(times[f"{tolerance:g}"], times["shipped"])
             cells = [_rate(times[f"{tolerance:g}"]), f"**{ratio}**" if tolerance == matched else str(ratio)]
         rows.append([friction, f"LSODA, {tolerance:g}", str(error), *cells])
     return rows, {
-        "ratio": Ratio.of(times[f"{matched:g}"], times["shipped"]).json(),
+        "ratio": Ratio.between(times[f"{matched:g}"], times["shipped"]).json(),
         "matched_tolerance": matched,
         "errors": {
             "shipped": vars(own),
-            "lsoda": {f"{t:g}": vars(error) for t, error in found.items()},
+            "lsoda": {f"{t:g}": vars(error) for t, error in result.items()},
         },
         "times": {name: timing.json() for name, timing in times.items()},
         "simulated_s_per_wall_s": 1 / times["shipped, 10 s"].median,
@@ -134,7 +138,7 @@ def _compare(friction: str, quick: bool) -> tuple[list[list[str]], dict[str, Any
 
 
 def _all(tasks: list[Task]) -> Task:
-    """Return the tasks one after another as one."""
+    """Return one task that runs the given tasks in sequence."""
 
     def run() -> None:
         for task in tasks:

@@ -1,7 +1,7 @@
-"""(b) Rollouts of the twin against a bare loop of `mj_step` under the same controls.
+"""(b) Rollouts of the twin compared with a bare loop of `mj_step` under the same controls.
 
-A bare loop can only have MuJoCo's own friction, so it steps the model of the preloaded contact, and its last
-positions must be those of that twin's rollout. The default twin finds friction by a law of its own.
+The bare loop can only use the friction of MuJoCo, so it steps the model with the preloaded contact. Its final
+positions must agree with the rollout of that twin. The default twin computes friction with its own solver.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def run(quick: bool) -> Result:
     """Time generation 2 in a turn.
 
     Args:
-        quick: a quarter of the run.
+        quick: simulate a quarter of the duration.
     """
     duration = DURATION / 4 if quick else DURATION
     spec = load_robot("gen2")
@@ -32,9 +32,10 @@ def run(quick: bool) -> Result:
     last = rollout(pressed, Gait(2.0, OFFSET), duration).stack("qpos")[-1]
     rollout(default, Gait(2.0, OFFSET), duration)  # compiles
     bare()
-    apart = float(np.abs(data.qpos - last).max())
-    if apart > 1e-6:
-        raise RuntimeError(f"the bare loop ends {apart:.2g} m or rad from the rollout: not the same controls")
+    bare()  # repeats from the same start
+    error = float(np.abs(data.qpos - last).max())
+    if error > 1e-6:
+        raise RuntimeError(f"the bare loop ends {error:.2g} m or rad from the rollout: different controls")
     times = interleaved(
         {
             "mj_step": Task(bare, duration),
@@ -42,11 +43,11 @@ def run(quick: bool) -> Result:
             "default": Task(lambda: rollout(default, Gait(2.0, OFFSET), duration), duration),
         }
     )
-    ratios = {name: Ratio.of(times[name], times["mj_step"]) for name in ("preloaded", "default")}
+    ratios = {name: Ratio.between(times[name], times["mj_step"]) for name in ("preloaded", "default")}
     rates = {name: 1 / timing.median for name, timing in times.items()}
     return Result(
-        f"(b) twin rollouts against a bare mj_step loop, gen2, {duration:g} s",
-        ["what", "simulated s per wall s", "time over that of the bare loop"],
+        f"(b) twin rollouts compared with a bare mj_step loop, gen2, {duration:g} s",
+        ["program", "simulated s per wall s", "time relative to the bare loop"],
         [
             ["mj_step loop, preloaded model", f"{rates['mj_step']:.3g}", "1"],
             *([f"rollout, {name}", f"{rates[name]:.3g}", str(ratio)] for name, ratio in ratios.items()),
@@ -55,14 +56,14 @@ def run(quick: bool) -> Result:
             "ratios": {name: ratio.json() for name, ratio in ratios.items()},
             "times": {name: timing.json() for name, timing in times.items()},
             "simulated_s_per_wall_s": rates,
-            "final_qpos_apart": apart,
+            "final_qpos_error": error,
         },
-        [f"Final positions of the first two differ by at most {apart:.1g} m or rad."],
+        [f"Final positions of the first two differ by at most {error:.1g} m or rad."],
     )
 
 
 def bare_loop(plant: TwinSnake, duration: float) -> tuple[Callable[[], None], mujoco.MjData]:
-    """Return a loop over the controls that a rollout would give, and the data it leaves them in."""
+    """Return a loop over the controls of a rollout, and the MuJoCo data that it advances."""
     model = plant.physics.model.ptr
     controls = step_controls(plant, duration)
     plant.reset()

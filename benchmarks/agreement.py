@@ -1,13 +1,14 @@
-"""How far twin and analytical model agree, over the whole published grid of generation 2.
+"""Differences between the twin and the analytical model over the published grid of generation 2.
 
     uv run python benchmarks/agreement.py [--default | --skid | --loads KIND] [--quick]
 
-Matched physics: `wheel` law, the same track and the connectors' inertia on both sides, bends stiff enough to
-follow their free value, the twin preloaded. Without `--default` that is what is shown; with it, the shipped
-robot, the default twin and the model's default friction. With `--skid`, matched physics on skids: the
-`ellipse` law. With `--loads`, the loaded contact with wheels without inertia about their axles: `momentary`
-on both sides, `across` with the analytical model's share of loads on the twin as well, `static` with those at
-rest on both.
+By default the physics of both plants are matched: the `wheel` law, the same track and inertia of the
+connectors, bends stiff enough to follow their free value, and the preloaded contact. Other settings:
+
+- `--default`: the shipped robot, the default twin and the default friction of the model;
+- `--skid`: matched physics on skids, with the `ellipse` law;
+- `--loads`: the loaded contact and wheels without inertia about their axles. `momentary` uses momentary loads
+  in both plants, `across` the load distribution of the analytical model in both, `static` the static loads.
 """
 
 from __future__ import annotations
@@ -23,28 +24,32 @@ from srs_twin.plants.twin.mjcf.numerics import LOADS
 
 FREQUENCIES_HZ = (1.0, 1.5, 2.0)
 PRESSURES_KPA = (41.0, 48.0, 55.0)
-MATCHED_STIFFNESS = 20.0  # N·m/rad: bends follow within 2 % RMS
+MATCHED_STIFFNESS = 20.0  # N·m/rad; bends follow their free value within 2 % RMS
 
 
 def main() -> None:
-    """Print one table for each of straight and turning, with and without gaps."""
+    """Print one table each for straight and turning gaits, with and without rigid gaps."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("--default", action="store_true", help="default settings instead of matched ones")
-    arguments.add_argument("--skid", action="store_true", help="skids and the ellipse law")
-    arguments.add_argument("--loads", choices=LOADS, help="what the twin's friction takes")
-    arguments.add_argument("--quick", action="store_true", help="the corner and middle points only")
-    given = arguments.parse_args()
-    common: dict[str, float] = {} if given.default else {"stiffness": MATCHED_STIFFNESS}
-    law = "axis" if given.default else "ellipse" if given.skid else "wheel"
-    wheels: dict[str, object] = (
-        {} if given.default else {"contact": PreloadedContact("skid" if given.skid else "rolling")}
+    arguments.add_argument(
+        "--default", action="store_true", help="use the default settings instead of matched physics"
     )
-    loads: dict[str, object] = {} if given.default else {"inertia": "connector"}
-    if given.loads:
-        wheels = {"contact": LoadedContact(load=given.loads), "numerics": Numerics(wheel_spin=0.0)}
-        loads |= {"load": "static" if given.loads == "static" else "momentary"}
+    arguments.add_argument("--skid", action="store_true", help="use skids and the ellipse law")
+    arguments.add_argument("--loads", choices=LOADS, help="wheel loads in the friction law of the twin")
+    arguments.add_argument(
+        "--quick", action="store_true", help="simulate the corner points and the middle point only"
+    )
+    selected = arguments.parse_args()
+    common: dict[str, float] = {} if selected.default else {"stiffness": MATCHED_STIFFNESS}
+    law = "axis" if selected.default else "ellipse" if selected.skid else "wheel"
+    wheels: dict[str, object] = (
+        {} if selected.default else {"contact": PreloadedContact("skid" if selected.skid else "rolling")}
+    )
+    loads: dict[str, object] = {} if selected.default else {"inertia": "connector"}
+    if selected.loads:
+        wheels = {"contact": LoadedContact(load=selected.loads), "numerics": Numerics(wheel_spin=0.0)}
+        loads |= {"load": "static" if selected.loads == "static" else "momentary"}
     points = list(product(FREQUENCIES_HZ, PRESSURES_KPA))
-    if given.quick:
+    if selected.quick:
         points = points[::4]
     for gaps, offset in product((False, True), (0.0, 0.2)):
         runs = [

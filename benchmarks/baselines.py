@@ -1,4 +1,4 @@
-"""The project's own controllers as policies of the environments: how often they arrive, how well they track.
+"""Success rates and tracking errors of the project's controllers as policies of the environments.
 
 uv run python benchmarks/baselines.py --episodes 20
 """
@@ -20,7 +20,7 @@ from srs_twin.envs.module import ModuleTask
 
 
 def scored(name: str, seed: int) -> Score:
-    """Play an episode of a task with the project's own policy."""
+    """Run one episode of a task with the project's own policy; return its scores."""
     task = make_task(name)
     policy = PathFollowing(task) if isinstance(task, CrawlTask) else None
     if isinstance(task, ModuleTask):
@@ -31,8 +31,8 @@ def scored(name: str, seed: int) -> Score:
 
 def row(name: str, scores: list[Score]) -> list[str]:
     endings = Counter(score.ending for score in scores)
-    told = ", ".join(f"{ending} {count}" for ending, count in endings.most_common())
-    return [name, told, f"{mean(s.reward for s in scores):.3g}", f"{mean(s.time for s in scores):.3g}"]
+    counts = ", ".join(f"{ending} {count}" for ending, count in endings.most_common())
+    return [name, counts, f"{mean(s.reward for s in scores):.3g}", f"{mean(s.time for s in scores):.3g}"]
 
 
 def main() -> None:
@@ -40,12 +40,12 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--episodes", type=int, default=20)
     arguments.add_argument("--processes", type=int, default=None)
-    given = arguments.parse_args()
-    with ProcessPoolExecutor(given.processes) as pool:
+    options = arguments.parse_args()
+    with ProcessPoolExecutor(options.processes) as pool:
         rows = []
         for name in TASKS:
-            seeds = range(given.episodes)
-            rows.append(row(name, list(pool.map(scored, [name] * given.episodes, seeds))))
+            seeds = range(options.episodes)
+            rows.append(row(name, list(pool.map(scored, [name] * options.episodes, seeds))))
     print(table(["task", "endings", "mean return", "mean time, s"], rows))
 
 

@@ -1,18 +1,20 @@
-"""How well the clocks of motions and logs are aligned, and whether a gait's period is ever mistaken.
+"""Alignment of the clocks of motion capture and logs, and errors of a whole gait period.
 
     uv run python benchmarks/clocks.py [--draws 500] [--seed 0] [--spread 0.1]
 
-Each draw is a robot (with `--spread` its gains and time constants differ from those of the robot file that
-reads it), a run of rests and gaits, a window of it that cameras saw, and one that was logged, on a clock that
-shows up to 20 s more or less. Logs are of valves, of valves that a carrier of 20 to 50 Hz switches, or of
-pressures. Windows: `start` and `end` of a gait in both, `change` of frequency or offset in both, `steady`,
-nothing but the gait in both, `log start` and `motion start`, the start in one of the two alone.
+Each draw consists of a robot, a run with rests and gaits, a time window that the cameras record, and another
+window that is logged. The clocks differ by up to 20 s. With `--spread`, gains and time constants differ from
+those in the robot file. Logs contain valves, valves switched by a carrier of 20 to 50 Hz, or pressures. The
+cases are named after what both windows contain: `start` and `end` of a gait, a `change` of frequency or
+offset, `steady` (only the gait), and `log start` and `motion start` (the start in one window only).
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import re
+import sys
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -21,7 +23,6 @@ from pathlib import Path
 
 import numpy as np
 from grid import table
-from synthetic_takes import Take, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, InputError, RobotSpec, Trajectory, load_robot, rollout
 from srs_twin.control.replay import Replay
@@ -30,6 +31,9 @@ from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.signals.clock import join
 from srs_twin.recordings.signals.logs import read_valves
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from synthetic_takes import Take, write_motive
 
 CASES = ("start", "end", "change", "steady", "log start", "motion start")
 TOLD = ("start", "end", "change")
@@ -40,10 +44,10 @@ def vented(spec: RobotSpec) -> np.ndarray:
     return np.full((spec.segments, 2), -1, dtype=np.int8)
 
 
-def schedule(spec: RobotSpec, parts: list[tuple[float, float | None, float]]) -> Schedule:
-    """Return the valves of parts: (duration in s, frequency in Hz or None at rest, offset)."""
+def schedule(spec: RobotSpec, intervals: list[tuple[float, float | None, float]]) -> Schedule:
+    """Return the valve states of intervals: (duration in s, frequency in Hz or None at rest, offset)."""
     starts, states, begun = [], [], 0.0
-    for duration, frequency, offset in parts:
+    for duration, frequency, offset in intervals:
         if frequency is None:
             own = Schedule(duration, np.zeros(1), vented(spec)[None])
         else:
@@ -56,23 +60,23 @@ def schedule(spec: RobotSpec, parts: list[tuple[float, float | None, float]]) ->
     return Schedule(begun, np.concatenate(starts), np.concatenate(states))
 
 
-def switched(given: Schedule, carrier: float, duty: float) -> Schedule:
-    """Return valves that fill for a share of each carrier period only."""
-    edges = np.arange(0, given.span, 1 / carrier)
-    times = np.unique(np.concatenate([given.starts, edges, edges + duty / carrier]))
-    times = times[times < given.span - 1e-6]
-    states = given.states[np.searchsorted(given.starts, times + 1e-9, side="right") - 1].copy()
-    off = (times + 1e-9) * carrier % 1 >= duty
-    states[off[:, None, None] & (states == 1)] = -1
-    return Schedule(given.span, times, states)
+def switched(valves: Schedule, carrier: float, duty: float) -> Schedule:
+    """Return valves that fill only for the duty of each carrier period."""
+    edges = np.arange(0, valves.span, 1 / carrier)
+    times = np.unique(np.concatenate([valves.starts, edges, edges + duty / carrier]))
+    times = times[times < valves.span - 1e-6]
+    states = valves.states[np.searchsorted(valves.starts, times + 1e-9, side="right") - 1].copy()
+    venting = (times + 1e-9) * carrier % 1 >= duty
+    states[venting[:, None, None] & (states == 1)] = -1
+    return Schedule(valves.span, times, states)
 
 
 def write_log(
-    path: Path, given: Schedule, run: Trajectory, window: tuple[float, float], kind: str, later: float
+    path: Path, valves: Schedule, run: Trajectory, window: tuple[float, float], kind: str, later: float
 ) -> None:
-    """Write the log of a window, on a clock that shows `later` (s) more."""
+    """Write the log of a window, with `later` (s) added to its times."""
     low, high = window
-    names = [f"{j}" for j in range(1, given.states.shape[1] + 1)]
+    names = [f"{j}" for j in range(1, valves.states.shape[1] + 1)]
     sides = ("plus", "minus")
     if kind == "pressure":
         time = np.arange(low, high, 0.02)
@@ -82,17 +86,17 @@ def write_log(
         )
         head = [f"pressure_{side}_{j}_kpa" for j in names for side in sides]
     else:
-        inside = (given.starts > low) & (given.starts < high)
-        time = np.concatenate([[low], given.starts[inside], [high]])
-        rows = np.searchsorted(given.starts, time + 1e-9, side="right") - 1
-        values = given.states[rows].reshape(len(time), -1)
+        inside = (valves.starts > low) & (valves.starts < high)
+        time = np.concatenate([[low], valves.starts[inside], [high]])
+        rows = np.searchsorted(valves.starts, time + 1e-9, side="right") - 1
+        values = valves.states[rows].reshape(len(time), -1)
         head = [f"valve_{side}_{j}" for j in names for side in sides]
-    lines = [",".join(f"{each:.7g}" for each in row) for row in np.column_stack([time + later, values])]
+    lines = [",".join(f"{item:.7g}" for item in row) for row in np.column_stack([time + later, values])]
     path.write_text("\n".join([",".join(["time", *head]), *lines, ""]))
 
 
 def draw(seed: int, spread: float) -> tuple[str, str, float, float]:
-    """Return case, what was refused, the offset's error and the gait's period, s."""
+    """Return case, reason for a refusal, error of the clock offset and gait period, s."""
     random = np.random.default_rng(seed)
     nominal, case = load_robot("gen2"), str(random.choice(CASES))
     names = [f"modules.gain_{side}_{j}" for j in range(1, nominal.segments + 1) for side in ("plus", "minus")]
@@ -105,31 +109,31 @@ def draw(seed: int, spread: float) -> tuple[str, str, float, float]:
     robot = with_values(nominal, changed) if spread else nominal
     frequency, offset = random.uniform(0.5, 2.5), random.uniform(-0.2, 0.2)
     rest, long = random.uniform(0.4, 1.5), random.uniform(4, 9)
-    parts: list[tuple[float, float | None, float]] = [(rest, None, 0.0), (long + 3, frequency, offset)]
+    intervals: list[tuple[float, float | None, float]] = [(rest, None, 0.0), (long + 3, frequency, offset)]
     if case == "change":
-        parts.append(
+        intervals.append(
             (long, frequency * random.choice([0.7, 0.85, 1.2]), offset + random.choice([-0.2, 0, 0.2]))
         )
-    parts = [(round(each[0] / TICK) * TICK, *each[1:]) for each in parts]
-    parts.append((1.5, None, 0.0))
-    given = schedule(robot, parts)
+    intervals = [(round(item[0] / TICK) * TICK, *item[1:]) for item in intervals]
+    intervals.append((1.5, None, 0.0))
+    valves = schedule(robot, intervals)
     kind = str(random.choice(["valve", "valve", "valve", "pwm", "pressure"]))
     if kind == "pwm":
-        given = switched(given, random.uniform(20, 50), random.uniform(0.5, 0.9))
+        valves = switched(valves, random.uniform(20, 50), random.uniform(0.5, 0.9))
     plant = AnalyticalSnake(robot, supply_pa=48e3, model="compliant")
-    run = rollout(plant, Replay(given), given.span, record_hz=500)
-    on, off = rest, given.span - 1.5
+    run = rollout(plant, Replay(valves), valves.span, record_hz=500)
+    on, gait_end = rest, valves.span - 1.5
     settled = on + max(1.5, 2 / frequency)
     windows = {
-        "start": ((0, off), (0, off)),
-        "end": ((settled, given.span), (settled, given.span)),
-        "change": ((settled, off), (settled, off)),
-        "steady": ((settled, off), (settled, off)),
-        "log start": ((settled, off), (0, off)),
-        "motion start": ((0, off), (settled, off)),
+        "start": ((0, gait_end), (0, gait_end)),
+        "end": ((settled, valves.span), (settled, valves.span)),
+        "change": ((settled, gait_end), (settled, gait_end)),
+        "steady": ((settled, gait_end), (settled, gait_end)),
+        "log start": ((settled, gait_end), (0, gait_end)),
+        "motion start": ((0, gait_end), (settled, gait_end)),
     }[case]
     seen, logged = (
-        (low + random.uniform(0, 0.3), high - random.uniform(0, 0.3) * (high < given.span))
+        (low + random.uniform(0, 0.3), high - random.uniform(0, 0.3) * (high < valves.span))
         for low, high in windows
     )
     later = random.uniform(-20, 20)
@@ -142,16 +146,16 @@ def draw(seed: int, spread: float) -> tuple[str, str, float, float]:
     with tempfile.TemporaryDirectory() as folder:
         motion, log = Path(folder) / "m.csv", Path(folder) / "m.valves.csv"
         write_motive(part, take, motion)
-        write_log(log, given, run, logged, kind, later)
+        write_log(log, valves, run, logged, kind, later)
         head = "snake:1a" if take.layout == "pair" else None
         try:
             body = read_motion(motion, nominal, layout=take.layout, head=head)
             joined = join(body, read_valves(log, nominal), nominal)
         except InputError as error:
             return case, re.sub(r"^\S+: ", "", str(error)), np.nan, 1 / frequency
-    found = joined.trajectory.metadata["valve_log"]["offset_s"]
-    # Frames count from the first one that cameras saw.
-    return case, "", float(found + later + part.time[0]), 1 / frequency
+    result = joined.trajectory.metadata["valve_log"]["offset_s"]
+    # Times of motion capture start at its first frame.
+    return case, "", float(result + later + part.time[0]), 1 / frequency
 
 
 def main() -> None:
@@ -159,37 +163,41 @@ def main() -> None:
     words.add_argument("--draws", type=int, default=500)
     words.add_argument("--seed", type=int, default=0)
     words.add_argument("--spread", type=float, default=0.0)
-    given = words.parse_args()
+    words.add_argument("--json", type=Path, help="also write the draws to this file")
+    options = words.parse_args()
     with ProcessPoolExecutor() as pool:
-        found = list(
-            pool.map(partial(draw, spread=given.spread), range(given.seed, given.seed + given.draws))
+        result = list(
+            pool.map(partial(draw, spread=options.spread), range(options.seed, options.seed + options.draws))
         )
     rows = []
     for case in CASES:
-        own = [each for each in found if each[0] == case]
-        errors = np.array([each[2] for each in own if not each[1]])
-        periods = np.array([each[3] for each in own if not each[1]])
+        own = [item for item in result if item[0] == case]
+        errors = np.array([item[2] for item in own if not item[1]])
+        periods = np.array([item[3] for item in own if not item[1]])
         rows.append([
-            case, str(len(own)), str(sum(bool(each[1]) for each in own)), str((np.abs(errors) < 0.005).sum()),
+            case, str(len(own)), str(sum(bool(item[1]) for item in own)), str((np.abs(errors) < 0.005).sum()),
             str(((np.abs(errors) >= 0.005) & (np.abs(errors) < 0.25 * periods)).sum()),
             str((np.abs(errors) >= 0.25 * periods).sum()),
             f"{1e3 * np.median(np.abs(errors)):.1f}" if len(errors) else "–",
         ])  # fmt: skip
     head = [
-        "in view",
+        "case",
         "draws",
         "refused",
         "within 5 ms",
-        "farther",
-        "a half period or more",
+        "larger",
+        "half a period or more",
         "median error, ms",
     ]
     print(table(head, rows), flush=True)
-    for reason in sorted({f"{each[0]}: {each[1][:150]}" for each in found if each[1] and each[0] in TOLD}):
+    if options.json:
+        keys = ("case", "refused", "offset_error_s", "period_s")
+        options.json.write_text(json.dumps([dict(zip(keys, item, strict=True)) for item in result]), "utf-8")
+    for reason in sorted({f"{item[0]}: {item[1][:150]}" for item in result if item[1] and item[0] in TOLD}):
         print(reason)
-    for seed, each in enumerate(found, start=given.seed):
-        if not each[1] and abs(each[2]) >= 0.005:
-            print(f"seed {seed}, {each[0]}: {1e3 * each[2]:.1f} ms of a period of {1e3 * each[3]:.0f}")
+    for seed, item in enumerate(result, start=options.seed):
+        if not item[1] and abs(item[2]) >= 0.005:
+            print(f"seed {seed}, {item[0]}: {1e3 * item[2]:.1f} ms of a period of {1e3 * item[3]:.0f}")
 
 
 if __name__ == "__main__":

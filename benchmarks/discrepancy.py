@@ -1,9 +1,10 @@
-"""Table 8 by model and discrepancy: each row predicted from the others.
+"""Predictions of each row of Table 8 from the other rows, with model and discrepancy.
 
     uv run python benchmarks/discrepancy.py
 
-Predictions are those of the committed baseline. The prior of the discrepancy: a fifth of the published mean,
-over an offset of 0.2; noise: 5 % of the mean, as the text's own scatter between mirrored offsets.
+The model predictions are those of the committed baseline. The prior standard deviation of the discrepancy is
+a fifth of the published mean, with a length scale of 0.2 in the offset. The noise is 5 % of the mean, the
+scatter between mirrored offsets in Table 8.
 """
 
 from __future__ import annotations
@@ -28,12 +29,12 @@ def main() -> None:
         for plant in ("analytical", "twin"):
             rows = []
             for name, claim in claims.items():
-                found = re.fullmatch(rf"table8\.{quantity}\.([pm]?)(\d+)", name)
-                if found and claim.value is not None:
-                    offset = float(found[2]) / 10 * (-1 if found[1] == "m" else 1)
+                result = re.fullmatch(rf"table8\.{quantity}\.([pm]?)(\d+)", name)
+                if result and claim.value is not None:
+                    offset = float(result[2]) / 10 * (-1 if result[1] == "m" else 1)
                     value = kept[name][plant].value
-                    if quantity == "radius":  # curvature: a straight walk has one too
-                        # At offset 0 the side is not printed; the fit takes it to be the right.
+                    if quantity == "radius":  # curvature also has a constant term: straight walks are curved
+                        # At offset 0 the table has no side; the fit assumes the right side.
                         side = -1 if offset == 0 else 1
                         rows.append((offset, side / claim.value, side / value))
                     else:
@@ -52,7 +53,7 @@ def main() -> None:
                 centre.append(middle)
                 held.append(low <= measured[i] <= high)
                 widths.append(high - low)
-            before, after = (np.sqrt(np.mean((each - measured) ** 2)) for each in (model, np.array(centre)))
+            before, after = (np.sqrt(np.mean((item - measured) ** 2)) for item in (model, np.array(centre)))
             what = "curvature" if quantity == "radius" else quantity
             cells = what, plant, f"{100 * before / scale:.0f} %", f"{100 * after / scale:.0f} %"
             print(

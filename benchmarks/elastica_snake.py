@@ -1,9 +1,9 @@
-"""PyElastica's continuum snake: the rod, muscles, floor and damping of its own example, at its own defaults.
+"""Continuum snake of PyElastica: rod, muscles, floor and damping of its example, with default settings.
 
 The problem is ContinuumSnakeCase of the PyElastica repository (Zhang et al., Nat. Commun. 2021): a rod of
-0.35 m in 50 elements, a travelling wave of muscle torque with a period of 2 s, anisotropic Coulomb friction
-on a plane, steps of 0.1 ms with position Verlet. It is set up through the public API alone. The example
-records 60 times a simulated second; `ContinuumSnake` can leave that out.
+0.35 m with 50 elements, a travelling wave of muscle torque with a period of 2 s, anisotropic Coulomb friction
+on a plane, and position Verlet with steps of 0.1 ms. Only the public API is used. The example records 60
+times per simulated second; `ContinuumSnake` can omit the records.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import elastica as ea
 import numpy as np
 
 TIMESTEP = 1e-4
-"""s, the example's."""
+"""Time step of the example, s."""
 
 ELEMENTS = 50
 PERIOD = 2.0  # s, of the muscle wave
@@ -31,18 +31,18 @@ RECORD_HZ = 60
 
 
 class _Simulator(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping, ea.CallBacks, ea.Contact):
-    """What the example is made of."""
+    """Simulator with the features that the example uses."""
 
 
 class _Recorder(ea.CallBackBaseClass):
-    """Keeps what the example keeps, as often."""
+    """Callback that records the same quantities as the example."""
 
     def __init__(self, every: int, kept: dict[str, list[Any]]) -> None:
         super().__init__()
         self.every, self._kept = every, kept
 
     def make_callback(self, system: Any, time: float, current_step: int) -> None:
-        """Append to the lists."""
+        """Append one record."""
         if current_step % self.every:
             return
         for name, value in (
@@ -58,18 +58,18 @@ class _Recorder(ea.CallBackBaseClass):
 
 
 class ContinuumSnake:
-    """The problem, set up at rest.
+    """The problem, initially at rest.
 
     Attributes:
-        time: reached so far, s.
-        kept: what the example keeps, by name, one item a record.
+        time: simulated time, s.
+        kept: recorded quantities by name, one item per record.
     """
 
     def __init__(self, *, record: bool = True) -> None:
-        """Build rod, floor, muscles, friction and damping.
+        """Create rod, floor, muscles, friction and damping.
 
         Args:
-            record: keep what the example keeps.
+            record: whether to record the quantities of the example.
         """
         self.time, self.kept = np.float64(0.0), {}
         self._simulator, self._stepper, rod = _Simulator(), ea.PositionVerlet(), _rod()
@@ -86,7 +86,7 @@ class ContinuumSnake:
         self._simulator.finalize()
 
     def advance(self, duration: float) -> None:
-        """Simulate that many seconds more, as `ea.integrate` does but without its progress bar."""
+        """Simulate for a duration (s), as `ea.integrate` does but without its progress bar."""
         step = np.float64(TIMESTEP)
         for _ in range(round(duration / TIMESTEP)):
             self.time = self._stepper.step(self._simulator, self.time, step)
@@ -129,5 +129,5 @@ def _rod() -> ea.CosseratRod:
         RADIUS,
         1000.0,  # kg/m³
         youngs_modulus=young,
-        shear_modulus=young / (poisson + 1),  # as the example has it
+        shear_modulus=young / (poisson + 1),  # as in the example
     )

@@ -1,4 +1,4 @@
-"""Do the tests notice? Each fault of faults.yaml is put into a copy of the sources; its tests must fail."""
+"""Fault injection: each fault of faults.yaml is put into a copy of the sources, and its tests must fail."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ ROOT = Path(__file__).parents[1]
 
 
 def main() -> None:
-    """Put each fault in, run its tests, take it out again; exit with 1 where one went unnoticed."""
+    """Insert each fault, run its tests and remove it; exit with 1 if a fault is not detected."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--only", default="", help="part of the names of the faults to try")
+    parser.add_argument("--only", default="", help="only faults whose name contains one of these words")
     only = parser.parse_args().only
     listed = YAML(typ="safe").load(ROOT / "benchmarks/faults.yaml")
     faults = [fault for fault in listed if only in fault["name"]]
     with tempfile.TemporaryDirectory() as folder:
         copy = copied_to(Path(folder) / "copy")
         unnoticed = [fault["name"] for fault in faults if not noticed(copy, **fault)]
-    print(f"{len(unnoticed)} of {len(faults)} faults unnoticed: {', '.join(unnoticed) or 'none'}")
+    print(f"{len(unnoticed)} of {len(faults)} faults not detected: {', '.join(unnoticed) or 'none'}")
     sys.exit(bool(unnoticed))
 
 
 def noticed(copy: Path, name: str, file: str, old: str, new: str, tests: str) -> bool:
-    """Whether the tests of a fault fail with it; a fault whose place is gone counts as unnoticed."""
+    """Return whether the tests of a fault fail; False if the file no longer contains the original line."""
     source = copy / file
     text = source.read_text("utf-8")
     if text.count(old) != 1:
@@ -46,7 +46,7 @@ def noticed(copy: Path, name: str, file: str, old: str, new: str, tests: str) ->
 
 
 def copied_to(folder: Path) -> Path:
-    """Copy the files of the checkout, as they are now, into a folder; return the folder."""
+    """Copy the files of the checkout, including uncommitted changes, into a folder; return the folder."""
     listed = subprocess.run(
         ["git", "ls-files", "-zco", "--exclude-standard"],
         cwd=ROOT,
@@ -62,15 +62,15 @@ def copied_to(folder: Path) -> Path:
 
 
 def first_failure(copy: Path, words: list[str], cpu_s: int = 1800) -> str | None:
-    """Run pytest in a copy up to the first failure; return its test, None where all pass.
+    """Run pytest in a copy until the first failure; return the failed test, or None if all pass.
 
     Args:
-        copy: folder of the copy, which also keeps the machine code of its kernels.
+        copy: folder of the copy, which also keeps the compiled kernels.
         words: test files and options.
-        cpu_s: processor time of one process after which it is ended, s.
+        cpu_s: limit on the processor time of one process, s.
 
     Returns:
-        The test, or a sentence where pytest itself ended otherwise.
+        Name of the test, or a message if pytest itself failed.
     """
     pytest = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", "-p", "no:cacheprovider", *words]
     environment = os.environ | {"PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(copy / "machine-code")}

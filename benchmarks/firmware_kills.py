@@ -20,6 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 from firmware_rig import HOLD_S, WATCHDOG_S, Cause, Rig, Vent, until
 
 BOUND_S = 0.2
@@ -136,11 +138,11 @@ def main() -> int:
     parser.add_argument("--kills", type=int, default=60)
     parser.add_argument("--losses", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        found = study(Path(folder), kills=given.kills, losses=given.losses, seed=given.seed)
-    print(found.table())
-    return int(found.late)
+        result = study(Path(folder), kills=options.kills, losses=options.losses, seed=options.seed)
+    print(result.table())
+    return int(result.late)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,14 @@
-"""Whether verdicts and intervals of gait fits hold where the model is wrong: analytical models, twin data.
+"""Coverage of gait fits with a wrong model: analytical models fitted to data of the twin.
 
     uv run python benchmarks/fit_coverage.py [--robots 300] [--first 0] [--only MODEL] [--out FILE] [--table]
 
-Each robot is gen2 or gen4 with another μ_t, μ_n and stiffness (each up to e^±0.3) and gap (up to 5 mm more or
-less), crawls twice for 2 s, and is captured with markers in pairs (noise 0.2 mm). `complete`, `simplified`
-and `compliant` are fitted to takes of the twin as shipped, and for one robot in three `compliant` to takes of
-`compliant` ("exact"), as `calibrate locomotion` does it but for one start: gap from the markers, the twin as
-reference. With `--truth finer` the twin as shipped is fitted to takes of a twin with half the step, six
-hinges a segment and chambers with orifices. A line of the file is a robot; those in it are skipped.
+Each robot is gen2 or gen4 with other values of μ_t, μ_n and stiffness (a factor up to e^±0.3 each) and of the
+rigid gap (up to ±5 mm). It crawls twice for 2 s and is captured with pairs of markers (noise 0.2 mm).
+`complete`, `simplified` and `compliant` are fitted to recordings of the shipped twin. For every third robot
+`compliant` is also fitted to recordings of `compliant` ("exact"). The fits follow `calibrate locomotion`,
+except that they have one start: the gap comes from the markers and the twin is the reference. With
+`--truth finer` the shipped twin is fitted to recordings of a twin with half the time step, six hinges per
+segment and chambers with orifices. Each line of the file is one robot; robots in the file are skipped.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -24,7 +26,6 @@ from typing import Any
 import numpy as np
 from grid import table
 from scipy.stats import beta
-from synthetic_takes import Take, write_motive
 
 from srs_twin import Gait, RobotSpec, load_robot, rollout
 from srs_twin.errors import InputError
@@ -33,12 +34,15 @@ from srs_twin.identification.parameters import with_values
 from srs_twin.identification.recorded_runs import measured_length
 from srs_twin.recordings.recording import read_motion
 
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from synthetic_takes import Take, write_motive
+
 NAMES = (
     "friction.mu_t", "friction.mu_n", "bending.stiffness_nm_per_rad", "geometry.rigid_gap_m",
 )  # fmt: skip
 GAITS = ((2.0, 0.0), (1.6, 0.2))
 SECONDS, REACH, GAP = 2.0, 0.3, 5e-3
-EXACT = 3  # every third robot of a kind is fitted by the exact model, too
+EXACT = 3  # every third robot of each kind is also fitted with the exact model
 TWIN = PlantModel("twin")
 FINER = PlantModel("twin", {"timestep": 0.0005, "hinges_per_segment": 6, "pneumatics": "orifice"})
 RIGID = ("complete", "simplified")
@@ -46,7 +50,7 @@ MODELS = {name: PlantModel(settings={"model": name, "friction": "wheel"}) for na
 
 
 def robot(seed: int) -> tuple[RobotSpec, dict[str, float]]:
-    """Return the robot that a fit starts from, and what is true of the one that crawls."""
+    """Return the initial robot of the fit and the true parameters of the robot that crawls."""
     rng = np.random.default_rng([22, seed])
     spec = load_robot(("gen2", "gen4")[seed % 2])
     factors = np.exp(rng.uniform(-REACH, REACH, 3))
@@ -56,12 +60,12 @@ def robot(seed: int) -> tuple[RobotSpec, dict[str, float]]:
 
 
 def fits(seed: int, truth_model: str, only: str | None = None) -> dict[str, Any]:
-    """Return what fits to the takes of a robot found, those of all models or of one."""
+    """Return the fit results for the recordings of one robot, for all models or a single one."""
     spec, truth = robot(seed)
     of_twin, of_takes = {"twin": (TWIN, MODELS), "finer": (FINER, {"twin": TWIN})}[truth_model]
     of_takes = {name: model for name, model in of_takes.items() if only in (None, name)}
     exact = truth_model == "twin" and seed // 2 % EXACT == 0 and only in (None, "exact")
-    found: dict[str, Any] = {"seed": seed, "truth": truth, "plant": truth_model, "fits": {}}
+    result: dict[str, Any] = {"seed": seed, "truth": truth, "plant": truth_model, "fits": {}}
     for label, plant, models in (
         ("", of_twin, of_takes),
         ("exact", MODELS["compliant"], {"exact": MODELS["compliant"]}),
@@ -73,7 +77,7 @@ def fits(seed: int, truth_model: str, only: str | None = None) -> dict[str, Any]
                 run = rollout(snake, Gait(*gait), SECONDS, record_hz=100)
                 take = Take(layout="pair", labeled=True, seed=10 * seed + k + 5 * bool(label))
                 write_motive(run, take, Path(folder) / f"{k}.csv")
-            for _ in range(2):  # the second time with the gap that the first has found
+            for _ in range(2):  # the second fit uses the gap from the first
                 recordings = [
                     read_motion(
                         Path(folder) / f"{k}.csv", near, layout="pair", head="snake:1a", gait_frequency_hz=f
@@ -84,37 +88,37 @@ def fits(seed: int, truth_model: str, only: str | None = None) -> dict[str, Any]
                 assert known is not None and known.value is not None
                 near = with_values(spec, {known.name: known.value})
         runs = [
-            GaitRun(each.trajectory, Gait(*gait), spec.supply.nominal, f"gait_{k}")
-            for k, (each, gait) in enumerate(zip(recordings, GAITS, strict=True))
+            GaitRun(item.trajectory, Gait(*gait), spec.supply.nominal, f"gait_{k}")
+            for k, (item, gait) in enumerate(zip(recordings, GAITS, strict=True))
         ]
         for name, model in models.items():
             begin = time.perf_counter()
-            names = [each for each in NAMES if name not in RIGID or "bending" not in each]
+            names = [item for item in NAMES if name not in RIGID or "bending" not in item]
             estimate = fit_locomotion(
                 runs, near, names,
                 model=model, against="both", starts=1, known=[known],
                 reference=None if model is TWIN else TWIN,
             )  # fmt: skip
-            found["fits"][name] = {
+            result["fits"][name] = {
                 "scale": estimate.residual_scale, "misfit": estimate.misfit[1:],
                 "seconds": time.perf_counter() - begin,
                 "parameters": {
                     p.name: [p.verdict, p.value, p.standard_error, p.low, p.high] for p in estimate.parameters
                 },
             }  # fmt: skip
-    return found
+    return result
 
 
 def rows(done: list[dict[str, Any]]) -> Iterator[list[str]]:
-    """Yield the rows of the table: a parameter and model each, and each model with all of its parameters."""
+    """Yield the rows of the table: one per parameter and model, and one per model over its parameters."""
     for model in (*MODELS, "exact", "twin"):
         every: list[tuple[str, bool]] = []
         for name in NAMES:
             some = []
-            for each in done:
-                if name in (found := each["fits"].get(model, {}).get("parameters", {})):
-                    verdict, value, _, low, high = found[name]
-                    some.append((verdict, value is not None and low <= each["truth"][name] <= high))
+            for item in done:
+                if name in (result := item["fits"].get(model, {}).get("parameters", {})):
+                    verdict, value, _, low, high = result[name]
+                    some.append((verdict, value is not None and low <= item["truth"][name] <= high))
             if some:
                 every += some
                 yield _row(model, name, some)
@@ -133,26 +137,28 @@ def _row(model: str, name: str, some: list[tuple[str, bool]]) -> list[str]:
 
 
 def main() -> None:
-    """Fit what is not yet in the file, and print the table."""
+    """Fit the robots that are missing in the file, and print the table."""
     words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     words.add_argument("--robots", type=int, default=300)
     words.add_argument("--first", type=int, default=0, help="seed of the first robot")
     words.add_argument("--truth", choices=["twin", "finer"], default="twin")
-    words.add_argument("--only", choices=[*MODELS, "exact", "twin"], help="fit this model alone")
+    words.add_argument("--only", choices=[*MODELS, "exact", "twin"], help="fit only this model")
     words.add_argument("--out", type=Path, default=Path("coverage.jsonl"))
-    words.add_argument("--table", action="store_true", help="only print what is there")
-    given = words.parse_args()
-    lines = given.out.read_text("utf-8").splitlines() if given.out.exists() else []
-    done = {each["seed"]: each for each in map(json.loads, lines) if each["plant"] == given.truth}
-    for seed in range(given.first, given.first + given.robots) if not given.table else ():
+    words.add_argument(
+        "--table", action="store_true", help="print the table of the existing file without fitting"
+    )
+    options = words.parse_args()
+    lines = options.out.read_text("utf-8").splitlines() if options.out.exists() else []
+    done = {item["seed"]: item for item in map(json.loads, lines) if item["plant"] == options.truth}
+    for seed in range(options.first, options.first + options.robots) if not options.table else ():
         if seed in done:
             continue
         try:
-            done[seed] = fits(seed, given.truth, given.only)
+            done[seed] = fits(seed, options.truth, options.only)
         except InputError as error:
             print(f"{seed}: {error}", flush=True)
             continue
-        with given.out.open("a", encoding="utf-8") as file:
+        with options.out.open("a", encoding="utf-8") as file:
             file.write(json.dumps(done[seed]) + "\n")
     head = ["model", "parameter", "fits", "identified, %", "cannot tell, %"]
     print(
@@ -161,8 +167,8 @@ def main() -> None:
             list(rows([*done.values()])),
         )
     )
-    if some := [each["fits"][m]["seconds"] for each in done.values() for m in each["fits"]]:
-        print(f"\n{len(done)} robots, {math.fsum(some) / len(some):.1f} s a fit")
+    if some := [item["fits"][m]["seconds"] for item in done.values() for m in item["fits"]]:
+        print(f"\n{len(done)} robots, {math.fsum(some) / len(some):.1f} s per fit")
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
-"""Plans that are followed: worlds with a way through, six kinds, by snakes with unequal modules.
+"""Following of plans in six kinds of solvable worlds, by snakes with unequal modules.
 
     uv run python benchmarks/followed_worlds.py [--worlds 100] [--spread 0.1] [--robots gen2 gen4]
 
-With more spread than the scenario's, plans are made with the margin that its own spread takes.
-Each world has another seed, which draws the modules, the noise of the camera (twice the scenario's) and the
-world. A run has succeeded that reached the goal and touched nothing: by MuJoCo's contacts on the twin, and on
-both plants by polygons made of the recorded connectors here. A refused plan has failed.
+If `--spread` exceeds the spread of the scenario, plans are still made with the margin for the scenario.
+Each world has its own seed, which draws the modules, the camera noise (twice that of the scenario) and the
+world. A run succeeds if it reaches the goal without contact. Contacts are detected by MuJoCo on the twin, and
+on both plants by polygons through the recorded connectors. A refused plan counts as a failure.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import argparse
 import copy
 import json
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import shapely
 from grid import table
-from witnessed_worlds import KINDS, Witnessed, drawn
 
 from srs_twin.compute.workers import run_tasks
 from srs_twin.planning.metrics import beyond, following_metrics
@@ -28,13 +28,16 @@ from srs_twin.rollout import rollout
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.trajectory import Trajectory
 
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from witnessed_worlds import KINDS, Witnessed, drawn
+
 SCENARIOS = {"gen2": "follow_fig57", "gen4": "follow_gen4_a"}
 PLANTS = ("analytical", "twin")
 Order = tuple[str, str, int, float]
 
 
 def run(order: Order) -> dict[str, Any]:
-    """Follow one world."""
+    """Follow the plan in one world."""
     robot, plant, seed, spread = order
     document = copy.deepcopy(dict(load_scenario(SCENARIOS[robot]).document))
     document |= {"expect": [], "seed": seed, "start": {"x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0}}
@@ -43,7 +46,7 @@ def run(order: Order) -> dict[str, Any]:
     planner = parse_scenario(document).planner
     assert planner is not None, "it follows"
     modules = document["robot"]["modules"]
-    if spread > modules["gain_spread"]["value"]:  # where no excursions were measured: the margin of less
+    if spread > modules["gain_spread"]["value"]:  # excursions not measured: margin of a smaller spread
         del document["planner"]["margin_probability"]
         document["planner"]["margin_m"] = planner.margin.path
     modules["gain_spread"]["value"] = spread
@@ -52,29 +55,29 @@ def run(order: Order) -> dict[str, Any]:
     case = drawn(kind, seed, planner.problem.footprint, run_up, planner.margin.run_up - planner.margin.path)
     document["world"] = _world(case)
     scenario = parse_scenario(document)
-    found = {"order": order, "kind": kind, "ending": "no_plan", "succeeded": False, "touched": False}
+    results = {"order": order, "kind": kind, "ending": "no_plan", "succeeded": False, "touched": False}
     assert scenario.planner is not None, "it follows"
     plan = scenario.planner.plan()
     if not plan.found:
-        return found
+        return results
     duration = float(math.ceil(20 + 2 * plan.length / min(planner.footprint.speeds)))
-    way = rollout(
+    motion = rollout(
         scenario.build_plant(plant), scenario.build_controller(), duration,
         pose=scenario.pose, seed=seed, record_hz=scenario.record_hz,
     )  # fmt: skip
-    metrics = following_metrics(way)
-    touched = touches(way, case) or bool(metrics["contacts"])
-    # Over the run-up nothing can be steered: it has a margin of its own.
-    begun = [e.time for e in way.events if e.kind in ("replanned", "no_new_plan") and "run_up" in e.text]
-    later = way.time >= (begun[0] if begun else math.inf if run_up else 0.0)
-    return found | {
-        "ending": way.metadata["control"]["following"]["ending"] or "time_out",
+    metrics = following_metrics(motion)
+    touched = touches(motion, case) or bool(metrics["contacts"])
+    # Steering has no effect during the run-up, so it has a separate margin.
+    begun = [e.time for e in motion.events if e.kind in ("replanned", "no_new_plan") and "run_up" in e.text]
+    later = motion.time >= (begun[0] if begun else math.inf if run_up else 0.0)
+    return results | {
+        "ending": motion.metadata["control"]["following"]["ending"] or "time_out",
         "touched": touched,
         "succeeded": bool(metrics["goal_reached"]) and not touched,
-        "inside": bool((beyond(way)[later] <= 0).all()),
+        "inside": bool((beyond(motion)[later] <= 0).all()),
         "clearance_m": metrics["clearance_m"],
         "replans": metrics["replans"],
-        "realtime": way.metadata.get("realtime_factor"),
+        "realtime": motion.metadata.get("realtime_factor"),
     }
 
 
@@ -92,10 +95,10 @@ def _world(case: Witnessed) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def touches(way: Trajectory, case: Witnessed) -> bool:
-    """Say whether the body, straight from connector to connector, ever lies in an obstacle."""
+def touches(motion: Trajectory, case: Witnessed) -> bool:
+    """Return whether the body, straight between adjacent connectors, ever overlaps an obstacle."""
     body = shapely.buffer(
-        shapely.linestrings(way.position), way.metadata["body_width_m"] / 2 - 1e-3, cap_style="flat"
+        shapely.linestrings(motion.position), motion.metadata["body_width_m"] / 2 - 1e-3, cap_style="flat"
     )
     things = [shapely.Point(c.x, c.y).buffer(c.radius) for c in case.problem.world.obstacles]
     things += [shapely.Polygon(p.corners) for p in case.problem.world.polygons]
@@ -103,30 +106,30 @@ def touches(way: Trajectory, case: Witnessed) -> bool:
 
 
 def main() -> None:
-    """Follow and print."""
+    """Follow all plans and print the table."""
     words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     words.add_argument("--worlds", type=int, default=100)
     words.add_argument("--first", type=int, default=0)
     words.add_argument("--spread", type=float, default=0.1)
     words.add_argument("--robots", nargs="+", choices=SCENARIOS, default=list(SCENARIOS))
     words.add_argument("--plants", nargs="+", choices=PLANTS, default=PLANTS)
-    words.add_argument("--json", type=Path, metavar="FILE", help="also write every run there")
-    given = words.parse_args()
-    seeds = range(given.first, given.first + given.worlds)
-    orders = [(r, p, seed, given.spread) for r in given.robots for p in given.plants for seed in seeds]
+    words.add_argument("--json", type=Path, metavar="FILE", help="also write every run to this file")
+    options = words.parse_args()
+    seeds = range(options.first, options.first + options.worlds)
+    orders = [(r, p, seed, options.spread) for r in options.robots for p in options.plants for seed in seeds]
     rows: list[dict[str, Any]] = []
     for done in run_tasks(run, orders):
         if done.result is None:
             raise SystemExit(f"{orders[done.number]}: {done.error}")
         rows.append(done.result)
     lines = []
-    for robot in given.robots:
-        for plant in given.plants:
+    for robot in options.robots:
+        for plant in options.plants:
             some = [row for row in rows if row["order"][:2] == (robot, plant)]
             lines.append([robot, plant, *summary(some)])
     print(table(HEADINGS, lines))
-    if given.json:
-        given.json.write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
 
 
 HEADINGS = (
@@ -136,7 +139,7 @@ HEADINGS = (
 
 
 def summary(rows: list[dict[str, Any]]) -> list[str]:
-    """Return one line of the table."""
+    """Return one row of the table."""
     ran = [row for row in rows if row["ending"] != "no_plan"]
     known = [row["clearance_m"] for row in ran if row["clearance_m"] is not None]
     return [
@@ -153,4 +156,4 @@ def summary(rows: list[dict[str, Any]]) -> list[str]:
 if __name__ == "__main__":
     import followed_worlds
 
-    followed_worlds.main()  # of the module: workers import `run` from there
+    followed_worlds.main()  # use the module, because workers import `run` from it

@@ -1,11 +1,11 @@
-"""The text's follower beside ours on the shipped scenarios of following, over seeds, on both plants.
+"""The follower of the dissertation and the project's follower in the shipped following scenarios.
 
     uv run python benchmarks/following.py                              # three fields, 20 seeds each
     uv run python benchmarks/following.py --seeds 2 --scenarios follow_fig57 --json out.json
 
-A seed draws the modules of generation 4 and the camera's noise. A run has succeeded that reached the goal
-and touched nothing: by the forces of obstacles on the twin, by distance on the analytical model, which
-obstacles do not stop. Every follower is bound to the same plan, delay and camera.
+Each seed draws the modules of generation 4 and the camera noise, for both plants. A run succeeds if it
+reaches the goal without contact. Contacts are detected by the obstacle forces on the twin, and by distance on
+the analytical model, which obstacles do not stop. All followers have the same plan, delay and camera.
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ PLANTS = ("analytical", "twin")
 FOLLOWERS = ("bearing", "path")
 OF_PATH = ("lookahead_m", "settle_m")
 BEARING = {"gain_per_rad": 0.6, "node_m": 0.4, "near_m": 0.3}
-"""Of the text's follower, which states none: one of the two best of 18 tried (docs/following.md)."""
+"""Unpublished setting of the dissertation's follower: one of the two best of 18 (docs/following.md)."""
 TEXT_BOX = {"gen2": "gen2_section52", "gen4": "gen4_table9"}
-"""Robot → the box that the text planned with; beside the measured one that the scenarios plan with."""
+"""Robot → bounding box used for planning in the dissertation; the scenarios use the measured footprint."""
 LONGEST_S = 60
 LEARNT_S = 4
-"""From then on no deviation is one of learning; the run-up takes as long."""
+"""Duration of learning and of the run-up, s; later deviations are not caused by learning."""
 Order = tuple[str, str, str, int]
 
 
 def run(order: Order) -> dict[str, Any]:
-    """Run one scenario with a follower on a plant with a seed."""
+    """Run one scenario with a follower, a plant and a seed."""
     name, follower, plant, seed = order
     document = copy.deepcopy(dict(load_scenario(name).document)) | {"expect": [], "seed": seed}
     document["duration_s"] = LONGEST_S
     ours = parse_scenario(document, name=name).planner
     assert ours is not None, "it follows"
     if "margin_probability" in document["planner"]:
-        # That is of our follower; the text's is bound to the same plan.
+        # The setting belongs to the project's follower; both followers have the same plan.
         del document["planner"]["margin_probability"]
         document["planner"]["margin_m"] = round(ours.margin.path, 4)
     controller = document["controller"]
@@ -62,47 +62,47 @@ def run(order: Order) -> dict[str, Any]:
             controller.pop(key, None)
         controller.update(BEARING)
     scenario = parse_scenario(document, name=name)
-    way = rollout(
+    motion = rollout(
         scenario.build_plant(plant), scenario.build_controller(), scenario.duration,
         pose=scenario.pose, seed=seed, record_hz=scenario.record_hz,
     )  # fmt: skip
-    ending = way.metadata["control"]["following"]["ending"] or "time_out"
+    ending = motion.metadata["control"]["following"]["ending"] or "time_out"
     names = (
         "goal_reached", "cross_track_rms_m", "cross_track_max_m", "inside_share", "contacts", "clearance_m",
         "arrival_error_m", "arrival_heading_error_rad", "following_time_s", "replans",
     )  # fmt: skip
-    metrics = plant_metrics(way)
+    metrics = plant_metrics(motion)
     return {
         "order": order,
         "ending": ending,
-        "inside_text_share": inside_text_share(way, scenario.robot.name),
-        "cross_track_later_m": cross_track_later(way),
+        "inside_text_share": inside_text_share(motion, scenario.robot.name),
+        "cross_track_later_m": cross_track_later(motion),
     } | {name: metrics[name] for name in names}
 
 
-def cross_track_later(way: Trajectory) -> float:
-    """Return the largest distance from the path once the duties are learnt, m; 0 where that never was."""
-    aside = [np.abs(Route(leg.segments).places(way.com[leg.samples])[1]) for leg in legs(way)]
-    later = np.concatenate(aside)[way.time[: sum(map(len, aside))] > LEARNT_S]
+def cross_track_later(motion: Trajectory) -> float:
+    """Return the largest cross-track error after learning, m; 0 if the run ended before."""
+    aside = [np.abs(Route(leg.segments).places(motion.com[leg.samples])[1]) for leg in legs(motion)]
+    later = np.concatenate(aside)[motion.time[: sum(map(len, aside))] > LEARNT_S]
     return float(later.max(initial=0.0))
 
 
-def inside_text_share(way: Trajectory, robot: str) -> float:
-    """Return the share of time at which the body is inside the text's box about the same path."""
-    control = way.metadata["control"]
+def inside_text_share(motion: Trajectory, robot: str) -> float:
+    """Return the fraction of time in which the body is inside the dissertation's box about the path."""
+    control = motion.metadata["control"]
     text = control["following"] | {"footprint": asdict(load_footprint(TEXT_BOX[robot]))}
-    told = replace(way, metadata=way.metadata | {"control": control | {"following": text}})
-    return float(following_metrics(told)["inside_share"])
+    dissertation_run = replace(motion, metadata=motion.metadata | {"control": control | {"following": text}})
+    return float(following_metrics(dissertation_run)["inside_share"])
 
 
 def succeeded(row: dict[str, Any]) -> bool:
-    """Say whether a run reached the goal and touched nothing."""
+    """Return whether a run reached the goal without contact."""
     clear = row["clearance_m"] is None or row["clearance_m"] > 0
     return bool(row["goal_reached"]) and (clear if row["contacts"] is None else row["contacts"] == 0)
 
 
 def summary(rows: list[dict[str, Any]]) -> list[str]:
-    """Return one line of the table: of runs that differ in their seeds only."""
+    """Return one row of the table, from runs that differ only in their seeds."""
     name, follower, plant, _ = rows[0]["order"]
 
     def median(metric: str, factor: float = 1.0) -> str:
@@ -122,7 +122,7 @@ def summary(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def least_clearance(rows: list[dict[str, Any]]) -> str:
-    """Return the least distance from an obstacle, mm; a dash where there is none."""
+    """Return the smallest clearance, mm; a dash if there are no obstacles."""
     known = [row["clearance_m"] for row in rows if row["clearance_m"] is not None]
     return f"{1e3 * min(known):.3g}" if known else "–"
 
@@ -142,26 +142,26 @@ def main() -> None:
     options.add_argument("--plants", nargs="+", default=PLANTS, choices=PLANTS)
     options.add_argument("--followers", nargs="+", default=FOLLOWERS, choices=FOLLOWERS)
     options.add_argument("--workers", type=int, default=2)
-    options.add_argument("--json", type=Path, metavar="FILE", help="also write every run there")
-    given = options.parse_args()
+    options.add_argument("--json", type=Path, metavar="FILE", help="also write every run to this file")
+    selected = options.parse_args()
     orders = [
         (name, follower, plant, seed)
-        for name in given.scenarios for plant in given.plants for follower in given.followers
-        for seed in range(given.seeds)
+        for name in selected.scenarios for plant in selected.plants for follower in selected.followers
+        for seed in range(selected.seeds)
     ]  # fmt: skip
     rows: list[dict[str, Any]] = [{}] * len(orders)
-    for done in run_tasks(run, orders, workers=given.workers):
+    for done in run_tasks(run, orders, workers=selected.workers):
         if done.result is None:
             raise SystemExit(f"{orders[done.number]}: {done.error}")
         rows[done.number] = done.result
-    groups = [rows[k : k + given.seeds] for k in range(0, len(rows), given.seeds)]
+    groups = [rows[k : k + selected.seeds] for k in range(0, len(rows), selected.seeds)]
     print(table(HEADINGS, [summary(group) for group in groups]))
-    if given.json:
-        with atomic_write(given.json) as part:
+    if selected.json:
+        with atomic_write(selected.json) as part:
             part.write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
 
 
 if __name__ == "__main__":
     import following
 
-    following.main()  # of the module: workers import `run` from there, not from the program that is run
+    following.main()  # use the module, because workers import `run` from it and not from the main program

@@ -1,10 +1,10 @@
-"""Closed-loop frequency response of a module under both controllers, with spread (Fig. 44).
+"""Closed-loop frequency response of a module with both controllers, with its scatter (Fig. 44).
 
     uv run python benchmarks/frequency_response.py [--results DIR] [--out docs/images/frequency_response.png]
 
-Runs the shipped sweeps fig44_direct and fig44_iterative, some minutes (rows that are there already stay),
-draws amplitude and lag of both on both benches, and prints them as a table. A bar is one standard deviation
-to both sides, over the periods of a run and over the draws of the sensor's noise.
+Runs the shipped sweeps fig44_direct and fig44_iterative (some minutes; existing rows are kept), plots
+amplitude and phase lag for both controllers on both benches, and prints them as a table. Error bars are one
+standard deviation over the periods of a run and the draws of the sensor noise.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from srs_twin.viewing.plots.style import finish
 FREQUENCY = "controller.reference.frequency_hz"
 CONTROLLERS = {"direct": "#0072B2", "iterative": "#D55E00"}
 PLANTS = {"analytical": ("--", "s"), "twin": ("-", "o")}
-SHOWN = {"amplitude_rel": "amplitude, over the reference's", "phase_lag_rad": "phase lag (rad)"}
+SHOWN = {"amplitude_rel": "amplitude relative to the reference", "phase_lag_rad": "phase lag (rad)"}
 SPREAD = {"amplitude_rel": "amplitude_spread_rel", "phase_lag_rad": "phase_lag_spread_rad"}
 
 Columns = Mapping[str, np.ndarray]
 
 
 def results(controller: str, folder: Path) -> Columns:
-    """Return the sweep's columns, after running what is missing of it."""
+    """Return the columns of the sweep, after running its missing rows."""
     name = f"fig44_{controller}"
     with open_sweep(load_sweep(name), folder / name) as opened:
         opened.run(local(None), opened.missing())
@@ -54,11 +54,11 @@ def response(columns: Columns, plant: str, metric: str) -> tuple[np.ndarray, np.
     return frequencies, np.array(means), np.array(deviations)
 
 
-def draw(found: Mapping[str, Columns]) -> Figure:
-    """Return amplitude and lag over frequency."""
+def draw(result: Mapping[str, Columns]) -> Figure:
+    """Plot amplitude and phase lag over frequency; return the figure."""
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     for axes, (metric, label) in zip(figure.subplots(1, 2), SHOWN.items(), strict=True):
-        for controller, columns in found.items():
+        for controller, columns in result.items():
             for plant, (dash, marker) in PLANTS.items():
                 frequency, mean, deviation = response(columns, plant, metric)
                 axes.errorbar(
@@ -67,7 +67,7 @@ def draw(found: Mapping[str, Columns]) -> Figure:
                     markerfacecolor="none" if plant == "analytical" else None,
                 )  # fmt: skip
         axes.set_xscale("log")
-        axes.set_xticks(frequency, [f"{each:g}" for each in frequency])
+        axes.set_xticks(frequency, [f"{item:g}" for item in frequency])
         axes.minorticks_off()
         axes.set_xlabel("frequency (Hz)", fontsize=9)
         finish(axes, label)
@@ -76,28 +76,28 @@ def draw(found: Mapping[str, Columns]) -> Figure:
     return figure
 
 
-def report(found: Mapping[str, Columns]) -> str:
+def report(result: Mapping[str, Columns]) -> str:
     """Return the table: mean ± standard deviation."""
-    frequencies = response(found["direct"], "twin", "amplitude_rel")[0]
+    frequencies = response(result["direct"], "twin", "amplitude_rel")[0]
     rows = []
-    for controller, columns in found.items():
+    for controller, columns in result.items():
         for plant in PLANTS:
             for metric in SHOWN:
                 _, mean, deviation = response(columns, plant, metric)
                 cells = [f"{m:.3f} ± {d:.3f}" for m, d in zip(mean, deviation, strict=True)]
                 rows.append([controller, plant, SHOWN[metric], *cells])
-    return table(["SMC", "bench", "", *(f"{each:g} Hz" for each in frequencies)], rows)
+    return table(["SMC", "bench", "", *(f"{item:g} Hz" for item in frequencies)], rows)
 
 
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("--results", type=Path, default=Path("runs/sweeps"), help="folder of the sweeps")
-    arguments.add_argument("--out", type=Path, help="picture to write, .png or .svg")
-    given = arguments.parse_args()
-    found = {controller: results(controller, given.results) for controller in CONTROLLERS}
-    if given.out is not None:
-        save(draw(found), given.out)
-    print(report(found))
+    arguments.add_argument("--results", type=Path, default=Path("runs/sweeps"), help="folder for the sweeps")
+    arguments.add_argument("--out", type=Path, help="output file of the figure, .png or .svg")
+    options = arguments.parse_args()
+    result = {controller: results(controller, options.results) for controller in CONTROLLERS}
+    if options.out is not None:
+        save(draw(result), options.out)
+    print(report(result))
 
 
 if __name__ == "__main__":

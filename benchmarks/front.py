@@ -17,19 +17,21 @@ import statistics
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from agreement import MATCHED_STIFFNESS
 from grid import Run, run_all, table
-from load_reference import POINTS, Result, measured, numbers, stored, turns
 from timing import ROUNDS
 
-from srs_twin import Gait, LoadedContact, PreloadedContact, TwinSnake, load_robot, rollout
+from srs_twin import LoadedContact, PreloadedContact
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.robot.spec import GRAVITY, Tail
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from load_reference import POINTS, stored, turns
+from twin_at_reference import crawled
 
 GAITS = list(product((1.0, 1.5, 2.0), (0.0, 0.2)))
 STIFFNESSES = {"analytical": (None,), "twin": (None, MATCHED_STIFFNESS)}
@@ -100,45 +102,14 @@ def main() -> None:
         print(table(["setting", "cost", "largest error, %", "RMS error, %"], rows), flush=True)
 
 
-def crawled(name: str, periods: int | None = None, timestep: float = 0.001, **options: Any) -> Result:
-    """Return the result of the twin at a point of the reference, measured as `load_reference.simulate` does.
-
-    Args:
-        name: of the point.
-        periods: number of periods of the gait; None: those of the point.
-        timestep: s.
-        options: of the twin.
-    """
-    point, spec = POINTS[name], load_robot(POINTS[name].robot)
-    if point.stiffness is not None:
-        spec = replace(spec, bending=replace(spec.bending, stiffness=point.stiffness))
-    if point.tail is not None:
-        spec = replace(spec, tail=Tail(*point.tail))
-    period, tick = point.period_s, max(timestep, 0.001)  # a multiple of step and valve slots
-    kpa = numbers(point)["nominal_kpa"] if point.kpa is None else point.kpa
-    plant = TwinSnake(spec, supply_pa=1000 * kpa, timestep=timestep, tick=tick, **options)
-    feet: list[np.ndarray] = []
-    run = rollout(
-        plant,
-        Gait(1 / period, point.offset),
-        (point.periods if periods is None else periods) * period,
-        record_hz=1 / tick,
-        observers=[lambda _: feet.append(plant.physics.wheel_loads().ravel())],
-    )
-    com = np.stack([run["com_x"], run["com_y"]], axis=1)[1:]
-    rest = np.repeat([axle.mass * GRAVITY / 2 for axle in spec.axles], 2)
-    ticks = round(period / tick)
-    return measured(com, run.stack("theta")[1:], np.array(feet)[-len(com) :], rest, ticks, tick)
-
-
 def _contacts() -> None:
     names = [name for name, point in POINTS.items() if point.tail is None]
     runs = {label: Run("twin", supply_pa=48.3e3, offset=0.4, options=more) for label, more in CONTACTS}
     costs, rows, values = _costs(runs), [], stored()
     with ProcessPoolExecutor() as pool:
         for label, options in CONTACTS:
-            found = [pool.submit(crawled, name, **options) for name in names]
-            both = [(each.result(), values[name]) for each, name in zip(found, names, strict=True)]
+            results = [pool.submit(crawled, name, **options) for name in names]
+            both = [(item.result(), values[name]) for item, name in zip(results, names, strict=True)]
             speed = 100 * np.array([a.speed_mm_s / b.speed[0] - 1 for a, b in both])
             turn = 100 * np.array([a.yaw_rate / b.yaw[0] - 1 for a, b in both if turns(b)])
             cells = [
@@ -180,7 +151,7 @@ def _costs(runs: dict[str, Run]) -> dict[str, float]:
 
 
 def _speeds(trajectories: list[Any]) -> np.ndarray:
-    return np.array([plant_metrics(each)["com_speed_m_s"] for each in trajectories])
+    return np.array([plant_metrics(item)["com_speed_m_s"] for item in trajectories])
 
 
 if __name__ == "__main__":

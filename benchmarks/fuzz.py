@@ -1,12 +1,12 @@
-"""Ten thousand generated files a parser, and every malformed file as a person would meet it.
+"""Robustness of the parsers: 10,000 generated files per parser, and all malformed files as a user meets them.
 
     uv run python benchmarks/fuzz.py [--only NAME …] [--examples 10000] [--no-commands]
 
-The parsers, their good and malformed files and how files are generated stand in ``tests/hostile``. Generated
-files go through the parser in this process (MJCF: each in a process of its own, forked from a warm one), and
-anything but an `InputError` counts as untyped. Malformed files go through ``srs-twin`` in a process of their
-own, with its wall time; where no command reads such files, through the parser in a fresh Python. Exits with
-1 where anything is untyped, is not refused with exit code 2, or takes longer than 2 s.
+`tests/hostile` defines the parsers, their valid and malformed files, and the generator. Each generated file
+is read by the parser in this process (MJCF: in a process forked for each file). Any exception other than
+`InputError` counts as untyped. Malformed files are given to `srs-twin` in a separate process with a wall time
+limit, or to the parser in a fresh Python where no command reads such files. The script exits with 1 if an
+exception is untyped, or if a file is not refused with exit code 2 within 2 s.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "hostile"))
 
 from grid import table  # noqa: E402
 from harness import Malformed, Parser  # noqa: E402
-from parsers import PARSERS  # noqa: E402
+from parsers import PARSERS, path_of  # noqa: E402
 
 SHARES = {"damaged": 0.4, "values": 0.4, "bytes": 0.2}
 LIMIT_S = 2.0
@@ -49,7 +49,7 @@ except InputError as error:
 
 @dataclass
 class Generated:
-    """What generated files did to a parser."""
+    """Outcome of the generated files of one parser."""
 
     tried: int = 0
     read: int = 0
@@ -59,23 +59,23 @@ class Generated:
 
 
 def main() -> None:
-    """Print two tables; exit with 1 where anything is not as it should be."""
+    """Print two tables; exit with 1 if any file has a wrong outcome."""
     words = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     names = [parser.name for parser in PARSERS]
     words.add_argument("--only", nargs="+", choices=names, default=names)
     words.add_argument("--examples", type=int, default=10_000)
-    words.add_argument("--no-commands", action="store_true", help="generated files only")
+    words.add_argument("--no-commands", action="store_true", help="read the generated files only")
     given_words = words.parse_args()
     chosen = [parser for parser in PARSERS if parser.name in given_words.only]
     rows, faults = [], 0
     for parser in chosen:
-        found = generate(parser, given_words.examples)
-        faults += sum(found.untyped.values())
+        result = generate(parser, given_words.examples)
+        faults += sum(result.untyped.values())
         rows.append([
-            parser.name, str(found.tried), str(found.read), str(sum(found.untyped.values())),
-            f"{1e3 * found.seconds / found.tried:.1f}", f"{found.slowest_s:.2f}",
+            parser.name, str(result.tried), str(result.read), str(sum(result.untyped.values())),
+            f"{1e3 * result.seconds / result.tried:.1f}", f"{result.slowest_s:.2f}",
         ])  # fmt: skip
-        for error, times in found.untyped.items():
+        for error, times in result.untyped.items():
             print(f"{parser.name}: untyped, {times} times: {error}", flush=True)
     head = ["parser", "generated", "read", "untyped", "mean, ms", "slowest, s"]
     print(f"\nGenerated files\n\n{table(head, rows)}\n", flush=True)
@@ -85,43 +85,43 @@ def main() -> None:
 
 
 def generate(parser: Parser, examples: int) -> Generated:
-    """Let a parser read generated files."""
-    found = Generated()
+    """Read generated files with a parser."""
+    result = Generated()
     with tempfile.TemporaryDirectory() as room:
-        path = parser.path_in(Path(room))
-        for way, share in SHARES.items():
+        path = path_of(parser, Path(room))
+        for generator, share in SHARES.items():
 
             @settings(
                 max_examples=max(1, round(share * examples)), deadline=None, database=None,
                 phases=[Phase.generate], suppress_health_check=list(HealthCheck),
             )  # fmt: skip
-            @given(parser.generated[way])
+            @given(parser.generated[generator])
             def look(content: bytes) -> None:
                 begun = time.perf_counter()
                 try:
-                    found.read += parser.read_or_reject(content, path) is None
-                except Exception as error:  # whatever nobody foresaw is what is looked for
+                    result.read += parser.survives(content, path) is None
+                except Exception as error:  # unforeseen exceptions are what the test looks for
                     last = traceback.extract_tb(error.__traceback__)[-1]
-                    said = " ".join(str(error).split())[:200]
-                    found.untyped[f"{type(error).__name__}: {said} ({last.filename}:{last.lineno})"] += 1
+                    message = " ".join(str(error).split())[:200]
+                    result.untyped[f"{type(error).__name__}: {message} ({last.filename}:{last.lineno})"] += 1
                 spent = time.perf_counter() - begun
-                found.tried += 1
-                found.seconds += spent
-                found.slowest_s = max(found.slowest_s, spent)
-                if found.tried % 1000 == 0:
-                    print(f"{parser.name}: {found.tried} of {examples}", file=sys.stderr, flush=True)
+                result.tried += 1
+                result.seconds += spent
+                result.slowest_s = max(result.slowest_s, spent)
+                if result.tried % 1000 == 0:
+                    print(f"{parser.name}: {result.tried} of {examples}", file=sys.stderr, flush=True)
 
             look()
-    return found
+    return result
 
 
 def commands(chosen: list[Parser]) -> int:
-    """Start the command line on every malformed file; return how many were not refused as they should be."""
+    """Run the command line on every malformed file; return the number of wrong refusals."""
     rows, faults = [], 0
     for parser in chosen:
         times: list[tuple[float, str]] = []
         bad = 0
-        for malformed in parser.all_malformed:
+        for malformed in parser.refused:
             taken, wrong = start(parser, malformed)
             times.append((taken, malformed.name))
             if wrong:
@@ -133,30 +133,30 @@ def commands(chosen: list[Parser]) -> int:
         rows.append([parser.name, str(len(times)), str(bad), f"{middle:.2f}", slowest])
         faults += bad
         print(f"{parser.name}: {len(times)} malformed files", file=sys.stderr, flush=True)
-    head = ["parser", "malformed", "not as they should be", "median, s", "slowest, s"]
-    print(f"Malformed files, each in a process of its own\n\n{table(head, rows)}")
+    head = ["parser", "malformed", "wrong refusals", "median, s", "slowest, s"]
+    print(f"Malformed files, each in a separate process\n\n{table(head, rows)}")
     return faults
 
 
 def start(parser: Parser, malformed: Malformed) -> tuple[float, str]:
-    """Return how long a process needs to refuse a file (s), and what is wrong with how it does."""
+    """Return the time to refuse a file (s) and the errors in the refusal."""
     with tempfile.TemporaryDirectory() as room:
-        path = parser.path_in(Path(room))
+        path = path_of(parser, Path(room))
         malformed.write(path)
-        words = [str(Path(sys.executable).with_name("srs-twin")), *parser.arguments(Path(path.name))]
-        if not parser.command:
+        words = [str(Path(sys.executable).with_name("srs-twin")), *parser.words(Path(path.name))]
+        if parser.command is None:
             words = [sys.executable, "-c", IN_PYTHON, parser.function, path.name]
-        before = {each.name for each in Path(room).iterdir()}
+        before = {item.name for item in Path(room).iterdir()}
         begun = time.perf_counter()
         try:
             done = subprocess.run(words, cwd=room, capture_output=True, text=True, timeout=HANGS_S)
         except subprocess.TimeoutExpired:
             return HANGS_S, f"did not end within {HANGS_S:g} s"
         taken = time.perf_counter() - begun
-        left = {each.name for each in Path(room).iterdir()} - before
+        left = {item.name for item in Path(room).iterdir()} - before
     checks = {
         f"exit code {done.returncode}": done.returncode == 2,
-        f"message {done.stderr[:200]!r}": malformed.message in done.stderr and path.name in done.stderr,
+        f"message {done.stderr[:200]!r}": malformed.says in done.stderr and path.name in done.stderr,
         "a traceback": "Traceback" not in done.stderr,
         f"wrote {sorted(left)}": not left,
         f"took {taken:.2f} s": taken < LIMIT_S,

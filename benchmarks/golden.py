@@ -1,14 +1,14 @@
-"""What every shipped result is, as SHA-256: a change of structure leaves all of them as they are.
+"""SHA-256 digests of all shipped results, to verify that a change of structure leaves them unchanged.
 
-    uv run python benchmarks/golden.py           # compares with golden.json; exit 1 where one differs
-    uv run python benchmarks/golden.py --write   # after a change that is meant; CHANGELOG.md says why
+    uv run python benchmarks/golden.py           # compare with golden.json; exit 1 if a digest differs
+    uv run python benchmarks/golden.py --write   # after an intended change; CHANGELOG.md gives the reason
     uv run python benchmarks/golden.py --only plans --only fits
     uv run python benchmarks/golden.py --only scenarios --scenario gen2_straight
 
-Runs the commands as a user does, in an empty folder: every shipped scenario on the plants that it names
-(Parquet files, metrics.json without wall times and versions), a sweep, the verdicts of `reproduce --quick`,
-a fit of each kind and 50 plans. Holds on one processor target, which golden.json names: other targets differ
-in last digits (docs/sweeps.md).
+Runs the commands as a user does, in an empty folder: every shipped scenario with its plants (Parquet files,
+metrics.json without wall times and versions), a sweep, the verdicts of `reproduce --quick`, a fit of each
+kind, and 50 plans. The digests are valid for one processor target, which golden.json names: results on other
+targets differ in the last digits (docs/sweeps.md).
 """
 
 from __future__ import annotations
@@ -26,11 +26,13 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet as pq
-from plan_worlds import drawn_problem
 from ruamel.yaml import YAML
 
 from srs_twin import plan
 from srs_twin.scenario.provenance import arithmetic
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from plan_worlds import drawn_problem
 
 HERE = Path(__file__).parent
 GOLDEN = HERE / "golden.json"
@@ -48,9 +50,9 @@ FITS = {
 
 
 def scenarios(folder: Path, *names: str) -> Iterator[tuple[str, str]]:
-    """Yield the digests of runs: each trajectory's file, and metrics.json without what the clock decides."""
+    """Yield the digests of runs: each trajectory file, and metrics.json without wall times."""
     out = folder / "runs"
-    where = out / names[0] if len(names) == 1 else out  # of one alone, the folder itself
+    where = out / names[0] if len(names) == 1 else out  # a single scenario writes to the folder itself
     _run("run", *(names or [str(HERE.parent / "scenarios")]), "--out", str(where), "--quiet")
     for run in sorted(path for path in out.iterdir() if path.is_dir()):
         for path in sorted(run.glob("*.parquet")):
@@ -60,14 +62,14 @@ def scenarios(folder: Path, *names: str) -> Iterator[tuple[str, str]]:
 
 
 def sweep(folder: Path, *_: str) -> Iterator[tuple[str, str]]:
-    """Yield the digest of a sweep's table without its keys, which cover the program's sources."""
+    """Yield the digest of a sweep's table without its keys, which depend on the source code."""
     _run("sweep", SWEEP, "--out", str(folder / "sweep"), "--quiet")
     rows = pq.read_table(folder / "sweep" / "results.parquet").to_pylist()
     yield SWEEP, _digest(sorted(json.dumps(_without(row, ("key", *_WALL)), sort_keys=True) for row in rows))
 
 
 def reproduction(folder: Path, *_: str) -> Iterator[tuple[str, str]]:
-    """Yield the digest of the quick verdicts with their numbers."""
+    """Yield the digest of the quick verdicts and their values."""
     out = folder / "reproduce"
     _run("reproduce", "--quick", "--no-figures", "--out", str(out), "--quiet")
     rows = json.loads((out / "reproduce.json").read_text("utf-8"))["rows"]
@@ -75,24 +77,31 @@ def reproduction(folder: Path, *_: str) -> Iterator[tuple[str, str]]:
 
 
 def fits(folder: Path, *_: str) -> Iterator[tuple[str, str]]:
-    """Yield the digest of what each kind of fit wrote."""
+    """Yield the digest of the file that each kind of fit writes."""
     for kind, words in FITS.items():
-        given = [str(EXAMPLES / words.split()[0]), *shlex.split(words.format(EXAMPLES))[1:]]
+        arguments = [str(EXAMPLES / words.split()[0]), *shlex.split(words.format(EXAMPLES))[1:]]
         _run(
-            "calibrate", kind, *given, "--name", kind, "--out", str(folder / f"{kind}.yaml"), cwd=HERE.parent
+            "calibrate",
+            kind,
+            *arguments,
+            "--name",
+            kind,
+            "--out",
+            str(folder / f"{kind}.yaml"),
+            cwd=HERE.parent,
         )
         yield kind, _digest(_without(YAML(typ="safe").load(folder / f"{kind}.yaml"), ("command", *_WALL)))
 
 
 def plans(folder: Path, *_: str) -> Iterator[tuple[str, str]]:
-    """Yield the digest of 50 plans in drawn worlds, refusals among them."""
-    found = []
+    """Yield the digest of 50 plans in random worlds, including refusals."""
+    result = []
     for seed in range(PLANS):
         answer = plan(drawn_problem(seed))
-        found.append(
-            [answer.outcome.name, repr([astuple(each) for each in answer.segments]), answer.expanded]
+        result.append(
+            [answer.outcome.name, repr([astuple(item) for item in answer.segments]), answer.expanded]
         )
-    yield f"{PLANS} plans", _digest(found)
+    yield f"{PLANS} plans", _digest(result)
 
 
 PARTS: dict[str, Callable[..., Iterator[tuple[str, str]]]] = {
@@ -101,38 +110,40 @@ PARTS: dict[str, Callable[..., Iterator[tuple[str, str]]]] = {
 
 
 def main() -> int:
-    """Compute digests; write them, or name those that differ."""
+    """Compute digests; write them, or print the names of those that differ."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--write", action="store_true", help="keep these digests as the golden ones")
-    parser.add_argument("--only", action="append", choices=PARTS, help="this part alone (repeatable)")
-    parser.add_argument("--scenario", action="append", default=[], help="this one alone (repeatable)")
-    given = parser.parse_args()
+    parser.add_argument("--write", action="store_true", help="write these digests to golden.json")
+    parser.add_argument("--only", action="append", choices=PARTS, help="compute only this group (repeatable)")
+    parser.add_argument("--scenario", action="append", default=[], help="run only this scenario (repeatable)")
+    options = parser.parse_args()
     golden = json.loads(GOLDEN.read_text("utf-8")) if GOLDEN.is_file() else {}
-    found: dict[str, str] = {}
+    result: dict[str, str] = {}
     with tempfile.TemporaryDirectory() as folder:
-        for name in given.only or PARTS:
-            found |= {f"{name}/{key}": value for key, value in PARTS[name](Path(folder), *given.scenario)}
+        for name in options.only or PARTS:
+            result |= {f"{name}/{key}": value for key, value in PARTS[name](Path(folder), *options.scenario)}
             print(f"{name}: done", file=sys.stderr, flush=True)
-    if given.write:
-        kept = golden.get("sha256", {}) | found
+    if options.write:
+        kept = golden.get("sha256", {}) | result
         text = json.dumps({"arithmetic": arithmetic(), "sha256": kept}, indent=1, sort_keys=True)
         GOLDEN.write_text(text + "\n", "utf-8")
         return 0
     if golden["arithmetic"] != arithmetic():
-        print(f"golden.json is of {golden['arithmetic']}, this machine computes with {arithmetic()}")
+        print(f"golden.json was computed with {golden['arithmetic']}, this machine uses {arithmetic()}")
         return 2
     wanted = {
         key: value
         for key, value in golden["sha256"].items()
-        if key.split("/")[0] in (given.only or PARTS)
-        and not (given.scenario and key.startswith("scenarios/") and key.split("/")[1] not in given.scenario)
+        if key.split("/")[0] in (options.only or PARTS)
+        and not (
+            options.scenario and key.startswith("scenarios/") and key.split("/")[1] not in options.scenario
+        )
     }
-    moved = sorted(key for key in wanted.keys() | found.keys() if wanted.get(key) != found.get(key))
+    moved = sorted(key for key in wanted.keys() | result.keys() if wanted.get(key) != result.get(key))
     print(
         "\n".join(
             [
                 *(f"differs: {key}" for key in moved),
-                f"{len(wanted) - len(moved)} of {len(wanted)} as they were",
+                f"{len(wanted) - len(moved)} of {len(wanted)} unchanged",
             ]
         )
     )
@@ -140,7 +151,7 @@ def main() -> int:
 
 
 def _run(*words: str, cwd: Path | None = None) -> None:
-    # Expectations and verdicts decide nothing here: what matters is what was written.
+    # Missed expectations are ignored: only the written files are compared.
     command = [sys.executable, "-c", "from srs_twin.cli import main; main()", *words]
     done = subprocess.run(command, cwd=cwd, capture_output=True, text=True)
     if done.returncode not in (0, 1):
@@ -148,11 +159,11 @@ def _run(*words: str, cwd: Path | None = None) -> None:
 
 
 def _without(value: Any, keys: tuple[str, ...]) -> Any:
-    """Return a JSON value without some keys, at any depth, behind the name of a plant too."""
+    """Return a JSON value without some keys at any depth, including keys that follow a plant's name."""
     if isinstance(value, dict):
-        return {k: _without(each, keys) for k, each in value.items() if k.rpartition(".")[2] not in keys}
+        return {k: _without(item, keys) for k, item in value.items() if k.rpartition(".")[2] not in keys}
     if isinstance(value, list):
-        return [_without(each, keys) for each in value]
+        return [_without(item, keys) for item in value]
     return value
 
 

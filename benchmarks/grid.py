@@ -1,4 +1,4 @@
-"""Runs many (plant, gait) pairs over the processors and prints tables; what the studies here share."""
+"""Shared functions of the benchmarks: runs of plants and gaits on all processors, and Markdown tables."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PLANTS: dict[str, Callable[..., Any]] = {"analytical": AnalyticalSnake, "twin": 
 
 @dataclass(frozen=True)
 class Run:
-    """One rollout: a plant with its options under a gait."""
+    """One rollout: a plant with its options and a gait."""
 
     plant: str
     robot: str = "gen2"
@@ -28,7 +28,7 @@ class Run:
     options: dict[str, Any] = field(default_factory=dict)
 
     def spec(self) -> RobotSpec:
-        """Return the robot with this run's changes."""
+        """Return the robot with the changes of this run."""
         spec = load_robot(self.robot)
         if self.stiffness is not None:
             spec = replace(spec, bending=replace(spec.bending, stiffness=self.stiffness))
@@ -42,7 +42,7 @@ class Run:
         return plant
 
     def trajectory(self, plant: Plant | None = None) -> Trajectory:
-        """Roll out, on a plant of its own where none is given."""
+        """Simulate, on a new plant unless one is given."""
         return rollout(plant or self.build(), Gait(self.frequency, self.offset), self.duration)
 
 

@@ -1,11 +1,11 @@
-"""Generation 3's two unexplained remarks (Section 3.4.3): whose bends are wide, and why its tail lifts.
+"""Two unexplained observations of generation 3 (Section 3.4.3): the bend amplitudes and the lifting tail.
 
     uv run python benchmarks/heavy_tail.py
 
-Bend amplitudes by segment of the twin, `compliant` and `complete`, over the gait range, stiffness and
-damping; what they become when one thing after another is switched off in `compliant`; the wheels' loads in
-the twin over a period, whose tail stands on the last connector's two wheels; and what a tail on two axles
-does on momentary loads. Draws docs/images/heavy_tail.png.
+Prints bend amplitudes by segment of the twin, `compliant` and `complete` over the gait range, stiffness and
+damping, and the amplitudes of `compliant` with single effects switched off. Then prints the wheel loads of
+the twin over a period, where the tail rests on the two wheels of the last connector, and the effect of a tail
+with two axles on momentary loads. Writes docs/images/heavy_tail.png.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ GAITS = [(f, offset) for f in (0.75, 1.0) for offset in (0.0, 0.2, -0.2)] + [(2.
 STIFFNESS = (0.1, 0.15, 0.2, 0.3, 0.44, 0.7, 1.0, 2.0, 5.0)
 HEIGHTS = (0.015, 0.020, 0.030)
 DAMPING = (0.00214, 0.005, 0.01, 0.02)
-SILICONE = 0.01  # s, c/k that silicone's own loss factor would give
+SILICONE = 0.01  # s, c/k from the loss factor of silicone
 SLOW = 0.1
-# Of an assembly 8 cm long; the text gives none of its measures.
+# For an assembly 8 cm long; the dissertation gives no dimensions.
 TAILS = [
     None,
     *(Tail(axle=0.06, com=0.045, com_height=h, gyration=0.025) for h in (0.015, 0.02, 0.025, 0.03)),
 ]
 PLANTS = ("twin", "compliant", "complete")
-# Okabe and Ito's palette, safe for the colour-blind; marks and dashes differ as well.
+# Palette of Okabe and Ito for colour-blind readers; markers and dashes differ as well.
 COLORS = (STYLES["twin"].color, STYLES["analytical"].color, "#009E73", "#222222")
 LOAD_TICK = 0.005
 
@@ -54,19 +54,19 @@ def equal_tail(spec: RobotSpec) -> RobotSpec:
 
 
 def quasi_static(spec: RobotSpec) -> RobotSpec:
-    """Return the robot with a tenth of its inertia under the same friction."""
+    """Return the robot with a tenth of its inertia and unchanged friction."""
     mu = spec.friction
     light = with_masses(spec, SLOW * spec.mass.array())
     return replace(light, friction=replace(mu, mu_t=mu.mu_t / SLOW, mu_n=mu.mu_n / SLOW))
 
 
 def frictionless(spec: RobotSpec) -> RobotSpec:
-    """Return the robot on ice."""
+    """Return the robot without friction."""
     return replace(spec, friction=replace(spec.friction, mu_t=0.0, mu_n=0.0))
 
 
 def with_masses(spec: RobotSpec, masses: np.ndarray) -> RobotSpec:
-    """Return the robot with other connector masses (kg), its wheels as light in proportion."""
+    """Return the robot with other connector masses (kg) and proportional wheel masses."""
     wheel = spec.mass.wheel * min(1.0, masses.min() / spec.mass.array().min())
     return replace(spec, mass=replace(spec.mass, connectors=tuple(masses), wheel=float(wheel)))
 
@@ -85,7 +85,7 @@ SWITCHES: list[tuple[str, tuple[Change, ...], dict[str, Any]]] = [
 
 @dataclass(frozen=True)
 class Case:
-    """One run of generation 3: a plant under a gait, with changes."""
+    """One run of generation 3: a plant and a gait with changes."""
 
     plant: str
     frequency: float = 1.0
@@ -121,9 +121,10 @@ class Case:
         return np.array(plant_metrics(run)["bend_amplitude_rad"])
 
     def loads(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return wheel loads over those at rest, (samples, N, 2), and the tail's acceleration over g.
+        """Return wheel loads relative to rest, shape (samples, N, 2), and the acceleration of the tail, g.
 
-        Acceleration: shape (samples, 2), along and across the tail. Whole periods after two, 5 ms apart.
+        The acceleration has shape (samples, 2), along and across the tail. Samples cover whole periods after
+        the first two, every 5 ms.
         """
         plant = TwinSnake(self.spec(), supply_pa=SUPPLY, tick=LOAD_TICK)
         loads, places, headings = [], [], []
@@ -149,18 +150,18 @@ def amplitudes(cases: Iterable[Case]) -> list[np.ndarray]:
 
 
 def row(values: np.ndarray) -> str:
-    """Return a cell of amplitudes, head first."""
+    """Return a table cell with the amplitudes, head first."""
     return ", ".join(f"{value:.3f}" for value in values)
 
 
 def remarks(values: np.ndarray) -> str:
-    """Return which of the text's remarks hold: head widest, third least, fourth more than third."""
+    """Return which observations hold: head largest, third smallest, fourth larger than third."""
     held = {"head": values.argmax() == 0, "third": values.argmin() == 2, "fourth": values[3] > values[2]}
     return ", ".join(name for name, true in held.items() if true) or "–"
 
 
 def main() -> None:
-    """Print the tables and draw the picture."""
+    """Print the tables and write the figure."""
     over_gaits()
     by_stiffness, by_damping = over_stiffness(), over_damping()
     switched_off()
@@ -169,9 +170,9 @@ def main() -> None:
 
 
 def over_gaits() -> None:
-    """Print amplitudes over the gait range."""
-    found = amplitudes([Case(plant, f, offset) for f, offset in GAITS for plant in PLANTS])
-    groups = [found[len(PLANTS) * i :][: len(PLANTS)] for i in range(len(GAITS))]
+    """Print the amplitudes over the gait range."""
+    result = amplitudes([Case(plant, f, offset) for f, offset in GAITS for plant in PLANTS])
+    groups = [result[len(PLANTS) * i :][: len(PLANTS)] for i in range(len(GAITS))]
     rows = [
         [f"{f:g}", f"{offset:g}", *map(row, group), remarks(group[0])]
         for (f, offset), group in zip(GAITS, groups, strict=True)
@@ -180,9 +181,9 @@ def over_gaits() -> None:
 
 
 def over_stiffness() -> np.ndarray:
-    """Print amplitudes by stiffness, 0.75 Hz; return those of twin and `compliant`, (2, stiffnesses, 4)."""
-    found = amplitudes([Case(plant, 0.75, stiffness=k) for plant in PLANTS[:2] for k in STIFFNESS])
-    both = np.array(found).reshape(2, len(STIFFNESS), -1)
+    """Print amplitudes by stiffness at 0.75 Hz; return those of twin and `compliant`, (2, stiffnesses, 4)."""
+    result = amplitudes([Case(plant, 0.75, stiffness=k) for plant in PLANTS[:2] for k in STIFFNESS])
+    both = np.array(result).reshape(2, len(STIFFNESS), -1)
     rows = [
         [f"{k:g}", row(twin), row(compliant), remarks(twin)]
         for k, twin, compliant in zip(STIFFNESS, *both, strict=True)
@@ -192,14 +193,14 @@ def over_stiffness() -> np.ndarray:
 
 
 def over_damping() -> dict[str, np.ndarray]:
-    """Print amplitudes by damping at the shipped stiffness; return the twin's at 2 Hz by what was changed."""
+    """Print amplitudes by damping at the shipped stiffness; return those of the twin at 2 Hz by change."""
     settings = [(d, changes) for changes in ((), (equal_tail,)) for d in DAMPING]
     kinds = [(plant, f) for f in (0.75, 2.0) for plant in PLANTS[:2]]
-    found = amplitudes(
+    result = amplitudes(
         [Case(p, f, damping_time=d, changes=changes) for d, changes in settings for p, f in kinds]
     )
     names = [f"c/k = {1e3 * d:g} ms" + (", light tail" if changes else "") for d, changes in settings]
-    groups = [found[len(kinds) * i :][: len(kinds)] for i in range(len(settings))]
+    groups = [result[len(kinds) * i :][: len(kinds)] for i in range(len(settings))]
     rows = [[name, *map(row, group), remarks(group[2])] for name, group in zip(names, groups, strict=True)]
     heads = [f"{plant}, {f:g} Hz" for plant, f in kinds]
     print(table(["damping", *heads, "observations, twin at 2 Hz"], rows), end="\n\n")
@@ -208,16 +209,16 @@ def over_damping() -> dict[str, np.ndarray]:
 
 
 def switched_off() -> None:
-    """Print what `compliant` does at silicone's damping with one thing after another off."""
+    """Print the amplitudes of `compliant` with the damping of silicone and single effects switched off."""
     gaits = (0.75, 2.0)
-    found = amplitudes(
+    result = amplitudes(
         [
             Case("compliant", f, damping_time=SILICONE, changes=changes, options=options)
             for f in gaits
             for _, changes, options in SWITCHES
         ]
     )
-    slow, fast = found[: len(SWITCHES)], found[len(SWITCHES) :]
+    slow, fast = result[: len(SWITCHES)], result[len(SWITCHES) :]
     rows = [
         [name, row(a), remarks(a), row(b), remarks(b)]
         for (name, _, _), a, b in zip(SWITCHES, slow, fast, strict=True)
@@ -227,37 +228,37 @@ def switched_off() -> None:
 
 
 def loads_by_height() -> dict[float, np.ndarray]:
-    """Print the wheels' loads; return those at 1 Hz by the height of the centres of mass (m)."""
+    """Print the wheel loads; return those at 1 Hz by the height of the centres of mass (m)."""
     cases = [Case("twin", f, height=height) for height in HEIGHTS for f in (0.75, 1.0)]
     with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
-        found = list(pool.map(Case.loads, cases))
+        result = list(pool.map(Case.loads, cases))
     head = ["height mm", "f Hz", "mean", "minimum", "standard deviation", "time without load, %",
             "acceleration of the tail along the heading, g: RMS, maximum", "across the heading"]  # fmt: skip
-    print(table(head, [load_row(*each) for each in zip(cases, found, strict=True)]))
+    print(table(head, [load_row(*item) for item in zip(cases, result, strict=True)]))
     return {
         case.height or 0.0: loads
-        for case, (loads, _) in zip(cases, found, strict=True)
+        for case, (loads, _) in zip(cases, result, strict=True)
         if case.frequency == 1
     }
 
 
-def load_row(case: Case, found: tuple[np.ndarray, np.ndarray]) -> list[str]:
-    """Return a line of the table of loads, connector by connector, over the load at rest."""
-    loads, acceleration = found
+def load_row(case: Case, result: tuple[np.ndarray, np.ndarray]) -> list[str]:
+    """Return a table row with the loads of all connectors relative to the load at rest."""
+    loads, acceleration = result
 
-    def each(values: np.ndarray, form: str = ".2f") -> str:
+    def cell(values: np.ndarray, form: str = ".2f") -> str:
         return ", ".join(format(value, form) for value in values)
 
     return [
-        f"{1e3 * (case.height or 0):g}", f"{case.frequency:g}", each(loads.mean(axis=(0, 2))),
-        each(loads.min(axis=(0, 2))), each(loads.std(axis=0).mean(axis=1)),
-        each(100 * (loads <= 0).mean(axis=(0, 2)), ".0f"),
+        f"{1e3 * (case.height or 0):g}", f"{case.frequency:g}", cell(loads.mean(axis=(0, 2))),
+        cell(loads.min(axis=(0, 2))), cell(loads.std(axis=0).mean(axis=1)),
+        cell(100 * (loads <= 0).mean(axis=(0, 2)), ".0f"),
         *(f"{np.sqrt((a**2).mean()):.2f}, {np.abs(a).max():.2f}" for a in acceleration.T),
     ]  # fmt: skip
 
 
 def lifted(tail: Tail | None, frequency: float, damping_time: float) -> list[str]:
-    """Return speed, amplitudes, remarks, and how often wheels of the tail's front axle lift, one and both."""
+    """Return speed, amplitudes, observations, and the share of time with lifted front wheels of the tail."""
     spec = replace(Case("twin", frequency, damping_time=damping_time).spec(), tail=tail)
     plant = TwinSnake(spec, contact="loaded", supply_pa=SUPPLY, tick=LOAD_TICK)
     front = []
@@ -275,16 +276,16 @@ def lifted(tail: Tail | None, frequency: float, damping_time: float) -> list[str
 
 
 def on_two_axles() -> None:
-    """Print what a second axle does, by the height of the tail's centre of mass."""
+    """Print the effect of a second axle, by the height of the centre of mass of the tail."""
     cases = [(tail, f, lag) for f in (0.75, 2.0) for lag in (DAMPING[0], SILICONE) for tail in TAILS]
     with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
-        found = list(pool.map(lifted, *zip(*cases, strict=True)))
+        result = list(pool.map(lifted, *zip(*cases, strict=True)))
     names = ["one axle" if tail is None else f"two, {1e3 * tail.com_height:g} mm" for tail, _, _ in cases]
     lifts = ["one front wheel lifted, %", "both, %"]
     head = ["f Hz", "c/k ms", "tail", "mm/s", "amplitudes, rad", "observations", *lifts]
     rows = [
         [f"{f:g}", f"{1e3 * lag:g}", name, *cells]
-        for (_, f, lag), name, cells in zip(cases, names, found, strict=True)
+        for (_, f, lag), name, cells in zip(cases, names, result, strict=True)
     ]
     print("\n" + table(head, rows))
 
@@ -292,7 +293,7 @@ def on_two_axles() -> None:
 def draw(
     by_stiffness: np.ndarray, by_damping: dict[str, np.ndarray], loads: dict[float, np.ndarray]
 ) -> Figure:
-    """Return the picture: the twin's amplitudes by damping and by stiffness, and its tail's loads."""
+    """Return the figure: amplitudes of the twin by damping and by stiffness, and the loads of its tail."""
     figure = Figure(figsize=(9, 3.4), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
     segments = np.arange(1, by_stiffness.shape[-1] + 1)
@@ -312,7 +313,10 @@ def draw(
         right.plot(time, load[: len(time), -1, 0], linestyle=dash, color=color, label=label, linewidth=1.2)
     right.axhline(0, color="#222222", linewidth=0.8)
     right.set(
-        xlabel="time, s", ylabel="left wheel's load over rest", title="twin's tail, 1 Hz", ylim=(-0.8, 2.3)
+        xlabel="time, s",
+        ylabel="load of the left wheel relative to rest",
+        title="twin's tail, 1 Hz",
+        ylim=(-0.8, 2.3),
     )
     for axes in (left, middle, right):
         axes.grid(True, linewidth=0.4, alpha=0.5)

@@ -1,9 +1,9 @@
-"""How often the 95 % intervals of the fits hold the truth: noisy repetitions, each with a noise of its own.
+"""Coverage of the 95 % intervals of the fits, from repetitions with independent noise.
 
 uv run python benchmarks/intervals.py [REPETITIONS]
 
-Noise: pulls 10 % and 8 % of the mean, places 1 mm, bends 0.01 rad (white, or with a correlation of 0.8
-between samples at 100 Hz), gait runs 1 mm and 0.01 rad.
+Noise: 10 % and 8 % of the mean for pulls, 1 mm for positions, 0.01 rad for bends (white, or with a
+correlation of 0.8 between samples at 100 Hz), 1 mm and 0.01 rad for gait runs.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Fit = Callable[[np.random.Generator], FitEstimate]
 
 
 def correlated(rng: np.random.Generator, count: int, rho: float) -> np.ndarray:
-    """Return noise of unit variance, each sample like the one before by rho."""
+    """Return noise of unit variance with correlation rho between adjacent samples."""
     noise = rng.normal(size=count)
     for k in range(1, count):
         noise[k] = rho * noise[k - 1] + math.sqrt(1 - rho**2) * noise[k]
@@ -59,8 +59,8 @@ def coasting(rng: np.random.Generator) -> FitEstimate:
     time = np.arange(0.0, 1.0, 0.01)
     runs = []
     for k, velocity in enumerate([(0.5, 0.0), (0.0, 0.8)]):
-        way = slide(velocity, time, law="wheel", mu_t=0.06, mu_n=0.5, share=spin_share(GEN2))
-        x, y = (way + 1e-3 * rng.normal(size=way.shape)).T
+        path = slide(velocity, time, law="wheel", mu_t=0.06, mu_n=0.5, share=spin_share(GEN2))
+        x, y = (path + 1e-3 * rng.normal(size=path.shape)).T
         seen = Trajectory({"time": time, "com_x": x, "com_y": y, "heading": 0 * time})
         runs.append(CoastingTest.from_trajectory(seen, f"throw_{k}", start=0.0))
     return fit_coasting(runs, GEN2)
@@ -125,13 +125,13 @@ def main(repetitions: int) -> None:
     print("| data | parameter | true value in the interval | no value | mean error / standard error |")
     print("|---|---|---|---|---|")
     for name, fit, truth, count in fits:
-        found = [fit(np.random.default_rng([seed, 8])) for seed in range(count)]
+        result = [fit(np.random.default_rng([seed, 8])) for seed in range(count)]
         for parameter, value in truth.items():
-            each = [f[parameter] for f in found if f[parameter].value is not None]
-            held = sum(p.low <= value <= p.high for p in each)  # type: ignore[operator]
-            bias = np.mean([(p.value - value) / p.standard_error for p in each])  # type: ignore[operator]
+            item = [f[parameter] for f in result if f[parameter].value is not None]
+            held = sum(p.low <= value <= p.high for p in item)  # type: ignore[operator]
+            bias = np.mean([(p.value - value) / p.standard_error for p in item])  # type: ignore[operator]
             print(
-                f"| {name} | {parameter} | {held} of {count} | {count - len(each)} | {bias:+.2f} |",
+                f"| {name} | {parameter} | {held} of {count} | {count - len(item)} | {bias:+.2f} |",
                 flush=True,
             )
 

@@ -1,188 +1,36 @@
-"""A sweep that is killed at random, again and again: is what it leaves that of an undisturbed one?
+"""Sweeps killed at random: whether the final results equal those of an undisturbed sweep.
 
     uv run python benchmarks/kills.py [--kills 200] [--runs 400] [--seed 0]
     uv run python benchmarks/kills.py --commands 300 --finishes 2000
 
-Kills the sweep itself, one of its workers or the server that they come from by SIGKILL, at random times after
-its start or its latest row; starts it again until it is done, as often as needed. The rows must be those of a
-sweep that nobody disturbed. With --commands, run, sweep, optimize, uncertainty and reproduce are killed and
-resumed (`kills_of_commands.py`); with --finishes, processes finish their files in one folder at once.
+Kills the sweep, one of its workers or their fork server by SIGKILL, at random times after the start or the
+latest row, and starts the sweep again until it is complete. Its rows must equal those of an undisturbed
+sweep. With --commands, run, sweep, optimize, uncertainty and reproduce are killed and resumed
+(`kills_of_commands.py`). With --finishes, several processes complete their files in one folder at once.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
-import json
-import os
 import random
-import signal
-import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import kills_of_commands
 
-SWEEP = """\
-scenario: gen2_straight
-plants: [analytical]
-fixed: {{duration_s: {duration}}}
-vary:
-  controller.frequency_hz: {{from: 1, to: 2, count: {runs}}}
-"""
-
-
-COMMAND = Path(sys.executable).with_name("srs-twin")
-
-WORKERS_DIED = 4
-
-
-@dataclass
-class Kills:
-    """What was killed.
-
-    Attributes:
-        victims: "sweep", "worker" or "server" → how often.
-        starts: how often the sweep was started.
-        rows: rows that were there after each kill.
-    """
-
-    victims: Counter[str] = field(default_factory=Counter)
-    starts: int = 0
-    rows: list[int] = field(default_factory=list)
-
-
-def disturbed(sweep: Path, out: Path, kills: int, rng: random.Random, longest: float) -> Kills:
-    """Run a sweep to its end; kill it or a worker that many times on the way.
-
-    Args:
-        sweep: the file.
-        out: the folder of its results.
-        kills: how many.
-        rng: decides when and whom.
-        longest: the longest time to the next kill, s: from a start or the death of a worker, or (seven times
-            of ten) from the first row after that.
-
-    Raises:
-        RuntimeError: the sweep failed by itself, or was done before all the kills.
-    """
-    found = Kills()
-    while True:
-        process = start(sweep, out)
-        found.starts += 1
-        while sum(found.victims.values()) < kills:
-            if rng.random() < 0.7:
-                _wait_for_a_row(process, out)
-            if _ended(process, rng.uniform(0, longest)):
-                if process.returncode == WORKERS_DIED:
-                    break
-                raise RuntimeError(f"done after {sum(found.victims.values())} kills only: take more runs")
-            who, pid = _victim(process.pid, rng)
-            with contextlib.suppress(ProcessLookupError):  # ended by itself, or with its server, just now
-                os.kill(pid, signal.SIGKILL)
-                found.victims[who] += 1
-            if who == "sweep":
-                break
-        code = process.wait()
-        found.rows.append(rows(out))
-        if code == 0:
-            return found
-        # A point whose workers were killed three times in a row is a failed row, and tried again; so is the
-        # sweep where three workers in a row were killed before they could begin.
-        if code not in (-signal.SIGKILL, WORKERS_DIED):
-            raise RuntimeError(
-                f"the sweep ended with {code}: {process.stderr.read() if process.stderr else ''}"
-            )
-
-
-def start(sweep: Path, out: Path) -> subprocess.Popen[str]:
-    """Start a sweep of two workers."""
-    words = [str(COMMAND), "sweep", str(sweep), "--out", str(out), "--workers", "2", "-q", "--retry-failed"]
-    return subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
-
-
-def _victim(sweep: int, rng: random.Random) -> tuple[str, int]:
-    """Choose who is killed: the sweep every other time, else a worker, now and then the server."""
-    if rng.random() < 0.5:
-        return "sweep", sweep
-    servers = [pid for pid in children(sweep) if b"forkserver" in _command_line(pid)]
-    workers = [pid for server in servers for pid in children(server)]
-    if workers and rng.random() < 0.8:
-        return "worker", rng.choice(workers)
-    return ("server", servers[0]) if servers else ("sweep", sweep)
-
-
-def children(pid: int) -> list[int]:
-    """Return the processes that a process has started."""
-    try:
-        return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    except (FileNotFoundError, ProcessLookupError):
-        return []
-
-
-def _command_line(pid: int) -> bytes:
-    try:
-        return Path(f"/proc/{pid}/cmdline").read_bytes()
-    except (FileNotFoundError, ProcessLookupError):
-        return b""
-
-
-def rows(out: Path) -> int:
-    """Return how many rows a folder has, seen from outside."""
-    from srs_twin.studies.sweep.store import FILE, RowStore
-
-    if not (out / FILE).exists():
-        return 0
-    for _ in range(100):
-        try:
-            with RowStore(out) as store:
-                return len(store.keys(failed=True))
-        except Exception:
-            time.sleep(0.05)  # a killed process takes a moment to let go
-    raise RuntimeError("the folder stays locked")
-
-
-def rows_digest(out: Path) -> tuple[int, str]:
-    """Return how many runs a finished sweep has done, and the digest of its results."""
-    about = json.loads((out / "sweep.json").read_text())
-    return about["done"], about["results_sha256"]
-
-
-def pages(log: Path) -> int:
-    """Return how many pages a running sweep has written to the log of its rows."""
-    try:
-        return log.stat().st_size // 4096
-    except FileNotFoundError:
-        return 0
-
-
-def _wait_for_a_row(process: subprocess.Popen[str], out: Path) -> None:
-    """Wait until a sweep writes a row or ends."""
-    log = out / "rows.sqlite-wal"
-    before = pages(log)
-    while process.poll() is None and pages(log) == before:
-        time.sleep(0.01)
-
-
-def _ended(process: subprocess.Popen[str], within: float) -> bool:
-    try:
-        process.wait(within)
-    except subprocess.TimeoutExpired:
-        return False
-    return True
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from killed_sweeps import SWEEP, digest, disturbed, start
 
 
 def _of_commands(arguments: argparse.Namespace) -> int:
-    """Print what became of killed commands and of sets that were finished at once; return the exit code."""
+    """Print the results of killed commands and of sets completed at once; return the exit code."""
     faults: list[str] = []
     if arguments.finishes:
         with tempfile.TemporaryDirectory() as name:
             counts = kills_of_commands.finishes(Path(name), arguments.finishes)
-        print(f"sets finished at once: {dict(counts)}", flush=True)
+        print(f"sets completed at once: {dict(counts)}", flush=True)
         faults += [f"{count} {kind} sets" for kind, count in counts.items() if kind != "whole"]
     names = [arguments.only] if arguments.only else list(kills_of_commands.CASES)
     rng = random.Random(arguments.seed)
@@ -191,30 +39,30 @@ def _of_commands(arguments: argparse.Namespace) -> int:
         with tempfile.TemporaryDirectory() as name:
             for file, text in kills_of_commands.FILES.items():
                 (Path(name) / file).write_text(text)
-            found = kills_of_commands.killed(command, Path(name), -(-arguments.commands // len(names)), rng)
+            result = kills_of_commands.killed(command, Path(name), -(-arguments.commands // len(names)), rng)
         took = time.perf_counter() - begun
         print(
-            f"{command}: {found.kills} kills in {found.trials} trials, {took:.0f} s; after a kill: "
-            f"{dict(found.left)}; faults: {len(found.faults)}",
+            f"{command}: {result.kills} kills in {result.trials} trials, {took:.0f} s; after a kill: "
+            f"{dict(result.left)}; faults: {len(result.faults)}",
             flush=True,
         )
-        faults += found.faults
+        faults += result.faults
     print(*faults[:20], sep="\n")
     print(f"{len(faults)} faults")
     return 1 if faults else 0
 
 
 def main() -> None:
-    """Print what was killed and whether it did any harm."""
+    """Print the kills and whether the results are the same."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kills", type=int, default=200)
-    parser.add_argument("--runs", type=int, default=400)
+    parser.add_argument("--kills", type=int, default=200, help="number of kills")
+    parser.add_argument("--runs", type=int, default=400, help="number of runs of the sweep")
     parser.add_argument("--duration", type=float, default=100.0, help="simulated time of a run, s")
     parser.add_argument("--longest", type=float, default=0.5, help="longest time to the next kill, s")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=0, help="random seed")
     parser.add_argument("--commands", type=int, help="total number of kills of all commands")
     parser.add_argument("--only", choices=kills_of_commands.CASES, help="kill this command only")
-    parser.add_argument("--finishes", type=int, help="number of sets finished in one folder at once")
+    parser.add_argument("--finishes", type=int, help="number of sets completed in one folder at once")
     arguments = parser.parse_args()
     if arguments.commands or arguments.finishes:
         sys.exit(_of_commands(arguments))
@@ -232,12 +80,12 @@ def main() -> None:
             sweep, folder / "killed", arguments.kills, random.Random(arguments.seed), arguments.longest
         )
         took = time.perf_counter() - begun
-        same = rows_digest(folder / "killed") == rows_digest(folder / "quiet")
+        same = digest(folder / "killed") == digest(folder / "quiet")
         victims = ", ".join(f"{count} of the {who}" for who, count in sorted(killed.victims.items()))
         print(f"{arguments.runs} runs, {alone:.0f} s undisturbed")
         print(f"killed: {victims}; {killed.starts} starts, {took:.0f} s")
         print(f"rows after each kill of the sweep: {killed.rows}")
-        print(f"the results are {'the same' if same else 'NOT the same'}: {rows_digest(folder / 'killed')}")
+        print(f"the results are {'the same' if same else 'NOT the same'}: {digest(folder / 'killed')}")
         sys.exit(0 if same else 1)
 
 

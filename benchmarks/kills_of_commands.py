@@ -1,9 +1,9 @@
-"""Commands that are killed at random: is every set of files whole, and the resumed result undisturbed?
+"""Commands killed at random: whether every set of files is complete and the resumed result unchanged.
 
-Part of `kills.py`. Each trial begins in an empty folder or in one with an earlier result. The command is
-killed by SIGKILL with its workers: at a random time after its start, or just after it begins to write files.
-It is started again until it ends. After each kill, a folder with a completion mark must hold the files of one
-result, the earlier or the new one; at the end the folder must equal that of an undisturbed command.
+Part of `kills.py`. Each trial begins in an empty folder or in one with an earlier result. The command and its
+workers are killed by SIGKILL, at a random time after the start or just after the first file is written. It is
+started again until it ends. After each kill, a folder with a completion mark must hold the files of a single
+result, the earlier or the new one. At the end the folder must equal that of an undisturbed command.
 """
 
 from __future__ import annotations
@@ -63,14 +63,14 @@ _TIMES = ("wall_s", "realtime_factor", "plan_s")
 
 @dataclass(frozen=True)
 class Case:
-    """A command that is killed.
+    """Command that is killed.
 
     Attributes:
-        earlier: words of the command that makes the earlier result.
-        words: of the command that is killed.
+        earlier: arguments of the command that makes the earlier result.
+        words: arguments of the command that is killed.
         again: options that continue in a folder with the earlier result.
-        mark: the file that says that a set is complete.
-        products: the files of a set, as patterns.
+        mark: file that marks a set as complete.
+        products: patterns of the files of a set.
     """
 
     earlier: str
@@ -111,14 +111,14 @@ class Tally:
 
     kills: int = 0
     trials: int = 0
-    left: Counter[str] = field(default_factory=Counter)  # state of a folder after a kill → times
+    left: Counter[str] = field(default_factory=Counter)  # state of a folder after a kill → count
     faults: list[str] = field(default_factory=list)
 
 
 def contents(folder: Path, case: Case) -> dict[tuple[str, str], Any]:
-    """Return (file, place in it) → value of a set; wall times are left out."""
-    found: dict[tuple[str, str], Any] = {}
-    for path in sorted({each for pattern in case.products for each in folder.glob(pattern)}):
+    """Return the values of a set by (file, position in it), without wall times."""
+    result: dict[tuple[str, str], Any] = {}
+    for path in sorted({item for pattern in case.products for item in folder.glob(pattern)}):
         name = str(path.relative_to(folder))
         if path.suffix == ".json":
             leaves = dict(_leaves(json.loads(path.read_text("utf-8")), ""))
@@ -131,27 +131,27 @@ def contents(folder: Path, case: Case) -> dict[tuple[str, str], Any]:
             }
         else:
             leaves = {"": path.read_text("utf-8")}
-        found |= {
+        result |= {
             (name, place): value if value == value else "NaN"
             for place, value in leaves.items()
             if place.rpartition(".")[2].partition("[")[0] not in _TIMES
         }
-    return found
+    return result
 
 
 def _leaves(value: Any, place: str) -> Any:
     if isinstance(value, Mapping):
-        for key, each in value.items():
-            yield from _leaves(each, f"{place}.{key}")
+        for key, item in value.items():
+            yield from _leaves(item, f"{place}.{key}")
     elif isinstance(value, list):
-        for k, each in enumerate(value):
-            yield from _leaves(each, f"{place}[{k}]")
+        for k, item in enumerate(value):
+            yield from _leaves(item, f"{place}[{k}]")
     else:
         yield place, value
 
 
 def killed(name: str, room: Path, kills: int, rng: random.Random) -> Tally:
-    """Kill a command that many times or more, until its last trial has ended."""
+    """Kill a command at least the given number of times, until its last trial has ended."""
     case, tally = CASES[name], Tally()
     for kind, words in (("earlier", case.earlier), ("new", case.words)):
         began = time.perf_counter()
@@ -159,7 +159,7 @@ def killed(name: str, room: Path, kills: int, rng: random.Random) -> Tally:
         took = time.perf_counter() - began
     sets = {kind: contents(room / f"{name}-{kind}", case) for kind in ("earlier", "new")}
     if not all(sets.values()) or sets["earlier"] == sets["new"]:
-        raise RuntimeError(f"{name}: two different results are needed")
+        raise RuntimeError(f"{name}: needs two different results")
     while tally.kills < kills:
         out = room / f"{name}-{tally.trials}"
         again = bool(case.again or name in ("run", "reproduce")) and rng.random() < 0.5
@@ -177,11 +177,11 @@ def killed(name: str, room: Path, kills: int, rng: random.Random) -> Tally:
                 tally.faults.append(f"{name} {words}: mixed after kill {tally.kills}")
         _finish(room, words)
         moved = diff(
-            *(Results(each, {}) for each in (sets["new"], contents(out, case))), Tolerances(rel=0, abs=0)
+            *(Results(item, {}) for item in (sets["new"], contents(out, case))), Tolerances(rel=0, abs=0)
         )
-        tally.faults += [f"{name} {words}: {each}" for each in moved.moved]
+        tally.faults += [f"{name} {words}: {item}" for item in moved.moved]
         if any(out.rglob(".part-*")):
-            tally.faults.append(f"{name} {words}: a hidden folder is left")
+            tally.faults.append(f"{name} {words}: a hidden folder remains")
         shutil.rmtree(out)
     return tally
 
@@ -196,12 +196,12 @@ def _start(room: Path, words: str) -> subprocess.Popen[str]:
 def _finish(room: Path, words: str) -> None:
     for _ in range(50):
         process = _start(room, words)
-        said = process.communicate()[1]
-        if process.returncode in (0, 1):  # 1: a claim is not that of the baseline
+        error_output = process.communicate()[1]
+        if process.returncode in (0, 1):  # 1: a claim differs from the baseline
             return
-        if "another sweep works" not in said:
-            raise RuntimeError(f"{words}: exit code {process.returncode}: {said}")
-        time.sleep(0.1)  # a killed process holds the lock for a moment
+        if "another sweep works" not in error_output:
+            raise RuntimeError(f"{words}: exit code {process.returncode}: {error_output}")
+        time.sleep(0.1)  # a killed process keeps the lock briefly
 
 
 def _kill(room: Path, words: str, out: Path, took: float, rng: random.Random) -> bool:
@@ -226,24 +226,24 @@ def _hidden(out: Path) -> list[Path]:
 
 
 def finishes(folder: Path, count: int, workers: int = 4) -> Counter[str]:
-    """Finish sets in one folder by several processes at once; return "whole" or "mixed" → times."""
-    fork, found = get_context("fork"), Counter[str]()
+    """Complete sets in one folder from several processes at once; count "whole" and "mixed" sets."""
+    fork, result = get_context("fork"), Counter[str]()
     rounds = -(-count // workers)
     gate = fork.Barrier(workers + 1)
     processes = [fork.Process(target=_finishes, args=(folder, k, rounds, gate)) for k in range(workers)]
-    for each in processes:
-        each.start()
+    for item in processes:
+        item.start()
     for _ in range(rounds):
         gate.wait()
-        gate.wait()  # all have finished
-        texts = {each.name: each.read_text() for each in folder.iterdir()}
+        gate.wait()  # all processes have finished
+        texts = {item.name: item.read_text() for item in folder.iterdir()}
         whole = texts.keys() == {*_SET} and len(set(texts.values())) == 1
-        found["whole" if whole else "mixed"] += workers
-    for each in processes:
-        each.join()
-        if each.exitcode:
-            found["failed"] += 1
-    return found
+        result["whole" if whole else "mixed"] += workers
+    for item in processes:
+        item.join()
+        if item.exitcode:
+            result["failed"] += 1
+    return result
 
 
 _SET = ("metrics.json", "scenario.resolved.yaml", "report.html", "recording.rrd", "analytical.parquet")

@@ -1,12 +1,12 @@
-"""A module at rest with a leak: how much of what differs is the noise of the sensor (Section 4.3).
+"""Module at rest with a leak: effect of the sensor noise on the differences (Section 4.3).
 
     uv run python benchmarks/leak.py [--draws 20]
 
-Runs the shipped scenarios module_hold_leak_… with many draws of the sensor's noise on both benches, some
-minutes, and prints each metric as mean ± standard deviation over the draws, and the twin's mean less the
-analytical one's with its 95 % interval (Welch). Then, for direct SMC, the same with one thing after another
-switched. `drift` is the peak to peak of the bend averaged over a carrier period, 1/60 s: what is left of an
-oscillation when the carrier's ripple is not counted.
+Runs the shipped scenarios module_hold_leak_… with many draws of the sensor noise on both benches, which takes
+some minutes. Prints each metric as mean ± standard deviation over the draws, and the difference of the means
+(twin minus analytical) with its 95 % interval (Welch). Then repeats this for direct SMC with single effects
+switched. `drift` is the peak-to-peak value of the bend averaged over a carrier period (1/60 s), the part of
+an oscillation that is not ripple of the carrier.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ SWITCHED: Mapping[str, Mapping[str, Any]] = {
         "robot.mass.connectors_kg.value": 0.0001,
         "robot.mass.wheel_kg.value": 0.00002,
     },
-    "twin's step 0.1 ms": {"plants.twin.timestep_s": 0.0001},
-    "twin's step 1 ms": {"plants.twin.timestep_s": 0.001},
+    "time step of the twin 0.1 ms": {"plants.twin.timestep_s": 0.0001},
+    "time step of the twin 1 ms": {"plants.twin.timestep_s": 0.001},
     "no noise": {"sensor.noise_uv": 0.0},
-    "no noise, no steps of the converter": {"sensor.noise_uv": 0.0, "sensor.bits": 32},
+    "no noise, no quantisation": {"sensor.noise_uv": 0.0, "sensor.bits": 32},
     "half the leak": {"pneumatics.leak_per_s": 0.25},
     "twice the leak": {"pneumatics.leak_per_s": 1.0},
     "half of ε": {"controller.epsilon_rad_per_s": 0.733},
@@ -52,7 +52,7 @@ SWITCHED: Mapping[str, Mapping[str, Any]] = {
 
 
 def changed(kind: str, changes: Mapping[str, Any]) -> Scenario:
-    """Return the scenario of a controller with some fields otherwise."""
+    """Return the scenario of a controller with changed fields."""
     document = copy.deepcopy(dict(load_scenario(f"module_hold_leak_{kind}").document))
     for path, value in changes.items():
         *above, last = path.split(".")
@@ -64,7 +64,7 @@ def changed(kind: str, changes: Mapping[str, Any]) -> Scenario:
 
 
 def drift(run: Trajectory) -> float:
-    """Return the peak to peak of the bend averaged over a carrier period, second half of a run, rad."""
+    """Return the peak-to-peak value of the bend averaged over a carrier period, second half of a run, rad."""
     time, bend = run.time, run["bend_1"]
     turned = np.append(0.0, np.cumsum(np.diff(time) * (bend[1:] + bend[:-1]) / 2))
     later = time[time >= time[-1] / 2 + 1 / CARRIER_HZ]
@@ -73,21 +73,22 @@ def drift(run: Trajectory) -> float:
 
 
 def measured(job: tuple[str, str, str, int]) -> dict[str, float]:
-    """Run one draw: controller, key of `SWITCHED`, plant, seed."""
+    """Run one draw, given by controller, key of `SWITCHED`, plant and seed."""
     kind, switch, plant, seed = job
     scenario = changed(kind, SWITCHED[switch])
     run = rollout(
         scenario.build_plant(plant), scenario.build_controller(), scenario.duration,
         seed=seed, record_hz=scenario.record_hz,
     )  # fmt: skip
-    found = plant_metrics(run) | {"drift": drift(run)}
+    result = plant_metrics(run) | {"drift": drift(run)}
     return {
-        name: float(found[name]) if name == "inlet_openings" else math.degrees(found[name]) for name in SHOWN
+        name: float(result[name]) if name == "inlet_openings" else math.degrees(result[name])
+        for name in SHOWN
     }
 
 
 def draws(pool: ProcessPoolExecutor, kind: str, switch: str, count: int) -> dict[str, dict[str, np.ndarray]]:
-    """Return plant → metric → values over the draws."""
+    """Return the values over the draws by plant and metric."""
     jobs = [(kind, switch, plant, seed) for plant in PLANTS for seed in range(count)]
     rows = list(pool.map(measured, jobs))
     return {
@@ -100,14 +101,14 @@ def draws(pool: ProcessPoolExecutor, kind: str, switch: str, count: int) -> dict
 
 
 def spread(values: np.ndarray) -> str:
-    """Return '55.4 ± 3.3'; of one draw the value alone."""
+    """Return '55.4 ± 3.3', or the value alone for a single draw."""
     digits = 1 if abs(values.mean()) >= 10 else 2
     alone = f"{values.mean():.{digits}f}"
     return alone if len(values) < 2 else f"{alone} ± {values.std(ddof=1):.{digits}f}"
 
 
 def apart(ours: np.ndarray, theirs: np.ndarray) -> str:
-    """Return how much the second mean is above the first, in per cent, with its 95 % interval."""
+    """Return the difference of the second mean from the first in per cent, with its 95 % interval."""
     share = 100 * (theirs.mean() / ours.mean() - 1)
     if len(ours) < 2 or not (np.ptp(ours) or np.ptp(theirs)):
         return f"{share:+.1f} %"
@@ -117,34 +118,34 @@ def apart(ours: np.ndarray, theirs: np.ndarray) -> str:
 
 
 def by_controller(pool: ProcessPoolExecutor, count: int) -> str:
-    """Return the table of both controllers as shipped."""
+    """Return the table of both shipped controllers."""
     rows = []
     for kind in ("direct", "iterative"):
-        found = draws(pool, kind, "as shipped", count)
+        result = draws(pool, kind, "as shipped", count)
         for name, words in SHOWN.items():
-            ours, theirs = (found[plant][name] for plant in PLANTS)
+            ours, theirs = (result[plant][name] for plant in PLANTS)
             rows.append([kind, words, spread(ours), spread(theirs), apart(ours, theirs)])
-    return table(["SMC", "", *PLANTS, "twin less analytical"], rows)
+    return table(["SMC", "", *PLANTS, "twin minus analytical"], rows)
 
 
 def by_switch(pool: ProcessPoolExecutor, count: int) -> str:
-    """Return the table of direct SMC with one thing after another switched."""
+    """Return the table of direct SMC with single effects switched."""
     rows = []
     for switch, changes in SWITCHED.items():
-        found = draws(pool, "direct", switch, 1 if "sensor.noise_uv" in changes else count)
-        ours, theirs = (found[plant]["inlet_openings"] for plant in PLANTS)
-        errors = (spread(found[plant]["steady_rms_rad"]) for plant in PLANTS)
+        result = draws(pool, "direct", switch, 1 if "sensor.noise_uv" in changes else count)
+        ours, theirs = (result[plant]["inlet_openings"] for plant in PLANTS)
+        errors = (spread(result[plant]["steady_rms_rad"]) for plant in PLANTS)
         rows.append([switch, spread(ours), spread(theirs), apart(ours, theirs), *errors])
     heads = [f"openings, {plant}" for plant in PLANTS]
     return table(
-        ["direct SMC", *heads, "twin less analytical", *(f"RMS error (°), {p}" for p in PLANTS)], rows
+        ["direct SMC", *heads, "twin minus analytical", *(f"RMS error (°), {p}" for p in PLANTS)], rows
     )
 
 
 def main() -> None:
     """Print both tables."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("--draws", type=int, default=20, help="draws of the sensor's noise")
+    arguments.add_argument("--draws", type=int, default=20, help="number of draws of the sensor noise")
     count = arguments.parse_args().draws
     with ProcessPoolExecutor(2) as pool:
         print(by_controller(pool, count), flush=True)

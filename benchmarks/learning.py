@@ -1,8 +1,8 @@
-"""How far learning straightens snakes whose modules differ: twenty draws, two carriers, two kinds of target.
+"""Straightening by learning in snakes with unequal modules: twenty draws, two carriers, two kinds of target.
 
-    PYTHONPATH=benchmarks uv run python benchmarks/learning.py [--draws 20] [--spread 0.15]
+    uv run python benchmarks/learning.py [--draws 20] [--spread 0.15]
 
-A draw counts where the snake goes in circles of less than 5 m radius open loop. Ten to fifteen minutes.
+A draw counts if the radius of the open-loop path is below 5 m. The study takes 10 to 15 minutes.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--draws", type=int, default=20)
     parser.add_argument("--spread", type=float, default=0.15)
-    given = parser.parse_args()
+    options = parser.parse_args()
     rows = []
     for target, (scenario, fixed) in TARGETS.items():
         with tempfile.TemporaryDirectory() as folder:
-            columns = results(Path(folder), scenario, fixed, given.draws, given.spread)
+            columns = results(Path(folder), scenario, fixed, options.draws, options.spread)
         for carrier in CARRIERS_HZ:
             chosen = np.array(columns["controller.carrier_hz"]) == carrier
             for plant in ("analytical", "twin"):
                 rows.append([target, f"{carrier} Hz", plant, *line(columns, plant, chosen)])
     headings = [
-        "target", "carrier", "plant", "within 5 % by period 12", "curled before", "ten times straighter",
-        "times straighter, median (least)", "curvature left, median (largest), 1/m",
+        "target", "carrier", "plant", "within 5 % by period 12", "initially curved", "ten times straighter",
+        "straightening factor, median (least)", "final curvature, median (largest), 1/m",
     ]  # fmt: skip
     print(table(headings, rows))
 
@@ -64,19 +64,19 @@ def results(folder: Path, scenario: str, fixed: str, draws: int, spread: float) 
     with open_sweep(load_sweep(path), folder / "out") as opened:
         opened.run(local(), opened.missing())
         opened.finish()
-    found: dict[str, list[float]] = pq.read_table(folder / "out" / "results.parquet").to_pydict()
-    return found
+    result: dict[str, list[float]] = pq.read_table(folder / "out" / "results.parquet").to_pydict()
+    return result
 
 
 def line(columns: dict[str, list[float]], plant: str, chosen: np.ndarray) -> list[str]:
     """Return the cells of one carrier and plant."""
 
-    def of(metric: str) -> np.ndarray:
+    def column(metric: str) -> np.ndarray:
         return np.array(columns[f"{plant}.{metric}"], dtype=float)[chosen]
 
-    curled = of("path_bend_before_per_m") > CURLS
-    left, after = of("path_bend_left_rel"), of("path_bend_per_m")
-    within, times = of("periods_to_converge") <= 12, 1 / left[curled]
+    curled = column("path_bend_before_per_m") > CURLS
+    left, after = column("path_bend_left_rel"), column("path_bend_per_m")
+    within, times = column("periods_to_converge") <= 12, 1 / left[curled]
     return [
         f"{within.sum()} of {len(within)}", str(curled.sum()), f"{(left[curled] <= 0.1).sum()}",
         f"{np.median(times):.0f} ({times.min():.1f})", f"{np.median(after):.3f} ({after.max():.3f})",

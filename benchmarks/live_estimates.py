@@ -11,12 +11,15 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from grid import table
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 from live_runs import Run, followed_estimate
 
 SECONDS, BLIND_FOR_S, SETTLED_S = 25.0, 10.0, 5.0

@@ -12,10 +12,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from grid import table
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 from live_runs import Run, steered
 
 SCENARIOS = {"orifice": "follow_orifice", "lag": "follow_fig57"}

@@ -1,11 +1,12 @@
-"""The table of docs/module.md that puts every number of Chapter 4 beside the text's, from real runs.
+"""Table of docs/module.md with all values of Chapter 4 from the dissertation and from both benches.
 
-    uv run python benchmarks/module_table.py            # runs the scenarios module_…, 20 draws with the leak
-    uv run python benchmarks/module_table.py --as-told  # runs nothing: writes the table from docs/module.json
+    uv run python benchmarks/module_table.py              # run the scenarios module_…, 20 draws with the leak
+    uv run python benchmarks/module_table.py --from-json  # only write the table from docs/module.json
 
-What the runs gave goes to docs/module.json, and the table between two marks in docs/module.md. Tests hold
-that the table is the one that these numbers give, and that the shipped scenarios still give these numbers.
-Bold: not met. `difference`: largest difference of the benches in a line, relative to the analytical value.
+The results are written to docs/module.json, and the table between two marks in docs/module.md. Tests verify
+that the table agrees with these results, and that the shipped scenarios still give them. Values in bold miss
+their criterion. `difference` is the largest difference of the benches in a row, relative to the analytical
+value.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import sys
 import tempfile
 from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
@@ -21,11 +23,13 @@ from typing import Any
 
 import leak
 from grid import table
-from module_lines import LINES, PLANTS
 
 from srs_twin import load_scenario
 from srs_twin.experiment import run_scenario
 from srs_twin.io.files import atomic_write, shipped_names
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from module_lines import LINES, PLANTS
 
 DOCS = Path(__file__).parents[1] / "docs"
 FIGURES, PAGE = DOCS / "module.json", DOCS / "module.md"
@@ -33,14 +37,14 @@ BEGIN, END = "<!-- module: begin -->", "<!-- module: end -->"
 
 
 def measured(name: str) -> dict[str, dict[str, float]]:
-    """Run a shipped scenario; return plant → metric → number, but for what tells how long it took."""
+    """Run a shipped scenario; return its metrics by plant and name, without run times."""
     with tempfile.TemporaryDirectory() as folder:
         plants = run_scenario(load_scenario(name), Path(folder)).metrics["plants"]
-    return {plant: told(found) for plant, found in plants.items()}
+    return {plant: scalar_metrics(result) for plant, result in plants.items()}
 
 
-def told(metrics: Mapping[str, Any]) -> dict[str, float]:
-    """Return the metrics that are one number, but for what tells how long it took."""
+def scalar_metrics(metrics: Mapping[str, Any]) -> dict[str, float]:
+    """Return the scalar metrics, without run times."""
     return {
         name: value
         for name, value in metrics.items()
@@ -49,27 +53,27 @@ def told(metrics: Mapping[str, Any]) -> dict[str, float]:
 
 
 def figures(draws: int) -> dict[str, Any]:
-    """Run everything."""
+    """Run all scenarios and draws; return the content of docs/module.json."""
     names = [name for name in shipped_names("scenario") if name.startswith("module_")]
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         scenarios = dict(zip(names, pool.map(measured, names), strict=True))
-        of: dict[str, Any] = {}
+        by_controller: dict[str, Any] = {}
         for kind in ("direct", "iterative"):
-            found = leak.draws(pool, kind, "as shipped", draws)
-            of[kind] = {
+            result = leak.draws(pool, kind, "as shipped", draws)
+            by_controller[kind] = {
                 plant: {
                     name: {"mean": float(values.mean()), "deviation": float(values.std(ddof=1))}
                     for name, values in metrics.items()
                 }
-                for plant, metrics in found.items()
+                for plant, metrics in result.items()
             }
-    return {"scenarios": scenarios, "leak": {"draws": draws, "angles": "degrees", "of": of}}
+    return {"scenarios": scenarios, "leak": {"draws": draws, "angles": "degrees", "of": by_controller}}
 
 
-def report(found: Mapping[str, Any]) -> str:
+def report(result: Mapping[str, Any]) -> str:
     """Return the table."""
     head = ["quantity", "dissertation", *PLANTS, "difference", "scenario"]
-    return table(head, [line.cells(found) for line in LINES])
+    return table(head, [line.cells(result) for line in LINES])
 
 
 def placed(page: str, lines: str) -> str:
@@ -82,12 +86,16 @@ def placed(page: str, lines: str) -> str:
 def main() -> None:
     """Write both files."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("--as-told", action="store_true", help="run nothing, take docs/module.json")
-    arguments.add_argument("--draws", type=int, default=20, help="draws of the sensor's noise with a leak")
-    given = arguments.parse_args()
-    if not given.as_told:
+    arguments.add_argument(
+        "--from-json", action="store_true", help="only write the table, from docs/module.json"
+    )
+    arguments.add_argument(
+        "--draws", type=int, default=20, help="number of draws of the sensor noise with a leak"
+    )
+    options = arguments.parse_args()
+    if not options.from_json:
         with atomic_write(FIGURES) as part:
-            Path(part).write_text(json.dumps(figures(given.draws), indent=1) + "\n", "utf-8")
+            Path(part).write_text(json.dumps(figures(options.draws), indent=1) + "\n", "utf-8")
     lines = report(json.loads(FIGURES.read_text("utf-8")))
     page = placed(PAGE.read_text("utf-8"), lines)
     with atomic_write(PAGE) as part:

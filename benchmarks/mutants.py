@@ -1,8 +1,9 @@
-"""Do the tests notice mutants? Seeded draws over the lines of srs_twin, each put into a copy of the sources.
+"""Mutation testing: random mutants of the sources, each of which the tests should detect.
 
-A file is drawn by its lines of code, then one of its lines that can be mutated, a kind, and a mutation. The
-tests that are nearest to it run first, then the rest of the default run; only a mutant that all of them pass
-survives. Mutants of equivalent_mutants.yaml change no result, for the reason given there, and are not tried.
+A file of srs_twin is drawn with a probability proportional to its lines of code, then a line, a kind of
+mutation and a mutation. Each mutant is put into a copy of the sources. The nearest tests run first, then the
+rest of the default run. A mutant survives if all of them pass. Mutants in equivalent_mutants.yaml change no
+result, for the reason given there, and are skipped.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ from mutations import Mutation, changes_program, code_lines, mutations
 from ruamel.yaml import YAML
 
 _NEAREST = 6
-"""Test files that are tried before the whole default run."""
+"""Number of nearest test files that run before the whole default run."""
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """A drawn mutation, with its file."""
+    """Mutation of a file."""
 
     file: str
     mutation: Mutation
@@ -42,34 +43,34 @@ class Mutant:
 
 
 def main() -> None:
-    """Draw mutants and try the tests on them; exit with 1 where one survives."""
+    """Draw mutants and run the tests on them; exit with 1 if one survives."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seed", type=int, default=0, help="random seed")
     parser.add_argument("--count", type=int, default=40, help="number of mutants")
     parser.add_argument("--only", type=int, nargs="*", help="numbers of the mutants to try (default: all)")
     parser.add_argument("--list", action="store_true", help="print the mutants and stop")
     parser.add_argument("--nearest", action="store_true", help="try the nearest test files only")
-    parser.add_argument("--jobs", type=int, default=1, help="mutants that are tried at once")
+    parser.add_argument("--jobs", type=int, default=1, help="number of parallel mutants")
     parser.add_argument("--json", type=Path, help="file for the mutants and their first failing tests")
     parser.add_argument("--folder", type=Path, help="keep the copies and their machine code here")
     chosen = parser.parse_args()
     mutants = list(enumerate(draw(chosen.seed, chosen.count), 1))
-    mutants = [each for each in mutants if not chosen.only or each[0] in chosen.only]
+    mutants = [item for item in mutants if not chosen.only or item[0] in chosen.only]
     if chosen.list:
         for number, mutant in mutants:
             print(f"{number:3} {mutant}\n      {line_of(mutant)}")
         return
-    tried = [each for each in mutants if not why_equivalent(each[1])]
+    tried = [item for item in mutants if not why_equivalent(item[1])]
     with tempfile.TemporaryDirectory() as temporary:
-        found = try_all(tried, chosen.folder or Path(temporary), chosen.jobs, chosen.nearest)
+        result = try_all(tried, chosen.folder or Path(temporary), chosen.jobs, chosen.nearest)
     if chosen.json:
         rows = [
             {"number": number, "file": mutant.file, **asdict(mutant.mutation)}
-            | {"found_by": found.get(number), "equivalent": why_equivalent(mutant)}
+            | {"found_by": result.get(number), "equivalent": why_equivalent(mutant)}
             for number, mutant in mutants
         ]
         chosen.json.write_text(json.dumps(rows, indent=1, ensure_ascii=False), "utf-8")
-    survivors = [str(mutant) for number, mutant in tried if found[number] is None]
+    survivors = [str(mutant) for number, mutant in tried if result[number] is None]
     print(
         f"{len(tried) - len(survivors)} of {len(tried)} mutants found, {len(mutants) - len(tried)} equivalent"
     )
@@ -88,10 +89,10 @@ def draw(seed: int, count: int) -> Iterator[Mutant]:
         possible = mutations_of(file)
         if not possible:
             continue
-        line = random_numbers.choice(sorted({each.line for each in possible}))
-        here = [each for each in possible if each.line == line]
-        kind = random_numbers.choice(sorted({each.kind for each in here}))
-        mutation = random_numbers.choice([each for each in here if each.kind == kind])
+        line = random_numbers.choice(sorted({item.line for item in possible}))
+        here = [item for item in possible if item.line == line]
+        kind = random_numbers.choice(sorted({item.kind for item in here}))
+        mutation = random_numbers.choice([item for item in here if item.kind == kind])
         if (file, line) not in drawn and changes_program(mutation, text_of(file)):
             drawn.add((file, line))
             yield Mutant(file, mutation)
@@ -115,18 +116,18 @@ def line_of(mutant: Mutant) -> str:
 
 
 def why_equivalent(mutant: Mutant) -> str | None:
-    """Return the listed reason for which a mutant changes no result; None where it is not listed."""
+    """Return the listed reason why a mutant changes no result; None if it is not listed."""
     change = f"{mutant.mutation.old} → {mutant.mutation.new}"
-    for each in YAML(typ="safe").load(ROOT / "benchmarks/equivalent_mutants.yaml"):
-        if (each["file"], each["line"], each["change"]) == (mutant.file, line_of(mutant), change):
-            return str(each["why"])
+    for item in YAML(typ="safe").load(ROOT / "benchmarks/equivalent_mutants.yaml"):
+        if (item["file"], item["line"], item["change"]) == (mutant.file, line_of(mutant), change):
+            return str(item["why"])
     return None
 
 
 def try_all(
     mutants: list[tuple[int, Mutant]], folder: Path, jobs: int, nearest: bool
 ) -> dict[int, str | None]:
-    """Return the first test that fails with each mutant, by its number; None for survivors."""
+    """Return the first failing test of each mutant, by its number; None for survivors."""
     copies: queue.SimpleQueue[Path] = queue.SimpleQueue()
     for job in range(jobs):
         copies.put(copied_to(folder / f"copy{job}"))
@@ -145,7 +146,7 @@ def try_all(
 
 
 def first_failing(mutant: Mutant, copy: Path, nearest: bool) -> str | None:
-    """Return the first test that fails with a mutant; None where it survives."""
+    """Return the first test that fails with a mutant; None if it survives."""
     source, text = copy / mutant.file, text_of(mutant.file)
     files = test_files(mutant)
     source.write_text(mutant.mutation.applied(text), "utf-8")
@@ -159,7 +160,7 @@ def first_failing(mutant: Mutant, copy: Path, nearest: bool) -> str | None:
 
 
 def test_files(mutant: Mutant) -> list[str]:
-    """Return all test files, those first that name most of a mutant's module, classes and functions."""
+    """Return all test files, ordered by how many names of the mutant's module and scopes they contain."""
     module = Path(mutant.file).with_suffix("")
     names = {*module.parts[1:], *scopes(mutant)} - {"__init__"}
     dotted = ".".join(module.parts).removesuffix(".__init__")

@@ -19,7 +19,7 @@ _COMPARISONS = {
 }
 _SIGNS = {ast.Add: ("+", "-"), ast.Sub: ("-", "+")}
 _ANGLES = {"radians", "degrees", "deg2rad", "rad2deg"}
-# Sums of these join or repeat, and have no sign.
+# Sums of these concatenate or repeat and have no sign.
 _JOINED = (ast.JoinedStr, ast.List, ast.Tuple, ast.ListComp)
 _SMALLEST_UNIT_EXPONENT = 2
 
@@ -30,11 +30,11 @@ class Mutation:
 
     Attributes:
         line: line number, from 1.
-        start: first character that is replaced, counted from the beginning of the file.
-        end: first character after it that stays.
+        start: first replaced character, counted from the beginning of the file.
+        end: first character after the replaced ones.
         kind: constant, comparison, sign, index or unit.
         old: replaced text.
-        new: text in its place.
+        new: new text.
     """
 
     line: int
@@ -51,16 +51,16 @@ class Mutation:
 
 def mutations(source: str) -> list[Mutation]:
     """Return every mutation of a source, in the order of its lines."""
-    found = {
-        each
+    result = {
+        item
         for node, parent in _reached(ast.parse(source), None)
-        for each in _Site(source, node, parent).all()
+        for item in _Site(source, node, parent).all()
     }
-    return sorted(found, key=lambda each: (each.start, each.end, each.new))
+    return sorted(result, key=lambda item: (item.start, item.end, item.new))
 
 
 def changes_program(mutation: Mutation, source: str) -> bool:
-    """Whether the mutated source is valid Python with another syntax tree."""
+    """Return whether the mutated source is valid Python with another syntax tree."""
     try:
         return ast.dump(ast.parse(mutation.applied(source))) != ast.dump(ast.parse(source))
     except SyntaxError:
@@ -82,8 +82,8 @@ def code_lines(source: str) -> int:
 
 
 def _reached(node: ast.AST, parent: ast.AST | None) -> Iterator[tuple[ast.AST, ast.AST | None]]:
-    """Yield the nodes that run, each with its parent: no annotations, texts, or imports for type checkers."""
-    if isinstance(node, ast.JoinedStr):  # its places are unknown before Python 3.12
+    """Yield the executed nodes with their parents: no annotations, strings, or imports for type checkers."""
+    if isinstance(node, ast.JoinedStr):  # its positions are unknown before Python 3.12
         return
     if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
         return
@@ -135,7 +135,7 @@ class _Site:
                 yield self._replaced(node, "constant", repr(other))
 
     def _operator(self, left: ast.AST, right: ast.AST, kind: str, old: str, new: str) -> Iterator[Mutation]:
-        """Yield the change of an operator, which is found between its operands."""
+        """Yield the change of an operator between its operands."""
         after, before = self._offset(left, "end_"), self._offset(right)
         between = self._source[after:before]
         if between.count(old) == 1 and "#" not in between:
@@ -158,8 +158,8 @@ class _Site:
 
 
 def _joins(*operands: ast.AST) -> bool:
-    """Whether one of the operands is a text or a list."""
-    return any(isinstance(each, _JOINED) or _is_text(each) for each in operands)
+    """Return whether one of the operands is a string or a list."""
+    return any(isinstance(item, _JOINED) or _is_text(item) for item in operands)
 
 
 def _is_text(node: ast.AST) -> bool:
@@ -167,6 +167,6 @@ def _is_text(node: ast.AST) -> bool:
 
 
 def _of_unit(value: float) -> bool:
-    """Whether a factor is a power of ten as in units: 100 or 1e-3, not 10."""
+    """Return whether a factor is a power of ten of a unit: 100 or 1e-3, but not 10."""
     exponent = math.log10(value) if value > 0 else 0.5
     return exponent == round(exponent) and abs(exponent) >= _SMALLEST_UNIT_EXPONENT

@@ -1,14 +1,15 @@
-"""How near two fidelities come to the optimum of the twin alone, and with how few of its runs.
+"""Error of the two-fidelity optimum relative to the optimum of the twin, and the number of twin runs.
 
     uv run python benchmarks/optimum.py [--studies gen2_speed gen2_transport] [--seeds 20] [--truth 1000]
     uv run --with pymoo python benchmarks/optimum.py --studies gen2_front --seeds 6 --truth 2000 [--rival]
 
-The truth is a CMA-ES of so many twin runs, without the cheap model. Each seed of the two-fidelity search is
-held against it, by its best run of the twin with at most 50 of them. All runs are kept in --out.
+The reference is a CMA-ES search with the given number of twin runs, without the low-fidelity plant. The
+two-fidelity search with each seed is compared with it, by its best twin run out of at most 50. All runs are
+kept in --out.
 
-Of two objectives the truth is the front of CMA-ES with ten weights, and what is compared is the area that
-fronts beat, from the scenario as it stands on. With --rival that of NSGA-II (pymoo) is shown: on the twin,
-and on the cheap model with its best designs run on the twin.
+For two objectives the reference is the front of CMA-ES with ten weights, and the compared value is the area
+that a front dominates, starting from the unchanged scenario. With --rival the area of NSGA-II (pymoo) is
+printed too: on the twin, and on the low-fidelity plant with its best designs repeated on the twin.
 """
 
 from __future__ import annotations
@@ -23,97 +24,97 @@ import cma
 import numpy as np
 from grid import table
 
-from srs_twin.studies.optimization.loading import OptimizationStudy, load_study
-from srs_twin.studies.optimization.runs import Run, StudyRuns
+from srs_twin.studies.optimization.loading import Study, load_study
+from srs_twin.studies.optimization.runs import Run, Runs
 from srs_twin.studies.optimization.search import costs, excesses, front, search
 from srs_twin.studies.sweep.execution import local
 
 POPULATION = 12
 
 
-def truth(study: OptimizationStudy, runs: StudyRuns, budget: int) -> float:
-    """Return the least cost that CMA-ES finds on the twin, restarted until the budget is spent."""
+def truth(study: Study, runs: Runs, budget: int) -> float:
+    """Return the smallest cost that CMA-ES reaches on the twin, restarted until the budget is spent."""
     best, restarts = np.inf, 0
     rng, asked = np.random.default_rng(99), 0
     while asked < budget:
         options = {"bounds": [0, 1], "seed": 500 + restarts, "verbose": -9, "popsize": POPULATION}
         strategy = cma.CMAEvolutionStrategy(rng.uniform(0.2, 0.8, study.space.size), 0.25, options)
         while asked < budget and not strategy.stop():
-            designs = study.space.snapped(np.array(strategy.ask()))
-            found = runs.run("twin", designs)
+            designs = study.space.settled(np.array(strategy.ask()))
+            result = runs.run("twin", designs)
             asked += len(designs)
-            values = penalised(study, found)
+            values = penalised(study, result)
             strategy.tell(list(designs), values.tolist())
-            best = min(best, kept(study, found))
+            best = min(best, kept(study, result))
         restarts += 1
     return best
 
 
-def true_front(study: OptimizationStudy, runs: StudyRuns, budget: int) -> np.ndarray:
-    """Return costs of all runs that CMA-ES asks for with ten weights of the two objectives."""
-    found: list[Run] = runs.run(
-        "twin", study.space.snapped(np.random.default_rng(98).random((100, study.space.size)))
+def true_front(study: Study, runs: Runs, budget: int) -> np.ndarray:
+    """Return the costs of all runs of CMA-ES with ten weights of the two objectives."""
+    result: list[Run] = runs.run(
+        "twin", study.space.settled(np.random.default_rng(98).random((100, study.space.size)))
     )
-    scale = np.nanstd(costs(study, found), axis=0)
+    scale = np.nanstd(costs(study, result), axis=0)
     for k, weight in enumerate(np.linspace(0.05, 0.95, 10)):
         options = {"bounds": [0, 1], "seed": 700 + k, "verbose": -9, "popsize": POPULATION}
-        start = found[int(np.argmin(_weighed(study, found, weight, scale)))].shares
+        start = result[int(np.argmin(_weighed(study, result, weight, scale)))].shares
         strategy = cma.CMAEvolutionStrategy(np.clip(start, 0.02, 0.98), 0.2, options)
         asked = 0
         while asked < (budget - 100) // 10 and not strategy.stop():
-            designs = study.space.snapped(np.array(strategy.ask()))
+            designs = study.space.settled(np.array(strategy.ask()))
             mine = runs.run("twin", designs)
             strategy.tell(list(designs), _weighed(study, mine, weight, scale).tolist())
-            found, asked = found + mine, asked + len(designs)
-    return fine(study, found)
+            result, asked = result + mine, asked + len(designs)
+    return fine(study, result)
 
 
-def _weighed(study: OptimizationStudy, found: list[Run], weight: float, scale: np.ndarray) -> np.ndarray:
-    cost, excess = costs(study, found) / scale, np.maximum(excesses(study, found), 0).sum(axis=1)
+def _weighed(study: Study, result: list[Run], weight: float, scale: np.ndarray) -> np.ndarray:
+    cost, excess = costs(study, result) / scale, np.maximum(excesses(study, result), 0).sum(axis=1)
     value = cost @ [weight, 1 - weight]
     return np.where(np.isnan(value) | np.isnan(excess), 1e6, np.where(excess > 0, 1e3 * (1 + excess), value))
 
 
-def fine(study: OptimizationStudy, found: list[Run]) -> np.ndarray:
-    """Return costs of runs that keep the constraints, shape (runs, objectives)."""
-    cost, excess = costs(study, found), excesses(study, found)
+def fine(study: Study, result: list[Run]) -> np.ndarray:
+    """Return the costs of runs that meet the constraints, shape (runs, objectives)."""
+    cost, excess = costs(study, result), excesses(study, result)
     return cost[np.isfinite(cost).all(axis=1) & (excess <= 0).all(axis=1)]
 
 
 def area(points: np.ndarray, worst: np.ndarray) -> float:
-    """Return the area that points with two costs beat, up to the worst."""
+    """Return the area dominated by points with two costs, up to the worst point."""
     points = points[(points < worst).all(axis=1)]
     points = points[np.argsort(points[:, 0])]
     ends = np.append(points[1:, 0], worst[0])
     return float(np.sum((ends - points[:, 0]) * (worst[1] - np.minimum.accumulate(points[:, 1]))))
 
 
-def genetic(study: OptimizationStudy, runs: StudyRuns, part: str, budget: int, seed: int = 1) -> list[Run]:
-    """Return what NSGA-II asks for."""
+def genetic(study: Study, runs: Runs, part: str, budget: int, seed: int = 1) -> list[Run]:
+    """Return the costs of the runs of NSGA-II."""
     from pymoo.algorithms.moo.nsga2 import NSGA2
     from pymoo.core.problem import Problem
     from pymoo.optimize import minimize
 
-    found: list[Run] = []
+    result: list[Run] = []
 
     class Designs(Problem):
         def _evaluate(self, x: np.ndarray, out: dict[str, Any], *_: Any, **__: Any) -> None:
-            mine = runs.run(part, study.space.snapped(x))
-            found.extend(mine)
+            mine = runs.run(part, study.space.settled(x))
+            result.extend(mine)
             out["F"] = np.nan_to_num(costs(study, mine), nan=1e3)
             out["G"] = np.nan_to_num(excesses(study, mine), nan=1e3)
 
-    limits = sum((each.below is not None) + (each.above is not None) for each in study.file.constraints)
+    limits = sum((item.below is not None) + (item.above is not None) for item in study.file.constraints)
     asked = Designs(n_var=study.space.size, n_obj=2, n_ieq_constr=limits, xl=0.0, xu=1.0)
     minimize(asked, NSGA2(pop_size=40), ("n_eval", budget), seed=seed, verbose=False)
-    return found
+    return result
 
 
-def rival(study: OptimizationStudy, runs: StudyRuns, budget: int, worst: np.ndarray) -> float:
+def rival(study: Study, runs: Runs, budget: int, worst: np.ndarray) -> float:
     """Print the areas of NSGA-II; return the largest."""
-    found = genetic(study, runs, "twin", budget)
-    areas = {n: area(fine(study, found[:n]), worst) for n in (60, 200, 500, 1000, budget) if n <= budget}
-    print("NSGA-II on the twin:", {n: round(each, 4) for n, each in areas.items()}, flush=True)
+    result = genetic(study, runs, "twin", budget)
+    areas = {n: area(fine(study, result[:n]), worst) for n in (60, 200, 500, 1000, budget) if n <= budget}
+    print("NSGA-II on the twin:", {n: round(item, 4) for n, item in areas.items()}, flush=True)
     cheap, chosen = genetic(study, runs, "compliant", 1000), list[Run]()
     while len(chosen) < 60 and cheap:
         members = front(costs(study, cheap))
@@ -124,8 +125,8 @@ def rival(study: OptimizationStudy, runs: StudyRuns, budget: int, worst: np.ndar
     return max(areas.values())
 
 
-def fronts(study: OptimizationStudy, runs: StudyRuns, seeds: int, budget: int, *, rivals: bool) -> list[str]:
-    """Compare areas; return a line of the table."""
+def fronts(study: Study, runs: Runs, seeds: int, budget: int, *, rivals: bool) -> list[str]:
+    """Compare the areas of the fronts; return a row of the table."""
     begun = Run("twin", np.zeros(study.space.size), runs.rows("twin", [{}])[0])
     worst = costs(study, [begun])[0]
     truth = area(true_front(study, runs, budget), worst)
@@ -133,7 +134,7 @@ def fronts(study: OptimizationStudy, runs: StudyRuns, seeds: int, budget: int, *
         truth = max(truth, rival(study, runs, budget, worst))
     shares, most = [], 0
     for seed in range(seeds):
-        runs.reset()
+        runs.forget()
         answer = search(replace(study, file=study.file.model_copy(update={"seed": seed})), runs)
         shares.append(area(costs(study, answer.best), worst) / truth)
         most = max(most, sum(run.part == "twin" for run in answer.runs))
@@ -148,54 +149,60 @@ def fronts(study: OptimizationStudy, runs: StudyRuns, seeds: int, budget: int, *
     ]
 
 
-def penalised(study: OptimizationStudy, found: list[Run]) -> np.ndarray:
-    """Return costs for CMA-ES: failed runs and those that miss a constraint are worse than any other."""
-    cost, excess = costs(study, found)[:, 0], np.maximum(excesses(study, found), 0).sum(axis=1)
+def penalised(study: Study, result: list[Run]) -> np.ndarray:
+    """Return costs for CMA-ES, in which failed and infeasible runs have the largest costs."""
+    cost, excess = costs(study, result)[:, 0], np.maximum(excesses(study, result), 0).sum(axis=1)
     return np.where(np.isnan(cost) | np.isnan(excess), 1e6, np.where(excess > 0, 1e3 * (1 + excess), cost))
 
 
-def kept(study: OptimizationStudy, found: list[Run]) -> float:
-    """Return the least cost of runs that keep the constraints."""
-    cost, excess = costs(study, found)[:, 0], excesses(study, found)
+def kept(study: Study, result: list[Run]) -> float:
+    """Return the smallest cost of the feasible runs."""
+    cost, excess = costs(study, result)[:, 0], excesses(study, result)
     fine = np.isfinite(cost) & (excess <= 0).all(axis=1)
     return float(cost[fine].min(initial=np.inf))
 
 
 def main() -> None:
-    """Search and print."""
+    """Search and print the tables."""
     words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     words.add_argument("--studies", nargs="+", default=["gen2_speed", "gen2_transport"])
     words.add_argument("--seeds", type=int, default=20)
-    words.add_argument("--truth", type=int, default=1000, help="runs of the twin alone")
-    words.add_argument("--rival", action="store_true", help="show NSGA-II beside, of two objectives")
+    words.add_argument("--truth", type=int, default=1000, help="number of twin runs of the reference")
+    words.add_argument("--rival", action="store_true", help="also run NSGA-II for two objectives")
     words.add_argument("--out", type=Path, default=Path("runs/optimum"))
     words.add_argument("--json", type=Path, metavar="FILE")
-    given = words.parse_args()
-    lines, told = [], dict[str, Any]()
-    for name in given.studies:
+    selected = words.parse_args()
+    lines, summary = [], dict[str, Any]()
+    for name in selected.studies:
         study = load_study(name)
-        with StudyRuns(study, given.out / name, local()) as runs:
+        with Runs(study, selected.out / name, local()) as runs:
             if len(study.file.objectives) == 2:
-                lines.append(fronts(study, runs, given.seeds, given.truth, rivals=given.rival))
+                lines.append(fronts(study, runs, selected.seeds, selected.truth, rivals=selected.rival))
                 continue
-            best = truth(study, runs, given.truth)
-            found = []
-            for seed in range(given.seeds):
+            best = truth(study, runs, selected.truth)
+            result = []
+            for seed in range(selected.seeds):
                 file = study.file.model_copy(update={"seed": seed})
-                runs.reset()
+                runs.forget()
                 answer = search(replace(study, file=file), runs)
                 twin = [run for run in answer.runs if run.part == "twin"]
-                found.append((kept(study, list(answer.best)), len(twin)))
-                print(name, seed, f"{found[-1][0]:.5g} with {found[-1][1]}, truth {best:.5g}", flush=True)
-        off = np.array([(value - best) / abs(best) for value, _ in found])
-        near, most = int((off <= 0.02).sum()), max(count for _, count in found)
+                result.append((kept(study, list(answer.best)), len(twin)))
+                print(name, seed, f"{result[-1][0]:.5g} with {result[-1][1]}, truth {best:.5g}", flush=True)
+        deviation = np.array([(value - best) / abs(best) for value, _ in result])
+        near, most = int((deviation <= 0.02).sum()), max(count for _, count in result)
         lines.append(
-            [name, f"{abs(best):.4g}", f"{near} of {len(found)}", f"{100 * off.max():.1f} %", str(most)]
+            [
+                name,
+                f"{abs(best):.4g}",
+                f"{near} of {len(result)}",
+                f"{100 * deviation.max():.1f} %",
+                str(most),
+            ]
         )
-        told[name] = {"truth": best, "off": off.tolist(), "runs": most}
+        summary[name] = {"truth": best, "off": deviation.tolist(), "runs": most}
     print(table(["study", "optimum of the twin alone", "within 2 %", "farthest", "runs of the twin"], lines))
-    if given.json:
-        given.json.write_text(json.dumps(told, indent=1) + "\n", "utf-8")
+    if selected.json:
+        selected.json.write_text(json.dumps(summary, indent=1) + "\n", "utf-8")
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""The planning study: success, time and path length of each planner on the 900 worlds of Fig. 55, and safety.
+"""Success, time and path length of each planner in the 900 worlds of Fig. 55, and safety of the plans.
 
     uv run --extra ompl python benchmarks/planning.py                 # 1 to 18 obstacles, 50 draws each
-    uv run python benchmarks/planning.py --draws 5 --worlds 100       # a quick look
+    uv run python benchmarks/planning.py --draws 5 --worlds 100       # a short run
     uv run --extra ompl python benchmarks/planning.py --json out.json --plot out.png
 
-Times are wall times of one process on a warm machine. Since the text's field is easy for any planner that
-goes back, the same is asked of fields of 35 to 55 circles. The worlds of the safety part are others again:
-bodies, polygons, gaps and tolerances vary; every plan found is checked by sampling, with code of its own.
+Times are wall times of one process after a warm-up. The fields of the dissertation are easy for any planner
+with backtracking, so fields of 35 to 55 circles are planned as well. The safety part uses separate worlds
+with different bodies, polygons, gaps and tolerances; an independent check by sampling tests every plan.
 """
 
 from __future__ import annotations
@@ -25,12 +25,9 @@ from typing import Any
 
 import numpy as np
 from grid import table
-from plan_sampling import TOUCH, deepest, joints, misses
-from plan_worlds import drawn_problem
 from timing import machine
 
 from srs_twin.io.files import atomic_write
-from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.footprint import load_footprint
 from srs_twin.planning.plan import Plan
 from srs_twin.planning.planner import plan
@@ -40,29 +37,23 @@ from srs_twin.robot.random_worlds import (
     FIG54_GOAL,
     FIG54_SITES,
     FIG54_START,
-    fig54_world,
-    random_circles,
 )
 from srs_twin.robot.world import Bounds, Goal, Polygon, Pose, World
 from srs_twin.scenario.map_file import read_map
 
-SPEED, STEP_S = 0.2, 1.0
-ARCS = Primitives(21, math.pi / 3, SPEED * STEP_S)
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from plan_sampling import deepest, is_faulty
+from plan_worlds import ARCS, drawn_problem, fig54_problem
+
 OMPL_S = 1.0
 COUNTS = range(1, len(FIG54_SITES) + 1)
 NARROW_COUNTS = (35, 40, 45, 50, 55)
 DRIVABLE = 0.1
-"""A kink below this, rad, is one that a snake drives over."""
-
-
-def fig54_problem(count: int, seed: int, *, arcs: bool) -> Problem:
-    """Return a world of Fig. 54; the primitives are the text's, for `greedy`."""
-    body = load_footprint("gen2_section52")
-    return Problem(FIG54_START, FIG54_GOAL, fig54_world(count, seed), body, ARCS if arcs else None)
+"""Largest kink of a path that a snake can follow, rad."""
 
 
 def narrow_problem(count: int, seed: int, *, arcs: bool) -> Problem:
-    """Return a field of many circles between the same start and goal, with gaps of 45 mm or more."""
+    """Return a field of many circles between the same start and goal, with gaps of at least 45 mm."""
     body, ends = load_footprint("gen2_section52"), (FIG54_START, FIG54_GOAL)
     clear = tuple((end.x, end.y, 0.06) for end in ends)
     seeded = 1000 * count + seed
@@ -71,20 +62,20 @@ def narrow_problem(count: int, seed: int, *, arcs: bool) -> Problem:
 
 
 def planners() -> dict[str, Settings]:
-    """Return the planners that are installed, with their settings."""
-    found = {"greedy": Settings(), "best_first": Settings()}
+    """Return the installed planners with their settings."""
+    result = {"greedy": Settings(), "best_first": Settings()}
     if find_spec("ompl"):
-        found["ompl"] = Settings(seconds=OMPL_S)
-    return found
+        result["ompl"] = Settings(seconds=OMPL_S)
+    return result
 
 
 def study(
     draws: int, counts: Sequence[int] = COUNTS, problem: Callable[..., Problem] = fig54_problem
 ) -> dict[str, dict[int, list[Plan]]]:
-    """Return all plans by planner and count of obstacles."""
+    """Return all plans by planner and number of obstacles."""
     answers: dict[str, dict[int, list[Plan]]] = {}
     for name, settings in planners().items():
-        # Once before, so that nothing is compiled or imported on the clock.
+        # The first call compiles and imports; it is not timed.
         plan(problem(max(counts), 0, arcs=name == "greedy"), settings, planner=name)
         answers[name] = {
             count: [
@@ -97,18 +88,18 @@ def study(
 
 
 def summary(answers: dict[str, dict[int, list[Plan]]]) -> dict[str, Any]:
-    """Return what the study shows, of all worlds together and by count."""
+    """Return the statistics of the planners over all worlds and by number of obstacles."""
     solved = {
         name: {(count, seed) for count, plans in by.items() for seed, p in enumerate(plans) if p.found}
         for name, by in answers.items()
     }
     everyone = set[tuple[int, int]]().union(*solved.values())
-    found: dict[str, Any] = {"solved_by_any": len(everyone)}
+    result: dict[str, Any] = {"solved_by_any": len(everyone)}
     for name, by in answers.items():
-        plans = [p for each in by.values() for p in each]
+        plans = [p for item in by.values() for p in item]
         ms = [1e3 * p.seconds for p in plans]
         lengths = [p.length for p in plans if p.found]
-        found[name] = {
+        result[name] = {
             "solved": len(solved[name]),
             "drivable": sum(p.found and p.kink < DRIVABLE for p in plans),
             "share_of_solved_by_any": len(solved[name]) / max(1, len(everyone)),
@@ -118,13 +109,13 @@ def summary(answers: dict[str, dict[int, list[Plan]]]) -> dict[str, Any]:
             "most_ms": max(ms),
             "mean_length_m": float(np.mean(lengths)) if lengths else None,
             "outcomes": dict(Counter(p.outcome.value for p in plans)),
-            "success": {count: sum(p.found for p in each) / len(each) for count, each in by.items()},
+            "success": {count: sum(p.found for p in item) / len(item) for count, item in by.items()},
         }
-    return found
+    return result
 
 
 def safety(worlds: int) -> dict[str, Any]:
-    """Return how many drawn problems had a plan, and how many plans collide, break off or miss the goal."""
+    """Return the outcomes of random problems, and the number of plans that are faulty."""
     outcomes: Counter[str] = Counter()
     bad: list[int] = []
     seconds, deepest_m = [], -math.inf
@@ -136,7 +127,7 @@ def safety(worlds: int) -> dict[str, Any]:
         if answer.found:
             depth = deepest(answer, problem)
             deepest_m = max(deepest_m, depth)
-            if depth > TOUCH or joints(answer, problem) > 1e-6 or misses(answer, problem):
+            if is_faulty(answer, problem):
                 bad.append(seed)
     return {
         "worlds": worlds,
@@ -151,11 +142,11 @@ def safety(worlds: int) -> dict[str, Any]:
 MAP = (364, 242, 0.033)
 """Columns, rows, side of a cell (m) of a map of 12 m by 8 m."""
 FULL = 10_000
-"""Its occupied cells, or some more."""
+"""Smallest number of occupied cells of the map."""
 
 
 def full_map(seed: int) -> tuple[Polygon, ...]:
-    """Return rectangles of a picture strewn with them, 5 cells apart or more, but for two corners."""
+    """Return the rectangles of a random map, 5 or more cells from each other, with two free corners."""
     from PIL import Image
 
     columns, rows, cell = MAP
@@ -168,19 +159,19 @@ def full_map(seed: int) -> tuple[Polygon, ...]:
             picture[y : y + high, x : x + wide] = 0
     with TemporaryDirectory() as room:
         Image.fromarray(picture).save(Path(room, "map.pgm"))
-        said = (
+        lines = (
             "image: map.pgm",
             f"resolution: {cell}",
             "origin: [0, 0, 0]",
             "occupied_thresh: 0.65",
             "free_thresh: 0.2",
         )
-        Path(room, "map.yaml").write_text("\n".join(said), "utf-8")
+        Path(room, "map.yaml").write_text("\n".join(lines), "utf-8")
         return read_map(Path(room, "map.yaml"))
 
 
 def maps(count: int) -> str:
-    """Plan from corner to corner of so many maps, with and without transients."""
+    """Plan between opposite corners of maps, with and without transients; return a table."""
     rows = []
     for name in ("gen2_section52", "gen2_gait"):
         seconds, lengths = [], []
@@ -199,37 +190,37 @@ def maps(count: int) -> str:
     return table(["footprint", "processor time, s", "found", "lengths, m"], rows)
 
 
-def tables(found: dict[str, Any]) -> str:
-    """Return a study as Markdown."""
-    names = [name for name in found if name in planners()]
-    success = {name: found[name]["success"] for name in names}
-    total = sum(found[names[0]]["outcomes"].values())
+def tables(result: dict[str, Any]) -> str:
+    """Return the statistics as Markdown tables."""
+    names = [name for name in result if name in planners()]
+    success = {name: result[name]["success"] for name in names}
+    total = sum(result[names[0]]["outcomes"].values())
     rows = [
         [
             name, str(r["solved"]), str(r["drivable"]), f"{100 * r['share_of_solved_by_any']:.1f} %",
             str(r["misses_of_greedy"]), f"{r['median_ms']:.2f}", f"{r['p95_ms']:.2f}", f"{r['most_ms']:.1f}",
             f"{r['mean_length_m']:.3f}" if r["mean_length_m"] else "-",
         ]
-        for name, r in ((name, found[name]) for name in names)
+        for name, r in ((name, result[name]) for name in names)
     ]  # fmt: skip
-    head = ["planner", f"solved of {total}", "drivable", "of the worlds that any planner solves"]
+    head = ["planner", f"solved of {total}", "drivable", "of the solvable worlds"]
     head += ["unsolved, but solved by greedy", "median, ms", "95 %, ms", "max, ms", "mean length, m"]
     by_count = [[name, *(f"{100 * share:.0f}" for share in success[name].values())] for name in names]
     return f"{table(head, rows)}\n\n{table(['success %', *map(str, success[names[0]])], by_count)}"
 
 
-def draw(found: dict[str, Any], path: Path) -> None:
-    """Draw success against obstacles, as Fig. 55."""
+def draw(result: dict[str, Any], path: Path) -> None:
+    """Plot success against the number of obstacles, as in Fig. 55."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(figsize=(6, 3.2), layout="constrained")
-    # Smaller and smaller, for planners that lie upon each other.
+    # Different sizes keep coinciding curves visible.
     for name, size in (("greedy", 5), ("best_first", 9), ("ompl", 4)):
-        if name in found:
-            share = [100 * found[name]["success"][c] for c in COUNTS]
+        if name in result:
+            share = [100 * result[name]["success"][c] for c in COUNTS]
             axes.plot(list(COUNTS), share, "o-", label=name, markersize=size)
     axes.set(xlabel="obstacles of 18", ylabel="success, %", ylim=(-4, 104), xticks=list(COUNTS))
     axes.legend()
@@ -238,30 +229,34 @@ def draw(found: dict[str, Any], path: Path) -> None:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run both parts, print the tables; exit 1 if a plan was bad or the default missed its targets."""
+    """Print the tables; return 1 if a plan is faulty or the default planner misses a target."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--draws", type=int, default=50, help="draws for each count of obstacles")
-    parser.add_argument("--worlds", type=int, default=1000, help="drawn problems of the safety part")
-    parser.add_argument("--maps", type=int, default=5, help="maps of many occupied cells")
-    parser.add_argument("--json", type=Path, help="write all numbers here")
-    parser.add_argument("--plot", type=Path, help="draw success here")
-    given = parser.parse_args(words)
-    found, narrow = summary(study(given.draws)), summary(study(given.draws, NARROW_COUNTS, narrow_problem))
-    print(f"{tables(found)}\n\nNarrow fields:\n\n{tables(narrow)}")
-    print(f"\nMaps of {FULL} occupied cells:\n\n{maps(given.maps)}")
-    safe = safety(given.worlds)
+    parser.add_argument("--draws", type=int, default=50, help="draws for each number of obstacles")
+    parser.add_argument("--worlds", type=int, default=1000, help="number of problems of the safety part")
+    parser.add_argument("--maps", type=int, default=5, help="number of maps with many occupied cells")
+    parser.add_argument("--json", type=Path, help="write all values to this file")
+    parser.add_argument("--plot", type=Path, help="write the plot of success to this file")
+    options = parser.parse_args(words)
+    result, narrow = (
+        summary(study(options.draws)),
+        summary(study(options.draws, NARROW_COUNTS, narrow_problem)),
+    )
+    print(f"{tables(result)}\n\nNarrow fields:\n\n{tables(narrow)}")
+    if options.maps:
+        print(f"\nMaps of {FULL} occupied cells:\n\n{maps(options.maps)}")
+    safe = safety(options.worlds)
     print("\n" + "\n".join(f"{key}: {value}" for key, value in safe.items()))
-    if given.json:
-        with atomic_write(given.json) as part:
+    if options.json:
+        with atomic_write(options.json) as part:
             part.write_text(
                 json.dumps(
-                    {"study": found, "narrow": narrow, "safety": safe, "machine": machine()}, indent=1
+                    {"study": result, "narrow": narrow, "safety": safe, "machine": machine()}, indent=1
                 ),
                 "utf-8",
             )
-    if given.plot:
-        draw(found, given.plot)
-    default = found["best_first"]
+    if options.plot:
+        draw(result, options.plot)
+    default = result["best_first"]
     good = default["misses_of_greedy"] == 0 and default["share_of_solved_by_any"] >= 0.98
     return (
         0 if good and default["median_ms"] < 50 and default["p95_ms"] < 250 and not safe["bad_seeds"] else 1

@@ -1,12 +1,12 @@
-"""Published predictions beside their intervals: E, u_num, u_input and u_D of ASME V&V 20, a row each.
+"""Published predictions and their intervals: E, u_num, u_input and u_D of ASME V&V 20, one row each.
 
     uv run python benchmarks/predicted_rows.py --out FOLDER [--samples 32] [--only ID]... [--table]
 
-Runs what the predictions of `srs-twin reproduce` need, and judges them, for robots drawn from what their
-files call uncertain; for the robots as they stand; and with half the time step. What was fitted to three rows
-of Table 8 is drawn from that fit, and the module on its bench as generation 4's actuator is. Left out are
-plans and what follows them (minutes each), orders, and bounds that are ours. u_D is half of what differs
-between the two sides in Table 8, elsewhere 1 %. Goes on where it was stopped.
+Runs the predictions of `srs-twin reproduce` for robots drawn from their priors, for the nominal robots, and
+with half the time step. Parameters that were fitted to three rows of Table 8 are drawn from that fit, and the
+module on its bench has the prior of generation 4's actuator. Not included are plans and their following
+(minutes each), orders, and bounds that the project defined. u_D is half the difference between the two sides
+in Table 8, and 1 % elsewhere. An interrupted study continues when started again.
 """
 
 from __future__ import annotations
@@ -43,20 +43,20 @@ Numbers = dict[tuple[str, str], float]
 
 @cache
 def fitted() -> dict[str, tuple[float, float]]:
-    """Return what was fitted to Table 8 → value and standard error."""
-    found = load_fit(ROOT / "calibration/fits/gen4_table8_twin.yaml").parameters
-    return {p.name: (p.value, p.standard_error or 0.0) for p in found if p.value is not None}
+    """Return value and standard error of the parameters that were fitted to Table 8."""
+    result = load_fit(ROOT / "calibration/fits/gen4_table8_twin.yaml").parameters
+    return {p.name: (p.value, p.standard_error or 0.0) for p in result if p.value is not None}
 
 
 def in_robot(robot: Document, shares: np.ndarray) -> Document:
-    """Return plain data of a robot with the numbers that lie at these shares."""
+    """Return the plain data of a robot whose parameters are at the given quantiles."""
     file = RobotFile.model_validate(robot)
     if all(record.uncertain is None for record in file.records().values()):
         known, own = load_robot_file("gen4").records(), file.model_dump(mode="json", exclude_none=True)
         for key in ("tau_fill_s", "tau_vent_s", "bend_rad"):
-            given = known[f"actuator.{key}"].uncertain
-            assert given is not None
-            own["actuator"][key]["uncertain"] = given.model_dump(mode="json")
+            uncertain = known[f"actuator.{key}"].uncertain
+            assert uncertain is not None
+            own["actuator"][key]["uncertain"] = uncertain.model_dump(mode="json")
         file = RobotFile.model_validate(own)
     priors = Priors.from_robot(file)
     count = len(priors.parameters)
@@ -70,13 +70,13 @@ def in_robot(robot: Document, shares: np.ndarray) -> Document:
         section, key = path.split(".")
         old = changed[section][key]
         several = [value] * len(old["value"]) if isinstance(old["value"], list) else value
-        new = {name: each for name, each in old.items() if name != "uncertain"} | {"value": several}
+        new = {name: item for name, item in old.items() if name != "uncertain"} | {"value": several}
         changed[section] = {**changed[section], key: new}
     return changed
 
 
 def alteration(which: str | np.ndarray) -> Callable[[Document], Document] | None:
-    """Return what changes scenarios: their robots' numbers, or their time step; None as they stand."""
+    """Return a function that changes the robots or the time step of scenarios; None for nominal runs."""
     if isinstance(which, np.ndarray):
         return lambda document: {**document, "robot": in_robot(document["robot"], which)}
     if which == AS_IT_STANDS:
@@ -90,10 +90,10 @@ def alteration(which: str | np.ndarray) -> Callable[[Document], Document] | None
 
 
 def numbers(claims: tuple[Claim, ...], folder: Path, which: str | np.ndarray) -> Numbers:
-    """Return (row, plant) → what came out."""
+    """Return the predictions by (row, plant)."""
     with open_store(folder, alteration(which)) as store:
         rows = judge(claims, store)
-    return {(row.claim.id, k): each.value for row in rows for k, each in row.outcomes.items()}
+    return {(row.claim.id, k): item.value for row in rows for k, item in row.outcomes.items()}
 
 
 def scatter(claim: Claim, every: Mapping[str, Claim]) -> float:
@@ -106,12 +106,12 @@ def scatter(claim: Claim, every: Mapping[str, Claim]) -> float:
     return PRINTED * abs(claim.value)
 
 
-def rows(claims: tuple[Claim, ...], found: Mapping[str, Numbers]) -> Iterator[list[str]]:
+def rows(claims: tuple[Claim, ...], result: Mapping[str, Numbers]) -> Iterator[list[str]]:
     """Yield the rows of the table."""
     every = {claim.id: claim for claim in claims}
     for claim, plant in product(claims, ("analytical", "twin")):
-        stands, half = (found[k].get((claim.id, plant), np.nan) for k in (AS_IT_STANDS, HALF_STEP))
-        drawn = np.array([each.get((claim.id, plant), np.nan) for k, each in found.items() if k.isdigit()])
+        stands, half = (result[k].get((claim.id, plant), np.nan) for k in (AS_IT_STANDS, HALF_STEP))
+        drawn = np.array([item.get((claim.id, plant), np.nan) for k, item in result.items() if k.isdigit()])
         drawn = drawn[~np.isnan(drawn)]
         if np.isnan(stands) or len(drawn) < 8:
             continue
@@ -135,29 +135,31 @@ def rows(claims: tuple[Claim, ...], found: Mapping[str, Numbers]) -> Iterator[li
 
 
 def main() -> None:
-    """Run, judge and print."""
+    """Run the predictions, evaluate them and print the table."""
     words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     words.add_argument("--out", type=Path, required=True)
     words.add_argument("--samples", type=int, default=32)
     words.add_argument("--only", action="append", default=[])
-    words.add_argument("--table", action="store_true", help="only print what is there")
-    given = words.parse_args()
+    words.add_argument(
+        "--table", action="store_true", help="print the table of the existing results without running"
+    )
+    options = words.parse_args()
     claims = tuple(
         claim.model_copy(update={"cause": []}) for claim in load_claims()
         if claim.use == "holdout" and claim.rule in SIGNS and not claim.id.startswith(LEFT_OUT)
-        and claim.id.startswith(tuple(given.only) or "")
+        and claim.id.startswith(tuple(options.only) or "")
     )  # fmt: skip
-    shares = qmc.Sobol(DIMENSIONS, rng=0).random_base2(max(given.samples - 1, 1).bit_length())
-    todo: dict[str, str | np.ndarray] = {each: each for each in (AS_IT_STANDS, HALF_STEP)}
-    todo |= {str(k): each for k, each in enumerate(shares[: given.samples])}
-    found = {}
+    shares = qmc.Sobol(DIMENSIONS, rng=0).random_base2(max(options.samples - 1, 1).bit_length())
+    todo: dict[str, str | np.ndarray] = {item: item for item in (AS_IT_STANDS, HALF_STEP)}
+    todo |= {str(k): item for k, item in enumerate(shares[: options.samples])}
+    result = {}
     for name, which in todo.items():
-        if given.table and not (given.out / name).exists():
+        if options.table and not (options.out / name).exists():
             continue
-        found[name] = numbers(claims, given.out / name, which)
-        print(f"{name}: {len(found[name])} numbers", file=sys.stderr, flush=True)
+        result[name] = numbers(claims, options.out / name, which)
+        print(f"{name}: {len(result[name])} numbers", file=sys.stderr, flush=True)
     head = ["row", "plant", "published", "value", "E", "u_num", "u_input", "u_D", "largest"]
-    lines = list(rows(claims, found))
+    lines = list(rows(claims, result))
     print(table([*head, "95 %", "consistent", "width", "score"], lines))
     for plant in ("analytical", "twin"):
         of_plant = [line for line in lines if line[1] == plant]

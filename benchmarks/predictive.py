@@ -1,11 +1,11 @@
-"""Do 95 % intervals hold robots whose physics is another than the predictor's?
+"""Coverage of 95 % intervals for robots whose physics differs from that of the predictor.
 
     uv run python benchmarks/predictive.py --out runs/predictive [--robots 400]
 
-A robot is drawn from the priors of generation 2 and walks (offset 0.4, 2 Hz) as the finer twin has it: four
-hinges a segment, half of the step, chambers behind orifices. The predictor is the
-twin as shipped. A robot is known as its file says (prior), or with each number measured to ±10 % besides.
-The table counts intervals that hold, a metric at a time; then what each assumption alone changes.
+Each robot is drawn from the priors of generation 2 and walks (offset 0.4, 2 Hz) in a finer twin with four
+hinges per segment, half the time step, and chambers with orifices. The predictor is the shipped twin. The
+parameters of a robot are known from its file (prior), or are also measured to ±10 % each. The table gives the
+coverage by metric, and then the effect of each single assumption.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from srs_twin.robot.file import RobotFile
 from srs_twin.robot.priors import Priors
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.studies.sweep.execution import local
-from srs_twin.studies.uncertainty.propagation import REFERENCE_ROWS, Propagation, propagate
-from srs_twin.studies.uncertainty.study import UncertaintyStudy
-from srs_twin.studies.uncertainty.surrogates import PolynomialChaos
+from srs_twin.studies.uncertainty.propagation import OWN_ROWS, Propagation, propagate
+from srs_twin.studies.uncertainty.study import Study
+from srs_twin.studies.uncertainty.surrogates import Chaos
 
 FINER: dict[str, Any] = {"hinges_per_segment": 4, "timestep_s": 0.0005}
 ASSUMPTIONS: dict[str, Mapping[str, Any]] = {
     "MuJoCo's friction on static loads": {"plants.twin": {"contact": "preloaded"}},
-    "four hinges a segment": {"plants.twin": {"hinges_per_segment": 4}},
-    "half of the step": {"plants.twin": {"timestep_s": 0.0005}},
+    "four hinges per segment": {"plants.twin": {"hinges_per_segment": 4}},
+    "half the time step": {"plants.twin": {"timestep_s": 0.0005}},
     "orifices": {"pneumatics": {"kind": "orifice"}},
 }
 METRICS = {
@@ -45,44 +45,42 @@ METRICS = {
 FORMS = {"pneumatics.kind": ("lag", "orifice")}
 
 
-def study(
-    changes: Mapping[str, Any], samples: int, seed: int, scenario: str, duration: float
-) -> UncertaintyStudy:
-    """Return the twin's runs of a scenario with other assumptions."""
-    found = load_scenario(scenario, set={"duration_s": duration, **changes})
-    document = {**found.document, "plants": {"twin": found.document["plants"]["twin"]}, "expect": []}
+def study(changes: Mapping[str, Any], samples: int, seed: int, scenario: str, duration: float) -> Study:
+    """Return the runs of a scenario on the twin with other assumptions."""
+    result = load_scenario(scenario, set={"duration_s": duration, **changes})
+    document = {**result.document, "plants": {"twin": result.document["plants"]["twin"]}, "expect": []}
     priors = Priors.from_robot(RobotFile.model_validate(document["robot"]))
-    return UncertaintyStudy(parse_scenario(document, name=scenario), priors, ("twin",), samples, 64, seed)
+    return Study(parse_scenario(document, name=scenario), priors, ("twin",), samples, 64, seed)
 
 
-class Alone(UncertaintyStudy):
-    """Runs of the twin that have no cheap partner."""
+class Alone(Study):
+    """Runs of the twin without a low-fidelity plant."""
 
     partner = None
 
 
 def held(predictor: Propagation, truth: Mapping[str, np.ndarray], robots: np.ndarray) -> None:
-    """Print how many intervals hold, from what the file says and with every number measured to ±10 %."""
+    """Print the coverage with the priors, and with every parameter measured to ±10 %."""
     study, rng = predictor.study, np.random.default_rng(2)
     spreads = {name: spread.samples for name, spread in predictor.plants["twin"].items()}
     fresh = study.draw(1024, 3)
-    print("| metric | prior holds | width | all to ±10 % holds | width | bias over spread |")
+    print("| metric | coverage, prior | width | coverage, all to ±10 % | width | bias over spread |")
     print("|---|---|---|---|---|---|")
-    for metric, of in METRICS.items():
-        column, true = of(spreads), truth[metric]
+    for metric, column_of in METRICS.items():
+        column, true = column_of(spreads), truth[metric]
         known = np.isfinite(true)
-        chaos = PolynomialChaos.fit(study.shares, column[:, None])
+        chaos = Chaos.fit(study.shares, column[:, None])
         low, high = np.quantile(column, [0.025, 0.975])
         wide, narrow, widths = (low <= true[known]) & (true[known] <= high), [], []
         for robot, value in zip(robots[known], true[known], strict=True):
             after = fresh.copy()
             for i, (prior, number) in enumerate(zip(study.priors.parameters, robot, strict=True)):
                 sd = 0.1 / 1.96 * abs(float(number))
-                said = prior.with_measurement(float(number) + sd * float(rng.standard_normal()), sd).quantile(
-                    fresh[:, i]
-                )
-                after[:, i] = prior.cdf(said)
-            drawn = chaos.at(after)[:, 0] + rng.choice(chaos.residuals[:, 0], len(fresh))
+                measurement = prior.with_measurement(
+                    float(number) + sd * float(rng.standard_normal()), sd
+                ).at(fresh[:, i])
+                after[:, i] = prior.cdf(measurement)
+            drawn = chaos.at(after)[:, 0] + rng.choice(chaos.rest[:, 0], len(fresh))
             a, b = np.quantile(drawn, [0.025, 0.975])
             narrow.append(a <= value <= b)
             widths.append(b - a)
@@ -99,49 +97,52 @@ def held(predictor: Propagation, truth: Mapping[str, np.ndarray], robots: np.nda
 
 
 def main() -> None:
-    """Run, count, print."""
+    """Run the robots, count covered values and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("runs/predictive"))
     parser.add_argument("--robots", type=int, default=400)
-    parser.add_argument("--few", type=int, default=64, help="robots for each assumption alone")
+    parser.add_argument("--few", type=int, default=64, help="robots for each single assumption")
     parser.add_argument("--scenario", default="gen2_turn")
     parser.add_argument("--duration", type=float, default=5.0)
-    parser.add_argument("--forms", action="store_true", help="also a predictor that knows both models")
-    given = parser.parse_args()
+    parser.add_argument("--forms", action="store_true", help="also use a predictor with both models")
+    options = parser.parse_args()
 
-    def made(changes: Mapping[str, Any], samples: int, seed: int) -> UncertaintyStudy:
-        return study(changes, samples, seed, given.scenario, given.duration)
+    def made(changes: Mapping[str, Any], samples: int, seed: int) -> Study:
+        return study(changes, samples, seed, options.scenario, options.duration)
 
     def ran(name: str, changes: Mapping[str, Any], samples: int) -> dict[str, np.ndarray]:
-        found = made(changes, samples, 1)
-        alone = Alone(found.scenario, found.priors, ("twin",), samples, samples, 1)
-        rows = propagate(alone, given.out / name.replace(" ", "_"), local()).rows["twin"]
-        return {metric: np.asarray(of(rows))[:-REFERENCE_ROWS] for metric, of in METRICS.items()}
+        result = made(changes, samples, 1)
+        alone = Alone(result.scenario, result.priors, ("twin",), samples, samples, 1)
+        rows = propagate(alone, options.out / name.replace(" ", "_"), local()).rows["twin"]
+        return {metric: np.asarray(column_of(rows))[:-OWN_ROWS] for metric, column_of in METRICS.items()}
 
-    same = ran("same_chambers", {"plants.twin": FINER}, given.robots)
-    truth = ran("truth", {"plants.twin": FINER, "pneumatics": {"kind": "orifice"}}, given.robots)
-    shipped, drawn = made({}, 2048, 0), made({}, given.robots, 1)
+    same = ran("same_chambers", {"plants.twin": FINER}, options.robots)
+    truth = ran("truth", {"plants.twin": FINER, "pneumatics": {"kind": "orifice"}}, options.robots)
+    shipped, drawn = made({}, 2048, 0), made({}, options.robots, 1)
     robots = drawn.priors.quantile(drawn.shares)
-    found = propagate(shipped, given.out / "shipped", local())
-    print("Robots with the predictor's model of the chambers")
-    held(found, same, robots)
+    result = propagate(shipped, options.out / "shipped", local())
+    print("Robots with the chamber model of the predictor")
+    held(result, same, robots)
     print("\nRobots with orifices, predictor as shipped")
-    held(found, truth, robots)
-    if given.discrete_choices:
+    held(result, truth, robots)
+    if options.forms:
         print("\nRobots with orifices, predictor with --form pneumatics.kind=lag,orifice")
-        held(propagate(replace(shipped, discrete_choices=FORMS), given.out / "forms", local()), truth, robots)
-    spreads = {name: spread.samples for name, spread in found.plants["twin"].items()}
+        held(propagate(replace(shipped, forms=FORMS), options.out / "forms", local()), truth, robots)
+    spreads = {name: spread.samples for name, spread in result.plants["twin"].items()}
     print("\n| assumption alone, median change over spread | " + " | ".join(METRICS) + " |\n|" + "---|" * 5)
     reference: dict[str, np.ndarray] | None = None
     for name, changes in {"as shipped": {}, **ASSUMPTIONS}.items():
-        rows = ran(name, changes, given.few)
+        rows = ran(name, changes, options.few)
         reference = reference or rows
-        moved = [np.nanmedian(rows[m] - reference[m]) / _spread(of(spreads)) for m, of in METRICS.items()]
-        print(f"| {name} | " + " | ".join(f"{each:+.2f}" for each in moved) + " |", flush=True)
+        moved = [
+            np.nanmedian(rows[m] - reference[m]) / _spread(column_of(spreads))
+            for m, column_of in METRICS.items()
+        ]
+        print(f"| {name} | " + " | ".join(f"{item:+.2f}" for item in moved) + " |", flush=True)
 
 
 def _spread(values: np.ndarray) -> float:
-    """Return half of what holds two thirds: some robots nearly stand, and their curvature has no bound."""
+    """Return half the width of the central two thirds, because the curvature of slow robots is unbounded."""
     low, high = np.nanquantile(values, (0.16, 0.84))
     return float(high - low) / 2
 

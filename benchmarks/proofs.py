@@ -1,23 +1,24 @@
-"""Proofs that there is no way: never where there is one, and fast where there is none.
+"""Proofs of infeasibility: no false proofs in solvable worlds, and the time to prove infeasible ones.
 
     uv run python benchmarks/proofs.py [--worlds 28]
 
-Worlds of six kinds with a way that was drawn first, for six footprints, are given to the proofs alone, at
-both of their resolutions. Impossible ones are pockets to be faced outwards and rooms that are shut; the
-planner answers those as it would anybody.
+Worlds of six kinds that are solvable by construction, for six footprints, are given to the proofs alone at
+both resolutions. Infeasible problems are pockets with an outward goal heading and closed rooms; these go to
+the planner with its default settings.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from grid import table
-from witnessed_worlds import KINDS, bodies, drawn
 
 from srs_twin.planning.collision import surroundings
 from srs_twin.planning.footprint import Footprint, load_footprint
@@ -27,16 +28,19 @@ from srs_twin.planning.pockets import COARSE, FINE, shut_in
 from srs_twin.planning.problem import Problem
 from srs_twin.robot.world import Polygon, Pose, World
 
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from witnessed_worlds import KINDS, bodies, drawn
+
 
 def false_proofs(case: Problem) -> int:
-    """Return how many of the proofs say that there is no way in a world that has one."""
+    """Return the number of proofs of infeasibility in a solvable world."""
     body, around = case.footprint, surroundings(case.world)
     shut = disconnected(case.start, case.goal, case.world, body.narrowest)
     return shut + sum(bool(shut_in(case.start, case.goal, body, around, how)) for how in (COARSE, FINE))
 
 
 def impossible(seed: int, body: Footprint) -> Iterator[tuple[str, Problem]]:
-    """Yield a pocket to be faced outwards, and a goal behind walls all round."""
+    """Yield a pocket with an outward goal heading, and a goal in a closed room."""
     case = drawn("pockets", seed, body).problem
     goal = case.goal
     assert goal.heading is not None, "drawn with one"
@@ -58,15 +62,15 @@ def impossible(seed: int, body: Footprint) -> Iterator[tuple[str, Problem]]:
 
 
 def main() -> None:
-    """Prove and print."""
+    """Run the proofs and print the table."""
     words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    words.add_argument("--worlds", type=int, default=28, help="of each kind and footprint")
+    words.add_argument("--worlds", type=int, default=28, help="number of worlds per kind and footprint")
     words.add_argument("--first", type=int, default=0)
-    given = words.parse_args()
-    seeds = range(given.first, given.first + given.worlds)
+    options = words.parse_args()
+    seeds = range(options.first, options.first + options.worlds)
     kinds = [(body, kind) for body in bodies().values() for kind in KINDS]
     wrong = [false_proofs(drawn(kind, seed, body).problem) for body, kind in kinds for seed in seeds]
-    print(f"{len(wrong)} worlds with a way: {sum(map(bool, wrong))} false proofs\n")
+    print(f"{len(wrong)} solvable worlds: {sum(map(bool, wrong))} false proofs\n")
     planned = bodies() | {"gen2_gait": load_footprint("gen2_gait").reduced(turn_share=0.3, margin=0.04)}
     lines = []
     for name, body in planned.items():

@@ -1,8 +1,8 @@
-"""Published values and intervals in the terms of ASME V&V 20; one row per plant.
+"""Published values and prediction intervals in the terms of ASME V&V 20; one row per plant.
 
     uv run python benchmarks/published_intervals.py [FILE ...]
 
-Reads the given `intervals.json`, or those that `srs-twin uncertainty SCENARIO --write` keeps.
+Reads the given `intervals.json` files, or those written by `srs-twin uncertainty SCENARIO --write`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ SCATTER = 0.01
 
 
 def main(files: Sequence[str]) -> None:
-    """Print the table of the given files, or of the kept intervals."""
+    """Print the table of the given files, or of the stored intervals."""
     print(
         "| scenario | plant | published | value | E | u_num | u_input | u_D | 95 % | errors of the ends "
         "| verdict | width | score |"

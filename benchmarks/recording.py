@@ -1,8 +1,8 @@
-"""How long a ten-second run takes to be written as a recording of both snakes, and how large that is.
+"""Time to write a ten-second run as a recording of both snakes, and the size of the file.
 
     uv run python benchmarks/recording.py
 
-The goal is half a second and five megabytes.
+The goal is at most 0.5 s and 5 MB.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ TIMES = 7
 
 
 def main() -> None:
-    """Simulate once, write several times, print the median and the least."""
+    """Simulate once, write several times, and print the median and the minimum."""
     scenario = load_scenario(SCENARIO)
     runs = {
         kind: rollout(scenario.build_plant(kind), scenario.build_controller(), scenario.duration)

@@ -1,9 +1,9 @@
-"""How far the mean speed and yaw rate move when each numerical choice is refined.
+"""Change of mean speed and yaw rate when each numerical setting is refined.
 
     uv run python benchmarks/refinement.py [--matched]
 
-Time step, friction regularisation and bending hinges are refined one at a time and all together, on gaits
-of generation 2 between 1 and 2 Hz, straight and turning. With `--matched`, on stiff bends.
+Time step, friction regularisation and number of hinges are refined one at a time and all together, for gaits
+of generation 2 between 1 and 2 Hz, straight and turning. With `--matched`, the bends are stiff.
 """
 
 from __future__ import annotations
@@ -51,14 +51,16 @@ CASES: dict[str, list[tuple[str, dict[str, Any]]]] = {
 
 
 def main() -> None:
-    """Print one table a plant."""
+    """Print one table per plant."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("--matched", action="store_true", help="stiff bends instead of the shipped robot")
-    arguments.add_argument("--only", nargs="+", choices=CASES, default=list(CASES), help="which plants")
-    given = arguments.parse_args()
-    stiffness = MATCHED_STIFFNESS if given.matched else None
+    arguments.add_argument(
+        "--matched", action="store_true", help="use stiff bends instead of the shipped robot"
+    )
+    arguments.add_argument("--only", nargs="+", choices=CASES, default=list(CASES), help="plants to refine")
+    selected = arguments.parse_args()
+    stiffness = MATCHED_STIFFNESS if selected.matched else None
     head = ["change", *(f"{f:g} Hz, offset {o:g}: mm/s (%), rad/s" for f, o in GAITS)]
-    for plant in given.only:
+    for plant in selected.only:
         cases = CASES[plant]
         friction = {"friction": "wheel"} if plant == "analytical" else {}
         runs = [

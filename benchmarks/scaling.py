@@ -1,4 +1,4 @@
-"""(d) What a second of a snake costs by its number of segments; (e) what a second thread buys."""
+"""(d) Cost of a simulated second by the number of segments; (e) speed-up by a second thread."""
 
 from __future__ import annotations
 
@@ -36,20 +36,27 @@ PLANTS: dict[str, Callable[[RobotSpec], Plant]] = {
     "twin": TwinSnake,
     "twin, preloaded": lambda spec: TwinSnake(spec, contact="preloaded"),
 }
-PROBE = 0.02  # s simulated, to see what a case costs
-LEAST = 25  # times that: a reset costs as much as some of them
-AIM = 1.0  # s of processor time a round, as far as 0.5 to 4 simulated seconds allow
-TOO_SLOW = 3.0  # s of processor time for the probe alone, beyond which it stands for all rounds
+PROBE = 0.02  # simulated s; a first run to estimate the cost
+LEAST = 25  # smallest number of probe lengths: a reset costs several of them
+AIM = 1.0  # s of processor time per round, within 0.5 to 4 simulated seconds
+TOO_SLOW = 3.0  # s of processor time; a slower probe is the only measurement
 THREADS = 2
 RUNS = 8
-MANY = 12  # rounds: other programs disturb two threads more than one, so that the best of many counts
-ALONE = 0.4  # s of wall time that one thread should need
-ARITHMETIC = "nothing but arithmetic"
+MANY = 12  # rounds; other programs disturb two threads more than one, so the best round counts
+ALONE = 0.4  # s of wall time for one thread
+ARITHMETIC = "arithmetic only"
 Work = Callable[[int], object]
 
 
 def chain(segments: int) -> RobotSpec:
-    """Return a gen2 with that many segments, each like its own, and its wave: one in four segments."""
+    """Return generation 2 with another number of equal segments; four segments are one wavelength.
+
+    >>> robot, base = chain(16), load_robot("gen2")
+    >>> robot.segments, robot.geometry.pitch == base.geometry.pitch, robot.phase_step == base.phase_step
+    (16, True, True)
+    >>> round(robot.mass.total / base.mass.total, 9) == round(17 / 5, 9)
+    True
+    """
     spec = load_robot("gen2")
     return replace(
         spec,
@@ -59,10 +66,10 @@ def chain(segments: int) -> RobotSpec:
 
 
 def by_segments(quick: bool) -> Result:
-    """Time all models at every length.
+    """Time all models with every number of segments.
 
     Args:
-        quick: up to 16 segments.
+        quick: use at most 16 segments.
     """
     lengths = SEGMENTS[:4] if quick else SEGMENTS
     for make in PLANTS.values():
@@ -70,7 +77,7 @@ def by_segments(quick: bool) -> Result:
     costs = {segments: _cost(chain(segments), AIM / 10 if quick else AIM) for segments in lengths}
     rows = [[name, *(_cell(costs[n][name], costs[4][name]) for n in lengths)] for name in PLANTS]
     return Result(
-        "(d) processor milliseconds a simulated second by segments (times those of 4)",
+        "(d) processor milliseconds per simulated second by segments (relative to 4)",
         ["model", *map(str, lengths)],
         rows,
         {"processor_s_per_simulated_s": {name: {n: costs[n][name] for n in lengths} for name in PLANTS}},
@@ -79,22 +86,22 @@ def by_segments(quick: bool) -> Result:
 
 
 def _cost(spec: RobotSpec, aim: float) -> dict[str, float | str]:
-    """Return processor seconds a simulated second by model, or why there are none."""
-    found: dict[str, float | str] = {}
+    """Return processor seconds per simulated second by model, or the reason for a failure."""
+    result: dict[str, float | str] = {}
     tasks = {}
     for name, make in PLANTS.items():
         plant = make(spec)
         try:
             slow = once(_task(plant, PROBE))
             if slow * PROBE > TOO_SLOW:
-                found[name] = slow
+                result[name] = slow
                 continue
             tasks[name] = _task(plant, PROBE * max(LEAST, min(200, round(aim / slow / PROBE))))
             tasks[name].run()
         except DivergedError as error:
-            found[name] = f"diverged: {error}"
+            result[name] = f"diverged: {error}"
             tasks.pop(name, None)
-    return found | {name: min(timing.seconds) for name, timing in interleaved(tasks).items()}
+    return result | {name: min(timing.seconds) for name, timing in interleaved(tasks).items()}
 
 
 def _task(plant: Plant, duration: float) -> Task:
@@ -112,7 +119,7 @@ def by_threads(quick: bool) -> Result:
     """Time many runs on one thread and on two.
 
     Args:
-        quick: a third of the rounds.
+        quick: use a third of the rounds.
     """
     kinds = {
         ARITHMETIC: _arithmetic(ALONE),
@@ -134,24 +141,29 @@ def by_threads(quick: bool) -> Result:
     ]
     return Result(
         f"(e) {RUNS} runs on {THREADS} threads against one",
-        ["what", "speed-up", "efficiency", "over the machine's", "processor time"],
+        ["what", "speed-up", "efficiency", "relative to the machine", "processor time"],
         rows,
         {name: cost.json() for name, cost in costs.items()},
         [
-            "Speed-up: of medians. Efficiency: best round on one thread over twice the best on two.",
-            "The first row needs no memory and no lock: what this machine's second processor is worth now.",
-            "Processor time: of two threads over that of one, best rounds; other programs do not touch it.",
+            "Speed-up: ratio of medians. Efficiency: best round on one thread over twice the best on two.",
+            "The first row needs neither memory nor locks: it is the possible speed-up of this machine.",
+            "Processor time: two threads relative to one, best rounds; independent of other programs.",
         ],
     )
 
 
 @dataclass(frozen=True)
 class ThreadCost:
-    """What runs cost on one thread and on more, by number of threads.
+    """Cost of runs by number of threads.
 
     Attributes:
         wall: wall times.
-        processor: processor times of all threads together.
+        processor: processor times, summed over the threads.
+
+    >>> wall = {1: Timing((4.0, 9.0, 4.4)), 2: Timing((7.0, 2.5, 8.0))}
+    >>> cost = ThreadCost(wall, processor={1: Timing((4.0, 4.2, 4.1)), 2: Timing((4.6, 4.4, 5.0))})
+    >>> cost.efficiency, cost.overhead, round(cost.speedup.value, 3), cost.json()["wall"][2]["median_s"]
+    (0.8, 1.1, 0.629, 7.0)
     """
 
     wall: dict[int, Timing]
@@ -159,17 +171,17 @@ class ThreadCost:
 
     @property
     def speedup(self) -> Ratio:
-        """Of more threads over one."""
-        return Ratio.of(self.wall[1], self.wall[THREADS])
+        """Speed of several threads relative to one."""
+        return Ratio.between(self.wall[1], self.wall[THREADS])
 
     @property
     def efficiency(self) -> float:
-        """Share of the threads' time that was put to use, in the best round of each."""
+        """Parallel efficiency, from the best round of each number of threads."""
         return min(self.wall[1].seconds) / min(self.wall[THREADS].seconds) / THREADS
 
     @property
     def overhead(self) -> float:
-        """Processor time on more threads over that on one, in the best round of each."""
+        """Processor time on several threads relative to one, from the best round of each."""
         return min(self.processor[THREADS].seconds) / min(self.processor[1].seconds)
 
     def json(self) -> dict[str, Any]:
@@ -181,8 +193,8 @@ class ThreadCost:
 
 
 def _turns(kinds: Mapping[str, Work], rounds: int) -> dict[str, ThreadCost]:
-    """Let all kinds of work take turns on one thread and on two."""
-    found: dict[tuple[str, int], list[tuple[float, float]]] = defaultdict(list)
+    """Time all kinds of work in turns, on one thread and on two."""
+    result: dict[tuple[str, int], list[tuple[float, float]]] = defaultdict(list)
     for work in kinds.values():
         work(THREADS)
     for k in range(rounds):
@@ -190,21 +202,21 @@ def _turns(kinds: Mapping[str, Work], rounds: int) -> dict[str, ThreadCost]:
             for threads in (1, THREADS) if k % 2 else (THREADS, 1):
                 begun = time.perf_counter(), time.process_time()
                 work(threads)
-                found[name, threads].append((time.perf_counter() - begun[0], time.process_time() - begun[1]))
+                result[name, threads].append((time.perf_counter() - begun[0], time.process_time() - begun[1]))
     return {
         name: ThreadCost(*(
-            {n: Timing(tuple(each[part] for each in found[name, n])) for n in (1, THREADS)} for part in (0, 1)
+            {n: Timing(tuple(pair[k] for pair in result[name, n])) for n in (1, THREADS)} for k in (0, 1)
         ))
         for name in kinds
     }  # fmt: skip
 
 
 def many(make: Callable[[RobotSpec], Plant], aim: float) -> Work:
-    """Return what runs one robot under gaits of different offsets over so many threads.
+    """Return a function that runs one robot with gaits of different offsets on a number of threads.
 
     Args:
-        make: the plant.
-        aim: wall time that one thread should need for all, s.
+        make: function that builds the plant.
+        aim: wall time of all runs on one thread, s.
     """
     spec = load_robot("gen2")
     plants = [make(spec) for _ in range(RUNS)]
@@ -220,7 +232,7 @@ def many(make: Callable[[RobotSpec], Plant], aim: float) -> Work:
 
 
 def steered(aim: float) -> Work:
-    """Return what runs a batch of twins whose valves are set every tick.
+    """Return a function that runs a batch of twins whose valves are set every tick.
 
     Args:
         aim: as in `many`.
@@ -228,7 +240,7 @@ def steered(aim: float) -> Work:
     batches = {n: TwinBatch([load_robot("gen2")] * RUNS, threads=n) for n in (1, THREADS)}
 
     def policy(state: SnakeState) -> np.ndarray:
-        signs = np.where(state.sensed > 0, -1, 1).astype(np.int8)  # a segment turns back as soon as it may
+        signs = np.where(state.sensed > 0, -1, 1).astype(np.int8)  # a segment reverses as soon as allowed
         return np.stack([signs, -signs], axis=-1)
 
     duration = _duration(lambda probe: run_batch(batches[1], policy, probe), aim * RUNS)
@@ -240,14 +252,14 @@ def _gaits() -> list[Gait]:
 
 
 def _duration(run: Callable[[float], object], aim: float) -> float:
-    """Return how long, in whole stretches of 0.2 s, a run must be for RUNS of them to need the aim."""
+    """Return the duration, in multiples of 0.2 s, with which RUNS runs take the wanted time."""
     run(PROBE)  # compiles
     slow = once(Task(lambda: run(0.2), 0.2))
     return 0.2 * max(1, round(aim / RUNS / slow / 0.2))
 
 
 def _arithmetic(aim: float) -> Work:
-    """Return what spins for as long, by compiled code that holds no lock."""
+    """Return a function that computes for the wanted time in compiled code without locks."""
     probe = 1_000_000
     _spin(1)  # compiles
     steps = round(aim / RUNS / once(Task(lambda: _spin(probe))) * probe)

@@ -1,70 +1,46 @@
-"""The curvature sensor over distance, orientation and heights, beside the dissertation's Fig. 13 and 14.
+"""Curvature sensor by distance, orientation and heights, compared with Fig. 13 and 14 of the dissertation.
 
     uv run python benchmarks/sensor.py [--out sensor.png]
 
-Fields of generation 4's strip. Range: between the two ends of ±90°. R² and worst error: of a line from
-field (or voltage) to angle.
+The strip is that of generation 4. Range is the difference of the fields at ±90°. R² and largest error are
+those of a straight line from field (or voltage) to angle.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from grid import table
 
-from srs_twin import load_robot
-from srs_twin.sensing.calibration import Calibration, calibrate, fit_line
+from srs_twin.sensing.calibration import calibrate, fit_line
 from srs_twin.sensing.hall import (
     GAUSS,
-    MAGNET_DIAMETER,
-    MAGNET_HEIGHT,
     ORIENTATIONS,
     HallSensor,
     Strip,
-    element_place,
     field,
 )
 
-MM = 1e-3
-LENGTH = load_robot("gen4").geometry.segment_length
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from sensor_strips import BENDS, LENGTH, MM, line, of_cylinder, reach, strip
+
 DISTANCES = (3.1, 3.4, 3.7, 4.0, 4.3, 4.6)  # mm
 HEIGHTS = ((0.25, 0.25), (0.45, 0.45), (0.45, 0.7), (0.7, 0.7), (0.45, 0.9), (0.85, 0.7))  # h_m, h_s, mm
-BENDS = np.linspace(-np.pi / 2, np.pi / 2, 181)
 
 
-def strip(distance: float, heights: tuple[float, float], orientation: str, length: float = LENGTH) -> Strip:
-    magnet, element = heights
-    return Strip(
-        segment_length=length,
-        distance=distance * MM,
-        orientation=orientation,
-        magnet_height=magnet * MM,
-        element_height=element * MM,
-    )
-
-
-def line(of: Strip) -> Calibration:
-    """Fit the line from field (G) to angle."""
-    return fit_line(field(BENDS, of) / GAUSS, BENDS)
-
-
-def reach(of: Strip) -> float:
-    """Return the difference of the fields at ±90°, G."""
-    return float(abs(np.diff(field(np.array([-np.pi / 2, np.pi / 2]), of))[0]) / GAUSS)
-
-
-def cell(of: Strip) -> str:
-    found = line(of)
-    turns = "" if found.monotonic else ", not monotonic"
-    return f"{reach(of):.2f}, {found.r_squared:.4f}, {np.degrees(found.worst_error):.1f}{turns}"
+def cell(geometry: Strip) -> str:
+    result = line(geometry)
+    turns = "" if result.monotonic else ", not monotonic"
+    return f"{reach(geometry):.2f}, {result.r_squared:.4f}, {np.degrees(result.worst_error):.1f}{turns}"
 
 
 def by_distance() -> None:
-    """Print the table beside Fig. 13d and e."""
+    """Print the table for Fig. 13d and e."""
     rows = [
         [f"{h[0]:g}, {h[1]:g}", o, *(cell(strip(d, h, o)) for d in DISTANCES)]
         for h in HEIGHTS
@@ -75,7 +51,7 @@ def by_distance() -> None:
 
 
 def over_heights() -> None:
-    """Print at how many pairs of heights, either side of the neutral axis, north up comes out better."""
+    """Print the number of height pairs for which north up gives the larger range or R²."""
     heights = np.linspace(-0.95, 0.95, 20)
     wider, straighter = [], []
     for pair in itertools.product(heights, heights):
@@ -83,15 +59,15 @@ def over_heights() -> None:
         wider.append([reach(up) > reach(side) for up, side in pairs])
         straighter.append([line(up).r_squared > line(side).r_squared for up, side in pairs])
     rows = [
-        [name, *(f"{n}" for n in np.sum(found, axis=0)), f"{np.all(found, axis=1).sum()}"]
-        for name, found in (("wider range", wider), ("higher R²", straighter))
+        [name, *(f"{n}" for n in np.sum(result, axis=0)), f"{np.all(result, axis=1).sum()}"]
+        for name, result in (("wider range", wider), ("higher R²", straighter))
     ]
     head = [f"north up has, of {len(wider)} pairs", "L = 3.1 mm", "3.85 mm", "4.6 mm", "all three"]
     print("\n" + table(head, rows), flush=True)
 
 
 def by_reading() -> None:
-    """Print what Eq. 1 gives when θ is the local angle, and when L alone bends by the whole angle."""
+    """Print the results of Eq. 1 if θ is the local angle, and if L alone bends by the whole angle."""
     rows = [
         [name, o, *(cell(strip(d, (0.45, 0.7), o, d * MM if whole else LENGTH)) for d in (3.1, 4.6))]
         for name, whole in (("θ = κL", False), ("θ = q", True))
@@ -100,33 +76,16 @@ def by_reading() -> None:
     print("\n" + table(["reading", "north", "L = 3.1 mm", "L = 4.6 mm"], rows), flush=True)
 
 
-def of_cylinder(of: Strip, parts: int = 12) -> np.ndarray:
-    """Return B_n (T) over `BENDS` of the whole cylinder, as many small dipoles, its axis along the moment."""
-    x, y, theta = element_place(BENDS, of)
-    across = ((np.arange(parts) + 0.5) / parts - 0.5) * MAGNET_DIAMETER
-    along = ((np.arange(parts) + 0.5) / parts - 0.5) * MAGNET_HEIGHT
-    u, v, w = (axis.ravel() for axis in np.meshgrid(across, across, along, indexing="ij"))
-    inside = u**2 + v**2 <= (MAGNET_DIAMETER / 2) ** 2
-    u, v, w = u[inside], v[inside], w[inside]
-    up = of.orientation == "up"
-    r = np.stack(
-        [x[:, None] - (u if up else w), y[:, None] - (w if up else u), np.broadcast_to(v, (len(x), len(v)))]
-    )
-    moment = np.array([0.0, of.moment, 0.0] if up else [of.moment, 0.0, 0.0])
-    square = (r**2).sum(axis=0)
-    b = 1e-7 * (3 * np.einsum("i,ijk->jk", moment, r) * r / square**2.5 - moment[:, None, None] / square**1.5)
-    b_x, b_y = b.mean(axis=2)[:2]
-    return b_y * np.cos(theta) - b_x * np.sin(theta)
-
-
 def dipole_or_cylinder() -> None:
-    """Print what the point dipole leaves out."""
+    """Print the error of the point dipole."""
     rows = []
     for distance in (3.1, 4.6):
         for orientation in ORIENTATIONS:
-            of = strip(distance, (0.45, 0.7), orientation)
-            point, body = (fit_line(b / GAUSS, BENDS) for b in (field(BENDS, of), of_cylinder(of)))
-            spans = [abs(b[-1] - b[0]) / GAUSS for b in (field(BENDS, of), of_cylinder(of))]
+            geometry = strip(distance, (0.45, 0.7), orientation)
+            point, body = (
+                fit_line(b / GAUSS, BENDS) for b in (field(BENDS, geometry), of_cylinder(geometry))
+            )
+            spans = [abs(b[-1] - b[0]) / GAUSS for b in (field(BENDS, geometry), of_cylinder(geometry))]
             rows.append(
                 [f"{distance:g} mm, {orientation}"]
                 + [f"{s:.2f}, {f.r_squared:.4f}" for s, f in zip(spans, (point, body), strict=True)]
@@ -135,37 +94,37 @@ def dipole_or_cylinder() -> None:
 
 
 def sensors() -> dict[str, HallSensor]:
-    """Return generation 4's sensor with either chamber, the same electronics on both."""
+    """Return the sensor of generation 4 with either chamber and the same electronics."""
     semicircular = HallSensor.trimmed(Strip(LENGTH))
     rectangular = replace(semicircular, strip=replace(semicircular.strip, chamber="rectangular"))
     return {"semicircular": semicircular, "rectangular": rectangular}
 
 
 def by_chamber() -> None:
-    """Print the calibrations beside Fig. 14e."""
+    """Print the calibrations for Fig. 14e."""
     rows = []
     for name, sensor in sensors().items():
-        found, smooth = calibrate(sensor), replace(sensor, bits=None).voltage(BENDS)
+        result, smooth = calibrate(sensor), replace(sensor, bits=None).voltage(BENDS)
         back = np.degrees(BENDS[1:][np.diff(smooth) > 0])
-        per_volt = np.degrees(abs(found.slope))
+        per_volt = np.degrees(abs(result.slope))
         rows.append(
             [
                 name,
-                f"{found.voltage_range[0]:.2f} to {found.voltage_range[1]:.2f}",
-                f"{found.r_squared:.4f}",
-                f"{np.degrees(found.worst_error):.1f}",
+                f"{result.voltage_range[0]:.2f} to {result.voltage_range[1]:.2f}",
+                f"{result.r_squared:.4f}",
+                f"{np.degrees(result.worst_error):.1f}",
                 f"{back.min():.0f} to {back.max():.0f}" if len(back) else "–",
                 f"{per_volt * sensor.gain * sensor.noise:.2f}",
                 f"{per_volt * sensor.step:.2f}",
             ]
         )
-    angles = ["largest error, °", "not monotonic, °", "noise RMS, °", "converter's step, °"]
+    angles = ["largest error, °", "not monotonic, °", "noise RMS, °", "quantisation step, °"]
     head = ["chamber", "V", "R²", *angles]
     print("\n" + table(head, rows), flush=True)
 
 
 def draw(path: Path) -> None:
-    """Draw what Fig. 13c to e and 14e show."""
+    """Plot the results of Fig. 13c to e and 14e."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 7.5), layout="constrained")
@@ -188,8 +147,8 @@ def draw(path: Path) -> None:
     two.legend(fontsize=8)
     for name, sensor in sensors().items():
         read = four.plot(degrees, sensor.voltage(BENDS), label=name)[0]
-        found = calibrate(sensor)
-        fit = (BENDS - found.intercept) / found.slope
+        result = calibrate(sensor)
+        fit = (BENDS - result.intercept) / result.slope
         four.plot(degrees, fit, "--", color=read.get_color(), linewidth=0.8, label=f"{name}, calibration")
     four.set(title="Reading with either chamber (Fig. 14e)", xlabel="bend, °", ylabel="V")
     four.legend(fontsize=8)
@@ -199,9 +158,9 @@ def draw(path: Path) -> None:
 
 
 def main() -> None:
-    """Print the tables and draw the figure."""
+    """Print the tables and write the figure."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("--out", type=Path, help="file for the figure (png, svg, pdf)")
+    arguments.add_argument("--out", type=Path, help="output file of the figure (png, svg, pdf)")
     out = arguments.parse_args().out
     by_distance()
     over_heights()

@@ -1,10 +1,10 @@
-"""How large the package is, room by room: lines of code, modules, and the budget of each room.
+"""Size of the package by room: lines of code, modules, and the budget.
 
-    uv run python benchmarks/size.py               # rooms; exit 1 where the package is over its budget
+    uv run python benchmarks/size.py               # rooms; exit 1 if the package exceeds its budget
     uv run python benchmarks/size.py --modules     # every module
 
-A line of code is a line as the formatter lays it out (`# fmt: skip` taken away) that holds code: docstrings,
-comments, imports and blank lines do not count.
+Lines of code are counted in the formatted source, without `# fmt: skip`. Docstrings, comments, imports and
+blank lines do not count.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "srs_twin"
 LINES, MODULES = 20_000, 210
-# Thousands of lines of code; what is not named has no budget of its own.
+# Thousands of lines of code; rooms that are not listed have no separate budget.
 BUDGETS = {
     **{"errors": 0.1, "io": 0.5, "parallel": 0.15, "robot": 0.6, "trajectory": 0.1, "pneumatics": 0.8},
     **{"sensing": 0.3, "mjcf": 0.6, "planning": 1.4, "plants": 1.6, "control": 1.25, "rollout": 0.3},
@@ -35,7 +35,7 @@ _LAYOUT = (tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, toke
 
 
 def code_lines(source: str) -> int:
-    """Return how many lines of a source hold code."""
+    """Return the number of lines with code in a source."""
     left_out: set[int] = set()
     for node in ast.walk(ast.parse(source)):
         text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
@@ -49,7 +49,7 @@ def code_lines(source: str) -> int:
 
 
 def laid_out(package: Path, folder: Path) -> Path:
-    """Return a copy of a package as the formatter lays it out."""
+    """Return a formatted copy of a package."""
     copy = folder / package.name
     shutil.copytree(package, copy, ignore=shutil.ignore_patterns("__pycache__", "_data"))
     for path in copy.rglob("*.py"):
@@ -60,10 +60,12 @@ def laid_out(package: Path, folder: Path) -> Path:
 
 
 def main() -> int:
-    """Print the table; 1 where lines or modules are over the budget."""
+    """Print the table; return 1 if lines or modules exceed the budget."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--modules", action="store_true", help="every module, longest first in its room")
-    given = parser.parse_args()
+    parser.add_argument(
+        "--modules", action="store_true", help="list every module, longest first in each room"
+    )
+    options = parser.parse_args()
     rooms: defaultdict[str, dict[str, int]] = defaultdict(dict)
     with tempfile.TemporaryDirectory() as folder:
         copy = laid_out(PACKAGE, Path(folder))
@@ -73,7 +75,7 @@ def main() -> int:
     for room, modules in rooms.items():
         budget = f"{1000 * BUDGETS[room]:6.0f}" if room in BUDGETS else "     –"
         print(f"{sum(modules.values()):6} of {budget}  {len(modules):3} modules  {room}")
-        if given.modules:
+        if options.modules:
             for name, lines in sorted(modules.items(), key=lambda item: -item[1]):
                 print(f"{'':24}{lines:5}  {name}")
     lines = sum(sum(modules.values()) for modules in rooms.values())

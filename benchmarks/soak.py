@@ -1,10 +1,10 @@
-"""An hour of work in one process: does its memory grow, do files, threads or processes stay behind?
+"""Memory, files, threads and processes during an hour of work in one process.
 
     uv run python benchmarks/soak.py [--minutes 60] [--json FILE]
 
 Every cycle runs a scenario on both plants with all its files, sweeps a small grid with two workers, steers a
-batch of twins, and reads a trajectory back. Memory is judged by a straight line through the cycles after the
-first quarter, in which caches fill.
+batch of twins, and reads a trajectory. The growth of memory is the slope of a straight line through the
+cycles after the first quarter, in which caches fill.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ MIB = 2**20
 
 @dataclass(frozen=True)
 class Sample:
-    """What the process held after a cycle.
+    """Resources of the process after a cycle.
 
     Attributes:
-        minutes: since the start.
-        memory: resident, MiB.
-        files: open descriptors.
-        threads: of the interpreter.
-        children: processes that it started and that are still there.
+        minutes: time since the start, min.
+        memory: resident memory, MiB.
+        files: number of open descriptors.
+        threads: number of interpreter threads.
+        children: number of running child processes.
     """
 
     minutes: float
@@ -60,7 +60,7 @@ class Sample:
 
 
 def measure(begun: float) -> Sample:
-    """Look at this process."""
+    """Return the resources of this process."""
     gc.collect()
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return Sample(
@@ -73,7 +73,7 @@ def measure(begun: float) -> Sample:
 
 
 def cycle(folder: Path) -> None:
-    """Do a little of everything."""
+    """Run one cycle of work."""
     run_scenario(load_scenario("gen2_straight"), folder / "run")
     Trajectory.from_parquet(folder / "run" / "twin.parquet")
     path = folder / "sweep.yaml"
@@ -90,34 +90,34 @@ def _hold(batch: TwinBatch, state: object) -> np.ndarray:
 
 
 def slope(samples: list[Sample]) -> float:
-    """Return how fast memory grows after the first quarter, MiB an hour."""
-    late = [each for each in samples if each.minutes >= samples[-1].minutes / 4]
-    times, memory = ([getattr(each, name) for each in late] for name in ("minutes", "memory"))
+    """Return the growth of memory after the first quarter, MiB/h."""
+    late = [item for item in samples if item.minutes >= samples[-1].minutes / 4]
+    times, memory = ([getattr(item, name) for item in late] for name in ("minutes", "memory"))
     return 60 * float(np.polyfit(times, memory, 1)[0])
 
 
 def main() -> None:
-    """Print one line a minute, then the verdict."""
+    """Print one line per minute, then the result."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=60.0)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the samples here as well")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the samples to this file")
     arguments = parser.parse_args()
-    begun, samples, cycles, told = time.monotonic(), list[Sample](), 0, 0
+    begun, samples, cycles, next_report = time.monotonic(), list[Sample](), 0, 0
     while time.monotonic() - begun < 60 * arguments.minutes:
         with tempfile.TemporaryDirectory() as name:
             cycle(Path(name))
         cycles += 1
         samples.append(measure(begun))
-        if samples[-1].minutes >= told:
-            told += 1
+        if samples[-1].minutes >= next_report:
+            next_report += 1
             print(cycles, samples[-1], flush=True)
     first, last = samples[len(samples) // 4], samples[-1]
     print(f"{cycles} cycles in {last.minutes:.0f} min, memory after a quarter {slope(samples):+.1f} MiB/h")
     print(f"from {first} to {last}")
     if arguments.json:
-        arguments.json.write_text(json.dumps([asdict(each) for each in samples]) + "\n", "utf-8")
+        arguments.json.write_text(json.dumps([asdict(item) for item in samples]) + "\n", "utf-8")
     left = [name for name in ("files", "threads", "children") if getattr(last, name) > getattr(first, name)]
-    sys.exit(f"left behind: {', '.join(left)}" if left else 0)
+    sys.exit(f"remaining: {', '.join(left)}" if left else 0)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
-"""What both plants cost, as ratios to what else could be run, from one run on one machine.
+"""Cost of both plants relative to other programs, in one run on one machine.
 
     uv run --group benchmarks python benchmarks/speed.py [--quick] [--only a b] [--json FILE]
 
-(a) analytical against LSODA, (b) twin against a bare mj_step loop, (c) both against PyElastica's continuum
-snake, (d) cost by segments, (e) two threads. Medians of five rounds in which all sides take turns; in
-brackets the least and the most of the rounds. The first run also compiles PyElastica's kernels, which takes
-most of a minute more.
+(a) analytical and LSODA, (b) twin and a bare mj_step loop, (c) both plants and the continuum snake of
+PyElastica, (d) cost by segments, (e) two threads. The values are medians of five rounds in which all
+contenders are timed in turns; the range over the rounds is in brackets. The first run also compiles the
+kernels of PyElastica, which takes most of a minute.
 """
 
 from __future__ import annotations
@@ -35,14 +35,16 @@ BENCHMARKS: dict[str, Callable[[bool], Result]] = {
 
 
 def main() -> None:
-    """Print one table a benchmark."""
+    """Print one table per benchmark."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="smaller runs, under a minute in all")
-    parser.add_argument("--only", nargs="+", choices=BENCHMARKS, default=list(BENCHMARKS), help="which")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write everything here as well")
+    parser.add_argument(
+        "--only", nargs="+", choices=BENCHMARKS, default=list(BENCHMARKS), help="benchmarks to run"
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write all values to this file")
     arguments = parser.parse_args()
-    found: dict[str, Any] = {"machine": machine(), "rounds": ROUNDS, "quick": arguments.quick}
-    print(f"{found['machine']['cpu']}, {found['machine']['cpus']} processors")
+    results: dict[str, Any] = {"machine": machine(), "rounds": ROUNDS, "quick": arguments.quick}
+    print(f"{results['machine']['cpu']}, {results['machine']['cpus']} processors")
     for name in arguments.only:
         begun = time.perf_counter()
         try:
@@ -54,9 +56,9 @@ def main() -> None:
             continue
         print(f"\n{result.title}\n\n{table(result.head, result.rows)}\n", flush=True)
         print(*result.remarks, f"[{time.perf_counter() - begun:.0f} s]", sep="\n", flush=True)
-        found[name] = {"title": result.title, **result.values}
+        results[name] = {"title": result.title, **result.values}
     if arguments.json:
-        arguments.json.write_text(json.dumps(found, indent=1) + "\n", "utf-8")
+        arguments.json.write_text(json.dumps(results, indent=1) + "\n", "utf-8")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
-"""The `wheel` law against wheels that really spin: an independent planar simulation.
+"""The `wheel` law compared with spinning wheels in an independent planar simulation.
 
     uv run python benchmarks/spinning_wheels.py
 
-Every wheel has its own speed and inertia, Coulomb friction at its rim (isotropic, μ_n) and in its axle (μ_t).
-Explicit Euler at 20 µs; bends and body kinematics are those of the analytical model.
+Every wheel has a speed and an inertia, with Coulomb friction at its rim (isotropic, μ_n) and in its axle
+(μ_t). The integrator is explicit Euler with steps of 20 µs. Bends and body kinematics are those of the
+analytical model.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ DURATION_S, LAST_S = 6.0, 2.0
 
 @njit
 def advance(state, spin, bends, rates, mass, length, gap, track, radius, inertia, mu_t, mu_n):
-    """Advance the pose (x, y, heading, vx, vy, moment of momentum) and the wheels' speeds in place."""
+    """Advance the pose (x, y, heading, vx, vy, angular momentum) and the wheel speeds in place."""
     n = mass.shape[0]
     body = np.empty((n, 6))
     for k in range(bends.shape[0]):
@@ -63,7 +64,7 @@ def advance(state, spin, bends, rates, mass, length, gap, track, radius, inertia
 
 
 def spinning_speed(run: Run, inertia_factor: float) -> float:
-    """Return the mean CoM speed over the last seconds, m/s, with that many times the wheels' inertia."""
+    """Return the mean CoM speed over the last seconds, m/s, with scaled inertia of the wheels."""
     spec = run.spec()
     g, chambers, gait = spec.geometry, LagPneumatics(spec, supply_pa=run.supply_pa), Gait(run.frequency)
     gait.reset(spec, TICK_S)
@@ -78,20 +79,20 @@ def spinning_speed(run: Run, inertia_factor: float) -> float:
             g.half_track, g.wheel_radius, inertia, spec.friction.mu_t, spec.friction.mu_n,
         )  # fmt: skip
         path.append(state[:2].copy())
-    way = path[-1] - path[-1 - round(LAST_S / TICK_S)]
-    return float(np.hypot(*way)) / LAST_S
+    displacement = path[-1] - path[-1 - round(LAST_S / TICK_S)]
+    return float(np.hypot(*displacement)) / LAST_S
 
 
 def main() -> None:
-    """Print the speeds of law and simulation at points of the grid where the period fits the window."""
+    """Print the speeds with the law and with spinning wheels, for gaits whose period fits the window."""
     rows = []
     for frequency, kilopascals in ((1.0, 41.0), (1.5, 41.0), (2.0, 48.0)):
         run = Run(
             "analytical", frequency=frequency, supply_pa=1e3 * kilopascals, options={"friction": "wheel"}
         )
         law = plant_metrics(run.trajectory())["com_speed_m_s"]
-        found = [spinning_speed(run, factor) for factor in (1.0, 3.0)]
-        cells = [f"{1e3 * speed:.1f} ({100 * (speed / law - 1):+.1f} %)" for speed in found]
+        result = [spinning_speed(run, factor) for factor in (1.0, 3.0)]
+        cells = [f"{1e3 * speed:.1f} ({100 * (speed / law - 1):+.1f} %)" for speed in result]
         rows.append([f"{frequency:g}", f"{kilopascals:g}", f"{1e3 * law:.1f}", *cells])
     print(table(["f Hz", "p kPa", "`wheel` law mm/s", "spinning wheels", "three times their inertia"], rows))
 

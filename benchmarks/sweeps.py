@@ -1,10 +1,12 @@
-"""What sweeps cost, and that nothing of their results depends on who makes them.
+"""Cost of sweeps, and equality of their results for all engines.
 
     uv run python benchmarks/sweeps.py [--only fig31 workers engines twins ray] [--repetitions 3]
 
-fig31: the 1,736 points of Fig. 31 with two workers. workers: the same points with one and with two. engines:
-the digests of one grid by one worker, two, and Ray. twins: what twins of one robot cost in processes, in
-threads of one process, and stepped together in `mujoco.batch`. ray: what a Ray of one's own adds.
+- fig31: the 1,736 points of Fig. 31 with two workers.
+- workers: the same points with one worker and with two.
+- engines: the digests of one grid with one worker, two workers, and Ray.
+- twins: twins of one robot in processes, in threads of one process, and stepped together in `mujoco.batch`.
+- ray: additional time of a local Ray cluster.
 """
 
 from __future__ import annotations
@@ -45,7 +47,7 @@ vary:
 
 
 def command(sweep: str, *words: str) -> tuple[float, str]:
-    """Run `srs-twin sweep` in a fresh folder; return its wall time (s) and the digest of its results."""
+    """Run `srs-twin sweep` in an empty folder; return its wall time (s) and the digest of its results."""
     with tempfile.TemporaryDirectory() as out:
         begun = time.perf_counter()
         subprocess.run([str(COMMAND), "sweep", sweep, "--out", out, "-q", *words], check=True)
@@ -54,7 +56,7 @@ def command(sweep: str, *words: str) -> tuple[float, str]:
 
 
 def written(folder: Path, plants: str, duration: float, frequencies: int, pressures: int) -> str:
-    """Write a grid and return its file."""
+    """Write the sweep file of a grid and return its path."""
     path = folder / f"{plants.replace(', ', '_')}_{duration:g}_{frequencies}_{pressures}.yaml"
     path.write_text(
         GRID.format(plants=plants, duration=duration, frequencies=frequencies, pressures=pressures)
@@ -69,18 +71,19 @@ def fig31(folder: Path, repetitions: int) -> None:
 
 
 def workers(folder: Path, repetitions: int) -> None:
-    """Compare one worker with two: the whole command, and what is left without its start."""
+    """Compare one worker with two: the whole command, and the time without its start."""
     rows = []
     for plants, size in (("analytical", (40, 30)), ("twin", (10, 6))):
         sweep = written(folder, plants, 10, *size)
         few = written(folder, plants, 10, 2, 2)
-        ways = [(n, which) for n in (1, 2) for which in (sweep, few)]
-        # In turn, so that a machine that is busy now and then is so for all of them.
-        found = [
-            {way: command(way[1], "--workers", str(way[0]))[0] for way in ways} for _ in range(repetitions)
+        methods = [(n, which) for n in (1, 2) for which in (sweep, few)]
+        # In turns, so that other load of the machine affects all of them.
+        outcomes = [
+            {method: command(method[1], "--workers", str(method[0]))[0] for method in methods}
+            for _ in range(repetitions)
         ]
-        walls = {way: [each[way] for each in found] for way in ways}
-        least = {way: min(each) for way, each in walls.items()}
+        walls = {method: [item[method] for item in outcomes] for method in methods}
+        least = {method: min(item) for method, item in walls.items()}
         alone = (least[1, sweep] - least[1, few]) / (least[2, sweep] - least[2, few]) / 2
         whole = least[1, sweep] / least[2, sweep] / 2
         rows.append([plants, str(size[0] * size[1]), _spread(walls[1, sweep]), _spread(walls[2, sweep]),
@@ -90,36 +93,36 @@ def workers(folder: Path, repetitions: int) -> None:
 
 
 def engines(folder: Path, repetitions: int) -> None:
-    """Compare the digests of one grid by every engine, several times over."""
+    """Compare the digests of one grid by every engine over several repetitions."""
     sweep = written(folder, "analytical, twin", 3, 4, 3)
-    ways = [("--workers", "1"), ("--workers", "2"), ("--engine", "ray", "--workers", "2")]
-    found = {way: {command(sweep, *way)[1] for _ in range(repetitions)} for way in ways}
-    for way, digests in found.items():
-        print(" ".join(way), *digests)
-    same = len(set.union(*found.values())) == 1
-    print(f"{len(ways)} ways, {repetitions} times each: {'all the same' if same else 'NOT the same'}")
+    methods = [("--workers", "1"), ("--workers", "2"), ("--engine", "ray", "--workers", "2")]
+    outcomes = {method: {command(sweep, *method)[1] for _ in range(repetitions)} for method in methods}
+    for method, digests in outcomes.items():
+        print(" ".join(method), *digests)
+    same = len(set.union(*outcomes.values())) == 1
+    print(f"{len(methods)} engines, {repetitions} times each: {'all the same' if same else 'NOT the same'}")
     if not same:
         sys.exit(1)
 
 
 def twins(folder: Path, repetitions: int) -> None:
-    """Compare ways to run the twins of a grid that differ in pressure and gait only, all of them warm."""
+    """Compare methods to run the twins of a grid in pressure and gait, all after a warm-up."""
     sweep = load_sweep(written(folder, "twin", 10, 4, 4))
-    ways: dict[str, Callable[[Sweep], Found]] = {
+    methods: dict[str, Callable[[Sweep], Found]] = {
         "two processes": lambda sweep: _rows(local(2), sweep),
         "two threads": _threads,
         "mujoco.batch, two threads": lambda sweep: _together(sweep, 2),
         "one process": lambda sweep: _rows(local(1), sweep),
         "mujoco.batch, one thread": lambda sweep: _together(sweep, 1),
     }
-    found = {name: way(sweep) for name, way in ways.items()}
-    walls = [[_timed(way, sweep) for way in ways.values()] for _ in range(repetitions)]
+    outcomes = {name: method(sweep) for name, method in methods.items()}
+    walls = [[_timed(method, sweep) for method in methods.values()] for _ in range(repetitions)]
     rows = []
-    for k, name in enumerate(ways):
+    for k, name in enumerate(methods):
         ratio = statistics.median(row[k] / row[0] for row in walls)
         rows.append([name, _spread([row[k] for row in walls]), f"{ratio:.2f}"])
-    print(table(["16 twins, 10 s", "wall, s", "over two processes"], rows))
-    same = all(each == found["two processes"] for each in found.values())
+    print(table(["16 twins, 10 s", "wall, s", "relative to two processes"], rows))
+    same = all(item == outcomes["two processes"] for item in outcomes.values())
     print(f"results: {'all the same' if same else 'NOT the same'}")
     if not same:
         sys.exit(1)
@@ -153,14 +156,14 @@ def _measured(sweep: Sweep, runs: Sequence[Trajectory | DivergedError]) -> Found
     }
 
 
-def _timed(way: Callable[[Sweep], Found], sweep: Sweep) -> float:
+def _timed(method: Callable[[Sweep], Found], sweep: Sweep) -> float:
     begun = time.perf_counter()
-    way(sweep)
+    method(sweep)
     return time.perf_counter() - begun
 
 
 def ray(folder: Path, repetitions: int) -> None:
-    """Compare a sweep of four short runs here and on a Ray of its own."""
+    """Compare a sweep of four short runs with local workers and with a local Ray cluster."""
     sweep = written(folder, "analytical", 1.6, 2, 2)
     here = [command(sweep, "--workers", "2")[0] for _ in range(repetitions)]
     there = [command(sweep, "--engine", "ray", "--workers", "2")[0] for _ in range(repetitions)]
@@ -172,19 +175,19 @@ def _spread(values: list[float]) -> str:
     return f"{statistics.median(values):.1f} ({min(values):.1f} to {max(values):.1f})"
 
 
-PARTS = {"fig31": fig31, "workers": workers, "engines": engines, "twins": twins, "ray": ray}
+STUDIES = {"fig31": fig31, "workers": workers, "engines": engines, "twins": twins, "ray": ray}
 
 
 def main() -> None:
-    """Print what each part finds."""
+    """Run the chosen parts and print their results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
-    parser.add_argument("--repetitions", type=int, default=3)
+    parser.add_argument("--only", nargs="+", choices=STUDIES, default=list(STUDIES))
+    parser.add_argument("--repetitions", type=int, default=3, help="number of repetitions")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         for part in arguments.only:
             print(f"\n{part}")
-            PARTS[part](Path(name), arguments.repetitions)
+            STUDIES[part](Path(name), arguments.repetitions)
 
 
 if __name__ == "__main__":

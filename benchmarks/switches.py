@@ -1,8 +1,9 @@
-"""What of the default settings' difference is friction law and what is compliance, one switch after another.
+"""Contributions of friction law and compliance to the difference with default settings.
 
     uv run python benchmarks/switches.py
 
-From the dissertation's model to the shipped twin, generation 2 at 2 Hz and 48.3 kPa.
+Settings change step by step from the model of the dissertation to the shipped twin, for generation 2 at 2 Hz
+and 48.3 kPa.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ STEPS: list[tuple[str, dict[str, Any]]] = [
 
 
 def main() -> None:
-    """Print one table: speed and yaw rate after each switch."""
+    """Print speed and yaw rate after each change."""
     runs = [Run(supply_pa=48.3e3, offset=offset, **step) for _, step in STEPS for offset in OFFSETS]
     metrics = [plant_metrics(trajectory) for trajectory in run_all(runs)]
     rows = []

@@ -1,14 +1,15 @@
-r"""Generation 4 from Table 8: fitted on offsets 0 and ±0.3 alone, predicting ±0.1 and ±0.2.
+r"""Fits of generation 4 to Table 8: fitted to offsets 0 and ±0.3, validated at ±0.1 and ±0.2.
 
     uv run python benchmarks/table8_fit.py --plant twin --threads 2
     uv run python benchmarks/table8_fit.py --plant analytical --wave
     uv run python benchmarks/table8_fit.py --show --page docs/dissertation-data.md \
         --picture docs/images/table8_fit.png
 
-The first fits a plant and writes calibration/fits/gen4_table8_twin.yaml: ten minutes on a busy machine of two
-cores. The second reads the text otherwise: the offset acts on the valves' wave besides the targets. In both,
-length and mu_t together get no number from these rows, so that the length is held; the twin's where the
-analytical plant's fit has it: fit that one first. The last puts what these files hold into the page.
+The first command fits a plant and writes calibration/fits/gen4_table8_twin.yaml, in ten minutes on a
+busy machine with two cores. The second uses another reading of the dissertation, in which the offset acts on
+the valve pattern as well as on the targets. In both, length and mu_t cannot be identified together from these
+rows, so the length is fixed. The fit of the twin uses the length from the fit of the analytical plant, which
+must exist. The last command writes the tables of the fits into the page.
 """
 
 from __future__ import annotations
@@ -16,150 +17,93 @@ from __future__ import annotations
 import argparse
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from grid import table
-from offset_runs import fit_offsets, offset_runs, predicted
-from published_tables import PublishedRun, published_runs
+from srs_twin.identification.unknowns import with_values
 
-from srs_twin import load_robot
 from srs_twin.errors import InputError
-from srs_twin.identification.fit_file import FitFile, fit_file, load_fit, write_fit
-from srs_twin.identification.fitted_robot import apply_fit
-from srs_twin.identification.footprint import PLANTS, GaitSetup
-from srs_twin.identification.parameters import with_values
-from srs_twin.io.files import atomic_write, data_root
+from srs_twin.identification.fit_file import FitFile, fit_file, write_fit
+from srs_twin.identification.fitted_robot import fitted
+from srs_twin.identification.footprint import PLANTS, Drive
+from srs_twin.io.files import atomic_write
 from srs_twin.scenario.provenance import versions
 
-FREQUENCY_HZ, SUPPLY_PA, TARGET_RAD = 1.5, 131e3, 0.7
-FITTED = (0.0, 0.3, -0.3)
-LENGTH = "geometry.segment_length_m"
-UNKNOWN = {LENGTH: 0.1164, "friction.mu_t": 0.0901, "modules.sensor_bias_rad": 0.0151}
-"""What is looked for, and where the search begins: from there every plant stands, and goes ahead."""
-ASKED = (
-    "friction.mu_n", "geometry.rigid_gap_m", "mass.connectors_kg", "bending.stiffness_nm_per_rad",
-    "bending.damping_time_s", "modules.bias_rad_1",
-)  # fmt: skip
-"""What is held at the robot's value, and asked after where that does not take too long."""
-
-
-@dataclass(frozen=True)
-class Study:
-    """One fit to the rows.
-
-    Attributes:
-        plant: that stands for the robot.
-        steering: what the offset acts on, see `ILC`.
-        held: what is not looked for but held, and asked after: a value, or None for that of the analytical
-            plant's fit.
-        asked: what is held at the robot's value, and asked after.
-    """
-
-    plant: str
-    steering: str = "targets"
-    held: Mapping[str, float | None] = field(default_factory=dict)
-    asked: tuple[str, ...] = ()
-
-
-STUDIES = {
-    "analytical": Study("analytical", asked=ASKED),
-    "twin": Study("twin", held={LENGTH: None}),
-    # A search for all three ended at 0.1555 m, 0.116 and 0.016 rad and gave length and mu_t no number.
-    "analytical_wave": Study("analytical", steering="targets_and_wave", held={LENGTH: 0.1555}),
-}
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from offset_runs import fit_offsets, offset_runs, predicted
+from published_tables import PublishedRun, published_runs
+from table8 import FITTED, STUDIES, UNKNOWN, drive_of, held_values, place, shipped, values_of
 
 
 def main() -> None:
-    """Fit, or show what was fitted."""
+    """Fit a plant, or show the existing fits."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--plant", choices=PLANTS, default="analytical")
-    parser.add_argument("--wave", action="store_true", help="the offset acts on the valves' wave as well")
+    parser.add_argument("--wave", action="store_true", help="the offset also acts on the valve pattern")
     parser.add_argument("--threads", type=int)
     parser.add_argument("--show", action="store_true")
     parser.add_argument("--picture", type=Path)
-    parser.add_argument("--page", type=Path, help="a page whose tables are to be those of the files")
-    given = parser.parse_args()
-    study = given.plant + ("_wave" if given.wave else "")
+    parser.add_argument("--page", type=Path, help="page whose tables are replaced")
+    options = parser.parse_args()
+    study = options.plant + ("_wave" if options.wave else "")
     if study not in STUDIES:
-        parser.error("--wave goes with the analytical plant")
-    if not given.show:
-        print(write_fit(fit(study, given.threads), place(study)))
+        parser.error("--wave needs --plant analytical")
+    if not options.show:
+        print(write_fit(fit(study, options.threads), place(study)))
     fits = shipped()
-    for name, each in fits.items():
-        print(f"\n{name}\n{each.estimate().text()}")
-    tables = [each(fits) for each in (values_table, rows_table, pairs_table)]
+    for name, item in fits.items():
+        print(f"\n{name}\n{item.estimate().text()}")
+    tables = [item(fits) for item in (values_table, rows_table, pairs_table)]
     print("\n" + "\n\n".join(tables))
-    if given.page:
-        text = with_tables(given.page.read_text("utf-8"), tables)
-        with atomic_write(given.page) as part:
+    if options.page:
+        text = with_tables(options.page.read_text("utf-8"), tables)
+        with atomic_write(options.page) as part:
             part.write_text(text, "utf-8")
-    if given.picture:
-        picture(fits).savefig(given.picture, dpi=130)
+    if options.picture:
+        picture(fits).savefig(options.picture, dpi=130)
 
 
 def with_tables(text: str, tables: Sequence[str]) -> str:
-    """Return a page in which each table stands in place of the one with the same first three headings."""
-    for each in tables:
-        head = "|".join(each.split("|")[:4])
-        text, count = re.subn(rf"(?m)^{re.escape(head)}\|.*(\n\|.*)*", lambda _, new=each: new, text)
+    """Return a page in which each table replaces the one with the same first three headings."""
+    for item in tables:
+        head = "|".join(item.split("|")[:4])
+        text, count = re.subn(rf"(?m)^{re.escape(head)}\|.*(\n\|.*)*", lambda _, new=item: new, text)
         if count != 1:
-            raise InputError(f"{count} tables begin with {head}|, where one is wanted")
+            raise InputError(f"{count} tables begin with {head}|; exactly one is needed")
     return text
 
 
-def place(study: str) -> Path:
-    """Return where the fit of a study is kept."""
-    return data_root() / "calibration" / "fits" / f"gen4_table8_{study}.yaml"
-
-
-def shipped() -> dict[str, FitFile]:
-    """Return the fits that there are, by study."""
-    return {study: load_fit(place(study)) for study in STUDIES if place(study).is_file()}
-
-
-def drive_of(study: str) -> GaitSetup:
-    """Return generation 4 under Section 5.3's iterative learning."""
-    plant, steering = STUDIES[study].plant, STUDIES[study].steering
-    return GaitSetup(load_robot("gen4"), FREQUENCY_HZ, SUPPLY_PA, "ilc", TARGET_RAD, plant, steering)
-
-
 def fit(study: str, threads: int | None = None) -> FitFile:
-    """Fit a plant to three rows of Table 8 and predict all."""
+    """Fit a plant to three rows of Table 8 and predict all rows."""
     drive, rows, held = drive_of(study), published_runs(), held_values(study)
     fitted_rows = offset_runs([row for row in rows if row.offset in FITTED])
     kept = offset_runs([row for row in rows if row.offset not in FITTED])
     start = {name: value for name, value in UNKNOWN.items() if name not in held}
-    found = fit_offsets(
+    result = fit_offsets(
         fitted_rows, replace(drive, spec=with_values(drive.spec, held)), start,
         besides=(*held, *STUDIES[study].asked), validation=kept, starting=start, threads=threads,
     )  # fmt: skip
     data = [run.data_set("fit") for run in fitted_rows] + [run.data_set("validation") for run in kept]
     make = partial(
-        fit_file, found, name=f"gen4_table8_{study}", title=title(study, held), robot="gen4",
+        fit_file, result, name=f"gen4_table8_{study}", title=title(study, held), robot="gen4",
         method="offsets", command=command(study), versions=versions(), data=data,
     )  # fmt: skip
     bare = make()
-    if bare.unidentified():
+    if bare.withheld():
         raise InputError(
-            f"{found.text()}\n{', '.join(bare.unidentified())} without a number: hold one of them"
+            f"{result.text()}\n{', '.join(bare.withheld())} cannot be identified: fix one of them"
         )
-    # Predicted with the numbers that stand in the file, and with no others.
-    return make(averages=averages(rows, replace(drive, spec=apply_fit(bare, drive.spec)), threads))
-
-
-def held_values(study: str) -> dict[str, float]:
-    """Return what a study holds, and at which values."""
-    held = STUDIES[study].held
-    known = load_fit(place("analytical")).estimate().values if None in held.values() else {}
-    return {name: known[name] if value is None else value for name, value in held.items()}
+    # Predict with the rounded values in the file.
+    return make(averages=averages(rows, replace(drive, spec=fitted(bare, drive.spec)), threads))
 
 
 def title(study: str, held: Iterable[str]) -> str:
-    """Return one line that says what was fitted, and what was held and why."""
+    """Return a one-line title with the fixed parameters and the source of their values."""
     line = f"Generation 4 from Table 8's offsets 0 and ±0.3, {STUDIES[study].plant}"
     if STUDIES[study].steering != "targets":
         line += ", the offset also on the valves' wave"
@@ -170,98 +114,91 @@ def title(study: str, held: Iterable[str]) -> str:
 
 
 def command(study: str) -> str:
-    """Return what makes a study's fit."""
+    """Return the command that makes the fit of a study."""
     wave = " --wave" if STUDIES[study].steering != "targets" else ""
     return f"uv run python benchmarks/table8_fit.py --plant {STUDIES[study].plant}{wave}"
 
 
-def averages(rows: Sequence[PublishedRun], drive: GaitSetup, threads: int | None):
-    """Return what was measured and what the fitted robot does, by name of the data."""
+def averages(rows: Sequence[PublishedRun], drive: Drive, threads: int | None):
+    """Return the measured and predicted values by name of the data."""
     paths = predicted(drive, [row.offset for row in rows], threads=threads)
-    found = {}
+    result = {}
     for row, path in zip(rows, paths, strict=True):
-        # The side of offset 0 is not printed: that to which the robot goes.
+        # The table has no side for offset 0: use the side of the prediction.
         curvature = math.copysign(1 / row.radius_m, row.offset or path.curvature)
-        found[f"offset {row.offset:g}"] = (
+        result[f"offset {row.offset:g}"] = (
             _named(row.speed_m_s, curvature, row.left_m, row.right_m),
             _named(path.speed, path.curvature, -path.left, path.right),
         )
-    return found
+    return result
 
 
 def _named(speed: float, curvature: float, left: float, right: float) -> dict[str, float]:
     return {"speed_m_s": speed, "curvature_per_m": curvature, "left_m": left, "right_m": right}
 
 
-def values_of(fit: FitFile, kind: str) -> dict[float, tuple[float, float]]:
-    """Return offset → speed (m/s) and radius (m, no sign), kind "measured" or "predicted"."""
-    found = {}
-    for each in sorted(fit.data, key=lambda each: float(each.name.removeprefix("offset "))):
-        held = getattr(each, kind)
-        offset = float(each.name.removeprefix("offset "))
-        found[offset] = (held["speed_m_s"], 1 / abs(held["curvature_per_m"]))
-    return found
-
-
-def off(one: float, other: float) -> str:
+def with_deviation(one: float, other: float) -> str:
     return f"{one:.4g} ({100 * (one / other - 1):+.0f} %)"
 
 
 def values_table(fits: dict[str, FitFile]) -> str:
-    """Return what was found by each plant, with 95 % intervals."""
+    """Return the fitted values of each plant with 95 % intervals."""
     rows = [[name, *(value_text(fit, name) for fit in fits.values())] for name in UNKNOWN]
     return table(["parameter", *fits], rows)
 
 
 def value_text(fit: FitFile, name: str) -> str:
-    """Return what a fit says of a number: found, or held."""
-    each = next((each for each in fit.parameters if each.name == name), None)
-    if each and each.value is not None:
-        return f"{each.value:.3g} ({each.low:.2g} to {each.high:.2g}), {each.verdict}"
-    return f"{fit.held[name]:.3g}, fixed" + (f": {each.verdict}" if each else "")
+    """Return a parameter's value, fitted or fixed, as text."""
+    item = next((item for item in fit.parameters if item.name == name), None)
+    if item and item.value is not None:
+        return f"{item.value:.3g} ({item.low:.2g} to {item.high:.2g}), {item.verdict}"
+    return f"{fit.held[name]:.3g}, fixed" + (f": {item.verdict}" if item else "")
 
 
 def rows_table(fits: dict[str, FitFile]) -> str:
-    """Return each row of the table beside each plant."""
+    """Return each row of Table 8 with the predictions of all plants."""
     rows = []
     seen = values_of(next(iter(fits.values())), "measured")
     for offset, (speed, radius) in seen.items():
-        told = [values_of(each, "predicted")[offset] for each in fits.values()]
+        predictions = [values_of(item, "predicted")[offset] for item in fits.values()]
         rows.append([
             f"{offset:g}", "fit" if offset in FITTED else "predicted", f"{speed:g}",
-            *(off(each[0], speed) for each in told), f"{radius:.5g}",
-            *(off(each[1], radius) for each in told),
+            *(with_deviation(item[0], speed) for item in predictions), f"{radius:.5g}",
+            *(with_deviation(item[1], radius) for item in predictions),
         ])  # fmt: skip
     heads = ["offset", "row", "speed: Table 8 (m/s)", *fits, "radius: Table 8 (m)", *fits]
     return table(heads, rows)
 
 
 def pairs_table(fits: dict[str, FitFile]) -> str:
-    """Return means over ±offset."""
+    """Return the means over ±offset."""
     rows = []
     seen = values_of(next(iter(fits.values())), "measured")
 
-    def mean(of: dict[float, tuple[float, float]], offset: float, which: int) -> float:
-        return (of[offset][which] + of[-offset][which]) / 2
+    def mean(pairs: dict[float, tuple[float, float]], offset: float, which: int) -> float:
+        return (pairs[offset][which] + pairs[-offset][which]) / 2
 
-    for offset in sorted(each for each in seen if each > 0):
+    for offset in sorted(item for item in seen if item > 0):
         cells = []
         for which in (0, 1):
             held = mean(seen, offset, which)
             spread = abs(seen[offset][which] - seen[-offset][which]) / 2 / held
             cells += [f"{held:.4g} ± {100 * spread:.0f} %"]
-            cells += [off(mean(values_of(each, "predicted"), offset, which), held) for each in fits.values()]
+            cells += [
+                with_deviation(mean(values_of(item, "predicted"), offset, which), held)
+                for item in fits.values()
+            ]
         rows.append([f"±{offset:g}", "fit" if offset in FITTED else "predicted", *cells])
     heads = ["offsets", "rows", "mean speed: Table 8 (m/s)", *fits, "mean radius: Table 8 (m)", *fits]
     return table(heads, rows)
 
 
-def width(of: dict[str, float]) -> float:
-    return of["right_m"] - of["left_m"]
+def width(pairs: dict[str, float]) -> float:
+    return pairs["right_m"] - pairs["left_m"]
 
 
 def picture(fits: dict[str, FitFile]):
-    """Return speed and curvature against offset: fitted rows filled, predicted ones open."""
+    """Plot speed and radius against offset, with filled markers for fitted rows."""
     from matplotlib.figure import Figure
 
     from srs_twin.viewing.plots.style import style_of
@@ -270,12 +207,12 @@ def picture(fits: dict[str, FitFile]):
     panels = figure.subplots(1, 2)
     seen = values_of(next(iter(fits.values())), "measured")
     for which, (axes, label) in enumerate(zip(panels, ("speed (m/s)", "radius (m)"), strict=True)):
-        for index, (plant, each) in enumerate(fits.items()):
-            told, style = values_of(each, "predicted"), style_of(plant, index)
-            offsets = np.array([offset for offset in told if which == 0 or offset != 0])
+        for index, (plant, item) in enumerate(fits.items()):
+            predictions, style = values_of(item, "predicted"), style_of(plant, index)
+            offsets = np.array([offset for offset in predictions if which == 0 or offset != 0])
             for side in (offsets < 0, offsets > 0) if which else (offsets < 9,):
                 axes.plot(
-                    offsets[side], [told[offset][which] for offset in offsets[side]], style.dash,
+                    offsets[side], [predictions[offset][which] for offset in offsets[side]], style.dash,
                     color=style.color, label=plant if side[0] else None, marker=".",
                 )  # fmt: skip
         for offset, values in seen.items():

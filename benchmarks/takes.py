@@ -1,18 +1,21 @@
-"""How many takes of all kinds become a body, and whether bends lie within their stated errors.
+"""Random recordings: share that is read, and coverage of the stated bend errors.
 
     uv run python benchmarks/takes.py [--draws 200] [--seed 1000] [--noise-mm 0.2 0.4]
 
-Each draw is a gait of generation 2, or of a body of two segments, at another frequency, offset and pressure,
-with segments that stretch by up to 25 % (but for one marker a connector), recorded with another layout, rate,
-unit and axis, markers lost, columns that change places and spikes. `--plant twin` takes the motions of the
-MuJoCo twin, whose segments are no arcs. Motions come from a plant and positions from integrals along arcs,
-nothing from what reads them. A refused take is tried again with the remedy its message names.
+Each draw is a gait of generation 2, or of a robot with two segments, with random frequency, offset and
+pressure. The segments stretch by up to 25 %, except with one marker per connector. The recording has a random
+layout, rate, unit and axis convention, lost markers, swapped columns and spikes. `--plant twin` uses motions
+of the MuJoCo twin, whose segments are not circular arcs. Motions come from a plant and marker positions from
+integrals along arcs, independent of the code that reads them. A refused recording is read again with the
+remedy in the error message.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import re
+import sys
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -23,10 +26,12 @@ from typing import Any
 import numpy as np
 from grid import table
 from scipy.interpolate import CubicSpline
-from synthetic_takes import MAPS, MOTIVE_LENGTHS, Take, stretched, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, InputError, RobotSpec, TwinSnake, load_robot, rollout
 from srs_twin.recordings.recording import read_motion
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
+from synthetic_takes import MAPS, MOTIVE_LENGTHS, Take, stretched, write_motive
 
 LAYOUTS = ("single", "head", "pair", "middles", "head_middles")
 HEADS = {"head": "snake:ahead", "head_middles": "snake:ahead", "pair": "snake:1a"}
@@ -34,7 +39,7 @@ HEADS = {"head": "snake:ahead", "head_middles": "snake:ahead", "pair": "snake:1a
 
 @dataclass(frozen=True)
 class Drawn:
-    """What came of one take: `refused` says why nothing did, `after` whether its remedy helped."""
+    """Result of one recording: `refused` is the error message, `after` whether its remedy helped."""
 
     layout: str
     refused: str = ""
@@ -43,16 +48,18 @@ class Drawn:
     stated: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
-def of_two(spec: RobotSpec) -> RobotSpec:
-    """Return a robot of two segments."""
+def two_segments(spec: RobotSpec) -> RobotSpec:
+    """Return a robot with two segments."""
     mass = replace(spec.mass, connectors=spec.mass.connectors[:3])
     return replace(spec, name="two", geometry=replace(spec.geometry, connectors=3), mass=mass)
 
 
 def draw(seed: int, noise: float, plant: str) -> Drawn:
-    """Return what comes of the take of a seed."""
+    """Draw, write and read the recording with a seed."""
     random = np.random.default_rng(seed)
-    spec = load_robot("gen2") if plant == "twin" or random.random() < 2 / 3 else of_two(load_robot("gen2"))
+    spec = (
+        load_robot("gen2") if plant == "twin" or random.random() < 2 / 3 else two_segments(load_robot("gen2"))
+    )
     fitting = LAYOUTS[:3] if plant == "twin" else LAYOUTS if spec.segments > 2 else LAYOUTS[1:]
     layout = str(random.choice(fitting))
     supply, gait = random.uniform(30e3, 50e3), Gait(random.uniform(0.5, 2.5), random.uniform(-0.2, 0.2))
@@ -75,16 +82,16 @@ def draw(seed: int, noise: float, plant: str) -> Drawn:
         path = Path(folder) / "take.csv"
         write_motive(truth, take, path)
         try:
-            found = read_motion(path, spec)
+            result = read_motion(path, spec)
         except InputError as error:
             return Drawn(layout, re.sub(r"^\S+: ", "", str(error)), _helped(path, spec, truth, take))
-    found = found.trajectory
-    error = found.stack("bend") - CubicSpline(truth.time, truth.stack("bend"))(found.time)
-    return Drawn(layout, error=error.ravel(), stated=found.stack("bend_error").ravel())
+    result = result.trajectory
+    error = result.stack("bend") - CubicSpline(truth.time, truth.stack("bend"))(result.time)
+    return Drawn(layout, error=error.ravel(), stated=result.stack("bend_error").ravel())
 
 
 def _helped(path: Path, spec: RobotSpec, truth: Any, take: Take) -> bool:
-    """Say whether a take loads once its layout and its head, by the names of labeled columns, are given."""
+    """Return whether a recording is read with its layout and its head (by labels) given."""
     write_motive(truth, replace(take, labeled=True), path)
     try:
         read_motion(path, spec, layout=take.layout, head=HEADS.get(take.layout, "snake:1"))
@@ -93,38 +100,54 @@ def _helped(path: Path, spec: RobotSpec, truth: Any, take: Take) -> bool:
     return True
 
 
+def count(drawn: list[Drawn]) -> dict[str, Any]:
+    """Return the number of refused recordings, their messages, and the coverage of the 95 % intervals."""
+    error, stated = (np.concatenate([getattr(item, name) for item in drawn]) for name in ("error", "stated"))
+    refused = [item for item in drawn if item.refused]
+    return {
+        "draws": len(drawn),
+        "refused": len(refused),
+        "refused_after_remedy": [item.refused for item in refused if not item.after],
+        "coverage_95": float((np.abs(error) < 1.96 * stated).mean()),
+    }
+
+
 def main() -> None:
     words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     words.add_argument("--draws", type=int, default=200)
     words.add_argument("--seed", type=int, default=1000)
     words.add_argument("--noise-mm", type=float, nargs="+", default=[0.2, 0.4])
     words.add_argument("--plant", choices=["compliant", "twin"], default="compliant")
-    given = words.parse_args()
-    rows = []
-    for noise in given.noise_mm:
+    words.add_argument("--json", type=Path, help="also write the counts to this file")
+    options = words.parse_args()
+    rows, counts = [], {}
+    for noise in options.noise_mm:
         with ProcessPoolExecutor() as pool:
-            some = partial(draw, noise=1e-3 * noise, plant=given.plant)
-            drawn = list(pool.map(some, range(given.seed, given.seed + given.draws)))
+            some = partial(draw, noise=1e-3 * noise, plant=options.plant)
+            drawn = list(pool.map(some, range(options.seed, options.seed + options.draws)))
+        counts[f"{noise:g}"] = count(drawn)
         for layout in ("all", *LAYOUTS):
-            own = [each for each in drawn if layout in ("all", each.layout)]
-            read = [each for each in own if not each.refused]
+            own = [item for item in drawn if layout in ("all", item.layout)]
+            read = [item for item in own if not item.refused]
             if not read:
                 continue
             error, stated = (
-                np.concatenate([getattr(each, name) for each in read]) for name in ("error", "stated")
+                np.concatenate([getattr(item, name) for item in read]) for name in ("error", "stated")
             )
-            refused = [each for each in own if each.refused]
+            refused = [item for item in own if item.refused]
             rows.append([
                 f"{noise:g}", layout, f"{len(read)} of {len(own)}",
-                f"{sum(each.after for each in refused)} of {len(refused)}",
+                f"{sum(item.after for item in refused)} of {len(refused)}",
                 f"{100 * (np.abs(error) < 1.96 * stated).mean():.1f}",
                 f"{1e3 * np.sqrt((error**2).mean()):.0f}", f"{1e3 * np.sqrt((stated**2).mean()):.0f}",
             ])  # fmt: skip
-        for each in drawn:
-            if each.refused:
-                print(f"refused at {noise:g} mm, {each.layout}: {each.refused}")
-    head = ["noise, mm", "layout", "read", "refused, read once its remedy was followed"]
+        for item in drawn:
+            if item.refused:
+                print(f"refused at {noise:g} mm, {item.layout}: {item.refused}")
+    head = ["noise, mm", "layout", "read", "refused, but read with the remedy"]
     print(table(head + ["within 95 %, %", "error, mrad", "stated, mrad"], rows), flush=True)
+    if options.json:
+        options.json.write_text(json.dumps(counts, indent=1), "utf-8")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How the benchmarks time: tasks take turns, medians of at least five rounds, ratios with their spread."""
+"""Timing for the benchmarks: tasks in turns, medians of five or more rounds, ratios with their range."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ class Timing:
     """Times of one task.
 
     Attributes:
-        seconds: one a round, per simulated second where the task says how many it simulates.
+        seconds: one time per round, divided by the simulated seconds of the task if it has any.
     """
 
     seconds: tuple[float, ...]
 
     @property
     def median(self) -> float:
-        """The middle round, s."""
+        """Median over the rounds, s."""
         return statistics.median(self.seconds)
 
     def json(self) -> dict[str, Any]:
@@ -38,11 +38,15 @@ class Timing:
 
 @dataclass(frozen=True)
 class Ratio:
-    """How many times as long one task takes as another.
+    """Ratio of the times of two tasks.
 
     Attributes:
         value: ratio of the medians.
-        least, most: among the rounds, each of which timed both tasks within a moment.
+        least, most: smallest and largest ratio in one round.
+
+    >>> ratio = Ratio.between(Timing((2.0, 30.0, 4.0, 5.0, 6.0)), Timing((1.0, 1.0, 1.0, 2.0, 1.0)))
+    >>> (ratio.value, ratio.least, ratio.most), str(ratio)
+    ((5.0, 2.0, 30.0), '5 (2 to 30)')
     """
 
     value: float
@@ -50,8 +54,8 @@ class Ratio:
     most: float
 
     @classmethod
-    def of(cls, slow: Timing, fast: Timing) -> Ratio:
-        """Compare two tasks that took turns."""
+    def between(cls, slow: Timing, fast: Timing) -> Ratio:
+        """Compare two tasks that were timed in turns."""
         rounds = [a / b for a, b in zip(slow.seconds, fast.seconds, strict=True)]
         return cls(slow.median / fast.median, min(rounds), max(rounds))
 
@@ -65,12 +69,12 @@ class Ratio:
 
 @dataclass(frozen=True)
 class Task:
-    """What is timed.
+    """Function to be timed.
 
     Attributes:
-        run: called once a round; what it returns is dropped.
-        simulated: seconds it simulates; 1: the time stands for itself.
-        clock: which time, s.
+        run: function that is called once per round; its result is ignored.
+        simulated: simulated time that divides the measured time, s.
+        clock: clock that measures the time, s.
     """
 
     run: Callable[[], object]
@@ -80,13 +84,13 @@ class Task:
 
 @dataclass(frozen=True)
 class Result:
-    """One benchmark's outcome.
+    """Result of one benchmark.
 
     Attributes:
-        title: what was compared.
-        head, rows: its table.
-        values: the same and more, as JSON values.
-        remarks: lines to read with the table.
+        title: the comparison in one line.
+        head, rows: headings and rows of the table.
+        values: all numbers, as JSON values.
+        remarks: remarks on the table.
     """
 
     title: str
@@ -97,16 +101,23 @@ class Result:
 
 
 def interleaved(tasks: Mapping[str, Task], rounds: int = ROUNDS) -> dict[str, Timing]:
-    """Time all tasks in every round, so that a noisy moment of the machine hits them alike.
+    """Time all tasks in every round, so that a disturbance of the machine affects all of them.
 
-    The order turns from round to round. Warm up before: nothing is left out here.
+    The order is reversed in every other round. There is no warm-up: call the tasks once before.
 
     Args:
-        tasks: by name.
-        rounds: how often.
+        tasks: tasks by name.
+        rounds: number of rounds.
 
     Returns:
         Seconds per simulated second, by name.
+
+    >>> calls = []
+    >>> times = interleaved({name: Task(lambda name=name: calls.append(name)) for name in "abc"}, rounds=3)
+    >>> "".join(calls), {name: len(timing.seconds) for name, timing in times.items()}
+    ('abccbaabc', {'a': 3, 'b': 3, 'c': 3})
+    >>> interleaved({"nap": Task(lambda: time.sleep(0.02), simulated=0.1)}, rounds=1)["nap"].median >= 0.2
+    True
     """
     seconds: dict[str, list[float]] = {name: [] for name in tasks}
     for k in range(rounds):
@@ -117,13 +128,13 @@ def interleaved(tasks: Mapping[str, Task], rounds: int = ROUNDS) -> dict[str, Ti
 
 def once(task: Task) -> float:
     """Run a task and return its time per simulated second, s."""
-    begun = task.clock()
+    start = task.clock()
     task.run()
-    return (task.clock() - begun) / task.simulated
+    return (task.clock() - start) / task.simulated
 
 
 def machine() -> dict[str, Any]:
-    """Return what the numbers depend on: processor, Python, versions. No names of hosts or folders."""
+    """Return processor, Python and package versions, without names of hosts, users or folders."""
     return {
         "cpu": _cpu_model(),
         "cpus": os.cpu_count(),
@@ -148,5 +159,5 @@ def _version(package: str) -> str | None:
 
 
 def three_figures(value: float) -> str:
-    """Return a number with three figures, without an exponent."""
+    """Return a number with three significant figures, without an exponent."""
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"

@@ -1,9 +1,9 @@
-"""How a change of offset takes hold: curvature of the path over time after it, and its lag as a length.
+"""Response to a change of offset: curvature of the path over time, and its lag as a path length.
 
     uv run python benchmarks/transient.py
 
-The lag ℓ is that of the first-order law of `control.prediction` that turns the snake as far: the heading
-that it is behind a snake which changes its curvature at once, over the change of curvature.
+The lag ℓ is that of the first-order law of `control.prediction` with the same final heading: the heading
+deficit relative to a snake that changes its curvature at once, divided by the change of curvature.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ FREQUENCY = {"ilc_curve": 1.5}
 
 
 class Step(Controller):
-    """A gait whose offset changes once."""
+    """Gait whose offset changes once."""
 
     kind = "step"
 
@@ -47,15 +47,15 @@ class Step(Controller):
 
 @dataclass(frozen=True)
 class Turned:
-    """One run in which the offset changed once, in means over a gait period.
+    """Run with one change of offset, as means over a gait period.
 
     Attributes:
         periods: time after the change, in periods, shape (n,).
-        curvature: over one period about each time, 1/m, shape (n,).
-        lag: of the turn, as a length, m.
-        speed: along the path, m/s.
+        curvature: mean over one period about each time, 1/m, shape (n,).
+        lag: response length, m.
+        speed: speed along the path, m/s.
         com: x and y of the period mean at `com_periods`, m, shape (m, 2).
-        com_periods: shape (m,).
+        com_periods: times of `com`, in periods, shape (m,).
     """
 
     periods: np.ndarray
@@ -66,18 +66,18 @@ class Turned:
     com_periods: np.ndarray
 
     def path(self, length: float) -> np.ndarray:
-        """Return the path from the change on, so long (m), in its own frame there, shape (k, 2)."""
+        """Return a length (m) of the path after the change, in the frame of the path there, shape (k, 2)."""
         at, still = (int(np.argmin(abs(self.com_periods - k))) for k in (0.0, -1.0))
         steps = np.diff(self.com, axis=0)
-        way = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
-        way -= way[at]
-        # Means at the change hear of it already: the steady arc before is carried on to there. And it is the
-        # direction of the path, not of the body: a snake that turns slides.
+        distance = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
+        distance -= distance[at]
+        # Period means at the change already include it, so the steady arc is extended to there.
+        # The frame has the direction of the path, because the body of a turning snake slides.
         x, y = self.com[still + 1] - self.com[still - 1]
         old = self.curvature[(self.periods > -4) & (self.periods < -1)].mean()
-        place = along(*self.com[still], np.arctan2(y, x), old, -way[still])
+        place = along(*self.com[still], np.arctan2(y, x), old, -distance[still])
         c, s = np.cos(place[2]), np.sin(place[2])
-        return ((self.com[at:] - place[:2]) @ np.array([[c, -s], [s, c]]))[way[at:] <= length]
+        return ((self.com[at:] - place[:2]) @ np.array([[c, -s], [s, c]]))[distance[at:] <= length]
 
 
 def turned(name: str, plant: str, before: float, after: float, duration: float) -> Turned:
@@ -97,11 +97,11 @@ def turned(name: str, plant: str, before: float, after: float, duration: float) 
         return (sums[count:] - sums[:-count]) / count
 
     heading, com, time = mean(run["heading"]), mean(run.com), run.time[count:] - period / 2
-    turn, way = heading[count:] - heading[:-count], np.hypot(*(com[count:] - com[:-count]).T)
-    curvature, middle = turn / way, time[count:] - period / 2
+    turn, distance = heading[count:] - heading[:-count], np.hypot(*(com[count:] - com[:-count]).T)
+    curvature, middle = turn / distance, time[count:] - period / 2
     first = curvature[(middle > 6 * period) & (middle < at - 2 * period)].mean()
     last = curvature[middle > at + 6 * period].mean()
-    speed = float(way.mean() / period)
+    speed = float(distance.mean() / period)
     early = np.interp(at - 2 * period, time, heading) + first * speed * 2 * period
     late = heading[-1] - last * speed * (time[-1] - at)
     lag = float((early - late) / (last - first))
@@ -109,11 +109,11 @@ def turned(name: str, plant: str, before: float, after: float, duration: float) 
 
 
 def measured(name: str, plant: str, before: float, after: float, duration: float) -> list[str]:
-    """Return a row: the lag and the curvature over time, of one change."""
+    """Return a row with the lag and the curvature over time for one change."""
     run = turned(name, plant, before, after, duration)
     seen = np.interp(SHOWN, run.periods, run.curvature)
     return [f"{name}, {plant}", f"{before:g} to {after:g}", f"{1e3 * run.lag:.0f}",
-            f"{run.lag / run.speed:.2f}", *(f"{each:.2f}" for each in seen)]  # fmt: skip
+            f"{run.lag / run.speed:.2f}", *(f"{item:.2f}" for item in seen)]  # fmt: skip
 
 
 def main() -> None:
@@ -122,7 +122,7 @@ def main() -> None:
         for name, before, after, duration in CASES
         for plant in ("analytical", "twin")
     ]
-    print(table(["run", "offset", "lag, mm", "lag, s", *(f"{each:g} T" for each in SHOWN)], rows))
+    print(table(["run", "offset", "lag, mm", "lag, s", *(f"{item:g} T" for item in SHOWN)], rows))
 
 
 if __name__ == "__main__":

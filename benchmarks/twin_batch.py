@@ -1,11 +1,16 @@
-"""A grid of twins stepped together in `mujoco.batch`: what sweeps.py holds against processes and threads.
+"""Twins stepped together in `mujoco.batch`, one of the methods that sweeps.py compares.
 
-All twins advance a second at a time: chambers one after the other, then every engine step of all of them in
-one call over threads, then what was to be seen, one after the other. It gives the bits of single twins.
+    uv run python benchmarks/twin_batch.py [--threads 2]
+
+All twins advance by one second at a time: first the chambers of each twin, then all engine steps of all twins
+in one call on several threads, then the records of each twin. The script compares every column of three runs
+with runs of single twins and exits with 1 unless they agree to the bit.
 """
 
 from __future__ import annotations
 
+import argparse
+import sys
 from collections.abc import Sequence
 
 import mujoco
@@ -13,7 +18,8 @@ import numpy as np
 from mujoco.batch import Batch
 
 from srs_twin import PreloadedContact
-from srs_twin.rollout import Recorder
+from srs_twin.rollout import Recorder, rollout
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 
@@ -22,11 +28,11 @@ _SEEN = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 
 
 def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory]:
-    """Run the preloaded twins of scenarios that differ in gait and supply only; MuJoCo steps them alone.
+    """Run the preloaded twins of scenarios that differ in gait and supply only, without other engine steps.
 
     Args:
-        scenarios: with one duration of whole seconds and one record_hz.
-        threads: of the engine.
+        scenarios: scenarios with the same `record_hz` and the same duration, in whole seconds.
+        threads: number of threads of the engine.
     """
     first = scenarios[0]
     twins = [scenario.build_plant("twin", contact=PreloadedContact()) for scenario in scenarios]
@@ -46,7 +52,7 @@ def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory
     times = 1.0 / samples * np.arange(1, samples + 1)
     for second in range(round(first.duration)):
         traces = [
-            twin.physics.advance_chambers(script.slice(second, second + 1), steps)
+            twin.physics.fill(script.part(second, second + 1), steps)
             for twin, script in zip(twins, scripts, strict=True)
         ]
         controls = np.zeros((len(twins), steps, models[0].nu))
@@ -56,7 +62,31 @@ def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory
         out = engine.rollout(steps, controls, record=(_SEEN, "sensordata"))
         for k, twin in enumerate(twins):
             mujoco.mj_setState(models[k], twin.physics.data.ptr, engine.state[k], _WHOLE)
-            batch = twin.physics.evaluate(out[_SEEN][k], out["sensordata"][k])
+            history = twin.physics.recorded(out[_SEEN][k], out["sensordata"][k])
             trace = traces[k].at(np.arange(1, steps + 1))
-            recorders[k].add(twin._chunk_history(second + times, trace, batch, steps // samples))
+            recorders[k].add(twin._history(second + times, trace, history, steps // samples))
     return [recorder.trajectory() for recorder in recorders]
+
+
+def main() -> None:
+    """Compare twins stepped together with single twins."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--threads", type=int, default=2, help="number of threads of the engine")
+    document = load_scenario("gen2_straight").document
+    scenarios = [
+        parse_scenario({**document, "duration_s": 2.0, "supply": {"pressure_kpa": pressure}})
+        for pressure in (42.0, 48.0, 54.0)
+    ]
+    different: set[str] = set()
+    for scenario, run in zip(scenarios, run_together(scenarios, parser.parse_args().threads), strict=True):
+        twin = scenario.build_plant("twin", contact=PreloadedContact())
+        single = rollout(twin, scenario.build_controller(), scenario.duration)
+        different |= run.columns.keys() ^ single.columns.keys()
+        shared = run.columns.keys() & single.columns.keys()
+        different |= {name for name in shared if run[name].tobytes() != single[name].tobytes()}
+    print(f"columns that differ from those of single twins: {', '.join(sorted(different)) or 'none'}")
+    sys.exit(bool(different))
+
+
+if __name__ == "__main__":
+    main()

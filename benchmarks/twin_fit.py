@@ -1,9 +1,10 @@
-"""How well and in how many runs a fit against the twin finds hidden numbers, from clean and noisy recordings.
+"""Errors and number of runs of fits with the twin, from recordings with and without noise.
 
 uv run python benchmarks/twin_fit.py [DRAWS]
 
-Each draw hides stiffness, gap and μ_t, each up to 25 % (gap 5 mm) from where the search starts, in 1 s of a
-straight and 1 s of a curved gait. Noise: places 1 mm, headings and bends 0.01 rad, white at 50 Hz.
+Each draw hides the true stiffness, gap and μ_t, which differ by up to 25 % (gap: 5 mm) from the initial
+values. The recordings are 1 s of a straight and 1 s of a curved gait. Noise: positions 1 mm, headings and
+bends 0.01 rad, white at 50 Hz.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ NOISE = {"com_x": 1e-3, "com_y": 1e-3, "heading": 1e-2, **{f"bend_{j}": 1e-2 for
 
 
 def hidden(rng: np.random.Generator) -> dict[str, float]:
-    """Return what a draw hides."""
+    """Return the true parameters of a draw."""
     return {
         "bending.stiffness_nm_per_rad": SPEC.bending.stiffness * float(np.exp(rng.uniform(-0.25, 0.25))),
         "geometry.rigid_gap_m": SPEC.geometry.rigid_gap + float(rng.uniform(-0.005, 0.005)),
@@ -34,7 +35,7 @@ def hidden(rng: np.random.Generator) -> dict[str, float]:
 
 
 def recorded(truth: dict[str, float], noise: float, rng: np.random.Generator) -> list[GaitRun]:
-    """Return what cameras would have seen of a robot."""
+    """Return the recordings of a robot."""
     blank = Trajectory({"time": np.array([0.0, 1.0])})
     runs = []
     for frequency, offset in GAITS:
@@ -57,18 +58,24 @@ def main(draws: int) -> None:
         for noise in (0.0, 1.0):
             rng = np.random.default_rng(draw)
             truth = hidden(rng)
-            told: list[int] = []
+            counts: list[int] = []
             start = time.perf_counter()
-            found = fit_locomotion(
+            result = fit_locomotion(
                 recorded(truth, noise, rng), SPEC, list(truth), model=TWIN, against="shapes", starts=1,
-                watch=lambda runs, _, told=told: told.append(runs),
+                watch=lambda runs, _, counts=counts: counts.append(runs),
             )  # fmt: skip
             took = time.perf_counter() - start
-            said = [f"{draw}", f"{noise:g}", f"{told[-1]}", f"{took:.0f}", "yes" if found.converged else "no"]
+            cells = [
+                f"{draw}",
+                f"{noise:g}",
+                f"{counts[-1]}",
+                f"{took:.0f}",
+                "yes" if result.converged else "no",
+            ]
             for name, value in truth.items():
-                each = found[name].value
-                said.append("none" if each is None else f"{100 * (each / value - 1):+.2f} %")
-            print(f"| {' | '.join(said)} |", flush=True)
+                item = result[name].value
+                cells.append("none" if item is None else f"{100 * (item / value - 1):+.2f} %")
+            print(f"| {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from srs_twin.live.prediction import Prediction
 from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests/helpers"))
 from live_runs import Moment, Run, shadowed  # noqa: E402
 
 RUN = Run(3, 10.0, fault="stuck_valve:2+=open@6.0", frequency=1.0)

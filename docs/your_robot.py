@@ -19,7 +19,7 @@ from srs_twin.pneumatics import Schedule
 from srs_twin.pneumatics.recorded import RecordedPressures
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests/helpers"))
 from synthetic_takes import Take, write_motive  # noqa: E402
 
 FOLDER = Path(__file__).parents[1] / "calibration/examples/my_snake"

@@ -103,7 +103,7 @@ class Page:
         self.save_files(folder)
         (folder / "example.py").write_text(self.script, "utf-8")
         words = [sys.executable, "example.py"]
-        paths = os.environ | {"PYTHONPATH": str(ROOT / "benchmarks")}
+        paths = os.environ | {"PYTHONPATH": str(ROOT / "tests/helpers")}
         done = subprocess.run(words, cwd=folder, env=paths, capture_output=True, text=True, timeout=600)
         assert (done.returncode, done.stderr) == (0, ""), done.stderr
         return done.stdout

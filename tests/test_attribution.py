@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from srs_twin import Numerics, rollout
 from srs_twin.attribution import PlantVariants, contributions, explain, subsets
-from srs_twin.comparison.compare import MEASURES, Attribution, AssumptionShare, gap_between
+from srs_twin.comparison.compare import MEASURES, AssumptionShare, Attribution, gap_between
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.experiment import prepare
 from srs_twin.scenario.loading import parse_scenario

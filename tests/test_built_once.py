@@ -1,4 +1,4 @@
-"""Nothing is built twice on the way from a file to its files, and the way is short."""
+"""Plants and controllers are built once per command, and the call stack to the plant is short."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ robot: gen2
 duration_s: 0.2
 controller: {kind: gait, frequency_hz: 2.0}
 """
-# Reads what a controller senses, so that the rollout meets the plant tick by tick.
+# A feedback controller, so the rollout steps the plant tick by tick.
 LEARNING = BRIEF.replace("kind: gait", "kind: ilc").replace("0.2", "1")
 
 
@@ -61,7 +61,7 @@ def start(*words: str) -> None:
 
 
 @pytest.mark.parametrize("name", shipped_names("scenario"))
-def test_loading_builds_neither_a_plant_nor_a_controller(built, name):
+def test_loading_builds_no_plant_and_no_controller(built, name):
     load_scenario(name)
     assert not built
 
@@ -89,7 +89,7 @@ def way_from_compare() -> list[str]:
 
 
 @pytest.mark.parametrize(("text", "way"), [(BRIEF, "play"), (LEARNING, "advance")])
-def test_from_the_command_to_the_plant_in_eight_frames_and_six_files(tmp_path, monkeypatch, text, way):
+def test_call_stack_to_the_plant_has_eight_frames_in_six_files(tmp_path, monkeypatch, text, way):
     ways: dict[str, list[str]] = {}
 
     def watched(self, step, *arguments):

@@ -1,4 +1,4 @@
-"""A setting's default, bounds and unit stand in one place: its constructor, its section, its key."""
+"""Default, bounds and unit of a setting are declared once: in its constructor, its section or its key."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from srs_twin.scenario.file import ScenarioFile
 
 ROOM = Path(srs_twin.scenario.__file__).parent
 
-# Keys whose default is another than the constructor's on purpose, and why.
+# Keys whose default intentionally differs from the constructor, with the reason.
 OTHER = {
     "DeadSensorFile.reading_rad": "nothing is read unless a reading is given",
     "FollowFile.delay_s": "a real snake answers late",
@@ -28,22 +28,22 @@ OTHER = {
 }
 
 
-def sections(of: type[Section] = Section) -> Iterator[type[Section]]:
-    for each in of.__subclasses__():
-        if each.__module__.startswith("srs_twin.scenario") and not each.__name__.startswith("_"):
-            yield each
-        yield from sections(each)
+def sections(source: type[Section] = Section) -> Iterator[type[Section]]:
+    for item in source.__subclasses__():
+        if item.__module__.startswith("srs_twin.scenario") and not item.__name__.startswith("_"):
+            yield item
+        yield from sections(item)
 
 
-SECTIONS = sorted(set(sections()), key=lambda each: each.__name__)
+SECTIONS = sorted(set(sections()), key=lambda item: item.__name__)
 
 
 def keys_in_sources() -> Iterator[tuple[str, str, ast.expr]]:
-    """Yield section, key and what is assigned to it in the sources."""
+    """Yield section, key and the assigned expression in the sources."""
     for path in ROOM.glob("*.py"):
         tree = ast.parse(path.read_text("utf-8"))
         shared = {
-            ast.unparse(each.targets[0]): each.value for each in tree.body if isinstance(each, ast.Assign)
+            ast.unparse(item.targets[0]): item.value for item in tree.body if isinstance(item, ast.Assign)
         }
         for node in ast.walk(tree):
             for line in node.body if isinstance(node, ast.ClassDef) else ():
@@ -52,8 +52,8 @@ def keys_in_sources() -> Iterator[tuple[str, str, ast.expr]]:
                     yield node.name, line.target.id, shared.get(ast.unparse(line.value), line.value)
 
 
-@pytest.mark.parametrize("section", SECTIONS, ids=lambda each: each.__name__)
-def test_defaults_are_the_constructors(section):
+@pytest.mark.parametrize("section", SECTIONS, ids=lambda item: item.__name__)
+def test_defaults_equal_those_of_the_constructors(section):
     for key, field in section.model_fields.items():
         parameter = section.parameter(key)
         if parameter is None or parameter.default is parameter.empty or field.default is None:
@@ -62,8 +62,8 @@ def test_defaults_are_the_constructors(section):
             assert field.default == parameter.default, key
 
 
-def test_no_default_of_a_constructor_is_typed_again():
-    by_name = {each.__name__: each for each in SECTIONS}
+def test_no_default_is_declared_twice():
+    by_name = {item.__name__: item for item in SECTIONS}
     typed = []
     for name, key, given in keys_in_sources():
         parameter = by_name[name].parameter(key) if name in by_name else None
@@ -77,7 +77,7 @@ def test_no_default_of_a_constructor_is_typed_again():
     assert set(typed) <= OTHER.keys(), "take the default out: the section has the constructor's"
 
 
-def test_no_unit_is_typed_that_the_key_names():
+def test_no_unit_is_declared_twice():
     twice = [
         f"{name}.{key}"
         for name, key, given in keys_in_sources()
@@ -87,11 +87,11 @@ def test_no_unit_is_typed_that_the_key_names():
     assert all(key.endswith(tuple(UNITS)) for key in ("slip_speed_m_s", "k_s_per_rad", "duration_s"))
 
 
-@pytest.mark.parametrize("section", SECTIONS, ids=lambda each: each.__name__)
-def test_each_section_names_its_bounds_and_units_to_editors(section):
+@pytest.mark.parametrize("section", SECTIONS, ids=lambda item: item.__name__)
+def test_schema_contains_bounds_and_units(section):
     for key, shown in section.model_json_schema().get("properties", {}).items():
         numbers = [
-            each for each in (shown, *shown.get("anyOf", ())) if each.get("type") in ("number", "integer")
+            item for item in (shown, *shown.get("anyOf", ())) if item.get("type") in ("number", "integer")
         ]
         for number in numbers:
             assert {"minimum", "maximum"} <= number.keys(), key

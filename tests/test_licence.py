@@ -1,4 +1,4 @@
-"""Licence and citation: what the package, its metadata and CITATION.cff say is the same."""
+"""Licence and citation agree in the package, its metadata and CITATION.cff."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.fast
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 
-def test_the_installed_package_names_its_licence():
+def test_installed_package_states_its_licence():
     about = metadata.metadata("srs-twin")
     assert about["License-Expression"] == PROJECT["license"] == "Apache-2.0"
     assert set(about.get_all("License-File")) == set(PROJECT["license-files"])
@@ -24,7 +24,7 @@ def test_the_installed_package_names_its_licence():
         assert "Apache License" in (ROOT / name).read_text()
 
 
-def test_the_citation_is_of_this_version_and_names_the_dissertation():
+def test_citation_has_this_version_and_names_the_dissertation():
     document = parse_yaml((ROOT / "CITATION.cff").read_text("utf-8"), "CITATION.cff")
     document.raise_problems()
     assert document.get("version") == srs_twin.__version__ == PROJECT["version"]

@@ -8,8 +8,8 @@ from __future__ import annotations
 import copy
 import json
 
-import module_table
 import pytest
+from conftest import ROOT
 from module_lines import LINES, Line, Values
 
 from srs_twin.comparison.metrics import METRIC_UNITS
@@ -17,33 +17,35 @@ from srs_twin.io.files import shipped_names
 
 pytestmark = pytest.mark.fast
 
-FIGURES = json.loads(module_table.FIGURES.read_text("utf-8"))
-PAGE = module_table.PAGE.read_text("utf-8")
+FIGURES = json.loads((ROOT / "docs/module.json").read_text("utf-8"))
+PAGE = (ROOT / "docs/module.md").read_text("utf-8")
 
 
 def test_the_page_holds_the_table_of_the_figures():
-    assert PAGE == module_table.placed(PAGE, module_table.report(FIGURES))
+    _, _, rest = PAGE.partition("<!-- module: begin -->\n")
+    head, rule, *rows = rest.partition("\n<!-- module: end -->")[0].splitlines()
+    assert head == "| quantity | dissertation | analytical | twin | difference | scenario |"
+    assert rule == "| --- | --- | --- | --- | --- | --- |"
+    assert rows == [f"| {' | '.join(line.cells(FIGURES))} |" for line in LINES]
 
 
 def test_the_figures_are_of_every_scenario_of_the_chapter():
     wanted = {name for name in shipped_names("scenario") if name.startswith("module_")}
     assert FIGURES["scenarios"].keys() == wanted
     for plants in FIGURES["scenarios"].values():
-        for found in plants.values():
-            assert found.keys() <= METRIC_UNITS.keys()
-            assert not {"wall_s", "realtime_factor"} & found.keys()
+        for result in plants.values():
+            assert result.keys() <= METRIC_UNITS.keys()
+            assert not {"wall_s", "realtime_factor"} & result.keys()
     assert FIGURES["leak"]["draws"] >= 20
 
 
 def test_a_number_that_changes_changes_the_table():
     changed = copy.deepcopy(FIGURES)
     changed["scenarios"]["module_step_direct"]["twin"]["settling_5_s"] = 0.3
-    (line,) = (
-        line for line in module_table.report(changed).splitlines() if "direct, 25° step: settled" in line
-    )
-    assert "| **0.300 s** |" in line  # later than 0.25 s: not met
+    (cells,) = (line.cells(changed) for line in LINES if "direct, 25° step: settled" in line.what)
+    assert "**0.300 s**" in cells  # later than 0.25 s: not met
     ours = FIGURES["scenarios"]["module_step_direct"]["analytical"]["settling_5_s"]
-    assert f"| {0.3 / ours - 1:.1%} |" in line
+    assert f"{0.3 / ours - 1:.1%}" in cells
 
 
 def test_benches_are_as_close_as_the_issue_asks():
@@ -56,7 +58,7 @@ def test_benches_are_as_close_as_the_issue_asks():
 
 def test_only_what_is_compared_counts_for_apart():
     line = Line(
-        "x", "y", lambda v: v.of("static", "final_bend_rad"), "{:.1f} ± {:.1f}",
+        "x", "y", lambda v: v.select("static", "final_bend_rad"), "{:.1f} ± {:.1f}",
         beside=lambda v: (1.0 if v.plant == "twin" else 2.0,),
     )  # fmt: skip
     cells = line.cells(FIGURES)
@@ -66,6 +68,6 @@ def test_only_what_is_compared_counts_for_apart():
 
 def test_values_name_both_controllers():
     values = Values(FIGURES, "twin")
-    both = values.of("step_", "rise_time_s", unit=1e3)
-    each = [values.of(f"step_{kind}", "rise_time_s")[0] for kind in ("direct", "iterative")]
-    assert both == pytest.approx([1e3 * one for one in each])
+    both = values.select("step_", "rise_time_s", unit=1e3)
+    item = [values.select(f"step_{kind}", "rise_time_s")[0] for kind in ("direct", "iterative")]
+    assert both == pytest.approx([1e3 * one for one in item])

@@ -1,4 +1,4 @@
-"""Makefile, hooks, .ci scripts, hosted workflows: what they call exists, and every test is run somewhere."""
+"""Makefile, hooks, .ci scripts and hosted workflows call existing commands and run every test."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def yaml(name):
 
 
 def recipes():
-    """Target of the Makefile → its command lines."""
-    found = re.findall(r"^(\w+):.*\n((?:\t.*\n)+)", MAKEFILE, re.M)
-    return {target: [line.strip() for line in lines.splitlines()] for target, lines in found}
+    """Return the command lines of the Makefile by target."""
+    rules = re.findall(r"^(\w+):.*\n((?:\t.*\n)+)", MAKEFILE, re.M)
+    return {target: [line.strip() for line in lines.splitlines()] for target, lines in rules}
 
 
 def hooks():
@@ -38,13 +38,13 @@ def scripts():
 
 
 def called():
-    """Every command line that begins with `uv run`."""
-    lines = [*(line for each in recipes().values() for line in each), *hooks(), *scripts()]
+    """Return all command lines that begin with `uv run`."""
+    lines = [*(line for recipe in recipes().values() for line in recipe), *hooks(), *scripts()]
     return sorted({line for line in lines if line.startswith("uv run ")})
 
 
 @pytest.mark.parametrize("line", called())
-def test_what_is_called_exists(line):
+def test_called_scripts_and_options_exist(line):
     words = shlex.split(re.sub(r"^uv run --(group dev|extra gpu)", "uv run", line))[2:]
     if words[0] == "python":
         script = ROOT / words[1]
@@ -54,23 +54,23 @@ def test_what_is_called_exists(line):
         assert words[0] in ("mypy", "pytest", "ruff", "sphinx-build")
 
 
-def test_targets_of_the_makefile():
+def test_makefile_targets_run_the_documented_commands():
     assert recipes().keys() >= {"test", "fast", "check", "docs", "golden"}
     assert set(re.search(r"^\.PHONY: (.*)$", MAKEFILE, re.M)[1].split()) == recipes().keys()
     assert recipes()["test"] == ["uv run --group dev pytest"]
     checks = ["ruff check", "ruff format --check", "mypy"]
-    assert recipes()["check"] == [f"uv run --group dev {each}" for each in checks]
+    assert recipes()["check"] == [f"uv run --group dev {check}" for check in checks]
     assert set(hooks()) == set(recipes()["check"])
 
 
-def test_tests_that_are_left_out_by_default_are_run_by_ci():
+def test_ci_runs_the_slow_tests():
     assert "not slow" in PYPROJECT["tool"]["pytest"]["ini_options"]["addopts"]
     assert ["uv run --group dev pytest", "uv run --group dev pytest -m slow"] == [
         line for line in scripts() if "pytest" in line and not line.startswith(".ci/targets")
     ]
 
 
-def test_every_study_of_the_night_is_bounded():
+def test_nightly_studies_have_time_limits():
     studies = re.findall(r"^step \w+ (.*)$", NIGHTLY, re.M)
     assert len(studies) >= 3
     assert all(
@@ -79,7 +79,7 @@ def test_every_study_of_the_night_is_bounded():
     )
 
 
-def test_the_workflow_calls_the_scripts():
+def test_workflow_runs_the_ci_scripts():
     workflow = yaml(".github/workflows/ci.yml")
     assert workflow["permissions"] == {"contents": "read"}
     jobs = workflow["jobs"].values()

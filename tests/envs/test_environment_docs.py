@@ -15,7 +15,9 @@ PAGE = (ROOT / "docs/environments.md").read_text("utf-8")
 
 
 def test_signal_tables_are_current():
-    assert update_tables(PAGE) == PAGE, "uv run python docs/environment_tables.py docs/environments.md writes them"
+    assert update_tables(PAGE) == PAGE, (
+        "uv run python docs/environment_tables.py docs/environments.md writes them"
+    )
 
 
 def test_signal_names_end_in_their_unit_and_bounds_are_finite():

@@ -187,6 +187,6 @@ def test_the_uncertainty_of_a_fit_is_stored_in_the_robot(tmp_path):
     priors = Priors.from_robot(fitted_robot([path], "mine"))
     i, j = (priors.paths.index(name) for name in names)
     assert priors.correlation[i, j] == -0.6
-    ends = priors.parameters[i].at(np.array([0.025, 0.975]))
+    ends = priors.parameters[i].quantile(np.array([0.025, 0.975]))
     assert ends == pytest.approx([0.05 / 1.1, 0.05 * 1.1], rel=1e-3)
     assert ends == pytest.approx(lognorm(np.log(1.1) / 1.96, scale=0.05).ppf([0.025, 0.975]), rel=1e-3)

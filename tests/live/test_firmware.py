@@ -12,6 +12,7 @@ import time
 import firmware_rig
 import numpy as np
 import pytest
+from benchmark_runs import run_benchmark
 from brokers import needs_broker
 from firmware_rig import FIRMWARE, HOLD_S, NAME, SEGMENTS, WATCHDOG_S, Cause, Rig, lay, micropython, until
 
@@ -382,12 +383,10 @@ def test_the_newest_of_many_commands_is_obeyed(tmp_path, monkeypatch):
 
 @needs_broker
 @pytest.mark.slow
-def test_sixty_kills_and_twenty_losses_in_any_order(tmp_path):
-    import firmware_kills
-
-    study = firmware_kills.study(tmp_path, kills=60, losses=20, seed=1)
-    print(study.table())
-    assert len(study.vents) >= 60 and not study.late
+def test_chambers_vent_in_time_after_sixty_kills_and_twenty_losses():
+    done = run_benchmark("firmware_kills.py", "--kills", "60", "--losses", "20", "--seed", "1")
+    print(done.stdout)
+    assert done.returncode == 0, done.stderr
 
 
 @needs_broker

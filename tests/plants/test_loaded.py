@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from front import crawled
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from load_reference import (
@@ -21,6 +20,7 @@ from load_reference import (
     stored,
 )
 from snakes import GRAVITY, robot
+from twin_at_reference import crawled
 
 from srs_twin import (
     AnalyticalSnake,

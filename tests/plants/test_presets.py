@@ -7,7 +7,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from presets import FINE_S, METRICS, errors, measured
+from preset_errors import FINE_S, METRICS, errors, measured
 
 from srs_twin import InputError, TwinSnake, load_robot
 from srs_twin.plants.twin.mjcf.numerics import PRESETS, Preset

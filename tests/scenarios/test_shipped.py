@@ -1,4 +1,4 @@
-"""Every shipped scenario runs on both plants, and misses what its file says that it misses."""
+"""Every shipped scenario runs on both plants and misses only the expectations marked in its file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from srs_twin.scenario.expectation import verdict
 DOCUMENTED = json.loads((ROOT / "docs/module.json").read_text("utf-8"))
 
 
-# By default one of each kind that is quickly run; ILC: test_learning_scenarios.py.
+# One fast scenario of each kind; ILC: test_learning_scenarios.py.
 BRIEF = {
     "gen2_straight",
     "module_step_direct",
@@ -27,29 +27,29 @@ SHIPPED = [
 ]
 
 
-def test_what_runs_by_default_is_shipped():
+def test_brief_scenarios_are_shipped():
     assert set(shipped_names("scenario")) >= BRIEF
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_runs_and_misses_what_is_known(name, shipped_run):
+def test_scenario_misses_only_known_expectations(name, shipped_run):
     folder = shipped_run(name)
     assert {path.name for path in folder.iterdir()} == {
         "analytical.parquet", "twin.parquet", "scenario.resolved.yaml", "report.html", "recording.rrd",
         "metrics.json",
     }  # fmt: skip
     metrics = json.loads((folder / "metrics.json").read_text("utf-8"))
-    surprising = [
-        each
-        for each in metrics["expectations"]
-        if verdict(each) not in ("met", "known") and each.get("verdict") != "undecided"
+    unexpected = [
+        item
+        for item in metrics["expectations"]
+        if verdict(item) not in ("met", "known") and item.get("verdict") != "undecided"
     ]
-    assert surprising == [], "missed, or marked `known` and met: change the mark on purpose"
-    as_documented(name, metrics["plants"])
+    assert unexpected == [], "missed, or marked `known` and met: correct the mark in the scenario"
+    check_documented_values(name, metrics["plants"])
     both = load_run(folder).trajectories
     if any(both["twin"].has(name) for name in ("reference", "duty_plus", "offset_commanded")):
-        return  # each controller has felt its own body
-    # Under the same valves, the same chambers: that much must be equal whatever the bodies do.
+        return  # feedback: the controllers of the plants differ
+    # With equal valve states the chambers must be equal, independent of the bodies.
     assert both["twin"].metadata["valve_switches"] == both["analytical"].metadata["valve_switches"]
     for valve in ("valve_plus", "valve_minus"):
         assert (both["twin"].stack(valve) == both["analytical"].stack(valve)).all()
@@ -57,10 +57,10 @@ def test_runs_and_misses_what_is_known(name, shipped_run):
         assert both["twin"].stack(chamber) == pytest.approx(both["analytical"].stack(chamber), abs=1e-6)
 
 
-def as_documented(name, plants):
-    """Hold what docs/module.md says of a scenario, through docs/module.json, against what it gave."""
-    told = DOCUMENTED["scenarios"].get(name)
-    if told is None:
+def check_documented_values(name, plants):
+    """Compare the metrics of a scenario with docs/module.json, the source of docs/module.md."""
+    documented = DOCUMENTED["scenarios"].get(name)
+    if documented is None:
         return
     for plant, metrics in plants.items():
         numbers = {
@@ -68,12 +68,12 @@ def as_documented(name, plants):
             for metric, value in metrics.items()
             if isinstance(value, int | float) and metric not in ("wall_s", "realtime_factor")
         }
-        assert numbers.keys() == told[plant].keys()
+        assert numbers.keys() == documented[plant].keys()
         if "leak" not in name:
-            again = "uv run python benchmarks/module_table.py writes them anew"
-            assert numbers == pytest.approx(told[plant], rel=0.02, abs=2e-4), again
+            again = "uv run python benchmarks/module_table.py updates docs/module.json"
+            assert numbers == pytest.approx(documented[plant], rel=0.02, abs=2e-4), again
             continue
-        # At the edge of the dead zone rounding decides as noise does: one draw of the noise, of those told.
+        # At the edge of the dead zone rounding acts like noise: compare with the documented noise draws.
         drawn = DOCUMENTED["leak"]["of"][name.rpartition("_")[2]][plant]
         for metric, unit in (("inlet_openings", 1), ("steady_rms_rad", 180 / math.pi)):
             mean, deviation = drawn[metric]["mean"], drawn[metric]["deviation"]

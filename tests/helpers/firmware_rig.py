@@ -29,7 +29,7 @@ import numpy as np
 from srs_twin.live.messages import COMMAND
 from srs_twin.live.mqtt import MqttLink
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE = ROOT / "examples/firmware"
 STUBS = Path(__file__).parent / "firmware_stubs"
 HOLD_S, WATCHDOG_S = 0.2, 1.0
@@ -43,8 +43,8 @@ MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sb
 
 def micropython() -> list[str] | None:
     """Return the command that starts MicroPython, or None where it is not installed."""
-    if found := shutil.which("micropython", path=os.environ.get("PATH", "")):
-        return [found]
+    if result := shutil.which("micropython", path=os.environ.get("PATH", "")):
+        return [result]
     if importlib.util.find_spec("micropython_run"):
         code = "import sys, micropython_run as m; sys.exit(m.run_main(['micropython', *sys.argv[1:]]))"
         return [sys.executable, "-c", code]
@@ -267,15 +267,15 @@ class Wire:
                 while self.stalled:
                     time.sleep(0.002)
                 other.sendall(data)
-        for each in (one, other):
+        for item in (one, other):
             with contextlib.suppress(OSError):
-                each.shutdown(socket.SHUT_RDWR)
+                item.shutdown(socket.SHUT_RDWR)
 
     def cut(self) -> None:
         """Break the connection."""
-        for each in self._ends:
+        for item in self._ends:
             with contextlib.suppress(OSError):
-                each.shutdown(socket.SHUT_RDWR)
+                item.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
         """Break the connection and listen no longer."""
@@ -344,7 +344,7 @@ class Rig:
 
 def latest(sent: list[tuple[int, float]], bits: int, before: float) -> float:
     """Return when the latest command of a pattern before a time was sent, s."""
-    return max(at for each, at in sent if each == bits and at <= before)
+    return max(at for item, at in sent if item == bits and at <= before)
 
 
 def _listens(port: int) -> bool:

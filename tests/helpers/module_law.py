@@ -1,7 +1,6 @@
-"""One module as Eq. 14 has it, many at once with their own gains: what `gains.py` searches on.
+"""Modules that obey Eq. 14, many at once with different gains, for the search of `gains.py`.
 
-The chambers are the project's `LagPneumatics`; controllers meet them every millisecond through a noisy
-sensor.
+The chambers are `LagPneumatics`. The controllers run every millisecond with a noisy sensor.
 """
 
 from __future__ import annotations
@@ -24,13 +23,13 @@ NOISE_RAD = np.radians(0.2)
 
 @dataclass(frozen=True)
 class Module:
-    """A module on a bench.
+    """Module on a bench.
 
     Attributes:
-        pace: factor on its time constants.
-        end_kg: mass at its free end, kg; without one it obeys Eq. 14.
-        leak_per_s: λ of its chambers, 1/s.
-        seed: of the sensor's noise.
+        pace: factor on the time constants.
+        end_kg: mass at the free end, kg; without it the module obeys Eq. 14.
+        leak_per_s: leak rate λ of the chambers, 1/s.
+        seed: random seed of the sensor noise.
     """
 
     pace: float = 1.0
@@ -39,7 +38,7 @@ class Module:
     seed: int = 0
 
     def spec(self, count: int) -> RobotSpec:
-        """Return generation 4 with so many segments, each a module by itself."""
+        """Return generation 4 with a number of independent segments as modules."""
         spec = load_robot("gen4")
         actuator = replace(
             spec.actuator,
@@ -51,12 +50,12 @@ class Module:
         return replace(spec, actuator=actuator, geometry=geometry, mass=mass)
 
     def follow(self, controller: SlidingMode, duration: float, *, count: int = 1) -> list[Trajectory]:
-        """Return what so many modules do, each with its own of the controller's gains.
+        """Return the trajectories of several modules, each with its own gains of the controller.
 
         Args:
-            controller: with gains of shape (count,) or plain numbers.
-            duration: s.
-            count: of modules.
+            controller: controller with gains of shape (count,) or scalars.
+            duration: simulated time, s.
+            count: number of modules.
         """
         spec = self.spec(count)
         air = LagPneumatics(
@@ -65,7 +64,7 @@ class Module:
         load = _Load(spec, self.end_kg) if self.end_kg else None
         controller.reset(spec, TICK_S)
         ticks = round(duration / TICK_S)
-        # The same noise for all modules: sets of gains differ in nothing else.
+        # The same noise for all modules, so that only the gains differ.
         noise = NOISE_RAD * np.random.default_rng(self.seed).standard_normal((ticks + 1, 1))
         noise = np.repeat(noise, count, axis=1)
         bend, reference = np.zeros((ticks + 1, count)), np.zeros((ticks + 1, count))
@@ -95,10 +94,10 @@ class Module:
 
 
 class _Load:
-    """Bends that carry a mass: J q̈ + k τ₂ q̇ + k q = k G (p⁺ − p⁻), the pressures straight over a tick."""
+    """Bends with a mass at the end: J q̈ + k τ₂ q̇ + k q = k G (p⁺ − p⁻), pressures linear over a tick."""
 
     def __init__(self, spec: RobotSpec, end_kg: float) -> None:
-        # The end of an arc of length l that bends by q moves l q/2 to the side.
+        # The end of an arc of length l with bend q moves laterally by l q/2.
         inertia = end_kg * (spec.geometry.segment_length / 2) ** 2
         pull = spec.bending.stiffness / inertia
         law = [[0, 1, 0, 0], [-pull, -pull * spec.actuator.tau_mode, pull, 0], [0, 0, 0, 1], [0, 0, 0, 0]]

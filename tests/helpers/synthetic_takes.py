@@ -1,6 +1,6 @@
-"""Synthetic takes: a trajectory as a motion capture system would have exported it.
+"""Synthetic recordings: a trajectory as a motion capture system exports it.
 
-For trying out what reads recordings, and for worked examples: what was true is known.
+Used by tests of the reader and by worked examples, where the true motion is known.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ from srs_twin.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class Take:
-    """How a motion is captured and exported.
+    """Settings of a recording and its export.
 
     Attributes:
-        layout: one of `LAYOUTS` but "auto".
-        apart: distance of a pair's markers, and of the head's second one from its first, m.
-        across: a pair lies across the body, not along it.
-        height: of the markers over the floor, m.
+        layout: one of `LAYOUTS` except "auto".
+        apart: distance between the markers of a pair, and between the two markers of the head, m.
+        across: whether pairs are placed across the body instead of along it.
+        height: height of the markers above the floor, m.
         noise: standard deviation of each coordinate, m.
-        rate_hz: frames a second; None: the samples of the trajectory.
-        swaps: how often two columns change places for good.
-        shuffled: the order of the columns means nothing, it is another one on every frame.
-        lost: share of the positions that are lost in short gaps.
+        rate_hz: frames per second; None: the samples of the trajectory.
+        swaps: number of permanent swaps of two columns.
+        shuffled: whether the columns have another order in every frame.
+        lost: fraction of positions that are lost in short gaps.
         gap_frames: mean length of these gaps, frames.
-        occluded: (marker from 0, from s, to s), when a marker was hidden.
-        spikes: how many positions are far off.
-        fragments: a marker that was lost comes back in a column of its own, as Motive does it.
-        labeled: columns are named after connectors; otherwise they are unlabeled and in any order.
-        unit: of length, one that Motive exports.
-        up: axis that points up, one of `floor.MAPS`.
-        digits: after the point.
-        seed: of all that is random.
+        occluded: (marker from 0, start in s, end in s) of a hidden marker.
+        spikes: number of outliers.
+        fragments: whether a lost marker reappears in a new column, as in Motive.
+        labeled: whether columns are named after connectors; otherwise they are unlabeled and in any order.
+        unit: length unit, one that Motive exports.
+        up: vertical axis, one of `floor.MAPS`.
+        digits: number of decimals.
+        seed: random seed.
     """
 
     layout: str = "single"
@@ -75,7 +75,7 @@ class Take:
 
 
 def markers(trajectory: Trajectory, take: Take) -> np.ndarray:
-    """Return where the markers of a layout are, without noise, shape (samples, markers, 2), m."""
+    """Return the noise-free marker positions of a layout, shape (samples, markers, 2), m."""
     position, theta = trajectory.position, trajectory.stack("theta")
     along = np.stack([np.cos(theta), np.sin(theta)], axis=-1)
     if "middles" in take.layout:
@@ -94,7 +94,7 @@ def markers(trajectory: Trajectory, take: Take) -> np.ndarray:
 
 
 def _arcs(theta: np.ndarray, bend: np.ndarray, length: np.ndarray, upto: float) -> np.ndarray:
-    """Return the way back along arcs from their front ends, by Simpson's rule, complex, m."""
+    """Return the displacement backward along arcs from their front ends (Simpson's rule), complex, m."""
     s = np.linspace(0.0, upto, 65)
     tangent = np.exp(1j * (theta[..., None] - bend[..., None] * s))
     return np.asarray(length * simpson(tangent, x=s, axis=-1))
@@ -116,12 +116,12 @@ def middles(trajectory: Trajectory) -> np.ndarray:
 
 
 def stretched(trajectory: Trajectory, share: float, power: float = 1.0) -> Trajectory:
-    """Return a motion whose segments are longer the more they bend.
+    """Return a motion whose segments lengthen with their bend.
 
     Args:
-        trajectory: of a plant.
-        share: of a segment's length, by which the most bent one is longer.
-        power: of the bend.
+        trajectory: trajectory of a plant.
+        share: relative elongation of the most bent segment.
+        power: exponent of the bend.
     """
     bend, theta = trajectory.stack("bend"), trajectory.stack("theta")
     gap = float(trajectory.metadata["rigid_gap_m"]) / 2
@@ -140,7 +140,7 @@ def motive_csv(trajectory: Trajectory, take: Take) -> str:
     """Return a Motive CSV export, format 1.21, of a motion.
 
     Raises:
-        InputError: the take asks for what is not known.
+        InputError: a setting of the recording is unknown.
     """
     random = np.random.default_rng(take.seed)
     time, plane = _captured(trajectory, take)
@@ -155,10 +155,10 @@ def motive_csv(trajectory: Trajectory, take: Take) -> str:
 
 
 def write_motive(trajectory: Trajectory, take: Take, path: str | os.PathLike[str]) -> None:
-    """Write `motive_csv` to a file, whole or not at all.
+    """Write `motive_csv` to a file atomically.
 
     Raises:
-        InputError: as `motive_csv`, or the place cannot be written.
+        InputError: as `motive_csv`, or the file cannot be written.
     """
     text = motive_csv(trajectory, take)
     with atomic_write(path) as part:
@@ -166,7 +166,7 @@ def write_motive(trajectory: Trajectory, take: Take, path: str | os.PathLike[str
 
 
 def _captured(trajectory: Trajectory, take: Take) -> tuple[np.ndarray, np.ndarray]:
-    """Return frame times from 0 on, and markers at them."""
+    """Return frame times from 0 and the markers at them."""
     time, plane = trajectory.time - trajectory.time[0], markers(trajectory, take)
     if take.rate_hz is None:
         return time, plane
@@ -177,7 +177,7 @@ def _captured(trajectory: Trajectory, take: Take) -> tuple[np.ndarray, np.ndarra
 
 
 def _hidden(time: np.ndarray, count: int, take: Take, random: np.random.Generator) -> np.ndarray:
-    """Return when each marker was not seen, shape (frames, markers)."""
+    """Return when each marker is hidden, shape (frames, markers)."""
     hidden = np.zeros((len(time), count), dtype=bool)
     wanted = take.lost * hidden.size
     while hidden.sum() < wanted:
@@ -191,7 +191,7 @@ def _hidden(time: np.ndarray, count: int, take: Take, random: np.random.Generato
 def _columns(
     points: np.ndarray, hidden: np.ndarray, take: Take, random: np.random.Generator
 ) -> tuple[np.ndarray, list[str]]:
-    """Return markers in the columns of the file, and their names."""
+    """Return the markers in the columns of the file, and their names."""
     frames, count = points.shape[:2]
     if take.labeled:
         return points, _labels(take.layout, count)

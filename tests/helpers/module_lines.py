@@ -1,4 +1,4 @@
-"""The lines of docs/module.md's table: which number of Chapter 4, what the text says, when that is met."""
+"""Rows of the table in docs/module.md: quantities of Chapter 4, published values and criteria."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ DEGREES = 180 / math.pi
 
 @dataclass(frozen=True)
 class Values:
-    """What one bench gave, out of docs/module.json.
+    """Results of one bench in docs/module.json.
 
     Attributes:
-        figures: the whole file.
-        plant: the bench.
+        figures: content of the file.
+        plant: name of the bench.
     """
 
     figures: Mapping[str, Any]
     plant: str
 
-    def of(self, scenario: str, *metrics: str, unit: float = 1.0) -> tuple[float, ...]:
-        """Return metrics of module_<scenario>, of both controllers' where it ends in an underscore."""
-        names = [scenario + each for each in ("direct", "iterative")] if scenario[-1] == "_" else [scenario]
+    def select(self, scenario: str, *metrics: str, unit: float = 1.0) -> tuple[float, ...]:
+        """Return metrics of module_<scenario>, for both controllers if the name ends in an underscore."""
+        names = [scenario + item for item in ("direct", "iterative")] if scenario[-1] == "_" else [scenario]
         runs = [self.figures["scenarios"][f"module_{name}"][self.plant] for name in names]
         return tuple(unit * run[metric] for run in runs for metric in metrics)
 
     def drawn(self, metric: str, which: str) -> tuple[float, ...]:
-        """Return the mean or the deviation over the draws with a leak, of both controllers."""
+        """Return the mean or deviation over the draws with a leak, for both controllers."""
         drawn = self.figures["leak"]["of"]
         return tuple(drawn[kind][self.plant][metric][which] for kind in ("direct", "iterative"))
 
@@ -40,16 +40,16 @@ Numbers = Callable[[Values], tuple[float, ...]]
 
 @dataclass(frozen=True)
 class Line:
-    """A line of the table.
+    """Row of the table.
 
     Attributes:
-        what: which number.
-        text: what the text says of it.
-        numbers: that the benches are compared by.
-        shape: how they are written, then `beside`, as for str.format.
-        scenario: where it is from.
-        met: whether the numbers are as the text, or the issue that asks for ours, would have them.
-        beside: numbers that are written but not compared.
+        what: quantity.
+        text: value in the dissertation.
+        numbers: compared values.
+        shape: format of these values and of `beside`, as for str.format.
+        scenario: source of the values.
+        met: criterion of the dissertation, or of the project where `text` says so.
+        beside: additional values that are not compared.
     """
 
     what: str
@@ -61,44 +61,44 @@ class Line:
     beside: Numbers = lambda values: ()
 
     def cells(self, figures: Mapping[str, Any]) -> list[str]:
-        """Return the line's cells."""
-        each = [Values(figures, plant) for plant in PLANTS]
-        found = [self.numbers(values) for values in each]
-        written = [self.shape.format(*n, *self.beside(v)) for n, v in zip(found, each, strict=True)]
-        marked = [w if self.met(*n) else f"**{w}**" for w, n in zip(written, found, strict=True)]
-        shares = [abs(theirs / ours - 1) for ours, theirs in zip(*found, strict=True) if ours]
+        """Return the cells of the row."""
+        item = [Values(figures, plant) for plant in PLANTS]
+        result = [self.numbers(values) for values in item]
+        written = [self.shape.format(*n, *self.beside(v)) for n, v in zip(result, item, strict=True)]
+        marked = [w if self.met(*n) else f"**{w}**" for w, n in zip(written, result, strict=True)]
+        shares = [abs(theirs / ours - 1) for ours, theirs in zip(*result, strict=True) if ours]
         return [self.what, self.text, *marked, f"{max(shares, default=0.0):.1%}", self.scenario]
 
 
 def metric(scenario: str, *names: str, unit: float = 1.0) -> Numbers:
-    """Return what picks metrics of a scenario."""
-    return lambda values: values.of(scenario, *names, unit=unit)
+    """Return a function that selects metrics of a scenario."""
+    return lambda values: values.select(scenario, *names, unit=unit)
 
 
 def drawn(name: str, which: str = "mean") -> Numbers:
-    """Return what picks a metric of the draws with a leak."""
+    """Return a function that selects a metric from the draws with a leak."""
     return lambda values: values.drawn(name, which)
 
 
 def ratio(scenario: str, name: str) -> Numbers:
-    """Return what divides iterative's metric by direct's."""
+    """Return a function that divides the metric of iterative by that of direct."""
 
     def numbers(values: Values) -> tuple[float, ...]:
-        direct, iterative = values.of(scenario, name)
+        direct, iterative = values.select(scenario, name)
         return (iterative / direct,)
 
     return numbers
 
 
 def more(values: Values) -> tuple[float, ...]:
-    """Return by how many per cent direct's amplitude at 6 Hz is above iterative's."""
-    direct, iterative = values.of("sine_6hz_", "amplitude_rel")
+    """Return the relative difference of the amplitude at 6 Hz, direct above iterative, %."""
+    direct, iterative = values.select("sine_6hz_", "amplitude_rel")
     return (100 * (direct / iterative - 1),)
 
 
 def less(values: Values) -> tuple[float, ...]:
-    """Return how much less direct lags at 6 Hz, rad."""
-    direct, iterative = values.of("sine_6hz_", "phase_lag_rad")
+    """Return the lag of iterative minus the lag of direct at 6 Hz, rad."""
+    direct, iterative = values.select("sine_6hz_", "phase_lag_rad")
     return (iterative - direct,)
 
 

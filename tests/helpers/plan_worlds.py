@@ -1,4 +1,4 @@
-"""Seeded problems of many kinds for the planner: narrow and wide bodies, round and cornered obstacles."""
+"""Random problems for the planner: narrow and wide bodies, round and polygonal obstacles."""
 
 from __future__ import annotations
 
@@ -8,16 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.footprint import Footprint, Transient, load_footprint
 from srs_twin.planning.problem import Problem
-from srs_twin.robot.random_worlds import random_circles
+from srs_twin.robot.random_worlds import FIG54_GOAL, FIG54_START, fig54_world, random_circles
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 BODIES = ("gen2_section52", "gen4_table8", "gen4_table9")
 
 
 def drawn_problem(seed: int) -> Problem:
-    """Return a problem with this seed: body, field, start, goal and tolerance vary."""
+    """Return the problem of a seed, with random body, field, start, goal and tolerance."""
     rng = np.random.default_rng(seed)
     body = load_footprint(BODIES[seed % 3])
     if seed % 5 == 4:
@@ -49,7 +50,7 @@ def drawn_problem(seed: int) -> Problem:
 
 
 def _cornered(circle: Circle, rng: np.random.Generator) -> Polygon:
-    """Return a star-shaped polygon, not convex as a rule, in a circle."""
+    """Return a star-shaped, usually non-convex polygon inside a circle."""
     angles = (np.arange(7) + rng.uniform(0, 0.9, 7)) * 2 * math.pi / 7
     radii = circle.radius * rng.uniform(0.4, 1.0, 7)
     corners = zip(circle.x + radii * np.cos(angles), circle.y + radii * np.sin(angles), strict=True)
@@ -57,10 +58,20 @@ def _cornered(circle: Circle, rng: np.random.Generator) -> Polygon:
 
 
 def _with_transients(body: Footprint) -> Footprint:
-    """Return a body that leaves the arc after a change of offset, to the outside of the old turn."""
+    """Return a body that deviates to the outside of the old turn after a change of offset."""
     wide, tight = 0.3 * body.narrowest, 1 / max(body.tightest)
     changes = (
         Transient(body.offsets[0], body.offsets[-1], 0.0, wide, tight / 3),
         Transient(body.offsets[-1], body.offsets[0], wide, 0.0, tight / 3),
     )
     return replace(body, transients=changes)
+
+
+SPEED, STEP_S = 0.2, 1.0
+ARCS = Primitives(21, math.pi / 3, SPEED * STEP_S)
+
+
+def fig54_problem(count: int, seed: int, *, arcs: bool) -> Problem:
+    """Return a world of Fig. 54; `arcs` adds the motion primitives of the dissertation's planner."""
+    body = load_footprint("gen2_section52")
+    return Problem(FIG54_START, FIG54_GOAL, fig54_world(count, seed), body, ARCS if arcs else None)

@@ -1,8 +1,8 @@
-"""Published tables: Tables 1 to 10 of the dissertation as data, calibration/published/table*.yaml.
+"""Tables 1 to 10 of the dissertation as data, from calibration/published/table*.yaml.
 
-A table is of one of five kinds: symbols and what they mean, parameters with values, an algorithm, runs of a
-robot, generations. Numbers stand in the unit that their key names, and beside them what is printed. Errata
-are those of calibration/README.md.
+There are five kinds of tables: symbols with meanings, parameters with values, algorithms, runs of a robot,
+and generations. Values have the unit in their key, together with the printed text. Errata refer to
+calibration/README.md.
 
 >>> from published_tables import published_runs
 >>> [run.radius_m for run in published_runs() if abs(run.offset) == 0.2]
@@ -24,7 +24,7 @@ from srs_twin.io.validation import StrictModel, validate
 from srs_twin.robot.sourced import bounded, split_unit
 
 TABLES = tuple(f"table{number}" for number in range(1, 11))
-"""Their names."""
+"""Names of the tables."""
 
 Key = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60)]
 Text = Annotated[str, Field(min_length=1, max_length=300)]
@@ -36,31 +36,31 @@ Errata = Annotated[list[Erratum], Field(max_length=29)]
 
 
 class _Head(StrictModel):
-    """What all tables have."""
+    """Fields of all tables."""
 
     name: str = Field(
         pattern=r"^table([1-9]|10)$", min_length=6, max_length=7, description="table1 to table10."
     )
     title: Text = Field(description="Caption, as printed.")
     section: str = Field(
-        pattern=r"^[1-6](\.[1-9]){0,2}$", min_length=1, max_length=5, description="Where it is."
+        pattern=r"^[1-6](\.[1-9]){0,2}$", min_length=1, max_length=5, description="Section number."
     )
-    page: Annotated[int, bounded(1, 200)] = Field(description="As numbered in the text.")
-    robot: Key | None = Field(None, description="Whose numbers these are; none: any.")
-    errata: Errata = Field(description="What is wrong with it, E1 to E29 of calibration/README.md.")
-    note: Long | None = Field(None, description="What the text says besides.")
+    page: Annotated[int, bounded(1, 200)] = Field(description="Page number in the dissertation.")
+    robot: Key | None = Field(None, description="Robot of the values; none: any robot.")
+    errata: Errata = Field(description="Errata of the table, E1 to E29 of calibration/README.md.")
+    note: Long | None = Field(None, description="Further statements of the dissertation.")
 
 
 class Symbol(StrictModel):
     """One symbol."""
 
     symbol: Text = Field(description="As printed.")
-    meaning: Text = Field(description="In words, as printed.")
-    size: Text | None = Field(None, description="Of a vector.")
+    meaning: Text = Field(description="Meaning, as printed.")
+    size: Text | None = Field(None, description="Size of a vector.")
 
 
 class SymbolTable(_Head):
-    """What symbols mean (Tables 1 and 7)."""
+    """Meanings of symbols (Tables 1 and 7)."""
 
     kind: Literal["symbols"] = Field(description="Kind of table.")
     symbols: Annotated[list[Symbol], Field(min_length=1, max_length=100)] = Field(description="In order.")
@@ -69,11 +69,11 @@ class SymbolTable(_Head):
 class PublishedValue(StrictModel):
     """One number of a table."""
 
-    value: Number = Field(description="As read, with the errata put right.")
+    value: Number = Field(description="Value with corrected errata.")
     unit: Text = Field(description="The unit, the same as in the key; '1' for a pure number.")
     symbol: Text = Field(description="As printed.")
     printed: Text = Field(description="The number and its unit as printed.")
-    errata: Errata = Field([], description="What is wrong with this number.")
+    errata: Errata = Field([], description="Errata of this value.")
 
 
 class ParameterTable(_Head):
@@ -93,7 +93,7 @@ class AlgorithmTable(_Head):
     """An algorithm (Tables 3 and 4)."""
 
     kind: Literal["algorithm"] = Field(description="Kind of table.")
-    requires: Annotated[list[Text], Field(min_length=1, max_length=20)] = Field(description="What it takes.")
+    requires: Annotated[list[Text], Field(min_length=1, max_length=20)] = Field(description="Inputs.")
     steps: Annotated[list[Text], Field(min_length=1, max_length=100)] = Field(description="In order.")
 
 
@@ -104,21 +104,23 @@ class PublishedRun(StrictModel):
     speed_m_s: Annotated[float, bounded(0.0, 10.0)] = Field(description="Linear velocity, m/s.")
     left_m: Edge = Field(description="Left edge of the bounding box, m, negative.")
     right_m: Edge = Field(description="Right edge, m.")
-    radius_m: Annotated[float, bounded(1e-3, 1e3)] = Field(description="Of the path, m, without a sign.")
+    radius_m: Annotated[float, bounded(1e-3, 1e3)] = Field(
+        description="Radius of the path, m, without a sign."
+    )
 
 
 class RunTable(_Head):
     """Runs of a robot at several offsets (Table 8)."""
 
     kind: Literal["runs"] = Field(description="Kind of table.")
-    frequency_hz: Annotated[float, bounded(0.01, 100.0)] = Field(description="Of the gait, Hz.")
+    frequency_hz: Annotated[float, bounded(0.01, 100.0)] = Field(description="Frequency of the gait, Hz.")
     rows: Annotated[list[PublishedRun], Field(min_length=1, max_length=100)] = Field(description="In order.")
 
 
 class Generation(StrictModel):
     """One generation of the robot."""
 
-    robot: Key = Field(description="Its name here.")
+    robot: Key = Field(description="Name of the robot in this project.")
     year: Annotated[int, bounded(1900, 2100)] = Field(description="As printed.")
     top_speed_mm_s: Annotated[float, bounded(0.0, 1e4)] | None = Field(None, description="Where printed.")
     advantages: Annotated[list[Text], Field(max_length=20)] = Field(description="As printed.")
@@ -126,7 +128,7 @@ class Generation(StrictModel):
 
 
 class GenerationTable(_Head):
-    """Generations beside one another (Table 10)."""
+    """Comparison of generations (Table 10)."""
 
     kind: Literal["generations"] = Field(description="Kind of table.")
     generations: Annotated[list[Generation], Field(min_length=1, max_length=20)] = Field(
@@ -166,7 +168,7 @@ def published_runs() -> tuple[PublishedRun, ...]:
 
 
 def _contradictions(table: Table) -> Iterator[tuple[Loc, str]]:
-    """Yield path and message of what does not fit together."""
+    """Yield path and message of each inconsistency."""
     if isinstance(table, ParameterTable):
         for key, entry in table.values.items():
             if entry.unit != (unit := split_unit(key)[1]):

@@ -1,7 +1,7 @@
-"""Worlds with a way through by construction: a path is drawn first, then obstacles beside it.
+"""Solvable worlds by construction: a path is drawn first, then obstacles next to it.
 
-The path is made of arcs that the body can follow, and is checked against the finished world by sampling
-(`deepest`), which shares no code with the planner. `drawn` has six kinds, `KINDS`.
+The path consists of arcs that the body can follow. It is checked in the final world by sampling (`deepest`),
+which shares no code with the planner. `drawn` has six kinds, `KINDS`.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ Pieces = list[tuple[float, float]]
 
 
 def bodies() -> dict[str, Footprint]:
-    """Return six footprints: the shipped ones, and generation 4's as its scenarios plan with it."""
+    """Return six footprints: the shipped ones, and that of generation 4 as its scenarios use it."""
     names = ("gen2_gait", "gen2_section52", "gen4_ilc", "gen4_table8", "gen4_table9")
-    found = {name: load_footprint(name) for name in names}
-    return found | {"gen4_ilc_half": found["gen4_ilc"].reduced(turn_share=0.5, margin=0.05)}
+    result = {name: load_footprint(name) for name in names}
+    return result | {"gen4_ilc_half": result["gen4_ilc"].reduced(turn_share=0.5, margin=0.05)}
 
 
 @dataclass(frozen=True)
 class Witnessed:
-    """A problem and a way that solves it.
+    """Problem and a plan that solves it.
 
     Attributes:
-        problem: from where to where, among what.
-        witness: a plan that is free by sampling.
-        width: of the straight body, m.
-        gap: of the narrowest gap, in such widths; infinite where there is none.
+        problem: start, goal and obstacles.
+        witness: plan that is collision-free by sampling.
+        width: width of the straight body, m.
+        gap: width of the narrowest gap relative to `width`; infinite without a gap.
     """
 
     problem: Problem
@@ -46,12 +46,12 @@ class Witnessed:
 
 
 def _settled(body: Footprint) -> float:
-    """Return the length after which no change of offset is felt, m."""
-    return max((each.length for each in body.transients), default=0.0)
+    """Return the length after which the transient of a change of offset has ended, m."""
+    return max((item.length for item in body.transients), default=0.0)
 
 
 def walls(seed: int, body: Footprint, ratio: float, count: int) -> Witnessed:
-    """Return walls from bound to bound, each with one gap of so many widths of the straight body."""
+    """Return walls across the bounds, each with one gap of the given width relative to the straight body."""
     return _first(seed, lambda rng: _walls(rng, body, ratio, count))
 
 
@@ -59,11 +59,11 @@ def drawn(kind: str, seed: int, body: Footprint, run_up: float = 0.0, room: floa
     """Return a world of a kind.
 
     Args:
-        kind: of `KINDS`.
-        seed: of all that is drawn.
-        body: that is to get through, margin included.
-        run_up: length of the straight beginning, m.
-        room: that it has beside the body, m.
+        kind: one of `KINDS`.
+        seed: random seed.
+        body: footprint, margin included.
+        run_up: length of the straight first part, m.
+        room: free space next to the body there, m.
     """
     start = _Start(body, run_up, room)
     return _first(seed, lambda rng: KINDS[kind](rng, start))
@@ -71,21 +71,21 @@ def drawn(kind: str, seed: int, body: Footprint, run_up: float = 0.0, room: floa
 
 def _first(seed: int, make: Callable[[np.random.Generator], Witnessed | None]) -> Witnessed:
     for attempt in range(400):
-        if (found := make(np.random.default_rng([seed, attempt]))) is not None:
-            return found
+        if (result := make(np.random.default_rng([seed, attempt]))) is not None:
+            return result
     raise RuntimeError("no world was drawn")
 
 
 @dataclass(frozen=True)
 class _Start:
-    """A body and the straight beginning of its way."""
+    """Body and the straight first part of its path."""
 
     body: Footprint
     run_up: float
     room: float
 
-    def way(self, rng: np.random.Generator, length: float) -> Pieces:
-        """Return a straight beginning, and arcs behind it."""
+    def draw_path(self, rng: np.random.Generator, length: float) -> Pieces:
+        """Return the straight first part, followed by arcs."""
         low, high = self.body.curvatures[0], self.body.curvatures[-1]
         pieces, left = [(0.0, self.run_up + 0.05)], length
         while left > 0:
@@ -97,12 +97,12 @@ class _Start:
     def finished(
         self, pieces: Pieces, circles: list[Circle], polygons: list[Polygon], gap: float = math.inf
     ) -> Witnessed | None:
-        """Return the world with such obstacles, if the way is free of them, and the run-up with its room."""
+        """Return the world with the given obstacles if the path and the run-up are free of them."""
         start = Pose(0.0, 0.0, 0.0)
         path = path_of(start, pieces, self.body)
         corners = [(c.x + sx * c.radius, c.y + sx * c.radius) for c in circles for sx in (-1, 1)]
-        corners += [corner for each in polygons for corner in each.corners]
-        corners += [(each.start.x, each.start.y) for each in path] + [(path[-1].end.x, path[-1].end.y)]
+        corners += [corner for item in polygons for corner in item.corners]
+        corners += [(item.start.x, item.start.y) for item in path] + [(path[-1].end.x, path[-1].end.y)]
         far = self.body.ahead + self.body.behind + 3 * (self.body.at(0.0).left + self.room)
         x, y = zip(*corners, strict=True)
         bounds = Bounds((min(x) - far, max(x) + far), (min(y) - far, max(y) + far))
@@ -115,44 +115,44 @@ class _Start:
         return _checked(start, pieces, path[-1].end, world, self.body, width, gap)
 
     def swept(self, pieces: Pieces) -> np.ndarray:
-        """Return points of all that the way covers, the room of the run-up included."""
+        """Return the points that the path covers, including the space of the run-up."""
         path = path_of(Pose(0.0, 0.0, 0.0), pieces, self.body)
         points = [
             swept_points((0.0, 0.0, 0.0), 0.0, self.run_up, self.body, 0.02, (self.room, self.room)),
-            *(swept_points((*each.start,), each.curvature, each.length, self.body, 0.02) for each in path),
+            *(swept_points((*item.start,), item.curvature, item.length, self.body, 0.02) for item in path),
         ]
         return np.vstack(points)
 
 
 def _circles(rng: np.random.Generator, start: _Start) -> Witnessed | None:
-    pieces = start.way(rng, float(rng.uniform(1.5, 3.0)))
+    pieces = start.draw_path(rng, float(rng.uniform(1.5, 3.0)))
     return start.finished(pieces, _strewn(rng, start, pieces), [])
 
 
 def _polygons(rng: np.random.Generator, start: _Start) -> Witnessed | None:
-    pieces = start.way(rng, float(rng.uniform(1.5, 3.0)))
-    found = []
+    pieces = start.draw_path(rng, float(rng.uniform(1.5, 3.0)))
+    result = []
     for circle in _strewn(rng, start, pieces):
         angles = (np.arange(6) + rng.uniform(0, 0.9, 6)) * math.pi / 3
         radii = circle.radius * rng.uniform(0.5, 1.0, 6)
         corners = zip(circle.x + radii * np.cos(angles), circle.y + radii * np.sin(angles), strict=True)
-        found.append(Polygon(tuple((float(x), float(y)) for x, y in corners)))
-    return start.finished(pieces, [], found)
+        result.append(Polygon(tuple((float(x), float(y)) for x, y in corners)))
+    return start.finished(pieces, [], result)
 
 
 def _strewn(rng: np.random.Generator, start: _Start, pieces: Pieces) -> list[Circle]:
-    """Return circles beside a way, many of them close to it."""
+    """Return circles next to a path, many of them close to it."""
     swept = start.swept(pieces)
     low, high = swept.min(axis=0) - 0.3, swept.max(axis=0) + 0.3
-    found: list[Circle] = []
+    result: list[Circle] = []
     for _ in range(600):
         x, y = rng.uniform(low, high)
         near = float(np.min(np.hypot(swept[:, 0] - x, swept[:, 1] - y))) - 0.012
-        apart = min((math.hypot(c.x - x, c.y - y) - c.radius for c in found), default=math.inf)
+        apart = min((math.hypot(c.x - x, c.y - y) - c.radius for c in result), default=math.inf)
         radius = min(near, apart, float(rng.uniform(0.05, 0.25)))
-        if radius > 0.03 and len(found) < 25:
-            found.append(Circle(float(x), float(y), radius))
-    return found
+        if radius > 0.03 and len(result) < 25:
+            result.append(Circle(float(x), float(y), radius))
+    return result
 
 
 def _gaps(rng: np.random.Generator, start: _Start) -> Witnessed | None:
@@ -161,31 +161,31 @@ def _gaps(rng: np.random.Generator, start: _Start) -> Witnessed | None:
 
 
 def _corridor(rng: np.random.Generator, start: _Start) -> Witnessed | None:
-    pieces = start.way(rng, float(rng.uniform(1.2, 2.5)))
+    pieces = start.draw_path(rng, float(rng.uniform(1.2, 2.5)))
     return start.finished(pieces, [], _sides(start, pieces[1:], pieces[:1], float(rng.uniform(1.1, 1.6))))
 
 
 def _sides(start: _Start, pieces: Pieces, before: Pieces, ratio: float) -> list[Polygon]:
-    """Return walls along both sides of a part of a way, so many times the body's half widths from it."""
+    """Return walls along both sides of a part of a path, at a multiple of the half width."""
     body, thick = start.body, 0.03
     left, right = max(body.left), max(body.right)
-    for each in body.transients:
-        left, right = max(left, max(body.left) + each.left), max(right, max(body.right) + each.right)
+    for item in body.transients:
+        left, right = max(left, max(body.left) + item.left), max(right, max(body.right) + item.right)
     path = path_of(path_of(Pose(0.0, 0.0, 0.0), before, body)[-1].end, pieces, body)
-    poses = [each.pose(s) for each in path for s in np.arange(0.0, each.length, 0.08)] + [path[-1].end]
-    found = []
+    poses = [item.pose(s) for item in path for s in np.arange(0.0, item.length, 0.08)] + [path[-1].end]
+    result = []
     for near in (ratio * left, -ratio * right):
         far = near + math.copysign(thick, near)
         rows = [
             [(p.x - n * math.sin(p.heading), p.y + n * math.cos(p.heading)) for n in (near, far)]
             for p in poses
         ]
-        found += [Polygon((*a, *reversed(b))) for a, b in zip(rows, rows[1:], strict=False)]
-    return [each for each in found if _convex(each)]
+        result += [Polygon((*a, *reversed(b))) for a, b in zip(rows, rows[1:], strict=False)]
+    return [item for item in result if _convex(item)]
 
 
 def _convex(polygon: Polygon) -> bool:
-    """Say whether a strip's corners did not cross, as they do inside of a turn tighter than it is far."""
+    """Return whether the corners of a strip do not cross, as they do inside a tight turn."""
     corners = np.array(polygon.corners)
     side, after = (
         np.roll(corners, -1, axis=0) - corners,
@@ -198,7 +198,10 @@ def _convex(polygon: Polygon) -> bool:
 def _pocket(rng: np.random.Generator, start: _Start) -> Witnessed | None:
     body, ratio = start.body, float(rng.uniform(1.1, 1.5))
     depth = max(2 * (body.ahead + body.behind), 2 * body.at(0.0).left)
-    pieces = [*start.way(rng, float(rng.uniform(1.0, 2.0))), (0.0, _settled(body) + body.behind + depth)]
+    pieces = [
+        *start.draw_path(rng, float(rng.uniform(1.0, 2.0))),
+        (0.0, _settled(body) + body.behind + depth),
+    ]
     walls = _sides(start, [(0.0, depth)], [*pieces[:-1], (0.0, pieces[-1][1] - depth)], ratio)
     end = path_of(Pose(0.0, 0.0, 0.0), pieces, body)[-1].end
     ahead, half = body.ahead + 0.03, ratio * max(*body.left, *body.right)
@@ -212,7 +215,7 @@ def _maze(rng: np.random.Generator, start: _Start) -> Witnessed | None:
     body, columns, rows = start.body, 3, 2
     cell = 2.2 / min(body.tightest) + 2 * _settled(body)
     entry = start.run_up + _settled(body) + body.ahead + start.room
-    # A spanning tree by walking at random, and the way through it.
+    # Random spanning tree and the path through it.
     at, seen, opened = (0, 0), {(0, 0)}, set()
     trail = [at]
     before: dict[tuple[int, int], tuple[int, int]] = {}
@@ -264,7 +267,7 @@ KINDS = {
     "circles": _circles, "polygons": _polygons, "walls": _gaps, "corridors": _corridor, "pockets": _pocket,
     "mazes": _maze,
 }  # fmt: skip
-"""Name → what draws one."""
+"""Functions that draw a world, by name of its kind."""
 
 
 def _walls(
@@ -284,7 +287,7 @@ def _walls(
     ends = [start]
     for k, length in pieces:
         ends.append(path_of(ends[-1], [(k, length)], body)[-1].end)
-    x, y = [each.x for each in ends], [each.y for each in ends]
+    x, y = [item.x for item in ends], [item.y for item in ends]
     room = 3 * width + body.ahead + body.behind
     bounds = Bounds((min(x) - room, max(x) + room), (min(y) - 2 * room, max(y) + 2 * room))
     polygons: list[Polygon] = []
@@ -301,7 +304,7 @@ def _walls(
 
 
 def _bend(rng: np.random.Generator, body: Footprint, heading: float, to: float) -> Pieces:
-    """Return arcs that end with another heading, some aside."""
+    """Return arcs that end with another heading, some with a lateral offset."""
     low, high = body.curvatures[0], body.curvatures[-1]
     share = float(rng.uniform(0.4, 0.95))
     side = 1.0 if rng.random() < 0.5 else -1.0
@@ -316,7 +319,7 @@ def _bend(rng: np.random.Generator, body: Footprint, heading: float, to: float) 
 def _wall(
     rng: np.random.Generator, at: Pose, left: float, right: float, ratio: float, thick: float, bounds: Bounds
 ) -> list[Polygon]:  # fmt: skip
-    """Return both sides of a wall across a path, its gap about the body's middle, slightly aslant."""
+    """Return both sides of a wall across a path, with its gap at the body and a small inclination."""
     tilt = float(rng.uniform(-0.1, 0.1))
     half = ratio * (left + right) / 2 / math.cos(tilt) + thick / 2 * math.tan(abs(tilt))
     along = at.heading + math.pi / 2 + tilt
@@ -339,7 +342,7 @@ def _wall(
 def _row(
     rng: np.random.Generator, at: Pose, left: float, right: float, ratio: float, bounds: Bounds
 ) -> list[Circle]:
-    """Return circles in a row across a path, as a wall with a gap."""
+    """Return a row of circles across a path, as a wall with a gap."""
     half, along = ratio * (left + right) / 2, at.heading + math.pi / 2 + float(rng.uniform(-0.1, 0.1))
     middle = (left - right) / 2
     x, y = at.x - middle * math.sin(at.heading), at.y + middle * math.cos(at.heading)
@@ -359,7 +362,7 @@ def _row(
 def _checked(
     start: Pose, pieces: Pieces, end: Pose, world: World, body: Footprint, width: float, gap: float = math.inf
 ) -> Witnessed | None:
-    """Return the world if the way through is free."""
+    """Return the world if the path is free."""
     goal = Goal(end.x, end.y, end.heading, 0.02 + 0.1 * width, 0.1)
     problem = Problem(start, goal, world, body)
     witness = Plan(Outcome.FOUND, "drawn first", path_of(start, pieces, body))

@@ -1,14 +1,15 @@
-r"""The `complete` model once more, for SciPy's LSODA: the plain way, NumPy over the connectors.
+r"""Independent implementation of the `complete` model for SciPy's LSODA, in NumPy.
 
-The same unknowns (centre of mass, mean heading, velocity, moment of momentum L), the same friction with the
-same ε, the same valve events on the same raster. Written from the equations in docs/models.md with points of
-the plane as complex numbers, apart from the compiled kernels, so that it checks them too.
+The unknowns (centre of mass, mean heading, velocity, angular momentum L), the friction laws with ε, and the
+valve events are those of the compiled model. The code follows the equations in docs/models.md with complex
+numbers for points of the plane. It shares no code with the compiled kernels, so it also verifies them.
 
-Between valve events the bends are sums of exponentials whose coefficients are found once,
+Between valve events the bends are sums of exponentials whose coefficients are computed once,
 
 $$ q(t) = q_\infty + \sum_k c_k e^{-r_k t}, \qquad r = (1/\tau_2, a^+, a^-). $$
 
-LSODA starts anew at every event, where q̈ jumps. It runs in `odeint`, which is leaner than `solve_ivp`.
+LSODA restarts at every event, where q̈ is discontinuous. `odeint` is used because it has less overhead than
+`solve_ivp`.
 """
 
 from __future__ import annotations
@@ -22,19 +23,19 @@ from srs_twin import Gait, RobotSpec, Trajectory
 from srs_twin.robot.geometry import relative_headings
 from srs_twin.robot.spec import GRAVITY
 
-TICK = 0.02  # s, as the plants' default: it sets the raster of the valve events
+TICK = 0.02  # s, the default of the plants, which sets the times of the valve events
 RECORD_HZ = 100
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """Bends while no valve changes.
+class BendInterval:
+    """Bends between two valve events.
 
     Attributes:
-        start, stop: s.
-        resting: bends they tend to, shape (segments,), rad.
+        start, stop: times, s.
+        resting: final bends, shape (segments,), rad.
         swing: coefficients c, shape (3, segments), rad.
-        rate: their decay rates r, shape (3, segments), 1/s.
+        rate: decay rates r, shape (3, segments), 1/s.
     """
 
     start: float
@@ -44,9 +45,9 @@ class Stretch:
     rate: np.ndarray
 
 
-def stretches(spec: RobotSpec, gait: Gait, duration: float, supply_pa: float) -> list[Stretch]:
-    """Return the bends of a gait from rest, as closed forms between its valve events."""
-    actuator, found = spec.actuator, []
+def bend_intervals(spec: RobotSpec, gait: Gait, duration: float, supply_pa: float) -> list[BendInterval]:
+    """Return the bends of a gait from rest, in closed form between its valve events."""
+    actuator, result = spec.actuator, []
     pressure, bend = np.zeros((spec.segments, 2)), np.zeros(spec.segments)
     gait.reset(spec, TICK)
     script = gait.script(duration)
@@ -54,34 +55,34 @@ def stretches(spec: RobotSpec, gait: Gait, duration: float, supply_pa: float) ->
         fills = valves > 0
         rate = np.where(fills, 1 / actuator.tau_fill, 1 / actuator.tau_vent)
         target = np.where(fills, supply_pa, 0.0)
-        # A chamber's own exponential, seen through the lag τ₂; − chambers pull the other way.
+        # Exponential of each chamber, filtered by the lag τ₂; − chambers have the opposite sign.
         own = actuator.gain * np.array([1, -1]) * (pressure - target) / (1 - rate * actuator.tau_mode)
         resting = actuator.gain * (target[:, 0] - target[:, 1])
         swing = np.stack([bend - resting - own.sum(axis=1), *own.T])
         rates = np.stack([np.full(spec.segments, 1 / actuator.tau_mode), *rate.T])
-        found.append(Stretch(start, stop, resting, swing, rates))
+        result.append(BendInterval(start, stop, resting, swing, rates))
         span = stop - start
         pressure = target + (pressure - target) * np.exp(-rate * span)
         bend = resting + (swing * np.exp(-rates * span)).sum(axis=0)
-    return found
+    return result
 
 
 class CompleteModel:
-    """The right-hand side of the `complete` model.
+    """Right-hand side of the `complete` model.
 
     Attributes:
-        bends: the stretch it moves in.
+        bends: bends between the present valve events.
     """
 
-    bends: Stretch
+    bends: BendInterval
 
     def __init__(self, spec: RobotSpec, *, friction: str, slip: float) -> None:
-        """Gather what does not change.
+        """Compute the constant quantities.
 
         Args:
-            spec: the robot.
+            spec: robot.
             friction: "axis" or "wheel".
-            slip: ε, m/s.
+            slip: slip speed ε, m/s.
         """
         g, mu = spec.geometry, spec.friction
         self.mass, self.total = spec.mass.array(), spec.mass.total
@@ -92,7 +93,7 @@ class CompleteModel:
         self.mu_t, self.mu_n = mu.mu_t, mu.mu_n
         self.rest = np.sqrt(mu.mu_n**2 - mu.mu_t**2)
         self._law = {"axis": self._axis, "wheel": self._wheel}[friction]
-        # Headings, link directions and connectors about the centre of mass are linear in bends and links.
+        # Headings and link directions are linear in the bends, connector positions in the links.
         self.heading = relative_headings(np.eye(spec.segments)).T
         self.direction = (self.heading[1:] + self.heading[:-1]) / 2
         behind = -np.tril(np.ones((g.connectors, spec.segments)), -1)
@@ -119,14 +120,14 @@ class CompleteModel:
 
     def _shape(self, bend: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return e^{iφ}, ρ and ρ̇ of each connector in the frame of the mean heading."""
-        half = 0.5 * bend + 1e-30  # never 0/0
+        half = 0.5 * bend + 1e-30  # avoids 0/0
         cos, sin = np.cos(half), np.sin(half)
         arc = sin / half
         span = self.length * arc + self.gap * cos
-        stretch = 0.5 * rate * (self.length * (cos - arc) / half - self.gap * sin)
+        interval = 0.5 * rate * (self.length * (cos - arc) / half - self.gap * sin)
         link = np.exp(1j * (self.direction @ bend))
         rho = self.place @ (span * link)
-        drift = self.place @ ((stretch + 1j * span * (self.direction @ rate)) * link)
+        drift = self.place @ ((interval + 1j * span * (self.direction @ rate)) * link)
         return np.exp(1j * (self.heading @ bend)), rho, drift
 
     def _axis(self, v_t: np.ndarray, v_n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -135,7 +136,7 @@ class CompleteModel:
         return f_t, -self.load * self.mu_n * v_n / np.sqrt(v_n * v_n + self.slip2)
 
     def _wheel(self, v_t: np.ndarray, v_n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return what `_axis` returns."""
+        """Return the same forces as `_axis` for the wheel law."""
         n2 = v_n * v_n + self.slip2
         share = self.mu_n / np.sqrt(v_t * v_t + n2)
         slide = share * v_t
@@ -145,14 +146,14 @@ class CompleteModel:
         return f_t, f_n.sum(axis=0)
 
 
-def solve(model: CompleteModel, bends: list[Stretch], *, rtol: float, atol: float) -> np.ndarray:
-    """Run LSODA from rest, anew in every stretch.
+def solve(model: CompleteModel, bends: list[BendInterval], *, rtol: float, atol: float) -> np.ndarray:
+    """Integrate with LSODA from rest, with a restart at every valve event.
 
     Args:
-        model: the right-hand side.
-        bends: what `stretches` gave.
+        model: right-hand side.
+        bends: result of `bend_intervals`.
         rtol: relative tolerance.
-        atol: absolute tolerance, in each unknown's own unit (L: in kg·m²/s).
+        atol: absolute tolerance, in the unit of each unknown (L: kg·m²/s).
 
     Returns:
         The states at `RECORD_HZ`, shape (samples, 6).
@@ -164,17 +165,17 @@ def solve(model: CompleteModel, bends: list[Stretch], *, rtol: float, atol: floa
         start, stop = model.bends.start, model.bends.stop
         first, last = np.searchsorted(times, [start + 1e-9, stop + 1e-9])
         at = np.concatenate([[start], times[first:last]])
-        # Samples within rounding of the end stand for it.
+        # Samples within rounding of the end count as the end.
         if stop - at[-1] > 1e-9:
             at = np.append(at, stop)
-        found = odeint(model, state, at, rtol=rtol, atol=atol, tfirst=True, mxstep=100_000)
-        states[first:last] = found[1 : 1 + last - first]
-        state = found[-1]
+        result = odeint(model, state, at, rtol=rtol, atol=atol, tfirst=True, mxstep=100_000)
+        states[first:last] = result[1 : 1 + last - first]
+        state = result[-1]
     return states
 
 
-def trajectory(spec: RobotSpec, gait: Gait, states: np.ndarray, bends: list[Stretch]) -> Trajectory:
-    """Return the states as a trajectory that can be measured like any other."""
+def trajectory(spec: RobotSpec, gait: Gait, states: np.ndarray, bends: list[BendInterval]) -> Trajectory:
+    """Return the states as a trajectory."""
     times = np.arange(len(states)) / RECORD_HZ
     angles = np.empty((len(times), spec.segments))
     for b in bends:

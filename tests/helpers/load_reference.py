@@ -1,16 +1,16 @@
 """Explicit simulation of gaits on momentary wheel loads, independent of srs_twin: a reference for its twins.
 
-    uv run python benchmarks/load_reference.py                  # convergence of the stored values
-    uv run python benchmarks/load_reference.py --run            # run all points and store their values
-    uv run python benchmarks/load_reference.py --twins          # errors of the twins
-    uv run python benchmarks/load_reference.py --twin-slip      # errors of the twin at smaller slip speeds
-    uv run python benchmarks/load_reference.py --sensitivity    # to heights, tracks and contact times
-    uv run python benchmarks/load_reference.py --slip-mm-s 0.3 --step-ms 0.05 gen2_turn    # one run
+    uv run python tests/helpers/load_reference.py                  # convergence of the stored values
+    uv run python tests/helpers/load_reference.py --run            # run all points and store their values
+    uv run python tests/helpers/load_reference.py --twins          # errors of the twins
+    uv run python tests/helpers/load_reference.py --twin-slip      # errors of the twin at smaller slip speeds
+    uv run python tests/helpers/load_reference.py --sensitivity    # to heights, tracks and contact times
+    uv run python tests/helpers/load_reference.py --slip-mm-s 0.3 --step-ms 0.05 gen2_turn    # one run
 
-MuJoCo finds the normal forces of frictionless wheels (condim 1). Friction is an explicit force: positions and
-velocities at the beginning of a step, loads of the step before. Gait, chambers, MJCF and friction law are
-this file's own. It shares with srs_twin the numbers in calibration/robots and the discretisation: two hinges
-per segment, a fiftieth of the lightest connector's mass between them, and valves that switch at whole
+MuJoCo computes the normal forces of frictionless wheels (condim 1). Friction is an explicit force: positions
+and velocities at the beginning of a step, loads of the step before. Gait, chambers, MJCF and friction law are
+implemented in this file. It shares with srs_twin the values in calibration/robots and the discretisation: two
+hinges per segment, a fiftieth of the lightest connector's mass between them, and valves that switch at whole
 slots of 0.1 ms.
 
 Each wheel spins. Its rim speed is a state, driven by the contact (isotropic friction, the cone shared by slip
@@ -40,7 +40,7 @@ from numba import njit
 
 VALUES = Path(__file__).with_suffix(".json")
 """Stored runs of the points, see `Runs`."""
-ROBOTS = Path(__file__).parents[1] / "calibration/robots"
+ROBOTS = Path(__file__).parents[2] / "calibration/robots"
 G = 9.81
 HINGES, LINK_SHARE = 2, 0.02
 SLOT_S = 1e-4
@@ -183,22 +183,26 @@ def friction_law(n: dict[str, Any], slip: float) -> tuple[float, ...]:
 def numbers(point: Point) -> dict[str, Any]:
     """Return the robot's numbers by their keys; connectors_kg as a list."""
     text = yaml.safe_load((ROBOTS / f"{point.robot}.yaml").read_text())
-    sections = (each for each in text.values() if isinstance(each, dict))
-    found = {key: record["value"] for each in sections for key, record in each.items() if "value" in record}
-    if not isinstance(found["connectors_kg"], list):
-        found["connectors_kg"] = [found["connectors_kg"]] * found["connectors"]
-    found.update(point.changes)
+    sections = (item for item in text.values() if isinstance(item, dict))
+    outcome = {key: record["value"] for item in sections for key, record in item.items() if "value" in record}
+    if not isinstance(outcome["connectors_kg"], list):
+        outcome["connectors_kg"] = [outcome["connectors_kg"]] * outcome["connectors"]
+    outcome.update(point.changes)
     if point.stiffness is not None:
-        found["stiffness_nm_per_rad"] = point.stiffness
-    found.setdefault(
-        "connector_gyration_m", math.sqrt((found["rigid_gap_m"] ** 2 + 4 * found["half_track_m"] ** 2) / 12)
+        outcome["stiffness_nm_per_rad"] = point.stiffness
+    outcome.setdefault(
+        "connector_gyration_m",
+        math.sqrt((outcome["rigid_gap_m"] ** 2 + 4 * outcome["half_track_m"] ** 2) / 12),
     )
     # Axles: place in the list of connectors, distance behind, mass they carry.
-    found["tail"], found["axles"] = point.tail, [(i, 0.0, m) for i, m in enumerate(found["connectors_kg"])]
+    outcome["tail"], outcome["axles"] = (
+        point.tail,
+        [(i, 0.0, m) for i, m in enumerate(outcome["connectors_kg"])],
+    )
     if point.tail is not None:
-        (i, _, mass), (back, com, _, _) = found["axles"].pop(), point.tail
-        found["axles"] += [(i, 0.0, mass * (1 - com / back)), (i, back, mass * com / back)]
-    return found
+        (i, _, mass), (back, com, _, _) = outcome["axles"].pop(), point.tail
+        outcome["axles"] += [(i, 0.0, mass * (1 - com / back)), (i, back, mass * com / back)]
+    return outcome
 
 
 def mjcf(n: dict[str, Any], step: float, contact: float = CONTACT_S) -> str:
@@ -230,30 +234,30 @@ def mjcf(n: dict[str, Any], step: float, contact: float = CONTACT_S) -> str:
     for i in range(n["connectors"], 0, -1):
         neighbours = 1 if i in (1, n["connectors"]) else 2
         own = n["connectors_kg"][i - 1] - neighbours / 2 * link
-        parts = [inertial(0.0, own - 2 * wheel, 2 * wheel)]
+        elements = [inertial(0.0, own - 2 * wheel, 2 * wheel)]
         if n["tail"] is not None and i == n["connectors"]:
             _, com, up, gyration = n["tail"]
             about = n["connectors_kg"][i - 1] * gyration**2
             place = f'pos="{-com} 0 {up - height}" mass="{own}"'
-            parts = [f'<inertial {place} diaginertia="{about} {about} {about}"/>']
+            elements = [f'<inertial {place} diaginertia="{about} {about} {about}"/>']
         for a, (at, behind, _) in enumerate(n["axles"]):
             for side, y in (("left", track), ("right", -track)):
                 hub, name = f'pos="{-behind} {y} {radius - height}"', f'name="{side}_{a}"'
                 foot = f'<geom class="foot" {name} {hub} size="{radius}"/>'
                 # A little larger than the wheel: a touch sensor adds up the contacts inside its site.
                 zone = f'<site {name} {hub} size="{1.2 * radius}"/>'
-                parts += [foot, zone] * (at == i - 1)
+                elements += [foot, zone] * (at == i - 1)
         if i == 1:
             return _scene(
-                f'<body name="c1" pos="0 0 {height}"><freejoint/>{"".join(parts)}{body}</body>',
+                f'<body name="c1" pos="0 0 {height}"><freejoint/>{"".join(elements)}{body}</body>',
                 n,
                 (step, contact),
             )
         j, slow = i - 1, n["out_of_plane_damping_time_s"]
-        parts.append(bend(j, 2, pitch - rear))
-        parts.append(joint(f"p{j}", pitch / 2, "0 1 0", n["pitch_stiffness_nm_per_rad"], slow))
-        parts.append(joint(f"r{j}", pitch / 2, "1 0 0", n["roll_stiffness_nm_per_rad"], slow))
-        beyond = f'<body name="c{i}" pos="{front - pitch} 0 0">{"".join(parts)}{body}</body>'
+        elements.append(bend(j, 2, pitch - rear))
+        elements.append(joint(f"p{j}", pitch / 2, "0 1 0", n["pitch_stiffness_nm_per_rad"], slow))
+        elements.append(joint(f"r{j}", pitch / 2, "1 0 0", n["roll_stiffness_nm_per_rad"], slow))
+        beyond = f'<body name="c{i}" pos="{front - pitch} 0 0">{"".join(elements)}{body}</body>'
         middle = inertial((front - rear) / 2, link)
         body = f'<body pos="{-front} 0 0">{middle}{bend(j, 1, 0.0)}{beyond}</body>'
     raise ValueError("a snake has connectors")
@@ -290,23 +294,23 @@ def moments(n: dict[str, Any], point: Point, step: float, steps: int) -> np.ndar
     """
     supply = 1000 * (n["nominal_kpa"] if point.kpa is None else point.kpa)
     lag = n["phase_step_rad"] * np.arange(n["connectors"] - 1)
-    parts = math.ceil(step / SLOT_S - 1e-9)
-    part = step / parts
+    elements = math.ceil(step / SLOT_S - 1e-9)
+    part = step / elements
     # The middle of a slot decides. Rounding must not decide the sign of an exact zero.
-    middle = SLOT_S * (np.floor(part * (np.arange(parts * steps) + 0.5) / SLOT_S) + 0.5)
+    middle = SLOT_S * (np.floor(part * (np.arange(elements * steps) + 0.5) / SLOT_S) + 0.5)
     wave = np.sin(2 * math.pi / point.period_s * middle[:, None] - lag) + point.offset >= -1e-12
     left = [math.exp(-part / n[key]) for key in ("tau_vent_s", "tau_fill_s")]
     x = n["bend_rad"] / (1000 * n["at_pressure_kpa"]) * _differences(wave, supply, *left)
     if (limit := n.get("bend_limit_rad")) is not None:
         x = x / (1 + (x / limit) ** 4) ** 0.25
-    return np.asarray(n["stiffness_nm_per_rad"] * x.reshape(steps, parts, -1).mean(axis=1))
+    return np.asarray(n["stiffness_nm_per_rad"] * x.reshape(steps, elements, -1).mean(axis=1))
 
 
 @njit
 def _differences(wave, supply, vented, filled):  # type: ignore[no-untyped-def]
     """Return the mean difference between the chambers of each segment over each step, Pa."""
     steps, segments = wave.shape
-    found, p = np.empty((steps, segments)), np.zeros((segments, 2))
+    outcome, p = np.empty((steps, segments)), np.zeros((segments, 2))
     for k in range(steps):
         for j in range(segments):
             before = p[j, 0] - p[j, 1]
@@ -315,8 +319,8 @@ def _differences(wave, supply, vented, filled):  # type: ignore[no-untyped-def]
                     p[j, side] = supply + (p[j, side] - supply) * filled
                 else:
                     p[j, side] *= vented
-            found[k, j] = (before + p[j, 0] - p[j, 1]) / 2
-    return found
+            outcome[k, j] = (before + p[j, 0] - p[j, 1]) / 2
+    return outcome
 
 
 _ENGINE = ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
@@ -523,7 +527,7 @@ def run_all(names: Iterable[str]) -> None:
         runs = Runs(
             [[round(r.speed_mm_s, 4) for r in row] for row in results],
             [[round(r.yaw_rate, 6) for r in row] for row in results],
-            *(round(each, 5) for each in (last.air, last.swing, last.ripple)),
+            *(round(item, 5) for item in (last.air, last.swing, last.ripple)),
         )
         kept = stored() | {name: runs}
         lines = [f'"{key}": {json.dumps(vars(kept[key]))}' for key in POINTS if key in kept]
@@ -566,7 +570,7 @@ def convergence(names: Iterable[str]) -> str:
 
 def twins(names: Iterable[str]) -> str:
     """Return a table of the reference and the errors of the twins."""
-    from front import crawled  # here, because the simulation takes nothing from srs_twin
+    from twin_at_reference import crawled  # here, because the simulation takes nothing from srs_twin
 
     settings = [(contact, step) for contact in ("loaded", "preloaded") for step in (0.001, 0.002)]
     head = ["point", "mm/s", "rad/s", "error, %", *(f"{c}, {1000 * step:g} ms" for c, step in settings)]
@@ -585,7 +589,7 @@ def twins(names: Iterable[str]) -> str:
                 name,
                 f"{speed:.2f}",
                 f"{yaw:.4f}" if turns(runs) else "–",
-                ", ".join(f"{each:.2f}" for each in own),
+                ", ".join(f"{item:.2f}" for item in own),
                 *cells,
             ]
         )
@@ -594,7 +598,7 @@ def twins(names: Iterable[str]) -> str:
 
 def twin_slips(names: Iterable[str]) -> str:
     """Return a table of the loaded twin's errors at smaller slip speeds, 1 ms, and extrapolated."""
-    from front import crawled  # here, because the simulation takes nothing from srs_twin
+    from twin_at_reference import crawled  # here, because the simulation takes nothing from srs_twin
 
     from srs_twin import LoadedContact
 
@@ -604,7 +608,7 @@ def twin_slips(names: Iterable[str]) -> str:
         results = [crawled(name, contact=LoadedContact(slip_speed=slip)) for slip in TWIN_SLIPS_M_S]
         limit = {key: _power_limit(*(vars(r)[key] for r in results)) for key in ("speed_mm_s", "yaw_rate")}
         results.append(replace(results[-1], **limit))
-        rows.append([name, *(_apart(each, runs) for each in results)])
+        rows.append([name, *(_apart(item, runs) for item in results)])
     return table(["point", *(f"{1000 * slip:g} mm/s" for slip in TWIN_SLIPS_M_S), "extrapolated"], rows)
 
 
@@ -612,7 +616,7 @@ def _apart(result: Result, runs: Runs) -> str:
     errors = [100 * (result.speed_mm_s / runs.speed[0] - 1)]
     if turns(runs):
         errors.append(100 * (result.yaw_rate / runs.yaw[0] - 1))
-    return ", ".join(f"{each:+.1f}".replace("-", "−") for each in errors)
+    return ", ".join(f"{item:+.1f}".replace("-", "−") for item in errors)
 
 
 def sensitivity(names: Iterable[str]) -> str:
@@ -628,10 +632,10 @@ def sensitivity(names: Iterable[str]) -> str:
             *(run(point, contact=factor * CONTACT_S) for factor in (0.5, 2.0)),
         ]
         cells = []
-        for each in others:
-            changes = [100 * (each.speed_mm_s / base.speed_mm_s - 1)]
+        for item in others:
+            changes = [100 * (item.speed_mm_s / base.speed_mm_s - 1)]
             if abs(base.yaw_rate) > 0.05:
-                changes.append(100 * (each.yaw_rate / base.yaw_rate - 1))
+                changes.append(100 * (item.yaw_rate / base.yaw_rate - 1))
             cells.append(", ".join(f"{change:+.2f}".replace("-", "−") for change in changes))
         rows.append([name, *cells])
     contacts = (f"contact time {1000 * factor * CONTACT_S:g} ms" for factor in (0.5, 2.0))
@@ -654,22 +658,22 @@ def main() -> None:
     parser.add_argument("--step-ms", type=float, help="step of the single run")
     parser.add_argument("--periods", type=int, help="periods of the single run")
     parser.add_argument("--static", action="store_true", help="friction of the single run takes static loads")
-    given = parser.parse_args()
-    names = given.points or list(POINTS)
-    if given.slip_mm_s is not None or given.step_ms is not None or given.static:
-        eps = 0.3 if given.slip_mm_s is None else given.slip_mm_s
-        step = 100 * eps / 1000 if given.step_ms is None else given.step_ms
+    options = parser.parse_args()
+    names = options.points or list(POINTS)
+    if options.slip_mm_s is not None or options.step_ms is not None or options.static:
+        eps = 0.3 if options.slip_mm_s is None else options.slip_mm_s
+        step = 100 * eps / 1000 if options.step_ms is None else options.step_ms
         for name in names:
-            r = simulate(POINTS[name], given.periods, step / 1000, eps / 1000, static=given.static)
+            r = simulate(POINTS[name], options.periods, step / 1000, eps / 1000, static=options.static)
             print(
                 f"{name:16} {r.speed_mm_s:7.2f} mm/s {r.yaw_rate:+.4f} rad/s; in the air {r.air:.1%}, "
                 f"swing {r.swing:.2f}, ripple {r.ripple:.3f}",
                 flush=True,
             )
         return
-    if given.run:
+    if options.run:
         run_all(names)
-    print((given.table or convergence)(names))
+    print((options.table or convergence)(names))
 
 
 def _summary(function: Callable[..., Any]) -> str:

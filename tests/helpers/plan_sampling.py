@@ -1,4 +1,4 @@
-"""Checks a plan by sampling the body along it: plain geometry of points, none of the planner's code."""
+"""Checks of a plan by sampled points of the body, without code of the planner."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from srs_twin.planning.problem import Problem
 from srs_twin.robot.world import World
 
 TOUCH = 1e-6
-"""How deep a point has to lie in an obstacle to count, m."""
+"""Smallest depth that counts as a collision, m."""
 
 
 def deepest(plan: Plan, problem: Problem, spacing: float = 0.004) -> float:
-    """Return how deep the deepest sampled point of the body lies in anything, m; below 0: the least distance.
+    """Return the largest depth of the body inside an obstacle, m; negative: the smallest distance.
 
-    Polygons count by whether a point lies in them: 1 m deep.
+    A point inside a polygon counts as 1 m deep.
     """
     depth, body = -math.inf, problem.footprint
     last, wider, lasting = None, (0.0, 0.0), 0.0
@@ -54,7 +54,7 @@ def swept_points(
     if abs(curvature) < 1e-9:
         along, across = s, n
     else:
-        # About the centre of the turn, which lies 1/curvature to the left.
+        # Rotate about the centre of the turn, at 1/curvature to the left.
         radius = 1 / curvature
         along, across = (radius - n) * np.sin(s / radius), radius - (radius - n) * np.cos(s / radius)
     c, sn = math.cos(heading), math.sin(heading)
@@ -62,7 +62,7 @@ def swept_points(
 
 
 def depth_in(points: np.ndarray, world: World) -> float:
-    """Return how deep the deepest of some points lies in anything, m."""
+    """Return the largest depth of the points inside an obstacle, m."""
     x, y = points.T
     depth = [-math.inf]
     depth += [float(np.max(c.radius - np.hypot(x - c.x, y - c.y))) for c in world.obstacles]
@@ -74,7 +74,7 @@ def depth_in(points: np.ndarray, world: World) -> float:
 
 
 def _in_polygon(x: np.ndarray, y: np.ndarray, corners: tuple[tuple[float, float], ...]) -> np.ndarray:
-    """Say of each point whether a ray from it crosses an odd number of sides."""
+    """Return for each point whether a ray from it crosses an odd number of sides."""
     odd = np.zeros(len(x), dtype=bool)
     for (ax, ay), (bx, by) in zip(corners, corners[1:] + corners[:1], strict=True):
         spans = (ay > y) != (by > y)
@@ -84,7 +84,7 @@ def _in_polygon(x: np.ndarray, y: np.ndarray, corners: tuple[tuple[float, float]
 
 
 def joints(plan: Plan, problem: Problem) -> float:
-    """Return the largest gap between segments, and at the start, m; a radian counts as a metre."""
+    """Return the largest gap between segments and at the start, m; a radian counts as a metre."""
     ends = [problem.start, *(s.end for s in plan.segments)]
     gaps = [
         math.hypot(a.x - s.start.x, a.y - s.start.y)
@@ -95,10 +95,15 @@ def joints(plan: Plan, problem: Problem) -> float:
 
 
 def misses(plan: Plan, problem: Problem) -> bool:
-    """Say whether a plan ends outside of the goal's tolerance."""
+    """Return whether a plan ends outside the tolerance of the goal."""
     end, goal = plan.end or problem.start, problem.goal
     far = math.hypot(end.x - goal.x, end.y - goal.y) > goal.radius + 1e-6
     turned = goal.heading is not None and (
         abs(math.remainder(end.heading - goal.heading, 2 * math.pi)) > goal.heading_tolerance + 1e-6
     )
     return far or turned
+
+
+def is_faulty(plan: Plan, problem: Problem) -> bool:
+    """Return whether a plan collides, has gaps between its segments or misses the goal."""
+    return deepest(plan, problem) > TOUCH or joints(plan, problem) > 1e-6 or misses(plan, problem)

@@ -1,0 +1,14 @@
+"""Runs of the scripts in benchmarks/."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+from conftest import ROOT
+
+
+def run_benchmark(script: str, *options: str) -> subprocess.CompletedProcess[str]:
+    """Run a script of benchmarks/ in a separate process and capture its output."""
+    words = [sys.executable, str(ROOT / "benchmarks" / script), *options]
+    return subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=600)
