@@ -25,7 +25,7 @@ from srs_twin.compute.workers import each
 from srs_twin.io.files import atomic_write
 from srs_twin.planning.footprint import load_footprint
 from srs_twin.planning.metrics import following_metrics, legs
-from srs_twin.planning.route import Route
+from srs_twin.planning.path import ReferencePath
 from srs_twin.rollout import rollout
 from srs_twin.scenario import load_scenario, parse_scenario
 from srs_twin.trajectory import Trajectory
@@ -82,7 +82,7 @@ def run(order: Order) -> dict[str, Any]:
 
 def cross_track_later(way: Trajectory) -> float:
     """Return the largest distance from the path once the duties are learnt, m; 0 where that never was."""
-    aside = [np.abs(Route(leg.segments).places(way.com[leg.samples])[1]) for leg in legs(way)]
+    aside = [np.abs(ReferencePath(leg.segments).coordinates(way.com[leg.samples])[1]) for leg in legs(way)]
     later = np.concatenate(aside)[way.time[: sum(map(len, aside))] > LEARNT_S]
     return float(later.max(initial=0.0))
 

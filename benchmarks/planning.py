@@ -32,9 +32,8 @@ from timing import machine
 from srs_twin.io.files import atomic_write
 from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.footprint import load_footprint
-from srs_twin.planning.plan import Plan
 from srs_twin.planning.planner import plan
-from srs_twin.planning.problem import Problem, Settings
+from srs_twin.planning.problem import Plan, Problem, Settings
 from srs_twin.robot.drawn_worlds import (
     FIG54_BOUNDS,
     FIG54_GOAL,

@@ -19,20 +19,21 @@ import numpy as np
 from grid import table
 from witnessed_worlds import KINDS, bodies, drawn
 
-from srs_twin.planning.collision import surroundings
+from srs_twin.planning.collision import obstacle_grid
 from srs_twin.planning.footprint import Footprint, load_footprint
-from srs_twin.planning.free_space import disconnected
+from srs_twin.planning.infeasibility import COARSE, FINE, is_disconnected, prove_unreachable
 from srs_twin.planning.planner import plan
-from srs_twin.planning.pockets import COARSE, FINE, shut_in
 from srs_twin.planning.problem import Problem
 from srs_twin.robot.world import Polygon, Pose, World
 
 
 def false_proofs(case: Problem) -> int:
     """Return how many of the proofs say that there is no way in a world that has one."""
-    body, around = case.footprint, surroundings(case.world)
-    shut = disconnected(case.start, case.goal, case.world, body.narrowest)
-    return shut + sum(bool(shut_in(case.start, case.goal, body, around, how)) for how in (COARSE, FINE))
+    body, around = case.footprint, obstacle_grid(case.world)
+    shut = is_disconnected(case.start, case.goal, case.world, body.narrowest)
+    return shut + sum(
+        bool(prove_unreachable(case.start, case.goal, body, around, how)) for how in (COARSE, FINE)
+    )
 
 
 def impossible(seed: int, body: Footprint) -> Iterator[tuple[str, Problem]]:

@@ -15,7 +15,7 @@ import numpy as np
 from grid import table
 
 from srs_twin.control.base import Controller
-from srs_twin.planning.arcs import along
+from srs_twin.planning.arcs import arc_end
 from srs_twin.rollout import rollout
 from srs_twin.scenario import load_scenario, parse_scenario
 
@@ -75,7 +75,7 @@ class Turned:
         # direction of the path, not of the body: a snake that turns slides.
         x, y = self.com[still + 1] - self.com[still - 1]
         old = self.curvature[(self.periods > -4) & (self.periods < -1)].mean()
-        place = along(*self.com[still], np.arctan2(y, x), old, -way[still])
+        place = arc_end(*self.com[still], np.arctan2(y, x), old, -way[still])
         c, s = np.cos(place[2]), np.sin(place[2])
         return ((self.com[at:] - place[:2]) @ np.array([[c, -s], [s, c]]))[way[at:] <= length]
 

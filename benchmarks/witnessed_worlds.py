@@ -14,8 +14,8 @@ import numpy as np
 from plan_sampling import deepest, depth_in, swept_points
 
 from srs_twin.planning.footprint import Footprint, load_footprint
-from srs_twin.planning.plan import Plan
-from srs_twin.planning.problem import Outcome, Problem, path_of
+from srs_twin.planning.path import path_from_arcs
+from srs_twin.planning.problem import Outcome, Plan, Problem
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 Pieces = list[tuple[float, float]]
@@ -99,7 +99,7 @@ class _Start:
     ) -> Witnessed | None:
         """Return the world with such obstacles, if the way is free of them, and the run-up with its room."""
         start = Pose(0.0, 0.0, 0.0)
-        path = path_of(start, pieces, self.body)
+        path = path_from_arcs(start, pieces, self.body)
         corners = [(c.x + sx * c.radius, c.y + sx * c.radius) for c in circles for sx in (-1, 1)]
         corners += [corner for each in polygons for corner in each.corners]
         corners += [(each.start.x, each.start.y) for each in path] + [(path[-1].end.x, path[-1].end.y)]
@@ -116,7 +116,7 @@ class _Start:
 
     def swept(self, pieces: Pieces) -> np.ndarray:
         """Return points of all that the way covers, the room of the run-up included."""
-        path = path_of(Pose(0.0, 0.0, 0.0), pieces, self.body)
+        path = path_from_arcs(Pose(0.0, 0.0, 0.0), pieces, self.body)
         points = [
             swept_points((0.0, 0.0, 0.0), 0.0, self.run_up, self.body, 0.02, (self.room, self.room)),
             *(swept_points((*each.start,), each.curvature, each.length, self.body, 0.02) for each in path),
@@ -171,7 +171,7 @@ def _sides(start: _Start, pieces: Pieces, before: Pieces, ratio: float) -> list[
     left, right = max(body.left), max(body.right)
     for each in body.transients:
         left, right = max(left, max(body.left) + each.left), max(right, max(body.right) + each.right)
-    path = path_of(path_of(Pose(0.0, 0.0, 0.0), before, body)[-1].end, pieces, body)
+    path = path_from_arcs(path_from_arcs(Pose(0.0, 0.0, 0.0), before, body)[-1].end, pieces, body)
     poses = [each.pose(s) for each in path for s in np.arange(0.0, each.length, 0.08)] + [path[-1].end]
     found = []
     for near in (ratio * left, -ratio * right):
@@ -200,7 +200,7 @@ def _pocket(rng: np.random.Generator, start: _Start) -> Witnessed | None:
     depth = max(2 * (body.ahead + body.behind), 2 * body.at(0.0).left)
     pieces = [*start.way(rng, float(rng.uniform(1.0, 2.0))), (0.0, _settled(body) + body.behind + depth)]
     walls = _sides(start, [(0.0, depth)], [*pieces[:-1], (0.0, pieces[-1][1] - depth)], ratio)
-    end = path_of(Pose(0.0, 0.0, 0.0), pieces, body)[-1].end
+    end = path_from_arcs(Pose(0.0, 0.0, 0.0), pieces, body)[-1].end
     ahead, half = body.ahead + 0.03, ratio * max(*body.left, *body.right)
     c, s = math.cos(end.heading), math.sin(end.heading)
     corners = [(ahead, half), (ahead + 0.03, half), (ahead + 0.03, -half), (ahead, -half)]
@@ -283,7 +283,7 @@ def _walls(
     start = Pose(0.0, 0.0, 0.0)
     ends = [start]
     for k, length in pieces:
-        ends.append(path_of(ends[-1], [(k, length)], body)[-1].end)
+        ends.append(path_from_arcs(ends[-1], [(k, length)], body)[-1].end)
     x, y = [each.x for each in ends], [each.y for each in ends]
     room = 3 * width + body.ahead + body.behind
     bounds = Bounds((min(x) - room, max(x) + room), (min(y) - 2 * room, max(y) + 2 * room))
@@ -362,5 +362,5 @@ def _checked(
     """Return the world if the way through is free."""
     goal = Goal(end.x, end.y, end.heading, 0.02 + 0.1 * width, 0.1)
     problem = Problem(start, goal, world, body)
-    witness = Plan(Outcome.FOUND, "drawn first", path_of(start, pieces, body))
+    witness = Plan(Outcome.FOUND, "drawn first", path_from_arcs(start, pieces, body))
     return Witnessed(problem, witness, width, gap) if deepest(witness, problem) < 0 else None

@@ -144,7 +144,7 @@ def test_what_a_kernel_inlines_decides_and_a_comment_does_not(tmp_path):
 PROGRAM = """
 from srs_twin.compute.workers import each
 from test_compiled import in_a_worker
-import srs_twin.planning.best_first, srs_twin.pneumatics.orifice_kernels
+import srs_twin.planning.search_kernels, srs_twin.pneumatics.orifice_kernels
 print(sorted(done.result for done in each(in_a_worker, [1, 2, 3], workers=2)))
 """
 

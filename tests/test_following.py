@@ -18,9 +18,8 @@ from srs_twin.control.reference import Constant
 from srs_twin.control.smc import IterativeSMC
 from srs_twin.planning.follower import ENDINGS, Conditions, Follower
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.plan import Plan
-from srs_twin.planning.problem import Outcome, path_of
-from srs_twin.planning.route import Route
+from srs_twin.planning.path import ReferencePath, path_from_arcs
+from srs_twin.planning.problem import Outcome, Plan
 from srs_twin.planning.steering import BearingLaw, PathLaw, Predictor, Steering
 from srs_twin.robot.file import load_robot
 from srs_twin.robot.world import Circle, Goal, Pose, World
@@ -37,7 +36,7 @@ def as_told(offset):
 
 
 def a_plan(pieces=STRAIGHT, start=ORIGIN):
-    return Plan(Outcome.FOUND, "given", path_of(start, list(pieces), BODY))
+    return Plan(Outcome.FOUND, "given", path_from_arcs(start, list(pieces), BODY))
 
 
 def ours():
@@ -85,7 +84,7 @@ def follow(
 
 
 def beside(plan, way, since=0.0):
-    return Route(plan.segments).places(way[way[:, 0] >= since, 1:3])[1]
+    return ReferencePath(plan.segments).coordinates(way[way[:, 0] >= since, 1:3])[1]
 
 
 @pytest.mark.parametrize("aside", [0.1, -0.1])
@@ -499,5 +498,5 @@ def test_gain_and_bias_of_turning_are_learnt_and_forgotten():
         state = plant.step(None)
     assert predictor.gain == pytest.approx(0.7, abs=0.1)
     assert predictor.disturbance == pytest.approx(0.4, abs=0.15)
-    predictor.forget()
+    predictor.reset_turning()
     assert (predictor.gain, predictor.disturbance) == (1.0, 0.0)

@@ -98,7 +98,7 @@ def test_no_plan_is_an_outcome_and_fails_under_check(file, srs_twin):
 @pytest.mark.parametrize(
     ("where", "says"),
     [
-        ("goal: {x_m: 0.4, y_m: 0.0, radius_m: 0.05}", "goal (0.4, 0) lies inside"),
+        ("goal: {x_m: 0.4, y_m: 0.0, radius_m: 0.05}", "goal (0.4, 0) is inside"),
         (
             "bounds: {x_m: [-1, 0.5], y_m: [-1, 1]}\n  goal: {x_m: 0.8, y_m: 0.1}",
             "goal (0.8, 0.1) lies outside of",
@@ -117,7 +117,8 @@ def test_ends_that_cannot_be_are_bad_input(where, says, file, srs_twin):
 def test_plan_refuses_what_does_not_plan(tmp_path, srs_twin):
     done = srs_twin("plan", "gen2_straight", cwd=tmp_path)
     assert (
-        done.returncode == 2 and "it has no planner; add planner, and controller.kind: follow" in done.stderr
+        done.returncode == 2
+        and "there is no planner section; add planner, and controller.kind: follow" in done.stderr
     )
     assert list(tmp_path.iterdir()) == []
 
@@ -130,7 +131,7 @@ def test_run_follows_and_leaves_everything(file, srs_twin):
     assert metrics.keys() >= FOLLOWING_UNITS.keys()
     assert metrics["cross_track_rms_m"] < 0.015 and metrics["inside_share"] > 0.9
     report = (file / "out/report.html").read_text("utf-8")
-    assert "the floor planned for the body" in report and "Cross-track is" in report
+    assert "Plan with footprint" in report and "Cross-track is" in report
     from rerun.chunk import RrdReader
 
     entities = {chunk.entity_path for chunk in RrdReader(file / "out/recording.rrd").stream().to_chunks()}
@@ -231,7 +232,7 @@ def test_a_run_up_goes_straight_first_and_must_be_free():
     first = parse_scenario(data(planner=planner)).planner.plan().segments[0]
     assert first.curvature == 0 and first.length == pytest.approx(0.25)
     world = {"goal": {"x_m": 0.6, "y_m": 0.3}, "obstacles": [{"x_m": 0.3, "y_m": 0, "radius_m": 0.06}]}
-    with pytest.raises(InputError, match=r"straight beginning of 0\.25 m touches .*; run_up_m sets it"):
+    with pytest.raises(InputError, match=r"straight run-up of 0\.25 m touches .*; set a shorter run_up_m"):
         parse_scenario(data(planner=planner, world=world)).build_controller()
 
 
@@ -246,12 +247,12 @@ def test_a_path_that_is_given_ends_where_it_ends():
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"planner": None}, "controller: kind: follow has nothing to follow; give planner as well"),
-        ({"controller": {"kind": "gait", "frequency_hz": 2}}, "planner: nobody follows its plan"),
+        ({"planner": None}, "controller: kind: follow needs a plan; add planner"),
+        ({"controller": {"kind": "gait", "frequency_hz": 2}}, "planner: no controller follows its plan"),
         ({"world": {}}, "planner: kind: best_first needs world.goal"),
         (
             {"planner": {"kind": "given", "footprint": "gen2_section52", "turns_rad": [1.2], "step_m": 0.2}},
-            "planner: curvature 6 1/m is not in the footprint's -5.23599 to 5.23599 1/m",
+            "planner: curvature 6 1/m is outside the footprint's range -5.23599 to 5.23599 1/m",
         ),
         (
             {"planner": {"kind": "best_first", "footprint": "gen9"}},
@@ -306,7 +307,9 @@ def test_a_goal_at_the_start_has_no_ratio_to_the_least_length(srs_twin, tmp_path
     assert found["quality"]["length_over_least"] is None
 
 
-@pytest.mark.parametrize(("bound", "room"), [(5.0, "at least 1000 mm of room"), (0.5, "mm of room")])
+@pytest.mark.parametrize(
+    ("bound", "room"), [(5.0, "at least 1000 mm of clearance"), (0.5, "mm of clearance")]
+)
 def test_room_beyond_what_is_looked_for_is_said_to_be_at_least_that(srs_twin, tmp_path, bound, room):
     world = {"goal": {"x_m": 1.0, "y_m": 0.0}, "bounds": {"x_m": [-5, 5], "y_m": [-bound, bound]}}
     about = data(planner={"kind": "best_first", "footprint": "gen2_gait"}, world=world)

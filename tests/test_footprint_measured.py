@@ -26,7 +26,7 @@ from srs_twin.identification.footprint import (
     study,
 )
 from srs_twin.identification.paths import SETTLED, Change, Poses, SteadyPath, mean_path, transient, widest
-from srs_twin.planning.footprint import Footprint, Transient, checked
+from srs_twin.planning.footprint import Footprint, Transient, validate_footprint
 
 PERIODS = 6
 
@@ -300,7 +300,7 @@ def test_a_whole_footprint_is_one_for_the_planner():
         load_robot("gen2"), frequency=2.0, plant="analytical", offsets=(-0.2, 0.0, 0.2), periods=3, phases=2,
         changes=[(-0.2, 0.2), (0.2, -0.2)], progress=done.append,
     )  # fmt: skip
-    body = checked(footprint_of(found))
+    body = validate_footprint(footprint_of(found))
     assert body.offsets == (-0.2, 0.0, 0.2) and done == list(range(1, 11))
     # Two phases half a period apart: a snake and its mirror image.
     assert body.curvatures[0] == pytest.approx(-body.curvatures[2], rel=1e-3)

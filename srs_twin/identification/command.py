@@ -461,7 +461,7 @@ def margin(
     from srs_twin.io.documents import Change
     from srs_twin.io.files import find, open_folder, read_text
     from srs_twin.planning.footprint import load_footprint_file, save_footprint
-    from srs_twin.planning.margins import quantile
+    from srs_twin.planning.margins import excursion_quantile
     from srs_twin.scenario import load_scenario
 
     # Whatever margin the scenario wants, it is not what is measured.
@@ -487,7 +487,9 @@ def margin(
     elif not quiet:
         table = new_table("plant", "half of the runs", "90 %", "95 %", "all, mm")
         for each in measured:
-            shares = [quantile(each.path_m, share) for share in (0.5, 0.9, 0.95)] + [each.path_m[-1]]
+            shares = [excursion_quantile(each.path_m, share) for share in (0.5, 0.9, 0.95)] + [
+                each.path_m[-1]
+            ]
             table.add_row(each.conditions.plant, *(f"{1000 * value:.0f}" for value in shares))
         console().print(table)
     say(f"excursions in {shown(path)}", quiet=quiet)

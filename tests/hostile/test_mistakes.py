@@ -32,7 +32,7 @@ TYPED = [
         "sweep gen2_straight",
         "unknown sweep 'gen2_straight' (available: 16 names; `srs-twin list sweeps` lists them)",
     ),
-    ("plan gen2_straight", "it has no planner; add planner, and controller.kind: follow"),
+    ("plan gen2_straight", "there is no planner section; add planner, and controller.kind: follow"),
     ("view gen2_straight", "no recording there"),
     ("render gen2_straight", "give one of --video FILE.mp4"),
     ("diff a b", "a: no such file"),

@@ -18,7 +18,7 @@ FOOTPRINT = ("calibrate", "footprint", "gen2", "--name", "f", "--overwrite")
 REPRODUCE = ("reproduce", "--only", "actuator-90.gen1")
 # Said of a file where a folder stands, of a plan's turns, and of names that no file of results can hold.
 FOLDER = "cannot be replaced (a folder)"
-TURNS = "plan.yaml: curvature -8 1/m is not in the footprint's -5.23599 to 5.23599 1/m"
+TURNS = "plan.yaml: curvature -8 1/m is outside the footprint's range -5.23599 to 5.23599 1/m"
 BYTES, CONTROL = (
     "cannot be used (not UTF-8); rename it",
     "cannot be used (a control character in it); rename it",

@@ -15,10 +15,10 @@ from srs_twin.io.files import shipped_folder, shipped_names
 from srs_twin.planning.footprint import (
     Footprint,
     Transient,
-    checked,
     load_footprint,
     load_footprint_file,
     save_footprint,
+    validate_footprint,
 )
 
 # Table 8 as printed: offset, speed, left, right, radius.
@@ -58,7 +58,7 @@ def test_shipped_boxes_are_those_of_the_text():
 
 @pytest.mark.parametrize("name", shipped_names("footprint"))
 def test_every_shipped_footprint_is_whole_and_comes_back_from_a_file(name, tmp_path):
-    checked(load_footprint(name))
+    validate_footprint(load_footprint(name))
     save_footprint(load_footprint_file(name), tmp_path / "again.yaml")
     assert load_footprint(tmp_path / "again.yaml") == load_footprint(name)
 
@@ -79,7 +79,9 @@ def test_the_box_shifts_outward():
 
 
 def test_tighter_than_it_can_is_refused():
-    with pytest.raises(InputError, match="curvature 6 1/m is not in the footprint's -5.23599 to 5.23599"):
+    with pytest.raises(
+        InputError, match="curvature 6 1/m is outside the footprint's range -5.23599 to 5.23599"
+    ):
         BOX.at(6.0)
 
 
@@ -110,22 +112,22 @@ def test_of_changes_that_are_equally_large_the_widest_counts():
 def test_the_edge_of_each_row_may_reach_to_the_centre_of_its_own_turn():
     """A long snake that turns tightly: its outer edge is farther away than the centre on the other side."""
     body = replace(BOX, curvatures=(-13.0, 0.0, 13.0), left=(0.085, 0.05, 0.047), right=(0.047, 0.05, 0.085))
-    assert checked(body) is body
+    assert validate_footprint(body) is body
     with pytest.raises(
         InputError, match=r"left: 0.08 m reaches the centre of the tightest turn, radius 0.0769"
     ):
-        checked(replace(body, left=(0.085, 0.05, 0.08)))
+        validate_footprint(replace(body, left=(0.085, 0.05, 0.08)))
     # A change to the left that pushes the right edge out does not narrow the inside of a left turn.
     out = Transient(-0.3, 0.3, 0.0, 0.06, 0.1)
-    assert checked(replace(body, transients=(out,)))
+    assert validate_footprint(replace(body, transients=(out,)))
     with pytest.raises(InputError, match=r"left: 0.107 m reaches"):
-        checked(replace(body, transients=(replace(out, left=0.06),)))
+        validate_footprint(replace(body, transients=(replace(out, left=0.06),)))
 
 
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("[-0.3, 0.0, 0.3]", "[0.3, 0.0, -0.3]", "5:17: offset.value: must rise from row to row"),
+        ("[-0.3, 0.0, 0.3]", "[0.3, 0.0, -0.3]", "5:17: offset.value: must increase from row to row"),
         ("[0.12, 0.12, 0.12]", "[0.12, 0.12]", "must be a list"),
         ("[0.12, 0.12, 0.12]", "[0.12, 0.12, 0.12, 0.12]", "speed_m_s.value: 4 values for 3 offsets"),
         (
@@ -170,7 +172,7 @@ def test_unknown_name_says_which_there_are():
 )
 def test_footprints_from_code_are_checked_as_well(changes, words):
     with pytest.raises(InputError, match=words):
-        checked(replace(BOX, **changes))
+        validate_footprint(replace(BOX, **changes))
 
 
 def test_offsets_and_curvatures_rise_together_in_all_shipped_ones():

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from plan_sampling import TOUCH, deepest
 
 from srs_twin.errors import InputError
-from srs_twin.planning.arcs import Primitives, along
+from srs_twin.planning.arcs import Primitives, arc_end
 from srs_twin.planning.footprint import Footprint, load_footprint
-from srs_twin.planning.greedy import arc_to, mirrored
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Outcome, Problem
+from srs_twin.planning.reference_planners import arc_through, reversed_footprint
 from srs_twin.robot.drawn_worlds import FIG54_GOAL, FIG54_START, fig54_world
 from srs_twin.robot.world import Circle, Goal, Pose, World
 
@@ -30,12 +30,12 @@ def fig54(count: int, seed: int) -> Problem:
 
 @given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2))
 def test_arc_distance_is_that_of_the_arc_through_the_point(x, y, heading, to_x, to_y):
-    curvature, length = arc_to(Pose(x, y, heading), to_x, to_y)
+    curvature, length = arc_through(Pose(x, y, heading), to_x, to_y)
     if math.isfinite(length) and length < 50:
-        end = along(x, y, heading, curvature, length)
+        end = arc_end(x, y, heading, curvature, length)
         assert end[:2] == pytest.approx((to_x, to_y), abs=1e-6)
         assert length >= math.hypot(to_x - x, to_y - y) - 1e-9
-    assert math.isinf(arc_to(Pose(0, 0, 0), -1, 0)[1])
+    assert math.isinf(arc_through(Pose(0, 0, 0), -1, 0)[1])
 
 
 def test_fig_53_turns_toward_the_target_from_both_ends():
@@ -58,7 +58,8 @@ def test_first_step_has_the_least_score_of_all():
     problem = fig54(0, 0)
     start, goal = problem.start, problem.goal
     scores = [
-        0.001 * abs(i - 10) + arc_to(child, goal.x, goal.y)[1] for i, child in enumerate(ARCS.children(start))
+        0.001 * abs(i - 10) + arc_through(child, goal.x, goal.y)[1]
+        for i, child in enumerate(ARCS.children(start))
     ]
     first = plan(problem, planner="greedy").segments[0]
     assert first.curvature == pytest.approx(ARCS.curvatures[int(np.argmin(scores))])
@@ -112,8 +113,8 @@ def test_success_falls_with_obstacles_and_the_default_solves_what_greedy_solves(
 
 def test_mirrored_twice_is_itself_and_sides_change_places():
     body = load_footprint("gen4_table8")
-    back = mirrored(body)
-    assert mirrored(back) == body
+    back = reversed_footprint(body)
+    assert reversed_footprint(back) == body
     for k in body.curvatures:
         assert (back.at(-k).left, back.at(-k).right) == (body.at(k).right, body.at(k).left)
 

@@ -15,13 +15,13 @@ from plan_sampling import TOUCH, deepest, joints, misses
 from plan_worlds import drawn_problem
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.planning.arcs import Primitives, along
-from srs_twin.planning.best_first import rest
+from srs_twin.planning.arcs import Primitives, arc_end
 from srs_twin.planning.footprint import Footprint, load_footprint
-from srs_twin.planning.free_space import disconnected
+from srs_twin.planning.infeasibility import is_disconnected
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Outcome, Problem, Settings
-from srs_twin.planning.tree import moves_of, target_of
+from srs_twin.planning.search_kernels import lower_bound
+from srs_twin.planning.search_tree import make_move_set, make_target
 from srs_twin.robot.drawn_worlds import FIG54_BOUNDS, FIG54_GOAL, FIG54_START, fig54_world, strewn
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
@@ -84,7 +84,9 @@ def test_fig_53():
     assert best.found and not misses(best, problem)
     # Nothing is in the way: it is the Dubins path, left, straight, left.
     assert [math.copysign(round(abs(s.curvature), 6) > 0, s.curvature) for s in best.segments] == [1, 0, 1]
-    assert best.length == pytest.approx(rest(0.0, 0.0, -math.pi / 4, target_of(goal, body)), abs=1e-6)
+    assert best.length == pytest.approx(
+        lower_bound(0.0, 0.0, -math.pi / 4, make_target(goal, body)), abs=1e-6
+    )
     assert best.duration == pytest.approx(best.length)
 
 
@@ -105,10 +107,10 @@ def test_the_bound_is_below_every_found_length(seed):
     if answer.end is None:
         return
     end = answer.end
-    target = target_of(Goal(end.x, end.y, end.heading if seed % 3 else None, 0.0, 0.0), problem.footprint)
+    target = make_target(Goal(end.x, end.y, end.heading if seed % 3 else None, 0.0, 0.0), problem.footprint)
     done = 0.0
     for s in answer.segments:
-        assert rest(s.start.x, s.start.y, s.start.heading, target) <= answer.length - done + 1e-6
+        assert lower_bound(s.start.x, s.start.y, s.start.heading, target) <= answer.length - done + 1e-6
         done += s.length
 
 
@@ -117,11 +119,11 @@ def test_the_bound_is_below_every_found_length(seed):
 )
 def test_the_bound_falls_by_no_more_than_the_arc(x, y, heading, move, length, free):
     body = load_footprint("gen4_table8")
-    moves = moves_of(Primitives(5, 0.5, 0.4), body)
+    moves = make_move_set(Primitives(5, 0.5, 0.4), body)
     curvature = moves.curvatures[move % len(moves.curvatures)]
-    target = target_of(Goal(0.3, -0.2, None if free else 1.0, 0.0), body)
-    after = along(x, y, heading, curvature, length)
-    assert rest(x, y, heading, target) <= length + rest(*after, target) + 1e-6
+    target = make_target(Goal(0.3, -0.2, None if free else 1.0, 0.0), body)
+    after = arc_end(x, y, heading, curvature, length)
+    assert lower_bound(x, y, heading, target) <= length + lower_bound(*after, target) + 1e-6
 
 
 def test_same_problem_same_plan_and_its_mirror_image_is_as_long():
@@ -172,7 +174,7 @@ def test_coarsest_cells_separate_the_children_of_a_node():
     """A cell is half of the smallest change of heading wide and a third of an arc long, within a tenth."""
     found = plan(fig54(0, 0), Settings(keep=True, levels=1))
     moves = found.trees[0].search.moves
-    turn = np.diff(moves.curvatures[moves.arcs]).min() * moves.length
+    turn = np.diff(moves.curvatures[moves.primitives]).min() * moves.length
     assert turn / found.cell[1] == pytest.approx(2, rel=0.1)
     assert moves.length / found.cell[0] == pytest.approx(3, rel=0.1)
 
@@ -223,7 +225,7 @@ def test_a_niche_too_small_to_turn_in_is_proven_to_be_unreachable():
     problem = walled(world=niche, goal=Goal(1.5, 0.2, 0.0, 0.01))
     answer = plan(problem)
     assert answer.outcome is Outcome.UNREACHABLE and answer.proven
-    assert "where the goal lies there is no room" in answer.reason
+    assert "the goal has too little room" in answer.reason
     # Looking into the niche it is reached.
     assert plan(replace(problem, goal=Goal(1.5, 0.2, math.pi / 2, 0.01))).found
 
@@ -251,19 +253,19 @@ def test_disconnected_is_never_said_of_a_world_with_a_plan(seed):
     except InputError:
         return
     if answer.found:
-        assert not disconnected(problem.start, problem.goal, problem.world, TEXT.narrowest)
+        assert not is_disconnected(problem.start, problem.goal, problem.world, TEXT.narrowest)
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"start": Pose(5, 0, 0)}, r"start \(5, 0\) lies outside of the bounds \(x -1 to 3 m"),
-        ({"goal": Goal(0, 4, 0.0, 0.1)}, r"goal \(0, 4\) lies outside of the bounds"),
+        ({"start": Pose(5, 0, 0)}, r"start \(5, 0\) is outside the bounds \(x -1 to 3 m"),
+        ({"goal": Goal(0, 4, 0.0, 0.1)}, r"goal \(0, 4\) is outside the bounds"),
         (
             {"world": World((Circle(9, 9, 1), Circle(0, 0.1, 0.2)))},
-            r"start \(0, 0\) lies inside obstacle 2 \(radius 0.2",
+            r"start \(0, 0\) is inside obstacle 2 \(radius 0.2",
         ),
-        ({"world": World((Circle(1.5, 0, 0.2),))}, r"goal \(1.5, 0\) lies inside obstacle 1"),
+        ({"world": World((Circle(1.5, 0, 0.2),))}, r"goal \(1.5, 0\) is inside obstacle 1"),
         (
             {"world": World(polygons=(Polygon(((1, -1), (2, -1), (1.5, 1))),))},
             r"goal .* inside polygon 1 \(3 corners",
@@ -273,12 +275,12 @@ def test_disconnected_is_never_said_of_a_world_with_a_plan(seed):
         ({"goal": Goal(math.nan, 0, 0.0, 0.1)}, r"goal \(nan, 0\) m: must be finite"),
         ({"start": Pose(0, 0, math.inf)}, "headings inf and 0 rad"),
         ({"goal": Goal(1, 0, 0.0, -0.1)}, "radius -0.1 m must not be below 0"),
-        ({"world": World((Circle(1, 1, 0),))}, "obstacle 1: numbers must be finite, the radius above 0"),
+        ({"world": World((Circle(1, 1, 0),))}, "obstacle 1: numbers must be finite and the radius above 0"),
         (
             {"world": World(polygons=(Polygon(((0, 0), (1, 1), (1, 0), (0, 1))),))},
             "polygon 1: .* sides that do not cross",
         ),
-        ({"world": World(bounds=Bounds((1, -1), (0, 1)))}, "the lowest comes first"),
+        ({"world": World(bounds=Bounds((1, -1), (0, 1)))}, "the lower limit comes first"),
     ],
 )
 def test_what_cannot_be_meant_is_refused_by_name(changes, words):
@@ -289,9 +291,9 @@ def test_what_cannot_be_meant_is_refused_by_name(changes, words):
 def test_unknown_planners_and_idle_settings_are_refused():
     with pytest.raises(UnknownNameError, match="did you mean greedy"):
         plan(walled(), planner="gredy")
-    with pytest.raises(InputError, match="nodes 0, levels 4, weight 1: all must be 1 at least"):
+    with pytest.raises(InputError, match="nodes 0, levels 4, weight 1: all must be at least 1"):
         Settings(nodes=0)
-    with pytest.raises(InputError, match="levels 9, 5 at most"):
+    with pytest.raises(InputError, match="levels 9 must be at most 5"):
         Settings(levels=9)
     with pytest.raises(InputError, match="seconds -1 must be above 0"):
         Settings(seconds=-1)

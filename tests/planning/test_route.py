@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.problem import path_of
-from srs_twin.planning.route import BEYOND, Route
+from srs_twin.planning.path import EXTENSION_M, ReferencePath, path_from_arcs
 from srs_twin.robot.world import Pose
 
 pytestmark = pytest.mark.fast
@@ -22,7 +21,7 @@ PIECES = st.lists(st.tuples(st.floats(-5, 5), st.floats(0.05, 0.6)), min_size=1,
 
 
 def route(pieces, start=ORIGIN):
-    return Route(path_of(start, pieces, BODY))
+    return ReferencePath(path_from_arcs(start, pieces, BODY))
 
 
 @settings(max_examples=40)
@@ -30,12 +29,12 @@ def route(pieces, start=ORIGIN):
 def test_no_sampled_point_is_nearer(pieces, x, y, heading):
     way = route(pieces, Pose(0.3, -0.2, heading))
     place = way.nearest(x, y)
-    samples = [way.pose(s) for s in np.linspace(-BEYOND, way.length + BEYOND, 3000)]
+    samples = [way.pose(s) for s in np.linspace(-EXTENSION_M, way.length + EXTENSION_M, 3000)]
     least = min(math.hypot(p.x - x, p.y - y) for p in samples)
     foot = way.pose(place.s)
     found = math.hypot(foot.x - x, foot.y - y)
     assert found <= least + 1e-9 and found >= least - 2e-3
-    if -BEYOND < place.s < way.length + BEYOND:
+    if -EXTENSION_M < place.s < way.length + EXTENSION_M:
         assert abs(place.n) == pytest.approx(found, abs=1e-6)
 
 
@@ -75,5 +74,5 @@ def test_a_window_tells_crossings_apart():
 def test_many_places_are_those_of_each():
     way, rng = route([(1.0, 0.7), (-2.0, 0.9)]), np.random.default_rng(0)
     points = rng.uniform(-1, 2, (50, 2))
-    s, n = way.places(points)
+    s, n = way.coordinates(points)
     assert [(a, b) for a, b in zip(s, n, strict=True)] == [way.nearest(*p)[:2] for p in points]

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from srs_twin.errors import InputError
-from srs_twin.planning.arcs import Primitives, along, blocked
-from srs_twin.planning.collision import Surroundings, in_cells
+from srs_twin.planning.arcs import Primitives, arc_collides, arc_end
+from srs_twin.planning.collision import ObstacleGrid, build_grid
 from srs_twin.robot.world import Pose
 
 CURVATURE = st.floats(-4, 4) | st.sampled_from([0.0, 1e-12, -1e-10, 1e-8, 1e-6, -1e-4])
@@ -44,8 +44,8 @@ def drawn(arc) -> shapely.Polygon:
 
 def touches(arc, circles=NO_CIRCLES, sides=NO_SIDES, bounds=ANYWHERE) -> bool:
     pose, k, length, ahead, behind, left, right = arc
-    around = Surroundings(circles, sides, bounds, *in_cells(circles, sides))
-    return blocked(*pose, k, length, ahead, behind, left, right, around)
+    around = ObstacleGrid(circles, sides, bounds, *build_grid(circles, sides))
+    return arc_collides(*pose, k, length, ahead, behind, left, right, around)
 
 
 @given(ARC, st.integers(0, 2**32 - 1))
@@ -66,7 +66,7 @@ def test_arc_is_what_integration_gives(pose, k, length):
         rtol=1e-10, atol=1e-12,
     )  # fmt: skip
     assume(length >= 0)
-    assert along(pose.x, pose.y, pose.heading, k, length) == pytest.approx(solved.y[:, -1], abs=1e-8)
+    assert arc_end(pose.x, pose.y, pose.heading, k, length) == pytest.approx(solved.y[:, -1], abs=1e-8)
 
 
 @given(st.builds(Pose, PLACE, PLACE, ANGLE), st.floats(0.1, 3), st.floats(0.05, 1))

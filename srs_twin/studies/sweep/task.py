@@ -112,9 +112,9 @@ def _planned(scenario: Scenario) -> dict[str, Any]:
         raise InputError("there is no planner; give planner, and controller.kind: follow")
     if planner.file.kind not in _planned_before:
         # What is loaded and compiled once a process is in no point's time.
-        planner.plan_anew()
+        planner.plan_uncached()
         _planned_before.add(planner.file.kind)
-    found = planner.plan_anew()
+    found = planner.plan_uncached()
     return plan_metrics(found.found, found.segments, found.expanded) | {"plan_s": found.seconds}
 
 
