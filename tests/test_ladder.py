@@ -281,7 +281,7 @@ def test_scenario_without_it_compares_as_it_is():
 def test_scenario_refuses_the_gap_factor_where_it_has_no_meaning():
     (line,) = refusal()
     assert line == (
-        "comparison.gap_factor: the analytical plant has the gaps in its geometry already; "
+        "comparison.gap_factor: the analytical plant already has gaps in its geometry; "
         "set plants.analytical.gaps: false"
     )
     (line,) = refusal(plants={"analytical": {"gaps": False}})

@@ -54,16 +54,16 @@ def simulate(
     elif plants is not None and len(plants) > 1:
         from srs_twin.attribution import main_cause
 
-        asked["cause"] = main_cause
+        asked["main_cause"] = main_cause
     scenario, folder = order
     try:
         result = prepare(scenario, folder, plants=plants).execute(progress, **asked)
     except InputError as error:
         return CaseResult(None, (error,), time.perf_counter() - start)
-    errors = (*result.diverged, *result.unexplained)
+    errors = (*result.diverged, *result.failed_attributions)
     for each in errors:
         each.trajectory = each.history = None  # the file that it names holds them
-    result = replace(result, trajectories={}, diverged=(), unexplained=())
+    result = replace(result, trajectories={}, diverged=(), failed_attributions=())
     return CaseResult(result, errors, time.perf_counter() - start)
 
 

@@ -129,14 +129,14 @@ def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
 
 def _judged(test: TestCase, row: Mapping[str, Any], fails: Set[str]) -> TestCase:
     """Return the test case of an expectation with its verdict."""
-    from srs_twin.scenario.expectation import in_words, verdict
+    from srs_twin.scenario.expectation import result_text, verdict
 
     found = verdict(row)
     if found in fails:
         given = {key: row[key] for key in ("reason", "known") if row.get(key)}
         about = {"value": row["value"], "allowed": row["allowed"], "source": row["source"] or "ours"} | given
         text = "\n".join(f"{key}: {value}" for key, value in about.items())
-        message = f"{test.name} {in_words(row)}"
+        message = f"{test.name} {result_text(row)}"
         return test._replace(outcome="failure", message=message, kind="expectation", text=text)
     skipped = {"known": f"known: {row.get('known')}", "not_judged": f"not judged: {row.get('reason')}"}
     return test._replace(outcome="skipped", message=skipped[found]) if found in skipped else test

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from srs_twin.cli.console import console, new_table
 from srs_twin.comparison.compare import MEASURES
 from srs_twin.comparison.metrics import chosen, headline, published, result_rows
-from srs_twin.scenario.expectation import in_words, verdict
+from srs_twin.scenario.expectation import result_text, verdict
 from srs_twin.scenario.modified import left_out_line, marked
 from srs_twin.viewing.plots.labels import metric_label
 
@@ -132,4 +132,4 @@ def asks_why(metrics: Mapping[str, Any]) -> bool:
 def _expectation(each: Mapping[str, Any]) -> str:
     source = f" ({each['source']})" if each.get("source") else ""
     why = [f"; {key}: {each[key]}" for key in ("reason", "known") if each.get(key)]
-    return f"{WORDS[verdict(each)]:6} {each['of']} {each['metric']} {in_words(each)}{source}{''.join(why)}"
+    return f"{WORDS[verdict(each)]:6} {each['of']} {each['metric']} {result_text(each)}{source}{''.join(why)}"

@@ -32,7 +32,7 @@ MALFORMED = edited(GOOD, {
     "a bench that is text": (
         "bench: true", "bench: yes", ":4:8: bench: must be true or false, not text 'yes'"),
     "a start on a bench": (
-        "bench: true", "bench: true\nstart: {}", ":5:1: start: what hangs on a bench starts where it is he"),
+        "bench: true", "bench: true\nstart: {}", ":5:1: start: a module on a bench starts at its clamp"),
     "friction on a bench": (
         "analytical: {}", "analytical: {friction: axis}",
         ":10:16: plants.analytical.friction: on a bench there is no floor"),
@@ -72,7 +72,7 @@ MALFORMED = edited(GOOD, {
     "neither refused nor saturated": (
         "d_per_s: 20", "beyond_range: clip", ":8:46: controller.beyond_range: must be one of refuse, satur"),
     "a Hall sensor's key on an ideal one": (
-        "kind: hall, span_rad: 0.8", "kind: ideal", ":7:9: sensor: bits belongs to kind: hall"),
+        "kind: hall, span_rad: 0.8", "kind: ideal", ":7:9: sensor: bits requires kind: hall"),
     "a converter of no bits": (
         "bits: 10", "bits: 0", ":7:43: sensor.bits: must be a whole number from 1 to 32, not 0"),
     "a tick that is none of the time step's": (

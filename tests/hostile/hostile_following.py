@@ -53,7 +53,7 @@ MALFORMED = edited(GOOD, {
         "position_noise_m: 0.001", "position_noise_m: -1", "controller.camera.position_noise_m: must be a number"),
     "a command from the future": ("delay_s: 0.1", "delay_s: -0.1", "controller.delay_s: must be a number from 0"),
     "an offset of its own": (
-        "frequency_hz: 2.0", "frequency_hz: 2.0, offset: 0.1", "controller: the follower decides the offset"),
+        "frequency_hz: 2.0", "frequency_hz: 2.0, offset: 0.1", "controller: the follower sets the offset"),
     "nothing that can be steered": (
         "gait: {kind: gait, frequency_hz: 2.0}", "gait: {kind: hold_valves}",
         "controller.gait.kind: must be one of gait, ilc"),
@@ -61,9 +61,9 @@ MALFORMED = edited(GOOD, {
         "gait: {kind: gait, frequency_hz: 2.0}", "gait: {kind: follow}",
         "controller.gait.kind: must be one of gait, ilc"),
     "a key of the other follower": (
-        "follower: path", "follower: bearing", "controller: lookahead_m belongs to follower: path"),
+        "follower: path", "follower: bearing", "controller: lookahead_m requires follower: path"),
     "another key of the other follower": (
-        "lookahead_m: 0.15", "near_m: 0.15", "controller: near_m belongs to follower: bearing"),
+        "lookahead_m: 0.15", "near_m: 0.15", "controller: near_m requires follower: bearing"),
     "sides that cross": (
         "[0.6, 0.5], [0.6, 0.6]", "[0.6, 0.6], [0.6, 0.5], [0.5, 0.6]",
         "world.polygons[0].corners_m: these corners do not bound an area"),
@@ -72,7 +72,7 @@ MALFORMED = edited(GOOD, {
     "a corner that is not a number": ("[0.6, 0.6]", "[0.6, .nan]", "world.polygons[0].corners_m[2]"),
     "circles that do not fit": ("count: 2", "count: 900", "world.random: 900 circles do not fit"),
     "radii the wrong way round": (
-        "radius_m: [0.02, 0.05]", "radius_m: [0.05, 0.02]", "world.random.radius_m: the smallest comes first"),
+        "radius_m: [0.02, 0.05]", "radius_m: [0.05, 0.02]", "world.random.radius_m: the smallest radius comes first"),
     "nineteen of eighteen sites": (
         "count: 2", "kind: fig54, count: 19", "world.random: 19 obstacles cannot be drawn from 18 sites"),
     "nowhere to go": (

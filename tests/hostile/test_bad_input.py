@@ -79,15 +79,15 @@ def test_a_frequency_that_is_none(refused, written, given):
         (
             "world: {}",
             "world: {steps: [{x_m: 0.5, height_m: 0.002}]}",
-            "6:16: world.steps: the analytical model's floor is a plane; only the twin climbs",
+            "6:16: world.steps: the floor of the analytical model is a plane; only the twin has steps",
         ),
-        ("friction: axis", "load: momentary", "8:15: plants.analytical: friction axis acts in one point a"),
-        ("twin: {wheels: rolling}", "twin:", "8:3: plants: twin has nothing after it; write 'twin: {}' for"),
+        ("friction: axis", "load: momentary", "8:15: plants.analytical: friction axis acts at one point p"),
+        ("twin: {wheels: rolling}", "twin:", "8:3: plants: twin is empty; write 'twin: {}' for"),
         ("kind: gait", "kind: smc", "5:20: controller.kind: must be one of gait, ilc, direct_smc, "),
         (
             "48.3",
             "96.5",
-            "4:24: supply.pressure_kpa: 96.5 kPa is above the 68.9476 kPa that gen2 may be given in",
+            "4:24: supply.pressure_kpa: 96.5 kPa is above the limit of gen2 in pulses of a gait, 68.9",
         ),
         ("48.3", "48kPa", "4:24: supply.pressure_kpa: must be a number from 0.1 to 2000, not text '48kPa'"),
         (

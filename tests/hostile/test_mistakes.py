@@ -72,7 +72,7 @@ WRITTEN = [
     (
         "twin: {}}",
         "twin: {contact: preloaded}}\nworld: {floor: {tilt_deg: 3}}",
-        "7:16: world.floor: a twin on a floor like this needs contact: loaded (plants.twin)",
+        "7:16: world.floor: a twin on this floor needs contact: loaded (plants.twin)",
     ),
     ("title: Mine", "title: Mine\nworld: {obstacles: [{x: 1}]}", "known here: x_m, y_m, radius_m"),
     (

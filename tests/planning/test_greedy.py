@@ -96,7 +96,7 @@ def test_what_it_finds_is_free_and_only_its_joint_has_a_kink(count):
                 for a, s in zip(ends, answer.segments, strict=False)
             )
         else:
-            assert answer.outcome is Outcome.STUCK and "does not go back" in answer.reason
+            assert answer.outcome is Outcome.STUCK and "does not backtrack" in answer.reason
     assert found
 
 

@@ -95,7 +95,7 @@ def test_a_footprint_of_another_contact_is_warned_of():
     assert warned() == []
     (text,) = warned(**{"plants.twin.contact": "preloaded"})
     assert text == (
-        "planner.footprint: gen2_gait was measured on a twin with contact loaded, but the twin here has "
+        "planner.footprint: gen2_gait was measured on a twin with contact loaded, but this twin has "
         "contact preloaded; `srs-twin calibrate footprint gen2 --contact preloaded` measures one"
     )
     assert warned(**{"plants.twin.contact": "preloaded", "planner.footprint": "gen4_table8"}) == []

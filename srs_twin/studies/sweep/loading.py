@@ -19,7 +19,7 @@ from srs_twin.io.validation import validate
 from srs_twin.planning.metrics import PLANNING_UNITS
 from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario import Scenario, load_scenario, parse_scenario
-from srs_twin.scenario.modified import Changes, changed_fields, decides, marked, with_plants
+from srs_twin.scenario.modified import Changes, affects, changed_fields, marked, with_plants
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import NOT_PHYSICS, versions
 from srs_twin.studies.sweep.file import RangeFile, SweepFile
@@ -168,7 +168,7 @@ def _modified(sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], locs
 
 def _deciding(changes: Changes, metric: str) -> list[str]:
     """Return the changed fields that decide a metric of any plant."""
-    return [each["field"] for each in changes if any(decides(each["field"], metric, p) for p in PLANTS)]
+    return [each["field"] for each in changes if any(affects(each["field"], metric, p) for p in PLANTS)]
 
 
 def _scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]:

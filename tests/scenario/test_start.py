@@ -74,11 +74,11 @@ def test_from_a_record_it_goes_on_as_the_run_did(plant, tmp_path):
     ("start", "told"),
     [
         ({"bend_rad": [0.1]}, "start: bend_rad has 1 entries; the robot has 4 segments"),
-        ({"pressure_kpa": [[900.0, 0.0]] * SEGMENTS}, "start: pressure_kpa 900 is above the supply's"),
-        ({"from": "nowhere", "time_s": 1.0}, "start: nowhere holds no record of the analytical plant"),
-        ({"from": "nowhere"}, "start.from: say when in that run: time_s"),
-        ({"time_s": 1.0}, "start.time_s: a time in a run; name the run with from"),
-        ({"from": "nowhere", "time_s": 1.0, "x_m": 0.0}, "start.x_m: the run in from says so"),
+        ({"pressure_kpa": [[900.0, 0.0]] * SEGMENTS}, "start: pressure_kpa 900 is above the supply pressure"),
+        ({"from": "nowhere", "time_s": 1.0}, "start: nowhere has no trajectory of the analytical plant"),
+        ({"from": "nowhere"}, "start.from: needs the time in that run; set time_s"),
+        ({"time_s": 1.0}, "start.time_s: needs a run; set from"),
+        ({"from": "nowhere", "time_s": 1.0, "x_m": 0.0}, "start.x_m: is set by the run in from"),
         ({"velocity_m_s": [1.0]}, "start.velocity_m_s"),
         ({"yaw_rate_rad_s": math.inf}, "start.yaw_rate_rad_s"),
         ({"bends_rad": [0.1] * SEGMENTS}, "did you mean"),
@@ -93,7 +93,7 @@ def test_what_cannot_be_is_refused(start, told):
 def test_a_time_outside_of_the_record_is_refused(tmp_path):
     for plant in PLANTS:
         run(scenario({}), plant).to_parquet(tmp_path / f"{plant}.parquet")
-    with pytest.raises(InputError, match=r"time_s 3 is outside of .*analytical.parquet, 0 to 1 s"):
+    with pytest.raises(InputError, match=r"time_s 3 is outside .*analytical.parquet, 0 to 1 s"):
         scenario({"from": str(tmp_path), "time_s": 3.0})
 
 

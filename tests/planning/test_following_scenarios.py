@@ -264,7 +264,7 @@ def test_a_path_that_is_given_ends_where_it_ends():
         ),
         (
             {"world": {"goal": {"x_m": 1, "y_m": 0}, "random": {"count": 3}}},
-            "world.random: where? Give area, or bounds of the world",
+            "world.random: strewn needs an area; set area, or bounds of the world",
         ),
         (
             {"world": {

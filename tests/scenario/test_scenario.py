@@ -263,11 +263,11 @@ def test_defaults_of_pneumatics_are_those_of_the_chambers():
         ({"valve_delay_s": -1}, "pneumatics.valve_delay_s: must be a number from 0 to 1, not -1"),
         (
             {"critical_ratio": 0.3},
-            "pneumatics: critical_ratio belongs to kind: orifice; set that, or take critical_ratio out",
+            "pneumatics: critical_ratio requires kind: orifice; set that, or remove critical_ratio",
         ),
         (
             {"kind": "orifice", "line_volume_ml": 5.0},
-            "pneumatics: line_volume_ml is felt only with flow_limit_l_per_min; give that too",
+            "pneumatics: line_volume_ml requires flow_limit_l_per_min",
         ),
         (
             {"kind": "orifice", "flow_limit_l_per_min": 0},
@@ -286,8 +286,8 @@ def test_pneumatics_that_are_refused(given, words):
 def test_a_pressure_above_the_limit_is_refused_with_its_source():
     (line,) = refusal(supply={"pressure_kpa": 80})
     assert line == (
-        "supply.pressure_kpa: 80 kPa is above the 68.9476 kPa that gen2 may be given in pulses, as a gait "
-        "gives it (Sections 1.3 and 2.3.1: runs 'under 10 psi', 'typically below 10 psi'); "
+        "supply.pressure_kpa: 80 kPa is above the limit of gen2 in pulses of a gait, 68.9476 kPa "
+        "(Sections 1.3 and 2.3.1: runs 'under 10 psi', 'typically below 10 psi'); "
         "lower it, or set allow_overpressure: true"
     )
 
@@ -354,7 +354,7 @@ def test_proposed_recording_rate_fits_both_plants(record_hz, ticks):
     analytical, twin, step = ticks
     both = {"analytical": {"tick_s": analytical}, "twin": {"tick_s": twin, "timestep_s": step}}
     lines = refusal(plants=both, record_hz=record_hz, duration_s=6)
-    proposed = {found[1] for line in lines if (found := re.search(r"record_hz: (\S+) would fit", line))}
+    proposed = {found[1] for line in lines if (found := re.search(r"record_hz: (\S+) is possible", line))}
     (rate,) = proposed
     assert scenario(plants=both, record_hz=float(rate), duration_s=6).record_hz == float(rate)
 
@@ -362,7 +362,7 @@ def test_proposed_recording_rate_fits_both_plants(record_hz, ticks):
 def test_no_recording_rate_is_proposed_where_the_ticks_meet_too_rarely():
     both = {"analytical": {"tick_s": 0.9999}, "twin": {"tick_s": 0.02}}
     (line,) = refusal(plants=both, duration_s=199.98)
-    assert "no rate fits the plants' ticks; change tick_s" in line
+    assert "no rate suits the plants' ticks; change tick_s" in line
 
 
 @pytest.mark.parametrize("record_hz", [0.5, 10, 25, 50, 200, 1000])
@@ -468,7 +468,7 @@ def test_expectations_of_the_comparison():
         ({"below": None, "near": 1, "rel": 0.1, "abs": 1}, "expect[0]: near needs either rel or abs"),
         (
             {"below": None, "near": 0, "rel": 0.1},
-            "expect[0]: a relative tolerance of 0 allows nothing else; use abs",
+            "expect[0]: near: 0 needs an absolute tolerance; use abs instead of rel",
         ),
     ],
 )

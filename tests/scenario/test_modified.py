@@ -15,7 +15,7 @@ from srs_twin.io.documents import Change, dump_yaml, parse_yaml
 from srs_twin.io.files import data_root
 from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario import parse_scenario
-from srs_twin.scenario.modified import decides, marked
+from srs_twin.scenario.modified import affects, marked
 from srs_twin.scenario.provenance import judged_digest, run_key
 from srs_twin.studies.optimization.loading import load_study
 from srs_twin.studies.sweep.loading import load_sweep
@@ -110,7 +110,7 @@ def test_keys_of_runs_do_not_depend_on_how_a_value_was_set():
 
 
 def test_the_list_of_changes_cannot_be_set():
-    with pytest.raises(InputError, match="srs_twin itself lists the changed fields"):
+    with pytest.raises(InputError, match="this list is written by srs_twin"):
         gen2(changes=[])
 
 
@@ -144,9 +144,9 @@ def test_what_was_published_is_not_expected_under_other_conditions(fields, left_
 def test_a_duration_decides_totals_but_no_means_over_periods():
     sine = load_scenario("module_square_2hz_direct", set={"duration_s": 4.0})
     assert {each["metric"] for each in sine.left_out} == {"inlet_openings"}
-    assert decides("duration_s", "inlet_openings", "twin") and decides("duration_s", "path_length_m", "twin")
-    assert not decides("duration_s", "com_speed_m_s", "twin")
-    assert not decides("duration_s", "com_speed_rel", "comparison")
+    assert affects("duration_s", "inlet_openings", "twin") and affects("duration_s", "path_length_m", "twin")
+    assert not affects("duration_s", "com_speed_m_s", "twin")
+    assert not affects("duration_s", "com_speed_rel", "comparison")
 
 
 @pytest.fixture(scope="module")
