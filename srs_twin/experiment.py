@@ -95,7 +95,7 @@ class PreparedRun:
     pairs: Mapping[str, tuple[Plant, Controller]]
 
     @classmethod
-    def of(cls, scenario: Scenario, folder: Path, plants: Sequence[str] | None) -> PreparedRun:
+    def build(cls, scenario: Scenario, folder: Path, plants: Sequence[str] | None) -> PreparedRun:
         """Build plants and controllers; arguments as in `prepare`."""
         kinds, scenario = tuple(plants or scenario.plants), scenario.run_on(plants)
         with scenario.named_in_errors():
@@ -373,7 +373,7 @@ def compare(
         scenario = parse_scenario(reference.document, name=reference.name, set=set or {})
     else:
         scenario = load_scenario(reference, set=set or {})
-    run = PreparedRun.of(scenario, Path(), PLANTS)
+    run = PreparedRun.build(scenario, Path(), PLANTS)
     trajectories, walls = {}, {}
     for kind, (plant, controller) in run.pairs.items():
         start = time.perf_counter()
@@ -398,7 +398,7 @@ def prepare(scenario: Scenario, out: Path, *, plants: Sequence[str] | None = Non
     Raises:
         InputError: a plant or controller cannot be built, or the folder cannot be written.
     """
-    run = PreparedRun.of(scenario, out, plants)
+    run = PreparedRun.build(scenario, out, plants)
     open_folder(out, _ALL_PRODUCTS)
     return run
 

@@ -53,7 +53,7 @@ BENCH: dict[str, Any] = STEP | {"controller": GAIT["controller"], "sensor": {"ki
 def ran(document: dict[str, Any], **changes: Any) -> tuple[dict[str, Any], Trajectory]:
     """Run the analytical plant of a scenario; return its metrics.json and its trajectory."""
     scenario = parse_scenario({"title": "Brief", "expect": []} | document | changes, name="brief")
-    run = PreparedRun.of(scenario, Path(), ["analytical"])
+    run = PreparedRun.build(scenario, Path(), ["analytical"])
     plant, controller = run.pairs["analytical"]
     found = {"analytical": rollout(plant, controller, **scenario.timing)}
     return run.measure(found, {"analytical": 1.0})[0], found["analytical"]

@@ -112,13 +112,13 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
             best = _finish(result.path, trees[0].spec.moves, problem, settings, checker)
         if result.final or budget.spent or (best is not None and not settings.improve):
             break
-    expanded, kept = settings.nodes - budget.nodes, tuple(trees) if settings.keep else ()
+    expanded, kept_trees = settings.nodes - budget.nodes, tuple(trees) if settings.keep else ()
     resolution = f"at cells of {1000 * cells.side:.3g} mm and {math.degrees(cells.sector):.3g} degrees"
     outcome, cell = Outcome.UNREACHABLE, (cells.side, cells.sector)
     if best is not None:
-        return Plan(Outcome.FOUND, "a free path", best, expanded, cell, trees=kept)
+        return Plan(Outcome.FOUND, "a free path", best, expanded, cell, trees=kept_trees)
     if result.final:
-        return Plan(outcome, result.reason, expanded=expanded, trees=kept)
+        return Plan(outcome, result.reason, expanded=expanded, trees=kept_trees)
     if result.reason:
         reason = f"{result.reason}, {resolution}; finer cells (more levels) may find a path"
     else:
@@ -126,7 +126,7 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
         reason = (
             f"neither a path nor a proof after {expanded} nodes, {resolution}; give more nodes or seconds"
         )
-    return Plan(outcome, reason, expanded=expanded, cell=cell, trees=kept)
+    return Plan(outcome, reason, expanded=expanded, cell=cell, trees=kept_trees)
 
 
 def _resolutions(problem: Problem, levels: int) -> Iterator[tuple[Primitives, Cells]]:

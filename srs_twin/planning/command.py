@@ -102,16 +102,16 @@ def _check_expectations(scenario: Scenario, metrics: dict[str, Any]) -> list[dic
     return [item.check({"plants": {item.subject: metrics}}) for item in expected.values()]
 
 
-def _print_plan(scenario: Scenario, found: Plan) -> None:
+def _print_plan(scenario: Scenario, result: Plan) -> None:
     """Print the outcome of a plan, with its length and quality if there is a path."""
-    print(f"{scenario.label}: {found.outcome.value}: {found.reason}")
-    if found.found:
+    print(f"{scenario.label}: {result.outcome.value}: {result.reason}")
+    if result.found:
         print(
-            f"length {found.length:.3f} m, {found.duration:.1f} s at the footprint's speeds, "
-            f"{_counted(len(found.segments), 'segment')}, kink {found.kink:.3g} rad"
+            f"length {result.length:.3f} m, {result.duration:.1f} s at the footprint's speeds, "
+            f"{_counted(len(result.segments), 'segment')}, kink {result.kink:.3g} rad"
         )
-        print(_quality_words(_quality(found)))
-    print(f"{_counted(found.expanded, 'node')}, {1000 * found.seconds:.1f} ms")
+        print(_quality_words(_quality(result)))
+    print(f"{_counted(result.expanded, 'node')}, {1000 * result.seconds:.1f} ms")
 
 
 def _counted(count: int, noun: str) -> str:
@@ -132,50 +132,50 @@ def _quality_words(quality: Mapping[str, float | None]) -> str:
     return f"{length}, {more}{1000 * clearance:.0f} mm of clearance beyond the footprint and margin"
 
 
-def _quality(found: Plan) -> dict[str, float | None]:
+def _quality(result: Plan) -> dict[str, float | None]:
     """Return the length of a path relative to the least length, and its clearance, m.
 
     The relative length is None if the least length is 0: the start is within the goal's radius.
     """
     from srs_twin.planning.collision import Checker
 
-    assert found.problem is not None, "set by plan()"
-    checker = Checker(found.problem.world, found.problem.footprint)
+    assert result.problem is not None, "set by plan()"
+    checker = Checker(result.problem.world, result.problem.footprint)
     return {
-        "length_over_least": found.length / found.least_length if found.least_length > _ROUNDING else None,
-        "clearance_m": checker.clearance(found.segments),
+        "length_over_least": result.length / result.least_length if result.least_length > _ROUNDING else None,
+        "clearance_m": checker.clearance(result.segments),
     }
 
 
-def _write(folder: Path, scenario: Scenario, problem: Problem, found: Plan, metrics: dict[str, Any]) -> None:
+def _write(folder: Path, scenario: Scenario, problem: Problem, result: Plan, metrics: dict[str, Any]) -> None:
     """Write the plan as a JSON document and a picture."""
     from srs_twin.planning.pictures import plan_plot
 
-    about = {"world": asdict(problem.world), "goal": asdict(problem.goal)}
+    data = {"world": asdict(problem.world), "goal": asdict(problem.goal)}
     document = {
         "scenario": scenario.name,
-        "outcome": found.outcome.value,
-        "reason": found.reason,
+        "outcome": result.outcome.value,
+        "reason": result.reason,
         "start": asdict(problem.start),
-        **about,
-        "segments": [asdict(segment) for segment in found.segments],
-        "quality": _quality(found) if found.found else None,
+        **data,
+        "segments": [asdict(segment) for segment in result.segments],
+        "quality": _quality(result) if result.found else None,
         "metrics": metrics,
         "changes": list(scenario.changes),
     }
-    figure = plan_plot(about, found.segments, problem.footprint, f"{scenario.title}: {found.outcome.value}")
+    figure = plan_plot(data, result.segments, problem.footprint, f"{scenario.title}: {result.outcome.value}")
     (folder / PLAN).write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", "utf-8")
     figure.savefig(folder / PICTURE, format="png", dpi=150)
 
 
-def _write_search(folder: Path, title: str, found: Plan) -> None:
+def _write_search(folder: Path, title: str, result: Plan) -> None:
     """Write a picture and a Rerun recording of the search."""
     from srs_twin.planning.pictures import search_plot, write_search
     from srs_twin.planning.search_tree import trace_search
 
-    assert found.problem is not None, "set by plan()"
-    problem, trace = found.problem, trace_search(found.trees, found.problem.world)
-    about = {"world": asdict(problem.world), "goal": asdict(problem.goal)}
-    figure = search_plot(about, found.segments, problem.footprint, trace)
+    assert result.problem is not None, "set by plan()"
+    problem, trace = result.problem, trace_search(result.trees, result.problem.world)
+    data = {"world": asdict(problem.world), "goal": asdict(problem.goal)}
+    figure = search_plot(data, result.segments, problem.footprint, trace)
     figure.savefig(folder / SEARCH, format="png", dpi=150)
-    write_search(folder / RECORDING, found, trace, title)
+    write_search(folder / RECORDING, result, trace, title)

@@ -10,7 +10,7 @@ extends from `behind` the centre of mass (the tail) to `ahead` of it (the head).
 
 Offset, speed and edges are tabulated by curvature, with linear interpolation between the rows. A footprint
 file contains such a table in the form of Table 8; each column has a unit, a status and a source. The
-published footprints are in calibration/footprints; `srs-twin calibrate footprint` measures others.
+published footprints are in calibration/footprints; `srs-twin calibrate footprint` measures new ones.
 """
 
 from __future__ import annotations
@@ -251,20 +251,20 @@ class Footprint:
 
 def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
     """Return field and message of everything that is wrong with a footprint."""
-    found = []
+    problems = []
     rows = len(footprint.offsets)
     for name in ("curvatures", "speeds", "left", "right"):
         if len(getattr(footprint, name)) != rows:
-            found.append((name, f"has {len(getattr(footprint, name))} values for {rows} offsets"))
+            problems.append((name, f"has {len(getattr(footprint, name))} values for {rows} offsets"))
     for name in ("offsets", "curvatures"):
         values = getattr(footprint, name)
         if any(b <= a for a, b in zip(values, values[1:], strict=False)):
-            found.append((name, "must increase from row to row: a larger offset turns more to the left"))
-    if found:
-        return found
+            problems.append((name, "must increase from row to row: a larger offset turns more to the left"))
+    if problems:
+        return problems
     low, high = footprint.curvatures[0], footprint.curvatures[-1]
     if not low < 0 < high:
-        found.append(("curvatures", f"from {low:g} to {high:g} 1/m; a planner needs turns to both sides"))
+        problems.append(("curvatures", f"from {low:g} to {high:g} 1/m; a planner needs turns to both sides"))
     for side, name in enumerate(("left", "right")):
         turn = (1 if name == "left" else -1) * np.array(footprint.curvatures)
         # With the largest transient after any change to this offset.
@@ -278,8 +278,8 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
             tightest, offset = turn[row] == turn.max(), footprint.offsets[row]
             which = "tightest turn" if tightest else f"turn of offset {offset:g}"
             where = f"the centre of the {which}, radius {1 / turn[row]:g} m"
-            found.append((name, f"{edges[row]:g} m reaches {where}"))
-    return found
+            problems.append((name, f"{edges[row]:g} m reaches {where}"))
+    return problems
 
 
 def validate_footprint(footprint: Footprint) -> Footprint:

@@ -1,16 +1,17 @@
 r"""Proofs of infeasibility, and a lower bound on the length of any path.
 
-Proof by connectivity, independent of curvature. Let o be a point of an obstacle whose distance from a smooth
-path is below the clearance w, the smallest distance of an edge from the path. If the nearest point of the
-path is not an end, o lies straight across from it within the edges: a collision. So it is an end, at most w
-from o, and all other points of the path within w of o are within 2 w of that end. Hence a collision-free path
-lies in the free space: the complement of obstacles grown by w in bounds reduced by w, together with discs of
-radius 2 w around both ends. If start and goal are in different connected components, no path exists;
-otherwise the shortest line in the component is a lower bound on the path length.
+Proof by connectivity, independent of curvature. Consider a point o of an obstacle whose distance from a
+smooth path is below the clearance w, the smallest distance of an edge from the path. If the nearest point of
+the path is not an end of it, o is straight across from that point and within the edges: a collision. So the
+nearest point is an end, at most w from o, and all other points of the path within w of o are within 2 w of
+that end. Hence a collision-free path is contained in the free space: the complement of obstacles grown by w
+in bounds reduced by w, together with discs of radius 2 w around both ends. If start and goal are in different
+connected components, no path exists; otherwise the shortest line in the component is a lower bound on the
+path length.
 
 Proof by curvature. All poses reachable from a start or goal by paths of curvature at most K are covered by
 cells of x, y and heading. From a cell, a path of length L with turn Δ has headings between those of the two
-paths that turn first one way and then the other at curvature K,
+paths that turn first to one side and then to the other at curvature K,
 
 $$ θ_{lo}(s) = \max(-Ks,\ Δ - K(L - s)) \le θ(s) \le \min(Ks,\ Δ + K(L - s)) = θ_{hi}(s), $$
 
@@ -18,7 +19,7 @@ and stays within K L²/8 of the chord between its ends. All cells that this set 
 point on the way is closer to an obstacle than the clearance w by more than the rounding of cells. If no more
 cells can be marked before they come near the other end, no path exists.
 
-An obstacle closer than w to a path lies straight across from it, within the edges, or beyond the end E of the
+An obstacle closer than w to a path is straight across from it, within the edges, or beyond the end E of the
 head (or tail) at the last pose, closer than w to E. Therefore a point p counts as blocked if an obstacle is
 closer than w' = min(w, |p - E|/2).
 """

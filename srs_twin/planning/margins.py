@@ -51,10 +51,10 @@ class ConditionsFile(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _state_contact(cls, given: Any) -> Any:
-        if isinstance(given, dict) and given.get("plant") == "twin" and given.get("contact") is None:
-            return {**given, "contact": UNSTATED_CONTACT}
-        return given
+    def _state_contact(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("plant") == "twin" and data.get("contact") is None:
+            return {**data, "contact": UNSTATED_CONTACT}
+        return data
 
     @model_validator(mode="after")
     def _only_of_a_twin(self) -> ConditionsFile:
@@ -63,9 +63,9 @@ class ConditionsFile(Strict):
         return self
 
     def covers(self, other: ConditionsFile) -> bool:
-        """Return whether results under these conditions also bound results under others.
+        """Return whether results under these conditions also bound results under other conditions.
 
-        The others must be equal in kind and no more difficult in any number.
+        The other conditions must be equal in kind and no more difficult in any number.
         """
         same = ("plant", "contact", "chambers", "follower", "run_up_m")
         return all(getattr(self, name) == getattr(other, name) for name in same) and all(

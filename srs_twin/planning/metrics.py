@@ -46,8 +46,8 @@ OVERLAP_M = 1e-3
 def following(trajectory: Trajectory) -> Mapping[str, Any] | None:
     """Return the metadata of a follower (`Follower.describe`); None for a run without one."""
     control = trajectory.metadata.get("control")
-    about = control.get("following") if isinstance(control, Mapping) else None
-    return about if isinstance(about, Mapping) else None
+    metadata = control.get("following") if isinstance(control, Mapping) else None
+    return metadata if isinstance(metadata, Mapping) else None
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ class Leg:
 
 def legs(trajectory: Trajectory) -> Iterator[Leg]:
     """Yield the parts of a run under each of its plans that has a path."""
-    about = following(trajectory)
-    plans = about["plans"] if about else []
+    metadata = following(trajectory)
+    plans = metadata["plans"] if metadata else []
     begins = [*(int(np.searchsorted(trajectory.time, p["time"] - 1e-9)) for p in plans), len(trajectory)]
     for plan, begin, end in zip(plans, begins, begins[1:], strict=False):
         if plan["segments"] and end > begin:
@@ -84,11 +84,11 @@ def segments_of(plan: Mapping[str, Any]) -> tuple[Segment, ...]:
     )
 
 
-def footprint_of(about: Mapping[str, Any]) -> Footprint:
+def footprint_of(metadata: Mapping[str, Any]) -> Footprint:
     """Return the footprint of the plans from the metadata of a follower."""
     from srs_twin.planning.footprint import Footprint
 
-    data = about["footprint"]
+    data = metadata["footprint"]
     columns = {k: tuple(data[k]) for k in ("offsets", "curvatures", "speeds", "left", "right")}
     return Footprint(data["name"], data["title"], **columns, ahead=data["ahead"], behind=data["behind"])
 
@@ -120,19 +120,19 @@ def following_metrics(trajectory: Trajectory) -> dict[str, Any]:
       if it touched one, also between two samples; None without obstacles.
     - ``following_time_s``: duration; ``replans``: number of new plans; ``plan_…``: metrics of the first plan.
     """
-    about = following(trajectory)
-    if about is None:
+    metadata = following(trajectory)
+    if metadata is None:
         return dict.fromkeys(FOLLOWING_UNITS)
-    first = about["plans"][0]
-    clearance = _clearance(trajectory, about["world"])
+    first = metadata["plans"][0]
+    clearance = _clearance(trajectory, metadata["world"])
     return {
         **plan_metrics(first["outcome"] == "found", segments_of(first), first["nodes"]),
-        **_arrival(trajectory, about, overlapped=clearance is not None and clearance < -OVERLAP_M),
-        **_deviation(trajectory, about),
+        **_arrival(trajectory, metadata, overlapped=clearance is not None and clearance < -OVERLAP_M),
+        **_deviation(trajectory, metadata),
         **_contacts(trajectory),
         "clearance_m": clearance,
         "following_time_s": float(trajectory.time[-1] - trajectory.time[0]),
-        "replans": len(about["plans"]) - 1,
+        "replans": len(metadata["plans"]) - 1,
     }
 
 
@@ -149,9 +149,9 @@ def plan_metrics(found: bool, segments: tuple[Segment, ...], nodes: int) -> dict
     }
 
 
-def _arrival(trajectory: Trajectory, about: Mapping[str, Any], *, overlapped: bool) -> dict[str, Any]:
+def _arrival(trajectory: Trajectory, metadata: Mapping[str, Any], *, overlapped: bool) -> dict[str, Any]:
     """Return the metrics of arrival at the goal."""
-    goal = about["goal"]
+    goal = metadata["goal"]
     error = float(np.hypot(*(trajectory.com[-1] - (goal["x"], goal["y"]))))
     heading = None
     if goal["heading"] is not None:
@@ -175,12 +175,12 @@ def _mean_heading(trajectory: Trajectory) -> float:
     return float(np.trapezoid(values, at) / period + (values[-1] - values[0]) / 2)
 
 
-def _deviation(trajectory: Trajectory, about: Mapping[str, Any]) -> dict[str, Any]:
+def _deviation(trajectory: Trajectory, metadata: Mapping[str, Any]) -> dict[str, Any]:
     """Return the metrics of deviation from the path."""
-    parts = list(_path_deviations(trajectory))
-    if not parts:
+    deviations = list(_path_deviations(trajectory))
+    if not deviations:
         return dict.fromkeys(("cross_track_rms_m", "cross_track_max_m", "inside_share", "inside_50mm_share"))
-    deviation, outline, curvature = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    deviation, outline, curvature = (np.concatenate(arrays) for arrays in zip(*deviations, strict=True))
     shift = DISSERTATION_SHIFT_M * np.clip(-curvature / DISSERTATION_TIGHTEST, -1, 1)
     return {
         "cross_track_rms_m": rms(deviation),
@@ -195,9 +195,9 @@ def beyond(trajectory: Trajectory) -> np.ndarray:
 
     Negative inside the edges. The edges are those of the recorded footprint, as for `inside_share`.
     """
-    about = following(trajectory)
-    assert about is not None, "a run that followed a plan"
-    footprint = footprint_of(about)
+    metadata = following(trajectory)
+    assert metadata is not None, "a run that followed a plan"
+    footprint = footprint_of(metadata)
     excursions = [np.empty(0)]
     for _, n, curvature in _path_deviations(trajectory):
         left, right = (

@@ -67,17 +67,19 @@ def following_plot(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> F
         trajectories: plant → run.
         spec: robot of the runs.
     """
-    followers = {plant: about for plant, run in trajectories.items() if (about := following(run)) is not None}
+    followers = {
+        plant: metadata for plant, run in trajectories.items() if (metadata := following(run)) is not None
+    }
     if not followers:
         return None
-    about = next(iter(followers.values()))
-    first = about["plans"][0]
-    figure, axes = _sheet(about, segments_of(first), footprint_of(about))
+    metadata = next(iter(followers.values()))
+    first = metadata["plans"][0]
+    figure, axes = _sheet(metadata, segments_of(first), footprint_of(metadata))
     moments = strobe_times(trajectories, spec.geometry)
     for index, (plant, run) in enumerate(trajectories.items()):
         style = style_of(plant, index)
         draw_run(axes, run, style, spec.geometry, moments, filled=plant == "twin")
-        for later in followers.get(plant, about)["plans"][1:]:
+        for later in followers.get(plant, metadata)["plans"][1:]:
             x, y = path_points(segments_of(later)).T
             axes.plot(x, y, color=style.color, linewidth=0.7, linestyle=":")
     axes.legend(loc="best", fontsize=8, frameon=False)
@@ -85,26 +87,26 @@ def following_plot(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> F
 
 
 def plan_plot(
-    about: Mapping[str, Any], segments: Sequence[Segment], footprint: Footprint, title: str
+    metadata: Mapping[str, Any], segments: Sequence[Segment], footprint: Footprint, title: str
 ) -> Figure:
     """Return a plot of a plan without runs.
 
     Args:
-        about: "world" and "goal" as plain data.
+        metadata: "world" and "goal" as plain data.
         segments: path; empty without one.
         footprint: footprint of the plan.
         title: title of the plot.
     """
-    figure, axes = _sheet(about, segments, footprint)
+    figure, axes = _sheet(metadata, segments, footprint)
     axes.set_title(title, fontsize=10, wrap=True)
     return figure
 
 
 def search_plot(
-    about: Mapping[str, Any], segments: Sequence[Segment], footprint: Footprint, trace: SearchTrace
+    metadata: Mapping[str, Any], segments: Sequence[Segment], footprint: Footprint, trace: SearchTrace
 ) -> Figure:
     """Return a plot of a plan with the arcs of its search; other arguments as for `plan_plot`."""
-    figure, axes = _sheet(about, segments, footprint)
+    figure, axes = _sheet(metadata, segments, footprint)
     counts = Counter(trace.reasons).most_common(3)
     text = ", ".join(f"{count} at {name}" for name, count in counts)
     rejected = f"{len(trace.rejected)} rejected arcs" + (f": {text}" if text else "")
@@ -121,7 +123,7 @@ def search_plot(
 
 
 def _sheet(
-    about: Mapping[str, Any], segments: Sequence[Segment], footprint: Footprint
+    metadata: Mapping[str, Any], segments: Sequence[Segment], footprint: Footprint
 ) -> tuple[Figure, Axes]:
     """Return a plot of the world with the path and footprint of a plan."""
     figure, (axes,) = panels(6.0)
@@ -129,7 +131,7 @@ def _sheet(
         axes.add_patch(
             Polygon(_band(segment, footprint), facecolor=_FOOTPRINT_COLOUR, edgecolor="none", zorder=0)
         )
-    world, goal = about["world"], about["goal"]
+    world, goal = metadata["world"], metadata["goal"]
     for circle in world["obstacles"]:
         centre = circle["x"], circle["y"]
         axes.add_patch(Circle(centre, circle["radius"], facecolor=_OBSTACLE_COLOUR, zorder=1))
@@ -238,9 +240,9 @@ class FollowingPictures(RunPictures):
 
     def floor_lines(self, run: Trajectory) -> list[FloorLine]:
         """See `RunPictures.floor_lines`."""
-        about = following(run)
-        assert about is not None, "applies() is true"
-        return plan_lines(segments_of(about["plans"][0]), footprint_of(about), about["goal"])
+        metadata = following(run)
+        assert metadata is not None, "applies() is true"
+        return plan_lines(segments_of(metadata["plans"][0]), footprint_of(metadata), metadata["goal"])
 
 
 PICTURES = FollowingPictures()

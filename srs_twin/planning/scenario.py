@@ -103,7 +103,9 @@ class _PlannerFile(ExtensionSection):
             ]
             if file.plants.twin and (text := footprint.mismatch(file.plants.twin.contact)):
                 loading.warnings.append(f"planner.footprint: {text}")
-            return ScenarioPlanner.of(self, footprint, file.start.build(), loading.world, conditions)
+            return ScenarioPlanner.from_section(
+                self, footprint, file.start.build(), loading.world, conditions
+            )
         except InputError as error:
             document.report(key, str(error) if len(key) == 1 else str(error).splitlines()[0])
             return None
@@ -266,7 +268,7 @@ class ScenarioPlanner:
     margin: Margin
 
     @classmethod
-    def of(
+    def from_section(
         cls,
         file: _PlannerFile,
         footprint: FootprintFile,

@@ -6,8 +6,8 @@ first-order response over the path length ℓ (`Footprint.settle`),
 
 $$ \frac{dκ}{ds} = \frac{κ_{footprint}(φ) - κ}{ℓ}, \qquad \dot θ = v (g κ + d) . $$
 
-The speed v is measured. A Kalman filter estimates the gain g and the disturbance d (1/m), by which the
-turning of a snake with individual modules differs from its footprint.
+The speed v is measured. The turning of a snake with individual modules differs from its footprint; a Kalman
+filter estimates the gain g and the disturbance d (1/m) of this difference.
 
 `BearingLaw`, Section 5.2.2: the snake visits the nodes of the plan in turn. The offset is proportional to the
 bearing of the next node minus the heading, and limited. When the snake is within a threshold of a node, it

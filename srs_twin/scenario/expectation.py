@@ -59,11 +59,11 @@ _PARAMETERS = {
 Words = Annotated[str, Field(min_length=1, max_length=1000)]
 
 
-def known_metrics(of: str | None = None) -> tuple[str, ...]:
+def known_metrics(subject: str | None = None) -> tuple[str, ...]:
     """Return the names of the metrics of plants, of the comparison ("comparison"), or of both (None)."""
-    if of is None:
+    if subject is None:
         return (*METRIC_UNITS, *COMPARISON_UNITS)
-    return tuple(COMPARISON_UNITS if of == COMPARISON else METRIC_UNITS)
+    return tuple(COMPARISON_UNITS if subject == COMPARISON else METRIC_UNITS)
 
 
 class Expectation(Section):

@@ -86,17 +86,17 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
         with document.reporting("world", "random"):
             world = file.world.build_world(file.start.build(), file.seed)
         check(document, file)
-    parts = _Parts()
+    components = _Components()
     if file and robot:
         check_robot(document, file, robot)
-        parts = _build_parts(Loading(document, file, robot, world, {}, warnings), file)
+        components = _build_components(Loading(document, file, robot, world, {}, warnings), file)
     document.finish(robot_problems)
     assert file is not None and robot is not None, "no problem was reported"
     uses_goal = any(section.uses_goal for section in file.sections().values())
     if not uses_goal and (world.goal or world.bounds):
         warnings.append("world: goal and bounds have no effect; only a controller of kind: follow uses them")
-    resolved = _resolved(file, robot, file.name or name, parts.layout, parts.products)
-    before = _resolved_or_raw(unmodified, parts.products) if changes else resolved
+    resolved = _resolved(file, robot, file.name or name, components.layout, components.products)
+    before = _resolved_or_raw(unmodified, components.products) if changes else resolved
     if changed := changed_fields(
         before, resolved, [change.loc for change in changes], document.get("changes") or ()
     ):
@@ -111,21 +111,21 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
         duration=file.duration_s,
         seed=file.seed,
         record_hz=file.record_hz,
-        supply_pa=parts.supply_pa,
+        supply_pa=components.supply_pa,
         pose=(pose.x, pose.y, pose.heading),
-        begin=parts.begin,
+        begin=components.begin,
         world=world,
         file=file,
         document=resolved,
         warnings=tuple(warnings),
-        products=parts.products,
+        products=components.products,
         source=document.name,
     )
 
 
 @dataclass
-class _Parts:
-    """Parts of a scenario that depend on the robot.
+class _Components:
+    """Components of a scenario that depend on the robot.
 
     Attributes:
         supply_pa: supply pressure, gauge, Pa.
@@ -140,23 +140,23 @@ class _Parts:
     products: dict[str, Any] = field(default_factory=dict)
 
 
-def _build_parts(loading: Loading, file: ScenarioFile) -> _Parts:
-    """Return the parts of a scenario and check them; problems are reported to the document."""
+def _build_components(loading: Loading, file: ScenarioFile) -> _Components:
+    """Return the components of a scenario and check them; problems are reported to the document."""
     document, robot, products = loading.document, loading.robot, loading.products
-    parts = _Parts(products=products)
+    components = _Components(products=products)
     # The controller's check needs the products of all sections.
     products |= {key: section.read(loading) for key, section in file.sections().items()}
     if file.controller.is_ready(products):
-        parts.supply_pa = supply_kpa(file, robot) * PA_PER_KPA
-        parts.layout, warnings = check_controller(document, file, robot, parts.supply_pa, products)
+        components.supply_pa = supply_kpa(file, robot) * PA_PER_KPA
+        components.layout, warnings = check_controller(document, file, robot, components.supply_pa, products)
         loading.warnings += warnings
     if not document.problems:
         with document.reporting("start"):
             segments = robot.spec(file.seed).segments
-            parts.begin = file.start.initial_state(segments, parts.supply_pa, file.plants.running)
+            components.begin = file.start.initial_state(segments, components.supply_pa, file.plants.running)
     for key, section in file.sections().items():
         products[key] = products[key] or section.prepare(loading)
-    return parts
+    return components
 
 
 def _set(document: Document, change: Change) -> None:

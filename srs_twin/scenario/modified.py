@@ -88,7 +88,7 @@ def changed_fields(
 
 
 def with_plants(changes: Changes, named: Sequence[str], run: Sequence[str]) -> list[dict[str, Any]]:
-    """Return changes with an entry for the plants if a run uses others than the scenario names.
+    """Return changes with an entry for the plants if those of the run differ from the scenario.
 
     Args:
         changes: changed fields.

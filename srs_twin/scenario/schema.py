@@ -13,10 +13,12 @@ from srs_twin.scenario.file import ScenarioFile
 def scenario_json_schema() -> dict[str, Any]:
     """Return a schema (draft 2020-12) with title, description, unit and range of every key."""
     schema = ScenarioFile.model_json_schema()
-    parts = RobotFile.model_json_schema()
+    robot_schema = RobotFile.model_json_schema()
     # The generated names of records contain their bounds; numbered names are shorter.
-    names = {name: f"Robot{i}_{name.partition('_')[0]}" for i, name in enumerate(parts["$defs"], start=1)}
-    text = json.dumps(parts)
+    names = {
+        name: f"Robot{i}_{name.partition('_')[0]}" for i, name in enumerate(robot_schema["$defs"], start=1)
+    }
+    text = json.dumps(robot_schema)
     for name, short in names.items():
         text = text.replace(f'"#/$defs/{name}"', f'"#/$defs/{short}"')
     robot = json.loads(text)

@@ -49,7 +49,7 @@ def touches(arc, circles=NO_CIRCLES, sides=NO_SIDES, bounds=ANYWHERE) -> bool:
 
 
 @given(ARC, st.integers(0, 2**32 - 1))
-def test_many_things_are_hit_as_one_by_one(arc, seed):
+def test_many_obstacles_collide_as_each_alone(arc, seed):
     rng = np.random.default_rng(seed)
     circles = np.column_stack([rng.uniform(-3, 3, (40, 2)), rng.uniform(0.01, 0.2, 40)])
     ends = rng.uniform(-3, 3, (40, 2))
@@ -60,7 +60,7 @@ def test_many_things_are_hit_as_one_by_one(arc, seed):
 
 
 @given(st.builds(Pose, PLACE, PLACE, ANGLE), CURVATURE, st.floats(-2, 2))
-def test_arc_is_what_integration_gives(pose, k, length):
+def test_arc_end_agrees_with_integration(pose, k, length):
     solved = solve_ivp(
         lambda _, z: [math.cos(z[2]), math.sin(z[2]), k], (0, abs(length)), [pose.x, pose.y, pose.heading],
         rtol=1e-10, atol=1e-12,
@@ -70,7 +70,7 @@ def test_arc_is_what_integration_gives(pose, k, length):
 
 
 @given(st.builds(Pose, PLACE, PLACE, ANGLE), st.floats(0.1, 3), st.floats(0.05, 1))
-def test_children_obey_eq_33_with_its_signs_put_right(pose, turn, length):
+def test_children_obey_the_corrected_eq_33(pose, turn, length):
     arcs = Primitives(5, turn, length)
     for i, child in enumerate(arcs.children(pose)):
         alpha = turn * (i - 2) / 2
@@ -87,14 +87,14 @@ def test_children_obey_eq_33_with_its_signs_put_right(pose, turn, length):
 
 
 @given(ARC, PLACE, PLACE, st.floats(0.01, 0.5))
-def test_circles_are_hit_as_the_drawn_region_is(arc, x, y, radius):
+def test_circles_collide_as_with_a_drawn_region(arc, x, y, radius):
     gap = drawn(arc).distance(shapely.Point(x, y)) - radius
     assume(abs(gap) > NEAR)
     assert touches(arc, circles=np.array([[x, y, radius]])) == (gap < 0)
 
 
 @given(ARC, PLACE, PLACE, PLACE, PLACE)
-def test_sides_are_hit_as_the_drawn_region_is(arc, ax, ay, bx, by):
+def test_sides_collide_as_with_a_drawn_region(arc, ax, ay, bx, by):
     region, side = drawn(arc), shapely.LineString([(ax, ay), (bx, by)])
     hit = region.intersects(side)
     assume(hit == region.buffer(NEAR).intersects(side) == region.buffer(-NEAR).intersects(side))
@@ -102,7 +102,7 @@ def test_sides_are_hit_as_the_drawn_region_is(arc, ax, ay, bx, by):
 
 
 @given(ARC, st.floats(0.02, 2), st.floats(0.02, 2), st.floats(0.02, 2), st.floats(0.02, 2))
-def test_bounds_are_left_as_by_the_drawn_region(arc, west, east, south, north):
+def test_bounds_are_left_as_by_a_drawn_region(arc, west, east, south, north):
     region, pose = drawn(arc), arc[0]
     box = (pose.x - west, pose.y - south, pose.x + east, pose.y + north)
     inside = shapely.box(*box).contains(region)
@@ -114,7 +114,7 @@ def test_bounds_are_left_as_by_the_drawn_region(arc, west, east, south, north):
     assert touches(arc, bounds=np.array([box[0], box[2], box[1], box[3]])) == (not inside)
 
 
-def test_primitives_have_a_middle():
+def test_even_numbers_of_primitives_are_rejected():
     with pytest.raises(InputError, match="4 primitives: the number must be odd"):
         Primitives(4, 1.0, 0.1)
     with pytest.raises(InputError, match="below pi"):

@@ -86,7 +86,7 @@ def seen(twin: TwinSnake, places: np.ndarray) -> Trajectory:
 
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
 @pytest.mark.parametrize(("hinges", "unequal"), [(1, True), (2, True), (3, False), (5, False)])
-def test_clearance_is_mujocos_least_distance(name, hinges, unequal):
+def test_clearance_equals_mujocos_smallest_distance(name, hinges, unequal):
     # Preloaded: the wheels of a loaded snake sink in by micrometres, and its body pitches.
     twin = TwinSnake(robot(name), world=WORLD, hinges_per_segment=hinges, contact="preloaded")
     places = poses(twin, 40, unequal=unequal, seed=hinges)
@@ -126,7 +126,7 @@ def test_the_hull_is_within_its_bound_of_the_arc():
         ("circle", 0.15, False), ("square", 0.0, True), ("square", 0.16, False),
     ],
 )  # fmt: skip
-def test_a_run_that_touches_has_no_clearance_and_another_has(shape, aside, touched):
+def test_clearance_is_positive_exactly_without_contact(shape, aside, touched):
     """The twin of generation 2 goes by a circle of 0.1 m, or a square, so far beside its path, m.
 
     Whether it touches where it is close (None), the follower decides.

@@ -29,7 +29,7 @@ def fig54(count: int, seed: int) -> Problem:
 
 
 @given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2))
-def test_arc_distance_is_that_of_the_arc_through_the_point(x, y, heading, to_x, to_y):
+def test_arc_through_passes_the_point(x, y, heading, to_x, to_y):
     curvature, length = arc_through(Pose(x, y, heading), to_x, to_y)
     if math.isfinite(length) and length < 50:
         end = arc_end(x, y, heading, curvature, length)
@@ -54,7 +54,7 @@ def test_fig_53_turns_toward_the_target_from_both_ends():
         assert s.length < 0.5 or step == pytest.approx(round(step))
 
 
-def test_first_step_has_the_least_score_of_all():
+def test_first_arc_has_the_lowest_score():
     problem = fig54(0, 0)
     start, goal = problem.start, problem.goal
     scores = [
@@ -65,7 +65,7 @@ def test_first_step_has_the_least_score_of_all():
     assert first.curvature == pytest.approx(ARCS.curvatures[int(np.argmin(scores))])
 
 
-def test_arcs_that_would_collide_are_not_taken():
+def test_colliding_arcs_are_not_chosen():
     problem = fig54(0, 0)
     free = plan(problem, planner="greedy")
     middle = free.segments[1].end
@@ -77,7 +77,7 @@ def test_arcs_that_would_collide_are_not_taken():
 
 
 @pytest.mark.parametrize("count", [1, 3, 5, 8])
-def test_what_it_finds_is_free_and_only_its_joint_has_a_kink(count):
+def test_greedy_plans_are_free_with_a_kink_at_the_joint_only(count):
     found = 0
     for seed in range(8):
         problem = fig54(count, seed)
@@ -111,7 +111,7 @@ def test_success_falls_with_obstacles_and_the_default_solves_what_greedy_solves(
     assert solved[1] > solved[9] > solved[18]
 
 
-def test_mirrored_twice_is_itself_and_sides_change_places():
+def test_reversing_a_footprint_twice_restores_it():
     body = load_footprint("gen4_table8")
     back = reversed_footprint(body)
     assert reversed_footprint(back) == body
@@ -119,7 +119,7 @@ def test_mirrored_twice_is_itself_and_sides_change_places():
         assert (back.at(-k).left, back.at(-k).right) == (body.at(k).right, body.at(k).left)
 
 
-def test_what_it_needs_is_asked_for():
+def test_greedy_requires_primitives_and_an_arrival_heading():
     problem = fig54(1, 0)
     with pytest.raises(InputError, match="greedy needs primitives"):
         plan(Problem(problem.start, problem.goal, problem.world, TEXT), planner="greedy")

@@ -38,13 +38,13 @@ def problem(world: World, heading: float) -> Problem:
     return Problem(Pose(-3.0, 0.0, 0.0), Goal(0.0, 0.0, heading, 0.02, 0.1), world, BODY)
 
 
-def test_a_pocket_is_entered_facing_in_and_proven_shut_facing_out():
+def test_dead_end_is_reached_facing_in_and_proven_infeasible_facing_out():
     inwards, outwards = (plan(problem(pocket(0.12), heading)) for heading in (0.0, math.pi))
     assert inwards.found
     assert outwards.proven and "the goal has too little room" in outwards.reason
 
 
-def test_a_dead_end_is_proven_at_the_start():
+def test_dead_end_at_the_start_is_proven():
     out = problem(pocket(0.12), 0.0)
     back = Problem(Pose(0.0, 0.0, 0.0), Goal(-3.0, 0.0, 0.0, 0.02, 0.1), out.world, BODY)
     answer = plan(back)
@@ -64,13 +64,13 @@ def test_dead_end_between_bounds_is_proven_in_every_direction(quarters):
         assert prove_unreachable(Pose(start.real, start.imag, angle), goal, BODY, around, COARSE) == proven
 
 
-def test_a_pocket_with_room_to_turn_is_no_proof():
+def test_dead_end_with_room_to_turn_is_not_infeasible():
     wide = problem(pocket(1.7), math.pi)
     answer = plan(wide)
     assert answer.found and deepest(answer, wide) < TOUCH and not misses(answer, wide)
 
 
-def test_a_goal_without_heading_in_a_pocket_is_reached():
+def test_goal_without_heading_in_a_dead_end_is_reached():
     free = problem(pocket(0.12), 0.0)
     free = replace(free, goal=replace(free.goal, heading=None))
     assert plan(free).found
@@ -78,7 +78,7 @@ def test_a_goal_without_heading_in_a_pocket_is_reached():
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", first_by_default(1, bodies()))
-def test_nothing_that_has_a_way_is_proven_shut(kind, name):
+def test_feasible_problems_are_never_proven_infeasible(kind, name):
     body = bodies()[name]
     for seed in range(100, 103):
         case = drawn(kind, seed, body).problem
@@ -91,7 +91,7 @@ PROVEN = [each for each in bodies() if each not in ("gen2_gait", "gen4_ilc")]
 
 
 @pytest.mark.parametrize("name", PROVEN)
-def test_pockets_faced_outwards_are_proven(name):
+def test_goals_facing_out_of_dead_ends_are_proven_infeasible(name):
     body = bodies()[name]
     for seed in range(3):
         case = drawn("pockets", seed, body).problem
@@ -106,7 +106,7 @@ def test_pockets_faced_outwards_are_proven(name):
     turn=st.floats(0.05, 0.5),
     shares=st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=12),
 )
-def test_every_path_of_a_step_ends_in_the_box_of_its_turn(tight, turn, shares):
+def test_paths_of_a_step_end_in_the_box_of_their_turn(tight, turn, shares):
     """Arcs laid end to end, against the bounds that come from turning one way and then the other."""
     step, sector = turn / tight, 0.1 * turn
     moves = _step_boxes(tight, step, sector)
@@ -128,7 +128,7 @@ def test_every_path_of_a_step_ends_in_the_box_of_its_turn(tight, turn, shares):
 
 
 @pytest.mark.parametrize(("tight", "turn", "parts"), [(4.5, 0.5, 6), (4.5, 0.5, 10), (12.0, 0.3, 8)])
-def test_boxes_reach_no_farther_aside_than_two_tightest_arcs(tight, turn, parts):
+def test_boxes_are_as_narrow_as_two_tightest_arcs_allow(tight, turn, parts):
     """A path with the largest turn Δ within two sectors turns left first, then right, as in θ_hi."""
     step, sector = turn / tight, turn / parts
     for turned, _, _, low, high in _step_boxes(tight, step, sector):

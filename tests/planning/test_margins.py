@@ -30,7 +30,7 @@ def tried(path: list[float], **other: object) -> ExcursionsFile:
 
 @pytest.mark.parametrize("draw", ["lognormal", "uniform", "standard_cauchy"])
 @pytest.mark.parametrize("probability", [0.5, 0.9, 0.95])
-def test_a_new_run_stays_within_as_often_as_it_says(draw, probability):
+def test_quantile_has_the_stated_coverage(draw, probability):
     """Whatever the distribution: over many sets of 39 runs, at least p and at most p + 1/40 of new ones."""
     rng = np.random.default_rng(7)
     kept = [getattr(rng, draw)(size=40) + 100.0 for _ in range(4000)]
@@ -41,7 +41,7 @@ def test_a_new_run_stays_within_as_often_as_it_says(draw, probability):
     assert probability - noise <= held <= probability + 1 / 40 + noise
 
 
-def test_too_few_runs_and_lost_ones_give_no_margin():
+def test_too_few_or_lost_runs_give_no_margin():
     with pytest.raises(InputError, match="needs at least 19 runs, not 18"):
         excursion_quantile([0.01] * 18, 0.95)
     with pytest.raises(InputError, match="too many runs did not arrive"):
@@ -50,7 +50,7 @@ def test_too_few_runs_and_lost_ones_give_no_margin():
     assert excursion_quantile([-0.02] * 19, 0.95) == 0.0
 
 
-def test_margins_hold_under_conditions_no_harder_than_measured():
+def test_margins_apply_to_conditions_no_more_difficult_than_measured():
     blocks = [tried([0.03] * 20), tried([0.06] * 20, gain_spread=0.2), tried([0.02] * 20, plant="analytical")]
     wanted = [conditions(gain_spread=0.05), conditions(plant="analytical", delay_s=0.05)]
     assert margin_for(blocks, 0.9, wanted).path == 0.03
@@ -82,12 +82,12 @@ def test_excursions_without_a_contact_are_those_of_a_preloaded_twin():
         conditions(plant="analytical", contact="loaded")
 
 
-def test_a_scenario_whose_twin_has_another_contact_is_refused_the_margin():
+def test_scenario_with_another_contact_gets_no_margin():
     with pytest.raises(InputFileError, match="no excursions are measured for plant twin, contact preloaded"):
         load_scenario("follow_fig57", set={"plants.twin.contact": "preloaded"})
 
 
-def test_a_footprint_of_another_contact_is_warned_of():
+def test_footprint_of_another_contact_causes_a_warning():
     def warned(**more: object) -> list[str]:
         changes = {"planner.margin_probability": None, **more}
         return [each for each in load_scenario("follow_fig57", set=changes).warnings if "contact" in each]
@@ -121,7 +121,7 @@ def test_excursions_survive_their_file(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["gen2_gait", "gen2_orifice", "gen4_ilc"])
-def test_shipped_footprints_keep_a_hundred_runs_on_each_plant(name):
+def test_shipped_footprints_contain_a_hundred_runs_per_plant(name):
     kept = load_footprint_file(name).excursions
     assert {each.conditions.plant for each in kept} == {"analytical", "twin"}
     for each in kept:

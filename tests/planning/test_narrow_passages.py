@@ -39,7 +39,7 @@ def square(x: float, y: float, side: float) -> Polygon:
     ],
     ids=["circles", "polygons", "both", "bounds"],
 )
-def test_a_gate_leads_straight_through_the_middle_of_a_gap(world):
+def test_passages_lead_straight_through_the_middle_of_a_gap(world):
     gates = find_passages(world, BODY)
     assert len(gates)
     straight = BODY.at(0.0)
@@ -51,7 +51,7 @@ def test_a_gate_leads_straight_through_the_middle_of_a_gap(world):
         assert Checker(world, BODY).is_path_free(path_from_arcs(Pose(x, y, heading), [(0.0, through)], BODY))
 
 
-def test_ways_begin_early_enough_for_the_body_to_settle_and_for_round_things():
+def test_entry_poses_allow_for_transients_and_round_obstacles():
     """A millimetre before the head is in the gap; by the longest transient earlier; by 0.3 widths more."""
     body = load_footprint("gen2_gait")
     straight = body.at(0.0)
@@ -64,7 +64,7 @@ def test_ways_begin_early_enough_for_the_body_to_settle_and_for_round_things():
     assert np.abs(gates[:, 0]) == pytest.approx(gates[:, 3] - body.behind)
 
 
-def test_gaps_that_are_too_narrow_wide_or_filled_have_no_gate():
+def test_gaps_too_narrow_too_wide_or_filled_are_no_passages():
     def pair(gap: float, *more: Circle) -> World:
         return World((Circle(0.0, gap / 2 + 0.3, 0.3), Circle(0.0, -gap / 2 - 0.3, 0.3), *more))
 
@@ -75,7 +75,7 @@ def test_gaps_that_are_too_narrow_wide_or_filled_have_no_gate():
 
 @settings(max_examples=50)
 @given(st.integers(0, 1000), st.integers(0, 4), st.integers(0, 4), st.floats(0.05, 1.0))
-def test_an_arc_of_the_search_is_as_wide_as_the_checker_has_it(seed, one, other, length):
+def test_search_and_checker_agree_on_the_width_of_arcs(seed, one, other, length):
     """The change of offset is felt on the first part of an arc only."""
     body, rng = load_footprint("gen4_ilc"), np.random.default_rng(seed)
     moves = make_move_set(Primitives(5, 0.5, 0.25), body)
@@ -94,7 +94,7 @@ def test_an_arc_of_the_search_is_as_wide_as_the_checker_has_it(seed, one, other,
 
 @pytest.mark.parametrize("ratio", first_by_default(1, [1.05, 1.3]))
 @pytest.mark.parametrize("name", bodies())
-def test_ways_through_narrow_gaps_are_found(name, ratio):
+def test_plans_pass_narrow_gaps(name, ratio):
     """Two walls from bound to bound, each with one gap, 1.05 or 1.3 times as wide as the straight body."""
     case = walls(2, bodies()[name], ratio, 2)
     answer = plan(case.problem)

@@ -11,7 +11,7 @@ from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Settings
 
 
-def test_a_small_study_counts_each_planners_plans(capsys):
+def test_study_counts_the_plans_of_each_planner(capsys):
     answers = study.study(1)
     found = study.summary(answers)
     for name in ("greedy", "best_first"):
@@ -26,13 +26,13 @@ def test_a_small_study_counts_each_planners_plans(capsys):
     assert [line.split(" | ")[0] for line in lines[2:4]] == ["| greedy", "| best_first"]
 
 
-def test_the_safety_part_reports_plans_that_collide(monkeypatch):
+def test_safety_study_reports_colliding_plans(monkeypatch):
     assert study.safety(6)["bad_seeds"] == []
     monkeypatch.setattr(study, "deepest", lambda *_: 0.01)
     assert study.safety(6)["bad_seeds"]
 
 
-def test_ompl_plans_are_held_to_the_same():
+def test_ompl_plans_are_free_and_continuous():
     pytest.importorskip("ompl")
     for count in (4, 12):
         problem = study.fig54_problem(count, 1, arcs=False)
@@ -42,7 +42,7 @@ def test_ompl_plans_are_held_to_the_same():
         assert not misses(answer, problem)
 
 
-def test_without_the_extra_ompl_says_how_to_get_it(monkeypatch):
+def test_missing_ompl_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "ompl", None)
     with pytest.raises(InputError, match=r"pip install 'srs-twin\[ompl\]'"):
         plan(study.fig54_problem(4, 1, arcs=False), planner="ompl")

@@ -26,7 +26,7 @@ def route(pieces, start=ORIGIN):
 
 @settings(max_examples=40)
 @given(PIECES, st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3))
-def test_no_sampled_point_is_nearer(pieces, x, y, heading):
+def test_nearest_point_is_nearer_than_all_samples(pieces, x, y, heading):
     way = route(pieces, Pose(0.3, -0.2, heading))
     place = way.nearest(x, y)
     samples = [way.pose(s) for s in np.linspace(-EXTENSION_M, way.length + EXTENSION_M, 3000)]
@@ -38,7 +38,7 @@ def test_no_sampled_point_is_nearer(pieces, x, y, heading):
         assert abs(place.n) == pytest.approx(found, abs=1e-6)
 
 
-def test_left_is_positive_and_ends_go_on_straight():
+def test_left_is_positive_and_ends_are_extended_straight():
     way = route([(0.0, 1.0), (2.0, 0.5)])
     assert way.nearest(0.5, 0.2)[:2] == pytest.approx((0.5, 0.2))
     assert way.nearest(0.5, -0.2)[:2] == pytest.approx((0.5, -0.2))
@@ -50,7 +50,7 @@ def test_left_is_positive_and_ends_go_on_straight():
     assert (way.curvature(0.5), way.curvature(1.2), way.curvature(1.6), way.curvature(-1)) == (0, 2, 0, 0)
 
 
-def test_joint_of_two_arcs_belongs_to_the_second():
+def test_joint_of_two_arcs_has_the_curvature_of_the_second():
     way = route([(1.0, 0.5), (-2.0, 0.25), (3.0, 0.5)])
     assert [way.curvature(s) for s in (0.0, 0.5, 0.75, 1.25)] == [1.0, -2.0, 3.0, 0.0]
     for s in (0.0, 0.5, 0.75):
@@ -58,20 +58,20 @@ def test_joint_of_two_arcs_belongs_to_the_second():
         assert [*after] == pytest.approx([*before], abs=1e-8)
 
 
-def test_a_turn_by_more_than_half_a_circle_is_found_all_along():
+def test_coordinates_are_unique_on_arcs_beyond_half_a_turn():
     way = route([(2.0, 2.8)])
     for s in np.linspace(0.01, 2.79, 40):
         pose = way.pose(s)
         assert way.nearest(pose.x, pose.y)[:2] == pytest.approx((s, 0.0), abs=1e-9)
 
 
-def test_a_window_tells_crossings_apart():
+def test_window_distinguishes_crossings_of_a_path():
     way = route([(5.0, 2 * math.pi / 5), (0.0, 1.0)])
     assert way.nearest(0.0, 0.0, -0.1, 0.3).s == pytest.approx(0.0, abs=1e-9)
     assert way.nearest(0.0, 0.0, 1.0, 1.5).s == pytest.approx(2 * math.pi / 5, abs=1e-9)
 
 
-def test_many_places_are_those_of_each():
+def test_coordinates_of_many_points_equal_those_of_each():
     way, rng = route([(1.0, 0.7), (-2.0, 0.9)]), np.random.default_rng(0)
     points = rng.uniform(-1, 2, (50, 2))
     s, n = way.coordinates(points)

@@ -20,7 +20,7 @@ FLOOR = Bounds((0.0, 2.0), (0.0, 1.0))
 
 
 @given(st.lists(st.floats(-5, 5), min_size=1, max_size=60), st.integers(0, 30))
-def test_nodes_come_off_the_heap_by_key(keys, early):
+def test_heap_pops_nodes_in_key_order(keys, early):
     frontier = empty_frontier(64)
     for node, key in enumerate(keys):
         push(frontier, node, key)
@@ -33,7 +33,7 @@ def test_nodes_come_off_the_heap_by_key(keys, early):
 
 
 @given(st.lists(st.tuples(st.floats(-9, 9), st.floats(-9, 9), st.floats(-9, 9)), min_size=1, max_size=60))
-def test_poses_share_a_slot_if_they_share_a_cell_also_after_growth(poses):
+def test_poses_share_a_slot_exactly_if_they_share_a_cell(poses):
     cell, sector = 0.5, math.pi / 6
     frontier, slots = empty_frontier(64), {}
     for k, (x, y, heading) in enumerate(poses):
@@ -56,14 +56,14 @@ def test_poses_share_a_slot_if_they_share_a_cell_also_after_growth(poses):
             assert frontier.owners[before] == larger.owners[after] > 0
 
 
-def test_guide_is_the_straight_way_where_nothing_is_in_the_way():
+def test_grid_distance_is_the_straight_distance_without_obstacles():
     guide = grid_heuristic(GOAL, START, World(bounds=FLOOR), 0.02, 1.0)
     for x, y in np.random.default_rng(0).uniform((0.05, 0.05), (1.95, 0.95), (200, 2)):
         straight = math.hypot(x - GOAL.x, y - GOAL.y)
         assert straight - 2 * guide.cell <= grid_distance(guide, x, y) <= 1.0824 * straight + 2 * guide.cell
 
 
-def test_guide_leads_round_a_wall_and_knows_nothing_of_closed_rooms():
+def test_grid_distance_goes_round_walls_and_is_zero_in_closed_rooms():
     wall = Polygon(((0.95, -0.1), (1.05, -0.1), (1.05, 0.8), (0.95, 0.8)))
     guide = grid_heuristic(GOAL, START, World((), FLOOR, None, (wall,)), 0.05, 1.0)
     over = math.hypot(0.7, 0.35) + 0.2 + math.hypot(0.7, 0.35)
@@ -75,7 +75,7 @@ def test_guide_leads_round_a_wall_and_knows_nothing_of_closed_rooms():
     assert grid_distance(grid_heuristic(GOAL, START, World(ring, FLOOR), 0.02, 1.0), START.x, START.y) == 0
 
 
-def test_guide_without_bounds_goes_round_everything():
+def test_grid_distance_without_bounds_goes_round_all_obstacles():
     wall = Polygon(((0.95, -2.0), (1.05, -2.0), (1.05, 2.0), (0.95, 2.0)))
     guide = grid_heuristic(GOAL, START, World((), None, None, (wall,)), 0.05, 0.5)
     assert grid_distance(guide, START.x, START.y) == pytest.approx(2 * math.hypot(0.7, 1.55) + 0.2, rel=0.1)

@@ -29,7 +29,7 @@ def curvature(footprint, offset):
 
 
 @pytest.mark.parametrize("t", LEARNT.transients, ids=lambda t: f"{t.before:g} to {t.after:g}")
-def test_the_settled_path_is_the_one_that_was_measured(t):
+def test_transition_arcs_end_on_the_measured_path(t):
     """The jump itself, from where the command takes effect, against the shaped arcs; it is 71 mm at most."""
     old, new = (curvature(LEARNT, offset) for offset in (t.before, t.after))
     path = with_transitions(path_from_arcs(START, [(old, 1.0), (new, 1.0)], LEARNT), LEARNT)
@@ -48,7 +48,7 @@ def test_the_settled_path_is_the_one_that_was_measured(t):
     assert abs(beside) < 0.012
 
 
-def test_a_shaped_change_keeps_the_heading_and_turns_no_tighter():
+def test_transition_arcs_keep_the_heading_and_turn_no_tighter():
     planned = path_from_arcs(START, [(1.0, 0.8), (-1.5, 0.8), (0.0, 0.5)], LEARNT)
     path = with_transitions(planned, LEARNT)
     assert path[-1].end.heading == pytest.approx(planned[-1].end.heading)
@@ -58,7 +58,7 @@ def test_a_shaped_change_keeps_the_heading_and_turns_no_tighter():
     assert max(steps) < 2.5 - 0.5
 
 
-def test_mirrored_paths_have_mirrored_shapes():
+def test_mirrored_paths_have_mirrored_transitions():
     ways = []
     for side in (1.0, -1.0):
         path = with_transitions(
@@ -68,7 +68,7 @@ def test_mirrored_paths_have_mirrored_shapes():
     assert ways[0] == pytest.approx(ways[1])
 
 
-def test_changes_without_room_or_measurement_stay_as_they_are():
+def test_changes_without_room_or_measurement_stay_jumps():
     short = path_from_arcs(START, [(1.0, 0.1), (-1.0, 0.1)], LEARNT)
     assert with_transitions(short, LEARNT) == short
     long = path_from_arcs(START, [(1.0, 0.8), (-1.0, 0.8)], LEARNT)
@@ -76,7 +76,7 @@ def test_changes_without_room_or_measurement_stay_as_they_are():
     assert with_transitions((), LEARNT) == ()
 
 
-def test_a_shaped_plan_is_free_and_arrives():
+def test_plan_with_transitions_is_free_and_arrives():
     body = LEARNT.reduced(0.8, 0.03)
     problem = Problem(Pose(0.4, 0.0, 0.0), GOAL, FIELD, body)
     begin = (Segment(START, 0.0, 0.4, 0.0, 0.18),)
@@ -89,12 +89,12 @@ def test_a_shaped_plan_is_free_and_arrives():
     assert len(between) >= 2, "changes have an arc between"
 
 
-def test_a_snake_at_its_goal_has_no_change_to_complain_of():
+def test_plan_from_the_goal_needs_no_transitions():
     answer = plan_with_transitions(Problem(START, Goal(0.0, 0.0, None, 0.05), FIELD, LEARNT), Settings())
     assert answer.found and answer.segments == () and "jumps" not in answer.reason
 
 
-def test_its_nodes_and_time_are_those_of_all_plans_that_were_made(monkeypatch):
+def test_nodes_and_time_are_totals_of_all_searches(monkeypatch):
     made = []
 
     def counted(problem, settings):
@@ -109,7 +109,7 @@ def test_its_nodes_and_time_are_those_of_all_plans_that_were_made(monkeypatch):
 
 
 @pytest.mark.slow
-def test_where_no_shaped_path_is_free_the_plan_says_so():
+def test_reason_reports_a_plan_without_transitions():
     tight = World((Circle(0.5, 0.25, 0.1), Circle(0.5, -0.25, 0.1), Circle(1.0, 0.02, 0.11)), FIELD.bounds)
     answer = plan_with_transitions(
         Problem(START, Goal(1.3, 0.0, 0.0, 0.001, 0.0), tight, OPEN.reduced(0.4)), Settings()
@@ -117,13 +117,13 @@ def test_where_no_shaped_path_is_free_the_plan_says_so():
     assert answer.found and "without transition arcs" in answer.reason
 
 
-def test_without_transients_nothing_is_shaped():
+def test_no_transitions_without_transients():
     problem = Problem(START, GOAL, FIELD, load_footprint("gen4_table9"))
     answer = plan_with_transitions(problem, Settings())
     assert answer.found and {abs(round(s.curvature, 6)) for s in answer.segments} <= {0, 0.6545, 1.309}
 
 
-def test_a_scenario_asks_for_it():
+def test_shape_changes_of_a_scenario_plans_transitions():
     document = dict(load_scenario("follow_gen4_b").document)
     plans = [
         parse_scenario({**document, "planner": {**document["planner"], "shape_changes": shape}})

@@ -43,7 +43,7 @@ def cells(grey) -> set[tuple[int, int]]:
 
 
 @pytest.mark.parametrize("suffix", ["pgm", "png"])
-def test_rectangles_cover_what_is_not_free_once(tmp_path, suffix):
+def test_rectangles_cover_occupied_cells_once(tmp_path, suffix):
     grey = np.random.default_rng(0).choice(
         [0, 100, 205, 254, 255], p=[0.2, 0.05, 0.05, 0.4, 0.3], size=(23, 31)
     )
@@ -128,7 +128,7 @@ def test_a_pgm_of_text_is_read_and_negate_turns_it_round(tmp_path):
         ),
     ],
 )
-def test_what_is_no_map_is_refused(tmp_path, old, new, words):
+def test_invalid_maps_are_rejected(tmp_path, old, new, words):
     path = drawn(tmp_path, [[0, 255]])
     text = path.read_text()
     assert old in text
@@ -165,7 +165,7 @@ plants: {analytical: {}, twin: {}}
 
 
 @pytest.mark.slow
-def test_a_scenario_plans_and_runs_in_a_map_and_knows_when_it_changes(tmp_path, monkeypatch):
+def test_scenario_in_a_map_plans_runs_and_detects_changes(tmp_path, monkeypatch):
     """The wall leaves a way above; both plants have the map about them, drawn pictures too."""
     grey = np.full((30, 40), 254)
     grey[15:, 20] = 0
@@ -188,7 +188,7 @@ def test_a_scenario_plans_and_runs_in_a_map_and_knows_when_it_changes(tmp_path, 
     assert (tmp_path / "runs/room_run/metrics.json").stat().st_mtime_ns > first
 
 
-def test_ten_thousand_cells_are_planned_among(tmp_path):
+def test_plan_among_ten_thousand_cells(tmp_path):
     """A wall of a thousand pillars has a gap; distances are asked of what is near only."""
     grey = np.full((400, 600), 254)
     for row in range(0, 400, 12):

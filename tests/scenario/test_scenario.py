@@ -61,7 +61,7 @@ def test_the_defaults():
     assert s.warnings == ()
 
 
-def test_units_become_si():
+def test_units_are_converted_to_si():
     s = scenario(
         supply={"pressure_kpa": 50},
         controller={"kind": "gait", "frequency_hz": 1, "offset": -0.2, "phase_rad": 1, "phase_step_rad": 2},
@@ -85,7 +85,7 @@ def test_units_become_si():
     assert plant.spec.geometry.rigid_gap == 0 and s.robot.geometry.rigid_gap == 0.018
 
 
-def test_building_is_fresh_each_time_and_knows_both_plants():
+def test_plants_and_controllers_are_new_each_time():
     s = scenario(plants={"twin": {"hinges_per_segment": 2}})
     assert s.build_controller() is not s.build_controller()
     twin = s.build_plant("twin")
@@ -113,7 +113,7 @@ def test_skids_and_their_law_reach_the_plants():
     assert s.build_plant("twin").contact == LoadedContact("ellipse")
 
 
-def test_the_controller_is_a_gait():
+def test_gait_section_builds_a_gait():
     gait = scenario(controller={"kind": "gait", "frequency_hz": 1.5, "offset": 0.3}).build_controller()
     assert (gait.kind, gait.frequency, gait.offset) == ("gait", 1.5, 0.3)
 
@@ -121,7 +121,7 @@ def test_the_controller_is_a_gait():
 # Robots in scenarios
 
 
-def test_a_plain_number_overrides_and_says_so():
+def test_plain_number_overrides_a_record_with_a_note():
     s = scenario(
         robot={"base": "gen2", "bending": {"stiffness_nm_per_rad": 0.2}, "geometry": {"connectors": 7}}
     )
@@ -187,7 +187,7 @@ def test_a_robot_by_path(tmp_path, monkeypatch):
         ({"title": "x"}, "robot.name: missing"),
     ],
 )
-def test_robots_that_are_refused(robot, words):
+def test_invalid_robots_are_rejected(robot, words):
     assert any(words in line for line in refusal(robot=robot)), refusal(robot=robot)
 
 
@@ -276,7 +276,7 @@ def test_defaults_of_pneumatics_are_those_of_the_chambers():
         ("lag", "pneumatics: must be a block of keys (kind, leak_per_s, valve_delay_s, critical_ratio, "),
     ],
 )
-def test_pneumatics_that_are_refused(given, words):
+def test_invalid_pneumatics_are_rejected(given, words):
     assert any(words in line for line in refusal(pneumatics=given)), refusal(pneumatics=given)
 
 
@@ -307,7 +307,7 @@ def test_pulses_may_exceed_the_continuous_limit():
     assert scenario(robot="gen4", supply={"pressure_kpa": 51}).warnings == ()
 
 
-def test_the_pressure_is_judged_even_where_another_key_is_wrong():
+def test_pressure_is_checked_even_if_another_key_is_invalid():
     assert len(refusal(supply={"pressure_kpa": 80}, seed="x")) == 2
 
 
@@ -344,13 +344,13 @@ def test_the_limit_follows_an_override():
         ),
     ],
 )
-def test_times_that_do_not_fit(changes, words):
+def test_times_that_are_no_multiples_are_rejected(changes, words):
     assert words in refusal(**changes)[0]
 
 
 @pytest.mark.parametrize("record_hz", [7.14286, 3.33333, 0.100001, 333.3, 9999.0])
 @pytest.mark.parametrize("ticks", [(0.02, 0.02, 0.001), (0.02, 0.03, 0.0005), (0.001, 0.02, 0.0005)])
-def test_proposed_recording_rate_fits_both_plants(record_hz, ticks):
+def test_proposed_recording_rate_suits_both_plants(record_hz, ticks):
     analytical, twin, step = ticks
     both = {"analytical": {"tick_s": analytical}, "twin": {"tick_s": twin, "timestep_s": step}}
     lines = refusal(plants=both, record_hz=record_hz, duration_s=6)
@@ -359,14 +359,14 @@ def test_proposed_recording_rate_fits_both_plants(record_hz, ticks):
     assert scenario(plants=both, record_hz=float(rate), duration_s=6).record_hz == float(rate)
 
 
-def test_no_recording_rate_is_proposed_where_the_ticks_meet_too_rarely():
+def test_no_recording_rate_is_proposed_for_incompatible_ticks():
     both = {"analytical": {"tick_s": 0.9999}, "twin": {"tick_s": 0.02}}
     (line,) = refusal(plants=both, duration_s=199.98)
     assert "no rate suits the plants' ticks; change tick_s" in line
 
 
 @pytest.mark.parametrize("record_hz", [0.5, 10, 25, 50, 200, 1000])
-def test_recording_rates_that_the_rollout_takes(record_hz):
+def test_valid_recording_rates(record_hz):
     from srs_twin.rollout import rollout
 
     s = scenario(duration_s=0.2, record_hz=record_hz, plants=plants())
@@ -415,11 +415,11 @@ def test_what_expectations_allow(keys, inside, outside, allowed):
         {"plants": {"analytical": {"com_speed_m_s": 0.2}}},
     ],
 )
-def test_what_is_not_there_is_not_met(metrics):
+def test_missing_metrics_do_not_meet_expectations(metrics):
     assert not expectation(below=1).check(metrics)["met"]
 
 
-def test_an_outcome_carries_the_published_value():
+def test_row_contains_the_published_value():
     outcome = expectation(near=0.214, rel=0.15, source="Table 10").check(
         {"plants": {"twin": {"com_speed_m_s": 0.2}}}
     )
@@ -433,7 +433,7 @@ def test_an_outcome_carries_the_published_value():
     ("known", "value", "expected"),
     [(None, 0.2, "met"), (None, 0.3, "missed"), ("drag", 0.2, "holds"), ("drag", 0.3, "known")],
 )
-def test_an_expectation_may_be_known_to_be_missed(known, value, expected):
+def test_known_miss_of_an_expectation(known, value, expected):
     each = expectation(near=0.214, rel=0.15, **({"known": known} if known else {}))
     outcome = each.check({"plants": {"twin": {"com_speed_m_s": value}}})
     assert (outcome["known"], verdict(outcome), outcome["met"]) == (known, expected, value == 0.2)
@@ -472,7 +472,7 @@ def test_expectations_of_the_comparison():
         ),
     ],
 )
-def test_expectations_that_are_refused(keys, words):
+def test_invalid_expectations_are_rejected(keys, words):
     each = {"metric": "com_speed_m_s", "plant": "twin", "below": 1} | keys
     (line,) = refusal(expect=[{key: value for key, value in each.items() if value is not None}])
     assert line.startswith(words)
@@ -583,7 +583,7 @@ def other_than_default(field):
         if (name, key) not in OF_A_RUN
     ],
 )  # fmt: skip
-def test_every_key_of_a_section_survives_that_defaults_are_written_out(section, key):
+def test_keys_of_sections_survive_resolution(section, key):
     field = type(SECTIONS[section]).model_fields[key]
     value = SET[section, key] if (section, key) in SET else other_than_default(field)
     needed = TOGETHER.get(section, {})
@@ -608,7 +608,7 @@ def test_a_resolved_file_keeps_the_name_of_the_scenario(tmp_path):
     assert load_scenario(path) == s
 
 
-def test_a_document_is_not_shared_with_what_it_was_made_of():
+def test_document_is_independent_of_its_source_data():
     data = copy.deepcopy(MINIMAL)
     parse_scenario(data)
     assert data == MINIMAL
@@ -623,7 +623,7 @@ def test_a_document_is_not_shared_with_what_it_was_made_of():
         ("...yaml", "scenario"),
     ],
 )
-def test_names_can_be_folders(tmp_path, file, name):
+def test_invalid_names_are_rejected_as_folders(tmp_path, file, name):
     path = tmp_path / file
     path.write_text(dump_yaml(MINIMAL), "utf-8")
     s = load_scenario(path)
@@ -635,7 +635,7 @@ def test_names_can_be_folders(tmp_path, file, name):
 
 
 @pytest.mark.parametrize("name", shipped_names("scenario"))
-def test_shipped_scenarios_can_fail_and_cite_what_is_published(name):
+def test_shipped_expectations_can_fail_and_cite_sources(name):
     s = load_scenario(name)
     # Only a pressure above the limit, asked for knowingly, is warned of.
     assert s.name == name and len(s.warnings) == s.file.allow_overpressure
@@ -645,7 +645,7 @@ def test_shipped_scenarios_can_fail_and_cite_what_is_published(name):
     assert any(each.source for each in s.expect)
 
 
-def test_the_shipped_scenarios_are_those_promised():
+def test_shipped_scenarios_are_those_documented():
     wanted = {f"gen{i}_{way}" for i in (2, 3, 4) for way in ("straight", "turn")} | {"gen1_straight"}
     wanted |= {
         f"module_{what}_{way}"
@@ -666,7 +666,7 @@ def test_the_shipped_scenarios_are_those_promised():
         ("gen3_straight", "gen3-speed", 0.3),
     ],
 )
-def test_published_speeds_are_held_to_by_interval_and_with_their_own_tolerance(name, claim, tol):
+def test_published_speeds_have_an_interval_and_a_tolerance(name, claim, tol):
     (row,) = [c for c in load_yaml(claims_file(), limit=CLAIMS_BYTES).data if c["id"] == claim]
     found = [e for e in load_scenario(name).expect if e.metric == "com_speed_m_s" and e.plant == "twin"]
     by_interval, each = sorted(found, key=lambda e: e.published is None)
@@ -675,7 +675,7 @@ def test_published_speeds_are_held_to_by_interval_and_with_their_own_tolerance(n
 
 
 @pytest.mark.parametrize(("name", "offset"), [("gen4_straight", 0.0), ("gen4_turn", 0.3)])
-def test_generation_4_is_held_to_table_8(name, offset):
+def test_generation_4_is_compared_with_table_8(name, offset):
     (table,) = [c for c in load_yaml(claims_file(), limit=CLAIMS_BYTES).data if c["id"] == "table8"]
     (row,) = [r for r in table["rows"] if r["offset"] == offset]
     published = {"com_speed_m_s": row["speed"], "turning_radius_m": row["radius"]}
@@ -711,7 +711,7 @@ def test_the_schema_describes_every_key():
     assert schema["$defs"]["Expectation"]["properties"]["metric"]["enum"] == list(known_metrics())
 
 
-def test_references_of_the_schema_lead_somewhere():
+def test_references_of_the_schema_resolve():
     schema = scenario_json_schema()
 
     def references(node):
@@ -727,7 +727,7 @@ def test_references_of_the_schema_lead_somewhere():
     assert found == {f"#/$defs/{name}" for name in schema["$defs"]}
 
 
-def test_the_schema_knows_overrides():
+def test_schema_describes_overrides():
     override = scenario_json_schema()["properties"]["robot"]["anyOf"][1]
     stiffness = override["properties"]["bending"]["properties"]["stiffness_nm_per_rad"]
     assert stiffness["anyOf"][0] == {"type": "number", "minimum": 0.0001, "maximum": 1000000.0}

@@ -27,12 +27,12 @@ SHIPPED = [
 ]
 
 
-def test_what_runs_by_default_is_shipped():
+def test_default_runs_are_shipped_scenarios():
     assert set(shipped_names("scenario")) >= BRIEF
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_runs_and_misses_what_is_known(name, shipped_run):
+def test_shipped_scenarios_miss_only_known_expectations(name, shipped_run):
     folder = shipped_run(name)
     assert {path.name for path in folder.iterdir()} == {
         "analytical.parquet", "twin.parquet", "scenario.resolved.yaml", "report.html", "recording.rrd",
