@@ -16,7 +16,7 @@ import numpy as np
 
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.priors import Priors
-from srs_twin.scenario import load_scenario
+from srs_twin.scenario.loading import load_scenario
 from srs_twin.studies.sweep.execution import local
 from srs_twin.studies.uncertainty.propagation import OWN_ROWS, propagate
 from srs_twin.studies.uncertainty.spreads import predicted, sampling_errors

@@ -25,7 +25,7 @@ from witnessed_worlds import KINDS, Witnessed, drawn
 from srs_twin.compute.workers import each
 from srs_twin.planning.metrics import beyond, following_metrics
 from srs_twin.rollout import rollout
-from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.trajectory import Trajectory
 
 SCENARIOS = {"gen2": "follow_fig57", "gen4": "follow_gen4_a"}

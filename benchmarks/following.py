@@ -27,7 +27,7 @@ from srs_twin.planning.footprint import load_footprint
 from srs_twin.planning.metrics import following_metrics, legs
 from srs_twin.planning.path import ReferencePath
 from srs_twin.rollout import rollout
-from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.trajectory import Trajectory
 
 FIELDS = ("follow_gen4_a", "follow_gen4_b", "follow_gen4_c")

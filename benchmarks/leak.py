@@ -25,7 +25,8 @@ from scipy.stats import ttest_ind
 from srs_twin import Trajectory, load_scenario, rollout
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.smc import CARRIER_HZ
-from srs_twin.scenario import Scenario, parse_scenario
+from srs_twin.scenario.loading import parse_scenario
+from srs_twin.scenario.scenario import Scenario
 
 PLANTS = ("analytical", "twin")
 SHOWN = {

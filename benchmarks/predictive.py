@@ -21,7 +21,7 @@ from scipy.stats import binomtest
 
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.priors import Priors
-from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.studies.sweep.execution import local
 from srs_twin.studies.uncertainty.propagation import OWN_ROWS, Propagation, propagate
 from srs_twin.studies.uncertainty.study import Study

@@ -25,7 +25,7 @@ from timing import ROUNDS
 from srs_twin import Trajectory, rollout
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.plants.twin.mjcf.numerics import PRESETS, ModelSettings
-from srs_twin.scenario import load_scenario
+from srs_twin.scenario.loading import load_scenario
 
 SCENARIOS = "gen1_straight gen2_straight gen2_turn gen3_straight gen3_turn gen4_straight gen4_turn".split()
 METRICS = {

@@ -24,7 +24,8 @@ from grid import table
 
 from srs_twin import DivergedError, Job, Trajectory, run_many
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.scenario import Scenario, parse_scenario
+from srs_twin.scenario.loading import parse_scenario
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.execution import Engine, local
 from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.points import Sweep

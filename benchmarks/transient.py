@@ -17,7 +17,7 @@ from grid import table
 from srs_twin.control.base import Controller
 from srs_twin.planning.arcs import arc_end
 from srs_twin.rollout import rollout
-from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 
 RATE = 200
 CASES = (("gen2_straight", -0.2, 0.2, 16.0), ("ilc_curve", -0.3, 0.3, 24.0))

@@ -14,7 +14,7 @@ from mujoco.batch import Batch
 
 from srs_twin import PreloadedContact
 from srs_twin.rollout import Recorder
-from srs_twin.scenario import Scenario
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 
 _WHOLE = mujoco.mjtState.mjSTATE_INTEGRATION

@@ -16,7 +16,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from srs_twin.rollout import rollout
-from srs_twin.scenario import Scenario, load_scenario
+from srs_twin.scenario.loading import load_scenario
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 
 SECONDS, FRAME_S, FROM_S = 3.2, 0.04, 2.0

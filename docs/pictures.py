@@ -20,7 +20,7 @@ from PIL import Image
 from srs_twin import load_scenario
 from srs_twin.attribution import explain
 from srs_twin.experiment import RunResult, run_scenario
-from srs_twin.scenario import Scenario
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.execution import local, open_sweep
 from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.viewing.mujoco.strobe import write_strobe

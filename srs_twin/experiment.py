@@ -29,9 +29,10 @@ from srs_twin.plants.base import Plant
 from srs_twin.plants.twin.mjcf.numerics import UNSTATED_CONTACT
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import rollout
-from srs_twin.scenario import Scenario, load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import judged_digest, versions
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:

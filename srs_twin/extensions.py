@@ -13,6 +13,7 @@ from importlib.util import find_spec
 from typing import Any
 
 COMMANDS = {
+    "export": "srs_twin.recordings.export_command:export",
     "inspect": "srs_twin.recordings.inspect_command:inspect",
     "plan": "srs_twin.planning.command:plan",
     "replay": "srs_twin.identification.replay_command:replay",
@@ -54,6 +55,9 @@ PAGES = {
 
 ENGINES = {"warp": "srs_twin.warp.batch:WarpBatch"}
 """Engines of batches of twins."""
+
+LOADERS = {"study": "srs_twin.studies.optimization.loading:load_study"}
+"""Functions that read and check a kind of file."""
 
 SCHEMAS = {
     "sweep": "srs_twin.studies.sweep.file:sweep_json_schema",

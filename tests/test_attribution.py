@@ -15,7 +15,7 @@ from srs_twin.attribution import Ladder, contributions, explain, subsets
 from srs_twin.comparison.compare import MEASURES, Attribution, Share, gap_between
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.experiment import prepare
-from srs_twin.scenario import parse_scenario
+from srs_twin.scenario.loading import parse_scenario
 from srs_twin.viewing.plots.runs import attribution_plot
 
 NAMES = ["a", "b", "c", "d"]

@@ -19,7 +19,7 @@ from timing import Ratio, Result, Task, Timing, interleaved, machine
 from twin_batch import run_together
 
 from srs_twin import AnalyticalSnake, Gait, PreloadedContact, TwinSnake, load_robot, rollout
-from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 
 SPEC = load_robot("gen2")
 SUPPLY = 48.3e3

@@ -21,7 +21,7 @@ from srs_twin.comparison.metrics import (
     meanings,
 )
 from srs_twin.io.documents import Change, parse_yaml
-from srs_twin.scenario import parse_scenario
+from srs_twin.scenario.loading import parse_scenario
 
 SHORT = {"duration_s": 1.0}
 

@@ -24,7 +24,7 @@ from srs_twin.cli.view import find_recording
 from srs_twin.compute.workers import Done
 from srs_twin.errors import DivergedError, InputError, TaskFailedError, WorkerDiedError
 from srs_twin.experiment import RunResult
-from srs_twin.scenario import Expectation
+from srs_twin.scenario.expectation import Expectation
 
 COMMAND = Path(sys.executable).with_name("srs-twin")
 HEAVY = ("mujoco", "dm_control", "rerun", "numpy", "scipy", "matplotlib", "pyarrow", "pydantic", "numba")
@@ -123,7 +123,7 @@ def start(monkeypatch, capsys, tmp_path):
         def prepare(scenario, folder, *, plants):
             return Job(scenario.name, folder, log, endings[scenario.name])
 
-        monkeypatch.setattr("srs_twin.scenario.load_scenario", load)
+        monkeypatch.setattr("srs_twin.scenario.loading.load_scenario", load)
         monkeypatch.setattr("srs_twin.experiment.check_run", lambda scenario, folder: None)
         monkeypatch.setattr("srs_twin.experiment.prepare", prepare)
         monkeypatch.setattr("srs_twin.compute.workers.each", last_first)

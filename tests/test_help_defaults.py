@@ -38,6 +38,8 @@ PHRASES = {
     "the twin's", "NAME.valves.csv beside it", "the robot's", "the valves'", "estimated",
     "where it crawls to", "free", "none", "no motion capture", "Ctrl-C does", "this machine's",
     "the run's folder", "ROBOT_WHAT", "ROBOT_CONTROLLER", "3; 1 where the twin's shapes lead",
+    "generation 2", "scaled from generation 2", "NAME.yaml, NAME.py", 
+    "all in MCAP, else the twin", "RUN/twin.csv, RUN/run.mcap",
 }  # fmt: skip
 
 

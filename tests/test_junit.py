@@ -25,7 +25,7 @@ from srs_twin.cli.junit import report_path, write_junit
 from srs_twin.comparison.undefined import Undefined
 from srs_twin.errors import DivergedError, InputError, WorkerDiedError
 from srs_twin.experiment import RunResult
-from srs_twin.scenario import Expectation
+from srs_twin.scenario.expectation import Expectation
 from srs_twin.viewing.rerun.viewer import rerun_executable
 
 SCENARIO = """\

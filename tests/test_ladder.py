@@ -17,7 +17,7 @@ from srs_twin.errors import InputFileError
 from srs_twin.experiment import run_scenario
 from srs_twin.plants.base import SnakeState
 from srs_twin.robot.friction import LAWS
-from srs_twin.scenario import parse_scenario
+from srs_twin.scenario.loading import parse_scenario
 
 MASSES = (0.03, 0.05, 0.02, 0.04, 0.1)
 SMOOTH = {"mu_t": 1.0, "mu_n": 15.0}  # for the viscous law

@@ -14,7 +14,7 @@ from srs_twin import InputError, Trajectory, load_scenario
 from srs_twin.comparison.compare import compare
 from srs_twin.comparison.learning import ChamberPeriods
 from srs_twin.experiment import prepare
-from srs_twin.scenario import parse_scenario
+from srs_twin.scenario.loading import parse_scenario
 from srs_twin.sensing import Sensor
 from srs_twin.viewing.plots.runs import learning_plot
 

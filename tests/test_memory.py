@@ -21,7 +21,7 @@ from srs_twin.control.base import Controller
 from srs_twin.io.saved_state import SavedState
 from srs_twin.plants.base import Plant, SnakeState
 from srs_twin.pneumatics.valves import StuckValve
-from srs_twin.scenario import parse_scenario
+from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.scenario import Scenario
 
 PLANTS = {
@@ -233,6 +233,16 @@ def test_a_state_that_unpacks_to_far_more_is_refused(tmp_path):
     np.savez_compressed(tmp_path / "state.npz", state="{}", zeros=np.zeros(1 << 26))
     assert (tmp_path / "state.npz").stat().st_size < 1 << 20
     with pytest.raises(InputError, match=r"holds no state: ValueError: 536871\d+ bytes, unpacked; at most"):
+        SavedState.read(tmp_path / "state.npz")
+
+
+def test_a_file_of_another_version_is_refused_by_its_version(tmp_path):
+    """Version 1 named classes by the modules of that time."""
+    tree = '{"version": 1, "of": {}, "content": {"@": "srs_twin.plants.loaded:Memory", "parts": {}}}'
+    np.savez(tmp_path / "state.npz", state=np.array(tree))
+    with pytest.raises(
+        InputError, match=r"state.npz: saved state of version 1; this program reads version \d"
+    ):
         SavedState.read(tmp_path / "state.npz")
 
 

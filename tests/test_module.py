@@ -16,7 +16,7 @@ from srs_twin.control.reference import Sine, Step
 from srs_twin.control.replay import HoldValves
 from srs_twin.control.smc import DirectSMC, IterativeSMC
 from srs_twin.errors import InputError, InputFileError
-from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.sensing import make_sensor
 
 MODULE = load_robot("gen4_module")

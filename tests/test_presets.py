@@ -11,7 +11,7 @@ from presets import FINE_S, METRICS, errors, measured
 
 from srs_twin import InputError, TwinSnake, load_robot
 from srs_twin.plants.twin.mjcf.numerics import PRESETS, Preset
-from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.scenario.plants import TwinFile
 from srs_twin.studies.sweep.points import Experiment
 

@@ -20,7 +20,7 @@ from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.signals.logs import on_bench
 from srs_twin.recordings.takes import RecordingReader
-from srs_twin.scenario import parse_scenario
+from srs_twin.scenario.loading import parse_scenario
 
 MODULE = load_robot("gen4_module")
 SUPPLY = MODULE.supply.nominal

@@ -10,7 +10,7 @@ import pytest
 
 from srs_twin.robot.priors import Prior, Priors
 from srs_twin.robot.sourced import Uncertain
-from srs_twin.scenario import load_scenario
+from srs_twin.scenario.loading import load_scenario
 from srs_twin.studies.uncertainty.plots import draw_intervals
 from srs_twin.studies.uncertainty.propagation import Propagation
 from srs_twin.studies.uncertainty.spreads import BOUNDING, Spread, predicted, sampling_errors

@@ -19,7 +19,7 @@ from srs_twin.io.documents import Document, dump_yaml
 from srs_twin.io.validation import validate
 from srs_twin.robot.file import RobotFile, load_robot_file
 from srs_twin.robot.priors import Priors
-from srs_twin.scenario import load_scenario
+from srs_twin.scenario.loading import load_scenario
 from srs_twin.studies.sweep.execution import OpenSweep, local
 from srs_twin.studies.uncertainty.propagation import propagate
 from srs_twin.studies.uncertainty.study import Study
@@ -165,7 +165,7 @@ def test_sensitivities_of_the_complete_model_by_brute_force(tmp_path):
     )
     found = load_scenario("gen2_straight", set={"duration_s": 3.0})
     document = {**found.document, "robot": file.model_dump(mode="json")}
-    from srs_twin.scenario import parse_scenario
+    from srs_twin.scenario.loading import parse_scenario
 
     study = Study(parse_scenario(document, name="brute"), Priors.of(file), ("analytical",), samples=512)
     spread = propagate(study, tmp_path, local(2)).plants["analytical"]["com_speed_m_s"]

@@ -15,8 +15,8 @@ from srs_twin.comparison.undefined import why_undefined
 from srs_twin.experiment import PreparedRun, stored_intervals
 from srs_twin.io.files import shipped_names
 from srs_twin.rollout import rollout
-from srs_twin.scenario import Expectation, load_scenario, parse_scenario
-from srs_twin.scenario.expectation import largest_parameter, result_text, verdict
+from srs_twin.scenario.expectation import Expectation, largest_parameter, result_text, verdict
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.trajectory import Trajectory
 
 GAIT: dict[str, Any] = {

@@ -9,7 +9,7 @@ import pytest
 
 from srs_twin import Trajectory, rollout
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.scenario import parse_scenario
+from srs_twin.scenario.loading import parse_scenario
 
 both = pytest.mark.parametrize("plant", ["analytical", pytest.param("twin", marks=pytest.mark.slow)])
 _RUNS: dict[str, Trajectory] = {}

@@ -9,7 +9,7 @@ import pytest
 from srs_twin import rollout
 from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS
 from srs_twin.planning.metrics import PLANNING_UNITS
-from srs_twin.scenario import parse_scenario
+from srs_twin.scenario.loading import parse_scenario
 
 pytestmark = pytest.mark.fast
 

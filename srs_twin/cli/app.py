@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from srs_twin import __version__
-from srs_twin.cli import models
+from srs_twin.cli import models, new
 from srs_twin.cli.catalogue import list_, schema, show
 from srs_twin.cli.console import DEBUG
 from srs_twin.cli.diff import diff
@@ -40,11 +40,12 @@ _CORE = {
     "schema": schema,
     "doctor": doctor,
     "models": models.app,
+    "new": new.app,
 }
 _ORDER = (
     *("list", "show", "inspect", "run", "compare", "plan", "replay", "sweep", "optimize", "uncertainty"),
-    *("reproduce", "view", "play", "emulate", "shadow", "render", "diff", "schema", "doctor"),
-    *("calibrate", "models"),
+    *("reproduce", "view", "play", "emulate", "shadow", "render", "export", "diff", "schema", "doctor"),
+    *("calibrate", "models", "new"),
 )
 """Order in the help; other commands come last."""
 

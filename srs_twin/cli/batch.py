@@ -23,7 +23,7 @@ from srs_twin.errors import InputError, SrsError
 
 if TYPE_CHECKING:
     from srs_twin.io.documents import Change
-    from srs_twin.scenario import Scenario
+    from srs_twin.scenario.scenario import Scenario
 
 RUNS = Path("runs")
 
@@ -160,7 +160,7 @@ def _load(
     """Load every scenario and see that it can run; say what is wrong with the bad ones, return the others."""
     from srs_twin.experiment import check_run
     from srs_twin.io.files import open_folder
-    from srs_twin.scenario import load_scenario
+    from srs_twin.scenario.loading import load_scenario
 
     base = Path(out) if out else RUNS
     taken: set[Path] = set()

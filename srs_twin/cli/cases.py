@@ -12,7 +12,7 @@ from srs_twin.errors import SrsError
 
 if TYPE_CHECKING:
     from srs_twin.experiment import RunResult
-    from srs_twin.scenario import Scenario
+    from srs_twin.scenario.scenario import Scenario
 
 EXPECTATION_FAILED = 1
 """Exit code where an expectation decides it."""

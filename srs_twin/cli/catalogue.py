@@ -100,7 +100,7 @@ def _resolved(name: str) -> dict[str, Any]:
     from srs_twin.io.documents import load_yaml
     from srs_twin.io.files import existing, shipped_names
     from srs_twin.robot.file import load_robot_file
-    from srs_twin.scenario import load_scenario
+    from srs_twin.scenario.loading import load_scenario
 
     robots, scenarios = shipped_names("robot"), shipped_names("scenario")
     a_file = "/" in name or name.endswith((".yaml", ".yml"))

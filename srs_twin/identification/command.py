@@ -462,7 +462,7 @@ def margin(
     from srs_twin.io.files import find, open_folder, read_text
     from srs_twin.planning.footprint import load_footprint_file, save_footprint
     from srs_twin.planning.margins import excursion_quantile
-    from srs_twin.scenario import load_scenario
+    from srs_twin.scenario.loading import load_scenario
 
     # Whatever margin the scenario wants, it is not what is measured.
     none = Change("a margin to be measured", ("planner", "margin_probability"), None)

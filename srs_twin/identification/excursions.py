@@ -24,8 +24,9 @@ from srs_twin.planning.scenario import FollowFile
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.world import Goal, Pose, World
 from srs_twin.rollout import rollout
-from srs_twin.scenario import Scenario, parse_scenario
+from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.plants import PlantsFile
+from srs_twin.scenario.scenario import Scenario
 
 LENGTH = 3.5
 """Of a drawn way, m."""

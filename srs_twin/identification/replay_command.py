@@ -72,7 +72,7 @@ def replay(
         out: Folder for the files. [default: runs/MOTION]
     """
     from srs_twin.io.files import results_name
-    from srs_twin.scenario import parse_scenario
+    from srs_twin.scenario.loading import parse_scenario
 
     fails = failing(check=check, strict=strict)
     if fails and expect is None:

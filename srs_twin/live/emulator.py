@@ -29,7 +29,7 @@ from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics.orifice import OrificePneumatics
 from srs_twin.pneumatics.valves import StuckValve
-from srs_twin.scenario import parse_scenario
+from srs_twin.scenario.loading import parse_scenario
 
 SILENT_S = 0.2
 """Without a command for so long all chambers are vented."""

@@ -15,7 +15,7 @@ from srs_twin.live.shadow import DELAY_S, Estimate, Shadow
 from srs_twin.planning.follower import Follower
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import Pose
-from srs_twin.scenario import Scenario
+from srs_twin.scenario.scenario import Scenario
 
 PATIENCE_S = 3.0
 """For so long a lost robot lies vented before it is given up, and one without air is steered."""

@@ -157,7 +157,7 @@ def _twin(lab: dict[str, Any], follow: str | None, members: int, seed: int) -> t
     from srs_twin.live.session import TICK_S, warm_up
     from srs_twin.live.shadow import Shadow, frames_of
     from srs_twin.robot.file import load_robot
-    from srs_twin.scenario import load_scenario
+    from srs_twin.scenario.loading import load_scenario
 
     spec = load_robot(lab["robot"])
     frames = frames_of(lab["body"], spec.geometry.connectors) if lab["body"] else None

@@ -27,7 +27,7 @@ from srs_twin.io.files import shown
 
 if TYPE_CHECKING:
     from srs_twin.planning.problem import Plan, Problem
-    from srs_twin.scenario import Scenario
+    from srs_twin.scenario.scenario import Scenario
 
 _ROUNDING = 1e-9
 """Lengths below this count as 0, m."""
@@ -61,8 +61,8 @@ def plan(
     from srs_twin.io.file_sets import replaced
     from srs_twin.io.files import open_folder
     from srs_twin.planning.metrics import plan_metrics
-    from srs_twin.scenario import load_scenario
     from srs_twin.scenario.expectation import verdict
+    from srs_twin.scenario.loading import load_scenario
     from srs_twin.scenario.modified import left_out_line
 
     loaded = load_scenario(scenario, set=changed.changes())

@@ -9,11 +9,11 @@ import numpy as np
 
 from srs_twin.robot.file import load_robot
 from srs_twin.robot.spec import GRAVITY
-from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 
 if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
-    from srs_twin.scenario import Scenario
+    from srs_twin.scenario.scenario import Scenario
     from srs_twin.trajectory import Trajectory
 
 Numbers = dict[str, float | None]

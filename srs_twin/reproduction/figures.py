@@ -23,8 +23,8 @@ from srs_twin.planning.pictures import following_plot
 from srs_twin.reproduction.claims import COLUMNS, Name, RunRequest, load_list
 from srs_twin.reproduction.runs import Job, Store, points_of, sweep_of
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.scenario import parse_scenario
 from srs_twin.scenario.fields import Section
+from srs_twin.scenario.loading import parse_scenario
 from srs_twin.studies.sweep.plots import draw
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.plots.from_above import plan_view

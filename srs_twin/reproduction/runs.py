@@ -20,7 +20,7 @@ from srs_twin.compute.workers import each, start_server
 from srs_twin.errors import SrsError
 from srs_twin.io.files import open_folder, shipped_folder
 from srs_twin.reproduction.claims import COMPUTATIONS, Plain, RunRequest, Set
-from srs_twin.scenario import load_scenario
+from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.provenance import digest_of, run_key, source_digests, versions
 from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.points import RUNNER, Experiment, Point, Sweep

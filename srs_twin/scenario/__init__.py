@@ -1,8 +1,13 @@
 """Scenarios: experiments that are read from files, checked, and built into plants and controllers."""
 
-from srs_twin.scenario.expectation import Expectation
-from srs_twin.scenario.loading import load_scenario, parse_scenario
-from srs_twin.scenario.scenario import Scenario
-from srs_twin.scenario.schema import scenario_json_schema
+from srs_twin.extensions import lazy
 
-__all__ = ["Expectation", "Scenario", "load_scenario", "parse_scenario", "scenario_json_schema"]
+__getattr__ = lazy(
+    {
+        "Expectation": "srs_twin.scenario.expectation:Expectation",
+        "Scenario": "srs_twin.scenario.scenario:Scenario",
+        "load_scenario": "srs_twin.scenario.loading:load_scenario",
+        "parse_scenario": "srs_twin.scenario.loading:parse_scenario",
+        "scenario_json_schema": "srs_twin.scenario.schema:scenario_json_schema",
+    }
+)

@@ -8,7 +8,8 @@ from typing import Any
 from hostile_yaml import edited
 from hypothesis import strategies as st
 
-from srs_twin.scenario import Scenario, parse_scenario
+from srs_twin.scenario.loading import parse_scenario
+from srs_twin.scenario.scenario import Scenario
 
 GOOD = b"""\
 title: A way among circles

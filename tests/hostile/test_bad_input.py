@@ -8,7 +8,7 @@ import pytest
 from parsers import SCENARIO
 
 from srs_twin.errors import InputError
-from srs_twin.scenario import load_scenario
+from srs_twin.scenario.loading import load_scenario
 
 pytestmark = pytest.mark.fast
 

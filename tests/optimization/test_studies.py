@@ -12,7 +12,7 @@ import pytest
 from srs_twin.compute.workers import Done
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.files import shipped_names
-from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.studies.optimization.answer import Answer
 from srs_twin.studies.optimization.file import VariableFile
 from srs_twin.studies.optimization.loading import load_study

@@ -11,7 +11,7 @@ from srs_twin import Trajectory, TwinSnake, rollout
 from srs_twin.comparison.centre_line import centre_lines, hull_lines
 from srs_twin.planning.metrics import clearances, following_metrics
 from srs_twin.robot.world import Circle, Polygon, World
-from srs_twin.scenario import parse_scenario
+from srs_twin.scenario.loading import parse_scenario
 
 WORLD = World(
     (Circle(0.3, 0.1, 0.06), Circle(-0.4, -0.35, 0.11)),

@@ -12,7 +12,7 @@ from srs_twin.identification import excursions
 from srs_twin.planning.follower import ENDINGS
 from srs_twin.planning.footprint import load_footprint_file, save_footprint
 from srs_twin.planning.margins import LOST_M, ConditionsFile, ExcursionsFile, excursion_quantile, margin_for
-from srs_twin.scenario import load_scenario
+from srs_twin.scenario.loading import load_scenario
 
 CONDITIONS = {
     "plant": "twin", "follower": "path", "gain_spread": 0.1, "turn_share": 0.5, "delay_s": 0.1,

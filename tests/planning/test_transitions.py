@@ -16,7 +16,7 @@ from srs_twin.planning.path import Segment, path_from_arcs
 from srs_twin.planning.planner import plan, plan_with_transitions, with_transitions
 from srs_twin.planning.problem import Problem, Settings
 from srs_twin.robot.world import Bounds, Circle, Goal, Pose, World
-from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 
 LEARNT, OPEN = load_footprint("gen4_ilc"), load_footprint("gen2_gait")
 START = Pose(0.0, 0.0, 0.0)

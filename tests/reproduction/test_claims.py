@@ -11,7 +11,7 @@ from conftest import ROOT
 from srs_twin.attribution import Ladder
 from srs_twin.errors import InputFileError, UnknownNameError
 from srs_twin.reproduction.claims import chosen, load_claims
-from srs_twin.scenario import load_scenario
+from srs_twin.scenario.loading import load_scenario
 
 pytestmark = pytest.mark.fast
 

@@ -16,7 +16,7 @@ from srs_twin.reproduction.report import MEANINGS, TITLES, by_category
 from srs_twin.reproduction.runs import sweep_of
 from srs_twin.reproduction.verdicts import MET, Judged, load_baseline
 from srs_twin.robot.file import load_robot
-from srs_twin.scenario import load_scenario
+from srs_twin.scenario.loading import load_scenario
 
 pytestmark = pytest.mark.fast
 

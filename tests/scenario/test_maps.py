@@ -17,7 +17,7 @@ from srs_twin.planning.footprint import load_footprint
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Problem
 from srs_twin.robot.world import Goal, Pose, World
-from srs_twin.scenario import load_scenario
+from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.map_file import read_circles, read_map
 
 MAP = """image: {image}

@@ -14,7 +14,7 @@ from srs_twin.experiment import load_run
 from srs_twin.io.documents import Change, dump_yaml, parse_yaml
 from srs_twin.io.files import data_root
 from srs_twin.robot.file import load_robot_file
-from srs_twin.scenario import parse_scenario
+from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.modified import affects, marked
 from srs_twin.scenario.provenance import judged_digest, run_key
 from srs_twin.studies.optimization.loading import load_study

@@ -11,7 +11,8 @@ import pytest
 
 from srs_twin import InputError
 from srs_twin.rollout import rollout
-from srs_twin.scenario import Scenario, parse_scenario
+from srs_twin.scenario.loading import parse_scenario
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 
 SEGMENTS = 4

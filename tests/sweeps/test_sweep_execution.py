@@ -13,7 +13,7 @@ from srs_twin import Trajectory, rollout
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.compute.workers import Done
 from srs_twin.errors import InputError, WorkerDiedError
-from srs_twin.scenario import parse_scenario
+from srs_twin.scenario.loading import parse_scenario
 from srs_twin.studies.sweep.execution import open_sweep
 from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.store import digest

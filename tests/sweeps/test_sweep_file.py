@@ -9,7 +9,7 @@ from subsets import first_by_default
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import shipped_names
-from srs_twin.scenario import load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.studies.sweep.loading import load_sweep
 
 

@@ -16,7 +16,7 @@ from subsets import first_by_default
 
 import srs_twin
 from srs_twin.errors import InputError
-from srs_twin.scenario import load_scenario
+from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.provenance import file_digests, run_key, source_digests
 from srs_twin.studies.sweep.execution import open_sweep
 from srs_twin.studies.sweep.loading import load_sweep

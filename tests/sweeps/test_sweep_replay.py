@@ -12,7 +12,7 @@ from srs_twin import rollout
 from srs_twin.comparison.compare import MeasuredDifference
 from srs_twin.comparison.metrics import MEASURED_UNITS
 from srs_twin.errors import InputFileError
-from srs_twin.scenario import parse_scenario
+from srs_twin.scenario.loading import parse_scenario
 from srs_twin.studies.sweep.loading import load_sweep
 
 WALK = ROOT / "calibration/examples/my_snake/walk_check.csv"

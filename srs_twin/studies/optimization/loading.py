@@ -15,8 +15,9 @@ from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_yo
 from srs_twin.io.documents import Change, Document, Loc, dotted, load_yaml
 from srs_twin.io.files import find, results_name
 from srs_twin.io.validation import validate
-from srs_twin.scenario import Scenario, load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.scenario.modified import Changes, changed_fields, marked
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.optimization.file import SEGMENTS, StudyFile
 from srs_twin.studies.optimization.space import Space
 from srs_twin.studies.sweep.points import Experiment, leaves

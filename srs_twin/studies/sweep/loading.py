@@ -18,10 +18,11 @@ from srs_twin.io.files import find, results_name
 from srs_twin.io.validation import validate
 from srs_twin.planning.metrics import PLANNING_UNITS
 from srs_twin.robot.file import load_robot_file
-from srs_twin.scenario import Scenario, load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.scenario.modified import Changes, affects, changed_fields, marked, with_plants
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import NOT_PHYSICS, versions
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.file import RangeFile, SweepFile
 from srs_twin.studies.sweep.points import Experiment, Sweep, Value, leaves, sample
 from srs_twin.studies.sweep.table import Published, Values

@@ -11,7 +11,8 @@ from srs_twin.compute.workers import Done
 from srs_twin.errors import EngineWarning, InputError, SrsError
 from srs_twin.plants.twin.batch import warp_batch
 from srs_twin.rollout import run_scripts
-from srs_twin.scenario import Scenario, parse_scenario
+from srs_twin.scenario.loading import parse_scenario
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.execution import Engine, local
 from srs_twin.studies.sweep.points import Experiment, Point
 from srs_twin.studies.sweep.task import Row, run_point

@@ -15,8 +15,9 @@ from srs_twin.errors import InputError, SrsError
 from srs_twin.io.files import printable
 from srs_twin.planning.metrics import plan_metrics
 from srs_twin.rollout import rollout
-from srs_twin.scenario import Scenario, parse_scenario
+from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.plants import PLANTS
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.points import Experiment, Point
 from srs_twin.trajectory import Trajectory
 

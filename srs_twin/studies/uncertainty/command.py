@@ -71,7 +71,7 @@ def uncertainty(
     from srs_twin.io.files import open_folder
     from srs_twin.robot.file import RobotFile
     from srs_twin.robot.priors import Priors
-    from srs_twin.scenario import load_scenario
+    from srs_twin.scenario.loading import load_scenario
     from srs_twin.studies.uncertainty.propagation import propagate
     from srs_twin.studies.uncertainty.study import Study
 

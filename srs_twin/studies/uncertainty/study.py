@@ -11,9 +11,10 @@ import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.robot.priors import Priors
-from srs_twin.scenario import Scenario, parse_scenario
+from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.plants import TwinFile
 from srs_twin.scenario.provenance import versions
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.points import Experiment, Sweep, Value
 
 COMPLIANT = "compliant"

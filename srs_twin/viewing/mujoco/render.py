@@ -18,7 +18,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write, shown
-from srs_twin.scenario import Scenario
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.mujoco.canvas import Canvas
 from srs_twin.viewing.mujoco.stage import Ghost, Stage

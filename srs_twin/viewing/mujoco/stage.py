@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.scenario import Scenario
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import added_to
 from srs_twin.viewing.mujoco.canvas import Canvas, Label

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from srs_twin.io.files import atomic_write
-from srs_twin.scenario import Scenario
+from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.mujoco.canvas import Canvas
 from srs_twin.viewing.mujoco.stage import Stage

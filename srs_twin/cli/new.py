@@ -1,0 +1,179 @@
+"""`srs-twin new`: commented files to start from."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import sys
+from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import Annotated, Any
+
+import typer
+
+from srs_twin.cli.console import say
+from srs_twin.cli.options import argument, option, with_options
+from srs_twin.errors import InputError
+from srs_twin.extensions import LOADERS, load
+
+app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="Files to start from: commented and valid."
+)
+
+NameArgument = Annotated[str, argument("NAME", "Name of the file, letters, digits and _.")]
+OutOption = Annotated[str | None, option("--out FILE", "File to write. [default: NAME.yaml, NAME.py]")]
+
+# Generation 2, from which a new robot is scaled.
+_PITCH_M = 0.055
+_MASS_KG = 0.15
+_PRESSURE_KPA = 48.3
+_AIR_ML = 45.0
+
+_SUFFIXES = {".yaml": ".yaml", ".txt": ".py"}
+"""Suffix of a template → suffix of the file."""
+
+
+def robot(
+    name: NameArgument,
+    length: Annotated[float | None, option("--length M")] = None,
+    mass: Annotated[float | None, option("--mass KG")] = None,
+    segments: Annotated[int | None, option("--segments N")] = None,
+    pressure: Annotated[float | None, option("--pressure KPA")] = None,
+    bend: Annotated[float | None, option("--bend RAD")] = None,
+    out: OutOption = None,
+) -> None:
+    """Write a robot file, scaled from generation 2.
+
+    Asks for numbers that are not given if the terminal is interactive.
+
+    Options:
+        length: Body length, m. [default: generation 2]
+        mass: Mass of the whole robot, kg. [default: scaled from generation 2]
+        segments: Bending segments. [default: generation 2]
+        pressure: Supply pressure, gauge, kPa. [default: generation 2]
+        bend: Bend of one segment at that pressure, rad. [default: generation 2]
+    """
+    count = int(_answer("number of segments", segments, 4))
+    body = _answer("body length, m", length, 4 * _PITCH_M)
+    scale = body / max(count, 1) / _PITCH_M
+    total = _answer("mass of the robot, kg", mass, _rounded(_MASS_KG / 5 * (count + 1) * scale**3))
+    supply = _answer("supply pressure, kPa", pressure, _PRESSURE_KPA)
+    most = _answer("bend of one segment at that pressure, rad", bend, 1.57)
+    if count < 1 or not all(0 < number < math.inf for number in (body, total, supply, most)):
+        raise InputError("length, mass, segments, pressure and bend must be positive")
+    air = _AIR_ML * scale**3
+    values = {
+        "segments": count,
+        "connectors": count + 1,
+        "segment": 0.037 * scale,
+        "gap": 0.018 * scale,
+        "track": 0.015 * scale,
+        "radius": 0.008 * scale,
+        "height": 0.015 * scale,
+        "width": 0.04 * scale,
+        "mass": total / (count + 1),
+        "wheel": 0.0015 * scale**3,
+        "stiffness": 0.5 * 1e3 * supply * 1e-6 * air / most**2,
+        "plane": 0.1 * scale**4,
+        "damping": 0.00214 * math.sqrt(scale),
+        "bend": most,
+        "pressure": supply,
+        "limit": 1.4 * supply,
+        "air": air,
+        "dead": 11.0 * scale**3,
+        "phase": 2 * math.pi / count,
+    }
+    title = f"{name}: {count} segments, {body:g} m, {total:g} kg"
+    from srs_twin.robot.file import load_robot
+
+    path = _write("robot.yaml", name, out, load_robot, title=title, **values)
+    _next(path, f"srs-twin new scenario {name}_straight --robot {path}")
+
+
+def scenario(
+    name: NameArgument,
+    robot: Annotated[str, option("--robot -r ROBOT")] = "gen2",
+    frequency: Annotated[float, option("--frequency HZ")] = 1.5,
+    duration: Annotated[float, option("--duration S")] = 5.0,
+    out: OutOption = None,
+) -> None:
+    """Write a scenario file: a robot, a gait and expectations.
+
+    Options:
+        robot: Shipped robot or a file.
+        frequency: Gait frequency, Hz.
+        duration: Simulated time, s.
+    """
+    title = f"{name}: straight at {frequency:g} Hz"
+    from srs_twin.scenario.loading import load_scenario
+
+    values = {"robot": json.dumps(robot), "frequency": frequency, "duration": duration}
+    path = _write("scenario.yaml", name, out, load_scenario, title=title, **values)
+    _next(path, f"srs-twin compare {path}")
+
+
+def study(
+    name: NameArgument,
+    scenario: Annotated[str, option("--scenario SCENARIO")] = "gen2_straight",
+    out: OutOption = None,
+) -> None:
+    """Write a study file: the fastest gait of a scenario.
+
+    Options:
+        scenario: Shipped scenario or a file.
+    """
+    check, title = load(LOADERS["study"]), f"{name}: fastest gait"
+    path = _write("study.yaml", name, out, check, title=title, scenario=json.dumps(scenario))
+    _next(path, f"srs-twin optimize {path}")
+
+
+def controller(name: NameArgument, out: OutOption = None) -> None:
+    """Write a controller in Python, with a run on both plants."""
+    cls = "".join(part.capitalize() for part in name.split("_"))
+    path = _write(
+        "controller.txt", name, out, lambda path: compile(path.read_text("utf-8"), path, "exec"), cls=cls
+    )
+    _next(path, f"python {path}")
+
+
+for _command in (robot, scenario, controller, study):
+    app.command(_command.__name__)(with_options(_command))
+
+
+def _answer(question: str, value: float | None, default: float) -> float:
+    """Return an option, or what the user answers, or the default if nobody can be asked."""
+    if value is not None or not sys.stdin.isatty():
+        return default if value is None else value
+    return float(typer.prompt(question, default=default, err=True))
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.3g}")
+
+
+def _write(template: str, name: str, out: str | None, check: Callable[[Path], Any], **values: Any) -> Path:
+    """Write a template with its values, and check the file; a file that fails is removed."""
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
+        raise InputError(f"{name!r} is not a name: letters a to z, digits and _ are allowed, a letter first")
+    path = Path(out) if out else Path(f"{name}{_SUFFIXES[Path(template).suffix]}")
+    if path.exists():
+        raise InputError(f"{path} exists; give another name or --out")
+    text = files("srs_twin.cli").joinpath("templates", template).read_text("utf-8")
+    shown = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in values.items()}
+    from srs_twin.io.files import write_text
+
+    write_text(path, Template(text).substitute(name=name, file=path, **shown))
+    try:
+        check(path)
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
+    return path
+
+
+def _next(path: Path, command: str) -> None:
+    say(f"wrote {path}; it is valid")
+    print(f"next: {command}")

@@ -1,0 +1,193 @@
+"""Runs as MCAP with ROS 2 messages, CSV or NumPy archives, for other tools.
+
+Topics of a plant, for example ``twin``:
+
+- ``/twin/connector_1/pose`` (geometry_msgs/PoseStamped): one topic per connector, and ``/twin/com/pose`` of
+  the centre of mass; ``/tf`` has the same poses as transforms from ``world`` to ``twin/connector_1`` etc.
+- ``/twin/bends`` (sensor_msgs/JointState): bends, rad, positive to the left.
+- ``/twin/pressure_plus_1`` (sensor_msgs/FluidPressure): absolute pressure of a chamber, Pa, as in ROS.
+- ``/twin/valves`` (std_msgs/Int8MultiArray): valve states of the + and − chamber of each segment.
+
+Times are simulated seconds since the start; stamps and log times are equal.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from srs_twin.errors import InputError
+from srs_twin.io.files import atomic_write
+from srs_twin.pneumatics.chambers import AMBIENT_PA
+from srs_twin.trajectory import Trajectory
+
+WORLD = "world"
+"""Frame of all poses."""
+
+_NS = 1_000_000_000
+_SIDES = ("plus", "minus")
+
+
+def write_csv(path: Path, run: Trajectory) -> None:
+    """Write the columns of a trajectory as CSV, SI units, names as in the Parquet file.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    names = list(run.columns)
+    with atomic_write(path) as part, part.open("w", encoding="utf-8") as file:
+        file.write(",".join(names) + "\n")
+        for row in zip(*(run.columns[name].tolist() for name in names), strict=True):
+            file.write(",".join(map(repr, row)) + "\n")
+
+
+def write_npz(path: Path, run: Trajectory) -> None:
+    """Write the columns of a trajectory as a NumPy archive, with ``units`` and ``metadata`` as JSON texts.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    about = {"units": json.dumps(dict(run.units)), "metadata": json.dumps(dict(run.metadata))}
+    with atomic_write(path) as part, part.open("wb") as file:
+        np.savez_compressed(
+            file, allow_pickle=False, **run.columns, **{k: np.array(v) for k, v in about.items()}
+        )
+
+
+def write_mcap(path: Path, runs: Mapping[str, Trajectory]) -> None:
+    """Write trajectories as ROS 2 messages in an MCAP file.
+
+    Args:
+        path: file to write; an existing one is replaced.
+        runs: plant → trajectory.
+
+    Raises:
+        InputError: the extra `recordings` is missing, or the file cannot be written.
+    """
+    try:
+        from mcap.writer import Writer
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise InputError(
+            "MCAP needs an extra; install it with: pip install 'srs-twin[recordings]'"
+        ) from error
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    channels: dict[str, int] = {}
+    schemas: dict[str, int] = {}
+    with atomic_write(path) as part, part.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2", library="srs-twin")
+        for topic, kind, time, message in _messages(runs, store):
+            if kind not in schemas:
+                text, _ = store.generate_msgdef(kind, ros_version=2)
+                schemas[kind] = writer.register_schema(kind, "ros2msg", text.encode())
+            if topic not in channels:
+                channels[topic] = writer.register_channel(topic, "cdr", schemas[kind])
+            writer.add_message(channels[topic], time, bytes(store.serialize_cdr(message, kind)), time)
+        writer.finish()
+
+
+def recording_map(plant: str, run: Trajectory) -> dict[str, Any]:
+    """Return the recording map with which `inspect` and `replay` read an exported MCAP file back."""
+    connectors = range(1, run.position.shape[1] + 1)
+    log = {
+        f"pressure_{side}_{j}": {"column": f"/{plant}/pressure_{side}_{j}.fluid_pressure", "unit": "Pa"}
+        for j in connectors[:-1]
+        for side in _SIDES
+    }
+    return {
+        "bodies": {f"/{plant}/connector_{i}/pose": {"connector": i} for i in connectors},
+        "log": {**log, "ambient_kpa": AMBIENT_PA / 1e3},
+    }
+
+
+def foxglove_layout(runs: Mapping[str, Trajectory]) -> dict[str, Any]:
+    """Return a Foxglove layout: the snakes in 3D, bends and pressures over time."""
+    bends, pressures = [], []
+    for plant, run in runs.items():
+        for j in range(1, run.position.shape[1]):
+            path = f'/{plant}/bends.position[:]{{name=="segment_{j}"}}'
+            bends.append({"value": path, "enabled": True, "timestampMethod": "headerStamp"})
+            value = f"/{plant}/pressure_plus_{j}.fluid_pressure"
+            pressures.append({"value": value, "enabled": True, "timestampMethod": "headerStamp"})
+    return {
+        "configById": {
+            "3D!snakes": {"followTf": WORLD, "scene": {"transforms": {"axisScale": 0.05}}},
+            "Plot!bends": {"title": "Bends, rad", "paths": bends},
+            "Plot!pressures": {"title": "Pressures of the + chambers, Pa", "paths": pressures},
+        },
+        "globalVariables": {},
+        "userNodes": {},
+        "layout": {
+            "direction": "row",
+            "first": "3D!snakes",
+            "second": {"direction": "column", "first": "Plot!bends", "second": "Plot!pressures"},
+        },
+    }
+
+
+def _messages(runs: Mapping[str, Trajectory], store: Any) -> Iterator[tuple[str, str, int, Any]]:
+    """Yield topic, type, time (ns) and message, in the order of time."""
+    times = sorted(
+        (round(time * _NS), plant, k) for plant, run in runs.items() for k, time in enumerate(run.time)
+    )
+    samples = {plant: _Sample(plant, run, store) for plant, run in runs.items()}
+    for time, plant, k in times:
+        for topic, kind, message in samples[plant].messages(k, time):
+            yield topic, kind, time, message
+
+
+class _Sample:
+    """Messages of the samples of one plant."""
+
+    def __init__(self, plant: str, run: Trajectory, store: Any) -> None:
+        self._plant, self._run = plant, run
+        self._types = {name.rsplit("/", 1)[1]: kind for name, kind in store.types.items()}
+        names = ["com", *(f"connector_{i}" for i in range(1, run.position.shape[1] + 1))]
+        places = np.concatenate([run.com[:, None], run.position], axis=1)
+        angles = np.concatenate([run["heading"][:, None], run.stack("theta")], axis=1)
+        self._bodies = list(zip(names, np.moveaxis(places, 1, 0), angles.T, strict=True))
+        self._bends = run.stack("bend")
+        self._sides = [side for side in _SIDES if run.has(f"pressure_{side}")]
+        self._pressures = {side: run.stack(f"pressure_{side}") for side in self._sides}
+        valves = run.has("valve_plus") and run.has("valve_minus")
+        self._valves = np.stack([run.stack(f"valve_{s}") for s in _SIDES], axis=-1) if valves else None
+
+    def messages(self, k: int, time: int) -> Iterator[tuple[str, str, Any]]:
+        """Yield topic, type and message of a sample; time in ns."""
+        make, plant = self._types, self._plant
+        stamp = make["Time"](sec=time // _NS, nanosec=time % _NS)
+        header = make["Header"](stamp=stamp, frame_id=WORLD)
+        transforms = []
+        for name, places, angles in self._bodies:
+            x, y, half = float(places[k, 0]), float(places[k, 1]), float(angles[k]) / 2
+            turn = make["Quaternion"](x=0.0, y=0.0, z=float(np.sin(half)), w=float(np.cos(half)))
+            pose = make["Pose"](position=make["Point"](x=x, y=y, z=0.0), orientation=turn)
+            message = make["PoseStamped"](header=header, pose=pose)
+            yield f"/{plant}/{name}/pose", "geometry_msgs/msg/PoseStamped", message
+            transform = make["Transform"](translation=make["Vector3"](x=x, y=y, z=0.0), rotation=turn)
+            child = f"{plant}/{name}"
+            transforms.append(
+                make["TransformStamped"](header=header, child_frame_id=child, transform=transform)
+            )
+        yield "/tf", "tf2_msgs/msg/TFMessage", make["TFMessage"](transforms=transforms)
+        nothing = np.zeros(0)
+        names = [f"segment_{j}" for j in range(1, self._bends.shape[1] + 1)]
+        joints = make["JointState"](
+            header=header, name=names, position=self._bends[k], velocity=nothing, effort=nothing
+        )
+        yield f"/{plant}/bends", "sensor_msgs/msg/JointState", joints
+        for side in self._sides:
+            for j, gauge in enumerate(self._pressures[side][k].tolist(), start=1):
+                message = make["FluidPressure"](
+                    header=header, fluid_pressure=gauge + AMBIENT_PA, variance=0.0
+                )
+                yield f"/{plant}/pressure_{side}_{j}", "sensor_msgs/msg/FluidPressure", message
+        if self._valves is not None:
+            layout = make["MultiArrayLayout"](dim=[], data_offset=0)
+            states = make["Int8MultiArray"](layout=layout, data=self._valves[k].reshape(-1).astype(np.int8))
+            yield f"/{plant}/valves", "std_msgs/msg/Int8MultiArray", states

@@ -1,0 +1,77 @@
+"""`srs-twin new`: files that are valid as they are written, and commands that work as printed."""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+import sys
+
+import pytest
+
+from srs_twin.robot.file import load_robot
+from srs_twin.scenario.loading import load_scenario
+
+
+def test_a_new_robot_has_the_given_size(srs_twin, tmp_path):
+    words = ("--length", "0.66", "--segments", "6", "--mass", "2.1", "--pressure", "60", "--bend", "1.2")
+    done = srs_twin("new", "robot", "worm", *words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    spec = load_robot(tmp_path / "worm.yaml")
+    assert spec.segments == 6 and spec.geometry.body_length == pytest.approx(0.66, rel=1e-3)
+    assert spec.mass.total == pytest.approx(2.1, rel=1e-3)
+    assert spec.supply.nominal == pytest.approx(60e3)
+    # The work of the air bends the segment: half of p V over q².
+    grown = 45e-6 * (0.66 / 6 / 0.055) ** 3
+    assert spec.bending.stiffness == pytest.approx(0.5 * 60e3 * grown / 1.2**2, rel=1e-3)
+
+
+def test_the_printed_commands_lead_from_a_robot_to_a_comparison(srs_twin, tmp_path):
+    done = srs_twin("new", "robot", "worm", cwd=tmp_path)
+    for _ in range(2):
+        *_, last = done.stdout.splitlines()
+        assert last.startswith("next: srs-twin ")
+        words = shlex.split(last.removeprefix("next: srs-twin "))
+        short = ("--duration", "2", "--quiet") if words[0] == "compare" else ()
+        done = srs_twin(*words, *short, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    assert (tmp_path / "runs" / "worm_straight" / "metrics.json").is_file()
+
+
+def test_a_new_study_and_controller_are_valid(srs_twin, tmp_path):
+    done = srs_twin("new", "study", "fast", "--scenario", "gen2_turn", cwd=tmp_path)
+    assert done.returncode == 0 and "next: srs-twin optimize fast.yaml" in done.stdout
+    assert srs_twin("new", "controller", "wiggle", cwd=tmp_path).returncode == 0
+    run = subprocess.run([sys.executable, "wiggle.py"], cwd=tmp_path, capture_output=True, text=True)
+    assert run.returncode == 0 and run.stdout.count(" m in 3 s") == 2, run.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("robot", "Worm"), "'Worm' is not a name"),
+        (("robot", "worm", "--mass", "-1"), "must be positive"),
+        (("robot", "worm", "--segments", "0"), "must be positive"),
+        (("scenario", "walk", "--robot", "gen9"), "gen9"),
+        (("scenario", "walk", "--robot", "gen2\nseed: 3"), "control character"),
+        (("study", "fast", "--scenario", "nothing"), "nothing"),
+    ],
+)
+def test_bad_input_leaves_no_file(words, message, srs_twin, tmp_path):
+    done = srs_twin("new", *words, cwd=tmp_path)
+    assert done.returncode == 2 and message in done.stderr, done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_existing_file_is_kept(srs_twin, tmp_path):
+    (tmp_path / "walk.yaml").write_text("mine")
+    done = srs_twin("new", "scenario", "walk", cwd=tmp_path)
+    assert done.returncode == 2 and "walk.yaml exists" in done.stderr
+    assert (tmp_path / "walk.yaml").read_text() == "mine"
+
+
+def test_the_written_scenario_has_the_given_numbers(srs_twin, tmp_path):
+    words = ("--robot", "gen4", "--frequency", "0.8", "--duration", "3")
+    assert srs_twin("new", "scenario", "walk", *words, cwd=tmp_path).returncode == 0
+    scenario = load_scenario(tmp_path / "walk.yaml")
+    assert (scenario.robot.name, scenario.duration) == ("gen4", 3.0)
+    assert scenario.controller.frequency_hz == 0.8
