@@ -13,7 +13,7 @@ in n if |s| ≤ h, otherwise its distance from the nearer end, a straight line o
 A circle is free of the region if the distance of its centre is at least its radius.
 
 A side of a polygon is cut where it crosses n = l, n = -r (quadratic equations) and s = ±h (linear equations).
-It is free if the midpoint of none of its pieces lies in the region. A polygon that contains the whole region
+It is free if no midpoint of its pieces is in the region. A polygon that contains the whole region
 is not detected: the regions of a plan are connected and start outside all polygons, so the first region
 inside one would cross a side.
 
@@ -46,6 +46,7 @@ _STRAIGHT = 1e-9
 def arc_end(x, y, heading, curvature, length):  # type: ignore[no-untyped-def]
     """Return the pose after a length (m) along an arc: corrected Eq. 33 (E7) by chord and half turn."""
     half = curvature * length / 2
+    # Chord and half turn avoid the cancellation of Eq. 33 for small curvatures.
     chord = length * (np.sin(half) / half if abs(half) > _STRAIGHT else 1.0)
     return x + chord * np.cos(heading + half), y + chord * np.sin(heading + half), heading + 2 * half
 
@@ -65,6 +66,7 @@ def arc_collides(x, y, heading, curvature, length, ahead, behind, left, right, g
     h = (length + ahead + behind) / 2 + ROUNDING_MARGIN
     x, y, heading = arc_end(x, y, heading, curvature, (length + ahead - behind) / 2)
     left, right = left + ROUNDING_MARGIN, right + ROUNDING_MARGIN
+    # Test a bounding square first: most regions are far from the bounds.
     reach = h + max(left, right)
     if x - reach < bounds[0] or x + reach > bounds[1] or y - reach < bounds[2] or y + reach > bounds[3]:
         if _leaves_bounds(x, y, heading, curvature, h, left, right, bounds):
@@ -109,6 +111,7 @@ def _item_collides(k, circles, sides, middle, region):  # type: ignore[no-untype
     reach = region[1] + max(region[2], region[3])
     if k < circles.shape[0]:
         dx, dy, radius = circles[k, 0] - x, circles[k, 1] - y, circles[k, 2] + ROUNDING_MARGIN
+        # Test bounding circles first.
         if dx * dx + dy * dy >= (reach + radius) * (reach + radius):
             return False
         # The region is symmetric about the line across its middle, so u can be taken as positive.
@@ -141,6 +144,7 @@ def _region_distance(u, w, curvature, h, left, right, end_u, end_w, ec, es):  # 
     n, s = path_coordinates(u, w, curvature)
     if abs(s) <= h:
         return max(n - left, -right - n, 0.0)
+    # Coordinates relative to the end line, along and across the heading there.
     beyond = ec * (u - end_u) + es * (w - end_w)
     across = ec * (w - end_w) - es * (u - end_u)
     outside = max(across - left, -right - across, 0.0)

@@ -118,6 +118,7 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
     if best is not None:
         return Plan(Outcome.FOUND, "a free path", best, expanded, cell, trees=kept_trees)
     if result.final:
+        # Without a cell: the proof does not depend on the resolution.
         return Plan(outcome, result.reason, expanded=expanded, trees=kept_trees)
     if result.reason:
         reason = f"{result.reason}, {resolution}; finer cells (more levels) may find a path"
@@ -130,7 +131,7 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
 
 
 def _resolutions(problem: Problem, levels: int) -> Iterator[tuple[Primitives, Cells]]:
-    """Yield primitives and cells of each level: halved each time, from the third level with more curvatures.
+    """Yield primitives and cells of each level, halved each time; later levels have more curvatures.
 
     The primitives of the problem, if given, are those of the first level.
     """
@@ -208,6 +209,7 @@ def _start_trees(
     """Return the tree from the start and, for a footprint without transients, the tree from the goal."""
     body, start = problem.footprint, problem.start
     moves = make_move_set(arcs, body)
+    # Both trees share moves and obstacles; only the target and the direction differ.
     target = make_target(problem.goal, body)
     spec = SearchSpec(moves, target, grid, *cells, settings.weight, NO_HEURISTIC, NO_PASSAGES)
     trees = [SearchTree([start], spec)]
@@ -303,6 +305,7 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
                 # The transient of the last change widens the edges on the path that follows.
                 if free and _stays_free(end, last, indices, lengths, states, moves, grid):
                     break
+            # Try nearer poses, in steps that shrink with the distance.
             last = k + min(last - k - 1, int(_RETREAT * (last - k)))
         if last > k:
             for piece in range(3):

@@ -72,6 +72,7 @@ def build_grid(circles: np.ndarray, sides: np.ndarray) -> tuple[np.ndarray, np.n
     if count == 0:
         return np.array([0.0, 0.0, 1.0]), np.zeros((0, 0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
     origin, extent = low.min(axis=0), np.ptp(np.vstack([low, high]), axis=0)
+    # About four items per cell keep both the lists and the grid small.
     cell = max(float(extent.max()) / min(max(math.isqrt(count // 4), 1), _MAX_GRID_CELLS), 1e-9)
     columns, rows = (int(side / cell) + 1 for side in extent)
     begin, end = ((corner - origin) // cell for corner in (low, high))
@@ -126,6 +127,7 @@ class Checker:
         """Return whether a path is free, with edges widened by the transients after changes of offset."""
         wider, lasting, none = (0.0, 0.0), 0.0, (0.0, 0.0)
         for before, segment in zip((None, *segments), segments, strict=False):
+            # A change of offset starts a transient; overlapping transients combine to the larger values.
             if before is not None:
                 left, right, length = self.footprint.transient(before.offset, segment.offset)
                 old = wider if lasting > 0 else none

@@ -50,7 +50,7 @@ def shortest_path(start: Pose, x: float, y: float, heading: float | None, radius
 
 @compiled
 def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return turns (+1 left, 0 straight, -1 right) and lengths (m) of the three pieces of a shortest path.
+    """Return turns (+1 left, 0 straight, -1 right) and lengths (m) of the pieces of a shortest path.
 
     Args:
         x, y, heading: pose at the start, m and rad.
@@ -89,17 +89,20 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
         a, b: headings at start and end relative to the line between them, rad.
     """
     sa, sb, ca, cb, cab = np.sin(a), np.sin(b), np.cos(a), np.cos(b), np.cos(a - b)
+    # LSL: the straight line is an outer tangent of both turning circles.
     square = 2 + d * d - 2 * cab + 2 * d * (sa - sb)
     turn = np.arctan2(cb - ca, d + sa - sb)
     if np.sqrt((d + sa - sb) ** 2 + (cb - ca) ** 2) < _ROUNDING:
         # The turning circles coincide: the direction of the straight line is undefined, one arc is the path.
         square, turn = 0.0, b
     best = _shorter(best, side, 0.0, side, _wrapped(turn - a), np.sqrt(max(square, 0.0)), _wrapped(b - turn))
+    # LSR: an inner tangent, which exists only if the circles do not overlap.
     square = d * d - 2 + 2 * cab + 2 * d * (sa + sb)
     if square >= 0:
         p = np.sqrt(square)
         turn = np.arctan2(-ca - cb, d + sa + sb) - np.arctan2(-2.0, p)
         best = _shorter(best, side, 0.0, -side, _wrapped(turn - a), p, _wrapped(turn - b))
+    # LRL: a third circle touches both, which needs close circles.
     cosine = (6 - d * d + 2 * cab + 2 * d * (sb - sa)) / 8
     if abs(cosine) <= 1:
         p = _FULL_TURN - np.arccos(cosine)

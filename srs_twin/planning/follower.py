@@ -182,6 +182,7 @@ class Follower(Controller):
         self._frames, self._mean = CameraFrames(conditions.camera, seed), PeriodMean(period)
         shows = conditions.delay + conditions.lag
         self._predictor = Predictor(self.footprint, period, shows, conditions.settle)
+        # Distance in one gait period below which the snake is stuck.
         self._stuck_distance = STUCK_SHARE * min(self.footprint.speeds) * period
         self._moved_at = 0.0
         self._pending: deque[tuple[float, float]] = deque()
@@ -274,6 +275,7 @@ class Follower(Controller):
         if self.finished:
             return
         law, later = self.law, time + self.conditions.delay
+        # Predict to the time at which the command shows in the frames.
         shows = later + self.conditions.lag
         pose = predictor.predict(mean.middle, mean.pose, shows) if law.predicts else mean.pose
         turning = predictor.turning, predictor.disturbance, predictor.gain

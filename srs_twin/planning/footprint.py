@@ -210,6 +210,7 @@ class Footprint:
         sizes = sorted(widest)
         edges = zip(*(widest[size] for size in sizes), strict=True)
         left, right = (float(np.interp(abs(change), sizes, edge)) for edge in edges)
+        # The length does not shrink with the change: the response is that of a linear system.
         return left, right, max(t.length for t in same)
 
     @property
@@ -266,6 +267,7 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
     if not low < 0 < high:
         problems.append(("curvatures", f"from {low:g} to {high:g} 1/m; a planner needs turns to both sides"))
     for side, name in enumerate(("left", "right")):
+        # An edge on the inner side must not reach the centre of curvature, where κ n = 1.
         turn = (1 if name == "left" else -1) * np.array(footprint.curvatures)
         # With the largest transient after any change to this offset.
         extra = [

@@ -97,6 +97,7 @@ def grid_heuristic(goal: Goal, start: Pose, world: World, clearance: float, marg
     free = _free_cells(x, y, cell, world, clearance)
     column, row = int((goal.x - west) / cell), int((goal.y - south) / cell)
     column, row = min(column, len(x) - 1), min(row, len(y) - 1)
+    # From the goal, so that one search gives the distances of all cells.
     distance = dijkstra(_grid_graph(free, cell), directed=False, indices=column * len(y) + row)
     return GridHeuristic(distance.reshape(free.shape), west, south, cell)
 
@@ -175,6 +176,7 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
     lines = np.concatenate([shapely.points(ends[:circles, 0]), shapely.linestrings(ends[circles:])])
     tree, largest = shapely.STRtree(lines), float(radii.max(initial=0.0))
     one, other = tree.query(lines, predicate="dwithin", distance=_MAX_WIDTH * width + radii + largest)
+    # Each pair once.
     one, other = one[one < other], other[one < other]
     near = shapely.get_coordinates(shapely.shortest_line(lines[one], lines[other])).reshape(-1, 2, 2)
     across = near[:, 1] - near[:, 0]
@@ -192,6 +194,7 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
     )
     solid = shapely.union_all([shapely.Polygon(p.corners) for p in world.polygons])
     is_open = ~(np.isin(np.arange(len(gap)), at[nearer]) | shapely.contains(solid, points))
+    # Narrowest first: of close passages the narrowest is kept.
     ordered = sorted(zip(gap[is_open], centre[is_open].tolist(), normal[is_open].tolist(), strict=True))
     return _entry_poses([(point, direction) for _, point, direction in ordered], body, _MIN_SPACING * width)
 
@@ -226,6 +229,7 @@ def _entry_poses(
             continue
         kept.append((x, y))
         for sign in (1.0, -1.0):
+            # Perpendicular to the shortest line between the obstacles, in both directions.
             heading = math.atan2(-sign * across_x, sign * across_y)
             c, s = math.cos(heading), math.sin(heading)
             run_ups = {ahead, ahead + transient, ahead + transient + _ROUND_CLEARANCE * width}

@@ -189,6 +189,7 @@ def prove_unreachable(
         resolution: size of cells; a finer one may find a proof where a coarse one does not.
     """
     curvature, clearance = max(body.tightest), body.narrowest
+    # Steps longer than the clearance would pass obstacles between the checked points.
     step = min(_MAX_TURN / curvature, 2 * clearance)
     sectors = math.ceil(2 * math.pi / (curvature * step / resolution.sectors))
     boxes, cell = _step_boxes(curvature, step, 2 * math.pi / sectors), step / resolution.cells
@@ -232,6 +233,7 @@ def _step_boxes(curvature: float, step: float, sector: float) -> np.ndarray:
         lowest = np.maximum(-curvature * s, low - curvature * (step - s))
         highest = np.minimum(curvature * s, high + curvature * (step - s))
         smallest = np.where((lowest <= 0) & (highest >= 0), 0.0, np.minimum(abs(lowest), abs(highest)))
+        # Bounds of the integrals of cos θ and sin θ over all admissible headings.
         x = np.cos(np.maximum(abs(lowest), abs(highest))).mean(), np.cos(smallest).mean()
         y = np.sin(lowest).mean(), np.sin(highest).mean()
         error = step / _INTEGRATION_POINTS**2  # of the midpoint rule
@@ -242,7 +244,7 @@ def _step_boxes(curvature: float, step: float, sector: float) -> np.ndarray:
 
 @allocating
 def _exhausts_cells(end, other, curvature, clearance, step, cell, marked, boxes, max_cells, grid):  # type: ignore[no-untyped-def]
-    """Return whether the cells reachable from an end run out before they come near the other end or far away.
+    """Return whether all cells reachable from an end stay in its surroundings, away from the other end.
 
     Args:
         end: end to start from, see `prove_unreachable`, shape (6,).
@@ -282,6 +284,7 @@ def _exhausts_cells(end, other, curvature, clearance, step, cell, marked, boxes,
     near = far_loose + 2 * clearance + step + slack
     arrival = other[3] + step + slack
     total = count
+    # Depth-first: the order does not matter, because all reachable cells are marked.
     while count > 0:
         count -= 1
         i, j, k = stack[count]
@@ -304,6 +307,7 @@ def _exhausts_cells(end, other, curvature, clearance, step, cell, marked, boxes,
             low_j, high_j = np.round((to_y - wide_y - south) / cell), np.round((to_y + wide_y - south) / cell)
             for to_i in range(int(low_i), int(high_i) + 1):
                 for to_j in range(int(low_j), int(high_j) + 1):
+                    # Beyond the grid the surroundings count as left: no proof.
                     if not (0 <= to_i <= 2 * side and 0 <= to_j <= 2 * side):
                         return False
                     if marked[to_i, to_j, to_k]:

@@ -109,12 +109,13 @@ class Margin:
 
 
 def excursion_quantile(excursions: Sequence[float], probability: float) -> float:
-    """Return the bound on the excursion of a new run with a probability (module docstring), m; at least 0.
+    """Return the excursion of a new run that is not exceeded with a probability, m; at least 0.
 
     Raises:
         InputError: too few runs, or too many of them did not arrive.
     """
     count = len(excursions)
+    # The tolerance absorbs rounding of products such as 20 · 0.95.
     rank = math.ceil((count + 1) * probability - 1e-9)
     if rank > count:
         least = math.ceil(probability / (1 - probability) - 1e-9)

@@ -238,6 +238,7 @@ def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Return connectors and middles of segments, shape (samples, 2N − 1, 2), m, and the headings there."""
     position, theta = trajectory.position, trajectory.stack("theta")
     chord = position[:, :-1] - position[:, 1:]
+    # Positive bends turn the head end to the left, see the glossary.
     bend = np.diff(-theta, axis=1)
     # The distance of the middle of an arc from its chord is chord · tan(bend/4)/2, to the outside of the
     # bend.

@@ -150,6 +150,7 @@ def _nearest(x, y, arcs, low, high):  # type: ignore[no-untyped-def]
         first, last = max(0.0, low - begin), min(length, high - begin)
         if first > last:
             continue
+        # Transform the point to the frame of the arc's start.
         c, sn = np.cos(arcs[k, 2]), np.sin(arcs[k, 2])
         dx, dy = x - arcs[k, 0], y - arcs[k, 1]
         n, s = path_coordinates(c * dx + sn * dy, c * dy - sn * dx, curvature)

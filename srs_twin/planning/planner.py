@@ -120,6 +120,7 @@ def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
         distance = np.minimum(distance, shapely.distance(points, centre) - circle.radius)
     for polygon in world.polygons:
         distance = np.minimum(distance, shapely.distance(points, shapely.Polygon(polygon.corners)))
+    # Distance of the wider edge, as if it were on both sides: a simple bound.
     clearance = np.maximum(distance - edges, 0.0)
     return float(np.dot(steps, 1 + weight * np.exp(-clearance / width)))
 
@@ -198,6 +199,7 @@ def with_transitions(segments: Sequence[Segment], footprint: Footprint) -> tuple
     arcs: list[tuple[float, float]] = []
     remaining = segments[0].length
     for here, after in zip(segments, segments[1:], strict=False):
+        # δ and T of the module docstring.
         late, long = footprint.lag(here.offset, after.offset)
         if long == 0 or late > remaining or long - late > after.length:
             late, long = 0.0, 0.0
@@ -260,6 +262,7 @@ def _search_with_transitions(problem: Problem, search: Callable[..., Plan], begi
                 if checker.is_path_free(path):
                     return replace(result, segments=path)
                 break
+            # Fixed-point iteration: displace the goal by the remaining error.
             aim = _corrected_aim(aim, problem.goal, end)
     reason = f"{first.reason}; without transition arcs, because no path with them was free"
     return replace(first, reason=reason, segments=(*begin, *first.segments))

@@ -73,6 +73,7 @@ def greedy(problem: Problem) -> Plan:
     branches: list[Branch] = [[], []]
     for turn in range(2 * _MAX_BRANCH_ARCS):
         side = turn % 2
+        # The joint is tried before each new arc, with the forward footprint.
         joint = _joint(tips[0], tips[1], arcs, forward)
         if joint is not None:
             path = _joined_path(branches, joint, problem, arcs.length)

@@ -82,6 +82,7 @@ class Frontier(NamedTuple):
 
 def empty_frontier(capacity: int) -> Frontier:
     """Return the state of a new search for up to `capacity` nodes."""
+    # At least twice as many slots as nodes keep probing short.
     slots = 1 << (2 * capacity - 1).bit_length()
     nodes, links = np.empty((capacity, 8)), np.empty((capacity, 2), dtype=np.int32)
     keys, heap = np.empty(capacity), np.empty(capacity, dtype=np.int32)
@@ -145,6 +146,7 @@ def cell_slot(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped
     """
     row, column = np.int64(np.floor(x / cell)) + _INDEX_OFFSET, np.int64(np.floor(y / cell)) + _INDEX_OFFSET
     turns = heading / (2 * np.pi)
+    # Wrap the heading to a full turn.
     layer = np.int64(np.floor((turns - np.floor(turns)) * 2 * np.pi / sector))
     return _key_slot(frontier, (layer << (2 * _INDEX_BITS)) | (row << _INDEX_BITS) | column)
 
@@ -283,6 +285,7 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
     while frontier.counts[OPEN] > 0:
         if frontier.counts[EXPANDED] >= until:
             return PAUSED, -1
+        # Make sure that all children fit before the node leaves the heap.
         children = moves.primitives.shape[0] + moves.dubins_moves.shape[0] * spec.passages.shape[0]
         if frontier.counts[NODES] + children > frontier.nodes.shape[0]:
             return FULL, -1
@@ -366,6 +369,7 @@ def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[n
 @compiled
 def _add_node(frontier, slot, x, y, heading, cost, bound, left, right, lasting):  # type: ignore[no-untyped-def]
     """Add a node as the owner of its cell and return its number."""
+    # The new node replaces the former owner of the cell, which is skipped when it is popped.
     child = frontier.counts[NODES]
     frontier.counts[NODES] += 1
     frontier.owners[slot] = child + 1
@@ -447,6 +451,7 @@ def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def
     change = moves.transients[before, move]
     left, right, lasting = max(left, change[0]), max(right, change[1]), max(lasting, change[2])
     curvature, ahead, behind = moves.curvatures[move], moves.ahead, moves.behind
+    # The first part of the arc has the wider edges, the rest the steady ones.
     first = min(lasting, length)
     free = True
     if first > 0:

@@ -146,6 +146,7 @@ class SearchTree:
         end = Pose(*map(float, self.frontier.nodes[node, :3]))
         if connected:
             heading = None if target.any_heading else target.heading
+            # The same Dubins path that the kernel has tested.
             arcs = shortest_path(end, target.x, target.y, heading, target.dubins_radius)[::-1]
         while (parent := int(self.frontier.links[node, 0])) >= 0:
             move = int(self.frontier.links[node, 1])
@@ -166,6 +167,7 @@ class SearchTree:
 def goal_poses(goal: Goal, sector: float) -> list[Pose]:
     """Return poses within a goal's tolerances, the goal first; with a free heading one per sector (rad)."""
     if goal.heading is None:
+        # One pose per heading cell.
         headings = list(np.arange(0.0, 2 * math.pi, sector))
     else:
         headings = [goal.heading + share * goal.heading_tolerance for share in (0.0, -1.0, 1.0)]
@@ -198,7 +200,9 @@ class SearchTrace:
 
 
 def trace_search(trees: Sequence[SearchTree], world: World) -> SearchTrace:
-    """Return the trace of a search; collision checks of expanded nodes are repeated, since none are stored.
+    """Return the trace of a search.
+
+    Rejected arcs are not stored during the search, so the collision checks of expanded nodes are repeated.
 
     Args:
         trees: trees at the end of the search.

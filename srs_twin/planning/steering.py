@@ -118,11 +118,13 @@ class Predictor(Remembers):
             return
         final = float(np.interp(offset, self._offsets, self._curvatures))
         length = self.speed * step
+        # Exact solution of dκ/ds = (κ_final - κ)/ℓ over the length.
         decay = math.exp(-length / self._settle) if self._settle > 0 else 0.0
         mean = final + (self.curvature - final) * (decay if self._settle > 0 else 1.0)
         self.curvature = final + (self.curvature - final) * decay
         nominal_turn = length * (mean + self.curvature) / 2
         turn = self.gain * nominal_turn + length * self.disturbance
+        # Midpoint rule for the position of the unicycle.
         middle = heading + turn / 2
         x, y = x + length * math.cos(middle), y + length * math.sin(middle)
         self._model.append((time, x, y, heading + turn, total_turn + nominal_turn))
@@ -177,6 +179,7 @@ class Predictor(Remembers):
         limit = _MAX_DISTURBANCE_SHARE * self._tightest
         self.disturbance = min(max(self.disturbance + float(weights[0]) * innovation, -limit), limit)
         self.gain = min(max(self.gain + float(weights[1]) * innovation, _GAIN_LIMITS[0]), _GAIN_LIMITS[1])
+        # Kalman update of two parameters from one scalar measurement.
         self._covariance -= np.outer(weights, cross)
 
     def predict(self, middle: float, mean: Pose, time: float) -> Pose:
@@ -335,6 +338,7 @@ class PathLaw(Steering):
         ahead = self._path.curvature(s + self._settle)
         error = math.remainder(state.pose.heading - heading, 2 * math.pi)
         approach = -min(max(n / (2 * DAMPING * self._length), -_MAX_APPROACH), _MAX_APPROACH)
+        # Rate of the heading error along the path, from the model instead of noisy differences.
         rate = state.curvature - state.place.curvature + math.sin(error) / (2 * DAMPING * self._length)
         feedback = 2 * DAMPING / self._length * (error - approach + self._settle * rate)
         # The limit avoids division by 0 at the centre of curvature.

@@ -268,7 +268,7 @@ def _parameter(path: str | None) -> str:
 
 
 def _ends(low: float, high: float, inside: float) -> str:
-    """Return the ends of an interval with three digits, or more if rounding would move `inside` out or in."""
+    """Return the ends of an interval with enough digits to show on which side of them `inside` is."""
     within = low <= inside <= high
     texts = ([f"{end:.{digits}g}" for end in (low, high)] for digits in range(3, 18))
     return " to ".join(next(two for two in texts if (float(two[0]) <= inside <= float(two[1])) == within))

@@ -163,7 +163,9 @@ def read_circles(path: Path) -> tuple[Circle, ...]:
 
 
 def _picture(path: Path) -> tuple[np.ndarray, np.ndarray | None, int]:
-    """Return red + green + blue, alpha (None: opaque), both of shape (rows, columns), and the value of white.
+    """Return red + green + blue and alpha of shape (rows, columns), and the value of white.
+
+    Alpha is None for an opaque picture.
 
     Raises:
         InputError: the file is not a PNG or PGM file, is damaged, or is too large.

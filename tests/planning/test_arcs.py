@@ -1,4 +1,4 @@
-"""Arcs and their swept regions against integration and against finely drawn polygons (shapely)."""
+"""Arcs and their swept regions, compared with integration and with finely drawn polygons (shapely)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ARC = st.tuples(st.builds(Pose, PLACE, PLACE, ANGLE), CURVATURE, st.floats(0, 1.
 NO_CIRCLES, NO_SIDES = np.empty((0, 3)), np.empty((0, 4))
 ANYWHERE = np.array([-np.inf, np.inf, -np.inf, np.inf])
 NEAR = 1e-4
-"""What the drawn polygon and the region may disagree about, m."""
+"""Tolerance between the drawn polygon and the region, m."""
 
 
 def drawn(arc) -> shapely.Polygon:

@@ -1,4 +1,4 @@
-"""Clearance of obstacles, held against MuJoCo's own distances between the bodies that it collides."""
+"""Clearance of obstacles, compared with the distances between collision bodies in MuJoCo."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ WORLD = World(
         Polygon(((-0.5, 0.3), (-0.1, 0.45), (-0.4, 0.36), (-0.48, 0.34))),
     ),
 )
-"""Obstacles that are too narrow for a body to lie in: it would touch no side."""
+"""Obstacles too narrow to contain a body, which would then touch no side."""
 
 ROUNDING_M = 1e-12
 TILT_M = 1e-6
-"""What pitch and roll of a crawling snake, fractions of a degree, make of a distance in the plane."""
+"""Effect of pitch and roll of a crawling snake, fractions of a degree, on planar distances, m."""
 
 
 def recorded(world: World) -> dict:
-    """Return a world as a follower's metadata hold it."""
+    """Return a world as in the metadata of a follower."""
     return {
         "obstacles": [vars(each) for each in world.obstacles],
         "polygons": [{"corners": each.corners} for each in world.polygons],
@@ -36,7 +36,7 @@ def recorded(world: World) -> dict:
 
 
 def mujoco_distances(twin: TwinSnake, places: np.ndarray) -> np.ndarray:
-    """Return the least distance between the snake's and the obstacles' geoms for each qpos, m."""
+    """Return the smallest distance between the geoms of snake and obstacles for each qpos, m."""
     model = twin.physics.model.ptr
     data = mujoco.MjData(model)
     names = [model.geom(k).name for k in range(model.ngeom)]
@@ -66,7 +66,7 @@ def poses(twin: TwinSnake, count: int, *, unequal: bool, seed: int) -> np.ndarra
 
 
 def seen(twin: TwinSnake, places: np.ndarray) -> Trajectory:
-    """Return what a trajectory holds of these places, a sample each."""
+    """Return a trajectory with one sample per pose."""
     states = np.concatenate(
         [np.zeros((len(places), 1)), places, np.zeros((len(places), twin.physics.model.nv))], axis=1
     )
@@ -97,7 +97,7 @@ def test_clearance_equals_mujocos_smallest_distance(name, hinges, unequal):
 
 
 def test_inner_hinges_that_bend_unequally_are_bounded():
-    """From three hinges a segment on connectors do not place the inner ones."""
+    """With three or more hinges per segment, connectors do not determine the inner ones."""
     twin = TwinSnake(robot("gen2"), world=WORLD, hinges_per_segment=3)
     places = poses(twin, 100, unequal=True, seed=7)
     apart = clearances(seen(twin, places), recorded(WORLD))

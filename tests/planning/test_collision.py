@@ -1,4 +1,4 @@
-"""Body edges along a path, bounds and nearest things, one side at a time."""
+"""Edges of the body along a path, bounds and nearest obstacles."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def frees(pieces: list[tuple[float, float]], world: World) -> tuple[bool, bool]:
 
 
 def pin(pieces: list[tuple[float, float]], piece: int, s: float, n: float) -> World:
-    """Return a thin pin, s ahead of the start of a piece and n to its left, m."""
+    """Return a world with a thin pin, s ahead of the start of a piece and n to its left, m."""
     x, y, heading = path_from_arcs(Pose(0.0, 0.0, 0.0), pieces, BODY)[piece].start
     c, sn = math.cos(heading), math.sin(heading)
     return World((Circle(x + c * s - sn * n, y + sn * s + c * n, STEP),))

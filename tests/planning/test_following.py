@@ -1,4 +1,4 @@
-"""The follower on a unicycle: that it comes to the path in spite of delay and noise, and how it ends."""
+"""Follower on a unicycle: convergence with delay and noise, new plans and endings."""
 
 from __future__ import annotations
 
@@ -48,7 +48,8 @@ def follow(
     stray=None, replans=3, replan=None, submit=None, curvature_at=as_told, goal=None, world=EMPTY, margin=0.0,
     late=0.0, lag=0.0, least_margin=0.0, **snake,
 ):  # fmt: skip
-    """Return the follower, the snake and its way, shape (samples, 4): time, x, y, heading without the wag.
+    """Return the follower, the snake and its path, shape (samples, 4): time, x, y, heading without
+    oscillation.
 
     What the follower sees comes so late (s); of that it knows `lag`.
     """
@@ -165,7 +166,7 @@ def test_offset_takes_effect_after_the_delay_and_stays_in_bounds():
 
 
 class Watcher(Steering):
-    """Turns to and fro by the clock, and keeps the poses that it is given to decide by."""
+    """Alternate turns by time, and record the poses of the input."""
 
     predicts = True
 
@@ -181,7 +182,7 @@ class Watcher(Steering):
 
 
 def test_law_receives_the_pose_at_which_its_command_takes_effect():
-    """Also while the snake still obeys commands that are on their way: they arrive the delay later."""
+    """Also while earlier commands are still delayed."""
     law, delay = Watcher(), 0.3
     _, plant, way = follow(a_plan(), law=law, delay=delay, duration=8.0)
     ahead = round(delay / plant.tick)
@@ -193,7 +194,7 @@ def test_law_receives_the_pose_at_which_its_command_takes_effect():
 
 
 def test_prediction_is_better_than_the_last_frame():
-    """On a circle the prediction from a mean that is half a period old is where the snake is."""
+    """On a circle the prediction from a mean half a period old is the actual pose."""
     predictor, mean = Predictor(BODY, 0.5, 0.1, SETTLE), PeriodMean(0.5)
     wheel = Wheel()
     plant = Unicycle(wheel, as_told)
@@ -259,7 +260,8 @@ def test_frames_come_at_their_rate_and_repeat_for_a_seed():
 
 
 def test_camera_noise_of_x_y_and_heading_has_its_size_and_is_independent():
-    """Tolerances are seven standard errors of a spread and five of a correlation, of 3000 frames."""
+    """Tolerances are seven standard errors of a standard deviation and five of a correlation for 3000
+    frames."""
     noise = np.array([(*each,) for each in camera_frames(1) if each is not None])
     assert noise.std(axis=0) == pytest.approx([0.01, 0.01, 0.1], rel=0.1)
     assert np.abs(noise.mean(axis=0)).max() < 0.1 * 0.1
@@ -288,17 +290,17 @@ def test_goal_away_from_the_path_is_missed():
 
 
 def blind(offset):
-    """Turns whatever it is told."""
+    """Snake that turns regardless of its commands."""
     return 2.0
 
 
 BESIDE = World((Circle(2.0, 0.25, 0.15),))
-"""Leaves 50 mm beside the body on a straight path; planned with all of that as its margin."""
+"""Obstacle 50 mm from the body on a straight path; this is the whole margin of the plan."""
 
 
 @pytest.mark.parametrize("least", [0.0, 0.5])
 def test_run_ends_without_the_required_margin(least):
-    """The same obstacle and weak law as below; plans exist with a quarter of the margin only."""
+    """The obstacle and weak law of the test below; plans exist with a quarter of the margin only."""
     shares = []
 
     def replan(pose, share):
@@ -348,7 +350,7 @@ def test_straying_requests_new_plans_up_to_the_limit():
 
 
 def test_new_plan_is_requested_before_the_body_reaches_an_obstacle():
-    """The snake turns to the side of the obstacle by itself, and its law is too weak."""
+    """The snake drifts towards the obstacle, and its law is too weak."""
     asked = []
 
     def replan(pose, share):
@@ -396,7 +398,7 @@ def test_missed_goal_without_a_new_plan_ends_the_run_with_a_reason():
 
 
 def test_a_new_plan_leads_to_the_goal():
-    """Pushed off its path once, it goes on along another one."""
+    """After one push off its path, the snake follows a new path."""
     plan = a_plan()
 
     def replan(pose, _share):
@@ -409,7 +411,7 @@ def test_a_new_plan_leads_to_the_goal():
 
 
 class Later:
-    """What another thread has done when it is asked for the tenth time."""
+    """Future that is done when it is polled for the tenth time."""
 
     def __init__(self, job):
         self.job, self.asked = job, 0
@@ -462,7 +464,7 @@ def test_runs_are_repeatable():
 
 
 def test_reset_restores_all_settings():
-    """One follower driven twice does the same twice."""
+    """Two runs of one follower are equal."""
     wheel = Wheel()
     plan = a_plan(WINDING)
     follower = Follower(
@@ -480,7 +482,7 @@ def test_reset_restores_all_settings():
 
 
 def test_gain_and_disturbance_of_turning_are_estimated_and_reset():
-    """A snake that turns 0.7 of what its footprint says, and 0.4 1/m besides."""
+    """A snake with a turning gain of 0.7 and a disturbance of 0.4 1/m."""
     predictor, mean = Predictor(BODY, 0.5, 0.1, SETTLE), PeriodMean(0.5)
     wheel = Wheel()
     plant = Unicycle(wheel, lambda offset: 0.7 * as_told(offset) + 0.4)

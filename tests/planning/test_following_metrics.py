@@ -1,4 +1,4 @@
-"""Metrics of following, on ways that were prescribed: every number is known beforehand."""
+"""Metrics of following for prescribed motions with known values."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def moved(trajectory, dx=0.0, dy=0.0):
 
 
 STILL = Snake(amplitude=0.0, sway=(0.0, 0.0), heading_sway=0.0)
-"""A rod that slides along x with 0.2 m/s for 6 s."""
+"""Rod that slides along x at 0.2 m/s for 6 s."""
 
 
 def test_run_without_a_plan_has_no_following_metrics():
@@ -96,7 +96,7 @@ def test_inside_share_counts_the_time_within_the_edges():
 
 
 def test_edges_shift_with_the_turn():
-    """A rod on a circle: its middle swings out to neither side, its ends to the outside."""
+    """Rod on a circle: its middle stays on the path, its ends are outside."""
     radius = 0.3
     run = Snake(
         speed=0.2, yaw_rate=0.2 / radius, amplitude=0.0, sway=(0, 0), heading_sway=0.0, duration=2.0
@@ -178,7 +178,7 @@ def test_contacts_are_counted_with_their_time():
 
 
 def test_middles_of_segments_lie_on_their_arcs():
-    """Against the centre line that `synthetic` integrates: the middle of an arc by its own length."""
+    """Compare with the centre line that `synthetic` integrates."""
     snake = Snake(amplitude=0.9, rigid_gap=0.0)
     run = snake.trajectory()
     points, heading = centre_points(run)

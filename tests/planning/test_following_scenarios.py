@@ -1,4 +1,4 @@
-"""Scenarios that plan and follow: their files, what they build, the command line, reports, sweeps."""
+"""Scenarios with a planner and a follower: files, products, commands, reports and sweeps."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def test_both_plants_follow_one_plan_and_are_drawn_together(tmp_path):
 
 
 def test_collision_of_the_twin_is_a_contact(tmp_path):
-    """A path that is given goes through a circle: contact, no divergence, an end with a name."""
+    """A given path through a circle causes contact, no divergence, and a named ending."""
     scenario = parse_scenario(
         data(
             world={"obstacles": [{"x_m": 0.45, "y_m": 0.0, "radius_m": 0.1}]},

@@ -1,4 +1,4 @@
-"""Footprints: the published tables, interpolation, transients, and files that cannot be one."""
+"""Footprints: published tables, interpolation, transients and invalid files."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_widest_of_equally_large_changes_counts():
 
 
 def test_edges_may_reach_the_centre_of_their_turn():
-    """A long snake that turns tightly: its outer edge is farther away than the centre on the other side."""
+    """A long snake in a tight turn has an outer edge farther away than the centre on the other side."""
     body = replace(BOX, curvatures=(-13.0, 0.0, 13.0), left=(0.085, 0.05, 0.047), right=(0.047, 0.05, 0.085))
     assert validate_footprint(body) is body
     with pytest.raises(

@@ -1,4 +1,4 @@
-"""The least length of any path, and the room that a path leaves, against what is known of simple worlds."""
+"""Lower bound on path lengths and clearance of paths in simple worlds."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_min_path_length_without_obstacles_is_the_distance():
 
 @pytest.mark.parametrize("clearance", [0.05, 0.2])
 def test_min_path_length_round_a_circle_is_two_tangents_and_an_arc(clearance):
-    """The circle is replaced by chords inside of it, so the bound is a little below."""
+    """The circle is replaced by inscribed chords, so the bound is slightly smaller."""
     radius = 0.5 + clearance
     exact = 2 * (math.sqrt(4 - radius**2) + radius * math.asin(radius / 2))
     found = min_path_length(START, GOAL, World((Circle(0.0, 0.0, 0.5),)), clearance)

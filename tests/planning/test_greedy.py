@@ -1,4 +1,4 @@
-"""The text's rule: what it takes, where it ends, and where it stands."""
+"""Planner of the dissertation: chosen arcs, joint and outcomes."""
 
 from __future__ import annotations
 

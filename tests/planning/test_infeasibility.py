@@ -1,4 +1,4 @@
-"""Pockets: what is proven impossible is, and what has a way never is."""
+"""Proofs of infeasibility: dead ends are proven, feasible problems never are."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ BODY = load_footprint("gen4_table8")
 
 
 def pocket(half: float, depth: float = 0.8, thick: float = 0.05) -> World:
-    """Return walls about the origin that are open to the left."""
+    """Return walls around the origin that are open on the left."""
     top = Polygon(((-depth, half), (depth, half), (depth, half + thick), (-depth, half + thick)))
     end = Polygon(
         ((depth, -half - thick), (depth + thick, -half - thick), (depth + thick, half), (depth, half))
@@ -86,7 +86,7 @@ def test_feasible_problems_are_never_proven_infeasible(kind, name):
             assert prove_unreachable(case.start, case.goal, body, obstacle_grid(case.world), how) == ""
 
 
-# gen2_gait turns in little more than its width; gen4_ilc takes more cells than there are.
+# gen2_gait turns within little more than its width; gen4_ilc needs more cells than the limit.
 PROVEN = [each for each in bodies() if each not in ("gen2_gait", "gen4_ilc")]
 
 
@@ -107,7 +107,7 @@ def test_goals_facing_out_of_dead_ends_are_proven_infeasible(name):
     shares=st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=12),
 )
 def test_paths_of_a_step_end_in_the_box_of_their_turn(tight, turn, shares):
-    """Arcs laid end to end, against the bounds that come from turning one way and then the other."""
+    """Sequences of arcs stay within the bounds of turning first to one side and then to the other."""
     step, sector = turn / tight, 0.1 * turn
     moves = _step_boxes(tight, step, sector)
     x = y = heading = 0.0

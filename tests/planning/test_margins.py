@@ -1,4 +1,4 @@
-"""Margins with a probability: the quantile holds as often as it says, and only where it was measured."""
+"""Margins with a probability: coverage of the quantile and conditions of validity."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def tried(path: list[float], **other: object) -> ExcursionsFile:
 @pytest.mark.parametrize("draw", ["lognormal", "uniform", "standard_cauchy"])
 @pytest.mark.parametrize("probability", [0.5, 0.9, 0.95])
 def test_quantile_has_the_stated_coverage(draw, probability):
-    """Whatever the distribution: over many sets of 39 runs, at least p and at most p + 1/40 of new ones."""
+    """For any distribution: over many sets of 39 runs, between p and p + 1/40 of the new runs."""
     rng = np.random.default_rng(7)
     kept = [getattr(rng, draw)(size=40) + 100.0 for _ in range(4000)]
     held = np.mean(

@@ -1,4 +1,4 @@
-"""Narrow gaps: where they are, and that the planner gets through those hardly wider than the body."""
+"""Narrow passages: their entry poses, and plans through gaps hardly wider than the body."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_passages_lead_straight_through_the_middle_of_a_gap(world):
 
 
 def test_entry_poses_allow_for_transients_and_round_obstacles():
-    """A millimetre before the head is in the gap; by the longest transient earlier; by 0.3 widths more."""
+    """The entry is 1 mm ahead of the gap, or farther by the longest transient, or by 0.3 widths more."""
     body = load_footprint("gen2_gait")
     straight = body.at(0.0)
     width = straight.left + straight.right
@@ -76,7 +76,7 @@ def test_gaps_too_narrow_too_wide_or_filled_are_no_passages():
 @settings(max_examples=50)
 @given(st.integers(0, 1000), st.integers(0, 4), st.integers(0, 4), st.floats(0.05, 1.0))
 def test_search_and_checker_agree_on_the_width_of_arcs(seed, one, other, length):
-    """The change of offset is felt on the first part of an arc only."""
+    """A transient widens the first part of an arc only."""
     body, rng = load_footprint("gen4_ilc"), np.random.default_rng(seed)
     moves = make_move_set(Primitives(5, 0.5, 0.25), body)
     world = World(tuple(Circle(*rng.uniform(-1.0, 1.0, 2), 0.05) for _ in range(6)))

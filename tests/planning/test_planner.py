@@ -1,4 +1,4 @@
-"""The default planner: found plans are free, refusals have names, unreachable goals are said to be."""
+"""Default planner: plans are collision-free, rejections have names, and infeasible goals are reported."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_plans_are_free_continuous_and_reach_the_goal(seed):
 
 
 def test_most_random_worlds_have_a_plan():
-    """Else the test above would say little."""
+    """Otherwise the test above would be vacuous."""
     assert sum(plan(drawn_problem(seed)).found for seed in SEEDS) >= 0.9 * len(SEEDS)
 
 
@@ -82,7 +82,7 @@ def test_fig_53():
     problem = Problem(Pose(0.0, 0.0, -math.pi / 4), goal, World(), body, arcs)
     best = plan(problem)
     assert best.found and not misses(best, problem)
-    # Nothing is in the way: it is the Dubins path, left, straight, left.
+    # Without obstacles it is the Dubins path: left, straight, left.
     assert [math.copysign(round(abs(s.curvature), 6) > 0, s.curvature) for s in best.segments] == [1, 0, 1]
     assert best.length == pytest.approx(
         lower_bound(0.0, 0.0, -math.pi / 4, make_target(goal, body)), abs=1e-6
@@ -101,7 +101,7 @@ def test_fig_54(count, seed):
 
 @pytest.mark.parametrize("seed", range(12))
 def test_lower_bound_is_below_all_plan_lengths(seed):
-    """At the start, and from every place on the way to the end that was reached."""
+    """At the start, and at the start of every segment."""
     problem = drawn_problem(seed)
     answer = plan(problem, Settings(smooth=seed % 2 == 0))
     if answer.end is None:
@@ -201,7 +201,7 @@ def test_walled_in_goal_is_proven_unreachable():
     answer = plan(problem)
     assert answer.outcome is Outcome.UNREACHABLE and answer.proven and answer.segments == ()
     assert "no path of any shape" in answer.reason and "0.03 m" in answer.reason
-    # Without the circle toward the start there is a way in.
+    # Without the circle towards the start there is a path.
     assert plan(replace(problem, world=World(wall[:7] + wall[8:], Bounds((-1, 3), (-1, 1))))).found
 
 
@@ -218,7 +218,7 @@ def test_polygon_wall_between_bounds_is_proven_impassable():
 
 
 def test_niche_too_small_to_turn_in_is_proven_unreachable():
-    """The goal lies at a wall that has to be approached at right angles, and looks along it."""
+    """The goal is at a wall that must be approached at right angles, with its heading along the wall."""
     left, right = (Polygon(((x, -0.3), (x + 0.1, -0.3), (x + 0.1, 0.3), (x, 0.3))) for x in (1.3, 1.6))
     lid = Polygon(((1.3, 0.3), (1.7, 0.3), (1.7, 0.4), (1.3, 0.4)))
     niche = World((), Bounds((-1, 3), (-1, 1)), None, (left, right, lid))
@@ -226,7 +226,7 @@ def test_niche_too_small_to_turn_in_is_proven_unreachable():
     answer = plan(problem)
     assert answer.outcome is Outcome.UNREACHABLE and answer.proven
     assert "the goal has too little room" in answer.reason
-    # Looking into the niche it is reached.
+    # With its heading into the niche, the goal is reached.
     assert plan(replace(problem, goal=Goal(1.5, 0.2, math.pi / 2, 0.01))).found
 
 

@@ -1,4 +1,4 @@
-"""The planning study: its tables say what was planned, and its baseline plans on the same checks."""
+"""Planning study: its tables count the plans, and its baseline passes the same checks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Places along a plan's path: against a brute search along finely sampled poses."""
+"""Path coordinates, compared with a search over finely sampled poses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Open list, closed set and guide against what plain Python gives."""
+"""Open list, closed set and grid distances, compared with plain Python."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shaped changes of offset: against the jumps that were measured, and plans that have them."""
+"""Transition arcs: agreement with measured jumps, and plans that contain them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ def curvature(footprint, offset):
 
 @pytest.mark.parametrize("t", LEARNT.transients, ids=lambda t: f"{t.before:g} to {t.after:g}")
 def test_transition_arcs_end_on_the_measured_path(t):
-    """The jump itself, from where the command takes effect, against the shaped arcs; it is 71 mm at most."""
+    """Compare the measured jump, at most 71 mm, with the transition arcs from where the command takes
+    effect."""
     old, new = (curvature(LEARNT, offset) for offset in (t.before, t.after))
     path = with_transitions(path_from_arcs(START, [(old, 1.0), (new, 1.0)], LEARNT), LEARNT)
     assert len(path) == 3

@@ -69,7 +69,7 @@ def png(width, height, depth, kind, rows, more=b""):
 
 
 def draw(rng, channels, white):
-    """Return pixels of which some lie close to the thresholds."""
+    """Return pixels, some of them close to the thresholds."""
     values = rng.integers(0, white + 1, (*SHAPE, channels))
     near = np.rint(white * rng.choice([0, 0.196, 0.804, 0.65, 0.35, 0.9, 0.995, 1], SHAPE)).astype(int)
     near = np.clip(near + rng.integers(-1, 2, SHAPE), 0, white)
@@ -321,7 +321,7 @@ HOSTILE = {
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_invalid_pictures_are_rejected(tmp_path, name):
-    """By content, before Pillow sees it, with one message that has the place in the map."""
+    """By content, before Pillow reads it, with one message that names the place in the map."""
     make, words = HOSTILE[name]
     make(tmp_path / "a.png")
     with pytest.raises(InputError) as error:

@@ -1,4 +1,4 @@
-"""Maps of other programs: which cells are occupied, where they are, and what cannot be a map."""
+"""Maps and lists of circles: occupied cells, their positions, and invalid files."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def drawn(tmp_path, grey, *, suffix="pgm", x=0.0, y=0.0, turn=0.0, negate=0):
 
 
 def cells(grey) -> set[tuple[int, int]]:
-    """Return column and row, from the lower left, of what is not surely free."""
+    """Return column and row, from the lower left, of cells that are not known to be free."""
     rows, columns = np.nonzero((255 - np.asarray(grey, dtype=float)) / 255 >= 0.196)
     return {(int(column), len(grey) - 1 - int(row)) for row, column in zip(rows, columns, strict=True)}
 
@@ -166,7 +166,7 @@ plants: {analytical: {}, twin: {}}
 
 @pytest.mark.slow
 def test_scenario_in_a_map_plans_runs_and_detects_changes(tmp_path, monkeypatch):
-    """The wall leaves a way above; both plants have the map about them, drawn pictures too."""
+    """The wall leaves a path above it; the map is part of both plants and of the pictures."""
     grey = np.full((30, 40), 254)
     grey[15:, 20] = 0
     drawn(tmp_path, grey, x=-0.5, y=-1.5)
@@ -189,7 +189,7 @@ def test_scenario_in_a_map_plans_runs_and_detects_changes(tmp_path, monkeypatch)
 
 
 def test_plan_among_ten_thousand_cells(tmp_path):
-    """A wall of a thousand pillars has a gap; distances are asked of what is near only."""
+    """A wall of a thousand pillars has a gap; distances are computed for near obstacles only."""
     grey = np.full((400, 600), 254)
     for row in range(0, 400, 12):
         for column in range(60, 560, 12):

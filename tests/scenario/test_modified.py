@@ -1,4 +1,4 @@
-"""Runs of a modified scenario: what titles, reports and expectations say of the changed fields."""
+"""Modified scenarios: changed fields in titles and reports, and invalidated expectations."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def test_duration_affects_totals_but_not_period_means():
 
 @pytest.fixture(scope="module")
 def slow_run(tmp_path_factory, srs_twin):
-    """A run of the model alone at another frequency."""
+    """Run of the analytical model at another frequency."""
     folder = tmp_path_factory.mktemp("modified")
     words = ["run", "gen2_straight", "--plants", "analytical", "--set", "controller.frequency_hz=1.0"]
     done = srs_twin(*words, "--duration", "5", "--check", "--junit", "out.xml", cwd=folder)

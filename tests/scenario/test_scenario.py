@@ -1,4 +1,4 @@
-"""Scenarios: what loads, what is built from it, what its expectations say, what the schema knows."""
+"""Scenarios: loading, plants and controllers, expectations and the JSON Schema."""
 
 from __future__ import annotations
 
@@ -536,7 +536,7 @@ TOGETHER = {
     "comparison": {"plants": {"analytical": {"gaps": False}, "twin": {}}},
     "world": {"plants": {"twin": {"contact": "loaded"}}},
 }
-"""What the keys of a section need besides."""
+"""Additional keys that the keys of a section require."""
 SET = {
     ("supply", "pressure_kpa"): 31.0,
     ("start", "velocity_m_s"): [0.1, -0.2],
@@ -558,14 +558,14 @@ SET = {
     ("plants", "analytical"): {"gaps": False, "model": "simplified", "friction_torque": False},
     ("plants", "twin"): {"gaps": False, "timestep_s": 0.0005, "wheels": "skid", "hinges_per_segment": 3},
 }
-"""Values of keys that do not follow from their bounds."""
+"""Values of keys that cannot be chosen by their bounds."""
 OF_A_RUN = {("start", "run"), ("start", "time_s")}
-"""They need one: test_start.py."""
+"""They need a run: test_start.py."""
 SECTIONS = {key: f.default for key, f in ScenarioFile.model_fields.items() if isinstance(f.default, Section)}
 
 
 def other_than_default(field):
-    """Return a value that a key may have besides its default: of a choice the last, of numbers a low one."""
+    """Return a value of a key other than its default: the last choice, or a low number."""
     kinds = field.annotation, *get_args(field.annotation)
     choices = [choice for kind in kinds for choice in get_args(kind)]
     if texts := [choice for choice in choices if isinstance(choice, str) and choice != field.default]:

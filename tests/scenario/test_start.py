@@ -1,4 +1,4 @@
-"""A run begins bent, moving and with air in its chambers: told by keys, or by another run's record."""
+"""Initial states of runs: bends, motion and pressures from keys or from an earlier run."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_one_key_suffices_and_none_means_at_rest():
 
 @pytest.mark.parametrize("plant", PLANTS)
 def test_run_from_a_trajectory_continues_it(plant, tmp_path):
-    """What a record does not hold, rates and the wheels' turning, is found within this much."""
+    """Rates and wheel speeds, which a trajectory does not contain, are recovered within this tolerance."""
     whole = run(scenario({}, duration_s=2.0), plant)
     whole.to_parquet(tmp_path / f"{plant}.parquet")
     at = 1.3
