@@ -256,7 +256,7 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
     rows = len(footprint.offsets)
     for name in ("curvatures", "speeds", "left", "right"):
         if len(getattr(footprint, name)) != rows:
-            problems.append((name, f"has {len(getattr(footprint, name))} values for {rows} offsets"))
+            problems.append((name, f"{len(getattr(footprint, name))} values for {rows} offsets"))
     for name in ("offsets", "curvatures"):
         values = getattr(footprint, name)
         if any(b <= a for a, b in zip(values, values[1:], strict=False)):
@@ -471,8 +471,6 @@ def _report(file: FootprintFile, document: Document) -> None:
     for name in ("curvature_per_m", "speed_m_s", "left_m", "right_m") if file.spread else ():
         values = getattr(file.spread, name)
         if len(values) != len(file.offset.value):
-            document.report(
-                ("spread", name), f"has {len(values)} values for {len(file.offset.value)} offsets"
-            )
+            document.report(("spread", name), f"{len(values)} values for {len(file.offset.value)} offsets")
     for name, message in find_problems(file.footprint()):
         document.report((_KEYS[name], "value"), message)

@@ -127,9 +127,9 @@ def test_the_hull_is_within_its_bound_of_the_arc():
     ],
 )  # fmt: skip
 def test_clearance_is_positive_exactly_without_contact(shape, aside, touched):
-    """The twin of generation 2 goes by a circle of 0.1 m, or a square, so far beside its path, m.
+    """The twin of generation 2 passes a circle or a square of 0.1 m at a given distance from its path, m.
 
-    Whether it touches where it is close (None), the follower decides.
+    At small distances (None), contact depends on the follower.
     """
     corners = [[0.35, aside - 0.1], [0.55, aside - 0.1], [0.55, aside + 0.1], [0.35, aside + 0.1]]
     world = {
@@ -149,6 +149,6 @@ def test_clearance_is_positive_exactly_without_contact(shape, aside, touched):
     metrics = following_metrics(run)
     assert (metrics["contacts"] > 0) == (metrics["clearance_m"] <= 0)
     assert touched in (None, metrics["contacts"] > 0)
-    assert metrics["clearance_m"] > -0.001  # how far the engine lets bodies into each other
+    assert metrics["clearance_m"] > -0.001  # penetration of contacts in the engine
     apart = clearances(run, run.metadata["control"]["following"]["world"])
     assert apart == pytest.approx(mujoco_distances(twin, run.stack("qpos")), abs=TILT_M)

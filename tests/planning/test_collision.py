@@ -154,18 +154,18 @@ def test_least_length_respects_each_bound(quarters):
 
 
 @pytest.mark.parametrize("quarters", range(4))
-def test_gates_at_a_bound_rotate_with_the_world(quarters):
+def test_passages_at_a_bound_rotate_with_the_world(quarters):
     world = World((Circle(0.0, -0.5, 0.35),), Bounds((-9, 9), (-9, 0.15)))
     body = Footprint.box(0.2, 0.0, speed=0.2, curvature=2.0)
 
-    def gates(world: World) -> np.ndarray:
+    def passages(world: World) -> np.ndarray:
         x, y, heading, through = find_passages(world, body).T
         rows = np.column_stack([x, y, np.cos(heading), np.sin(heading), through])
         return rows[np.lexsort(rows.round(6).T)]
 
     c, s = round(math.cos(quarters * math.pi / 2)), round(math.sin(quarters * math.pi / 2))
-    turn, before = np.array([[c, s], [-s, c]]), gates(world)
+    turn, before = np.array([[c, s], [-s, c]]), passages(world)
     assert len(before)
     expected = np.column_stack([before[:, :2] @ turn, before[:, 2:4] @ turn, before[:, 4]])
     expected = expected[np.lexsort(expected.round(6).T)]
-    assert gates(turned(world, quarters)) == pytest.approx(expected, abs=1e-6)
+    assert passages(turned(world, quarters)) == pytest.approx(expected, abs=1e-6)

@@ -51,7 +51,7 @@ def follow(
     """Return the follower, the snake and its path, shape (samples, 4): time, x, y, heading without
     oscillation.
 
-    What the follower sees comes so late (s); of that it knows `lag`.
+    Frames are late by `late` (s); the follower compensates `lag` of that.
     """
     wheel = Wheel()
     end = plan.end or Pose(1.0, 0.0, 0.0)
@@ -214,7 +214,7 @@ def test_prediction_is_better_than_the_last_frame():
         state = plant.step(None)
     assert max(far[100:]) < 0.003 < 0.04 < min(lag[100:])
     assert predictor.speed == pytest.approx(0.2, rel=0.02)
-    # On one circle gain and disturbance are not told apart; what they make together is known.
+    # On one circle gain and disturbance are not distinguishable, but their sum is.
     assert predictor.turning == pytest.approx(as_told(0.2), abs=0.05)
 
 
@@ -317,7 +317,7 @@ def test_run_ends_without_the_required_margin(least):
     events = follower.events()
     if least:
         assert follower.ending == "no_room"
-        assert events[-1].text.startswith("no way with the margin that is needed: close; start: ")
+        assert events[-1].text.startswith("no path with the required margin: close; start: ")
     else:
         assert events[0].kind == "replanned" and "25% of the margin" in events[0].text
 
@@ -452,7 +452,7 @@ def test_old_plan_is_followed_until_another_thread_returns_a_new_one():
 
 
 def test_a_controller_without_an_offset_is_refused():
-    with pytest.raises(InputError, match="'iterative_smc' has no offset to steer by; gait and ilc have"):
+    with pytest.raises(InputError, match="'iterative_smc' has no offset to steer by; use gait or ilc"):
         Follower(
             IterativeSMC(Constant(0.1)), ours(), a_plan(), Goal(1, 0, None, 0.1), BODY, Conditions(Camera())
         )

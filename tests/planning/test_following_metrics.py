@@ -112,7 +112,7 @@ def test_edges_shift_with_the_turn():
         full = [[*arc[:4], 2.0 * math.pi * radius * 0.9, *arc[5:]]]
         metrics = following_metrics(followed(run, [plan(full)], footprint=edges))
         late = metrics["inside_share"]
-        # At first the tail is before the start, where the path goes on straight.
+        # At first the tail is before the start, where the path is extended straight.
         assert late == pytest.approx(share, abs=0.5) and (late > 0.5) == (share == 1.0)
 
 
@@ -131,7 +131,7 @@ def test_arrival_error_and_heading_without_oscillation():
     metrics = following_metrics(followed(run, [plan([line()])], goal=(x + 0.06, y, 0.5, 0.05)))
     assert metrics["goal_reached"] == 0
     assert metrics["arrival_error_m"] == pytest.approx(0.06)
-    # The heading at the end is 0.4, whatever it swings by.
+    # The heading at the end is 0.4 without the oscillation.
     assert metrics["arrival_heading_error_rad"] == pytest.approx(0.1, abs=0.03)
 
 

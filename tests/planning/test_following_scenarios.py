@@ -101,7 +101,7 @@ def test_no_plan_is_an_outcome_and_fails_under_check(file, srs_twin):
         ("goal: {x_m: 0.4, y_m: 0.0, radius_m: 0.05}", "goal (0.4, 0) is inside"),
         (
             "bounds: {x_m: [-1, 0.5], y_m: [-1, 1]}\n  goal: {x_m: 0.8, y_m: 0.1}",
-            "goal (0.8, 0.1) lies outside of",
+            "goal (0.8, 0.1) is outside the bounds",
         ),
     ],
 )  # fmt: skip

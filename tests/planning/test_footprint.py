@@ -164,9 +164,9 @@ def test_unknown_footprint_error_lists_the_names():
     ("changes", "words"),
     [
         ({"speeds": (0.2, 0.0, 0.2)}, "speeds and edges must be above 0"),
-        ({"ahead": -0.1}, "ahead and behind not below"),
+        ({"ahead": -0.1}, "ahead and behind not negative"),
         ({"left": (0.02, math.nan, 0.02)}, "a number is not finite"),
-        ({"curvatures": (-1.0, 1.0, 0.5)}, "curvatures: must rise"),
+        ({"curvatures": (-1.0, 1.0, 0.5)}, "curvatures: must increase"),
         ({"transients": (Transient(0, 0.3, 0.2, 0, 0.1),)}, "reaches the centre of the tightest turn"),
     ],
 )

@@ -40,10 +40,10 @@ def square(x: float, y: float, side: float) -> Polygon:
     ids=["circles", "polygons", "both", "bounds"],
 )
 def test_passages_lead_straight_through_the_middle_of_a_gap(world):
-    gates = find_passages(world, BODY)
-    assert len(gates)
+    passages = find_passages(world, BODY)
+    assert len(passages)
     straight = BODY.at(0.0)
-    for x, y, heading, through in gates:
+    for x, y, heading, through in passages:
         assert math.remainder(heading, math.pi) == pytest.approx(0.0, abs=1e-6)
         along = math.cos(heading)
         assert y + along * (straight.left - straight.right) / 2 == pytest.approx(0.0, abs=1e-6)
@@ -58,10 +58,10 @@ def test_entry_poses_allow_for_transients_and_round_obstacles():
     width = straight.left + straight.right
     settled = max(each.length for each in body.transients)
     early = settled + 0.3 * width
-    gates = find_passages(World(tuple(Circle(0.0, y, 0.5 - 0.75 * width) for y in (-0.5, 0.5))), body)
-    run_ups = np.unique(np.round(gates[:, 3] - body.behind, 9))
+    passages = find_passages(World(tuple(Circle(0.0, y, 0.5 - 0.75 * width) for y in (-0.5, 0.5))), body)
+    run_ups = np.unique(np.round(passages[:, 3] - body.behind, 9))
     assert run_ups == pytest.approx(body.ahead + 1e-3 + np.array([0, settled, early]))
-    assert np.abs(gates[:, 0]) == pytest.approx(gates[:, 3] - body.behind)
+    assert np.abs(passages[:, 0]) == pytest.approx(passages[:, 3] - body.behind)
 
 
 def test_gaps_too_narrow_too_wide_or_filled_are_no_passages():

@@ -173,7 +173,7 @@ def test_a_time_budget_ends_the_search():
 def test_coarsest_cells_separate_the_children_of_a_node():
     """A cell is half of the smallest change of heading wide and a third of an arc long, within a tenth."""
     found = plan(fig54(0, 0), Settings(keep=True, levels=1))
-    moves = found.trees[0].search.moves
+    moves = found.trees[0].spec.moves
     turn = np.diff(moves.curvatures[moves.primitives]).min() * moves.length
     assert turn / found.cell[1] == pytest.approx(2, rel=0.1)
     assert moves.length / found.cell[0] == pytest.approx(3, rel=0.1)

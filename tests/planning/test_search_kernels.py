@@ -37,7 +37,7 @@ def test_poses_share_a_slot_exactly_if_they_share_a_cell(poses):
     cell, sector = 0.5, math.pi / 6
     frontier, slots = empty_frontier(64), {}
     for k, (x, y, heading) in enumerate(poses):
-        # What lies on the border of two sectors may fall into either.
+        # Headings on the border of two sectors may fall into either.
         turned = (heading / sector) % 12
         if abs(turned - round(turned)) < 1e-9:
             continue

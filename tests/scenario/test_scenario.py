@@ -632,7 +632,7 @@ def test_invalid_names_are_rejected_as_folders(tmp_path, file, name):
     assert parse_scenario(s.document) == s
 
 
-# What is shipped
+# Shipped scenarios
 
 
 @pytest.mark.parametrize("name", shipped_names("scenario"))

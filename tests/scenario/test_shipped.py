@@ -48,8 +48,8 @@ def test_shipped_scenarios_miss_only_known_expectations(name, shipped_run):
     as_documented(name, metrics["plants"])
     both = load_run(folder).trajectories
     if any(both["twin"].has(name) for name in ("reference", "duty_plus", "offset_commanded")):
-        return  # each controller has felt its own body
-    # Under the same valves, the same chambers: that much must be equal whatever the bodies do.
+        return  # feedback: the commands depend on the plant
+    # Equal valve commands give equal pressures, regardless of the motion.
     assert both["twin"].metadata["valve_switches"] == both["analytical"].metadata["valve_switches"]
     for valve in ("valve_plus", "valve_minus"):
         assert (both["twin"].stack(valve) == both["analytical"].stack(valve)).all()
@@ -58,9 +58,9 @@ def test_shipped_scenarios_miss_only_known_expectations(name, shipped_run):
 
 
 def as_documented(name, plants):
-    """Hold what docs/module.md says of a scenario, through docs/module.json, against what it gave."""
-    told = DOCUMENTED["scenarios"].get(name)
-    if told is None:
+    """Compare the metrics of a scenario with those in docs/module.md, stored in docs/module.json."""
+    documented = DOCUMENTED["scenarios"].get(name)
+    if documented is None:
         return
     for plant, metrics in plants.items():
         numbers = {
@@ -68,12 +68,12 @@ def as_documented(name, plants):
             for metric, value in metrics.items()
             if isinstance(value, int | float) and metric not in ("wall_s", "realtime_factor")
         }
-        assert numbers.keys() == told[plant].keys()
+        assert numbers.keys() == documented[plant].keys()
         if "leak" not in name:
-            again = "uv run python benchmarks/module_table.py writes them anew"
-            assert numbers == pytest.approx(told[plant], rel=0.02, abs=2e-4), again
+            again = "uv run python benchmarks/module_table.py writes them again"
+            assert numbers == pytest.approx(documented[plant], rel=0.02, abs=2e-4), again
             continue
-        # At the edge of the dead zone rounding decides as noise does: one draw of the noise, of those told.
+        # At the edge of the dead zone rounding acts like noise: compare with the documented distribution.
         drawn = DOCUMENTED["leak"]["of"][name.rpartition("_")[2]][plant]
         for metric, unit in (("inlet_openings", 1), ("steady_rms_rad", 180 / math.pi)):
             mean, deviation = drawn[metric]["mean"], drawn[metric]["deviation"]
