@@ -144,7 +144,7 @@ def test_a_list_of_circles(tmp_path):
     assert [(c.x, c.y, c.radius) for c in read_circles(path)] == [(1, 2, 0.1), (-1, 0.5, 0.4)]
     for text, words in (
         ("x_m,y_m\n1,2\n", ":1: columns x_m, y_m, radius_m are required; radius_m is missing"),
-        ("x_m,y_m,radius_m\n1,2,0\n", ":2: numbers must be finite, and the radius above 0"),
+        ("x_m,y_m,radius_m\n1,2,0\n", ":2: numbers must be finite and the radius above 0"),
         ("x_m,y_m,radius_m\n1,2,wide\n", ":2: not three numbers"),
     ):
         path.write_text(text)
