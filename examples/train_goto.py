@@ -1,6 +1,6 @@
 """Train a policy for the task GoTo with CMA-ES.
 
-    uv run --extra rl python examples/train_goto.py --out runs/goto
+    uv run --extra envs python examples/train_goto.py --out runs/goto
 
 The policy is linear in the features bearing, distance and 1 of the goal and has nine weights; tanh maps its
 output to [−1, 1]. All candidates of a generation have the same goals. The script writes policy.json, and the

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -312,3 +313,10 @@ def test_shipped_studies_load_and_their_designs_are_scenarios(name):
         design = asked.space.changes(np.full(asked.space.size, share))
         assert parse_scenario(asked.experiments["twin"].document(design)).robot.segments >= 2
     assert all(each.bounds_source for each in asked.file.variables.values())
+
+
+def test_without_cma_the_command_names_the_extra_before_any_run(srs_twin, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "cma", None)
+    done = srs_twin("optimize", "gen2_speed", "--workers", "1", "--out", "out", cwd=tmp_path)
+    assert done.returncode == 2 and "pip install 'srs-twin[optimize]'" in done.stderr
+    assert not (tmp_path / "out").exists()

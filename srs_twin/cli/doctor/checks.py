@@ -85,7 +85,7 @@ PURPOSES = {
     "ray": "sweeps on several machines (`srs-twin sweep --engine ray`)",
     "live": "a robot on the air (MQTT), journals",
     "recordings": "recordings in the formats C3D and MCAP, bags of ROS",
-    "rl": "training a policy (`examples/train_goto.py`)",
+    "optimize": "studies (`srs-twin optimize`)",
     "video": "videos (`srs-twin render RUN --video out.mp4`)",
 }
 """What each extra of pyproject.toml is for."""

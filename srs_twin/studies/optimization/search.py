@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.stats import norm
@@ -111,6 +112,19 @@ def front(costs: np.ndarray) -> np.ndarray:
     return np.asarray(~better.any(axis=1) & ~np.isnan(costs).any(axis=1))
 
 
+def _cma() -> Any:
+    """Return the package cma.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        import cma
+    except ImportError as error:
+        raise InputError("optimize needs cma; install it with: pip install 'srs-twin[optimize]'") from error
+    return cma
+
+
 class _Search:
     def __init__(self, study: Study, runs: Runs) -> None:
         self._study, self._runs = study, runs
@@ -122,8 +136,7 @@ class _Search:
 
     def cheaply(self) -> None:
         """Search the cheap model, once for one objective, for two with different weights."""
-        import cma
-
+        cma = _cma()
         budget = int(_CHEAP * self._study.file.budget.compliant)
         weights = (
             [np.ones(1)] if self._many == 1 else [np.array([w, 1 - w]) for w in np.linspace(0.02, 0.98, 7)]
