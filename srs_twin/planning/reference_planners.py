@@ -81,7 +81,7 @@ def greedy(problem: Problem) -> Plan:
         child = _best_child(tips[side], tips[1 - side], arcs, (forward, backward)[side])
         if child is None:
             where = f"{turn // 2} arcs from the {('start', 'goal')[side]}"
-            reason = f"every arc is blocked {where}, and greedy does not backtrack; try best_first"
+            reason = f"every arc is blocked {where}, and greedy does not go back; try best_first"
             return Plan(Outcome.STUCK, reason, (), turn)
         curvature, end = child
         branches[side].append((tips[side], curvature))

@@ -36,13 +36,13 @@ MALFORMED = edited(GOOD, {
         "bench: true", "bench: true\nstart: {}", ":5:1: start: a module on a bench starts at its clamp"),
     "friction on a bench": (
         "analytical: {}", "analytical: {friction: axis}",
-        ":10:16: plants.analytical.friction: on a bench there is no floor"),
+        ":10:16: plants.analytical.friction: there is no floor on a bench"),
     "slip on a bench": (
         "analytical: {}", "analytical: {slip_speed_m_s: 0.01}", ":10:16: plants.analytical.slip_speed_m_s:"),
     "wheels on a bench": (
-        "twin: {", "twin: {wheels: rolling, ", ":11:10: plants.twin.wheels: on a bench there is no floor"),
+        "twin: {", "twin: {wheels: rolling, ", ":11:10: plants.twin.wheels: there is no floor on a bench"),
     "a yielding model on a bench": (
-        "analytical: {}", "analytical: {model: compliant}", ":10:23: plants.analytical.model: compliant is"),
+        "analytical: {}", "analytical: {model: compliant}", ":10:23: plants.analytical.model: compliant needs"),
     "an unknown layout": (
         "in_out", "5/2", ":6:18: valves.layout: must be one of 3/2, in_out, not text '5/2'"),
     "valves that cannot hold": (
