@@ -42,7 +42,7 @@ MALFORMED = edited(GOOD, {
     "wheels on a bench": (
         "twin: {", "twin: {wheels: rolling, ", ":11:10: plants.twin.wheels: there is no floor on a bench"),
     "a yielding model on a bench": (
-        "analytical: {}", "analytical: {model: compliant}", ":10:23: plants.analytical.model: compliant needs"),
+        "analytical: {}", "analytical: {model: compliant}", ":10:23: plants.analytical.model: compliant"),
     "an unknown layout": (
         "in_out", "5/2", ":6:18: valves.layout: must be one of 3/2, in_out, not text '5/2'"),
     "valves that cannot hold": (

@@ -40,7 +40,7 @@ MALFORMED = edited(GOOD, {
     "half a free period": (
         "k_per_rad: 0.3", "free_periods: 1.5", "controller.free_periods: must be a whole number from 1 to"),
     "a carrier as slow as the gait": (
-        "carrier_hz: 60", "carrier_hz: 2", "controller: a gait of this frequency needs a carrier_hz of at least 16"),
+        "carrier_hz: 60", "carrier_hz: 2", "needs a carrier_hz of at least 16"),
     "something else on a fault": (
         "k_per_rad: 0.3", "on_fault: ignore", "controller.on_fault: must be one of go_on, stop, not text"),
     "valves that hold": (
