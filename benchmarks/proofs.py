@@ -19,12 +19,12 @@ from pathlib import Path
 
 import numpy as np
 from grid import table
+from srs_twin.planning.free_space import disconnected
+from srs_twin.planning.pockets import COARSE, FINE, shut_in
 
 from srs_twin.planning.collision import surroundings
 from srs_twin.planning.footprint import Footprint, load_footprint
-from srs_twin.planning.free_space import disconnected
 from srs_twin.planning.planner import plan
-from srs_twin.planning.pockets import COARSE, FINE, shut_in
 from srs_twin.planning.problem import Problem
 from srs_twin.robot.world import Polygon, Pose, World
 

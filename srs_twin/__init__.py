@@ -32,7 +32,7 @@ _HOME = {
     "compare": "srs_twin.experiment",
     "Comparison": "srs_twin.comparison.compare",
     "plan": "srs_twin.planning.planner",
-    "Plan": "srs_twin.planning.plan",
+    "Plan": "srs_twin.planning.problem",
     "Problem": "srs_twin.planning.problem",
     "RobotSpec": "srs_twin.robot.spec",
     "load_robot": "srs_twin.robot.file",

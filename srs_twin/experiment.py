@@ -1,7 +1,6 @@
-"""An experiment in a run folder: simulate, measure, compare, write, read back.
+"""Runs of scenarios: simulate, compute metrics, compare, write the output folder, and load it again.
 
-The way of the data in one place: scenario → plants → trajectories → metrics → comparison → files. A run that
-is over is read back from its folder, for what is looked at later.
+Data flow: scenario → plants → trajectories → metrics → comparison → files.
 """
 
 from __future__ import annotations
@@ -40,28 +39,38 @@ if TYPE_CHECKING:
     from srs_twin.comparison.compare import Attribution
 
 
-METRICS, RESOLVED = "metrics.json", "scenario.resolved.yaml"
-REPORT, RECORDING = "report.html", "recording.rrd"
+METRICS = "metrics.json"
+"""File of the metrics."""
+RESOLVED = "scenario.resolved.yaml"
+"""File of the scenario with all defaults and the robot written out."""
+REPORT = "report.html"
+"""File of the report."""
+RECORDING = "recording.rrd"
+"""File of the Rerun recording."""
 MEASURED = "measured"
-# metrics.json first: as long as it stands, the folder is complete.
+"""Name of the measured trajectory."""
 PRODUCTS = (METRICS, RESOLVED, REPORT, RECORDING, *(f"{plant}.parquet" for plant in PLANTS))
-_OF_REPLAYS = (*PRODUCTS, f"{MEASURED}.parquet")
+"""Files of a run; metrics.json comes first, because the folder is complete as long as it exists."""
+_ALL_PRODUCTS = (*PRODUCTS, f"{MEASURED}.parquet")
+"""Files of a run with a recording."""
 
 Progress = Callable[[str, float], None]
+"""Function called with the name of a task and its completed share, 0 to 1."""
 Explain = Callable[..., "Attribution"]
+"""Function that attributes the difference of the plants (`attribution.explain`)."""
 
 
 @dataclass(frozen=True)
 class RunResult:
-    """What a run gave and where it lies.
+    """Result of a run.
 
     Attributes:
-        name: the scenario's.
-        folder: where the files are.
-        trajectories: plant → trajectory, up to the divergence where there was one.
-        metrics: what stands in metrics.json; empty where a plant diverged.
-        diverged: what stopped a plant, its message naming the file that keeps its trajectory.
-        unexplained: what stopped one of the runs that were to say why the plants differ.
+        name: name of the scenario.
+        folder: output folder.
+        trajectories: trajectory of each plant, up to its divergence.
+        metrics: content of metrics.json; empty if a plant diverged.
+        diverged: errors of diverged plants; the message names the file with the trajectory.
+        failed_attributions: errors of diverged runs of the attribution.
     """
 
     name: str
@@ -69,57 +78,58 @@ class RunResult:
     trajectories: Mapping[str, Trajectory]
     metrics: Mapping[str, Any] = field(default_factory=dict)
     diverged: tuple[DivergedError, ...] = ()
-    unexplained: tuple[DivergedError, ...] = ()
+    failed_attributions: tuple[DivergedError, ...] = ()
 
 
 @dataclass(frozen=True)
 class PreparedRun:
-    """A scenario whose plants and controllers stand ready and whose folder can be written.
+    """Scenario with its plants and controllers, and an output folder that can be written.
 
     Attributes:
-        scenario: what is run.
-        folder: where the files go.
-        parts: plant → the plant itself and the controller that drives it.
+        scenario: scenario.
+        folder: output folder.
+        pairs: plant and controller, by name of the plant.
     """
 
     scenario: Scenario
     folder: Path
-    parts: Mapping[str, tuple[Plant, Controller]]
+    pairs: Mapping[str, tuple[Plant, Controller]]
 
     @classmethod
-    def of(cls, scenario: Scenario, folder: Path, plants: Sequence[str] | None) -> PreparedRun:
+    def build(cls, scenario: Scenario, folder: Path, plants: Sequence[str] | None) -> PreparedRun:
         """Build plants and controllers; arguments as in `prepare`."""
         kinds, scenario = tuple(plants or scenario.plants), scenario.run_on(plants)
         with scenario.named_in_errors():
-            parts = {kind: (scenario.build_plant(kind), scenario.build_controller()) for kind in kinds}
-        return cls(scenario, folder, parts)
+            pairs = {kind: (scenario.build_plant(kind), scenario.build_controller()) for kind in kinds}
+        return cls(scenario, folder, pairs)
 
     def execute(
         self,
         progress: Progress | None = None,
         *,
         explain: Explain | None = None,
-        cause: Callable[..., dict[str, Any] | None] | None = None,
+        main_cause: Callable[..., dict[str, Any] | None] | None = None,
     ) -> RunResult:
-        """Simulate every plant, measure, compare and write the files, metrics.json last.
+        """Simulate all plants, compute metrics, compare, and write the files, metrics.json last.
 
-        A plant that diverges leaves what it did up to there, and the others still run; then there is
-        nothing to compare, so that neither pictures nor metrics.json are written.
+        If a plant diverges, its trajectory up to that time is written and the other plants still run, but
+        there are no comparison, pictures and metrics.json.
 
         Args:
-            progress: called with the plant's name and the part that is done, 0 to 1.
-            explain: says why the plants differ (`attribution.explain`); None: nobody asked.
-            cause: says what the main cause changes (`attribution.main_cause`), where `explain` is not asked.
+            progress: called with the name of the plant and the completed share.
+            explain: attributes the difference of the plants (`attribution.explain`); None: no attribution.
+            main_cause: computes the main cause of the difference (`attribution.main_cause`) without
+                `explain`.
 
         Raises:
-            InputError: a file cannot be written, or the difference cannot be explained.
+            InputError: a file cannot be written, or the difference cannot be attributed.
         """
         scenario = self.scenario
         trajectories: dict[str, Trajectory] = {}
         walls: dict[str, float] = {}
         diverged: list[DivergedError] = []
-        for kind, (plant, controller) in self.parts.items():
-            # Kernels that are not compiled yet are no part of a run's time.
+        for kind, (plant, controller) in self.pairs.items():
+            # Compile the kernels before the time is measured.
             plant.step(np.full((plant.spec.segments, 2), -1, dtype=np.int8))
             watch = _percents(partial(progress, kind) if progress else None, scenario.duration)
             start = time.perf_counter()
@@ -127,21 +137,23 @@ class PreparedRun:
                 trajectories[kind] = rollout(plant, controller, **scenario.timing, progress=watch)
                 watch(scenario.duration)
             except DivergedError as error:
-                kept = display_path(self.folder / f"{kind}.parquet")
-                error.args = (f"{scenario.name}: {error}; what it did up to there is in {kept}",)
+                path = display_path(self.folder / f"{kind}.parquet")
+                error.args = (f"{scenario.name}: {error}; the trajectory up to that time is in {path}",)
                 diverged.append(error)
                 trajectories[kind] = error.trajectory
             walls[kind] = time.perf_counter() - start
-        attribution, unexplained = None, []
+        attribution, failed_attributions = None, []
         if explain is not None and not diverged:
-            explaining = partial(progress, "why they differ") if progress else None
+            explaining = partial(progress, "attribution") if progress else None
             try:
                 attribution = explain(scenario, trajectories, progress=explaining)
             except DivergedError as error:
-                unexplained.append(error)
-        main = cause(scenario, trajectories) if cause is not None and not (diverged or attribution) else None
-        # Only now and all at once: an interrupt or a full disk leaves what an earlier run wrote.
-        with replace_files(self.folder, _OF_REPLAYS) as fresh:
+                failed_attributions.append(error)
+        cause = None
+        if main_cause is not None and not (diverged or attribution):
+            cause = main_cause(scenario, trajectories)
+        # All files are replaced at once: an interrupt or a full disk leaves those of an earlier run.
+        with replace_files(self.folder, _ALL_PRODUCTS) as fresh:
             (fresh / RESOLVED).write_text(dump_yaml(scenario.document), "utf-8")
             for kind, trajectory in trajectories.items():
                 trajectory.to_parquet(fresh / f"{kind}.parquet")
@@ -149,9 +161,10 @@ class PreparedRun:
                 scenario.measured.to_parquet(fresh / f"{MEASURED}.parquet")
             if diverged:
                 return RunResult(scenario.name, self.folder, trajectories, diverged=tuple(diverged))
-            metrics, shared = self.measure(trajectories, walls, attribution, main)
+            metrics, shared = self.measure(trajectories, walls, attribution, cause)
             self._write(fresh, metrics, shared, attribution)
-        return RunResult(scenario.name, self.folder, trajectories, metrics, unexplained=tuple(unexplained))
+        failed = tuple(failed_attributions)
+        return RunResult(scenario.name, self.folder, trajectories, metrics, failed_attributions=failed)
 
     def measure(
         self,
@@ -160,13 +173,13 @@ class PreparedRun:
         attribution: Attribution | None = None,
         cause: dict[str, Any] | None = None,
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return what stands in metrics.json, and what report and recording show besides.
+        """Return the content of metrics.json and the additional data of report and recording.
 
         Args:
-            trajectories: plant → what it did.
-            walls: plant → how long that took, s.
-            attribution: why they differ, where somebody asked.
-            cause: the main cause, see `execute`.
+            trajectories: trajectory of each plant.
+            walls: wall time of each plant, s.
+            attribution: attribution of the difference, if computed.
+            cause: main cause of the difference, see `execute`.
         """
         scenario, measured = self.scenario, self.scenario.measured
         comparison = None
@@ -185,29 +198,31 @@ class PreparedRun:
         if measured is not None:
             drawn[MEASURED] = measured
             differences = {k: MeasuredDifference.between(measured, t) for k, t in trajectories.items()}
-            for kind, apart in differences.items():
-                metrics["plants"][kind] |= apart.metrics
+            for kind, deviation in differences.items():
+                metrics["plants"][kind] |= deviation.metrics
             metrics["plants"][MEASURED] = plant_metrics(measured)
-            metrics["residuals"] = {k: apart.document() for k, apart in differences.items()}
+            metrics["residuals"] = {k: deviation.document() for k, deviation in differences.items()}
         if attribution is not None:
             metrics["attribution"] = attribution.document()
         if cause is not None:
             metrics["cause"] = cause
         twin = scenario.file.plants.twin
-        if "twin" in trajectories and twin and twin.searched_with:
-            metrics["preset"] = twin.searched_with
-        # What was said of a plant that the scenario names and nobody asked to run is not missed.
-        there = {*trajectories, *(["comparison"] if comparison else ())}
-        asked = [each for each in scenario.expect if each.subject in there or set(scenario.plants) <= there]
-        if any(each.within for each in asked):
-            metrics["intervals"] = kept_intervals(scenario)
-        lacks = [why_undefined(each.metric, each.subject, metrics, drawn) for each in asked]
-        metrics["expectations"] = [each.check(metrics, why) for each, why in zip(asked, lacks, strict=True)]
-        metrics["left_out"] = [each for each in scenario.left_out if each["of"] in there]
+        if "twin" in trajectories and twin and twin.fast_preset:
+            metrics["preset"] = twin.fast_preset
+        # Expectations of plants that were not requested to run are not missed.
+        available = {*trajectories, *(["comparison"] if comparison else ())}
+        complete = set(scenario.plants) <= available
+        expected = [item for item in scenario.expect if item.subject in available or complete]
+        if any(item.within for item in expected):
+            metrics["intervals"] = stored_intervals(scenario)
+        undefined = [why_undefined(item.metric, item.subject, metrics, drawn) for item in expected]
+        pairs = zip(expected, undefined, strict=True)
+        metrics["expectations"] = [item.check(metrics, reason) for item, reason in pairs]
+        metrics["left_out"] = [row for row in scenario.left_out if row["of"] in available]
         metrics.get("intervals", {}).pop("plants", None)
         metrics["versions"] = versions()
-        # The plants' own robot: a scenario may have taken its gaps away.
-        spec = [plant.spec for plant, _ in self.parts.values()][-1]
+        # The robot of the plants may differ from that of the scenario: plants without gaps.
+        spec = [plant.spec for plant, _ in self.pairs.values()][-1]
         return metrics, {
             "spec": spec,
             "trajectories": drawn,
@@ -219,7 +234,7 @@ class PreparedRun:
         self, fresh: Path, metrics: dict[str, Any], shared: dict[str, Any], attribution: Attribution | None
     ) -> None:
         """Write report, recording and metrics into a folder."""
-        # rerun alone takes half a second to import: not before there is something to show.
+        # Imported late: rerun alone takes half a second to import.
         from srs_twin.viewing.html.report import write_report
         from srs_twin.viewing.rerun.recording import write_recording
 
@@ -230,47 +245,47 @@ class PreparedRun:
 
 
 INTERVALS = Path("calibration/intervals")
+"""Folder of stored intervals."""
 
 
 def twin_contact(scenario: Scenario) -> str | None:
-    """Return the contact of a scenario's twin; None: no twin runs, or it stands on no floor."""
+    """Return the contact of the twin of a scenario; None without a twin or without a floor."""
     contact: str | None = (scenario.document["plants"].get("twin") or {}).get("contact")
     return contact
 
 
-def kept_intervals(scenario: Scenario) -> dict[str, Any]:
-    """Return the intervals stored by `srs-twin uncertainty SCENARIO --write`: in this folder, else shipped.
+def stored_intervals(scenario: Scenario) -> dict[str, Any]:
+    """Return the intervals stored by `srs-twin uncertainty SCENARIO --write`, in this folder or shipped.
 
     Returns:
-        The file's document, with "stale": the reason why it does not apply, None where robot and scenario are
-        those that it was made from; "renew": the command that renews it.
+        "stale": reason why the file does not apply, or None if robot and scenario are unchanged; "file": its
+        path; "renew": the command that renews it; "plants": intervals of the metrics of each plant.
     """
-    given = scenario.name if scenario.name in shipped_names("scenario") else scenario.source
-    name, renew = f"{scenario.name}.json", f"`srs-twin uncertainty {given} --write`"
+    reference = scenario.name if scenario.name in shipped_names("scenario") else scenario.source
+    name, renew = f"{scenario.name}.json", f"`srs-twin uncertainty {reference} --write`"
     path = next((p for p in (INTERVALS / name, data_root() / INTERVALS / name) if p.is_file()), None)
     if path is None:
         return {"stale": f"no interval is stored; {renew} makes one"}
     try:
-        found = json.loads(path.read_text("utf-8"))
-        kept, plants = found["digest"], found["plants"]
+        data = json.loads(path.read_text("utf-8"))
+        digest, plants = data["digest"], data["plants"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         return {"stale": f"{display_path(path)} cannot be read ({error}); {renew} writes it again"}
-    own, here = found.get("contact") or UNSTATED_CONTACT, twin_contact(scenario)
-    if "twin" in plants and here is not None and own != here:
+    own, contact = data.get("contact") or UNSTATED_CONTACT, twin_contact(scenario)
+    if "twin" in plants and contact is not None and own != contact:
         return {
-            "stale": f"the interval in {display_path(path)} is for a twin with contact {own}, not {here}; "
+            "stale": f"the interval in {display_path(path)} is for a twin with contact {own}, not {contact}; "
             f"{renew} renews it"
         }
-    if kept != judged_digest(scenario.document):
+    if digest != judged_digest(scenario.document):
         return {
-            "stale": f"the interval in {display_path(path)} is for another robot or scenario; "
-            f"{renew} renews it"
+            "stale": f"the interval in {display_path(path)} is for another robot or scenario; {renew} renews it"
         }
     return {"stale": None, "file": display_path(path), "renew": renew, "plants": plants}
 
 
 def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:
-    """Return what a person should know of a run: faults, and why it ended before its time."""
+    """Return the faults of a run, and the reason if it ended early."""
     events = [asdict(event) for event in trajectory.events if event.kind == "fault"]
     by = trajectory.metadata.get("ended_by")
     if by is not None:
@@ -279,7 +294,7 @@ def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:
 
 
 def _percents(progress: Callable[[float], None] | None, duration: float) -> Callable[[float], None]:
-    """Return what reports the part of a run that is done, once a percent, given the simulated time (s)."""
+    """Return a function of the simulated time (s) that reports progress once per percent."""
     reported = -1
 
     def watch(time: float) -> None:
@@ -295,13 +310,13 @@ def _percents(progress: Callable[[float], None] | None, duration: float) -> Call
 
 @dataclass(frozen=True)
 class ComparedRuns(Comparison):
-    """A scenario on both plants, and how far they are apart; a notebook shows it as a page.
+    """Comparison of both plants in a scenario; displayed as a page in notebooks.
 
     Attributes:
-        title: of the scenario.
-        trajectories: plant → what it did.
-        results: what stands in metrics.json.
-        spec: the robot that ran.
+        title: title of the scenario.
+        trajectories: trajectory of each plant.
+        results: content of metrics.json.
+        spec: robot of the plants.
     """
 
     title: str
@@ -310,7 +325,7 @@ class ComparedRuns(Comparison):
     spec: RobotSpec
 
     def __str__(self) -> str:
-        """Return the sentence that says what the run says."""
+        """Return the headline of the comparison."""
         return headline(self.results)
 
     def _repr_html_(self) -> str:
@@ -319,7 +334,7 @@ class ComparedRuns(Comparison):
         return notebook_run(self.title, self.results, self.trajectories, self.spec)
 
     def show(self) -> None:
-        """Show the page in a notebook; elsewhere print its sentence."""
+        """Display the page in a notebook; elsewhere print the headline."""
         try:
             from IPython.display import display
         except ImportError:
@@ -335,90 +350,91 @@ def compare(
     set: Mapping[str, Any] | None = None,
     gap_factor: bool = False,
 ) -> Comparison:
-    """Compare two runs, or run a scenario on both plants and compare these.
+    """Compare two trajectories, or run a scenario on both plants and compare the plants.
 
     Args:
-        reference: the analytical model's run; or a scenario, by itself, by name or by path.
-        candidate: the twin's run; None with a scenario.
-        set: dotted fields of the scenario and their values, as `load_scenario` takes them.
-        gap_factor: of two runs, see `comparison.compare.compare`; a scenario says so itself.
+        reference: trajectory of the analytical model; or a scenario, its name or its path.
+        candidate: trajectory of the twin; None with a scenario.
+        set: values that override fields of the scenario, as for `load_scenario`.
+        gap_factor: see `comparison.compare.compare`; with a scenario, the scenario sets it.
 
     Returns:
-        Of a scenario `ComparedRuns`, which holds the trajectories as well.
+        `Comparison`; for a scenario `ComparedRuns`, which contains the trajectories as well.
 
     Raises:
-        InputError: as in `comparison.compare.compare` and `load_scenario`, or a part is missing.
-        DivergedError: a plant's state is no longer finite.
+        InputError: as `comparison.compare.compare` and `load_scenario`, or for a wrong combination of
+            arguments.
+        DivergedError: the state of a plant is no longer finite.
     """
     if isinstance(reference, Trajectory):
         if candidate is None or set is not None:
-            raise InputError("two trajectories are compared, or a scenario with what is set of it")
+            raise InputError("give two trajectories, or a scenario, with `set` for the scenario only")
         return difference(reference, candidate, gap_factor=gap_factor)
     if candidate is not None:
-        raise InputError("a scenario is run on both plants: there is nothing to compare it with")
+        raise InputError("a scenario is run on both plants; remove the second argument")
     if isinstance(reference, Scenario):
         scenario = parse_scenario(reference.document, name=reference.name, set=set or {})
     else:
         scenario = load_scenario(reference, set=set or {})
-    run = PreparedRun.of(scenario, Path(), PLANTS)
+    run = PreparedRun.build(scenario, Path(), PLANTS)
     trajectories, walls = {}, {}
-    for kind, (plant, controller) in run.parts.items():
+    for kind, (plant, controller) in run.pairs.items():
         start = time.perf_counter()
         trajectories[kind] = rollout(plant, controller, **scenario.timing)
         walls[kind] = time.perf_counter() - start
     results, shared = run.measure(trajectories, walls)
-    found = shared["comparison"]
-    parts = {each.name: getattr(found, each.name) for each in fields(found)}
+    comparison = shared["comparison"]
+    values = {item.name: getattr(comparison, item.name) for item in fields(comparison)}
     return ComparedRuns(
-        **parts, title=run.scenario.title, trajectories=trajectories, results=results, spec=shared["spec"]
+        **values, title=run.scenario.title, trajectories=trajectories, results=results, spec=shared["spec"]
     )
 
 
 def prepare(scenario: Scenario, out: Path, *, plants: Sequence[str] | None = None) -> PreparedRun:
-    """Build the plants and controllers of a scenario and open its folder; simulate nothing.
+    """Build the plants and controllers of a scenario and open its output folder.
 
     Args:
-        scenario: what to run.
-        out: folder for the files; made where it is missing, may hold other files.
-        plants: which plants, in this order; None takes those the scenario names.
+        scenario: scenario.
+        out: output folder; created if missing, and it may contain other files.
+        plants: names of the plants, in this order; None: the plants of the scenario.
 
     Raises:
-        InputError: a plant, a controller or the folder cannot be had as asked.
+        InputError: a plant or controller cannot be built, or the folder cannot be written.
     """
-    found = PreparedRun.of(scenario, out, plants)
-    check_output_folder(out, _OF_REPLAYS)
-    return found
+    run = PreparedRun.build(scenario, out, plants)
+    check_output_folder(out, _ALL_PRODUCTS)
+    return run
 
 
 def check_run(scenario: Scenario, out: Path) -> None:
-    """See that a scenario can run into a folder, before anything is built or simulated.
+    """Check that a scenario can run into a folder, before anything is built or simulated.
 
     Raises:
-        InputError: the folder cannot be written, or nothing can be planned.
+        InputError: the folder cannot be written, or the plan cannot be computed.
     """
-    check_output_folder(out, _OF_REPLAYS)
+    check_output_folder(out, _ALL_PRODUCTS)
     scenario.check_run()
 
 
 def run_scenario(
     scenario: Scenario, out: Path, *, plants: Sequence[str] | None = None, progress: Progress | None = None
 ) -> RunResult:
-    """Run a scenario and leave its files: `prepare`, then `PreparedRun.execute`.
+    """Run a scenario and write its files: `prepare`, then `PreparedRun.execute`.
 
     Raises:
-        InputError: bad input, or a folder that cannot be written; found before simulating.
+        InputError: the scenario cannot run or the folder cannot be written; raised before the simulation.
     """
     return prepare(scenario, out, plants=plants).execute(progress)
 
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """What a run left.
+    """Finished run, loaded from its output folder.
 
     Attributes:
-        folder: where it lies.
-        scenario: what was run, defaults and robot written out.
-        trajectories: plant → what it did, the plants' before what was measured.
+        folder: output folder.
+        scenario: scenario with defaults and robot written out.
+        trajectories: trajectory of each plant, then the measured one.
     """
 
     folder: Path
@@ -427,36 +443,36 @@ class FinishedRun:
 
     @property
     def name(self) -> str:
-        """What it is called: its folder."""
+        """Name of the run: that of its folder."""
         return self.folder.resolve().name
 
 
 def load_run(run: str | Path) -> FinishedRun:
-    """Read a run back.
+    """Load a finished run.
 
     Args:
-        run: its folder, or a name in ``./runs``.
+        run: output folder, or its name in ``./runs``.
 
     Raises:
-        InputError: there is none, or its files are not what a run leaves.
+        InputError: there is no such run, or its files are not valid.
     """
     folder = find_run(run)
     paths = {kind: folder / f"{kind}.parquet" for kind in (*PLANTS, MEASURED)}
-    found = {kind: Trajectory.from_parquet(path) for kind, path in paths.items() if path.is_file()}
-    if not found:
-        raise InputError(f"{display_path(folder)}: holds no trajectory; `srs-twin run SCENARIO` leaves them")
-    return FinishedRun(folder, load_scenario(folder / RESOLVED), found)
+    trajectories = {kind: Trajectory.from_parquet(path) for kind, path in paths.items() if path.is_file()}
+    if not trajectories:
+        raise InputError(f"{display_path(folder)}: no trajectory there; `srs-twin run SCENARIO` writes them")
+    return FinishedRun(folder, load_scenario(folder / RESOLVED), trajectories)
 
 
 def find_run(run: str | Path) -> Path:
-    """Return the folder that a run left: as given, or of that name in ``./runs``.
+    """Return the output folder of a run, given by its path or its name in ``./runs``.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no such run.
     """
-    looked = [Path(run), Path("runs") / run]
-    for folder in looked:
+    candidates = [Path(run), Path("runs") / run]
+    for folder in candidates:
         if os.path.isfile(folder / RESOLVED):
             return folder
-    tried = " and ".join(display_path(path / RESOLVED) for path in looked)
-    raise InputError(f"{run}: no run there (looked for {tried}); `srs-twin run SCENARIO` makes one")
+    files = " and ".join(display_path(path / RESOLVED) for path in candidates)
+    raise InputError(f"{run}: no run there (looked for {files}); `srs-twin run SCENARIO` makes one")

@@ -1,7 +1,7 @@
-"""Registry of the extensions: the only place in the core that names one.
+"""Registry of the extensions, the only place in the core that names them.
 
-An entry is ``name: "module:object"``. The module is imported when a file or a command asks for the object.
-An entry whose extension is not installed is left out.
+An entry is ``name: "module:object"``. The module is imported when the object is needed. Entries of extensions
+that are not installed are ignored.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ COMMANDS = {
     "shadow": "srs_twin.live.shadow_command:shadow",
     "calibrate": "srs_twin.identification.command:app",
 }
-"""Commands: functions, or typer applications with commands of their own."""
+"""Commands: functions, or typer applications with subcommands."""
 
 CONTROLLERS = {
     "replay": "srs_twin.recordings.scenario:ReplayFile",
     "follow": "srs_twin.planning.scenario:FollowFile",
 }
-"""Kinds of `controller` in a scenario: sections that build the controller."""
+"""Kinds of `controller` in a scenario, as sections that build the controller."""
 
 SECTIONS = {
     "recording": "srs_twin.recordings.scenario:RECORDING",
     "planner": "srs_twin.planning.scenario:PLANNER",
 }
-"""Further sections of a scenario: `scenario.sections.SectionEntry`."""
+"""Additional sections of a scenario (`scenario.sections.SectionEntry`)."""
 
 METRICS = {"following": "srs_twin.planning.metrics:METRICS"}
-"""Metrics of a run: `comparison.group.MetricGroup`."""
+"""Metrics of runs (`comparison.group.MetricGroup`)."""
 
 PICTURES = {"following": "srs_twin.planning.pictures:PICTURES"}
-"""Additions to the pictures of a run: `viewing.additions.RunPictures`."""
+"""Additions to the pictures of runs (`viewing.additions.RunPictures`)."""
 
 PAGES = {
     "run": "srs_twin.viewing.html.report:page_of_run",
@@ -51,7 +51,7 @@ PAGES = {
     "plan": "srs_twin.planning.pictures:plan_page",
     "fit": "srs_twin.identification.fit_report:fit_page",
 }
-"""Results as HTML in notebooks."""
+"""HTML pages of results in notebooks."""
 
 ENGINES = {"warp": "srs_twin.warp.batch:WarpBatch"}
 """Engines of batches of twins."""
@@ -85,7 +85,7 @@ def objects(table: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
 
 
 def module_of(entry: str) -> str:
-    """Return the module of an entry, dotted."""
+    """Return the dotted name of an entry's module."""
     return entry.partition(":")[0]
 
 
@@ -99,7 +99,7 @@ def _has_package(name: str) -> bool:
 
 
 def lazy(entries: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return the ``__getattr__`` of a package whose names are imported when they are asked for.
+    """Return a module-level ``__getattr__`` that imports names when they are used.
 
     Args:
         entries: name → ``module:object``.

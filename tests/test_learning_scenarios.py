@@ -90,9 +90,7 @@ def test_a_target_out_of_reach_is_warned_of():
     assert given.warnings == ()
     weak = parse_scenario(dict(given.document) | {"supply": {"pressure_kpa": 30}})
     (warning,) = weak.warnings
-    assert warning.startswith(
-        "controller.target_rad: 1.5 rad is more than the 0.455 rad that the segments bend"
-    )
+    assert warning.startswith("controller.target_rad: 1.5 rad is above 0.455 rad, the largest bend")
 
 
 def test_the_shipped_pairs_differ_in_nothing_but_the_learning():
@@ -121,7 +119,7 @@ def stopped(tmp_path_factory) -> Any:
     given = scenario(on_fault="stop", target_rad=0.7)
     run = prepare(given, tmp_path_factory.mktemp("stopped"))
     broken = given.build_plant("analytical", sensor=Silent())
-    return replace(run, parts=dict(run.parts) | {"analytical": (broken, given.build_controller())}).execute()
+    return replace(run, pairs=dict(run.pairs) | {"analytical": (broken, given.build_controller())}).execute()
 
 
 @pytest.mark.slow
@@ -152,5 +150,5 @@ def test_the_picture_shows_what_was_measured(stopped):
 
 
 def test_a_carrier_as_slow_as_the_gait_is_refused():
-    with pytest.raises(InputError, match="needs a carrier_hz of 8 or more"):
+    with pytest.raises(InputError, match="needs a carrier_hz of at least 8"):
         scenario(carrier_hz=7)

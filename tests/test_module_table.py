@@ -1,6 +1,6 @@
 """The table of docs/module.md is the one that docs/module.json gives.
 
-That the shipped scenarios still give these numbers is checked where they run: tests/scenarios.
+That the shipped scenarios still give these numbers is checked where they run: tests/scenario.
 """
 
 from __future__ import annotations

@@ -54,17 +54,17 @@ def run_case(
     elif plants is not None and len(plants) > 1:
         from srs_twin.attribution import main_cause
 
-        options["cause"] = main_cause
+        options["main_cause"] = main_cause
     scenario, folder = task
     try:
         result = prepare(scenario, folder, plants=plants).execute(progress, **options)
     except InputError as error:
         return CaseResult(None, (error,), time.perf_counter() - start)
-    errors = (*result.diverged, *result.unexplained)
+    errors = (*result.diverged, *result.failed_attributions)
     for failure in errors:
         # Their file contains them; a worker process should not send them again.
         failure.trajectory = failure.history = None
-    result = replace(result, trajectories={}, diverged=(), unexplained=())
+    result = replace(result, trajectories={}, diverged=(), failed_attributions=())
     return CaseResult(result, errors, time.perf_counter() - start)
 
 

@@ -130,14 +130,14 @@ def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
 
 def _add_outcome(test: TestCase, row: Mapping[str, Any], fails: Set[str]) -> TestCase:
     """Return the test case of an expectation with its outcome."""
-    from srs_twin.scenario.expectation import in_words, verdict
+    from srs_twin.scenario.expectation import result_text, verdict
 
     state = verdict(row)
     if state in fails:
         remarks = {key: row[key] for key in ("reason", "known") if row.get(key)}
         values = {"value": row["value"], "allowed": row["allowed"], "source": row["source"] or "ours"}
         text = "\n".join(f"{key}: {value}" for key, value in (values | remarks).items())
-        message = f"{test.name} {in_words(row)}"
+        message = f"{test.name} {result_text(row)}"
         return test._replace(outcome="failure", message=message, kind="expectation", text=text)
     skipped = {"known": f"known: {row.get('known')}", "not_judged": f"not judged: {row.get('reason')}"}
     return test._replace(outcome="skipped", message=skipped[state]) if state in skipped else test

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from srs_twin.cli.console import console, new_table
 from srs_twin.comparison.compare import MEASURES
 from srs_twin.comparison.metrics import chosen, headline, published, result_rows
-from srs_twin.scenario.expectation import in_words, verdict
+from srs_twin.scenario.expectation import result_text, verdict
 from srs_twin.scenario.modified import left_out_line, marked
 from srs_twin.viewing.plots.labels import metric_label
 
@@ -143,4 +143,4 @@ def needs_explanation(metrics: Mapping[str, Any]) -> bool:
 def _expectation_line(row: Mapping[str, Any]) -> str:
     source = f" ({row['source']})" if row.get("source") else ""
     remarks = "".join(f"; {key}: {row[key]}" for key in ("reason", "known") if row.get(key))
-    return f"{STATE_LABELS[verdict(row)]:6} {row['of']} {row['metric']} {in_words(row)}{source}{remarks}"
+    return f"{STATE_LABELS[verdict(row)]:6} {row['of']} {row['metric']} {result_text(row)}{source}{remarks}"

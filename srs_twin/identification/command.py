@@ -497,7 +497,7 @@ def margin(
     from srs_twin.io.documents import Override
     from srs_twin.io.files import check_output_folder, find_file, read_text
     from srs_twin.planning.footprint import load_footprint_file, save_footprint
-    from srs_twin.planning.margins import quantile
+    from srs_twin.planning.margins import excursion_quantile
     from srs_twin.scenario.loading import load_scenario
 
     # A margin that the scenario requests would hide the excursions to be measured.
@@ -524,7 +524,9 @@ def margin(
     elif not quiet:
         table = new_table("plant", "half of the runs", "90 %", "95 %", "all, mm")
         for result in measured:
-            quantiles = [quantile(result.path_m, share) for share in (0.5, 0.9, 0.95)] + [result.path_m[-1]]
+            quantiles = [excursion_quantile(result.path_m, share) for share in (0.5, 0.9, 0.95)] + [
+                result.path_m[-1]
+            ]
             table.add_row(result.conditions.plant, *(f"{1000 * value:.0f}" for value in quantiles))
         console().print(table)
     say(f"excursions in {display_path(path)}", quiet=quiet)

@@ -18,8 +18,8 @@ from srs_twin.errors import InputError
 from srs_twin.planning.follower import ENDINGS, Follower
 from srs_twin.planning.margins import LOST_M, ExcursionsFile
 from srs_twin.planning.metrics import beyond, following
-from srs_twin.planning.plan import Plan
-from srs_twin.planning.problem import Outcome, path_of
+from srs_twin.planning.path import path_from_arcs
+from srs_twin.planning.problem import Outcome, Plan
 from srs_twin.planning.scenario import FollowFile
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.world import Goal, Pose, World
@@ -73,7 +73,7 @@ class FollowerRun:
         arcs = _random_arcs(rng, body.curvatures[0], body.curvatures[-1])
 
         def plan_from(start: Pose, *run_up: tuple[float, float]) -> Plan:
-            return Plan(Outcome.FOUND, "drawn", path_of(start, [*run_up, *arcs], body))
+            return Plan(Outcome.FOUND, "drawn", path_from_arcs(start, [*run_up, *arcs], body))
 
         plan = plan_from(Pose(*scenario.pose), *([(0.0, self.run_up)] if self.run_up else []))
         assert plan.end is not None, "it has segments"

@@ -1,6 +1,8 @@
-"""Planning: from start to goal among obstacles with the floor that the body sweeps (Section 5.2).
+"""Path planning with footprints, and following of plans (Section 5.2).
 
-`plan(problem)` → `Plan`. footprint → primitives → search; geometry in `arcs`, `dubins`, `collision`.
+`plan(problem)` returns a `Plan`. The planner searches over arcs (`search_kernels`, `search_tree`,
+`best_first`) with exact collision checks of the footprint (`arcs`, `collision`). `infeasibility` proves that
+no path exists. `follower` and `steering` follow a plan by the offset of a gait.
 """
 
 from srs_twin.extensions import lazy

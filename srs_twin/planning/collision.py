@@ -1,4 +1,4 @@
-"""Collision checks of arcs and plans against a world, exact up to `arcs.MARGIN`."""
+"""Collision checks of arcs and paths in a world, exact up to `arcs.ROUNDING_MARGIN`."""
 
 from __future__ import annotations
 
@@ -11,188 +11,210 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.planning.arcs import blocked
+from srs_twin.planning.arcs import arc_collides
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.problem import Segment
+from srs_twin.planning.path import Segment
 from srs_twin.robot.world import Bounds, Pose, World
 
-MOST_CLEARANCE = 1.0
-"""What is farther away is not looked for, m."""
-FINENESS = 1e-4
-"""Error of `Checker.clearance`, m."""
-_MOST_CELLS = 256
-"""Along a side of the grid of things."""
-_ANYWHERE = Bounds((-math.inf, math.inf), (-math.inf, math.inf))
+MAX_CLEARANCE_M = 1.0
+"""Largest clearance that is measured, m."""
+CLEARANCE_ERROR_M = 1e-4
+"""Error of `Checker.clearance`, m; the bisection stops there."""
+
+_MAX_GRID_CELLS = 256
+"""Largest number of grid cells along a side: 256² cells of two integers take 1 MB."""
+
+_UNBOUNDED = Bounds((-math.inf, math.inf), (-math.inf, math.inf))
 
 
-class Surroundings(NamedTuple):
-    """A world as the kernels take it.
+class ObstacleGrid(NamedTuple):
+    """Obstacles and bounds as arrays, with a uniform grid for fast lookup.
 
     Attributes:
-        circles: x, y, radius of each, m, shape (n, 3).
-        sides: x, y of both ends of each polygon's sides, m, shape (n, 4).
-        bounds: lowest x, highest x, lowest y, highest y, m, shape (4,); infinite where there are none.
-        corner: of a grid about all of them, x and y, m, and the side of its cells, m, shape (3,).
-        first: where the list of each cell begins in `lists`, and where it ends, shape (columns, rows, 2).
-        lists: of each cell what reaches into it: circles by their number, sides by theirs after all circles.
+        circles: x, y and radius of the circles, m, shape (n, 3).
+        sides: x, y of both ends of the polygon sides, m, shape (m, 4).
+        bounds: minimum x, maximum x, minimum y, maximum y, m, shape (4,); infinite without bounds.
+        origin: x and y of the grid's lower left corner and the side of its cells, m, shape (3,).
+        cell_ranges: start and end of the items of each cell in `cell_items`, shape (columns, rows, 2).
+        cell_items: numbers of the items that overlap each cell; circles first, then sides, shape (k,).
     """
 
     circles: np.ndarray
     sides: np.ndarray
     bounds: np.ndarray
-    corner: np.ndarray
-    first: np.ndarray
-    lists: np.ndarray
+    origin: np.ndarray
+    cell_ranges: np.ndarray
+    cell_items: np.ndarray
 
 
-def surroundings(world: World) -> Surroundings:
-    """Return a world as arrays."""
+def obstacle_grid(world: World) -> ObstacleGrid:
+    """Return the arrays of a world."""
     circles = np.array([(c.x, c.y, c.radius) for c in world.obstacles], dtype=float).reshape(-1, 3)
     rings = [(*p.corners, p.corners[0]) for p in world.polygons]
     sides = [(*a, *b) for ring in rings for a, b in pairwise(ring)]
-    bounds = world.bounds or _ANYWHERE
+    bounds = world.bounds or _UNBOUNDED
     limits = np.array([*bounds.x, *bounds.y], dtype=float)
     lines = np.array(sides, dtype=float).reshape(-1, 4)
-    return Surroundings(circles, lines, limits, *in_cells(circles, lines))
+    return ObstacleGrid(circles, lines, limits, *build_grid(circles, lines))
 
 
-def in_cells(circles: np.ndarray, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a grid and what reaches into each of its cells, see `Surroundings`."""
+def build_grid(circles: np.ndarray, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return `origin`, `cell_ranges` and `cell_items` of an `ObstacleGrid`.
+
+    Args:
+        circles: as in `ObstacleGrid`.
+        sides: as in `ObstacleGrid`.
+    """
     x, y, radius = circles.T
     low = np.vstack([np.column_stack([x - radius, y - radius]), np.minimum(sides[:, :2], sides[:, 2:])])
     high = np.vstack([np.column_stack([x + radius, y + radius]), np.maximum(sides[:, :2], sides[:, 2:])])
     count = len(low)
     if count == 0:
         return np.array([0.0, 0.0, 1.0]), np.zeros((0, 0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
-    corner, extent = low.min(axis=0), np.ptp(np.vstack([low, high]), axis=0)
-    cell = max(float(extent.max()) / min(max(math.isqrt(count // 4), 1), _MOST_CELLS), 1e-9)
-    columns, rows = (int(each / cell) + 1 for each in extent)
-    begin, end = ((each - corner) // cell for each in (low, high))
-    listed: list[list[int]] = [[] for _ in range(columns * rows)]
+    origin, extent = low.min(axis=0), np.ptp(np.vstack([low, high]), axis=0)
+    # About four items per cell keep both the lists and the grid small.
+    cell = max(float(extent.max()) / min(max(math.isqrt(count // 4), 1), _MAX_GRID_CELLS), 1e-9)
+    columns, rows = (int(side / cell) + 1 for side in extent)
+    begin, end = ((corner - origin) // cell for corner in (low, high))
+    items: list[list[int]] = [[] for _ in range(columns * rows)]
     for k, (west, south, east, north) in enumerate(np.hstack([begin, end]).astype(int).tolist()):
         for column in range(west, east + 1):
             for row in range(south, north + 1):
-                listed[column * rows + row].append(k)
-    ends = np.cumsum([len(each) for each in listed])
-    first = np.stack([np.r_[0, ends[:-1]], ends], axis=-1).reshape(columns, rows, 2)
-    return np.array([*corner, cell]), first, np.array([k for each in listed for k in each], dtype=np.int64)
+                items[column * rows + row].append(k)
+    ends = np.cumsum([len(cell_list) for cell_list in items])
+    cell_ranges = np.stack([np.r_[0, ends[:-1]], ends], axis=-1).reshape(columns, rows, 2)
+    return (
+        np.array([*origin, cell]),
+        cell_ranges,
+        np.array([k for cell_list in items for k in cell_list], dtype=np.int64),
+    )
 
 
 @dataclass(frozen=True)
 class Checker:
-    """A footprint in a world.
+    """Collision checker of a footprint in a world.
 
     Attributes:
         world: obstacles and bounds.
-        footprint: what the body sweeps.
+        footprint: area that the body covers along its path.
     """
 
     world: World
     footprint: Footprint
 
     @cached_property
-    def surroundings(self) -> Surroundings:
-        """The world as arrays."""
-        return surroundings(self.world)
+    def grid(self) -> ObstacleGrid:
+        """Arrays of the world."""
+        return obstacle_grid(self.world)
 
-    def free(
+    def is_arc_free(
         self, pose: Pose, curvature: float, length: float, wider: tuple[float, float] = (0.0, 0.0)
     ) -> bool:
-        """Say whether an arc is free: the body swept along it touches nothing and stays within the bounds.
+        """Return whether the body touches no obstacle and stays within the bounds along an arc.
 
         Args:
-            pose: where the centre of mass begins; it lies outside of the polygons.
-            curvature: 1/m.
-            length: m.
-            wider: what is added to the left and right edges, m.
+            pose: pose of the centre of mass at the start, outside all polygons.
+            curvature: curvature of the arc, 1/m.
+            length: length of the arc, m.
+            wider: widths added to the left and right edges, m.
         """
         body, motion = self.footprint, self.footprint.at(curvature)
         left, right = motion.left + wider[0], motion.right + wider[1]
         reach = body.ahead, body.behind
-        return not blocked(*pose, curvature, length, *reach, left, right, self.surroundings)
+        return not arc_collides(*pose, curvature, length, *reach, left, right, self.grid)
 
-    def free_path(self, segments: Sequence[Segment]) -> bool:
-        """Say whether a path is free, wider by the transients where its changes of offset still last."""
+    def is_path_free(self, segments: Sequence[Segment]) -> bool:
+        """Return whether a path is free, with edges widened by the transients after changes of offset."""
         wider, lasting, none = (0.0, 0.0), 0.0, (0.0, 0.0)
         for before, segment in zip((None, *segments), segments, strict=False):
+            # A change of offset starts a transient; overlapping transients combine to the larger values.
             if before is not None:
                 left, right, length = self.footprint.transient(before.offset, segment.offset)
                 old = wider if lasting > 0 else none
                 wider, lasting = (max(left, old[0]), max(right, old[1])), max(length, lasting)
-            first = min(lasting, segment.length)
-            if first > 0 and not self.free(segment.start, segment.curvature, first, wider):
+            widened = min(lasting, segment.length)
+            if widened > 0 and not self.is_arc_free(segment.start, segment.curvature, widened, wider):
                 return False
-            rest = segment.length - first
-            if rest > 0 and not self.free(segment.pose(first), segment.curvature, rest):
+            rest = segment.length - widened
+            if rest > 0 and not self.is_arc_free(segment.pose(widened), segment.curvature, rest):
                 return False
-            lasting -= first
+            lasting -= widened
         return True
 
     def clearance(self, segments: Sequence[Segment]) -> float:
-        """Return how much wider both edges could be on a free path, m, at most `MOST_CLEARANCE`."""
-        free, touching = 0.0, MOST_CLEARANCE
-        while touching - free > FINENESS:
+        """Return the width that both edges of a free path could gain, m, at most `MAX_CLEARANCE_M`."""
+        free, touching = 0.0, MAX_CLEARANCE_M  # bisection between a free and a touching width
+        while touching - free > CLEARANCE_ERROR_M:
             middle = (free + touching) / 2
-            if Checker(self.world, self.footprint.reduced(margin=middle)).free_path(segments):
+            if Checker(self.world, self.footprint.reduced(margin=middle)).is_path_free(segments):
                 free = middle
             else:
                 touching = middle
         return free
 
-    def blocker(self, pose: Pose, length: float = 0.0, wider: float = 0.0) -> str:
-        """Return in words what the body touches that goes straight from a pose (length in m), or nothing."""
+    def first_collision(self, pose: Pose, length: float = 0.0, wider: float = 0.0) -> str:
+        """Return a description of an obstacle or bound in the way of a straight body, or an empty string.
+
+        Args:
+            pose: pose of the centre of mass at the start.
+            length: length of the straight path, m.
+            wider: width added to both edges, m.
+        """
         body, motion = self.footprint, self.footprint.at(0.0)
         edges = body.ahead, body.behind, motion.left + wider, motion.right + wider
-        if not blocked(*pose, 0.0, length, *edges, self.surroundings):
+        if not arc_collides(*pose, 0.0, length, *edges, self.grid):
             return ""
-        for name, world in _pieces(self.world):
-            if blocked(*pose, 0.0, length, *edges, surroundings(world)):
+        for name, world in _named_obstacles(self.world):
+            if arc_collides(*pose, 0.0, length, *edges, obstacle_grid(world)):
                 return name
         return ""
 
 
-def inside(world: World, x: float, y: float) -> str:
-    """Return in words what a point lies in (or outside of), or an empty string."""
+def obstacle_at(world: World, x: float, y: float) -> str:
+    """Return a description of the obstacle that contains a point, or of the bounds if it is outside.
+
+    An empty string if the point is free.
+    """
     import shapely
 
     point = shapely.Point(x, y)
-    for name, each in _pieces(world):
-        if (b := each.bounds) and not (b.x[0] <= x <= b.x[1] and b.y[0] <= y <= b.y[1]):
+    for name, part in _named_obstacles(world):
+        if (b := part.bounds) and not (b.x[0] <= x <= b.x[1] and b.y[0] <= y <= b.y[1]):
             return name
-        if any(math.hypot(x - c.x, y - c.y) <= c.radius for c in each.obstacles):
+        if any(math.hypot(x - c.x, y - c.y) <= c.radius for c in part.obstacles):
             return name
-        if any(shapely.Polygon(p.corners).intersects(point) for p in each.polygons):
+        if any(shapely.Polygon(p.corners).intersects(point) for p in part.polygons):
             return name
     return ""
 
 
-def nearest(world: World, x: float, y: float) -> str:
-    """Return what is nearest to a point: "bounds", "obstacle 2", "polygon 1"; empty where nothing is."""
+def nearest_obstacle(world: World, x: float, y: float) -> str:
+    """Return the nearest obstacle: "bounds", "obstacle 2", "polygon 1", or "" in an empty world."""
     import shapely
 
-    point, found = shapely.Point(x, y), [(math.inf, "")]
+    point, distances = shapely.Point(x, y), [(math.inf, "")]
     if world.bounds is not None:
         (west, east), (south, north) = world.bounds.x, world.bounds.y
-        found.append((min(x - west, east - x, y - south, north - y), "bounds"))
+        distances.append((min(x - west, east - x, y - south, north - y), "bounds"))
     for k, circle in enumerate(world.obstacles, start=1):
-        found.append((math.hypot(x - circle.x, y - circle.y) - circle.radius, f"obstacle {k}"))
+        distances.append((math.hypot(x - circle.x, y - circle.y) - circle.radius, f"obstacle {k}"))
     for k, polygon in enumerate(world.polygons, start=1):
-        found.append((shapely.distance(point, shapely.Polygon(polygon.corners)), f"polygon {k}"))
-    return min(found)[1]
+        distances.append((shapely.distance(point, shapely.Polygon(polygon.corners)), f"polygon {k}"))
+    return min(distances)[1]
 
 
-def _pieces(world: World) -> list[tuple[str, World]]:
-    """Return each thing of a world with its name, in a world of its own."""
-    found: list[tuple[str, World]] = []
+def _named_obstacles(world: World) -> list[tuple[str, World]]:
+    """Return the description of each obstacle and of the bounds, each with a world that contains only it."""
+    named: list[tuple[str, World]] = []
     if (bounds := world.bounds) is not None:
         (west, east), (south, north) = bounds.x, bounds.y
         name = f"the bounds (x {west:g} to {east:g} m, y {south:g} to {north:g} m)"
-        found.append((name, World(bounds=bounds)))
+        named.append((name, World(bounds=bounds)))
     for k, circle in enumerate(world.obstacles, start=1):
         name = f"obstacle {k} (radius {circle.radius:g} m at ({circle.x:g}, {circle.y:g}))"
-        found.append((name, World((circle,))))
+        named.append((name, World((circle,))))
     for k, polygon in enumerate(world.polygons, start=1):
         (x, y), count = polygon.corners[0], len(polygon.corners)
         name = f"polygon {k} ({count} corners, the first at ({x:g}, {y:g}))"
-        found.append((name, World(polygons=(polygon,))))
-    return found
+        named.append((name, World(polygons=(polygon,))))
+    return named

@@ -1,4 +1,4 @@
-"""`srs-twin plan`: the plan of a scenario, and nothing moves."""
+"""Command `srs-twin plan`: plan the path of a scenario without simulating it."""
 
 from __future__ import annotations
 
@@ -26,14 +26,20 @@ from srs_twin.errors import InputError
 from srs_twin.io.files import display_path
 
 if TYPE_CHECKING:
-    from srs_twin.planning.plan import Plan
-    from srs_twin.planning.problem import Problem
+    from srs_twin.planning.problem import Plan, Problem
     from srs_twin.scenario.scenario import Scenario
 
 _ROUNDING = 1e-9
-"""Lengths below are 0, m."""
+"""Lengths below this count as 0, m."""
 
-PLAN, PICTURE, SEARCH, RECORDING = "plan.json", "plan.png", "search.png", "search.rrd"
+PLAN = "plan.json"
+"""File of the plan."""
+PICTURE = "plan.png"
+"""Picture of the plan."""
+SEARCH = "search.png"
+"""Picture of the search."""
+RECORDING = "search.rrd"
+"""Rerun recording of the search."""
 
 
 def plan(
@@ -45,11 +51,11 @@ def plan(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Plan the way of a scenario; nothing is simulated.
+    """Plan the path of a scenario without simulating it.
 
     Options:
-        check: Exit with 1 when an expectation of the plan fails, or no plan is found.
-        search: Also a picture and a recording of what the search explored and rejected.
+        check: Exit with 1 if an expectation of the plan fails or no plan is found.
+        search: Also write a picture and a recording of the explored and rejected arcs.
     """
     from srs_twin.cli.table import STATE_LABELS
     from srs_twin.io.file_sets import replace_files
@@ -61,51 +67,51 @@ def plan(
 
     loaded = load_scenario(scenario, set=changed.changes())
     if loaded.planner is None:
-        raise InputError(f"{scenario}: it has no planner; add planner, and controller.kind: follow")
+        raise InputError(f"{scenario}: there is no planner section; add planner, and controller.kind: follow")
     folder = Path(out) if out else RUNS_FOLDER / loaded.name
     files = (PLAN, PICTURE, *((SEARCH, RECORDING) if search else ()))
     check_output_folder(folder, files)
     with loaded.named_in_errors():
-        found = loaded.planner.plan_anew(keep=True) if search else loaded.planner.plan()
-    metrics = plan_metrics(found.found, found.segments, found.expanded)
-    checked = _checked(loaded, metrics)
+        result = loaded.planner.plan_uncached(keep=True) if search else loaded.planner.plan()
+    metrics = plan_metrics(result.found, result.segments, result.expanded)
+    checked = _check_expectations(loaded, metrics)
     with replace_files(folder, (PLAN, PICTURE, SEARCH, RECORDING)) as fresh:
-        _write(fresh, loaded, loaded.planner.problem, found, metrics)
+        _write(fresh, loaded, loaded.planner.problem, result, metrics)
         if search:
-            _write_search(fresh, loaded.title, found)
+            _write_search(fresh, loaded.title, result)
     if as_json:
         print((folder / PLAN).read_text("utf-8"), end="")
     elif not quiet:
-        _show(loaded, found)
+        _print_plan(loaded, result)
     say(f"files in {display_path(folder)}: {', '.join(files)}", quiet=quiet)
-    missed = [each for each in checked if verdict(each) == "missed"]
-    for each in checked if not quiet else missed if check else ():
-        (say if as_json else print)(
-            f"{STATE_LABELS[verdict(each)]:6} {each['metric']} = {each['value']}, allowed {each['allowed']}"
-        )
-    left_out = [each for each in loaded.left_out if each["metric"] in metrics]
+    write = say if as_json else print  # stdout is for the JSON document
+    missed = [row for row in checked if verdict(row) == "missed"]
+    for row in checked if not quiet else missed if check else ():
+        write(f"{STATE_LABELS[verdict(row)]:6} {row['metric']} = {row['value']}, allowed {row['allowed']}")
+    left_out = [row for row in loaded.left_out if row["metric"] in metrics]
     for line in left_out_line(left_out) if not quiet else ():
-        (say if as_json else print)(line)
-    judged = any(each["metric"] == "plan_found" for each in checked)
-    if check and (missed or not (found.found or judged)):
+        write(line)
+    judged = any(row["metric"] == "plan_found" for row in checked)
+    if check and (missed or not (result.found or judged)):
         raise typer.Exit(EXPECTATION_FAILED)
 
 
-def _checked(scenario: Scenario, metrics: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return what the scenario expects of its plan, once each, checked."""
-    expected = {(each.metric, each.allowed): each for each in scenario.expect if each.metric in metrics}
-    return [each.check({"plants": {each.subject: metrics}}) for each in expected.values()]
+def _check_expectations(scenario: Scenario, metrics: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the results of the scenario's expectations of its plan, without duplicates."""
+    expected = {(item.metric, item.allowed): item for item in scenario.expect if item.metric in metrics}
+    return [item.check({"plants": {item.subject: metrics}}) for item in expected.values()]
 
 
-def _show(scenario: Scenario, found: Plan) -> None:
-    print(f"{scenario.label}: {found.outcome.value}: {found.reason}")
-    if found.found:
+def _print_plan(scenario: Scenario, result: Plan) -> None:
+    """Print the outcome of a plan, with its length and quality if there is a path."""
+    print(f"{scenario.label}: {result.outcome.value}: {result.reason}")
+    if result.found:
         print(
-            f"length {found.length:.3f} m, {found.duration:.1f} s at the footprint's speeds, "
-            f"{_counted(len(found.segments), 'segment')}, kink {found.kink:.3g} rad"
+            f"length {result.length:.3f} m, {result.duration:.1f} s at the footprint's speeds, "
+            f"{_counted(len(result.segments), 'segment')}, kink {result.kink:.3g} rad"
         )
-        print(_quality_words(_quality(found)))
-    print(f"{_counted(found.expanded, 'node')}, {1000 * found.seconds:.1f} ms")
+        print(_quality_words(_quality(result)))
+    print(f"{_counted(result.expanded, 'node')}, {1000 * result.seconds:.1f} ms")
 
 
 def _counted(count: int, noun: str) -> str:
@@ -113,61 +119,63 @@ def _counted(count: int, noun: str) -> str:
 
 
 def _quality_words(quality: Mapping[str, float | None]) -> str:
-    """Return in words what `_quality` returns."""
-    from srs_twin.planning.collision import FINENESS, MOST_CLEARANCE
+    """Return the result of `_quality` as a sentence."""
+    from srs_twin.planning.collision import CLEARANCE_ERROR_M, MAX_CLEARANCE_M
 
-    ratio, room = quality["length_over_least"], quality["clearance_m"] or 0.0
+    ratio, clearance = quality["length_over_least"], quality["clearance_m"] or 0.0
     length = "least length 0: the start is within the goal's radius"
     if ratio is not None:
         length = f"{ratio:.2f} times the least length around the obstacles"
-    more = "at least " if room > MOST_CLEARANCE - FINENESS else ""  # wider edges are not tried
-    return f"{length}, {more}{1000 * room:.0f} mm of room beside the swept area, margin included"
+    more = (
+        "at least " if clearance > MAX_CLEARANCE_M - CLEARANCE_ERROR_M else ""
+    )  # larger ones are not measured
+    return f"{length}, {more}{1000 * clearance:.0f} mm of clearance beyond the footprint and margin"
 
 
-def _quality(found: Plan) -> dict[str, float | None]:
-    """Return the length of a path as a multiple of the least length, and the room that it leaves, m.
+def _quality(result: Plan) -> dict[str, float | None]:
+    """Return the length of a path relative to the least length, and its clearance, m.
 
-    The multiple is None where the least length is 0: the start is within the goal's radius.
+    The relative length is None if the least length is 0: the start is within the goal's radius.
     """
     from srs_twin.planning.collision import Checker
 
-    assert found.problem is not None, "a planner's answer"
-    checker = Checker(found.problem.world, found.problem.footprint)
+    assert result.problem is not None, "set by plan()"
+    checker = Checker(result.problem.world, result.problem.footprint)
     return {
-        "length_over_least": found.length / found.least_length if found.least_length > _ROUNDING else None,
-        "clearance_m": checker.clearance(found.segments),
+        "length_over_least": result.length / result.least_length if result.least_length > _ROUNDING else None,
+        "clearance_m": checker.clearance(result.segments),
     }
 
 
-def _write(folder: Path, scenario: Scenario, problem: Problem, found: Plan, metrics: dict[str, Any]) -> None:
-    """Write the plan as data and as a picture."""
+def _write(folder: Path, scenario: Scenario, problem: Problem, result: Plan, metrics: dict[str, Any]) -> None:
+    """Write the plan as a JSON document and a picture."""
     from srs_twin.planning.pictures import plan_plot
 
-    about = {"world": asdict(problem.world), "goal": asdict(problem.goal)}
+    data = {"world": asdict(problem.world), "goal": asdict(problem.goal)}
     document = {
         "scenario": scenario.name,
-        "outcome": found.outcome.value,
-        "reason": found.reason,
+        "outcome": result.outcome.value,
+        "reason": result.reason,
         "start": asdict(problem.start),
-        **about,
-        "segments": [asdict(each) for each in found.segments],
-        "quality": _quality(found) if found.found else None,
+        **data,
+        "segments": [asdict(segment) for segment in result.segments],
+        "quality": _quality(result) if result.found else None,
         "metrics": metrics,
         "changes": list(scenario.changes),
     }
-    figure = plan_plot(about, found.segments, problem.footprint, f"{scenario.title}: {found.outcome.value}")
+    figure = plan_plot(data, result.segments, problem.footprint, f"{scenario.title}: {result.outcome.value}")
     (folder / PLAN).write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", "utf-8")
     figure.savefig(folder / PICTURE, format="png", dpi=150)
 
 
-def _write_search(folder: Path, title: str, found: Plan) -> None:
-    """Write what the search has seen as a picture and as a recording."""
-    from srs_twin.planning.explored import explored
+def _write_search(folder: Path, title: str, result: Plan) -> None:
+    """Write a picture and a Rerun recording of the search."""
     from srs_twin.planning.pictures import search_plot, write_search
+    from srs_twin.planning.search_tree import trace_search
 
-    assert found.problem is not None, "a planner's answer"
-    problem, seen = found.problem, explored(found.trees, found.problem)
-    about = {"world": asdict(problem.world), "goal": asdict(problem.goal)}
-    figure = search_plot(about, found.segments, problem.footprint, seen)
+    assert result.problem is not None, "set by plan()"
+    problem, trace = result.problem, trace_search(result.trees, result.problem.world)
+    data = {"world": asdict(problem.world), "goal": asdict(problem.goal)}
+    figure = search_plot(data, result.segments, problem.footprint, trace)
     figure.savefig(folder / SEARCH, format="png", dpi=150)
-    write_search(folder / RECORDING, found, seen, title)
+    write_search(folder / RECORDING, result, trace, title)

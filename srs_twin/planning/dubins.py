@@ -1,16 +1,18 @@
-r"""Dubins paths: the shortest way between two poses for a snake that only goes ahead and turns so tightly.
+r"""Dubins paths: shortest forward paths between two poses with a minimum turning radius.
 
-Dubins (1957): with a least radius r it consists of three pieces, arcs of radius r (L, R) and straights (S),
-in one of the six words LSL, LSR, LRL and their mirror images. Below, lengths are in radii, angles from the
-line between the poses: with distance d, headings a and b, for the words that begin with L,
+Dubins (1957): with minimum radius r, the shortest path has three pieces, arcs of radius r to the left (L) or
+right (R) and straight lines (S), in one of the six words LSL, LSR, LRL and their mirror images. Below,
+lengths are in units of r and angles are relative to the line between the poses. With distance d and headings
+a and b, the words that begin with L are
 
 $$ LSL: p^2 = 2 + d^2 - 2\cos(a-b) + 2d(\sin a - \sin b) \qquad
    LSR: p^2 = d^2 - 2 + 2\cos(a-b) + 2d(\sin a + \sin b) $$
 
-and LRL with cos p = (6 - d² + 2 cos(a-b) + 2d(sin b - sin a))/8, p > π. Where any arrival heading will do,
-the shortest is an arc and a straight, or, to a point inside a turning circle, two arcs (Bui et al., 1994).
+and LRL with cos p = (6 - d² + 2 cos(a-b) + 2d(sin b - sin a))/8, p > π. With a free arrival heading, the
+shortest path is an arc and a straight line, or two arcs if the end is inside a turning circle (Bui et al.,
+1994).
 
-The packages that offer this (`dubins`, wrappers of one C file) have had no release for years and no wheels.
+Own code because the packages for this (`dubins`, wrappers of one C file) are unmaintained and have no wheels.
 """
 
 from __future__ import annotations
@@ -22,106 +24,124 @@ import numpy as np
 from srs_twin.compute.compiled import compiled
 from srs_twin.robot.world import Pose
 
-_FULL = 2 * math.pi
+_FULL_TURN = 2 * math.pi
+"""rad."""
+
 _ROUNDING = 1e-9
+"""Distances (in radii) and angles (rad) below this are rounding errors."""
+
+ArcSequence = list[tuple[float, float]]
+"""Consecutive arcs: curvature, 1/m, and length, m."""
 
 
-Pieces = list[tuple[float, float]]
-"""(curvature in 1/m, length in m) of arcs laid end to end."""
-
-
-def shortest(start: Pose, x: float, y: float, heading: float | None, radius: float) -> Pieces:
-    """Return the three pieces of the shortest path from a pose to a pose, or to a point; some may be empty.
+def shortest_path(start: Pose, x: float, y: float, heading: float | None, radius: float) -> ArcSequence:
+    """Return the three arcs of the shortest path from a pose to a pose or point; lengths may be 0.
 
     Args:
-        start: where it begins.
-        x: of the end, m.
-        y: of the end, m.
-        heading: at the end, rad; None where any will do.
-        radius: least turning radius, m.
+        start: pose at the start.
+        x: x of the end, m.
+        y: y of the end, m.
+        heading: heading at the end, rad; None: any.
+        radius: turning radius, m.
     """
-    path = word(*start, x, y, heading or 0.0, heading is None, radius)
+    path = dubins_path(*start, x, y, heading or 0.0, heading is None, radius)
     return [(turn / radius, length) for turn, length in zip(path[:3], path[3:], strict=True)]
 
 
 @compiled
-def word(x, y, heading, to_x, to_y, to_heading, free, radius):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return turns (+1 left, 0 straight, -1 right) and lengths (m) of the three pieces of a shortest path.
+def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return turns (+1 left, 0 straight, -1 right) and lengths (m) of the pieces of a shortest path.
 
     Args:
-        x, y, heading: where it begins, m and rad.
-        to_x, to_y, to_heading: where it ends; the heading counts unless `free`.
-        radius: of the turns, m.
+        x, y, heading: pose at the start, m and rad.
+        to_x, to_y, to_heading: pose at the end, m and rad.
+        any_heading: whether the heading at the end is free; `to_heading` is ignored then.
+        radius: turning radius, m.
     """
     dx, dy = (to_x - x) / radius, (to_y - y) / radius
     best = (0.0, 0.0, 0.0, np.inf, np.inf, np.inf)
-    if free:
+    if any_heading:
         c, s = np.cos(heading), np.sin(heading)
         u, w = c * dx + s * dy, c * dy - s * dx
-        if np.sqrt(u * u + w * w) < _ROUNDING:  # it is there already
+        if np.sqrt(u * u + w * w) < _ROUNDING:  # start and end coincide
             best = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for side in (1.0, -1.0):
-            best = _to_point(best, side, u, side * w)
+            best = _shortest_to_point(best, side, u, side * w)
     else:
         d, line = np.sqrt(dx * dx + dy * dy), np.arctan2(dy, dx)
-        if d < _ROUNDING:  # at one place a line has no direction, and rounding must not ask for a full turn
+        if d < _ROUNDING:
+            # The line between coinciding points has no direction; rounding could add a full turn.
             d, line = 0.0, heading
         for side in (1.0, -1.0):
-            best = _to_pose(best, side, d, side * (heading - line), side * (to_heading - line))
+            best = _shortest_to_pose(best, side, d, side * (heading - line), side * (to_heading - line))
     first, middle, last, t, p, q = best
     return first, middle, last, radius * t, radius * p, radius * q
 
 
 @compiled
-def _to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]
-    """Return the shortest of `best` and the words that begin with L; `side` -1: of their mirror images."""
+def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return the shortest of `best` and the words that begin with L (`side` 1) or R (`side` -1).
+
+    Args:
+        best: turns and lengths of the shortest path so far, lengths in radii.
+        side: 1, or -1 for the mirror image.
+        d: distance between the poses in radii.
+        a, b: headings at start and end relative to the line between them, rad.
+    """
     sa, sb, ca, cb, cab = np.sin(a), np.sin(b), np.cos(a), np.cos(b), np.cos(a - b)
+    # LSL: the straight line is an outer tangent of both turning circles.
     square = 2 + d * d - 2 * cab + 2 * d * (sa - sb)
     turn = np.arctan2(cb - ca, d + sa - sb)
     if np.sqrt((d + sa - sb) ** 2 + (cb - ca) ** 2) < _ROUNDING:
-        # The circles coincide: a straight of no length has no direction, and the first arc turns all the way.
+        # The turning circles coincide: the direction of the straight line is undefined, one arc is the path.
         square, turn = 0.0, b
-    best = _shorter(best, side, 0.0, side, _turn(turn - a), np.sqrt(max(square, 0.0)), _turn(b - turn))
+    best = _shorter(best, side, 0.0, side, _wrapped(turn - a), np.sqrt(max(square, 0.0)), _wrapped(b - turn))
+    # LSR: an inner tangent, which exists only if the circles do not overlap.
     square = d * d - 2 + 2 * cab + 2 * d * (sa + sb)
     if square >= 0:
         p = np.sqrt(square)
         turn = np.arctan2(-ca - cb, d + sa + sb) - np.arctan2(-2.0, p)
-        best = _shorter(best, side, 0.0, -side, _turn(turn - a), p, _turn(turn - b))
+        best = _shorter(best, side, 0.0, -side, _wrapped(turn - a), p, _wrapped(turn - b))
+    # LRL: a third circle touches both, which needs close circles.
     cosine = (6 - d * d + 2 * cab + 2 * d * (sb - sa)) / 8
     if abs(cosine) <= 1:
-        p = _FULL - np.arccos(cosine)
-        t = _turn(p / 2 - a - np.arctan2(ca - cb, d + sa - sb))
-        best = _shorter(best, side, -side, side, t, p, _turn(b - a - t + p))
+        p = _FULL_TURN - np.arccos(cosine)
+        t = _wrapped(p / 2 - a - np.arctan2(ca - cb, d + sa - sb))
+        best = _shorter(best, side, -side, side, t, p, _wrapped(b - a - t + p))
     return best
 
 
 @compiled
-def _to_point(best, side, u, w):  # type: ignore[no-untyped-def]
-    """Return the shortest of `best`, LS and RL to a point u ahead and w to the left; `side` -1: mirrored."""
+def _shortest_to_point(best, side, u, w):  # type: ignore[no-untyped-def]
+    """Return the shortest of `best`, LS and RL (`side` -1: RS and LR) to a point (u, w), in radii.
+
+    u is the distance ahead of the start, w the distance to its left (`side` -1: to its right).
+    """
     away = u * u + (w - 1) * (w - 1)
     if away >= 1:
         tangent = np.arctan2(u, 1 - w) - np.arccos(1 / np.sqrt(away))
-        return _shorter(best, side, 0.0, 0.0, _turn(tangent), np.sqrt(away - 1), 0.0)
-    # Inside the left circle: right first, about (0, -1), then left on a circle that touches both.
+        return _shorter(best, side, 0.0, 0.0, _wrapped(tangent), np.sqrt(away - 1), 0.0)
+    # The point is inside the left turning circle: turn right about (0, -1), then left on a tangent circle.
     far = np.sqrt(u * u + (w + 1) * (w + 1))
     opening = np.arccos(min(1.0, (3 + far * far) / (4 * far)))
     for sign in (1.0, -1.0):
-        t = _turn(np.arctan2(u, w + 1) + sign * opening)
+        t = _wrapped(np.arctan2(u, w + 1) + sign * opening)
         cx, cy = 2 * np.sin(t), 2 * np.cos(t) - 1
-        q = _turn(np.arctan2(w - cy, u - cx) - np.arctan2(-np.cos(t), -np.sin(t)))
+        q = _wrapped(np.arctan2(w - cy, u - cx) - np.arctan2(-np.cos(t), -np.sin(t)))
         best = _shorter(best, -side, side, 0.0, t, q, 0.0)
     return best
 
 
 @compiled
 def _shorter(best, first, middle, last, t, p, q):  # type: ignore[no-untyped-def]
+    """Return the shorter of two paths, each with its turns and lengths."""
     if t + p + q < best[3] + best[4] + best[5]:
         return first, middle, last, t, p, q
     return best
 
 
 @compiled
-def _turn(angle):  # type: ignore[no-untyped-def]
-    """Return an angle in [0, 2 pi); what rounding puts just below a full turn is none."""
-    angle = angle - _FULL * np.floor(angle / _FULL)
-    return max(angle, 0.0) if angle < _FULL - _ROUNDING else 0.0
+def _wrapped(angle):  # type: ignore[no-untyped-def]
+    """Return an angle in [0, 2 pi); a full turn within rounding is 0."""
+    angle = angle - _FULL_TURN * np.floor(angle / _FULL_TURN)
+    return max(angle, 0.0) if angle < _FULL_TURN - _ROUNDING else 0.0

@@ -1,10 +1,9 @@
-"""Follower: has a snake go along a plan by the offset of the gait underneath (Section 5.2.2).
+"""Follower: controller that steers a snake along a plan by the offset of a gait (Section 5.2.2).
 
-Camera → mean over a gait period → prediction (`Predictor`) → steering law (`Steering`) → offset, which
-arrives after the command delay → gait or ILC, which knows nothing of all this. It ends at the goal; where it
-cannot get there it ends as well and says why (`ENDINGS`). A snake that strays from its path too far, or
-whose body is about to come near to something, gets a new plan, if there is somebody to plan: with the margin
-of the plan, or with a part of it where there is no such plan.
+Signal flow: camera → mean pose over a gait period → prediction (`Predictor`) → steering law (`Steering`) →
+offset, with a command delay → gait or ILC. The follower ends at the goal, or earlier with a reason
+(`ENDINGS`). If the snake deviates too far from its path or its body approaches an obstacle, the follower
+requests a new plan: with the margin of the first plan, or with a part of it if no such plan exists.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import KW_ONLY, asdict, dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -24,8 +23,8 @@ from srs_twin.control.camera import Camera, CameraFrames, PeriodMean
 from srs_twin.errors import InputError
 from srs_twin.planning.collision import Checker
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.plan import Plan
-from srs_twin.planning.route import PathPoint, Route
+from srs_twin.planning.path import PathPoint, ReferencePath
+from srs_twin.planning.problem import Plan
 from srs_twin.planning.steering import Predictor, Steering, SteeringInput
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import Goal, Pose, World
@@ -37,60 +36,77 @@ if TYPE_CHECKING:
 
 ENDINGS = {
     "goal_reached": "the goal is reached",
-    "goal_missed": "the path has ended beside the goal",
+    "goal_missed": "the end of the path is passed outside the goal",
     "no_plan": "there is no plan",
-    "strayed": "too far from the path, as often as new plans are allowed",
-    "stuck": "no way made for several periods",
-    "no_room": "no way with the margin that is needed",
-    "gait_ended": "the gait underneath has ended",
+    "strayed": "too far from the path, and no new plan is left",
+    "stuck": "no progress for several periods",
+    "no_room": "no path with the required margin",
+    "gait_ended": "the gait has ended",
 }
-"""Why a follower ends; the first is the one that is wanted."""
+"""Endings of a run and their explanations; the first one is success."""
 
 STUCK_SHARE = 0.1
-"""Of the footprint's speed: whatever is slower for `STUCK_PERIODS` is stuck."""
+"""Share of the footprint's speed; a snake that is slower for `STUCK_PERIODS` is stuck."""
 STUCK_PERIODS = 6
-PATIENCE_PERIODS = 2
-"""After a new plan was asked for in vain, before the next one is."""
-_SENT = 1e-3
-"""Offsets that differ by less are not sent."""
-_WINDOW = 0.3
-"""How far along the path, m, the nearest point is looked for about the last one: paths may cross."""
+"""Gait periods, see `STUCK_SHARE`."""
+RETRY_PERIODS = 2
+"""Smallest time between requests for a new plan, in gait periods."""
+_MIN_CHANGE = 1e-3
+"""Changes of the offset below this are not sent."""
+_WINDOW_M = 0.3
+"""Distance along the path within which the next nearest point is searched, m, because paths may cross."""
 
-_NOWHERE = Pose(math.nan, math.nan, math.nan), PathPoint(math.nan, math.nan, math.nan, math.nan)
+_UNKNOWN = Pose(math.nan, math.nan, math.nan), PathPoint(math.nan, math.nan, math.nan, math.nan)
+"""Pose and path coordinates before the first frame."""
 
 Replan = Callable[[Pose, float], Plan]
-"""Pose and share of the margin → plan."""
-
-Renewal = tuple[Plan | None, str, float]
-"""A plan, or None and why there is none with the whole margin; and the share of it."""
-
-_HORIZON = 0.6
-"""How far ahead the body is looked after, m."""
-_PIECES = 8
-_RESERVE = 0.3
-"""Of the margin: nearer than that the body is not to come."""
-_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
-_GOING_ON = ("close", "run_up", "fault", "start")
-"""Reasons for a new plan without which the snake goes on along the old one."""
+"""Planner from a pose with a share of the margin."""
 
 
-_PLANNED_IN = ("obstacles", "bounds", "goal", "polygons")  # of a world: its floor is the plants'
+class Renewal(NamedTuple):
+    """Result of a request for a new plan.
+
+    Attributes:
+        plan: new plan; None: not found.
+        reason: why there is no plan with the whole margin.
+        share: share of the margin in the new plan.
+    """
+
+    plan: Plan | None
+    reason: str
+    share: float
+
+
+_HORIZON_M = 0.6
+"""Distance ahead along which the body is checked for obstacles, m."""
+_CHECKED_PIECES = 8
+"""Pieces into which this distance is divided."""
+_RESERVE_SHARE = 0.3
+"""Share of the margin; a smaller clearance calls for a new plan."""
+_MARGIN_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
+"""Shares of the margin that are tried in turn for a new plan."""
+_OPTIONAL = ("close", "run_up", "fault", "start")
+"""Reasons for a new plan with which the snake continues along the old plan if there is no new one."""
+_UNCOUNTED = ("run_up", "fault", "start")
+"""Reasons for a new plan that do not count against `Conditions.replans`."""
+
+_PLANNED_IN = ("obstacles", "bounds", "goal", "polygons")
+"""Fields of a world that matter for plans; the floor concerns the plants only."""
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """What stands between follower and snake, and when it gives up.
+    """Conditions of following: sensing, delays and limits.
 
     Attributes:
-        camera: what it sees.
-        delay: of commands, s.
-        settle: ℓ, path over which a new offset takes hold, m.
-        stray: distance from the path at which a new plan is made, m; None: never.
-        replans: how often a new plan is asked for at most.
-        run_up: of the first path, m: from its end the way is planned anew from where the snake is, if there
-            are new plans.
-        lag: how much later than after `delay` a command shows in the frames, s: what the way there and back
-            takes of a robot whose frames come late.
+        camera: camera.
+        delay: command delay, s.
+        settle: response length ℓ, m.
+        stray: cross-track error that calls for a new plan, m; None: never.
+        replans: largest number of new plans.
+        run_up: length of the straight run-up of the first path, m; at its end, the rest is planned again from
+            the actual pose if new plans are possible.
+        lag: additional delay until a command shows in the frames, s, for robots with transport delay.
     """
 
     camera: Camera
@@ -104,33 +120,33 @@ class Conditions:
 
 @dataclass(eq=False)
 class Follower(Controller):
-    """Follows a plan (module docstring).
+    """Controller that follows a plan (module docstring).
 
     Attributes:
-        gait: what goes by an `offset`: a `Gait` or an `ILC`.
-        law: decides the offset.
-        plan: what to follow; one that is not found ends the run at once.
-        goal: where to end.
-        footprint: what the snake can do; bounds of the offset.
-        conditions: delay, camera, when to plan anew.
-        body: the footprint that the plan was made with, recorded with the run; None: the same.
-        world: recorded with the run.
-        replan: makes a new plan from a pose; None: nobody does.
-        submit: has another thread make them, while the snake goes on; None: it waits for them.
-        least_margin: share of the margin that a new plan needs. Above 0, a snake that finds no such plan, or
-            comes too near to something when no new plan is left, stops (`no_room`) instead of going on.
-        finished: at its end.
-        ending: why, of `ENDINGS`; None while it goes on.
-        plans: (time, plan) of each, the first at 0.
+        gait: controller with an `offset`: a `Gait` or an `ILC`.
+        law: steering law.
+        plan: plan to follow; a plan that is not found ends the run at once.
+        goal: goal.
+        footprint: footprint of the snake; limits the offset.
+        conditions: camera, delays and limits.
+        body: footprint of the plan, recorded with the run; None: the same.
+        world: world, recorded with the run.
+        replan: planner for new plans; None: no new plans.
+        submit: runs the planner in another thread while the snake moves; None: the snake waits.
+        least_margin: smallest share of the margin in a new plan. Above 0, the run ends (`no_room`) if no such
+            plan exists, or if the body approaches an obstacle and no new plan is left.
+        finished: whether the run has ended.
+        ending: key of `ENDINGS`; None before the end.
+        plans: time (s) and plan of each plan, the first at 0.
 
     Raises:
-        InputError: a gait without an offset or a frequency.
+        InputError: the gait has no offset or no frequency.
     """
 
     kind = "follow"
     state_attributes = (
-        *("gait", "_frames", "_mean", "_predictor", "law", "plans", "ending", "_s", "_here", "_moving_at"),
-        *("_pending", "_commanded", "_tries", "_not_before", "_running_up", "_renewal", "_events"),
+        *("gait", "_frames", "_mean", "_predictor", "law", "plans", "ending", "_s", "_position", "_moved_at"),
+        *("_pending", "_commanded", "_tries", "_not_before", "_running_up", "_requested", "_events"),
     )
 
     gait: Controller
@@ -148,7 +164,7 @@ class Follower(Controller):
 
     def __post_init__(self) -> None:
         if not hasattr(self.gait, "offset") or not self.gait.frequency:
-            raise InputError(f"controller '{self.gait.kind}' has no offset to steer by; gait and ilc have")
+            raise InputError(f"controller '{self.gait.kind}' has no offset to steer by; use gait or ilc")
         self.frequency, self.layouts = self.gait.frequency, self.gait.layouts
         self._low, self._high = self.footprint.offsets[0], self.footprint.offsets[-1]
         self._tightest = self.footprint.curvatures[0], self.footprint.curvatures[-1]
@@ -158,67 +174,68 @@ class Follower(Controller):
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
         """See `Controller.reset`."""
         assert self.frequency is not None
-        self._steer(0.0)
+        self._set_offset(0.0)
         self.gait.reset(spec, tick, seed=seed)
         self._period = period = 1 / self.frequency
         conditions = self.conditions
         self._frames, self._mean = CameraFrames(conditions.camera, seed), PeriodMean(period)
         shows = conditions.delay + conditions.lag
         self._predictor = Predictor(self.footprint, period, shows, conditions.settle)
-        self._slow = STUCK_SHARE * min(self.footprint.speeds) * period
-        self._moving_at = 0.0
+        # Distance in one gait period below which the snake is stuck.
+        self._stuck_distance = STUCK_SHARE * min(self.footprint.speeds) * period
+        self._moved_at = 0.0
         self._pending: deque[tuple[float, float]] = deque()
         self._commanded = 0.0
-        self._here = _NOWHERE
+        self._position = _UNKNOWN
         self._tries, self._not_before = 0, 0.0
-        self._renewal = ""
+        self._requested = ""
         self._coming: tuple[str, Future[Renewal]] | None = None
         self._running_up = self.conditions.run_up > 0 and self.conditions.stray is not None
         self._events: list[Event] = []
         self.finished, self.ending, self.plans = False, None, []
         body, own = (self.body or self.footprint).at(0.0), self.footprint.at(0.0)
-        self._reserve = _RESERVE * max(body.left - own.left, 0.0)
+        self._reserve = _RESERVE_SHARE * max(body.left - own.left, 0.0)
         self._checker = Checker(self.world, self.footprint)
         self._s = 0.0
-        self._take(0.0, self.plan)
+        self._start_plan(0.0, self.plan)
 
     def step(self, state: SnakeState) -> np.ndarray:
         """See `Controller.step`."""
         time = float(state.time)
         if self._coming and self._coming[1].done() and not self.finished:
-            why, coming = self._coming
+            reason, coming = self._coming
             self._coming = None
-            self._renewed(time, why, coming.result())
+            self._receive_plan(time, reason, coming.result())
         frame = self._frames.capture(state) if not self.finished else None
         if frame is not None:
             self._mean.add(time, frame)
-            self._decide(time)
+            self._update_offset(time)
         while self._pending and self._pending[0][0] <= time + 1e-9:
-            self._steer(self._pending.popleft()[1])
+            self._set_offset(self._pending.popleft()[1])
         valves = self.gait.step(state)
         if self.gait.finished and self.ending is None:
-            self._end(time, "gait_ended")
+            self._finish(time, "gait_ended")
         return valves
 
-    def renew(self, why: str) -> None:
-        """Plan anew at the next frame, as something has changed; else the old plan is followed on."""
-        self._renewal = why
+    def renew(self, reason: str) -> None:
+        """Request a new plan at the next frame; without one, the old plan remains in force."""
+        self._requested = reason
 
     def load_state_dict(self, memory: Mapping[str, Any]) -> None:
-        """See `Remembers`; the law begins the last plan's path before it is told where it is on it."""
+        """See `Remembers`; the law starts on the path of the last plan before its own state is restored."""
         segments = memory["plans"][-1][1].segments
         if segments:
-            self._route = Route(segments)
-            self.law.begin(self._route)
+            self._path = ReferencePath(segments)
+            self.law.begin(self._path)
         super().load_state_dict(memory)
 
     def signals(self) -> dict[str, Any]:
-        """Return those of the gait, and what the follower sees and commands; NaN before the first frame."""
-        pose, place = self._here
+        """Return the signals of the gait and of the follower; NaN before the first frame."""
+        pose, point = self._position
         return self.gait.signals() | {
             "offset_commanded": self._commanded,
-            "cross_track": place.n,
-            "heading_error": math.remainder(pose.heading - place.heading, 2 * math.pi),
+            "cross_track": point.n,
+            "heading_error": math.remainder(pose.heading - point.heading, 2 * math.pi),
             "node": float(self.law.node),
             "estimate_x": pose.x,
             "estimate_y": pose.y,
@@ -226,12 +243,12 @@ class Follower(Controller):
         }
 
     def events(self) -> list[Event]:
-        """Return the events since the last call: of the gait, new plans, the end."""
+        """Return the events since the last call: those of the gait, new plans, and the ending."""
         events, self._events = self.gait.events() + self._events, []
         return events
 
     def describe(self) -> dict[str, Any]:
-        """Return what the gait says of itself, and plans, footprint, world and ending."""
+        """Return the description of the gait, with plans, footprint, world and ending."""
         goal, conditions = asdict(self.goal), asdict(self.conditions)
         return self.gait.describe() | {
             "gait": self.gait.kind,
@@ -239,155 +256,166 @@ class Follower(Controller):
                 "law": type(self.law).__name__,
                 "plans": [_recorded(time, plan) for time, plan in self.plans],
                 "footprint": asdict(self.body or self.footprint),
-                "world": {name: part for name, part in asdict(self.world).items() if name in _PLANNED_IN},
+                "world": {key: value for key, value in asdict(self.world).items() if key in _PLANNED_IN},
                 "goal": goal,
                 "conditions": conditions,
                 "ending": self.ending,
             },
         }
 
-    def _decide(self, time: float) -> None:
-        """Look where the snake is, and send a new offset."""
+    def _update_offset(self, time: float) -> None:
+        """Estimate the pose and send a new offset."""
         mean, predictor = self._mean, self._predictor
         assert mean.pose is not None
         predictor.command(time, self._commanded)
         predictor.measure(time, mean.time, mean.pose, whole=mean.complete)
         here = predictor.predict(mean.time, mean.pose, time)
-        self._look(time, here)
+        self._check_progress(time, here)
         if self.finished:
             return
         law, later = self.law, time + self.conditions.delay
+        # Predict to the time at which the command shows in the frames.
         shows = later + self.conditions.lag
         pose = predictor.predict(mean.time, mean.pose, shows) if law.predicts else mean.pose
         turning = predictor.turning, predictor.disturbance, predictor.gain
-        wanted = law.offset(SteeringInput(pose, self._near(pose), *turning))
-        wanted = min(max(wanted, self._low), self._high)
-        # At its bounds an offset is sent however little it changes.
-        if abs(wanted - self._commanded) >= _SENT or wanted in (self._low, self._high):
-            if wanted != self._commanded:
-                self._pending.append((later, wanted))
-            self._commanded = wanted
+        offset = law.offset(SteeringInput(pose, self._locate(pose), *turning))
+        offset = min(max(offset, self._low), self._high)
+        # The limits themselves are always sent.
+        if abs(offset - self._commanded) >= _MIN_CHANGE or offset in (self._low, self._high):
+            if offset != self._commanded:
+                self._pending.append((later, offset))
+            self._commanded = offset
 
-    def _look(self, time: float, here: Pose) -> None:
-        """Look whether the snake has arrived, strayed or is stuck."""
-        place = self._near(here)
-        self._s, self._here = max(place.s, 0.0), (here, place)
+    def _check_progress(self, time: float, here: Pose) -> None:
+        """Check whether the snake has arrived, deviates too far, or is stuck."""
+        point = self._locate(here)
+        self._s, self._position = max(point.s, 0.0), (here, point)
         moved, goal, stray = self._predictor.moved, self.goal, self.conditions.stray
-        if moved is None or moved > self._slow:
-            self._moving_at = time
-        if time - self._moving_at > STUCK_PERIODS * self._period:
-            self._end(time, "stuck")
-        elif place.s >= self._route.length:
+        if moved is None or moved > self._stuck_distance:
+            self._moved_at = time
+        if time - self._moved_at > STUCK_PERIODS * self._period:
+            self._finish(time, "stuck")
+        elif point.s >= self._path.length:
             if math.hypot(goal.x - here.x, goal.y - here.y) <= goal.radius:
-                self._end(time, "goal_reached")
+                self._finish(time, "goal_reached")
             else:
-                self._again(time, here, "goal_missed")
-        elif self._renewal:
-            why, self._renewal = self._renewal, ""
-            self._again(time, here, why)
-        elif self._running_up and place.s >= self.conditions.run_up:
+                self._request_plan(time, here, "goal_missed")
+        elif self._requested:
+            reason, self._requested = self._requested, ""
+            self._request_plan(time, here, reason)
+        elif self._running_up and point.s >= self.conditions.run_up:
             self._running_up = False
-            self._predictor.forget()
-            self._again(time, here, "run_up")
+            self._predictor.reset_turning()  # the gait was still learning
+            self._request_plan(time, here, "run_up")
         elif stray is not None and time >= self._not_before:
-            if abs(place.n) > stray:
-                self._again(time, here, "strayed")
-            elif self._endangered(here, place):
-                self._again(time, here, "close")
+            if abs(point.n) > stray:
+                self._request_plan(time, here, "strayed")
+            elif self._approaches_obstacle(here, point):
+                self._request_plan(time, here, "close")
 
-    def _endangered(self, here: Pose, place: PathPoint) -> bool:
-        """Say whether the body comes too near to something on its way back to the path."""
+    def _approaches_obstacle(self, here: Pose, point: PathPoint) -> bool:
+        """Return whether the body approaches an obstacle on its expected return to the path."""
         if not self.world.has_obstacles or self._reserve == 0:
             return False
-        slope = math.remainder(here.heading - place.heading, 2 * math.pi)
-        piece = min(_HORIZON, max(self._route.length - place.s, 1e-3)) / _PIECES
-        for k in range(_PIECES):
-            on = self._route.pose(place.s + k * piece)
-            beside, then = (self.law.beside(place.n, slope, (k + i) * piece) for i in (0, 1))
-            heading = on.heading + math.atan2(then - beside, piece)
-            x, y = on.x - beside * math.sin(on.heading), on.y + beside * math.cos(on.heading)
+        slope = math.remainder(here.heading - point.heading, 2 * math.pi)
+        piece = min(_HORIZON_M, max(self._path.length - point.s, 1e-3)) / _CHECKED_PIECES
+        for k in range(_CHECKED_PIECES):
+            on = self._path.pose(point.s + k * piece)
+            first, last = (self.law.predict_cross_track(point.n, slope, (k + i) * piece) for i in (0, 1))
+            heading = on.heading + math.atan2(last - first, piece)
+            x, y = on.x - first * math.sin(on.heading), on.y + first * math.cos(on.heading)
             curvature = min(
-                max(self._route.curvature(place.s + k * piece), self._tightest[0]), self._tightest[1]
+                max(self._path.curvature(point.s + k * piece), self._tightest[0]), self._tightest[1]
             )
-            if not self._checker.free(Pose(x, y, heading), curvature, piece, (self._reserve, self._reserve)):
+            if not self._checker.is_arc_free(
+                Pose(x, y, heading), curvature, piece, (self._reserve, self._reserve)
+            ):
                 return True
         return False
 
-    def _again(self, time: float, pose: Pose, why: str) -> None:
-        """Plan anew from a pose, unless that is being done."""
+    def _request_plan(self, time: float, pose: Pose, reason: str) -> None:
+        """Request a new plan from a pose, unless one is being made.
+
+        Args:
+            time: present time, s.
+            pose: start of the new plan.
+            reason: key of `ENDINGS` or one of `_OPTIONAL`.
+        """
         if self._coming:
             return
         if self.replan is None or self._tries >= self.conditions.replans:
-            if why not in _GOING_ON:
-                self._end(time, why)
-            elif why == "close" and self.least_margin:
-                self._end(time, "no_room", f"{ENDINGS['no_room']}: {why}, and no new plan is left")
+            if reason not in _OPTIONAL:
+                self._finish(time, reason)
+            elif reason == "close" and self.least_margin:
+                self._finish(time, "no_room", f"{ENDINGS['no_room']}: {reason}, and no new plan is left")
             elif self._tries == self.conditions.replans:
-                self._tries += 1  # said once
-                text = f"{why}: going on along the old one, all {self.conditions.replans} new plans are used"
+                self._tries += 1  # one event only
+                text = f"{reason}: keeping the old plan, all {self.conditions.replans} new plans are used"
                 self._events.append(Event(time, "no_new_plan", text))
             return
-        self._tries += why not in ("run_up", "fault", "start")
-        self._not_before = time + PATIENCE_PERIODS * self._period
+        self._tries += reason not in _UNCOUNTED
+        self._not_before = time + RETRY_PERIODS * self._period
         job = partial(_new_plan, self.replan, pose, self.least_margin)
         if self.submit is None:
-            self._renewed(time, why, job())
+            self._receive_plan(time, reason, job())
         else:
-            self._coming = why, self.submit(job)
+            self._coming = reason, self.submit(job)
 
-    def _renewed(self, time: float, why: str, found: Renewal) -> None:
-        """Take a new plan; without one, a snake that still has an old one goes on along it."""
-        plan, reason, share = found
+    def _receive_plan(self, time: float, reason: str, renewal: Renewal) -> None:
+        """Start on a new plan; without one, continue on the old plan if the reason allows it."""
+        plan = renewal.plan
         if plan is not None:
-            margin = "" if share == 1 else f", {share:.0%} of the margin"
-            text = f"new plan {len(self.plans)}, {plan.length:.3g} m ({why}{margin})"
+            margin = "" if renewal.share == 1 else f", {renewal.share:.0%} of the margin"
+            text = f"new plan {len(self.plans)}, {plan.length:.3g} m ({reason}{margin})"
             self._events.append(Event(time, "replanned", text))
-            self._take(time, plan)
+            self._start_plan(time, plan)
         elif self.least_margin:
-            self._end(time, "no_room", f"{ENDINGS['no_room']}: {why}; {reason}")
-        elif why in ("strayed", *_GOING_ON):
-            self._events.append(Event(time, "no_new_plan", f"{why}: going on along the old one, {reason}"))
+            self._finish(time, "no_room", f"{ENDINGS['no_room']}: {reason}; {renewal.reason}")
+        elif reason in ("strayed", *_OPTIONAL):
+            text = f"{reason}: keeping the old plan, {renewal.reason}"
+            self._events.append(Event(time, "no_new_plan", text))
         else:
-            self._end(time, why, f"{ENDINGS[why]}; no new plan: {reason}")
+            self._finish(time, reason, f"{ENDINGS[reason]}; no new plan: {renewal.reason}")
 
-    def _take(self, time: float, plan: Plan) -> None:
+    def _start_plan(self, time: float, plan: Plan) -> None:
+        """Start on a plan, or end the run if it has no path."""
         self.plans.append((time, plan))
         if not plan.segments:
-            self._end(time, "no_plan" if not plan.found else "goal_reached", plan.reason)
+            self._finish(time, "no_plan" if not plan.found else "goal_reached", plan.reason)
             return
-        self._route = Route(plan.segments)
-        self.law.begin(self._route)
+        self._path = ReferencePath(plan.segments)
+        self.law.begin(self._path)
         self._s = 0.0
 
-    def _near(self, pose: Pose) -> PathPoint:
-        """Return the place on the route, not far from the last one."""
-        return self._route.nearest(pose.x, pose.y, self._s - _WINDOW, self._s + _WINDOW)
+    def _locate(self, pose: Pose) -> PathPoint:
+        """Return the path coordinates of a pose, with s near the last one."""
+        return self._path.nearest(pose.x, pose.y, self._s - _WINDOW_M, self._s + _WINDOW_M)
 
-    def _end(self, time: float, why: str, text: str = "") -> None:
-        self.finished, self.ending = True, why
-        self._events.append(Event(time, why, text or ENDINGS[why]))
+    def _finish(self, time: float, reason: str, text: str = "") -> None:
+        self.finished, self.ending = True, reason
+        self._events.append(Event(time, reason, text or ENDINGS[reason]))
 
-    def _steer(self, offset: float) -> None:
-        self.gait.offset = offset  # type: ignore[attr-defined]  # checked when made
+    def _set_offset(self, offset: float) -> None:
+        self.gait.offset = offset  # type: ignore[attr-defined]  # checked in __post_init__
 
 
 def _new_plan(replan: Replan, pose: Pose, least: float) -> Renewal:
-    """Return a plan from a pose, with as much of the margin as there is room for, at least a share of it."""
+    """Return a plan from a pose with the largest share of the margin, at least `least`, that has a path."""
     reasons = []
-    for share in [each for each in _SHARES if each >= least]:
+    for share in [share for share in _MARGIN_SHARES if share >= least]:
         try:
             plan = replan(pose, share)
         except InputError as error:
             reasons.append(str(error))
             continue
         if plan.segments:
-            return plan, "", share
+            return Renewal(plan, "", share)
         reasons.append(plan.reason)
-    return None, reasons[0], 0.0
+    return Renewal(None, reasons[0], 0.0)
 
 
 def _recorded(time: float, plan: Plan) -> dict[str, Any]:
-    """Return a plan as JSON values; `comparison.following` reads them."""
+    """Return a plan as JSON values, as `planning.metrics` reads them."""
     return {
         "time": time,
         "outcome": plan.outcome.value,

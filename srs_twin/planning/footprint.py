@@ -1,16 +1,16 @@
-"""Footprint: the floor that the snake sweeps about the path of its centre of mass, and its file.
+"""Footprint: area that the body covers along the path of its centre of mass, and the footprint file.
 
-Section 5.2.1 (Fig. 52 and 58): under a constant offset the centre of mass follows an arc of curvature κ. Two
-arcs about the same centre bound the body: on a point of the path, the body stays within
+Section 5.2.1 (Fig. 52 and 58): at a constant offset the centre of mass follows an arc of curvature κ. Two
+concentric arcs bound the body: at every point of the path it stays within
 
 $$ -r(κ) ≤ n ≤ l(κ) $$
 
-where n is the distance to the left of the path, l the left and r the right edge. Across the path the
-footprint ends where head and tail are: `ahead` before and `behind` after the centre of mass, along the arc.
+where n is the distance to the left of the path, l the left and r the right edge. Along the arc, the footprint
+extends from `behind` the centre of mass (the tail) to `ahead` of it (the head).
 
-Offset, speed and edges are read from a table by curvature, linear between its rows. A footprint file holds
-such a table as Table 8 has it, every column with unit, status and source. The published ones are in
-calibration/footprints; `srs-twin calibrate footprint` writes others.
+Offset, speed and edges are tabulated by curvature, with linear interpolation between the rows. A footprint
+file contains such a table in the form of Table 8; each column has a unit, a status and a source. The
+published footprints are in calibration/footprints; `srs-twin calibrate footprint` measures new ones.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ from srs_twin.plants.twin.mjcf.numerics import UNSTATED_CONTACT, ContactName
 from srs_twin.robot.sourced import Record, Status, bounded
 
 MEASURED_ON_TWIN = "measured on the twin"
-"""Beginning of the source of curvatures that were measured on a twin."""
+"""First words of the source of curvatures that were measured on a twin."""
 
-SMALL_TURN = 1e-9
-"""Curvatures beyond the table by less are rounding, 1/m."""
+CURVATURE_TOLERANCE = 1e-9
+"""Tolerance for curvatures beyond the ends of the table, 1/m."""
 
 
 @dataclass(frozen=True)
 class FootprintRow:
-    """What one curvature means for the snake.
+    """Row of a footprint table.
 
     Attributes:
-        offset: phase offset of the gait, positive to the left.
-        speed: of the centre of mass, m/s.
+        offset: gait offset, positive to the left.
+        speed: speed of the centre of mass, m/s.
         left: distance of the left edge from the path, m.
         right: distance of the right edge from the path, m.
     """
@@ -58,19 +58,20 @@ class FootprintRow:
 
 @dataclass(frozen=True)
 class Transient:
-    """How far the snake leaves the new arc after a change of offset, beyond the steady edges.
+    """Deviation from the steady footprint after a change of offset.
+
+    In the long term, the path is that of a snake that jumps at the change by (dx, dy) relative to its
+    heading, turns by dheading, and follows the new arc from there.
 
     Attributes:
         before: offset before the change.
-        after: offset after it.
-        left: how much wider the left edge has to be, m.
-        right: how much wider the right edge has to be, m.
-        length: path after the change over which that holds, m.
-        dx: how far ahead the path is, m, once it is settled: as if at the change the snake had jumped by
-            (dx, dy), in the direction of its path and to the left of it, turned by dheading, and followed the
-            new arc from there.
-        dy: … to the left, m.
-        dheading: … turned to the left, rad.
+        after: offset after the change.
+        left: extra width of the left edge, m.
+        right: extra width of the right edge, m.
+        length: length of the path after the change on which the edges are wider, m.
+        dx: jump ahead, m.
+        dy: jump to the left, m.
+        dheading: turn to the left, rad.
     """
 
     before: float
@@ -85,20 +86,19 @@ class Transient:
 
 @dataclass(frozen=True)
 class Footprint:
-    """A robot's footprint in one gait at one pressure; rows by rising offset, (rows,) each.
+    """Footprint of a robot for one gait and pressure; columns have shape (rows,), ordered by offset.
 
     Attributes:
         name: short name.
-        title: one line for people.
-        offsets: phase offsets, rising.
-        curvatures: of the path of the centre of mass, 1/m, rising, left positive.
-        speeds: m/s.
+        title: title of one line.
+        offsets: gait offsets, rising.
+        curvatures: curvatures of the path of the centre of mass, rising, positive to the left, 1/m.
+        speeds: speeds of the centre of mass, m/s.
         left: distances of the left edge from the path, m.
         right: distances of the right edge from the path, m.
-        ahead: from the centre of mass to the head, along the path, m.
-        behind: from the centre of mass to the tail, along the path, m.
-        transients: measured changes of offset; empty where the dissertation's assumption holds, that there is
-            no transient.
+        ahead: distance from the centre of mass to the head along the path, m.
+        behind: distance from the centre of mass to the tail along the path, m.
+        transients: measured changes of offset; empty: none, as the dissertation assumes.
     """
 
     name: str
@@ -124,17 +124,18 @@ class Footprint:
         ahead: float = 0.0,
         behind: float = 0.0,
     ) -> Footprint:
-        """Return the text's box: constant width, shifted outward as it turns (Fig. 54, Table 9).
+        """Return the box of the dissertation: constant width, shifted outward in turns (Fig. 54, Table 9).
 
-        Outward, since Table 8's inner edges draw nearer and the outer ones hardly do.
+        The shift is outward because in Table 8 the inner edge approaches the path in a turn, while the outer
+        edge hardly moves.
 
         Args:
-            width: from edge to edge, m.
-            shift: of both edges at the tightest turn, m.
-            speed: m/s.
-            curvature: of the tightest turn, 1/m.
-            offset: of the tightest turn.
-            ahead: see the class, m; the text's box has no length of its own.
+            width: distance between the edges, m.
+            shift: shift of both edges in the tightest turn, m.
+            speed: speed of the centre of mass, m/s.
+            curvature: curvature of the tightest turn, 1/m.
+            offset: offset of the tightest turn.
+            ahead: see the class, m; the box of the dissertation has no length.
             behind: see the class, m.
         """
         half = width / 2
@@ -145,25 +146,26 @@ class Footprint:
 
     @property
     def tightest(self) -> tuple[float, float]:
-        """Largest curvatures to the right and to the left, both above 0, 1/m."""
+        """Largest curvatures to the right and to the left, both positive, 1/m."""
         return -self.curvatures[0], self.curvatures[-1]
 
     @property
     def narrowest(self) -> float:
-        """Distance that every point of the path keeps from everything, whatever the curvature, m."""
+        """Smallest distance of an edge from the path at any curvature, m."""
         return min(*self.left, *self.right)
 
     def reduced(self, turn_share: float = 1.0, margin: float = 0.0) -> Footprint:
-        """Return the same with a part of its turns and wider edges.
+        """Return the footprint with a smaller range of curvatures and wider edges.
 
-        Planned with that, a follower has turns left to correct with, and room for what remains.
+        On a plan with a reduced footprint, a follower can correct errors by tighter turns, and the margin
+        allows for the remaining errors.
 
         Args:
-            turn_share: of the tightest curvatures, 1 at most.
-            margin: added to both edges, m.
+            turn_share: share of the tightest curvatures, at most 1.
+            margin: width added to both edges, m.
         """
         low, high = turn_share * self.curvatures[0], turn_share * self.curvatures[-1]
-        inner = [k for k in self.curvatures if low + SMALL_TURN < k < high - SMALL_TURN]
+        inner = [k for k in self.curvatures if low + CURVATURE_TOLERANCE < k < high - CURVATURE_TOLERANCE]
         curvatures = (low, *inner, high)
         rows = [self.at(k) for k in curvatures]
         return replace(
@@ -176,22 +178,24 @@ class Footprint:
         )
 
     def at(self, curvature: float) -> FootprintRow:
-        """Return what a curvature (1/m) means.
+        """Return the row of a curvature (1/m), interpolated.
 
         Raises:
-            InputError: the snake cannot turn so tightly.
+            InputError: the curvature is outside the table.
         """
         low, high = self.curvatures[0], self.curvatures[-1]
-        if not low - SMALL_TURN <= curvature <= high + SMALL_TURN:
-            raise InputError(f"curvature {curvature:g} 1/m is not in the footprint's {low:g} to {high:g} 1/m")
+        if not low - CURVATURE_TOLERANCE <= curvature <= high + CURVATURE_TOLERANCE:
+            raise InputError(
+                f"curvature {curvature:g} 1/m is outside the footprint's range {low:g} to {high:g} 1/m"
+            )
         columns = (self.offsets, self.speeds, self.left, self.right)
         return FootprintRow(*(float(np.interp(curvature, self.curvatures, column)) for column in columns))
 
     def transient(self, before: float, after: float) -> tuple[float, float, float]:
-        """Return (left, right, length), m, of a change of offset, linear in how large the change is.
+        """Return extra left and right width and length (m) of the transient after a change of offset.
 
-        Changes larger than any measured one in that direction count as the largest; of changes that are
-        equally large the widest counts.
+        The widths are interpolated by the size of the change. Changes larger than all measured ones in that
+        direction have the widths of the largest; of several measured changes of equal size the widest counts.
         """
         change = after - before
         same = [t for t in self.transients if (t.after - t.before) * change > 0]
@@ -199,39 +203,41 @@ class Footprint:
             return 0.0, 0.0, 0.0
         widest: dict[float, tuple[float, float]] = {0.0: (0.0, 0.0)}
         for t in same:
-            # Rounded, for 0.2 − 0.1 is not 0.1.
+            # Rounded, because 0.3 − 0.2 is not exactly 0.1.
             size = round(abs(t.after - t.before), 9)
             old = widest.get(size, (0.0, 0.0))
             widest[size] = max(old[0], t.left), max(old[1], t.right)
         sizes = sorted(widest)
         edges = zip(*(widest[size] for size in sizes), strict=True)
         left, right = (float(np.interp(abs(change), sizes, edge)) for edge in edges)
+        # The length does not shrink with the change: the response is that of a linear system.
         return left, right, max(t.length for t in same)
 
     @property
     def settle(self) -> float | None:
-        """Path over which a new offset takes hold like a first-order lag, m; None without transients.
+        """Response length ℓ of the curvature to a change of offset, m; None without transients.
 
-        What a change Δκ of the curvature has turned by when it has settled is late by Δκ ℓ: `dheading`.
+        After a change Δκ of the curvature, a first-order response lags in heading by Δκ ℓ = −dheading. ℓ is
+        the least-squares estimate over all measured changes.
         """
-        turned = np.array([self._curvature(t.after) - self._curvature(t.before) for t in self.transients])
-        late = -np.array([t.dheading for t in self.transients])
-        return float(turned @ late / (turned @ turned)) if turned.any() else None
+        changes = np.array([self._curvature(t.after) - self._curvature(t.before) for t in self.transients])
+        lags = -np.array([t.dheading for t in self.transients])
+        return float(changes @ lags / (changes @ changes)) if changes.any() else None
 
     def lag(self, before: float, after: float) -> tuple[float, float]:
-        """Return how late (m) the path turns after a change of offset, and how long (m) the arc between is.
+        """Return delay δ and length T (m) of the transition arc after a change of offset (see `planner`).
 
-        Of the measured jumps, linear in how large the change is, that of the nearest size beyond them;
-        (0, 0) where none is known. `planner` has the law.
+        Both are interpolated by the size of the change, constant beyond the measured sizes; (0, 0) without
+        measured changes in that direction.
         """
         change = after - before
         known: dict[float, list[tuple[float, float]]] = {}
         for t in self.transients:
-            turned = self._curvature(t.after) - self._curvature(t.before)
-            if (t.after - t.before) * change > 0 and t.dheading * turned < 0:
-                late, square = -t.dheading / turned, 2 * t.dy / turned
-                # Shorter than it is late cannot be: then all of it is lateness.
-                lag = late, max(square / late, late)
+            step = self._curvature(t.after) - self._curvature(t.before)
+            if (t.after - t.before) * change > 0 and t.dheading * step < 0:
+                late, moment = -t.dheading / step, 2 * t.dy / step
+                # The arc cannot be shorter than its delay, see the curvature κ_t.
+                lag = late, max(moment / late, late)
                 known.setdefault(round(abs(t.after - t.before), 9), []).append(lag)
         if not known:
             return 0.0, 0.0
@@ -244,25 +250,26 @@ class Footprint:
         return float(np.interp(offset, self.offsets, self.curvatures))
 
 
-def problems(footprint: Footprint) -> list[tuple[str, str]]:
-    """Return (field, message) of all that a footprint cannot be."""
-    found = []
+def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
+    """Return field and message of everything that is wrong with a footprint."""
+    problems = []
     rows = len(footprint.offsets)
     for name in ("curvatures", "speeds", "left", "right"):
         if len(getattr(footprint, name)) != rows:
-            found.append((name, f"{len(getattr(footprint, name))} values for {rows} offsets"))
+            problems.append((name, f"{len(getattr(footprint, name))} values for {rows} offsets"))
     for name in ("offsets", "curvatures"):
         values = getattr(footprint, name)
         if any(b <= a for a, b in zip(values, values[1:], strict=False)):
-            found.append((name, "must rise from row to row: a larger offset turns more to the left"))
-    if found:
-        return found
+            problems.append((name, "must increase from row to row: a larger offset turns more to the left"))
+    if problems:
+        return problems
     low, high = footprint.curvatures[0], footprint.curvatures[-1]
     if not low < 0 < high:
-        found.append(("curvatures", f"from {low:g} to {high:g} 1/m; a planner needs turns to both sides"))
+        problems.append(("curvatures", f"from {low:g} to {high:g} 1/m; a planner needs turns to both sides"))
     for side, name in enumerate(("left", "right")):
+        # An edge on the inner side must not reach the centre of curvature, where κ n = 1.
         turn = (1 if name == "left" else -1) * np.array(footprint.curvatures)
-        # By as much wider as after any change to their offset.
+        # With the largest transient after any change to this offset.
         extra = [
             max(footprint.transient(before, after)[side] for before in footprint.offsets)
             for after in footprint.offsets
@@ -273,15 +280,15 @@ def problems(footprint: Footprint) -> list[tuple[str, str]]:
             tightest, offset = turn[row] == turn.max(), footprint.offsets[row]
             which = "tightest turn" if tightest else f"turn of offset {offset:g}"
             where = f"the centre of the {which}, radius {1 / turn[row]:g} m"
-            found.append((name, f"{edges[row]:g} m reaches {where}"))
-    return found
+            problems.append((name, f"{edges[row]:g} m reaches {where}"))
+    return problems
 
 
-def checked(footprint: Footprint) -> Footprint:
-    """Return the footprint.
+def validate_footprint(footprint: Footprint) -> Footprint:
+    """Return a footprint unchanged if it is valid.
 
     Raises:
-        InputError: it cannot be one, or a number is not finite.
+        InputError: the footprint is inconsistent, or a number is not finite.
     """
     columns = (getattr(footprint, name) for name in _KEYS)
     numbers = [*chain.from_iterable(columns), footprint.ahead, footprint.behind]
@@ -289,9 +296,9 @@ def checked(footprint: Footprint) -> Footprint:
         raise InputError(f"footprint {footprint.name}: a number is not finite")
     if min(footprint.speeds) <= 0 or footprint.narrowest <= 0 or min(footprint.ahead, footprint.behind) < 0:
         raise InputError(
-            f"footprint {footprint.name}: speeds and edges must be above 0, ahead and behind not below"
+            f"footprint {footprint.name}: speeds and edges must be above 0, ahead and behind not negative"
         )
-    for field, message in problems(footprint):
+    for field, message in find_problems(footprint):
         raise InputError(f"footprint {footprint.name}: {field}: {message}")
     return footprint
 
@@ -310,13 +317,13 @@ Spreads = Annotated[list[Annotated[float, bounded(0.0, 100.0)]], Rows]
 
 
 class TransientFile(StrictModel):
-    """How far the snake leaves the new arc after one change of offset."""
+    """Deviation from the steady footprint after one change of offset."""
 
     from_offset: Offset = Field(description="Offset before, -1 to 1.")
     to_offset: Offset = Field(description="Offset after, -1 to 1.")
-    left_m: Metres = Field(description="How much wider the left edge has to be, m, 0 to 10.")
-    right_m: Metres = Field(description="How much wider the right edge has to be, m, 0 to 10.")
-    length_m: Metres = Field(description="Path over which that holds, m, 0 to 10.")
+    left_m: Metres = Field(description="Extra width of the left edge, m, 0 to 10.")
+    right_m: Metres = Field(description="Extra width of the right edge, m, 0 to 10.")
+    length_m: Metres = Field(description="Length of the path with wider edges, m, 0 to 10.")
     dx_m: Shift = Field(0.0, description="Jump of the path along itself, m, -10 to 10 (default 0).")
     dy_m: Shift = Field(0.0, description="Jump of the path to its left, m, -10 to 10 (default 0).")
     dheading_rad: Annotated[float, bounded(-3.15, 3.15)] = Field(
@@ -324,78 +331,85 @@ class TransientFile(StrictModel):
     )
 
     def transient(self) -> Transient:
-        """Return it as the planner takes it."""
+        """Return the change as a `Transient`."""
         return Transient(*self.model_dump().values())
 
 
 class TransientsFile(StrictModel):
-    """Changes of offset."""
+    """Measured changes of offset."""
 
-    status: Status = Field(description="As of any number.")
-    source: str = Field(min_length=1, max_length=1000, description="How they were measured.")
+    status: Status = Field(description="Status of the numbers.")
+    source: str = Field(min_length=1, max_length=1000, description="Source of the measurements.")
     changes: Annotated[list[TransientFile], Field(min_length=1, max_length=200)] = Field(
-        description="One change of offset each."
+        description="List of changes of offset."
     )
 
 
 class SpreadFile(StrictModel):
-    """By how much repeated measurements of the columns differ, one number an offset."""
+    """Spread of repeated measurements of the columns, one number per offset."""
 
-    source: str = Field(min_length=1, max_length=1000, description="What was repeated, and what is given.")
-    curvature_per_m: Spreads = Field(description="Of the curvature, 1/m, 0 to 100.")
-    speed_m_s: Spreads = Field(description="Of the speed, m/s, 0 to 100.")
-    left_m: Spreads = Field(description="Of the left edge, m, 0 to 100.")
-    right_m: Spreads = Field(description="Of the right edge, m, 0 to 100.")
+    source: str = Field(
+        min_length=1, max_length=1000, description="Repeated measurement and definition of the spread."
+    )
+    curvature_per_m: Spreads = Field(description="Spread of the curvature, 1/m, 0 to 100.")
+    speed_m_s: Spreads = Field(description="Spread of the speed, m/s, 0 to 100.")
+    left_m: Spreads = Field(description="Spread of the left edge, m, 0 to 100.")
+    right_m: Spreads = Field(description="Spread of the right edge, m, 0 to 100.")
 
 
 class FootprintFile(StrictModel):
-    """A footprint file; the columns have one value an offset."""
+    """Footprint file; its columns have one value per offset."""
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60, description="Short name.")
-    title: str = Field(min_length=1, max_length=200, description="One line for people.")
-    robot: str = Field(min_length=1, max_length=200, description="Robot whose footprint this is.")
+    title: str = Field(min_length=1, max_length=200, description="Title of one line.")
+    robot: str = Field(min_length=1, max_length=200, description="Robot of this footprint.")
     contact: ContactName | None = Field(
-        None, description="Contact of the twin that it was measured on; none where it was not (default)."
+        None, description="Contact of the twin of the measurement (default: none, not measured on a twin)."
     )
-    offset: Offsets = Field(description="Phase offsets, rising, -1 to 1; positive turns left.")
-    curvature_per_m: Curvatures = Field(description="1/radius of the path, 1/m, left positive, -100 to 100.")
+    offset: Offsets = Field(description="Gait offsets, rising, -1 to 1; positive turns left.")
+    curvature_per_m: Curvatures = Field(
+        description="Curvature of the path, 1/m, positive to the left, -100 to 100."
+    )
     speed_m_s: Speeds = Field(description="Speed of the centre of mass, m/s, 0.001 to 10.")
     left_m: Edges = Field(description="Distance of the left edge from the path, m, 0.001 to 10.")
     right_m: Edges = Field(description="Distance of the right edge from the path, m, 0.001 to 10.")
-    ahead_m: Reach = Field(description="From the centre of mass to the head along the path, m, 0 to 10.")
-    behind_m: Reach = Field(description="From the centre of mass to the tail along the path, m, 0 to 10.")
-    spread: SpreadFile | None = Field(None, description="Repeatability, where measured.")
-    transients: TransientsFile | None = Field(None, description="Changes of offset, where measured.")
+    ahead_m: Reach = Field(
+        description="Distance from the centre of mass to the head along the path, m, 0 to 10."
+    )
+    behind_m: Reach = Field(
+        description="Distance from the centre of mass to the tail along the path, m, 0 to 10."
+    )
+    spread: SpreadFile | None = Field(None, description="Repeatability, if measured.")
+    transients: TransientsFile | None = Field(None, description="Changes of offset, if measured.")
     excursions: Annotated[list[ExcursionsFile], Field(max_length=100)] | None = Field(
-        None, description="How far followers left it, where measured, for margins with a probability."
+        None, description="Excursions of followers, if measured, for margins with a probability."
     )
 
     @property
     def twin_contact(self) -> ContactName | None:
-        """Contact of the twin that it was measured on; None: not measured on a twin."""
+        """Contact of the twin of the measurement; None: not measured on a twin."""
         measured = self.curvature_per_m.source.startswith(MEASURED_ON_TWIN)
         return self.contact or (UNSTATED_CONTACT if measured else None)
 
     def mismatch(self, contact: ContactName) -> str | None:
-        """Return a warning about a twin whose contact is another one than that of the measurement."""
+        """Return a warning if the contact of a twin differs from that of the measurement, or None."""
         own = self.twin_contact
         if own in (None, contact):
             return None
         return (
-            f"{self.name} was measured on a twin with contact {own}, but the twin here has contact "
-            f"{contact}; `srs-twin calibrate footprint {self.robot} --contact {contact}` measures one for it"
+            f"{self.name} was measured on a twin with contact {own}, but this twin has contact "
+            f"{contact}; `srs-twin calibrate footprint {self.robot} --contact {contact}` measures one"
         )
 
     def footprint(self) -> Footprint:
-        """Return the table without its sources."""
+        """Return the footprint without sources."""
         columns = [tuple(getattr(self, key).value) for key in _KEYS.values()]
         values: list[Any] = [self.name, self.title, *columns, self.ahead_m.value, self.behind_m.value]
         changes = self.transients.changes if self.transients else []
-        values.append(tuple(each.transient() for each in changes))
+        values.append(tuple(change.transient() for change in changes))
         return Footprint(*values)
 
 
-# Columns of `Footprint`, in its order → what they are called in the file.
 _KEYS = {
     "offsets": "offset",
     "curvatures": "curvature_per_m",
@@ -403,14 +417,15 @@ _KEYS = {
     "left": "left_m",
     "right": "right_m",
 }
+"""Columns of `Footprint`, in its order → keys in the file."""
 
 
 def load_footprint_file(name_or_path: str | os.PathLike[str]) -> FootprintFile:
-    """Load and check a footprint file: a shipped name (gen4_table8) or a path.
+    """Load and check a footprint file, given by a shipped name (gen4_table8) or a path.
 
     Raises:
-        InputError: not found or not readable.
-        InputFileError: everything that is wrong with it.
+        InputError: the file is not found or cannot be read.
+        InputFileError: the file is not valid; lists all problems.
     """
     document = load_yaml(find_file("footprint", name_or_path))
     file = validate(FootprintFile, document, document.data)
@@ -422,7 +437,7 @@ def load_footprint_file(name_or_path: str | os.PathLike[str]) -> FootprintFile:
 
 
 def load_footprint(name_or_path: str | os.PathLike[str]) -> Footprint:
-    """Load a footprint: a shipped name (gen4_table8) or a path.
+    """Load a footprint, given by a shipped name (gen4_table8) or a path.
 
     Raises:
         InputError, InputFileError: as `load_footprint_file`.
@@ -431,16 +446,16 @@ def load_footprint(name_or_path: str | os.PathLike[str]) -> Footprint:
 
 
 def save_footprint(file: FootprintFile, path: str | os.PathLike[str], *, header: Sequence[str] = ()) -> None:
-    """Write a footprint file whole or not at all.
+    """Write a footprint file atomically.
 
     Args:
-        file: what to write.
-        path: where.
-        header: lines of a comment at its top.
+        file: the footprint file.
+        path: path of the file.
+        header: lines of a comment at the top.
 
     Raises:
-        InputFileError: the table cannot be a footprint.
-        InputError: the place cannot be written.
+        InputFileError: the table is not a valid footprint.
+        InputError: the file cannot be written.
     """
     document = Document(os.fspath(path))
     _report(file, document)
@@ -452,9 +467,10 @@ def save_footprint(file: FootprintFile, path: str | os.PathLike[str], *, header:
 
 
 def _report(file: FootprintFile, document: Document) -> None:
+    """Report all problems of a footprint file to its document."""
     for name in ("curvature_per_m", "speed_m_s", "left_m", "right_m") if file.spread else ():
         values = getattr(file.spread, name)
         if len(values) != len(file.offset.value):
             document.report(("spread", name), f"{len(values)} values for {len(file.offset.value)} offsets")
-    for name, message in problems(file.footprint()):
+    for name, message in find_problems(file.footprint()):
         document.report((_KEYS[name], "value"), message)

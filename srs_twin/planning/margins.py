@@ -1,10 +1,9 @@
-"""Margins with a probability: quantiles of how far the body left its planned footprint, over whole runs.
+"""Margins with a probability: quantiles of the largest excursions of whole runs.
 
-A footprint file keeps, for each setting in which a follower was tried on random ways, the largest excursion
-of every run beyond the footprint's edges. Of n such runs and one to come that is drawn as they were, the new
-one stays within their k-th smallest with a probability of k/(n + 1) at least, whatever the distribution is
-(split conformal prediction: Vovk et al. 2005; Lei et al. 2018). A margin of probability p is the one with
-k = ⌈(n + 1) p⌉.
+For each condition of following, a footprint file contains the largest excursions of n runs on random paths
+beyond the edges of their footprint. With a probability of at least k/(n + 1), the excursion of a new run from
+the same distribution is at most the k-th smallest of them, for any distribution (split conformal prediction:
+Vovk et al. 2005; Lei et al. 2018). The margin of probability p has k = ⌈(n + 1) p⌉.
 """
 
 from __future__ import annotations
@@ -25,33 +24,37 @@ Share = Annotated[float, bounded(0.0, 1.0)]
 Excursion = Annotated[float, bounded(-10.0, 1e3)]
 Runs = Annotated[list[Excursion], Field(min_length=1, max_length=10_000)]
 LOST_M = 1e3
-"""Stands for the excursion of a run that never arrived, m."""
+"""Excursion that represents a run that did not arrive, m."""
 
 
 class ConditionsFile(StrictModel):
-    """Under which a follower was tried."""
+    """Conditions of runs with a follower."""
 
-    plant: Literal["analytical", "twin"] = Field(description="What was run.")
+    plant: Literal["analytical", "twin"] = Field(description="Plant of the runs.")
     contact: ContactName | None = Field(
         None, description="Contact of the twin (default preloaded); the analytical model has none."
     )
-    chambers: Literal["lag", "orifice"] = Field("lag", description="How its chambers fill.")
-    follower: Literal["bearing", "path"] = Field(description="Which follower.")
-    gain_spread: Share = Field(0.0, description="Of the modules' gains, 0 to 1.")
-    tau_spread: Share = Field(0.0, description="Of their lags, 0 to 1.")
-    bias_spread_rad: Share = Field(0.0, description="Of their bends without pressure, rad, 0 to 1.")
-    turn_share: Share = Field(description="Of the tightest turns, planned with, 0 to 1.")
-    delay_s: Annotated[float, bounded(0.0, 10.0)] = Field(description="Of commands, s, 0 to 10.")
-    position_noise_m: Share = Field(description="Of the camera, m, 0 to 1.")
-    heading_noise_rad: Annotated[float, bounded(0.0, 3.0)] = Field(description="Of the camera, rad, 0 to 3.")
-    run_up_m: Annotated[float, bounded(0.0, 100.0)] = Field(description="Straight beginning, m, 0 to 100.")
+    chambers: Literal["lag", "orifice"] = Field("lag", description="Model of the chambers.")
+    follower: Literal["bearing", "path"] = Field(description="Steering law.")
+    gain_spread: Share = Field(0.0, description="Spread of the modules' gains, 0 to 1.")
+    tau_spread: Share = Field(0.0, description="Spread of their time constants, 0 to 1.")
+    bias_spread_rad: Share = Field(0.0, description="Spread of their rest bends, rad, 0 to 1.")
+    turn_share: Share = Field(description="Share of the tightest turns in plans, 0 to 1.")
+    delay_s: Annotated[float, bounded(0.0, 10.0)] = Field(description="Command delay, s, 0 to 10.")
+    position_noise_m: Share = Field(description="Position noise of the camera, m, 0 to 1.")
+    heading_noise_rad: Annotated[float, bounded(0.0, 3.0)] = Field(
+        description="Heading noise of the camera, rad, 0 to 3."
+    )
+    run_up_m: Annotated[float, bounded(0.0, 100.0)] = Field(
+        description="Length of the straight run-up, m, 0 to 100."
+    )
 
     @model_validator(mode="before")
     @classmethod
-    def _state_contact(cls, given: Any) -> Any:
-        if isinstance(given, dict) and given.get("plant") == "twin" and given.get("contact") is None:
-            return {**given, "contact": UNSTATED_CONTACT}
-        return given
+    def _state_contact(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("plant") == "twin" and data.get("contact") is None:
+            return {**data, "contact": UNSTATED_CONTACT}
+        return data
 
     @model_validator(mode="after")
     def _only_of_a_twin(self) -> ConditionsFile:
@@ -60,82 +63,93 @@ class ConditionsFile(StrictModel):
         return self
 
     def covers(self, other: ConditionsFile) -> bool:
-        """Say whether what was tried under these holds under others too: theirs are no harder."""
+        """Return whether results under these conditions also bound results under other conditions.
+
+        The other conditions must be equal in kind and no more difficult in any number.
+        """
         same = ("plant", "contact", "chambers", "follower", "run_up_m")
-        return all(getattr(self, each) == getattr(other, each) for each in same) and all(
-            getattr(self, each) >= getattr(other, each) - 1e-12 for each in _HARDER
+        return all(getattr(self, name) == getattr(other, name) for name in same) and all(
+            getattr(self, name) >= getattr(other, name) - 1e-12 for name in _DIFFICULTIES
         )
 
-    def harder(self, other: ConditionsFile) -> float:
-        """Return by how much these are harder than others that they cover, as a sum of shares."""
-        pairs = ((getattr(self, each), getattr(other, each)) for each in _HARDER)
-        return sum((own - its) / own for own, its in pairs if own > its)
+    def excess_difficulty(self, other: ConditionsFile) -> float:
+        """Return the sum of the relative differences to conditions that these cover."""
+        pairs = ((getattr(self, name), getattr(other, name)) for name in _DIFFICULTIES)
+        return sum((own - covered) / own for own, covered in pairs if own > covered)
 
 
 SPREADS = ("gain_spread", "tau_spread", "bias_spread_rad")
-_HARDER = (*SPREADS, "turn_share", "delay_s", "position_noise_m", "heading_noise_rad")
+"""Keys of the spreads of module parameters, which a robot file has as well."""
+_DIFFICULTIES = (*SPREADS, "turn_share", "delay_s", "position_noise_m", "heading_noise_rad")
+"""Keys that make following more difficult as they increase."""
 
 
 class ExcursionsFile(StrictModel):
-    """How far the body left its planned footprint, the largest of each run, m; 1000: it never arrived."""
+    """Largest excursion of each run, m; 1000: the run did not arrive."""
 
-    conditions: ConditionsFile = Field(description="Under which.")
-    source: str = Field(min_length=1, max_length=1000, description="How they were measured.")
-    path_m: Runs = Field(description="Of each run beyond the edges of its footprint, rising, m.")
-    run_up_m: Runs | None = Field(None, description="The same over the straight beginning, rising, m.")
+    conditions: ConditionsFile = Field(description="Conditions of the runs.")
+    source: str = Field(min_length=1, max_length=1000, description="Source of the measurements.")
+    path_m: Runs = Field(description="Largest excursion of each run, rising, m.")
+    run_up_m: Runs | None = Field(
+        None, description="Largest excursion of each run on the straight run-up, rising, m."
+    )
 
 
 @dataclass(frozen=True)
 class Margin:
-    """What edges are widened by.
+    """Width added to the edges of a footprint.
 
     Attributes:
-        path: along the path, m.
-        run_up: over the straight beginning, m.
+        path: margin along the path, m.
+        run_up: margin on the straight run-up, m.
     """
 
     path: float = 0.0
     run_up: float = 0.0
 
 
-def quantile(excursions: Sequence[float], probability: float) -> float:
-    """Return what a new run stays within with a probability (module docstring), m.
+def excursion_quantile(excursions: Sequence[float], probability: float) -> float:
+    """Return the excursion of a new run that is not exceeded with a probability, m; at least 0.
 
     Raises:
-        InputError: too few runs, or too many of them never arrived.
+        InputError: too few runs, or too many of them did not arrive.
     """
     count = len(excursions)
+    # The tolerance absorbs rounding of products such as 20 · 0.95.
     rank = math.ceil((count + 1) * probability - 1e-9)
     if rank > count:
         least = math.ceil(probability / (1 - probability) - 1e-9)
-        raise InputError(f"a margin of probability {probability:g} takes {least} runs or more, not {count}")
-    found = sorted(excursions)[rank - 1]
-    if found >= LOST_M:
+        raise InputError(f"a margin of probability {probability:g} needs at least {least} runs, not {count}")
+    excursion = sorted(excursions)[rank - 1]
+    if excursion >= LOST_M:
         raise InputError(f"there is no margin of probability {probability:g}: too many runs did not arrive")
-    return max(found, 0.0)
+    return max(excursion, 0.0)
 
 
-def margin(
-    measured: Sequence[ExcursionsFile], probability: float, wanted: Sequence[ConditionsFile]
+def margin_for(
+    measured: Sequence[ExcursionsFile], probability: float, conditions: Sequence[ConditionsFile]
 ) -> Margin:
-    """Return the margin that holds under all of some conditions.
+    """Return the margin for a run under each of several conditions.
 
     Args:
-        measured: what a footprint file keeps.
-        probability: that a whole run stays within it.
-        wanted: the conditions, one for each plant.
+        measured: excursions of a footprint file.
+        probability: probability that a whole run stays within the margin.
+        conditions: conditions of the run, one per plant.
 
     Raises:
-        InputError: none was measured under conditions as hard, or with too few runs.
+        InputError: no measurement covers the conditions, or it has too few runs.
     """
     paths, run_ups = [0.0], [0.0]
-    for each in wanted:
-        fit = [block for block in measured if block.conditions.covers(each)]
-        if not fit:
-            told = ", ".join(f"{key} {value}" for key, value in each.model_dump(exclude_none=True).items())
-            raise InputError(f"no excursions were measured for {told}; `srs-twin calibrate margin` does")
-        # The least of several would be below the quantile more often than it may.
-        block = min(fit, key=lambda block: block.conditions.harder(each))
-        paths.append(quantile(block.path_m, probability))
-        run_ups.append(quantile(block.run_up_m or [0.0] * len(block.path_m), probability))
+    for condition in conditions:
+        covering = [block for block in measured if block.conditions.covers(condition)]
+        if not covering:
+            items = condition.model_dump(exclude_none=True).items()
+            text = ", ".join(f"{key} {value}" for key, value in items)
+            raise InputError(
+                f"no excursions are measured for {text}; `srs-twin calibrate margin` measures them"
+            )
+        # The smallest quantile of several blocks would be too small more often than stated.
+        block = min(covering, key=lambda block: block.conditions.excess_difficulty(condition))
+        paths.append(excursion_quantile(block.path_m, probability))
+        run_ups.append(excursion_quantile(block.run_up_m or [0.0] * len(block.path_m), probability))
     return Margin(max(paths), max(run_ups))

@@ -1,4 +1,4 @@
-"""Metrics of following a plan: how near the path, how much of the body in its footprint, how it ended."""
+"""Metrics of runs that follow a plan: deviation from the path, excursions, arrival and contacts."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from srs_twin.planning.footprint import Footprint
-    from srs_twin.planning.problem import Segment
+    from srs_twin.planning.path import Segment
 
 PLAN_UNITS = units_of("plan_found plan_length_m plan_nodes plan_kink_rad")
 """Metrics of a plan alone."""
 
 PLANNING_UNITS = PLAN_UNITS | units_of("plan_s")
-"""Metrics of planning where nothing moves: those of the plan, and the wall time that it took."""
+"""Metrics of planning without a run: those of the plan, and its wall time."""
 
 FOLLOWING_UNITS = PLAN_UNITS | units_of("""
     goal_reached arrival_error_m arrival_heading_error_rad
@@ -32,28 +32,31 @@ FOLLOWING_UNITS = PLAN_UNITS | units_of("""
     contacts contact_time_s clearance_m following_time_s replans
 """)
 
-TEXT_HALF_WIDTH, TEXT_SHIFT, TEXT_TIGHTEST = 0.025, 0.01, math.pi / 3 / 0.2
-"""The box of Section 5.2: 50 mm, shifted by 10 mm at 60 degrees in 0.2 m; m and 1/m."""
+DISSERTATION_HALF_WIDTH_M = 0.025
+"""Half the width of the box of Section 5.2, m."""
+DISSERTATION_SHIFT_M = 0.01
+"""Shift of this box in the tightest turn, m."""
+DISSERTATION_TIGHTEST = math.pi / 3 / 0.2
+"""Curvature of the tightest turn of Section 5.2, 60 degrees in 0.2 m, 1/m."""
 
-
-OVERLAP = 1e-3
-"""Deeper in an obstacle than contacts ever are, m."""
+OVERLAP_M = 1e-3
+"""Overlap with an obstacle that exceeds the penetration of contacts, m."""
 
 
 def following(trajectory: Trajectory) -> Mapping[str, Any] | None:
-    """Return what the metadata say of the plan that a run followed; None where it followed none."""
+    """Return the metadata of a follower (`Follower.describe`); None for a run without one."""
     control = trajectory.metadata.get("control")
-    found = control.get("following") if isinstance(control, Mapping) else None
-    return found if isinstance(found, Mapping) else None
+    metadata = control.get("following") if isinstance(control, Mapping) else None
+    return metadata if isinstance(metadata, Mapping) else None
 
 
 @dataclass(frozen=True)
 class Leg:
-    """A part of a run under one plan.
+    """Part of a run under one plan.
 
     Attributes:
-        samples: of the trajectory.
-        segments: of the plan.
+        samples: samples of the trajectory.
+        segments: segments of the plan.
     """
 
     samples: slice
@@ -61,9 +64,9 @@ class Leg:
 
 
 def legs(trajectory: Trajectory) -> Iterator[Leg]:
-    """Yield the parts of a run under each of its plans; plans without a path have none."""
-    about = following(trajectory)
-    plans = about["plans"] if about else []
+    """Yield the parts of a run under each of its plans that has a path."""
+    metadata = following(trajectory)
+    plans = metadata["plans"] if metadata else []
     begins = [*(int(np.searchsorted(trajectory.time, p["time"] - 1e-9)) for p in plans), len(trajectory)]
     for plan, begin, end in zip(plans, begins, begins[1:], strict=False):
         if plan["segments"] and end > begin:
@@ -72,7 +75,7 @@ def legs(trajectory: Trajectory) -> Iterator[Leg]:
 
 def segments_of(plan: Mapping[str, Any]) -> tuple[Segment, ...]:
     """Return the path of a recorded plan."""
-    from srs_twin.planning.problem import Segment
+    from srs_twin.planning.path import Segment
     from srs_twin.robot.world import Pose
 
     return tuple(
@@ -81,56 +84,61 @@ def segments_of(plan: Mapping[str, Any]) -> tuple[Segment, ...]:
     )
 
 
-def footprint_of(about: Mapping[str, Any]) -> Footprint:
-    """Return the recorded footprint that the plans were made with."""
+def footprint_of(metadata: Mapping[str, Any]) -> Footprint:
+    """Return the footprint of the plans from the metadata of a follower."""
     from srs_twin.planning.footprint import Footprint
 
-    given = about["footprint"]
-    columns = {k: tuple(given[k]) for k in ("offsets", "curvatures", "speeds", "left", "right")}
-    return Footprint(given["name"], given["title"], **columns, ahead=given["ahead"], behind=given["behind"])
+    data = metadata["footprint"]
+    columns = {k: tuple(data[k]) for k in ("offsets", "curvatures", "speeds", "left", "right")}
+    return Footprint(data["name"], data["title"], **columns, ahead=data["ahead"], behind=data["behind"])
 
 
 def following_metrics(trajectory: Trajectory) -> dict[str, Any]:
-    """Measure one run that followed a plan; all None of one that did not.
+    """Return the metrics of a run that followed a plan; all None for other runs.
 
-    Against the plan in force at each moment:
+    Relative to the plan in force at each sample:
 
     - ``cross_track_rms_m``, ``cross_track_max_m``: distance of the centre of mass from the path.
-    - ``inside_share``: share of time at which the whole body, connectors and the middles of segments with
-      half the width to both sides, is between the edges of the planned footprint. Before the start and
-      beyond the end, where head or tail may be, the path goes on straight with the edges of going straight.
-    - ``inside_50mm_share``: the same of the text's box of 50 mm.
+    - ``inside_share``: share of samples at which the whole body is between the edges of the planned
+      footprint. The body is represented by connectors and middles of segments, with half the width to both
+      sides. Beyond both ends of the path, where head or tail may be, the path is straight.
+    - ``inside_50mm_share``: the same for the box of 50 mm of the dissertation.
 
-    At its end: ``goal_reached`` (1 or 0: the centre of mass within the goal's radius, and the body never in
-    an obstacle, as only the analytical plants can be), ``arrival_error_m``, ``arrival_heading_error_rad``
-    (period mean, carried on to the end; None without a heading to arrive with).
+    At the end of the run:
 
-    ``contacts`` and ``contact_time_s`` count forces of obstacles (None where there is nothing to touch),
-    ``clearance_m`` is the least distance of the hull that the twin collides from obstacles, at the samples; 0
-    or less where it touched one, also between two samples (None without obstacles).
-    ``following_time_s`` is the length of the run, ``replans`` the number of new plans. ``plan_…`` tell of
-    the first plan.
+    - ``goal_reached``: 1 if the centre of mass is within the goal's radius and the body never overlapped an
+      obstacle, which is possible on the analytical plant only; otherwise 0.
+    - ``arrival_error_m``: distance of the centre of mass from the goal.
+    - ``arrival_heading_error_rad``: error of the heading, averaged over a gait period and extrapolated to the
+      end; None without an arrival heading.
+
+    Of the whole run:
+
+    - ``contacts``, ``contact_time_s``: number and duration of contacts with obstacles; None without
+      obstacles.
+    - ``clearance_m``: smallest distance of the twin's collision hull from obstacles at the samples, at most 0
+      if it touched one, also between two samples; None without obstacles.
+    - ``following_time_s``: duration; ``replans``: number of new plans; ``plan_…``: metrics of the first plan.
     """
-    about = following(trajectory)
-    if about is None:
+    metadata = following(trajectory)
+    if metadata is None:
         return dict.fromkeys(FOLLOWING_UNITS)
-    first = about["plans"][0]
-    clearance = _clearance(trajectory, about["world"])
+    first = metadata["plans"][0]
+    clearance = _clearance(trajectory, metadata["world"])
     return {
         **plan_metrics(first["outcome"] == "found", segments_of(first), first["nodes"]),
-        **_arrival(trajectory, about, overlapped=clearance is not None and clearance < -OVERLAP),
-        **_deviation(trajectory, about),
+        **_arrival(trajectory, metadata, overlapped=clearance is not None and clearance < -OVERLAP_M),
+        **_deviation(trajectory, metadata),
         **_contacts(trajectory),
         "clearance_m": clearance,
         "following_time_s": float(trajectory.time[-1] - trajectory.time[0]),
-        "replans": len(about["plans"]) - 1,
+        "replans": len(metadata["plans"]) - 1,
     }
 
 
 def plan_metrics(found: bool, segments: tuple[Segment, ...], nodes: int) -> dict[str, Any]:
-    """Return the metrics of a plan alone."""
-    from srs_twin.planning.plan import Plan
-    from srs_twin.planning.problem import Outcome
+    """Return the metrics of a plan without a run."""
+    from srs_twin.planning.problem import Outcome, Plan
 
     plan = Plan(Outcome.FOUND if found else Outcome.STUCK, "", segments)
     return {
@@ -141,8 +149,9 @@ def plan_metrics(found: bool, segments: tuple[Segment, ...], nodes: int) -> dict
     }
 
 
-def _arrival(trajectory: Trajectory, about: Mapping[str, Any], *, overlapped: bool) -> dict[str, Any]:
-    goal = about["goal"]
+def _arrival(trajectory: Trajectory, metadata: Mapping[str, Any], *, overlapped: bool) -> dict[str, Any]:
+    """Return the metrics of arrival at the goal."""
+    goal = metadata["goal"]
     error = float(np.hypot(*(trajectory.com[-1] - (goal["x"], goal["y"]))))
     heading = None
     if goal["heading"] is not None:
@@ -155,61 +164,67 @@ def _arrival(trajectory: Trajectory, about: Mapping[str, Any], *, overlapped: bo
 
 
 def _mean_heading(trajectory: Trajectory) -> float:
-    """Return the heading at the end without the gait's swing: the last period's mean, carried on by half."""
+    """Return the heading at the end: mean of the last gait period, extrapolated by half a period."""
     frequency = positive_number(trajectory, "gait_frequency_hz")
     time, heading = trajectory.time, trajectory["heading"]
     period = min(1 / frequency if frequency else 0.0, time[-1] - time[0])
     if period <= 0:
         return float(heading[-1])
     at = np.linspace(time[-1] - period, time[-1], 201)
-    seen = np.interp(at, time, heading)
-    return float(np.trapezoid(seen, at) / period + (seen[-1] - seen[0]) / 2)
+    values = np.interp(at, time, heading)
+    return float(np.trapezoid(values, at) / period + (values[-1] - values[0]) / 2)
 
 
-def _deviation(trajectory: Trajectory, about: Mapping[str, Any]) -> dict[str, Any]:
-    parts = list(_about_paths(trajectory))
-    if not parts:
+def _deviation(trajectory: Trajectory, metadata: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the metrics of deviation from the path."""
+    deviations = list(_path_deviations(trajectory))
+    if not deviations:
         return dict.fromkeys(("cross_track_rms_m", "cross_track_max_m", "inside_share", "inside_50mm_share"))
-    deviation, outline, curvature = (np.concatenate(each) for each in zip(*parts, strict=True))
-    shift = TEXT_SHIFT * np.clip(-curvature / TEXT_TIGHTEST, -1, 1)
+    deviation, outline, curvature = (np.concatenate(arrays) for arrays in zip(*deviations, strict=True))
+    shift = DISSERTATION_SHIFT_M * np.clip(-curvature / DISSERTATION_TIGHTEST, -1, 1)
     return {
         "cross_track_rms_m": rms(deviation),
         "cross_track_max_m": float(np.abs(deviation).max()),
         "inside_share": float((beyond(trajectory) <= 0).mean()),
-        "inside_50mm_share": float((np.abs(outline - shift) <= TEXT_HALF_WIDTH).all(axis=1).mean()),
+        "inside_50mm_share": float((np.abs(outline - shift) <= DISSERTATION_HALF_WIDTH_M).all(axis=1).mean()),
     }
 
 
 def beyond(trajectory: Trajectory) -> np.ndarray:
     """Return how far the body reaches beyond the planned footprint's edges, shape (samples,), m.
 
-    Below 0: what is left to them. They are those of the recorded footprint, as of `inside_share`.
+    Negative inside the edges. The edges are those of the recorded footprint, as for `inside_share`.
     """
-    about = following(trajectory)
-    assert about is not None, "a run that followed a plan"
-    footprint = footprint_of(about)
-    found = [np.empty(0)]
-    for _, n, curvature in _about_paths(trajectory):
+    metadata = following(trajectory)
+    assert metadata is not None, "a run that followed a plan"
+    footprint = footprint_of(metadata)
+    excursions = [np.empty(0)]
+    for _, n, curvature in _path_deviations(trajectory):
         left, right = (
             np.interp(curvature, footprint.curvatures, edge) for edge in (footprint.left, footprint.right)
         )
-        found.append(np.maximum(n - left, -n - right).max(axis=1))
-    return np.concatenate(found)
+        excursions.append(np.maximum(n - left, -n - right).max(axis=1))
+    return np.concatenate(excursions)
 
 
-def _about_paths(trajectory: Trajectory) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield, for each plan, how far left of its path centre of mass and body are, and its curvature there."""
-    from srs_twin.planning.route import Route
+def _path_deviations(trajectory: Trajectory) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield the deviations from the path of each plan.
+
+    Yields:
+        Cross-track error of the centre of mass, m, shape (samples,); of the body points, m, shape (samples,
+        k); and the curvature of the path at these points, 1/m, shape (samples, k).
+    """
+    from srs_twin.planning.path import ReferencePath
 
     outline = body_points(trajectory)
     for leg in legs(trajectory):
-        route = Route(leg.segments)
+        path = ReferencePath(leg.segments)
         points = outline[leg.samples]
-        s, n = (each.reshape(points.shape[:2]) for each in route.places(points.reshape(-1, 2)))
+        s, n = (values.reshape(points.shape[:2]) for values in path.coordinates(points.reshape(-1, 2)))
         curvature = np.array([a.curvature for a in leg.segments])
         ends = np.cumsum([a.length for a in leg.segments])
         here = np.append(curvature, 0.0)[np.searchsorted(ends, s)]
-        yield route.places(trajectory.com[leg.samples])[1], n, np.where(s < 0, 0.0, here)
+        yield path.coordinates(trajectory.com[leg.samples])[1], n, np.where(s < 0, 0.0, here)
 
 
 def body_points(trajectory: Trajectory) -> np.ndarray:
@@ -223,10 +238,14 @@ def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Return connectors and middles of segments, shape (samples, 2N − 1, 2), m, and the headings there."""
     position, theta = trajectory.position, trajectory.stack("theta")
     chord = position[:, :-1] - position[:, 1:]
+    # Positive bends turn the head end to the left, see the glossary.
     bend = np.diff(-theta, axis=1)
-    # The middle of an arc stands off its chord by chord · tan(bend/4)/2, to the outside of the bend.
-    off = np.tan(np.clip(bend, -3.0, 3.0) / 4)[..., None] / 2
-    middle = (position[:, :-1] + position[:, 1:]) / 2 + off * np.stack([chord[..., 1], -chord[..., 0]], -1)
+    # The distance of the middle of an arc from its chord is chord · tan(bend/4)/2, to the outside of the
+    # bend.
+    sagitta = np.tan(np.clip(bend, -3.0, 3.0) / 4)[..., None] / 2
+    middle = (position[:, :-1] + position[:, 1:]) / 2 + sagitta * np.stack(
+        [chord[..., 1], -chord[..., 0]], -1
+    )
     return (
         np.concatenate([position, middle], axis=1),
         np.concatenate([theta, (theta[:, :-1] + theta[:, 1:]) / 2], axis=1),
@@ -234,6 +253,7 @@ def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _contacts(trajectory: Trajectory) -> dict[str, Any]:
+    """Return number and duration of contacts with obstacles."""
     force = obstacle_force(trajectory)
     if force is None:
         return {"contacts": None, "contact_time_s": None}
@@ -245,38 +265,39 @@ def _contacts(trajectory: Trajectory) -> dict[str, Any]:
 
 
 def clearances(trajectory: Trajectory, world: Mapping[str, Any]) -> np.ndarray | None:
-    """Return how far the hull that the twin collides is from the nearest obstacle, shape (samples,), m.
+    """Return the distance of the twin's collision hull from the nearest obstacle, m, shape (samples,).
 
     Args:
-        trajectory: of either plant.
-        world: obstacles and polygons as the metadata of a follower hold them.
+        trajectory: trajectory of either plant.
+        world: obstacles and polygons from the metadata of a follower.
 
     Returns:
-        Below 0 inside an obstacle; None where there is none.
+        Distances, negative inside an obstacle; None without obstacles.
     """
     import shapely
 
     obstacles = [(shapely.Point(c["x"], c["y"]), c["radius"]) for c in world["obstacles"]]
-    obstacles += [(shapely.Polygon(each["corners"]), WALL_M) for each in world["polygons"]]
+    obstacles += [(shapely.Polygon(p["corners"]), WALL_M) for p in world["polygons"]]
     if not obstacles:
         return None
     hull = shapely.linestrings(hull_lines(trajectory))
     half = trajectory.metadata["body_width_m"] / 2
-    apart = [shapely.distance(each, hull) - size - half for each, size in obstacles]
-    return np.asarray(np.min(apart, axis=0))
+    distances = [shapely.distance(shape, hull) - size - half for shape, size in obstacles]
+    return np.asarray(np.min(distances, axis=0))
 
 
 def _clearance(trajectory: Trajectory, world: Mapping[str, Any]) -> float | None:
-    apart = clearances(trajectory, world)
-    if apart is None:
+    """Return the smallest clearance of a run, at most 0 after a contact."""
+    distances = clearances(trajectory, world)
+    if distances is None:
         return None
-    least = float(apart.min())
-    # Between two samples nothing but a force tells of a touch.
+    least = float(distances.min())
+    # A contact between two samples is visible in the force only.
     return min(least, 0.0) if touches(trajectory) else least
 
 
 def _why_undefined(metric: str, trajectory: Trajectory) -> str:
-    """Return the reason why a run leaves a metric of following undefined, empty where None is its outcome."""
+    """Return why a metric of following is undefined; empty if None is the outcome of the run."""
     if following(trajectory) is None:
         return "the run follows no plan"
     if metric == "arrival_heading_error_rad":

@@ -1,4 +1,4 @@
-"""Bodies and paths seen from above: the stroboscopic view, and plans with what the snakes made of them."""
+"""Plots, notebook pages and Rerun recordings of plans and of the runs that follow them."""
 
 from __future__ import annotations
 
@@ -25,53 +25,61 @@ from srs_twin.viewing.plots.style import GOAL_COLOR, STYLES, finish, panels, sty
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from srs_twin.planning.explored import Explored
     from srs_twin.planning.footprint import Footprint
-    from srs_twin.planning.plan import Plan
-    from srs_twin.planning.problem import Segment
+    from srs_twin.planning.path import Segment
+    from srs_twin.planning.problem import Plan
+    from srs_twin.planning.search_tree import SearchTrace
 
-_SPACING = 0.01
+_SPACING_M = 0.01
+"""Distance between drawn points of a path, m."""
+
+_OBSTACLE_COLOUR = "0.35"
+_FOOTPRINT_COLOUR = "#c9dcec"
+_PATH_COLOUR = STYLES["plan"].color
+_EDGE_COLOUR = "#78a5cd"
+_EXPLORED_COLOUR = "0.72"
+_REJECTED_COLOUR = "#d8746a"
+_PASSAGE_COLOUR = "#3a7d44"
 
 
 def segment_points(
     segment: Segment, offset: float = 0.0, behind: float = 0.0, ahead: float = 0.0
 ) -> np.ndarray:
-    """Return points along a segment of a plan, about a centimetre apart, shape (n, 2), m.
+    """Return points along a segment of a plan, about a centimetre apart, m, shape (n, 2).
 
     Args:
-        segment: of the plan.
-        offset: how far to the left of it, m.
-        behind: how far before its begin, m.
-        ahead: how far beyond its end, m.
+        segment: segment of the plan.
+        offset: distance of the points to the left of the segment, m.
+        behind: extension before the start, m.
+        ahead: extension beyond the end, m.
     """
     low, high = -behind, segment.length + ahead
-    poses = [segment.pose(s) for s in np.linspace(low, high, max(2, int((high - low) / _SPACING)))]
+    poses = [segment.pose(s) for s in np.linspace(low, high, max(2, int((high - low) / _SPACING_M)))]
     return np.array([(p.x - offset * np.sin(p.heading), p.y + offset * np.cos(p.heading)) for p in poses])
 
 
-_OBSTACLE, _SWEPT, _PATH, _EDGE = "0.35", "#c9dcec", STYLES["plan"].color, "#78a5cd"
-
-
 def following_plot(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> Figure | None:
-    """Return the plan with the paths and bodies of the snakes that followed it; None where none did.
+    """Return a plot of the plan with the paths and bodies of the runs; None if no run follows a plan.
 
-    Later plans are thin; each snake has its own, the first one is everybody's.
+    The first plan is the same for all runs. Later plans of each run are thin lines.
 
     Args:
         trajectories: plant → run.
-        spec: the robot that ran.
+        spec: robot of the runs.
     """
-    told = {plant: about for plant, run in trajectories.items() if (about := following(run)) is not None}
-    if not told:
+    followers = {
+        plant: metadata for plant, run in trajectories.items() if (metadata := following(run)) is not None
+    }
+    if not followers:
         return None
-    about = next(iter(told.values()))
-    first = about["plans"][0]
-    figure, axes = _sheet(about, segments_of(first), footprint_of(about))
+    metadata = next(iter(followers.values()))
+    first = metadata["plans"][0]
+    figure, axes = _sheet(metadata, segments_of(first), footprint_of(metadata))
     moments = strobe_times(trajectories, spec.geometry)
     for index, (plant, run) in enumerate(trajectories.items()):
         style = style_of(plant, index)
         draw_run(axes, run, style, spec.geometry, moments, filled=plant == "twin")
-        for later in told.get(plant, about)["plans"][1:]:
+        for later in followers.get(plant, metadata)["plans"][1:]:
             x, y = path_points(segments_of(later)).T
             axes.plot(x, y, color=style.color, linewidth=0.7, linestyle=":")
     axes.legend(loc="best", fontsize=8, frameon=False)
@@ -79,84 +87,85 @@ def following_plot(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> F
 
 
 def plan_plot(
-    about: Mapping[str, Any], segments: Sequence[Segment], footprint: Footprint, title: str
+    metadata: Mapping[str, Any], segments: Sequence[Segment], footprint: Footprint, title: str
 ) -> Figure:
-    """Return the plan alone.
+    """Return a plot of a plan without runs.
 
     Args:
-        about: "world" and "goal" as plain data.
-        segments: the path; empty where there is none.
-        footprint: that it was planned with.
-        title: over the picture.
+        metadata: "world" and "goal" as plain data.
+        segments: path; empty without one.
+        footprint: footprint of the plan.
+        title: title of the plot.
     """
-    figure, axes = _sheet(about, segments, footprint)
+    figure, axes = _sheet(metadata, segments, footprint)
     axes.set_title(title, fontsize=10, wrap=True)
     return figure
 
 
-_EXPLORED, _REJECTED, _GATE = "0.72", "#d8746a", "#3a7d44"
-
-
 def search_plot(
-    about: Mapping[str, Any], segments: Sequence[Segment], footprint: Footprint, seen: Explored
+    metadata: Mapping[str, Any], segments: Sequence[Segment], footprint: Footprint, trace: SearchTrace
 ) -> Figure:
-    """Return a plan with the search that found it, or did not; arguments as `plan_plot`."""
-    figure, axes = _sheet(about, segments, footprint)
-    counts = Counter(seen.reasons).most_common(3)
-    told = ", ".join(f"{count} at {name}" for name, count in counts)
-    rejected = f"{len(seen.rejected)} rejected arcs" + (f": {told}" if told else "")
+    """Return a plot of a plan with the arcs of its search; other arguments as for `plan_plot`."""
+    figure, axes = _sheet(metadata, segments, footprint)
+    counts = Counter(trace.reasons).most_common(3)
+    text = ", ".join(f"{count} at {name}" for name, count in counts)
+    rejected = f"{len(trace.rejected)} rejected arcs" + (f": {text}" if text else "")
     for lines, color, zorder, label in (
-        (seen.arcs, _EXPLORED, 0.5, f"arcs to {seen.nodes} nodes"),
-        (seen.rejected, _REJECTED, 0.6, rejected),
-        (seen.gates, _GATE, 0.7, f"{len(seen.gates)} ways through gaps"),
+        (trace.arcs, _EXPLORED_COLOUR, 0.5, f"arcs to {trace.nodes} nodes"),
+        (trace.rejected, _REJECTED_COLOUR, 0.6, rejected),
+        (trace.passages, _PASSAGE_COLOUR, 0.7, f"{len(trace.passages)} narrow passages"),
     ):
         drawn = LineCollection(list(lines), colors=color, linewidths=0.5, zorder=zorder, label=label)
         axes.add_collection(drawn, autolim=False)
     axes.legend(loc="best", fontsize=8, frameon=False)
-    axes.set_title("The search: explored, rejected, and what came of it", fontsize=10)
+    axes.set_title("Search: explored and rejected arcs, and the plan", fontsize=10)
     return figure
 
 
 def _sheet(
-    about: Mapping[str, Any], segments: Sequence[Segment], footprint: Footprint
+    metadata: Mapping[str, Any], segments: Sequence[Segment], footprint: Footprint
 ) -> tuple[Figure, Axes]:
+    """Return a plot of the world with the path and footprint of a plan."""
     figure, (axes,) = panels(6.0)
     for segment in segments:
-        axes.add_patch(Polygon(_band(segment, footprint), facecolor=_SWEPT, edgecolor="none", zorder=0))
-    world, goal = about["world"], about["goal"]
-    for each in world["obstacles"]:
-        axes.add_patch(Circle((each["x"], each["y"]), each["radius"], facecolor=_OBSTACLE, zorder=1))
-    for each in world["polygons"]:
-        axes.add_patch(Polygon(np.array(each["corners"]), facecolor=_OBSTACLE, zorder=1))
+        axes.add_patch(
+            Polygon(_band(segment, footprint), facecolor=_FOOTPRINT_COLOUR, edgecolor="none", zorder=0)
+        )
+    world, goal = metadata["world"], metadata["goal"]
+    for circle in world["obstacles"]:
+        centre = circle["x"], circle["y"]
+        axes.add_patch(Circle(centre, circle["radius"], facecolor=_OBSTACLE_COLOUR, zorder=1))
+    for polygon in world["polygons"]:
+        axes.add_patch(Polygon(np.array(polygon["corners"]), facecolor=_OBSTACLE_COLOUR, zorder=1))
     if bounds := world["bounds"]:
         (x0, x1), (y0, y1) = bounds["x"], bounds["y"]
         axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="0.6", linestyle="--"))
     if segments:
         x, y = path_points(segments).T
-        axes.plot(x, y, color=_PATH, linewidth=1.0, zorder=2, label="plan")
-        starts = np.array([(each.start.x, each.start.y) for each in segments])
-        axes.plot(*starts.T, ".", color=_PATH, markersize=3, zorder=2)
+        axes.plot(x, y, color=_PATH_COLOUR, linewidth=1.0, zorder=2, label="plan")
+        starts = np.array([(segment.start.x, segment.start.y) for segment in segments])
+        axes.plot(*starts.T, ".", color=_PATH_COLOUR, markersize=3, zorder=2)
     axes.add_patch(Circle((goal["x"], goal["y"]), goal["radius"], fill=False, edgecolor=GOAL_COLOR, zorder=2))
     axes.autoscale_view()
     axes.set_aspect("equal", adjustable="datalim")
-    finish(axes, "y (m)", "x (m)", title="Plan, the floor planned for the body, obstacles and goal")
+    finish(axes, "y (m)", "x (m)", title="Plan with footprint, obstacles and goal")
     return figure, axes
 
 
 def _band(segment: Segment, footprint: Footprint) -> np.ndarray:
-    """Return the outline of what is planned for the body along a segment, shape (k, 2)."""
+    """Return the outline of the footprint along a segment, m, shape (k, 2)."""
     motion, beyond = footprint.at(segment.curvature), (footprint.behind, footprint.ahead)
     left, right = (segment_points(segment, n, *beyond) for n in (motion.left, -motion.right))
     return np.concatenate([left, right[::-1]])
 
 
 def path_points(segments: Sequence[Segment]) -> np.ndarray:
-    """Return points along a path, shape (k, 2)."""
+    """Return points along a path, m, shape (k, 2)."""
     return np.concatenate([segment_points(segment) for segment in segments])
 
 
 def plan_page(plan: Plan) -> str:
-    """Return a plan as HTML for a notebook."""
+    """Return the HTML page of a plan for notebooks."""
     rows = [
         ["length", "m", cell(plan.length)],
         ["time", "s", cell(plan.duration)],
@@ -172,42 +181,42 @@ def plan_page(plan: Plan) -> str:
     )
 
 
-def write_search(path: Path, plan: Plan, explored: Explored, title: str) -> None:
+def write_search(path: Path, plan: Plan, trace: SearchTrace, title: str) -> None:
     """Write a Rerun recording of a search: world, plan, explored and rejected arcs.
 
     Args:
-        path: file to write; an existing one is replaced.
-        plan: answer of the planner, with its problem.
-        explored: arcs of its trees.
+        path: path of the file; an existing file is replaced.
+        plan: plan of the search.
+        trace: arcs of its trees.
         title: name of the recording in the viewer.
     """
     from srs_twin.viewing.rerun.recording import write_floor
     from srs_twin.viewing.rerun.scene import FORCE_COLOR
 
     problem = plan.problem
-    assert problem is not None, "the planner sets it"
+    assert problem is not None, "set by plan()"
     lines = plan_lines(plan.segments, problem.footprint, asdict(problem.goal))
-    lines.append(FloorLine("search/explored", tuple(explored.arcs), "#aaaaaa", 0.0005))
-    lines.append(FloorLine("search/gates", tuple(explored.gates), GOAL_COLOR, 0.0015))
-    for reason in sorted(set(explored.reasons)):
-        pairs = zip(explored.rejected, explored.reasons, strict=True)
+    lines.append(FloorLine("search/explored", tuple(trace.arcs), "#aaaaaa", 0.0005))
+    lines.append(FloorLine("search/gates", tuple(trace.passages), GOAL_COLOR, 0.0015))
+    for reason in sorted(set(trace.reasons)):
+        pairs = zip(trace.rejected, trace.reasons, strict=True)
         arcs = tuple(arc for arc, why in pairs if why == reason)
         lines.append(FloorLine(f"search/rejected/{reason.replace(' ', '_')}", arcs, FORCE_COLOR, 0.0005))
     write_floor(path, title, problem.world, lines)
 
 
 def plan_lines(segments: Sequence[Segment], footprint: Footprint, goal: Mapping[str, Any]) -> list[FloorLine]:
-    """Return a plan as lines on the floor: its path, the edges of the planned footprint, the goal."""
+    """Return path, edges of the footprint and goal of a plan as lines on the floor."""
     lines = []
     if segments:
-        lines.append(FloorLine("plan/path", tuple(map(segment_points, segments)), _PATH, 0.002))
+        lines.append(FloorLine("plan/path", tuple(map(segment_points, segments)), _PATH_COLOUR, 0.002))
         edges = tuple(
             segment_points(segment, offset)
             for segment in segments
             for motion in [footprint.at(segment.curvature)]
             for offset in (motion.left, -motion.right)
         )
-        lines.append(FloorLine("plan/edges", edges, _EDGE, 0.0015))
+        lines.append(FloorLine("plan/edges", edges, _EDGE_COLOUR, 0.0015))
     return [*lines, FloorLine("plan/goal", (goal_ring(goal),), GOAL_COLOR, 0.002)]
 
 
@@ -215,7 +224,7 @@ class FollowingPictures(RunPictures):
     """Pictures of runs that follow a plan."""
 
     kind = "following"
-    legend = {"plan": _PATH, "goal": GOAL_COLOR}  # noqa: RUF012
+    legend = {"plan": _PATH_COLOUR, "goal": GOAL_COLOR}  # noqa: RUF012
     signals = (
         FollowedSignal("cross_track", "cross_track", 1e3, "Distance from the path, left positive (mm)"),
         FollowedSignal("offset_commanded", "offset", 1.0, "Offset commanded"),
@@ -228,15 +237,15 @@ class FollowingPictures(RunPictures):
     def figures(self, runs: Mapping[str, Trajectory], spec: RobotSpec) -> dict[str, Figure]:
         """See `RunPictures.figures`."""
         figure = following_plot(runs, spec)
-        caption = "The plan, the floor planned for the body (blue), obstacles, goal, and what came of it."
+        caption = "Plan with footprint (blue), obstacles and goal, and the runs that follow it."
         return {} if figure is None else {caption: figure}
 
     def floor_lines(self, run: Trajectory) -> list[FloorLine]:
         """See `RunPictures.floor_lines`."""
-        about = following(run)
-        assert about is not None, "applies() was asked"
-        return plan_lines(segments_of(about["plans"][0]), footprint_of(about), about["goal"])
+        metadata = following(run)
+        assert metadata is not None, "applies() is true"
+        return plan_lines(segments_of(metadata["plans"][0]), footprint_of(metadata), metadata["goal"])
 
 
 PICTURES = FollowingPictures()
-"""Registry entry."""
+"""Registry entry of the pictures of runs that follow a plan."""

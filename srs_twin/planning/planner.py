@@ -1,15 +1,15 @@
-r"""plan(problem) -> Plan: the one verb of this package, also with the way of each change of offset in it.
+r"""The function `plan`, and `plan_with_transitions` for paths with transition arcs between curvatures.
 
-Shaping puts the way that a change of offset takes, as it was measured, in place of a jump of the curvature.
-After a change from curvature κ_a to κ_b the path is late: it turns by Δκ δ less than an instant change would
-have it, and ends up Δκ m/2 beside (`Transient`: dheading = −Δκ δ, dy = Δκ m/2). One arc between the two does
-the same to first order,
+Transition arcs replace jumps of the curvature by the measured response to a change of offset. After a change
+from curvature κ_a to κ_b the path lags: it turns by Δκ δ less than after an instant change, and is displaced
+by Δκ m/2 to the side (`Transient`: dheading = −Δκ δ, dy = Δκ m/2). To first order, one arc of length T and
+curvature
 
 $$ κ_t = κ_a + \Bigl(1 - \frac{δ}{T}\Bigr) Δκ, \qquad T = \frac{m}{δ}, $$
 
-begun where the command takes effect. Put so that it begins δ before the planned change, it leaves the
-heading of the plan as it is and the path Δκ (m − δ²)/2 beside; hence a plan is made to a goal that lies as
-much to the other side. An offset that a follower sends ahead by δ then has the body on the path.
+has the same effect. If it begins δ before the planned change, the heading of the plan is unchanged and the
+path is displaced by Δκ (m − δ²)/2. The search therefore aims at a goal that is displaced to the other side. A
+follower that sends each offset δ ahead keeps the body on the path.
 """
 
 from __future__ import annotations
@@ -24,13 +24,12 @@ from itertools import product
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.planning.collision import Checker, inside
-from srs_twin.planning.footprint import Footprint, Transient, checked
-from srs_twin.planning.greedy import greedy
-from srs_twin.planning.ompl_baseline import rrt_connect
-from srs_twin.planning.plan import Plan
-from srs_twin.planning.problem import Problem, Segment, Settings, path_of
-from srs_twin.planning.search import best_first
+from srs_twin.planning.best_first import best_first
+from srs_twin.planning.collision import Checker, obstacle_at
+from srs_twin.planning.footprint import Footprint, Transient, validate_footprint
+from srs_twin.planning.path import Segment, path_from_arcs
+from srs_twin.planning.problem import Plan, Problem, Settings
+from srs_twin.planning.reference_planners import greedy, rrt_connect
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 PLANNERS: dict[str, Callable[[Problem, Settings], Plan]] = {
@@ -38,83 +37,98 @@ PLANNERS: dict[str, Callable[[Problem, Settings], Plan]] = {
     "greedy": lambda problem, _: greedy(problem),
     "ompl": rrt_connect,
 }
-"""Name → planner; `ompl` needs the extra of that name."""
+"""Planners by name; `ompl` needs the extra of that name."""
 
-_FAR = 2000.0
-"""Places are at most so far from the origin, m; cells are counted within."""
+_MAX_COORDINATE_M = 2000.0
+"""Largest coordinate of start and goal, m; cell indices of the search are limited."""
+
+_WIDTH_STEPS = (0.1, 0.2, 0.4, 0.8, 1.6)
+"""Widths added to both edges in search of a path with more clearance, in widths of the straight body."""
+_MAX_WIDER_NODES = 4000
+"""Largest number of nodes of the search for a wider body."""
+_COST_SPACING_M = 0.02
+"""Largest distance between the points at which the clearance of a path is evaluated, m."""
+
+_AIM_ITERATIONS = 6
+"""Largest number of corrections of the goal in `plan_with_transitions`."""
+_SHAPING_MARGINS_M = (0.0, 0.01, 0.02, 0.03)
+"""Widths added to both edges in turn, m; the path with transitions must be free with the original edges."""
 
 
 def plan(problem: Problem, settings: Settings | None = None, *, planner: str = "best_first") -> Plan:
-    """Find a free path.
+    """Find a collision-free path.
 
     Args:
-        problem: from where to where, among what, with which body.
-        settings: how hard to try; `greedy` has nothing to set.
-        planner: `best_first`; `greedy`, the text's; `ompl`, RRT-Connect of the Open Motion Planning Library.
+        problem: start, goal, world and body.
+        settings: budget and options of the search; ignored by `greedy`.
+        planner: `best_first`; `greedy`, the planner of the dissertation; or `ompl`, RRT-Connect of the Open
+            Motion Planning Library.
 
     Raises:
-        InputError: start or goal is in an obstacle or out of bounds, or a number cannot be meant.
-        UnknownNameError: no such planner.
+        InputError: start or goal is in an obstacle or outside the bounds, or a number is not allowed.
+        UnknownNameError: unknown planner.
     """
     if planner not in PLANNERS:
         raise UnknownNameError("planner", planner, PLANNERS)
-    _refuse(problem)
+    _check_problem(problem)
     _compile()
     begun = time.perf_counter()
-    answer = PLANNERS[planner](problem, settings or Settings())
-    if answer.found and settings and settings.clearance_weight > 0:
-        answer = _roomiest(answer, problem, settings)
-    return replace(answer, seconds=time.perf_counter() - begun, problem=problem)
+    result = PLANNERS[planner](problem, settings or Settings())
+    if result.found and settings and settings.clearance_weight > 0:
+        result = _lowest_cost(result, problem, settings)
+    return replace(result, seconds=time.perf_counter() - begun, problem=problem)
 
 
-_WIDER = (0.1, 0.2, 0.4, 0.8, 1.6)
-"""Widths of the straight body that edges are moved by in search of a way with more room."""
-_BRIEF = 4000
-_SPACING = 0.02
+def _lowest_cost(first: Plan, problem: Problem, settings: Settings) -> Plan:
+    """Return the plan with the lowest cost (`Settings.clearance_weight`) of those for wider bodies.
 
-
-def _roomiest(first: Plan, problem: Problem, settings: Settings) -> Plan:
-    """Return the plan of least cost, see `Settings.clearance_weight`, for the body and for wider ones."""
+    Args:
+        first: plan for the body itself.
+        problem: the problem.
+        settings: settings of the search.
+    """
     straight = problem.footprint.at(0.0)
     width = straight.left + straight.right
-    brief, found = replace(settings, nodes=min(settings.nodes, _BRIEF)), [first]
-    for share in _WIDER:
+    short, plans = replace(settings, nodes=min(settings.nodes, _MAX_WIDER_NODES)), [first]
+    for share in _WIDTH_STEPS:
         wider = replace(problem, footprint=problem.footprint.reduced(margin=share * width))
-        answer = best_first(wider, brief)
-        if not answer.found:
+        result = best_first(wider, short)
+        if not result.found:
             break
-        # The wider body's edges are no edges of this one.
-        pieces = [(each.curvature, each.length) for each in answer.segments]
-        found.append(replace(answer, segments=path_of(problem.start, pieces, problem.footprint)))
-    return min(found, key=lambda each: _cost(each, problem, width, settings.clearance_weight))
+        # Speeds and offsets are those of the body itself.
+        arcs = [(segment.curvature, segment.length) for segment in result.segments]
+        plans.append(replace(result, segments=path_from_arcs(problem.start, arcs, problem.footprint)))
+    return min(plans, key=lambda result: _cost(result, problem, width, settings.clearance_weight))
 
 
-def _cost(found: Plan, problem: Problem, width: float, weight: float) -> float:
-    """Return the length of a path, the nearer it comes to something the more, m."""
+def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
+    """Return the length of a path plus the cost of small clearances, m."""
     import shapely
 
     world, body = problem.world, problem.footprint
-    places, edges, steps = [], [], []
-    for each in found.segments:
-        count = max(math.ceil(each.length / _SPACING), 1)
-        row = body.at(each.curvature)
-        places += [each.pose((k + 0.5) / count * each.length) for k in range(count)]
+    poses, edges, steps = [], [], []
+    for segment in result.segments:
+        count = max(math.ceil(segment.length / _COST_SPACING_M), 1)
+        row = body.at(segment.curvature)
+        poses += [segment.pose((k + 0.5) / count * segment.length) for k in range(count)]
         edges += [max(row.left, row.right)] * count
-        steps += [each.length / count] * count
-    points = shapely.points([(pose.x, pose.y) for pose in places])
-    apart = np.full(len(points), np.inf)
+        steps += [segment.length / count] * count
+    points = shapely.points([(pose.x, pose.y) for pose in poses])
+    distance = np.full(len(points), np.inf)
     for circle in world.obstacles:
-        apart = np.minimum(apart, shapely.distance(points, shapely.Point(circle.x, circle.y)) - circle.radius)
+        centre = shapely.Point(circle.x, circle.y)
+        distance = np.minimum(distance, shapely.distance(points, centre) - circle.radius)
     for polygon in world.polygons:
-        apart = np.minimum(apart, shapely.distance(points, shapely.Polygon(polygon.corners)))
-    room = np.maximum(apart - edges, 0.0)
-    return float(np.dot(steps, 1 + weight * np.exp(-room / width)))
+        distance = np.minimum(distance, shapely.distance(points, shapely.Polygon(polygon.corners)))
+    # Distance of the wider edge, as if it were on both sides: a simple bound.
+    clearance = np.maximum(distance - edges, 0.0)
+    return float(np.dot(steps, 1 + weight * np.exp(-clearance / width)))
 
 
 @functools.cache
 def _compile() -> None:
-    """Compile the kernels, or load them: neither is planning, and no limit in seconds may run out by it."""
-    # With obstacles in the way and changes that cost width: a straight way would leave kernels out.
+    """Compile the kernels or load them from the cache, so that neither counts against a time limit."""
+    # Obstacles on the line and a transient: a straight path would not compile all kernels.
     circles = (Circle(0.6, 0.05, 0.1), Circle(1.7, 0.1, 0.1))
     square = Polygon(((1.1, -0.3), (1.2, -0.3), (1.2, 0.05), (1.1, 0.05)))
     world = World(circles, Bounds((-1.0, 4.0), (-2.0, 2.0)), polygons=(square,))
@@ -123,146 +137,148 @@ def _compile() -> None:
     best_first(Problem(Pose(0.0, 0.0, 0.0), Goal(2.3, 0.0, 0.3, radius=0.05), world, body), Settings())
 
 
-def _refuse(problem: Problem) -> None:
-    """Raise what is wrong with a problem before anything is tried."""
-    checked(problem.footprint)
+def _check_problem(problem: Problem) -> None:
+    """Raise an error for a problem that cannot be solved as stated."""
+    validate_footprint(problem.footprint)
     start, goal = problem.start, problem.goal
-    _refuse_numbers(start, goal)
-    _refuse_world(problem.world)
+    _check_poses(start, goal)
+    _check_world(problem.world)
     for name, x, y in (("start", start.x, start.y), ("goal", goal.x, goal.y)):
-        if hit := inside(problem.world, x, y):
-            relation = "outside of" if hit.startswith("the bounds") else "inside"
-            raise InputError(f"{name} ({x:g}, {y:g}) lies {relation} {hit}")
-    if hit := Checker(problem.world, problem.footprint).blocker(start):
+        if hit := obstacle_at(problem.world, x, y):
+            relation = "outside" if hit.startswith("the bounds") else "inside"
+            raise InputError(f"{name} ({x:g}, {y:g}) is {relation} {hit}")
+    if hit := Checker(problem.world, problem.footprint).first_collision(start):
         verb = "leaves" if hit.startswith("the bounds") else "touches"
         raise InputError(f"start ({start.x:g}, {start.y:g}): the straight body's footprint {verb} {hit}")
 
 
-def _refuse_numbers(start: Pose, goal: Goal) -> None:
+def _check_poses(start: Pose, goal: Goal) -> None:
     angles = (start.heading, goal.heading or 0.0)
     if not all(math.isfinite(angle) and abs(angle) <= 100 for angle in angles):
-        raise InputError(f"headings {angles[0]:g} and {angles[1]:g} rad: must be finite, -100 to 100")
+        raise InputError(
+            f"headings {angles[0]:g} and {angles[1]:g} rad: must be finite and between -100 and 100"
+        )
     for name, x, y in (("start", start.x, start.y), ("goal", goal.x, goal.y)):
-        if not (abs(x) <= _FAR and abs(y) <= _FAR):
-            raise InputError(f"{name} ({x:g}, {y:g}) m: must be finite, -{_FAR:g} to {_FAR:g}")
+        if not (abs(x) <= _MAX_COORDINATE_M and abs(y) <= _MAX_COORDINATE_M):
+            raise InputError(
+                f"{name} ({x:g}, {y:g}) m: must be finite and between "
+                f"-{_MAX_COORDINATE_M:g} and {_MAX_COORDINATE_M:g}"
+            )
     if not (0 <= goal.radius < math.inf and 0 <= goal.heading_tolerance <= math.pi):
         raise InputError(
             f"goal: radius {goal.radius:g} m must not be below 0, heading_tolerance "
-            f"{goal.heading_tolerance:g} rad must be from 0 to pi"
+            f"{goal.heading_tolerance:g} rad must be between 0 and pi"
         )
 
 
-def _refuse_world(world: World) -> None:
+def _check_world(world: World) -> None:
     import shapely
 
     for k, circle in enumerate(world.obstacles):
         if not (math.isfinite(circle.x) and math.isfinite(circle.y) and 0 < circle.radius < math.inf):
-            raise InputError(f"obstacle {k + 1}: numbers must be finite, the radius above 0")
+            raise InputError(f"obstacle {k + 1}: numbers must be finite and the radius above 0")
     for k, polygon in enumerate(world.polygons):
         finite = all(math.isfinite(value) for corner in polygon.corners for value in corner)
         if len(polygon.corners) < 3 or not finite or not shapely.Polygon(polygon.corners).is_valid:
             raise InputError(
-                f"polygon {k + 1}: needs three finite corners or more, and sides that do not cross"
+                f"polygon {k + 1}: needs at least three finite corners and sides that do not cross"
             )
     if world.bounds and not all(low < high for low, high in (world.bounds.x, world.bounds.y)):
-        raise InputError("bounds: the lowest comes first, and must be below the highest")
+        raise InputError("bounds: the lower limit comes first and must be below the upper limit")
 
 
-_AIMS = 6
-"""How often a goal is aimed at anew."""
-_ROOM = (0.0, 0.01, 0.02, 0.03)
-"""What edges are wider by, m, to plan with: the shaped path has to be free with the footprint's own."""
-
-
-def shaped(segments: Sequence[Segment], footprint: Footprint) -> tuple[Segment, ...]:
-    """Return a path with the way of each change of offset in it; changes without room for theirs stay jumps.
+def with_transitions(segments: Sequence[Segment], footprint: Footprint) -> tuple[Segment, ...]:
+    """Return a path with transition arcs; a change stays a jump if its segments are too short for an arc.
 
     Args:
-        segments: of the path.
-        footprint: whose transients they are; without any the path is returned as it is.
+        segments: arcs of the path.
+        footprint: footprint with the transients; without any, the path is unchanged.
     """
     if not segments:
         return ()
-    pieces: list[tuple[float, float]] = []
-    left = segments[0].length
+    arcs: list[tuple[float, float]] = []
+    remaining = segments[0].length
     for here, after in zip(segments, segments[1:], strict=False):
+        # δ and T of the module docstring.
         late, long = footprint.lag(here.offset, after.offset)
-        if long == 0 or late > left or long - late > after.length:
+        if long == 0 or late > remaining or long - late > after.length:
             late, long = 0.0, 0.0
         between = after.curvature + (here.curvature - after.curvature) * (late / long if long else 0.0)
-        pieces += [(here.curvature, left - late), (between, long)]
-        left = after.length - (long - late)
-    pieces.append((segments[-1].curvature, left))
-    return path_of(segments[0].start, pieces, footprint)
+        arcs += [(here.curvature, remaining - late), (between, long)]
+        remaining = after.length - (long - late)
+    arcs.append((segments[-1].curvature, remaining))
+    return path_from_arcs(segments[0].start, arcs, footprint)
 
 
-def plan_shaped(problem: Problem, settings: Settings, begin: Sequence[Segment] = ()) -> Plan:
-    """Plan, with the way of each change of offset in the path.
+def plan_with_transitions(problem: Problem, settings: Settings, begin: Sequence[Segment] = ()) -> Plan:
+    """Plan a path with transition arcs.
 
-    The path is free, transients included, and ends within the goal's tolerances. Where none such is found,
-    the plan is that without shapes, and its reason says so.
+    The path is free with its transients and ends within the goal's tolerances. If no such path is found, the
+    plan is the one without transition arcs, and its reason says so.
 
     Args:
-        problem: where it is begun; its start is the end of `begin`.
-        settings: how hard to try, each time that a goal is aimed at.
-        begin: what of the path is fixed.
+        problem: the problem; its start is the end of `begin`.
+        settings: budget and options of each search.
+        begin: fixed first segments of the path.
 
     Returns:
-        The plan, with the nodes and the time of all that were made for it.
+        The plan, with the total nodes and time of all searches.
 
     Raises:
         InputError: as `plan`.
     """
-    made: list[Plan] = []
+    plans: list[Plan] = []
 
-    def planned(asked: Problem, *, smooth: bool = True) -> Plan:
-        made.append(plan(asked, replace(settings, smooth=settings.smooth and smooth)))
-        return made[-1]
+    def search(problem: Problem, *, smooth: bool = True) -> Plan:
+        plans.append(plan(problem, replace(settings, smooth=settings.smooth and smooth)))
+        return plans[-1]
 
-    found = _shaped_plan(problem, planned, begin)
-    return replace(
-        found, expanded=sum(each.expanded for each in made), seconds=sum(each.seconds for each in made)
-    )
+    result = _search_with_transitions(problem, search, begin)
+    expanded, seconds = sum(p.expanded for p in plans), sum(p.seconds for p in plans)
+    return replace(result, expanded=expanded, seconds=seconds)
 
 
-def _shaped_plan(problem: Problem, planned: Callable[..., Plan], begin: Sequence[Segment]) -> Plan:
+def _search_with_transitions(problem: Problem, search: Callable[..., Plan], begin: Sequence[Segment]) -> Plan:
+    """Return the first path with transition arcs that is free and arrives, trying wider bodies in turn."""
     body = problem.footprint
-    first = planned(problem)
+    first = search(problem)
     if not first.found:
         return first
     if not first.segments or not body.transients:
         return replace(first, segments=(*begin, *first.segments))
     checker = Checker(problem.world, body)
-    # Ways that were not shortened keep farther away from things.
-    for smooth, room in product((True, False), _ROOM):
-        wide = replace(problem, footprint=body.reduced(margin=room))
-        aimed = problem.goal
-        for _ in range(_AIMS):
-            own = smooth and not room and aimed == problem.goal
-            found = first if own else planned(replace(wide, goal=aimed), smooth=smooth)
-            if not found.found or not found.segments:
+    # Paths that are not shortened stay farther from obstacles.
+    for smooth, margin in product((True, False), _SHAPING_MARGINS_M):
+        wide = replace(problem, footprint=body.reduced(margin=margin))
+        aim = problem.goal
+        for _ in range(_AIM_ITERATIONS):
+            reuse = smooth and not margin and aim == problem.goal
+            result = first if reuse else search(replace(wide, goal=aim), smooth=smooth)
+            if not result.found or not result.segments:
                 break
-            path = shaped((*begin, *found.segments), body)
+            path = with_transitions((*begin, *result.segments), body)
             end = path[-1].end
-            if _arrived(end, problem.goal):
-                if checker.free_path(path):
-                    return replace(found, segments=path)
+            if _is_within(end, problem.goal):
+                if checker.is_path_free(path):
+                    return replace(result, segments=path)
                 break
-            aimed = _aimed_anew(aimed, problem.goal, end)
-    why = f"{first.reason}; changes of offset are jumps in it, for none was free with the way that they take"
-    return replace(first, reason=why, segments=(*begin, *first.segments))
+            # Fixed-point iteration: displace the goal by the remaining error.
+            aim = _corrected_aim(aim, problem.goal, end)
+    reason = f"{first.reason}; without transition arcs, because no path with them was free"
+    return replace(first, reason=reason, segments=(*begin, *first.segments))
 
 
-def _arrived(end: Pose, goal: Goal) -> bool:
+def _is_within(end: Pose, goal: Goal) -> bool:
+    """Return whether a pose is within a goal's tolerances."""
     near = math.hypot(end.x - goal.x, end.y - goal.y) <= goal.radius
     if goal.heading is None:
         return near
     return near and abs(math.remainder(end.heading - goal.heading, 2 * math.pi)) <= goal.heading_tolerance
 
 
-def _aimed_anew(aimed: Goal, goal: Goal, end: Pose) -> Goal:
-    """Return the goal moved by what the path misses the real one by."""
-    turned = None
-    if goal.heading is not None and aimed.heading is not None:
-        turned = aimed.heading - math.remainder(end.heading - goal.heading, 2 * math.pi)
-    return replace(aimed, x=aimed.x + goal.x - end.x, y=aimed.y + goal.y - end.y, heading=turned)
+def _corrected_aim(aim: Goal, goal: Goal, end: Pose) -> Goal:
+    """Return the aim moved by the distance between the end of the path and the goal."""
+    heading = None
+    if goal.heading is not None and aim.heading is not None:
+        heading = aim.heading - math.remainder(end.heading - goal.heading, 2 * math.pi)
+    return replace(aim, x=aim.x + goal.x - end.x, y=aim.y + goal.y - end.y, heading=heading)

@@ -1,38 +1,47 @@
-"""What a planner is asked, how hard it tries, and what it answers."""
+"""Planning problem, search settings and plan."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.planning.arcs import Primitives, along
+from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.infeasibility import min_path_length
+from srs_twin.planning.path import Segment
+from srs_twin.planning.search_tree import SearchTree
 from srs_twin.robot.world import Goal, Pose, World
+from srs_twin.trajectory import HtmlResult
 
-if TYPE_CHECKING:
-    pass
+_MAX_LEVELS = 5
+"""Arcs of the fifth level are 16 times shorter than those of the first."""
 
-_MOST_LEVELS = 5
+_KINK_ROUNDING = 1e-6
+"""Heading jumps below this are rounding errors, rad."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How hard to try.
+    """Budget and options of a search.
 
     Attributes:
-        nodes: how many may be expanded in all.
-        seconds: wall time, looked at after 16,000 nodes at the latest; None: no limit. Only without it the
-            same problem has the same answer on every machine.
-        weight: of the bound; 1: shortest path first; above 1: fewer nodes, paths up to so many times longer.
-        levels: how many resolutions to try, each with half the last one's arcs and cells; 1 to 5.
-        smooth: shorten the path afterwards.
-        clearance_weight: extra cost of a metre of way that touches something, m; it falls by e for each
-            width of the straight body that is between. Above 0 wider bodies are planned for as well.
-        keep: the trees of the search, to be shown.
-        improve: do not stop at the first plan: look at finer levels for shorter ones while the budget lasts.
+        nodes: largest number of expanded nodes.
+        seconds: limit on the wall time, s, checked at least every 16,000 nodes; None: no limit. With a limit,
+            the result may differ between machines.
+        weight: weight of the cost-to-go bound. 1: shortest path; above 1: fewer nodes, and a path at most
+            this many times longer.
+        levels: number of resolutions to try, 1 to 5; each halves the arcs and cells of the previous one.
+        smooth: whether to shorten the path afterwards.
+        clearance_weight: extra cost of one metre of path that touches an obstacle, m. The cost falls by a
+            factor e per body width of clearance. Above 0, the search is repeated for wider bodies.
+        keep: whether to keep the search trees in the plan, to display them.
+        improve: whether to continue at finer levels for a shorter path while the budget lasts.
     """
 
     nodes: int = 200_000
@@ -46,29 +55,26 @@ class Settings:
 
     def __post_init__(self) -> None:
         if self.nodes < 1 or self.levels < 1 or not (1 <= self.weight < math.inf):
-            given = f"nodes {self.nodes}, levels {self.levels}, weight {self.weight:g}"
-            raise InputError(f"planner: {given}: all must be 1 at least")
+            values = f"nodes {self.nodes}, levels {self.levels}, weight {self.weight:g}"
+            raise InputError(f"planner: {values}: all must be at least 1")
         if not 0 <= self.clearance_weight < math.inf:
             raise InputError(f"planner: clearance_weight {self.clearance_weight:g} must not be below 0")
-        if self.levels > _MOST_LEVELS:
-            raise InputError(f"planner: levels {self.levels}, {_MOST_LEVELS} at most")
+        if self.levels > _MAX_LEVELS:
+            raise InputError(f"planner: levels {self.levels} must be at most {_MAX_LEVELS}")
         if self.seconds is not None and not self.seconds > 0:
             raise InputError(f"planner: seconds {self.seconds:g} must be above 0")
 
 
-# What stays below is rounding, m and rad.
-
-
 @dataclass(frozen=True)
 class Problem:
-    """From where to where, among what, with which body.
+    """Start, goal, world and body of a planning problem.
 
     Attributes:
-        start: the snake lies there straight.
-        goal: where it is to arrive.
+        start: pose of the straight snake at the start.
+        goal: goal of the centre of mass.
         world: obstacles and bounds.
-        footprint: what the body sweeps, and how tightly it turns.
-        primitives: arcs to plan with; None: `best_first` chooses its own. `greedy` needs them.
+        footprint: area that the body covers, and its tightest turns.
+        primitives: motion primitives; None: chosen by `best_first`. `greedy` requires them.
     """
 
     start: Pose
@@ -79,11 +85,12 @@ class Problem:
 
 
 class Outcome(StrEnum):
-    """How planning ended; `Plan.reason` says why.
+    """Outcome of planning; `Plan.reason` explains it.
 
-    FOUND: a free path. UNREACHABLE: there is none; the reason says whether that is proven of every path or of
-    the poses that were tried. BUDGET_SPENT: neither is known. STUCK: `greedy` stood where every arc is
-    blocked.
+    - FOUND: a collision-free path.
+    - UNREACHABLE: no path; the reason states whether this is proven or holds for the tested poses only.
+    - BUDGET_SPENT: neither a path nor a proof within the budget.
+    - STUCK: every next arc of `greedy` is blocked.
     """
 
     FOUND = "found"
@@ -93,51 +100,78 @@ class Outcome(StrEnum):
 
 
 @dataclass(frozen=True)
-class Segment:
-    """An arc of a plan.
+class Plan(HtmlResult):
+    """Result of a planner; equal for equal problems on all machines.
 
     Attributes:
-        start: of the centre of mass.
-        curvature: left positive, 1/m.
-        length: m.
-        offset: of the gait that drives it.
-        speed: m/s.
+        outcome: outcome of planning.
+        reason: explanation of the outcome, with a remedy.
+        segments: arcs of the path; empty unless found.
+        expanded: number of expanded nodes.
+        cell: side (m) and heading width (rad) of the finest cells that were searched; None for `greedy`,
+            `ompl` and proofs of infeasibility.
+        seconds: wall time, s; not compared.
+        problem: the problem; not compared.
+        trees: trees of the last search if `Settings.keep` is set, otherwise empty; not compared.
     """
 
-    start: Pose
-    curvature: float
-    length: float
-    offset: float
-    speed: float
+    page: ClassVar[str] = "plan"
 
-    def pose(self, length: float) -> Pose:
-        """Return the pose after a length (m)."""
-        return Pose(*map(float, along(*self.start, self.curvature, length)))
+    outcome: Outcome
+    reason: str
+    segments: tuple[Segment, ...] = ()
+    expanded: int = 0
+    cell: tuple[float, float] | None = None
+    seconds: float = field(default=0.0, compare=False)
+    problem: Problem | None = field(default=None, compare=False, repr=False)
+    trees: tuple[SearchTree, ...] = field(default=(), compare=False, repr=False)
+
+    @cached_property
+    def least_length(self) -> float:
+        """Lower bound on the length of any path around the obstacles, regardless of curvature, m."""
+        assert self.problem is not None, "set by plan()"
+        problem = self.problem
+        return min_path_length(problem.start, problem.goal, problem.world, problem.footprint.narrowest)
 
     @property
-    def end(self) -> Pose:
-        """Where the next one begins."""
-        return self.pose(self.length)
+    def found(self) -> bool:
+        """Whether a path was found."""
+        return self.outcome is Outcome.FOUND
 
+    @property
+    def proven(self) -> bool:
+        """Whether it is proven that no path exists at any resolution."""
+        return self.outcome is Outcome.UNREACHABLE and self.cell is None
 
-def segment(start: Pose, curvature: float, length: float, footprint: Footprint) -> Segment:
-    """Return an arc with the offset and the speed that the footprint has for its curvature."""
-    row = footprint.at(curvature)
-    return Segment(start, curvature, length, row.offset, row.speed)
+    @property
+    def length(self) -> float:
+        """Length of the path, m."""
+        return math.fsum(s.length for s in self.segments)
 
+    @property
+    def duration(self) -> float:
+        """Travel time along the path at the speeds of the footprint, s."""
+        return math.fsum(s.length / s.speed for s in self.segments)
 
-def path_of(start: Pose, pieces: list[tuple[float, float]], footprint: Footprint) -> tuple[Segment, ...]:
-    """Return (curvature, length) pieces laid end to end; neighbours of one curvature become one segment."""
-    merged: list[list[float]] = []
-    for curvature, length in pieces:
-        if length <= 0:
-            continue
-        if merged and math.isclose(merged[-1][0], curvature, abs_tol=1e-12):
-            merged[-1][1] += length
-        else:
-            merged.append([curvature, length])
-    segments: list[Segment] = []
-    for curvature, length in merged:
-        segments.append(segment(start, curvature, length, footprint))
-        start = segments[-1].end
-    return tuple(segments)
+    @property
+    def end(self) -> Pose | None:
+        """Pose at the end of the path; None without segments."""
+        return self.segments[-1].end if self.segments else None
+
+    @property
+    def kink(self) -> float:
+        """Largest heading jump between segments, rad; 0 for all planners except `greedy`."""
+        pairs = zip(self.segments, self.segments[1:], strict=False)
+        jumps = (abs(math.remainder(b.start.heading - a.end.heading, 2 * math.pi)) for a, b in pairs)
+        largest = max(jumps, default=0.0)
+        return largest if largest > _KINK_ROUNDING else 0.0
+
+    def samples(self, spacing: float = 0.01) -> np.ndarray:
+        """Return poses (x, y, heading) along the path at most `spacing` (m) apart, shape (n, 3)."""
+        rows = []
+        for segment in self.segments:
+            steps = max(1, math.ceil(segment.length / spacing))
+            rows += [(*segment.pose(segment.length * k / steps),) for k in range(steps)]
+        if self.end:
+            rows.append((*self.end,))
+        return np.array(rows, dtype=float).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""Scenarios: one experiment each, read from a file, checked, and able to build its plants and controller."""
+"""Scenarios: experiments that are read from files, checked, and built into plants and controllers."""
 
 from srs_twin.extensions import lazy
 

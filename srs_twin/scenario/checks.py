@@ -1,4 +1,4 @@
-"""What the sections of a scenario must agree on: checked once each of them is sound."""
+"""Checks between the sections of a scenario, after each section is valid by itself."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.file import LEAST_RECORD_HZ, MOST_RECORD_HZ, ScenarioFile
 from srs_twin.scenario.plants import TwinFile
 
-_ROUNDED = 1.001
-"""A pressure stated with three digits may be that much above the limit that it means: 48.3 kPa, 7 psi."""
+_ROUNDING = 1.001
+"""Tolerance factor of a pressure limit: 7 psi stated with three digits are 48.3 kPa, above 48.26 kPa."""
 
 
 def check(document: Document, file: ScenarioFile) -> None:
-    """Report what in a file contradicts something else in it, whatever the robot."""
+    """Report contradictions between the sections of a file that do not depend on the robot."""
     _check_times(document, file)
     for loc, text in file.start.contradictions():
         document.report(("start", *loc), text, at_key=True)
@@ -38,30 +38,31 @@ def check(document: Document, file: ScenarioFile) -> None:
 
 
 def _check_floor(document: Document, file: ScenarioFile) -> None:
-    """Not every plant can stand on every floor."""
+    """Report floors that a plant does not support."""
     world, plants = file.world, file.plants
     if world.steps and plants.analytical is not None:
-        document.report(("world", "steps"), "the analytical model's floor is a plane; only the twin climbs")
+        document.report(
+            ("world", "steps"), "the floor of the analytical model is a plane; only the twin has steps"
+        )
     uneven = "steps" if world.steps else "floor"
     preloaded = plants.twin is not None and plants.twin.contact == "preloaded"
     if preloaded and (world.steps or world.floor.tilt_deg):
-        document.report(("world", uneven), "a twin on a floor like this needs contact: loaded (plants.twin)")
+        document.report(("world", uneven), "a twin on this floor needs contact: loaded (plants.twin)")
 
 
-def overpressure(document: Document, robot: RobotFile) -> list[str]:
-    """Refuse a supply pressure above the robot's limit, or warn of it where it was allowed.
+def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
+    """Report a supply pressure above the robot's limit, or return a warning if the scenario allows it.
 
-    This looks at the document itself, so that the pressure is judged even where another key is wrong.
+    The check reads the document itself, so that it also runs if other keys are not valid.
     """
-    given = document.get("supply", "pressure_kpa")
+    pressure = document.get("supply", "pressure_kpa")
     held = document.get("controller", "kind") == HoldValves.kind
     limit = robot.supply.continuous_limit_kpa if held else robot.supply.pulsed_limit_kpa
-    number = isinstance(given, (int, float)) and not isinstance(given, bool) and math.isfinite(given)
-    if not number or given <= limit.value * (_ROUNDED if held else 1.0):
+    number = isinstance(pressure, (int, float)) and not isinstance(pressure, bool) and math.isfinite(pressure)
+    if not number or pressure <= limit.value * (_ROUNDING if held else 1.0):
         return []
-    how = "for as long as valves are held open" if held else "in pulses, as a gait gives it"
-    most = f"the {limit.value:g} kPa that {robot.name} may be given {how} ({limit.source})"
-    text = f"{given:g} kPa is above {most}"
+    use = "with valves held open" if held else "in pulses of a gait"
+    text = f"{pressure:g} kPa is above the limit of {robot.name} {use}, {limit.value:g} kPa ({limit.source})"
     if True in (document.get("allow_overpressure"), document.get("supply", "allow_overpressure")):
         return [f"supply.pressure_kpa: {text}"]
     document.report(("supply", "pressure_kpa"), f"{text}; lower it, or set allow_overpressure: true")
@@ -69,7 +70,7 @@ def overpressure(document: Document, robot: RobotFile) -> list[str]:
 
 
 def check_robot(document: Document, file: ScenarioFile, robot: RobotFile) -> None:
-    """Report what the robot does not allow: faults, a sensor, a time step."""
+    """Report faults, sensors and time steps that the robot does not allow."""
     segments = robot.geometry.connectors.value - 1
     for k, fault in enumerate(file.faults):
         if fault.segment > segments:
@@ -77,21 +78,21 @@ def check_robot(document: Document, file: ScenarioFile, robot: RobotFile) -> Non
             document.report(("faults", k, "segment"), text)
     with document.report_errors("sensor"):
         file.sensor.sensor(robot.spec())
-    # The twin's integrator needs steps shorter than its segments' damping times (`mjcf.robot_mjcf`).
+    # The integrator needs time steps shorter than the damping times of the segments (`mjcf.robot_mjcf`).
     bending, twin = robot.bending, file.plants.twin
     shortest = min(bending.damping_time_s.value, bending.out_of_plane_damping_time_s.value)
     if twin is not None and not twin.timestep_s < shortest:
         document.report(
             ("plants", "twin", "timestep_s"),
-            f"{twin.timestep_s:g} s is too long for a robot whose damping times reach down to {shortest:g} s "
-            "(bending.damping_time_s, out_of_plane_damping_time_s); it must be shorter",
+            f"{twin.timestep_s:g} s is too long: it must be below the shortest damping time of the robot, "
+            f"{shortest:g} s (bending.damping_time_s, out_of_plane_damping_time_s)",
         )
 
 
 def check_controller(
     document: Document, file: ScenarioFile, robot: RobotFile, supply_pa: float, products: Mapping[str, Any]
 ) -> tuple[str, list[str]]:
-    """Return the layout of the controller's valves and warnings; report why it cannot be had."""
+    """Return the layout of the valves and warnings; report why a controller does not suit the scenario."""
     spec, controller = robot.spec(), file.controller
     limit = largest_bend(spec, supply_pa)
     warnings: list[str] = []
@@ -102,11 +103,11 @@ def check_controller(
     possible = controller.layouts(products)
     layout = file.valves.layout or possible[0]
     if layout not in possible:
-        why = "; 3/2 valves cannot hold" if layout == "3/2" else "; it has no use for valves that hold"
-        text = f"{controller.kind} drives valves of layout {', '.join(possible)}, not {layout}{why}"
+        reason = "3/2 valves cannot hold" if layout == "3/2" else "it does not hold valves"
+        text = f"{controller.kind} drives valves of layout {', '.join(possible)}, not {layout}; {reason}"
         document.report(("valves", "layout"), text)
     with document.report_errors("pneumatics"):
-        _check_felt(document, file, file.pneumatics.chambers(spec, supply_pa, layout))
+        _check_coupling_step(document, file, file.pneumatics.chambers(spec, supply_pa, layout))
     for kind in file.plants.running:
         try:
             controller.check(spec, file.tick(kind))
@@ -115,8 +116,8 @@ def check_controller(
     return layout, warnings
 
 
-def _check_felt(document: Document, file: ScenarioFile, chambers: Pneumatics) -> None:
-    """Chambers that feel how segments bend take turns with the bodies."""
+def _check_coupling_step(document: Document, file: ScenarioFile, chambers: Pneumatics) -> None:
+    """Report a time step that is too long for chambers whose pressure depends on the bends."""
     twin = file.plants.twin
     if (
         twin is not None
@@ -125,82 +126,87 @@ def _check_felt(document: Document, file: ScenarioFile, chambers: Pneumatics) ->
     ):
         document.report(
             ("plants", "twin", "timestep_s"),
-            f"{twin.timestep_s:g} s is too long for these chambers, which feel how the segments bend; it "
-            f"must be {chambers.coupling_step_s:g} s or less",
+            f"{twin.timestep_s:g} s is too long for chambers whose pressure depends on the bends; it must be "
+            f"at most {chambers.coupling_step_s:g} s",
         )
 
 
 def _check_times(document: Document, file: ScenarioFile) -> None:
+    """Report ticks, durations and recording rates that are not multiples of each other."""
     for kind, plant in file.plants.running.items():
         tick, interval = file.tick(kind), 1 / file.record_hz
-        named = f"the {kind} plant's tick"
+        tick_name = f"the {kind} plant's tick"
         key: tuple[str, ...] = ("plants", kind, "tick_s")
         try:
             if isinstance(plant, TwinFile):
                 count_steps("tick", tick, "time step", plant.timestep_s)
             key = ("duration_s",)
-            count_steps("duration", file.duration_s, named, tick)
+            count_steps("duration", file.duration_s, tick_name, tick)
             key = ("record_hz",)
             if interval > tick:
-                count_steps("recording interval", interval, named, tick)
+                count_steps("recording interval", interval, tick_name, tick)
             else:
-                count_steps(named, tick, "recording interval", interval)
+                count_steps(tick_name, tick, "recording interval", interval)
                 if isinstance(plant, TwinFile):
                     count_steps("recording interval", interval, "the twin's time step", plant.timestep_s)
         except TimeStepError as error:
-            words = str(error) if key != ("record_hz",) else f"{error.problem}; {_rate_remedy(file)}"
-            document.report(key, words)
+            text = str(error) if key != ("record_hz",) else f"{error.problem}; {_rate_remedy(file)}"
+            document.report(key, text)
 
 
 def _rate_remedy(file: ScenarioFile) -> str:
-    """Return the nearest recording rate that fits all plants, in words."""
+    """Return a message with the nearest recording rate that suits all plants."""
     clocks = [
         SamplingGrid(file.tick(kind), plant.timestep_s if isinstance(plant, TwinFile) else None)
         for kind, plant in file.plants.running.items()
     ]
     rate = nearest_rate(file.record_hz, clocks, LEAST_RECORD_HZ, MOST_RECORD_HZ)
-    return "no rate fits the plants' ticks; change tick_s" if rate is None else f"record_hz: {rate} would fit"
+    return (
+        "no rate suits the plants' ticks; change tick_s" if rate is None else f"record_hz: {rate} is possible"
+    )
 
 
 def _check_bench(document: Document, file: ScenarioFile) -> None:
-    """On a bench there is no floor to lie on."""
+    """Report keys that have no meaning on a bench, where the module hangs from its head."""
     if "start" in file.model_fields_set:
-        text = "what hangs on a bench starts where it is held; take one out"
+        text = "a module on a bench starts at its clamp; remove start or bench"
         document.report(("start",), text, at_key=True)
     for kind, plant in file.plants.running.items():
-        for key in plant.on_a_floor:
+        for key in plant.floor_keys:
             if key in plant.model_fields_set:
-                text = "on a bench there is no floor; take it out, or bench: true"
+                text = "there is no floor on a bench; remove this key, or bench: true"
                 document.report(("plants", kind, key), text, at_key=True)
     if file.plants.analytical and file.plants.analytical.model == "compliant":
-        text = "compliant is for a free snake; on a bench the bends of complete are the free module's"
+        text = "compliant needs a free snake; on a bench use complete, which has the bends of a free module"
         document.report(("plants", "analytical", "model"), text)
 
 
 def _check_world(document: Document, file: ScenarioFile) -> None:
+    """Report random obstacles without an area."""
     random, bounds = file.world.random, file.world.bounds
     if random and random.kind == "strewn" and not (random.area or bounds):
-        document.report(("world", "random"), "where? Give area, or bounds of the world")
+        document.report(("world", "random"), "strewn needs an area; set area, or bounds of the world")
 
 
 def _check_expectations(document: Document, file: ScenarioFile) -> None:
+    """Report expectations of plants or data that the scenario does not have."""
     measured = any(section.measures for section in file.sections().values())
-    for i, each in enumerate(file.expect):
-        if each.metric in MEASURED_UNITS and not measured:
-            document.report(("expect", i, "metric"), f"{each.metric} needs recording")
-        if each.plant and each.plant not in file.plants.running:
-            document.report(("expect", i, "plant"), f"{each.plant} does not run here; add it to plants")
-        if each.of and len(file.plants.running) < 2:
+    for i, item in enumerate(file.expect):
+        if item.metric in MEASURED_UNITS and not measured:
+            document.report(("expect", i, "metric"), f"{item.metric} needs the section recording")
+        if item.plant and item.plant not in file.plants.running:
+            document.report(("expect", i, "plant"), f"{item.plant} does not run here; add it to plants")
+        if item.of and len(file.plants.running) < 2:
             document.report(("expect", i, "of"), "a comparison needs both plants; add the other to plants")
 
 
 def _check_gap_factor(document: Document, file: ScenarioFile) -> None:
-    """The dissertation's factor stands for gaps that the model does not have."""
+    """Report a gap factor without both plants, or for an analytical model that has the gaps itself."""
     analytical, twin, key = file.plants.analytical, file.plants.twin, ("comparison", "gap_factor")
     if not file.comparison.gap_factor:
         return
     if analytical is None or twin is None:
         document.report(key, "a comparison needs both plants; add the other to plants")
     elif analytical.gaps:
-        text = "the analytical plant has the gaps in its geometry already; set plants.analytical.gaps: false"
+        text = "the analytical plant already has gaps in its geometry; set plants.analytical.gaps: false"
         document.report(key, text)

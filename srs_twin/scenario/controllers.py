@@ -1,4 +1,4 @@
-"""Controllers of a scenario: what commands the valves, the bend that it follows, the plan that it follows."""
+"""Section `controller` of a scenario: controllers of the valves and their reference bends."""
 
 from __future__ import annotations
 
@@ -21,9 +21,8 @@ from srs_twin.pneumatics.chambers import largest_bend
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.fields import Section, constructor_default, quantity
 
-_KIND = "Which controller."
-_SHAPE = "How the bend changes over time."
-_RIGHT = math.pi / 2
+_RIGHT_ANGLE = math.pi / 2
+"""Largest bend, rad."""
 
 _FREQUENCY = quantity(0.01, 50.0)
 _PHASE = quantity(-6.3, 6.3)
@@ -32,15 +31,15 @@ _Phases = Annotated[list[Annotated[float, Field(ge=-6.3, le=6.3)]], Field(max_le
 _CARRIER = quantity(1.0, 1000.0)
 _SLOPE = quantity(0.001, 1000.0)
 
-Bend = Annotated[float, Field(ge=-_RIGHT, le=_RIGHT)]
+Bend = Annotated[float, Field(ge=-_RIGHT_ANGLE, le=_RIGHT_ANGLE)]
 
 
 Contradiction = tuple[tuple[str, ...], str, bool]
-"""Path in the file, message, and whether it belongs to the key rather than to its value."""
+"""Path in the file, message, and whether the message refers to the key instead of its value."""
 
 
 class FileSections(Protocol):
-    """Sections of a scenario file, as far as others look at them; `scenario.file.ScenarioFile`."""
+    """Sections of a scenario file that other sections may read; see `scenario.file.ScenarioFile`."""
 
     bench: bool
     seed: int
@@ -53,21 +52,21 @@ class FileSections(Protocol):
 
     @property
     def model_fields_set(self) -> set[str]:
-        """Names of the fields that the file gives."""
+        """Names of the fields that are set in the file."""
 
     def section(self, name: str) -> Any:
-        """Return a section of an extension by its name, None where the file has none."""
+        """Return the section of an extension by its name; None without one."""
 
 
 @dataclass(frozen=True)
 class ControllerContext:
-    """What a controller of a scenario is built from.
+    """Input for the controller of a scenario.
 
     Attributes:
-        name: of the scenario, for messages.
-        robot: the snake.
+        name: name of the scenario, for messages.
+        robot: robot.
         supply_pa: supply pressure, gauge, Pa.
-        products: of the sections of extensions, by section.
+        products: products of the extension sections, by section.
     """
 
     name: str
@@ -77,10 +76,10 @@ class ControllerContext:
 
 
 class ControllerSection(Section):
-    """What all controllers have in common; `constructors` begin with the controller's class.
+    """Base class of the controller sections; the first of `constructors` is the class of the controller.
 
     Attributes:
-        tick: control tick that suits it, s; None: the plants' own.
+        tick: preferred control tick, s; None: that of the plants.
     """
 
     if TYPE_CHECKING:
@@ -88,55 +87,55 @@ class ControllerSection(Section):
     tick: ClassVar[float | None] = None
 
     def controller(self, context: ControllerContext) -> Controller:
-        """Return a fresh controller."""
+        """Return a new controller."""
         controller: Controller = self.constructors[0](**self.arguments())
         return controller
 
     @property
     def gait_section(self) -> ControllerSection:
-        """The controller that sets the valves: itself, unless it steers another one."""
+        """Section of the controller of the valves: this one, unless it steers another."""
         return self
 
     def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
-        """Yield what contradicts other sections of the file."""
+        """Yield contradictions with other sections of the file."""
         return iter(())
 
     def is_ready(self, products: Mapping[str, Any]) -> bool:
-        """Return whether the products of other sections that it needs were read."""
+        """Return whether the products that the controller needs are available."""
         return True
 
     def layouts(self, products: Mapping[str, Any]) -> tuple[str, ...]:
-        """Return the valve layouts that it can drive.
+        """Return the valve layouts that the controller can drive.
 
         Args:
-            products: of the sections of extensions, by section.
+            products: products of the extension sections, by section.
         """
-        found: tuple[str, ...] = self.constructors[0].layouts  # type: ignore[attr-defined]
-        return found
+        layouts: tuple[str, ...] = self.constructors[0].layouts  # type: ignore[attr-defined]
+        return layouts
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """Refuse a robot or tick that it cannot drive.
+        """Check the controller for a robot and a control tick (s).
 
         Raises:
-            InputError: it cannot.
+            InputError: the controller does not support them.
         """
 
     def warnings(self, limit: float) -> Iterator[str]:
-        """Return what to warn of where the segments bend by `limit` (rad) at most.
+        """Yield warnings for segments that bend by at most `limit` (rad).
 
         Raises:
-            InputError: a reference beyond that, which is to be refused.
+            InputError: the reference exceeds the limit, and `beyond_range` is refuse.
         """
         return iter(())
 
 
 class GaitFile(ControllerSection):
-    """Lateral undulation, open loop (Eq. 13)."""
+    """Lateral undulation in open loop (Eq. 13)."""
 
     constructors = (Gait,)
 
     kind: Literal["gait"]
-    """Which controller."""
+    """Controller."""
     frequency_hz: float = _FREQUENCY
     """Gait frequency."""
     offset: float = quantity(-0.95, 0.95)
@@ -146,39 +145,39 @@ class GaitFile(ControllerSection):
     phase_step_rad: float | None = _PHASE_STEP
     """Lag of each segment behind the one before it (default: the robot's)."""
     phases_rad: _Phases | None = constructor_default()
-    """By how much each segment lags more than that, one a segment (default: none)."""
+    """Additional lag of each segment, one value per segment (default: none)."""
     rest_share: float | None = quantity(0.0, 0.95)
-    """Share of the time for which both chambers of a segment vent, about the changes of the wave's sign
+    """Share of the time in which both chambers of a segment vent, around sign changes of the wave
     (default: none)."""
 
 
 class LearningFile(ControllerSection):
-    """Iterative learning control of a gait: the duty of each chamber, learnt once a period (Eq. 32)."""
+    """Iterative learning control of a gait: the duty of each chamber is updated once per period (Eq. 32)."""
 
     constructors = (ILC,)
-    tick = 0.005  # the peaks of bends that ripple with a carrier of 17 ms must be seen
+    tick = 0.005  # s; a carrier of 17 ms must be resolved to measure amplitudes
 
     kind: Literal["ilc"]
-    """Which controller."""
+    """Controller."""
     frequency_hz: float = _FREQUENCY
     """Gait frequency."""
     offset: float = quantity(-MAX_OFFSET, MAX_OFFSET)
     """Steering offset, positive to the left, by unequal targets."""
     target: Literal["smallest"] | None = None
-    """Target of the larger side: the smallest amplitude recorded (default), unless target_rad is given."""
-    target_rad: float | None = quantity(0.01, _RIGHT, None)
+    """Target of the larger side: the smallest recorded amplitude (default without target_rad)."""
+    target_rad: float | None = quantity(0.01, _RIGHT_ANGLE, None)
     """Target of the larger side."""
     k_per_rad: float = quantity(1e-4, 100.0)
-    """k, change of duty for an error."""
+    """k, change of duty per amplitude error."""
     free_periods: int = quantity(1, 1000)
     """Periods at full duty before the recorded one."""
     carrier_hz: float = _CARRIER
     """Carrier of the pulse-width modulation."""
     on_fault: Literal["go_on", "stop"] = constructor_default()
-    """What a dead sensor or a stuck valve leads to: going on without that module, or the end of the run."""
+    """Response to a dead sensor or a stuck valve: continue without that module, or end the run."""
     steering: Literal["targets", "targets_and_wave"] = constructor_default()
-    """What the offset acts on: unequal targets, or also the valves' wave (Eq. 13), which then fills the
-    chambers of the side to turn to for longer."""
+    """Effect of the offset: unequal targets, or also the wave of the valves (Eq. 13), which then fills the
+    chambers on the inner side of the turn for longer."""
     phase_rad: float = _PHASE
     """Phase at the start."""
     phase_step_rad: float | None = _PHASE_STEP
@@ -187,31 +186,31 @@ class LearningFile(ControllerSection):
     @model_validator(mode="after")
     def _fits(self) -> LearningFile:
         if self.target is not None and self.target_rad is not None:
-            raise ValueError("give either target or target_rad")
+            raise ValueError("give either target or target_rad, not both")
         least = 2 * MIN_PULSES * self.frequency_hz
         if self.carrier_hz < least:
-            raise ValueError(f"a gait of this frequency needs a carrier_hz of {least:g} or more")
+            raise ValueError(f"a gait of this frequency needs a carrier_hz of at least {least:g}")
         return self
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `ControllerSection.check`: a period needs enough ticks to learn from."""
+        """See `ControllerSection.check`: a gait period needs enough ticks."""
         ChamberPeriods(spec.modules.array("bias"), self.frequency_hz, tick)
 
     def warnings(self, limit: float) -> Iterator[str]:
         """See `ControllerSection.warnings`."""
         if self.target_rad and self.target_rad > limit:
             yield (
-                f"controller.target_rad: {self.target_rad:.4g} rad is more than the {limit:.4g} rad that the "
-                "segments bend by at this supply pressure; duties will stay at 1"
+                f"controller.target_rad: {self.target_rad:.4g} rad is above {limit:.4g} rad, the largest "
+                "bend at this supply pressure; duties will stay at 1"
             )
 
 
 class ConstantFile(Section):
-    """One bend for ever."""
+    """Constant bend."""
 
     kind: Literal["constant"]
-    """How the bend changes over time."""
-    bend_rad: float = quantity(-_RIGHT, _RIGHT)
+    """Shape of the reference."""
+    bend_rad: float = quantity(-_RIGHT_ANGLE, _RIGHT_ANGLE)
     """Bend."""
 
     def build(self) -> Reference:
@@ -220,18 +219,18 @@ class ConstantFile(Section):
 
 
 class StepFile(Section):
-    """A jump from one bend to another."""
+    """Step from one bend to another."""
 
     constructors = (Step,)
 
     kind: Literal["step"]
-    """How the bend changes over time."""
-    bend_rad: float = quantity(-_RIGHT, _RIGHT)
+    """Shape of the reference."""
+    bend_rad: float = quantity(-_RIGHT_ANGLE, _RIGHT_ANGLE)
     """Bend after the step."""
-    before_rad: float = quantity(-_RIGHT, _RIGHT)
-    """Bend before it."""
+    before_rad: float = quantity(-_RIGHT_ANGLE, _RIGHT_ANGLE)
+    """Bend before the step."""
     time_s: float = quantity(0.0, 3600.0)
-    """When it comes."""
+    """Time of the step."""
 
     def build(self) -> Reference:
         """Return the reference."""
@@ -239,43 +238,45 @@ class StepFile(Section):
 
 
 class _PeriodicFile(Section):
+    """Base class of periodic references."""
+
     constructors: ClassVar[tuple[type[Sine | Square], ...]] = (Sine,)
 
-    amplitude_rad: float = quantity(0.001, _RIGHT)
+    amplitude_rad: float = quantity(0.001, _RIGHT_ANGLE)
     """Amplitude."""
     frequency_hz: float = quantity(0.01, 50.0)
     """Frequency."""
     phase_rad: float = _PHASE
     """Phase at the start."""
-    offset_rad: float = quantity(-_RIGHT, _RIGHT)
+    offset_rad: float = quantity(-_RIGHT_ANGLE, _RIGHT_ANGLE)
     """Mean bend."""
 
 
 class SineFile(_PeriodicFile):
-    """A sine."""
+    """Sine wave."""
 
     kind: Literal["sine"]
-    """How the bend changes over time."""
+    """Shape of the reference."""
 
 
 class SquareFile(_PeriodicFile):
-    """A square wave."""
+    """Square wave."""
 
     constructors = (Square,)
 
     kind: Literal["square"]
-    """How the bend changes over time."""
+    """Shape of the reference."""
 
 
 class StaircaseFile(Section):
-    """One bend after another, each held for the same time; the last one stays."""
+    """Sequence of bends, each held for the same time; the last one is kept."""
 
     kind: Literal["staircase"]
-    """How the bend changes over time."""
+    """Shape of the reference."""
     bends_rad: Annotated[tuple[Bend, ...], Field(min_length=1, max_length=1000)]
-    """The bends, rad."""
+    """Bends, rad."""
     hold_s: float = quantity(0.001, 3600.0)
-    """How long each is held."""
+    """Duration of each bend."""
 
     def build(self) -> Reference:
         """Return the reference."""
@@ -288,48 +289,50 @@ ReferenceFile = Annotated[
 
 
 class _TrackingFile(ControllerSection):
+    """Base class of controllers that follow a reference bend."""
+
     reference: ReferenceFile
-    """The bend that every segment is to follow."""
+    """Reference bend of all segments."""
     beyond_range: Literal["refuse", "saturate"] = "refuse"
-    """What becomes of a reference beyond what the segments bend by at the supply pressure."""
+    """Treatment of a reference beyond the largest bend at the supply pressure."""
 
     def controller(self, context: ControllerContext) -> Controller:
         """See `ControllerSection.controller`."""
-        wanted = self.within(largest_bend(context.robot, context.supply_pa))
-        controller: Controller = self.constructors[0](**self.arguments() | {"reference": wanted})
+        reference = self.within(largest_bend(context.robot, context.supply_pa))
+        controller: Controller = self.constructors[0](**self.arguments() | {"reference": reference})
         return controller
 
     def within(self, limit: float) -> Reference:
-        """Return the reference, refused or cut beyond what the segments bend by (`limit`, rad).
+        """Return the reference, limited to the largest bend (rad) if `beyond_range` is saturate.
 
         Raises:
-            InputError: it goes beyond, and is to be refused.
+            InputError: the reference exceeds the limit, and `beyond_range` is refuse.
         """
         reference: Reference = self.reference.build()
         return reference.limited(limit, self.beyond_range)
 
     def warnings(self, limit: float) -> Iterator[str]:
         """See `ControllerSection.warnings`."""
-        if wanted := getattr(self.within(limit), "unclipped", None):
+        if unlimited := getattr(self.within(limit), "unclipped", None):
             yield (
-                f"controller.reference: asks for {wanted.peak:.4g} rad and is cut at {limit:.4g} rad, the "
-                "most that the segments bend by at this supply pressure"
+                f"controller.reference: {unlimited.peak:.4g} rad is limited to {limit:.4g} rad, the largest "
+                "bend at this supply pressure"
             )
 
 
 class DirectFile(_TrackingFile):
-    """Sliding mode control by valve states, with separate inlet and outlet valves (Eq. 31)."""
+    """Sliding mode control of valve states, with separate inlet and outlet valves (Eq. 31)."""
 
     constructors = (DirectSMC,)
 
     kind: Literal["direct_smc"]
-    """Which controller."""
+    """Controller."""
     d_per_s: float = _SLOPE
     """D, slope of the sliding manifold."""
     epsilon_rad_per_s: float = quantity(0.0001, 1000.0)
     """ε, half the width of the dead zone."""
     cutoff_hz: float = quantity(0.1, 1000.0)
-    """Cutoff of the velocity filter."""
+    """Cut-off frequency of the velocity filter."""
 
 
 class IterativeFile(_TrackingFile):
@@ -338,7 +341,7 @@ class IterativeFile(_TrackingFile):
     constructors = (IterativeSMC,)
 
     kind: Literal["iterative_smc"]
-    """Which controller."""
+    """Controller."""
     k_s_per_rad: float = quantity(1e-5, 1000.0)
     """K, gain."""
     d_per_s: float = _SLOPE
@@ -347,21 +350,21 @@ class IterativeFile(_TrackingFile):
     """Carrier of the pulse-width modulation."""
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `ControllerSection.check`: the carrier's periods must not be shorter than ticks."""
+        """See `ControllerSection.check`: a carrier period must not be shorter than a tick."""
         PulseWidthModulator(self.carrier_hz, tick, spec.segments)
 
 
 class HoldFile(ControllerSection):
-    """Valves that stay as they are."""
+    """Constant valve states."""
 
     constructors = (HoldValves,)
 
     kind: Literal["hold_valves"]
-    """Which controller."""
+    """Controller."""
     plus: Literal["fill", "hold", "vent"] = constructor_default()
-    """Valves of the + chambers."""
+    """Valve state of the + chambers."""
     minus: Literal["fill", "hold", "vent"] = constructor_default()
-    """Valves of the - chambers."""
+    """Valve state of the - chambers."""
 
     def layouts(self, products: Mapping[str, Any]) -> tuple[str, ...]:
         """See `ControllerSection.layouts`."""
@@ -369,4 +372,4 @@ class HoldFile(ControllerSection):
 
 
 CORE_CONTROLLERS = (GaitFile, LearningFile, DirectFile, IterativeFile, HoldFile)
-"""Sections of the controllers of the core."""
+"""Controller sections of the core."""

@@ -1,10 +1,10 @@
-"""Sections of files: what a key may hold, the unit that it names, and what is built of it in SI.
+"""Sections of files: keys with units and bounds, and conversion to SI objects.
 
-The unit of a number stands in its key and nowhere else: ``frequency_hz``, ``k_per_rad``, ``distance_mm``. A
-section builds an object by a constructor whose parameters have the keys' names without their units
-(``frequency``, ``k`` or ``K``, ``distance``). Where the constructor has a default, the file has the same. The
-docstring of a key is its description in JSON schemas; of a number, unit and range come behind it, and
-``{default}`` stands for the constructor's.
+The unit of a number is part of its key: ``frequency_hz``, ``k_per_rad``, ``distance_mm``. A section builds an
+object by a constructor whose parameters have the names of the keys without units (``frequency``, ``k`` or
+``K``, ``distance``). Defaults of the constructor are defaults of the file. The docstring of a key is its
+description in JSON Schemas. Unit and range of a number are appended, and ``{default}`` is replaced by the
+default of the constructor.
 """
 
 from __future__ import annotations
@@ -28,42 +28,42 @@ def quantity(low: float, high: float, default: Any = ..., *, unit: str | None = 
     """Return the field of a bounded number of a `Section`.
 
     Args:
-        low: the lowest allowed.
-        high: the highest allowed.
-        default: what a file gets that leaves it out. Not given: the constructor's, and the key is required
-            where that has none.
-        unit: of a key that does not name it.
+        low: smallest allowed value.
+        high: largest allowed value.
+        default: default value; without it, the default of the constructor, or a required key if it has none.
+        unit: unit, if the key does not contain it.
     """
-    given = {} if default is ... else {"default": default}
-    return partial(Field, ge=low, le=high, json_schema_extra={"unit": unit} if unit else None, **given)
+    options = {} if default is ... else {"default": default}
+    return partial(Field, ge=low, le=high, json_schema_extra={"unit": unit} if unit else None, **options)
 
 
 def constructor_default() -> Any:
-    """Return the field of anything else that has the constructor's default."""
+    """Return the field of a value other than a number, with the default of the constructor."""
     return partial(Field)
 
 
 def _describe(schema: dict[str, Any], cls: type[Section]) -> None:
-    """Say of each key what its docstring says; of a number also unit, range and default."""
+    """Set the description of each key from its docstring, with unit, range and default of numbers."""
     for key, text in attribute_docstrings(cls).items():
-        shown = schema["properties"][key]
+        node = schema["properties"][key]
         title = text.partition(";")[0].rstrip(".")
-        for bounds in (shown, *shown.get("anyOf", ())):
+        for bounds in (node, *node.get("anyOf", ())):
             if "minimum" in bounds:
-                parameter, unit = cls.parameter(key), shown.setdefault("unit", split_unit(key)[1])
+                parameter, unit = cls.parameter(key), node.setdefault("unit", split_unit(key)[1])
                 title = text.rstrip(".").format(default=from_si(key, parameter and parameter.default))
                 low, high = bounds["minimum"], bounds["maximum"]
                 text = f"{title}{'' if unit == '1' else f' in {unit}'}, {low:.10g} to {high:.10g}."
-        shown |= {"title": title, "description": text}
+        node |= {"title": title, "description": text}
 
 
 class Section(StrictModel):
-    """A block of keys of a file.
+    """Block of keys of a file.
 
     Attributes:
-        constructors: whose parameters the keys set, the first's before the others'; `build` calls the first.
-        parameters: of the constructors, by name in small letters.
-        only: key and what it must be → other keys, which mean nothing without that.
+        constructors: constructors whose parameters the keys set; the first takes precedence and is called by
+            `build`.
+        parameters: parameters of the constructors, by name in lower case.
+        only: keys that are allowed only if another key has a given value: (key, value) → keys.
     """
 
     model_config = ConfigDict(json_schema_extra=_describe)
@@ -74,50 +74,49 @@ class Section(StrictModel):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        signatures = [inspect.signature(each).parameters for each in reversed(cls.constructors)]
-        cls.parameters = {name.lower(): each for known in signatures for name, each in known.items()}
-        for key, given in list(vars(cls).items()):
-            if isinstance(given, partial):
+        signatures = [inspect.signature(function).parameters for function in reversed(cls.constructors)]
+        cls.parameters = {name.lower(): p for signature in signatures for name, p in signature.items()}
+        for key, value in list(vars(cls).items()):
+            if isinstance(value, partial):
                 parameter = cls.parameter(key)
-                known = parameter is not None and parameter.default is not parameter.empty
-                own = {"default": parameter.default} if parameter and known else {}
-                setattr(cls, key, Field(**own | given.keywords))
+                has_default = parameter is not None and parameter.default is not parameter.empty
+                options = {"default": parameter.default} if parameter and has_default else {}
+                setattr(cls, key, Field(**options | value.keywords))
 
     @classmethod
     def parameter(cls, key: str) -> inspect.Parameter | None:
-        """Return the parameter that a key sets, by its whole name or by that without its unit."""
+        """Return the parameter that a key sets, with or without the unit in its name."""
         return cls.parameters.get(key) or cls.parameters.get(split_unit(key)[0])
 
     @model_validator(mode="after")
-    def _belongs_there(self) -> Self:
-        for (key, needed), names in self.only.items():
-            given = [name for name in names if getattr(self, name) is not None]
-            if given and getattr(self, key) != needed:
-                text = f"{given[0]} belongs to {key}: {needed}; set that, or take {given[0]} out"
-                raise ValueError(text)
+    def _is_applicable(self) -> Self:
+        for (key, required), names in self.only.items():
+            present = [name for name in names if getattr(self, name) is not None]
+            if present and getattr(self, key) != required:
+                raise ValueError(f"{present[0]} requires {key}: {required}; set that, or remove {present[0]}")
         return self
 
-    def arguments(self, *of: Callable[..., Any]) -> dict[str, Any]:
-        """Return what the keys set, by parameter, in SI; None leaves a default alone.
+    def arguments(self, *constructors: Callable[..., Any]) -> dict[str, Any]:
+        """Return the arguments of the constructors in SI; keys that are None keep their default.
 
         Args:
-            of: constructors whose parameters count; none: all.
+            constructors: constructors whose parameters are returned; none: all.
         """
-        known = {name for each in of for name in inspect.signature(each).parameters}
-        found = {}
+        known = {name for function in constructors for name in inspect.signature(function).parameters}
+        arguments = {}
         for key, value in self:
             parameter = self.parameter(key)
-            if parameter is None or (of and parameter.name not in known):
+            if parameter is None or (constructors and parameter.name not in known):
                 continue
             if not (value is None and parameter.default is not parameter.empty):
-                found[parameter.name] = to_si(key, value)
-        return found
+                arguments[parameter.name] = to_si(key, value)
+        return arguments
 
     def build(self) -> Any:
-        """Return what the section describes."""
+        """Return the object that the section describes."""
         return self.constructors[0](**self.arguments())
 
     def with_defaults(self, *keys: str) -> Self:
-        """Return the section with the constructor's defaults for these keys where it says nothing."""
+        """Return the section with the constructor's defaults for keys that are None."""
         missing = {key: self.parameter(key) for key in keys if getattr(self, key) is None}
-        return self.model_copy(update={k: from_si(k, each.default) for k, each in missing.items() if each})
+        return self.model_copy(update={key: from_si(key, p.default) for key, p in missing.items() if p})

@@ -1,4 +1,9 @@
-"""From a scenario file to a Scenario, with everything that is wrong reported at once."""
+"""Loading of scenario files; all problems of a file are reported together.
+
+The file is validated twice. The first validation checks what the user wrote. The second one reads the
+resolved document, with all defaults and the robot written out: it ensures that a run can be repeated from its
+folder, and it returns the sections of that document.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +11,7 @@ import copy
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,27 +26,28 @@ from srs_twin.scenario.checks import (
     check,
     check_controller,
     check_robot,
-    overpressure,
+    check_supply_pressure,
 )
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.scenario.modified import changed_fields, marked
 from srs_twin.scenario.plants import PRESET, with_preset
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.scenario.sections import Loading
+from srs_twin.scenario.start import InitialState
 
 
 def load_scenario(
     name_or_path: str | os.PathLike[str], *, set: Mapping[str, Any] | Sequence[Override] = ()
 ) -> Scenario:
-    """Load a scenario: a shipped name (gen2_straight) or the path of a scenario file.
+    """Load a scenario, given by a shipped name (gen2_straight) or the path of a scenario file.
 
     Args:
-        name_or_path: of the scenario.
-        set: dotted fields and their values instead of the file's: ``{"controller.frequency_hz": 1.5}``.
+        name_or_path: name or path of the scenario.
+        set: values that override fields of the file, by dotted path: ``{"controller.frequency_hz": 1.5}``.
 
     Raises:
-        InputError: not found or not readable.
-        InputFileError: everything that is wrong with it, one line each.
+        InputError: the file is not found or cannot be read.
+        InputFileError: the scenario is not valid; lists all problems.
     """
     path = find_file("scenario", name_or_path)
     return _scenario(load_yaml(path), results_name(path), set)
@@ -50,62 +56,56 @@ def load_scenario(
 def parse_scenario(
     data: Mapping[str, Any], *, name: str = "scenario", set: Mapping[str, Any] | Sequence[Override] = ()
 ) -> Scenario:
-    """Make a scenario of plain data, as `Scenario.document` holds them.
+    """Return the scenario of plain data, as in `Scenario.document`.
+
+    Args:
+        data: content of a scenario file.
+        name: name in messages, and of the scenario if the data have none.
+        set: values that override fields, as for `load_scenario`.
 
     Raises:
-        InputFileError: everything that is wrong with them; lines have no line numbers.
+        InputFileError: the scenario is not valid; lists all problems, without line numbers.
     """
     return _scenario(Document(name, copy.deepcopy(dict(data)) if set else data), name, set)
 
 
 def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequence[Override]) -> Scenario:
+    """Return the scenario of a document with changed fields; `name` is the default of its name."""
     if isinstance(changes, Mapping):
         changes = [Override(f"set {key}={value!r}", parse_path(key), value) for key, value in changes.items()]
     unmodified = copy.deepcopy(document.data) if changes else None
     for change in changes:
         _set(document, change)
     file = validate(ScenarioFile, document, document.data)
-    robot, foreign = _robot(document)
-    warnings = overpressure(document, robot) if robot else []
+    robot, robot_problems = _robot(document)
+    warnings = check_supply_pressure(document, robot) if robot else []
     if robot:
         warnings += [
             f"robot.{format_path(loc)}: {text}" for loc, text in find_unit_mistakes(document.get("robot"))
         ]
-    supply_pa, layout, world, begin = 0.0, "", World(), None
-    products: dict[str, Any] = {}
+    world = World()
     if file:
         with document.report_errors("world", "random"):
-            world = file.world.surroundings(file.start.build(), file.seed)
+            world = file.world.build_world(file.start.build(), file.seed)
         check(document, file)
+    components = _Components()
     if file and robot:
         check_robot(document, file, robot)
-        loading = Loading(document, file, robot, world, products, warnings)
-        products |= {key: section.read(loading) for key, section in file.sections().items()}
-        if file.controller.is_ready(products):
-            supply_pa = supply_kpa(file, robot) * PA_PER_KPA
-            layout, more = check_controller(document, file, robot, supply_pa, products)
-            warnings += more
-        if not document.problems:
-            with document.report_errors("start"):
-                begin = file.start.begin(robot.spec(file.seed).segments, supply_pa, file.plants.running)
-        for key, section in file.sections().items():
-            products[key] = products[key] or section.prepare(loading)
-    document.raise_problems(foreign)
+        components = _build_components(Loading(document, file, robot, world, {}, warnings), file)
+    document.raise_problems(robot_problems)
     assert file is not None and robot is not None, "no problem was reported"
     uses_goal = any(section.uses_goal for section in file.sections().values())
     if not uses_goal and (world.goal or world.bounds):
-        warnings.append(
-            "world: no plant or controller takes notice of its goal and bounds; controller.kind: follow does"
-        )
-    resolved = _resolved(file, robot, file.name or name, layout, products)
-    before = _resolved_or_raw(unmodified, products) if changes else resolved
+        warnings.append("world: goal and bounds have no effect; only a controller of kind: follow uses them")
+    resolved = _resolved(file, robot, file.name or name, components.layout, components.products)
+    before = _resolved_or_raw(unmodified, components.products) if changes else resolved
     if changed := changed_fields(
-        before, resolved, [each.loc for each in changes], document.get("changes") or ()
+        before, resolved, [change.loc for change in changes], document.get("changes") or ()
     ):
         resolved["changes"] = changed
     file = ScenarioFile.model_validate_json(json.dumps(resolved), strict=True)
     pose = file.start.build()
-    assert file.name and file.title, "defaults are written out"
+    assert file.name and file.title, "set by _resolved"
     return Scenario(
         name=file.name,
         title=marked(file.title, changed),
@@ -113,22 +113,59 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
         duration=file.duration_s,
         seed=file.seed,
         record_hz=file.record_hz,
-        supply_pa=supply_pa,
+        supply_pa=components.supply_pa,
         pose=(pose.x, pose.y, pose.heading),
-        begin=begin,
+        begin=components.begin,
         world=world,
         file=file,
         document=resolved,
         warnings=tuple(warnings),
-        products=products,
+        products=components.products,
         source=document.name,
     )
 
 
+@dataclass
+class _Components:
+    """Components of a scenario that depend on the robot.
+
+    Attributes:
+        supply_pa: supply pressure, gauge, Pa.
+        layout: layout of the valves.
+        begin: initial state of the plants; None: straight and at rest.
+        products: products of the extension sections by section.
+    """
+
+    supply_pa: float = 0.0
+    layout: str = ""
+    begin: InitialState | None = None
+    products: dict[str, Any] = field(default_factory=dict)
+
+
+def _build_components(loading: Loading, file: ScenarioFile) -> _Components:
+    """Return the components of a scenario and check them; problems are reported to the document."""
+    document, robot, products = loading.document, loading.robot, loading.products
+    components = _Components(products=products)
+    # The controller's check needs the products of all sections.
+    products |= {key: section.read(loading) for key, section in file.sections().items()}
+    if file.controller.is_ready(products):
+        components.supply_pa = supply_kpa(file, robot) * PA_PER_KPA
+        components.layout, warnings = check_controller(document, file, robot, components.supply_pa, products)
+        loading.warnings += warnings
+    if not document.problems:
+        with document.report_errors("start"):
+            segments = robot.spec(file.seed).segments
+            components.begin = file.start.initial_state(segments, components.supply_pa, file.plants.running)
+    for key, section in file.sections().items():
+        products[key] = products[key] or section.prepare(loading)
+    return components
+
+
 def _set(document: Document, change: Override) -> None:
-    """Put a changed value into the document."""
+    """Set a changed value in the document."""
     _check_field(change)
     before = document.get(*change.loc)
+    # A plain number for a record keeps the unit of the record.
     if isinstance(before, Mapping) and "unit" in before and not isinstance(change.value, Mapping):
         change = replace(change, value=replace_value(before, change.value, None, f"set by {change.label}"))
     if change.loc == PRESET and isinstance(twin := document.get(*PRESET[:-1]), Mapping):
@@ -137,38 +174,51 @@ def _set(document: Document, change: Override) -> None:
 
 
 def _resolved_or_raw(data: Any, products: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the plain data of a scenario with its defaults; as they are if it is incomplete."""
+    """Return the resolved data of an unmodified scenario, or the data themselves if they are not valid.
+
+    Args:
+        data: plain data before the changes.
+        products: products of the sections of the modified scenario.
+    """
     document = Document("", data if isinstance(data, dict) else {})
     file, (robot, _) = validate(ScenarioFile, document, document.data), _robot(document)
     if file is None or robot is None:
         return document.data
-    known = {name: products.get(name) for name in file.sections()}
-    layout: str = file.valves.layout or (*file.controller.layouts(known), "")[0]
-    return _resolved(file, robot, "", layout, known)
+    available = {name: products.get(name) for name in file.sections()}
+    layout: str = file.valves.layout or (*file.controller.layouts(available), "")[0]
+    return _resolved(file, robot, "", layout, available)
 
 
 def _check_field(change: Override) -> None:
-    """Refuse a field whose beginning no scenario has, with those like it."""
+    """Raise an error with similar names for a changed field that no scenario has."""
     first, *more = change.loc
     if first == "changes":
-        raise InputError(f"{change.label}: srs_twin itself lists the changed fields; set the fields instead")
+        raise InputError(f"{change.label}: this list is written by srs_twin; set the fields themselves")
     sections = {*RobotFile.model_fields, "base"}
     if first not in ScenarioFile.model_fields or (first == "robot" and more and more[0] not in sections):
         from srs_twin.scenario.schema import field_paths
 
-        field = format_path(change.loc)
-        close = did_you_mean(field, field_paths()) or "; `srs-twin show SCENARIO` prints all"
-        raise InputError(f"{change.label}: there is no field {field}{close}")
+        path = format_path(change.loc)
+        close = did_you_mean(path, field_paths()) or "; `srs-twin show SCENARIO` prints all fields"
+        raise InputError(f"{change.label}: there is no field {path}{close}")
 
 
 def _resolved(
     file: ScenarioFile, robot: RobotFile, name: str, layout: str, products: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return plain data of the same scenario with all defaults and the robot written out."""
-    # The supply's own allow_overpressure is another name of the scenario's.
-    left_out: Any = {"supply": {"allow_overpressure"}, "changes": True}
-    left_out |= {"start": True} if file.bench else {}
-    plain = file.model_dump(mode="json", exclude_none=True, exclude=left_out, by_alias=True)
+    """Return the plain data of a scenario with all defaults and the robot written out.
+
+    Args:
+        file: validated sections.
+        robot: robot file with overrides.
+        name: name of the scenario.
+        layout: layout of the valves.
+        products: products of the extension sections.
+    """
+    # supply.allow_overpressure is an alias of allow_overpressure.
+    excluded: Any = {"supply": {"allow_overpressure"}, "changes": True}
+    excluded |= {"start": True} if file.bench else {}
+    plain = file.model_dump(mode="json", exclude_none=True, exclude=excluded, by_alias=True)
     document = plain | {
         "name": name,
         "title": file.title or name,
@@ -179,7 +229,7 @@ def _resolved(
         "sensor": file.sensor.resolved().model_dump(exclude_none=True),
         "allow_overpressure": file.allow_overpressure or file.supply.allow_overpressure,
     }
-    # A run's folder can be read from any other folder.
+    # Absolute paths: the folder of a run is read from other folders.
     for key in document["world"].keys() & {"map", "circles"}:
         document["world"][key] = str(Path(document["world"][key]).resolve())
     if "from" in document.get("start", {}):
@@ -188,23 +238,23 @@ def _resolved(
         section.resolve(document, file, products.get(key))
     for kind, plant in document["plants"].items():
         plant["tick_s"] = file.tick(kind)
-        for key in getattr(file.plants, kind).on_a_floor if file.bench else ():
+        for key in getattr(file.plants, kind).floor_keys if file.bench else ():
             plant.pop(key, None)
     return document
 
 
 def supply_kpa(file: ScenarioFile, robot: RobotFile) -> float:
-    """Return the supply pressure, the robot's nominal one where none is given, kPa."""
-    given = file.supply.pressure_kpa
-    return float(robot.supply.nominal_kpa.value) if given is None else given
+    """Return the supply pressure of a scenario, by default the nominal pressure of the robot, kPa."""
+    pressure = file.supply.pressure_kpa
+    return float(robot.supply.nominal_kpa.value) if pressure is None else pressure
 
 
 def _robot(document: Document) -> tuple[RobotFile | None, tuple[str, ...]]:
-    """Return the robot, and what is wrong with a robot file of its own."""
-    given = document.get("robot")
-    if given is None and document.existing_prefix(("robot",)) == ():
+    """Return the robot of a scenario and the problems of a separate robot file."""
+    robot = document.get("robot")
+    if robot is None and document.existing_prefix(("robot",)) == ():
         return None, ()
     try:
-        return resolve_robot(document, given, prefix=("robot",)), ()
+        return resolve_robot(document, robot, prefix=("robot",)), ()
     except InputFileError as error:
         return None, error.lines

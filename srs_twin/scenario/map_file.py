@@ -1,15 +1,15 @@
-"""Obstacles from files of other programs: ROS occupancy maps and lists of circles.
+"""Obstacles from ROS occupancy maps and from CSV lists of circles.
 
-A map is a YAML file of ROS's ``map_server`` that names a picture, its resolution and the pose of its lower
-left corner. With the mean c of the colour channels and white w (255, 65535 or a PGM's maxval), the occupancy
-of a pixel is (w − c)/w, or c/w with `negate`. A cell is free
+A map is a YAML file of the ROS ``map_server`` with a picture, its resolution and the pose of its lower left
+corner. With the mean c of the colour channels and the value w of white (255, 65535 or the maxval of a PGM
+file), the occupancy of a pixel is (w − c)/w, or c/w with `negate`. A cell is free
 
-- in mode ``trinary`` if occupancy < `free_thresh`. In a picture with transparency c is the mean of red,
+- in mode ``trinary`` if occupancy < `free_thresh`. In a picture with transparency, c is the mean of red,
   green, blue and alpha, as in ROS;
-- in mode ``scale`` if 100 (occupancy − `free_thresh`)/(`occupied_thresh` − `free_thresh`) rounds to 0 or
-  less, and the pixel is opaque.
+- in mode ``scale`` if 100 (occupancy − `free_thresh`)/(`occupied_thresh` − `free_thresh`) rounds to 0 or less
+  and the pixel is opaque.
 
-All other cells are obstacles, unknown ones included: the snake must not be sent there.
+All other cells are obstacles, including unknown ones: the snake must not be sent there.
 """
 
 from __future__ import annotations
@@ -33,28 +33,35 @@ from srs_twin.io.validation import StrictModel, validate
 from srs_twin.robot.world import Circle, Polygon
 
 CIRCLE_COLUMNS = ("x_m", "y_m", "radius_m")
+"""Columns of a CSV file of circles."""
 MAX_PIXELS = 25_000_000
-"""250 m by 250 m at 0.05 m."""
+"""Largest number of pixels: 250 m by 250 m at 0.05 m."""
 MAX_RECTANGLES = 20_000
-"""A plan takes 1 ms for each, a run of the twin 2 ms and 40 kB."""
+"""Largest number of obstacles: each takes a plan 1 ms, and a run of the twin 2 ms and 40 kB."""
 
 _PNG = b"\x89PNG\r\n\x1a\n"
+"""Signature of PNG files."""
 _PGM = re.compile(rb"P([25])" + 3 * rb"(?:\s|#[^\r\n]*[\r\n])+(\d{1,9})" + rb"(?:#[^\r\n]*)?\s")
+"""Header of PGM files: format, width, height and maxval, with comments."""
 _OTHERS = re.compile(
     rb"(?P<PBM>P[14]\s)|(?P<PPM>P[36]\s)|(?P<JPEG>\xff\xd8\xff)|(?P<BMP>BM)|(?P<GIF>GIF8)|(?P<PDF>%PDF)|"
     rb"(?P<TIFF>II\*\0|MM\0\*)|(?P<EPS>%!PS|\xc5\xd0\xd3\xc6)|(?P<WebP>RIFF.{4}WEBP)",
     re.DOTALL,
 )
+"""Signatures of other formats, for error messages."""
 _BOOLEANS = dict.fromkeys(("0", "n", "no", "off", "false"), False)
 _BOOLEANS |= dict.fromkeys(("1", "y", "yes", "on", "true"), True)
+"""Booleans of YAML 1.1."""
 
 
 class MapFile(StrictModel):
-    """YAML file of an occupancy map; other keys are ignored, as in ROS."""
+    """YAML file of an occupancy map; unknown keys are ignored, as in ROS."""
 
     model_config = ConfigDict(extra="ignore")
 
-    image: Annotated[str, Field(min_length=1, max_length=1000)]  # path from the folder of the YAML file
+    image: Annotated[
+        str, Field(min_length=1, max_length=1000)
+    ]  # path relative to the folder of the YAML file
     resolution: Annotated[float, Field(ge=1e-4, le=100.0)]  # side of a pixel, m
     # x and y of the lower left corner, m, and rotation, rad
     origin: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...]
@@ -70,21 +77,21 @@ class MapFile(StrictModel):
 
     @field_validator("negate", mode="before")
     @classmethod
-    def _boolean(cls, given: Any) -> bool:
-        """Read YAML 1.1 booleans, quoted or not, as ROS does."""
-        if (value := _BOOLEANS.get(str(given).lower())) is None:
-            raise ValueError(f"must be true, yes, on, 1 or false, no, off, 0, not {given!r:.50}")
+    def _boolean(cls, text: Any) -> bool:
+        """Return the value of a YAML 1.1 boolean, quoted or not, as ROS does."""
+        if (value := _BOOLEANS.get(str(text).lower())) is None:
+            raise ValueError(f"must be true, yes, on, 1 or false, no, off, 0, not {text!r:.50}")
         return value
 
     def contradictions(self) -> Iterator[tuple[tuple[str], str]]:
-        """Yield path and message of what is wrong beyond types and ranges."""
+        """Yield path and message of contradictions between the keys."""
         if (count := len(self.origin)) != 3:
             yield ("origin",), f"must be a list of 3 numbers, x, y and rotation, not a list of {count}"
         if self.free_thresh >= self.occupied_thresh:
             yield ("free_thresh",), f"must be below occupied_thresh, {self.occupied_thresh:g}"
 
     def blocked(self, colour: np.ndarray, alpha: np.ndarray | None, white: int) -> np.ndarray:
-        """Return which cells are not surely free, from a picture as `_picture` returns it."""
+        """Return which cells are occupied or unknown; arguments as `_picture` returns them."""
         whole = 3 * white
         if self.mode == "trinary" and alpha is not None:
             colour, whole = colour + alpha, 4 * white
@@ -97,10 +104,10 @@ class MapFile(StrictModel):
 
 
 def read_map(path: Path) -> tuple[Polygon, ...]:
-    """Return rectangles that cover the occupied cells of a map and nothing else.
+    """Return rectangles that cover exactly the occupied cells of a map.
 
     Args:
-        path: of the map's YAML file.
+        path: path of the YAML file.
 
     Raises:
         InputFileError: a value is not allowed, or the picture cannot be read.
@@ -108,12 +115,12 @@ def read_map(path: Path) -> tuple[Polygon, ...]:
     """
     document = load_yaml(path)
     rectangles: list[list[int]] = []
-    if given := validate(MapFile, document, document.data):
+    if file := validate(MapFile, document, document.data):
         with document.report_errors("image"):
-            rectangles = _rectangles(given.blocked(*_picture(path.parent / given.image))[::-1])
+            rectangles = _rectangles(file.blocked(*_picture(path.parent / file.image))[::-1])
     document.raise_problems()
-    assert given is not None, "a map without a problem was checked"
-    size, (x, y, turn) = given.resolution, given.origin
+    assert file is not None, "no problem was reported"
+    size, (x, y, turn) = file.resolution, file.origin
     c, s = math.cos(turn), math.sin(turn)
     polygons = []
     for column, row, right, top in rectangles:
@@ -124,7 +131,7 @@ def read_map(path: Path) -> tuple[Polygon, ...]:
 
 
 def pictures_of(path: Path) -> list[Path]:
-    """Return the picture that a map names, if it can be told."""
+    """Return the path of the picture of a map; an empty list if the map cannot be read."""
     try:
         return [path.parent / str(load_yaml(path).data["image"])]
     except (InputError, KeyError, TypeError):
@@ -135,29 +142,33 @@ def read_circles(path: Path) -> tuple[Circle, ...]:
     """Return the circles of a CSV file with the columns x_m, y_m and radius_m.
 
     Raises:
-        InputError: it cannot be read, lacks a column, or a row is no circle.
+        InputError: the file cannot be read, a column is missing, or a row is not a circle.
     """
     name, rows = display_path(path), csv.DictReader(read_text(path).splitlines())
     missing = [column for column in CIRCLE_COLUMNS if column not in (rows.fieldnames or ())]
     if missing:
-        raise InputError(f"{name}:1: columns {', '.join(CIRCLE_COLUMNS)} are needed; {missing[0]} is missing")
-    found = []
+        raise InputError(
+            f"{name}:1: columns {', '.join(CIRCLE_COLUMNS)} are required; {missing[0]} is missing"
+        )
+    circles = []
     for line, row in enumerate(rows, start=2):
         try:
             x, y, radius = (float(row[column]) for column in CIRCLE_COLUMNS)
         except (TypeError, ValueError):
             raise InputError(f"{name}:{line}: not three numbers") from None
         if not (math.isfinite(x) and math.isfinite(y) and 0 < radius < math.inf):
-            raise InputError(f"{name}:{line}: numbers must be finite, and the radius above 0")
-        found.append(Circle(x, y, radius))
-    return tuple(found)
+            raise InputError(f"{name}:{line}: numbers must be finite and the radius above 0")
+        circles.append(Circle(x, y, radius))
+    return tuple(circles)
 
 
 def _picture(path: Path) -> tuple[np.ndarray, np.ndarray | None, int]:
-    """Return red + green + blue, alpha (None: opaque), both (rows, columns), and the value of white.
+    """Return red + green + blue and alpha of shape (rows, columns), and the value of white.
+
+    Alpha is None for an opaque picture.
 
     Raises:
-        InputError: it is not PNG or PGM, damaged or too large.
+        InputError: the file is not a PNG or PGM file, is damaged, or is too large.
     """
     name = display_path(require_file(path, suffix=".png" if path.suffix == ".png" else ".pgm"))
     header = None
@@ -175,14 +186,14 @@ def _picture(path: Path) -> tuple[np.ndarray, np.ndarray | None, int]:
             if not 0 < width * height <= MAX_PIXELS:
                 allowed = f"1 to {MAX_PIXELS:,} are allowed; crop it or reduce its size"
                 raise InputError(f"{name}: {width} x {height} pixels; {allowed}")
-            # A pixel has up to 8 bytes in a PNG; in a PGM of text 5 digits and some blanks.
+            # A pixel takes at most 8 bytes in a PNG file, and 5 digits with blanks in a text PGM file.
             raw += stream.read(12 * width * height + 2**24)
     except OSError as error:
         raise InputError(f"{name}: cannot be read ({error.strerror})") from error
     try:
         values, white = _decoded_pgm(raw, header) if header else _decoded_png(raw, (width, height))
-    except Exception as error:  # of a damaged file decoders raise errors of many kinds
-        reason = re.sub(" <.*", "", str(error))  # Pillow names the stream
+    except Exception as error:  # decoders raise errors of many kinds for damaged files
+        reason = re.sub(" <.*", "", str(error))  # without the stream that Pillow names
         raise InputError(f"{name}: damaged ({reason}); save it again as PNG or PGM") from error
     channels = values.shape[2]
     colour = values[..., : 3 if channels > 2 else 1].sum(axis=2, dtype=np.uint32)
@@ -190,8 +201,8 @@ def _picture(path: Path) -> tuple[np.ndarray, np.ndarray | None, int]:
 
 
 def _decoded_pgm(raw: bytes, header: re.Match[bytes]) -> tuple[np.ndarray, int]:
-    """Return pixels (rows, columns, 1) and maxval; Pillow would round the grey levels."""
-    width, height, white = (int(each) for each in header.groups()[1:])
+    """Return pixels of shape (rows, columns, 1) and maxval; Pillow would round the grey levels."""
+    width, height, white = (int(number) for number in header.groups()[1:])
     if not 0 < white < 65536:
         raise ValueError(f"maxval {white}; 1 to 65535 is allowed")
     if header[1] == b"5":
@@ -207,7 +218,10 @@ def _decoded_pgm(raw: bytes, header: re.Match[bytes]) -> tuple[np.ndarray, int]:
 
 
 def _decoded_png(raw: bytes, size: tuple[int, int]) -> tuple[np.ndarray, int]:
-    """Return pixels (rows, columns, channels: grey, grey and alpha, RGB or RGBA) and the value of white."""
+    """Return pixels of shape (rows, columns, channels) and the value of white.
+
+    The channels are grey or RGB, with or without alpha.
+    """
     from PIL import Image
 
     def opened(raw_mode: str = "") -> Image.Image:
@@ -215,7 +229,7 @@ def _decoded_png(raw: bytes, size: tuple[int, int]) -> tuple[np.ndarray, int]:
         if picture.size != size:
             raise ValueError("two headers")
         if raw_mode:
-            picture.tile = [each._replace(args=raw_mode) for each in picture.tile]
+            picture.tile = [tile._replace(args=raw_mode) for tile in picture.tile]
         return picture
 
     depth, kind = raw[24:26]
@@ -224,7 +238,7 @@ def _decoded_png(raw: bytes, size: tuple[int, int]) -> tuple[np.ndarray, int]:
         picture.info["transparency"] *= 255 // (2**depth - 1)  # Pillow scales the pixels only
     if depth < 16:
         return np.asarray(picture.convert("RGBA" if picture.has_transparency_data else "RGB")), 255
-    # Of 16-bit colours Pillow gives the upper bytes; taking them for little-endian gives the lower ones.
+    # Pillow returns the upper bytes of 16-bit colours; read as little-endian, it returns the lower bytes.
     if kind == 0:
         values = np.asarray(picture)[..., None]
     elif kind == 4:
@@ -232,16 +246,16 @@ def _decoded_png(raw: bytes, size: tuple[int, int]) -> tuple[np.ndarray, int]:
     else:
         lower = np.asarray(opened("RGBA;16L" if kind == 6 else "RGB;16L"))
         values = np.asarray(picture).astype(np.uint16) << 8 | lower
-    if "transparency" in picture.info:  # one colour is
+    if "transparency" in picture.info:  # one transparent colour
         clear = (values == np.array(picture.info["transparency"])).all(axis=2)
         values = np.dstack([values, np.where(clear, 0, 65535)])
     return values, 65535
 
 
 def _rectangles(full: np.ndarray) -> list[list[int]]:
-    """Return left, bottom, right and top of rectangles that cover the full cells, each once.
+    """Return left, bottom, right and top of rectangles that cover the occupied cells, each cell once.
 
-    A rectangle is a run of full cells in a row, with the equal runs in the rows that follow.
+    A rectangle is a run of occupied cells in a row, together with equal runs in the rows above it.
 
     Raises:
         InputError: there are more than `MAX_RECTANGLES`.
@@ -257,10 +271,10 @@ def _rectangles(full: np.ndarray) -> list[list[int]]:
     first, last = (np.flatnonzero(~has_equal(shift)) for shift in (-width, width))
     if len(first) > MAX_RECTANGLES:
         raise InputError(
-            f"{len(first):,} rectangles cover its occupied cells; {MAX_RECTANGLES:,} are allowed: "
+            f"{len(first):,} rectangles are needed for its occupied cells; {MAX_RECTANGLES:,} are allowed: "
             "remove specks (median filter), crop it or reduce its size"
         )
-    # Of rectangles with the same columns, one ends before the next begins.
+    # Rectangles with the same columns do not overlap: sorted starts and ends belong together.
     first, last = (x[np.lexsort((x, end[x] % width, begin[x] % width))] for x in (first, last))
     left, bottom = begin[first] % width, begin[first] // width
     return np.transpose([left, bottom, end[first] % width, begin[last] // width + 1]).tolist()

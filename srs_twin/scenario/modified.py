@@ -1,7 +1,7 @@
-"""Fields that differ from the scenario's file, and the expectations that they invalidate.
+"""Fields that differ from the scenario file, and the expectations that they invalidate.
 
-A run of a modified scenario is not the published experiment any more. Its titles name the changed fields, and
-an expectation that refers to the unmodified scenario is left out if a changed field decides its metric.
+A run of a modified scenario is no longer the published experiment. Its titles name the changed fields, and an
+expectation that refers to the unmodified scenario is omitted if a changed field affects its metric.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from srs_twin.scenario.expectation import COMPARISON, Expectation
 from srs_twin.scenario.fields import Line, Section
 
 Changes = Sequence[Mapping[str, Any]]
-"""Changed fields as plain data: ``{"field", "from", "to"}`` each."""
+"""Changed fields as plain data, ``{"field", "from", "to"}``."""
 
 PLANTS = "plants"
-"""The changed field of a run on other plants than the file names."""
+"""Name of the changed field if a run uses other plants than the file names."""
 
 STEADY = frozenset(
     f"""
@@ -37,18 +37,23 @@ STEADY = frozenset(
 """Metrics that do not depend on the duration: means over periods, shape differences, and plans."""
 
 _NAMES = ("name", "title", "changes", "robot.name", "robot.title")
-# They choose what is recorded, judged or allowed, or are random; none is a condition of the experiment.
+"""Fields that name a scenario."""
 _NO_CONDITION = (
     *(*_NAMES, "expect", "seed", "record_hz", PLANTS),
     *("allow_overpressure", "supply.allow_overpressure"),
 )
-_LONGEST = 64  # characters of the changes in a title
+"""Fields that are no condition of the experiment: names, random seed, recording, expectations and
+permissions."""
+_MAX_TITLE_LENGTH = 64
+"""Largest number of characters of the changes in a title."""
 _DIGEST = ", sha256 "
-_MOST_VALUES = 24  # of a list that is written out
+"""Text before the digest of a long value."""
+_MAX_VALUES = 24
+"""Largest number of values that are written out."""
 
 
 class ChangedField(Section):
-    """A field that was changed after the scenario had been read from its file."""
+    """Field that was changed after the scenario was read from its file."""
 
     field: Line
     """Path of the field, as --set takes it."""
@@ -56,7 +61,7 @@ class ChangedField(Section):
         default=None, alias="from", title="From", description="Value in the file, or the default."
     )
     to: Any = None
-    """Value that was set."""
+    """New value."""
 
 
 def changed_fields(
@@ -66,75 +71,81 @@ def changed_fields(
 
     Args:
         before: plain data of the unmodified scenario.
-        after: plain data of the scenario that is run.
-        locs: paths that were set; of a block, the values in it are compared.
-        earlier: changes that `before` had already; a field that has its first value again is left out.
+        after: plain data of the modified scenario.
+        locs: paths that were set; the values within a block are compared one by one.
+        earlier: changes that `before` already contains; a field with its original value is omitted.
     """
-    known = {each["field"]: each.get("from") for each in earlier}
+    known = {change["field"]: change.get("from") for change in earlier}
     paths = {field: parse_path(field) for field in known if field != PLANTS}
     for loc in locs:
         paths |= {format_path(leaf): leaf for leaf in _leaves(loc, before, after)}
-    found = [each for each in map(dict, earlier) if each["field"] == PLANTS and PLANTS not in paths]
+    changes = [change for change in map(dict, earlier) if change["field"] == PLANTS and PLANTS not in paths]
     for field, path in paths.items():
         was, now = known.get(field, _value(before, path)), _value(after, path)
         if was != now:
-            found.append({"field": field, "from": was, "to": now})
-    return found
+            changes.append({"field": field, "from": was, "to": now})
+    return changes
 
 
 def with_plants(changes: Changes, named: Sequence[str], run: Sequence[str]) -> list[dict[str, Any]]:
-    """Return changes with the plants that run where these are not those that the scenario names."""
-    rest = [dict(each) for each in changes if each["field"] != PLANTS]
+    """Return changes with an entry for the plants if those of the run differ from the scenario.
+
+    Args:
+        changes: changed fields.
+        named: plants that the scenario names.
+        run: plants that run.
+    """
+    rest = [dict(change) for change in changes if change["field"] != PLANTS]
     if set(named) == set(run):
         return rest
     return [*rest, {"field": PLANTS, "from": list(named), "to": list(run)}]
 
 
 def marked(title: str, changes: Changes) -> str:
-    """Return a title that names the changed fields, or says how many they are."""
+    """Return a title with the changed fields, or with their number if they are too long."""
     return f"{title} (modified: {changes_text(changes)})" if changes else title
 
 
 def changes_text(changes: Changes) -> str:
-    """Return the changed fields with their values, or how many they are if that is too long."""
-    texts = [f"{each['field']} {text_of(each['from'])} → {text_of(each['to'])}" for each in changes]
+    """Return the changed fields with their values, or their number if the text is too long."""
+    texts = [f"{c['field']} {text_of(c['from'])} → {text_of(c['to'])}" for c in changes]
     text = ", ".join(texts)
-    if len(text) > _LONGEST:
+    if len(text) > _MAX_TITLE_LENGTH:
         text = f"{len(changes)} fields" if len(changes) > 1 else changes[0]["field"]
     return text
 
 
 def text_of(value: Any) -> str:
-    """Return the value of a field in one line."""
+    """Return the text of a value of a field in one line."""
     match value:
         case None:
             return "unset"
         case float():
             return f"{value:.6g}"
-        case list() if not any(isinstance(each, list | dict) for each in value):
+        case list() if not any(isinstance(item, list | dict) for item in value):
             return ", ".join(map(text_of, value)) or "none"
         case str():
             return PurePath(value).name if "/" in value else value.partition(_DIGEST)[0]
     return json.dumps(value, ensure_ascii=False)
 
 
-def invalidated_by(each: Expectation, changes: Changes) -> list[str]:
-    """Return the changed fields that decide what an expectation says of the unmodified scenario.
+def invalidated_by(expectation: Expectation, changes: Changes) -> list[str]:
+    """Return the changed fields that invalidate an expectation.
 
     An expectation with `source`, `published` or `known` refers to the unmodified scenario. Other expectations
-    are bounds that hold for modified scenarios too.
+    are bounds that apply to modified scenarios too.
     """
-    if each.source is None and each.published is None and each.known is None:
+    if expectation.source is None and expectation.published is None and expectation.known is None:
         return []
     fields = (str(change["field"]) for change in changes)
-    return [field for field in fields if decides(field, each.metric, each.subject)]
+    return [field for field in fields if affects(field, expectation.metric, expectation.subject)]
 
 
-def decides(field: str, metric: str, subject: str) -> bool:
-    """Say whether a changed field changes the conditions under which a metric was published.
+def affects(field: str, metric: str, subject: str) -> bool:
+    """Return whether a changed field affects the conditions under which a metric was published.
 
     Args:
-        field: its path.
+        field: path of the field.
         metric: name of the metric.
         subject: "analytical", "twin" or "comparison".
     """
@@ -149,22 +160,22 @@ def decides(field: str, metric: str, subject: str) -> bool:
 
 
 def left_out_line(left_out: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a line that names the expectations that changed fields invalidate; none where there are none.
+    """Return a line with the expectations that changed fields invalidate; an empty list without any.
 
     Args:
-        left_out: as `Scenario.left_out`.
+        left_out: see `Scenario.left_out`.
     """
     if not left_out:
         return []
-    metrics = ", ".join(dict.fromkeys(f"{each['of']} {each['metric']}" for each in left_out))
-    fields = dict.fromkeys(field for each in left_out for field in each["because"])
+    metrics = ", ".join(dict.fromkeys(f"{row['of']} {row['metric']}" for row in left_out))
+    fields = dict.fromkeys(field for row in left_out for field in row["because"])
     count = "1 expectation" if len(left_out) == 1 else f"{len(left_out)} expectations"
     changed = f"{', '.join(fields)} {'was' if len(fields) == 1 else 'were'} changed"
     return [f"left out: {count} of the unmodified scenario ({metrics}), because {changed}"]
 
 
 def _leaves(loc: Loc, before: Any, after: Any) -> Iterator[Loc]:
-    """Yield the paths of different values at and below a path."""
+    """Yield the paths at and below a path whose values differ."""
     if format_path(loc) in _NAMES:
         return
     if loc[:2] == ("robot", "base"):
@@ -185,17 +196,21 @@ def _leaves(loc: Loc, before: Any, after: Any) -> Iterator[Loc]:
 
 
 def _is_block(value: Any) -> bool:
+    """Return whether a value is a block of keys, not a record of a number with unit and source."""
     return isinstance(value, Mapping) and not {"value", "unit"} <= value.keys()
 
 
 def _at(document: Any, loc: Loc) -> Any:
-    for part in loc:
-        document = child(document, part)
+    for key in loc:
+        document = child(document, key)
     return document
 
 
 def _value(document: Any, loc: Loc) -> Any:
-    """Return the value at a path: a robot's name, the plants' names, a record's number; of much, a digest."""
+    """Return the value at a path for display.
+
+    That is the name of a robot, the names of plants, the number of a record, or a digest of many values.
+    """
     value = _at(document, loc)
     if loc == ("robot",) and isinstance(value, Mapping):
         return value.get("name") or value.get("base")
@@ -204,6 +219,6 @@ def _value(document: Any, loc: Loc) -> Any:
     if isinstance(value, Mapping) and not _is_block(value):
         value = value["value"]
     text = json.dumps(value, sort_keys=True)
-    if (count := text.count(",") + 1) > _MOST_VALUES:
+    if (count := text.count(",") + 1) > _MAX_VALUES:
         return f"{count} values{_DIGEST}{hashlib.sha256(text.encode()).hexdigest()[:8]}"
     return value

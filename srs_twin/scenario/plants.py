@@ -1,4 +1,4 @@
-"""Plants of a scenario: which run, and how."""
+"""Section `plants` of a scenario: the plants that run, and their options."""
 
 from __future__ import annotations
 
@@ -29,23 +29,24 @@ from srs_twin.robot.friction import TWO_POINT_LAWS, Law
 from srs_twin.scenario.fields import Section, constructor_default, quantity
 
 PLANTS = ("analytical", "twin")
+"""Names of the plants, the reference first."""
 
 
 class _PlantFile(Section):
-    """What both plants have in common.
+    """Base class of the plant sections.
 
     Attributes:
-        on_a_floor: keys that say how a snake meets the floor; a module on a bench hangs in the air.
+        floor_keys: keys that describe the contact with the floor, not allowed on a bench.
     """
 
-    on_a_floor: ClassVar[tuple[str, ...]]
+    floor_keys: ClassVar[tuple[str, ...]]
 
     gaps: bool = True
-    """Whether the rigid gaps of the segments are part of the body."""
+    """Whether the segments have rigid gaps."""
     timestep_s: float
     tick_s: float | None = quantity(1e-5, 1.0, None)
-    """Control tick, above 0.1 ms a multiple of it, the twin's of timestep_s (default: 0.02, on a bench
-    0.001)."""
+    """Control tick; above 0.1 ms a multiple of it, on the twin a multiple of timestep_s (default: 0.02, on a
+    bench 0.001)."""
 
     @field_validator("tick_s")
     @classmethod
@@ -59,140 +60,141 @@ class _PlantFile(Section):
 
 
 class AnalyticalFile(_PlantFile):
-    """The dissertation's planar model."""
+    """Planar model of the dissertation."""
 
     constructors = (AnalyticalSnake,)
-    on_a_floor = ("friction", "load", "friction_torque", "slip_speed_m_s")
+    floor_keys = ("friction", "load", "friction_torque", "slip_speed_m_s")
 
     timestep_s: float = quantity(1e-5, 0.02)
-    """Longest step of the integrator."""
+    """Largest time step of the integrator."""
     model: Literal["complete", "simplified", "compliant"] = constructor_default()
-    """complete: bends as the actuators give them; simplified: chords frozen at their straight length
-    besides; compliant: bends that load and inertia deflect."""
+    """complete: prescribed bends; simplified: prescribed bends, and chords of constant length; compliant:
+    bends that depend on load and inertia."""
     friction_torque: bool = constructor_default()
-    """Whether friction's moment about the centre of mass acts; only simplified goes without."""
+    """Whether friction exerts a moment about the centre of mass; false only with simplified."""
     inertia: Literal["point", "connector", "lumped"] = constructor_default()
-    """Of each connector about itself; point: none, connector: a compact body with two wheels, lumped: the
-    dissertation's, which counts the segments twice."""
+    """Moment of inertia of each connector; point: 0, connector: a compact body with two wheels, lumped: that
+    of the dissertation, which counts the segments twice."""
     friction: Law = constructor_default()
-    """Law of the floor; axis: one point a connector (the text's), wheel: two wheels at the track, ellipse:
+    """Friction law; axis: one contact per connector (dissertation), wheel: two wheels at the track, ellipse:
     two skids at the track, viscous: a law for tests."""
     load: Literal["static", "momentary"] = constructor_default()
-    """Of a wheel or skid; static: half its connector's weight, momentary: what the force across shifts
-    between the two (not with axis)."""
+    """Load of a wheel or skid; static: half the weight of its connector, momentary: with load transfer by
+    lateral forces (not with axis)."""
     slip_speed_m_s: float = quantity(1e-6, 0.1)
-    """Slip speed below which friction is smoothed."""
+    """Slip speed below which friction deviates from Coulomb friction."""
 
     @model_validator(mode="after")
-    def _torque_is_there(self) -> AnalyticalFile:
+    def _options_are_consistent(self) -> AnalyticalFile:
         if not self.friction_torque and self.model != "simplified":
-            raise ValueError(f"model {self.model} has a friction torque; only simplified goes without")
+            raise ValueError(f"model {self.model} needs friction_torque: true; only simplified allows false")
         if self.load == "momentary" and self.friction not in TWO_POINT_LAWS:
             raise ValueError(
-                f"friction {self.friction} acts in one point a connector; momentary loads need two"
+                f"friction {self.friction} acts at one point per connector; momentary loads need two"
             )
         return self
 
 
 TICK_S: float = inspect.signature(AnalyticalSnake).parameters["tick"].default
+"""Default control tick for gaits, s."""
 BENCH_TICK_S = 0.001
-"""Control ticks that suit gaits and a bench."""
+"""Default control tick on a bench, where controllers track fast references, s."""
 
 
 class TwinFile(_PlantFile):
-    """The MuJoCo twin."""
+    """MuJoCo twin."""
 
     constructors = (ModelSettings, PreloadedContact)
-    on_a_floor = ("preset", "wheels", "contact", "friction")
+    floor_keys = ("preset", "wheels", "contact", "friction")
 
     preset: Preset | None = None
-    """Time step by a name, where timestep_s is not given; fast: 2 ms, for search and learning; reference:
-    0.25 ms, for published results."""
+    """Name of a time step, if timestep_s is not set; fast: 2 ms, for search and learning; reference: 0.25 ms,
+    for published results."""
     timestep_s: float = quantity(1e-5, 0.02)
     """Time step of the integrator."""
     wheels: Wheels = constructor_default()
-    """Wheels: rolling (friction law wheel) or skid (runners, law ellipse)."""
+    """Wheels; rolling: friction law wheel, skid: runners with friction law ellipse."""
     contact: ContactName = LoadedContact.name
-    """How the floor holds it; loaded: friction by a law on the loads that MuJoCo finds, preloaded: MuJoCo's
-    own friction on wheels or skids that are pressed down, for comparison."""
+    """Contact with the floor; loaded: a friction law on the loads that MuJoCo computes, preloaded: friction
+    of MuJoCo with an additional normal force, for comparison."""
     friction: LawOnLoads | None = None
-    """Law of a loaded contact (default: what suits the wheels)."""
+    """Friction law of a loaded contact (default: law of the wheels)."""
     hinges_per_segment: int = quantity(1, 32)
-    """Bending hinges a segment."""
+    """Bending hinges per segment."""
 
     @model_validator(mode="after")
     def _take_preset(self) -> TwinFile:
         settings = preset_keys(self.preset)
-        # Frozen for others; what the file itself gives stays known by `model_fields_set`.
+        # The model is frozen; `model_fields_set` still contains the keys of the file only.
         self.__dict__.update({key: settings[key] for key in settings.keys() - self.model_fields_set})
         return self
 
     @property
     def law(self) -> LawOnLoads:
-        """Friction law: the given one, else that of the wheels or skids."""
+        """Friction law, by default that of the wheels or skids."""
         return self.friction or LAW_OF[self.wheels]
 
     def build_contact(self) -> Contact:
-        """Return how the floor holds it."""
+        """Return the contact."""
         return LoadedContact(self.law) if self.contact == "loaded" else PreloadedContact(self.wheels)
 
-    def arguments(self, *of: Callable[..., Any]) -> dict[str, Any]:
+    def arguments(self, *constructors: Callable[..., Any]) -> dict[str, Any]:
         """Return the arguments of `TwinSnake`."""
         return super().arguments(ModelSettings) | {"contact": self.build_contact()}
 
     @property
-    def searched_with(self) -> str | None:
-        """`fast`, with the keys that override it; None if the preset is another one."""
+    def fast_preset(self) -> str | None:
+        """Name of the preset `fast` with the keys that override it; None for other presets."""
         if self.preset != "fast":
             return None
-        own = ((key, getattr(self, key), value) for key, value in preset_keys(self.preset).items())
-        besides = ", ".join(f"{key} {used}" for key, used, value in own if used != value)
-        return f"{self.preset} with {besides}" if besides else self.preset
+        values = ((key, getattr(self, key), preset) for key, preset in preset_keys(self.preset).items())
+        overrides = ", ".join(f"{key} {value}" for key, value, preset in values if value != preset)
+        return f"{self.preset} with {overrides}" if overrides else self.preset
 
     @model_validator(mode="after")
-    def _law_is_taken(self) -> TwinFile:
+    def _friction_is_loaded(self) -> TwinFile:
         if self.friction is not None and self.contact == "preloaded":
-            raise ValueError("friction needs contact: loaded; with preloaded, wheels decide")
+            raise ValueError("friction needs contact: loaded; with preloaded, wheels determine the law")
         return self
 
 
 def preset_keys(preset: Any) -> dict[str, Any]:
-    """Return the keys that a preset sets, with values; of none the defaults, of an unknown one nothing."""
-    given = PRESETS.get(str(preset), {}) if preset else {"timestep": ModelSettings.timestep}
-    return {f"{name}_s": value for name, value in given.items()}
+    """Return the keys and values of a preset; the defaults without one, nothing for an unknown one."""
+    values = PRESETS.get(str(preset), {}) if preset else {"timestep": ModelSettings.timestep}
+    return {f"{name}_s": value for name, value in values.items()}
 
 
 def with_preset(twin: Mapping[str, Any], preset: Any) -> dict[str, Any]:
-    """Return plain data of a twin with another preset; of the former only what was given besides stays."""
+    """Return plain data of a twin with another preset; keys that override the former preset are kept."""
     before = preset_keys(twin.get("preset"))
-    besides = {key: value for key, value in twin.items() if key not in before or before[key] != value}
-    return {**preset_keys(preset), **besides, "preset": preset}
+    explicit = {key: value for key, value in twin.items() if key not in before or before[key] != value}
+    return {**preset_keys(preset), **explicit, "preset": preset}
 
 
 PRESET = ("plants", "twin", "preset")
-"""Path of that key."""
+"""Path of the key `preset`."""
 
 PlantFile = AnalyticalFile | TwinFile
 
 
 class PlantsFile(Section):
-    """Which plants run, and how; one that is not named does not run."""
+    """Plants that run, with their options; a plant that is not named does not run."""
 
     analytical: AnalyticalFile | None = None
-    """The analytical model; {} for its defaults."""
+    """Analytical model; {} for its defaults."""
     twin: TwinFile | None = None
-    """The MuJoCo twin; {} for its defaults."""
+    """MuJoCo twin; {} for its defaults."""
 
     @property
     def running(self) -> dict[str, PlantFile]:
-        """The plants that run."""
+        """Sections of the plants that run, by name."""
         return {kind: getattr(self, kind) for kind in PLANTS if getattr(self, kind) is not None}
 
     @model_validator(mode="after")
-    def _some(self) -> PlantsFile:
+    def _has_a_plant(self) -> PlantsFile:
         empty = [name for name in PLANTS if name in self.model_fields_set and getattr(self, name) is None]
         if empty:
-            raise ValueError(f"{empty[0]} has nothing after it; write '{empty[0]}: {{}}' for its defaults")
+            raise ValueError(f"{empty[0]} is empty; write '{empty[0]}: {{}}' for its defaults")
         if not self.model_fields_set:
             raise ValueError("names no plant; write 'analytical: {}', 'twin: {}' or both")
         return self

@@ -1,7 +1,7 @@
-"""What decides the numbers of a run: scenario, files, sources, versions of packages, arithmetic.
+"""Provenance of a run: everything that determines its numbers.
 
-The SHA-256 of all of it is the key under which a result is kept. What only names, shows or judges results is
-left out.
+That is the scenario, its files, the source code, package versions and the arithmetic of the processor. Their
+SHA-256 is the key under which a result is stored. Names, displays and expectations do not count.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from srs_twin.scenario.sections import input_files
 NOT_PHYSICS = ("name", "title", "expect", "changes")
 """Keys of a scenario that name or judge results."""
 
-_SHOWS = "srs_twin.viewing"
-"""What only shows results: no row depends on it."""
+_VIEWING = "srs_twin.viewing"
+"""Package that only displays results; it is not part of keys."""
 
-_FOR_TYPES = re.compile(r"^if TYPE_CHECKING:\n(?:[ \t]+.*\n|\n)+", re.M)
+_TYPE_CHECKING_BLOCK = re.compile(r"^if TYPE_CHECKING:\n(?:[ \t]+.*\n|\n)+", re.M)
 _IMPORT = re.compile(r"^\s*(?:from (srs_twin[\w.]*) import (\([^)]*\)|[^\n]*)|import (srs_twin[\w.]*))", re.M)
 
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions of the packages that decide a run's numbers, of Python, and `arithmetic`."""
+    """Return the versions of Python and of the packages that determine results, and `arithmetic`."""
     packages = ("mujoco", "dm-control", "numpy", "scipy", "numba")
     return {
         "srs_twin": __version__,
@@ -49,18 +49,20 @@ def versions() -> dict[str, str]:
 
 @cache
 def arithmetic() -> str:
-    """Return a name of the arithmetic that decides the last digits of results.
+    """Return the name of the arithmetic, which determines the last digits of results.
 
-    It has three parts: the processor that kernels are compiled for (`NUMBA_CPU_NAME` sets another), the
-    kernels of the BLAS libraries of NumPy and SciPy (`OPENBLAS_CORETYPE` sets others), and a digest of the
-    processor's features and of values of the C library, NumPy and BLAS, which choose code by the processor.
+    It has three parts: the processor for which kernels are compiled (overridden by `NUMBA_CPU_NAME`), the
+        kernels
+    of the BLAS libraries of NumPy and SciPy (overridden by `OPENBLAS_CORETYPE`), and a digest of the
+    processor's features and of function values of the C library, NumPy and BLAS, which select code by
+    processor.
     """
     from numba.core.registry import cpu_target
 
     _, processor, features = cpu_target.target_context.codegen().magic_tuple()
     x = np.linspace(-3.0, 3.0, 4001)
     functions = (math.sin, math.cos, math.tan, math.exp, math.atan, math.asinh, math.cbrt)
-    values = [[function(each) for each in x.tolist()] for function in functions]
+    values = [[function(value) for value in x.tolist()] for function in functions]
     values += [function(x).tolist() for function in (np.sin, np.cos, np.exp, np.arctan)]
     square = np.cos(np.arange(1600.0) ** 1.5).reshape(40, 40)
     with one_blas_thread():
@@ -74,9 +76,9 @@ def run_key(document: Mapping[str, Any], plants: Iterable[str], runner: str) -> 
     """Return the key of a run.
 
     Args:
-        document: plain data of the scenario, as `Scenario.document` holds them.
-        plants: which run; none: the scenario is only planned.
-        runner: module that runs it, dotted.
+        document: plain data of the scenario, as in `Scenario.document`.
+        plants: plants that run; none: the scenario is only planned.
+        runner: dotted name of the module that runs the scenario.
     """
     return digest_of(
         scenario={key: value for key, value in document.items() if key not in NOT_PHYSICS},
@@ -88,7 +90,7 @@ def run_key(document: Mapping[str, Any], plants: Iterable[str], runner: str) -> 
 
 
 def _sources(document: Mapping[str, Any], runner: str) -> dict[str, str]:
-    """Return module → digest of its source: of the runner, and of what the registry adds to the scenario."""
+    """Return the source digests of the runner and of the extensions that a scenario uses, by module."""
     sections = {name: entry for name, entry in SECTIONS.items() if document.get(name)}
     used = installed(METRICS) | installed(sections)
     controller = document.get("controller")
@@ -99,9 +101,9 @@ def _sources(document: Mapping[str, Any], runner: str) -> dict[str, str]:
 
 
 def judged_digest(document: Mapping[str, Any]) -> str:
-    """Return a digest of a scenario with its robot and the files that it reads.
+    """Return a digest of a scenario with its robot and input files, to check stored intervals.
 
-    Laws, duration and seed do not count: whether they change a result is seen in its value.
+    Code, duration and seed do not count: their effect on a result is visible in its value.
     """
     skipped = (*NOT_PHYSICS, "duration_s", "seed")
     return digest_of(
@@ -110,21 +112,22 @@ def judged_digest(document: Mapping[str, Any]) -> str:
     )
 
 
-def digest_of(**parts: Any) -> str:
-    """Return the SHA-256 of plain data, hex."""
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+def digest_of(**data: Any) -> str:
+    """Return the SHA-256 of plain data, hexadecimal."""
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
 
 def file_digests(document: Mapping[str, Any]) -> dict[str, str]:
-    """Return the files that a run reads besides its document → SHA-256 of their contents, hex.
+    """Return the SHA-256 of the files that a run reads in addition to its document, by path, hexadecimal.
 
-    A robot is written out in the document; a footprint, a recording and its log stand there by name or path.
-    The digest of a file that cannot be read is empty: the run will fail and say so.
+    The robot is part of the document; footprints, recordings and logs are given by name or path. The digest
+    of a file that cannot be read is empty; the run will report the error.
     """
     return {path: _sha256(path) for path in _files(document)}
 
 
 def _files(document: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the paths of the input files of a scenario."""
     start = document.get("start")
     if isinstance(start, Mapping) and start.get("from"):
         yield from (str(Path(start["from"]) / f"{plant}.parquet") for plant in document.get("plants", ()))
@@ -133,51 +136,54 @@ def _files(document: Mapping[str, Any]) -> Iterator[str]:
         from srs_twin.scenario.map_file import pictures_of
 
         yield from (str(world[key]) for key in ("map", "circles") if world.get(key))
-        yield from (str(each) for each in (pictures_of(Path(world["map"])) if world.get("map") else ()))
+        yield from (str(path) for path in (pictures_of(Path(world["map"])) if world.get("map") else ()))
     yield from input_files(document)
 
 
 def _sha256(path: str) -> str:
     try:
-        about = os.stat(path)
-        return _sha256_of(path, about.st_mtime_ns, about.st_ctime_ns, about.st_size)
+        status = os.stat(path)
+        return _sha256_of(path, status.st_mtime_ns, status.st_ctime_ns, status.st_size)
     except (OSError, ValueError):
         return ""
 
 
 @lru_cache(maxsize=64)
-def _sha256_of(path: str, changed_ns: int, moved_ns: int, size: int) -> str:
+def _sha256_of(path: str, modified_ns: int, status_changed_ns: int, size: int) -> str:
+    """Return the digest of a file; times and size are part of the cache key."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @cache
 def source_digests(module: str) -> dict[str, str]:
-    """Return a module of this package and all that it imports → SHA-256 of the source, hex.
+    """Return the SHA-256 of the sources of a module and of its imports from this package, hexadecimal.
 
-    Imports are read from the sources, those inside of functions too, those for type checkers not. Of a
-    package that is only passed through, nothing counts.
+    Imports are read from the source text, including those inside functions and excluding those for type
+    checkers. The ``__init__`` of a package counts only if the package itself is imported.
 
     Args:
-        module: its dotted name.
+        module: dotted name of the module.
     """
     return dict(sorted(_closure(module, Path(__file__).resolve().parents[2])))
 
 
 def _closure(module: str, root: Path) -> Iterator[tuple[str, str]]:
+    """Yield name and digest of a module and of all modules that it imports, directly or indirectly."""
     to_read, seen = [module], set()
     while to_read:
         name = to_read.pop()
-        if name in seen or name.startswith(_SHOWS) or (path := _source(root, name)) is None:
+        if name in seen or name.startswith(_VIEWING) or (path := _source(root, name)) is None:
             continue
         seen.add(name)
         text = path.read_text("utf-8")
         yield name, hashlib.sha256(text.encode()).hexdigest()
-        for package, names, whole in _IMPORT.findall(_FOR_TYPES.sub("", text)):
+        for package, names, whole in _IMPORT.findall(_TYPE_CHECKING_BLOCK.sub("", text)):
             to_read.append(package or whole)
-            to_read += [f"{package}.{each}" for each in re.findall(r"\w+", names)]
+            to_read += [f"{package}.{name}" for name in re.findall(r"\w+", names)]
 
 
 def _source(root: Path, module: str) -> Path | None:
+    """Return the source file of a module; None if it has none."""
     place = root / module.replace(".", "/")
     return next((path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()), None)

@@ -1,4 +1,4 @@
-"""Scenario: one experiment in SI, ready to build its plants and its controller."""
+"""Scenario: an experiment in SI that builds its plants and its controller."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ if TYPE_CHECKING:
     from srs_twin.plants.base import Plant
     from srs_twin.pneumatics import Pneumatics
     from srs_twin.scenario.file import ScenarioFile
-    from srs_twin.scenario.start import FirstState
+    from srs_twin.scenario.start import InitialState
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """One experiment.
+    """Experiment with a robot, a controller and one or two plants.
 
     Attributes:
-        name: of the file, and of the folder of results.
-        title: one line for people, with the changed fields.
-        robot: the snake, overrides included.
-        duration: s.
-        seed: for whatever is random.
-        record_hz: recorded samples a second.
-        supply_pa: supply pressure, Pa.
-        pose: start: centre of mass x, y (m) and mean heading (rad).
-        begin: brings its plants into their first states; None: they lie straight and at rest at `pose`.
-        world: obstacles, bounds, goal.
-        file: the sections of the file, all defaults written out.
-        document: plain data of a file that loads as an equal scenario, defaults and robot written out.
-        warnings: what a person should know before trusting the results.
-        products: section of an extension → what it made of its keys and files.
-        source: the file, as messages show it.
+        name: name of the scenario and of its output folder.
+        title: title of one line, with the changed fields.
+        robot: robot with overrides.
+        duration: simulated duration, s.
+        seed: random seed.
+        record_hz: recorded samples per second.
+        supply_pa: supply pressure, gauge, Pa.
+        pose: initial centre of mass x, y (m) and mean heading (rad).
+        begin: function that sets the initial state of a plant; None: straight and at rest at `pose`.
+        world: obstacles, bounds and goal.
+        file: sections of the file, with all defaults written out.
+        document: plain data of a file that loads as an equal scenario, with defaults and robot written out.
+        warnings: warnings for the user.
+        products: products of the extension sections, by section.
+        source: name of the file in messages.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Scenario:
     record_hz: float
     supply_pa: float
     pose: tuple[float, float, float]
-    begin: FirstState | None = field(compare=False, repr=False)
+    begin: InitialState | None = field(compare=False, repr=False)
     world: World
     file: ScenarioFile
     document: Mapping[str, Any] = field(repr=False)
@@ -67,51 +67,51 @@ class Scenario:
 
     @property
     def plants(self) -> Mapping[str, PlantFile]:
-        """The plants that the file names, and how they run."""
+        """Sections of the plants that the file names, by name."""
         return self.file.plants.running
 
     @property
     def controller(self) -> ControllerSection:
-        """What commands the valves."""
+        """Section of the controller."""
         return self.file.controller
 
     @property
     def planner(self) -> Any:
-        """The product of the section `planner`; None where nothing follows a plan."""
+        """Planner of the section `planner`; None without one."""
         return self.products.get("planner")
 
     @property
     def recording(self) -> Any:
-        """The product of the section `recording`; None where nothing is replayed."""
+        """Recording of the section `recording`; None without one."""
         return self.products.get("recording")
 
     @property
     def changes(self) -> Changes:
-        """The fields that differ from the scenario's file."""
+        """Fields that differ from the scenario file."""
         return tuple(self.document.get("changes", ()))
 
     @property
     def label(self) -> str:
-        """The name, with the changed fields."""
+        """Name with the changed fields."""
         return marked(self.name, self.changes)
 
     @property
     def expect(self) -> tuple[Expectation, ...]:
-        """The expectations that changed fields leave valid."""
-        return tuple(each for each in self.file.expect if not invalidated_by(each, self.changes))
+        """Expectations that are valid in spite of changed fields."""
+        return tuple(item for item in self.file.expect if not invalidated_by(item, self.changes))
 
     @property
     def left_out(self) -> list[dict[str, Any]]:
-        """The invalidated expectations: `metric`, `of`, `source`, and the changed fields (`because`)."""
-        found = ((each, invalidated_by(each, self.changes)) for each in self.file.expect)
+        """Invalidated expectations: `metric`, `of`, `source`, and the changed fields (`because`)."""
+        pairs = ((item, invalidated_by(item, self.changes)) for item in self.file.expect)
         return [
-            {"metric": each.metric, "of": each.subject, "source": each.source, "because": fields}
-            for each, fields in found
+            {"metric": item.metric, "of": item.subject, "source": item.source, "because": fields}
+            for item, fields in pairs
             if fields
         ]
 
     def run_on(self, plants: Sequence[str] | None) -> Scenario:
-        """Return the scenario with a note of the plants that run where these are not its own (None)."""
+        """Return the scenario for a run on given plants (None: its own); other plants are a changed field."""
         changes = with_plants(self.changes, tuple(self.plants), plants or tuple(self.plants))
         if changes == list(self.changes):
             return self
@@ -121,20 +121,20 @@ class Scenario:
 
     @property
     def layout(self) -> str:
-        """The layout of the valves, "3/2" or "in_out"."""
-        assert self.file.valves.layout is not None, "defaults are written out"
+        """Layout of the valves, "3/2" or "in_out"."""
+        assert self.file.valves.layout is not None, "set when the scenario was loaded"
         return self.file.valves.layout
 
     @property
     def timing(self) -> dict[str, Any]:
-        """The arguments of `rollout` and `Job` that are the scenario's."""
+        """Arguments of `rollout` and `Job` that the scenario sets."""
         names = ("duration", "pose", "begin", "seed", "record_hz")
         return {name: getattr(self, name) for name in names}
 
     @property
     def measured(self) -> Trajectory | None:
-        """What was recorded of the robot, on the clock of the run; None where nothing is replayed."""
-        measured = (each.measured(self.products[key]) for key, each in self.file.sections().items())
+        """Measured trajectory in the time of the run; None without a recording."""
+        measured = (section.measured(self.products[key]) for key, section in self.file.sections().items())
         trajectory = next(filter(None, measured), None)
         if trajectory is None:
             return None
@@ -145,7 +145,7 @@ class Scenario:
 
     @contextmanager
     def named_in_errors(self) -> Iterator[None]:
-        """Say in a block's errors which file it was: what only building finds knows of no file.
+        """Add the name of the file to input errors of a block, such as those of building a plant.
 
         Raises:
             InputError: the block raised one.
@@ -157,15 +157,15 @@ class Scenario:
             raise
 
     def build_plant(self, kind: str, *, robot: RobotSpec | None = None, **changes: Any) -> Plant:
-        """Return a plant, fresh and at rest; one that the file does not name gets its defaults.
+        """Return a new plant at rest; a plant that the file does not name has its defaults.
 
         Args:
             kind: "analytical" or "twin".
-            robot: another robot than the scenario's.
-            changes: arguments of the plant other than the scenario's, and `gaps`.
+            robot: robot instead of the one of the scenario.
+            changes: arguments of the plant, and `gaps`, instead of those of the scenario.
 
         Raises:
-            UnknownNameError: another kind.
+            UnknownNameError: unknown kind.
         """
         if kind not in PLANTS:
             raise UnknownNameError("plant", kind, PLANTS)
@@ -189,26 +189,27 @@ class Scenario:
         return TwinSnake(robot, **arguments)
 
     def check_run(self) -> None:
-        """Refuse a run that cannot start, before anything is simulated.
+        """Check that a run can start, for example that its plan can be computed.
 
         Raises:
-            InputError: it cannot start; a plan cannot be made, for example.
+            InputError: the run cannot start.
         """
         with self.named_in_errors():
             for key, section in self.file.sections().items():
                 section.check_run(self.products[key])
 
     def build_controller(self) -> Controller:
-        """Return a fresh controller.
+        """Return a new controller.
 
         Raises:
-            InputError: one that follows a plan, and nothing can be planned.
+            InputError: the controller follows a plan, and the plan cannot be computed.
         """
         return self.controller.controller(
             ControllerContext(self.name, self.robot, self.supply_pa, self.products)
         )
 
     def _chambers(self, robot: RobotSpec) -> Pneumatics:
+        """Return new chambers with their stuck valves."""
         replaced = (
             section.chambers(self.products[key], robot, self.supply_pa, self.layout)
             for key, section in self.file.sections().items()
@@ -216,12 +217,13 @@ class Scenario:
         chambers = next(filter(None, replaced), None)
         if chambers is None:
             chambers = self.file.pneumatics.chambers(robot, self.supply_pa, self.layout)
-        faults = (each.build() for each in self.file.faults)
+        faults = (fault.build() for fault in self.file.faults)
         chambers.stuck = tuple(fault for fault in faults if isinstance(fault, StuckValve))
         return chambers
 
     def _sensors(self, robot: RobotSpec) -> Sensor:
+        """Return new sensors with their faults."""
         sensor = self.file.sensor.sensor(robot)
-        faults = (each.build() for each in self.file.faults)
+        faults = (fault.build() for fault in self.file.faults)
         dead = tuple(fault for fault in faults if isinstance(fault, DeadSensor))
         return FaultySensor(sensor, dead) if dead else sensor

@@ -1,4 +1,4 @@
-"""The JSON Schema of scenario files, for editors; overrides of a robot's fields included."""
+"""JSON Schema of scenario files, including overrides of robot fields."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from srs_twin.scenario.file import ScenarioFile
 
 
 def scenario_json_schema() -> dict[str, Any]:
-    """Return a schema (draft 2020-12) that knows every key with its title, description, unit and range."""
+    """Return a schema (draft 2020-12) with title, description, unit and range of every key."""
     schema = ScenarioFile.model_json_schema()
-    parts = RobotFile.model_json_schema()
-    # The names of records spell out their bounds; numbers do.
-    names = {name: f"Robot{i}_{name.partition('_')[0]}" for i, name in enumerate(parts["$defs"], start=1)}
-    text = json.dumps(parts)
+    robot_schema = RobotFile.model_json_schema()
+    # The generated names of records contain their bounds; numbered names are shorter.
+    names = {
+        name: f"Robot{i}_{name.partition('_')[0]}" for i, name in enumerate(robot_schema["$defs"], start=1)
+    }
+    text = json.dumps(robot_schema)
     for name, short in names.items():
         text = text.replace(f'"#/$defs/{name}"', f'"#/$defs/{short}"')
     robot = json.loads(text)
@@ -28,17 +30,17 @@ def scenario_json_schema() -> dict[str, Any]:
 
 
 def field_paths() -> list[str]:
-    """Return every field of a scenario, dotted; of lists the field itself."""
+    """Return the dotted paths of all fields of a scenario; the items of a list have none."""
     schema = scenario_json_schema()
 
     def walk(node: dict[str, Any], path: str, depth: int) -> Iterator[str]:
         while "$ref" in node:
             node = schema["$defs"][node["$ref"].rsplit("/", 1)[1]]
-        parts = node.get("properties", {})
-        if path and not parts:
+        properties = node.get("properties", {})
+        if path and not properties:
             yield path
-        for key, each in parts.items() if depth else ():
-            yield from walk(each, f"{path}.{key}".lstrip("."), depth - 1)
+        for key, child in properties.items() if depth else ():
+            yield from walk(child, f"{path}.{key}".lstrip("."), depth - 1)
         for option in (*node.get("anyOf", ()), *node.get("oneOf", ())):
             yield from walk(option, path, depth)
 
@@ -46,14 +48,14 @@ def field_paths() -> list[str]:
 
 
 def _override(robot: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema of {base: …} with any field given as a plain number or as a whole record."""
+    """Return the schema of {base: …}, where a field is a plain number or a whole record."""
 
     def reference(node: dict[str, Any]) -> str | None:
-        return next((each["$ref"] for each in (node, *node.get("anyOf", ())) if "$ref" in each), None)
+        return next((n["$ref"] for n in (node, *node.get("anyOf", ())) if "$ref" in n), None)
 
     def definition(node: dict[str, Any]) -> dict[str, Any] | None:
-        found = reference(node)
-        return None if found is None else definitions[found.rsplit("/", 1)[1]]
+        name = reference(node)
+        return None if name is None else definitions[name.rsplit("/", 1)[1]]
 
     def field(node: dict[str, Any]) -> dict[str, Any]:
         record = definition(node)
@@ -68,6 +70,6 @@ def _override(robot: dict[str, Any], definitions: dict[str, Any]) -> dict[str, A
         if section is None:
             properties[name] = node
             continue
-        fields = {key: field(each) for key, each in section["properties"].items()}
+        fields = {key: field(child) for key, child in section["properties"].items()}
         properties[name] = {"type": "object", "properties": fields, "additionalProperties": False}
     return {"type": "object", "properties": properties, "required": ["base"], "additionalProperties": False}

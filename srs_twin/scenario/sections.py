@@ -1,7 +1,7 @@
 """Sections that extensions add to a scenario.
 
-A section is read when the scenario is loaded. What it makes of its keys and files, its product, is kept in
-`Scenario.products` under the name of the section.
+When a scenario is loaded, each section reads its keys and files and returns a product, for example a planner
+or a recording. The products are stored in `Scenario.products` by the name of the section.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from srs_twin.trajectory import Trajectory
 
 @dataclass
 class Loading:
-    """A scenario while it is loaded.
+    """State of loading a scenario.
 
     Attributes:
-        document: the file; problems are reported to it.
-        file: the validated sections.
-        robot: the robot file, overrides included.
+        document: scenario file; collects the problems.
+        file: validated sections.
+        robot: robot file with overrides.
         world: obstacles, bounds and goal.
-        products: section → what it made so far.
-        warnings: for the user, before the results.
+        products: products so far, by section.
+        warnings: warnings for the user.
     """
 
     document: Document
@@ -43,44 +43,44 @@ class Loading:
 
 
 class ExtensionSection(Section):
-    """A section of a scenario that an extension adds. Each hook does nothing by default.
+    """Base class of sections that extensions add to a scenario; by default its methods do nothing.
 
     Attributes:
-        measures: whether its product holds a measured trajectory to compare with.
-        uses_goal: whether it takes notice of the goal and bounds of the world.
+        measures: whether the product contains a measured trajectory.
+        uses_goal: whether the section uses the goal and bounds of the world.
     """
 
     measures: ClassVar[bool] = False
     uses_goal: ClassVar[bool] = False
 
     def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
-        """Yield what contradicts other sections of the file."""
+        """Yield contradictions with other sections of the file."""
         return iter(())
 
     def read(self, loading: Loading) -> Any:
-        """Return the product; called before the controller is checked. Problems are reported."""
+        """Return the product; called before the controller is checked. Problems go to the document."""
         return None
 
     def prepare(self, loading: Loading) -> Any:
-        """Return the product; called once everything else of the file is sound. Problems are reported."""
+        """Return the product; called after all other sections. Problems are reported to the document."""
         return None
 
     def resolve(self, document: dict[str, Any], file: FileSections, product: Any) -> None:
-        """Write defaults and absolute paths into the resolved document; product: None if it was not read."""
+        """Write defaults and absolute paths into the resolved document; the product may be None."""
 
     def chambers(self, product: Any, robot: RobotSpec, supply_pa: float, layout: str) -> Pneumatics | None:
-        """Return chambers that replace the ones of `pneumatics`."""
+        """Return chambers that replace those of `pneumatics`, or None."""
         return None
 
     def measured(self, product: Any) -> Trajectory | None:
-        """Return the measured trajectory."""
+        """Return the measured trajectory, or None."""
         return None
 
     def check_run(self, product: Any) -> None:
-        """Refuse a run that cannot start, before anything is simulated.
+        """Check that a run can start.
 
         Raises:
-            InputError: it cannot start.
+            InputError: the run cannot start.
         """
 
 
@@ -94,8 +94,8 @@ class SectionEntry:
 
     Attributes:
         annotation: type of the section in the pydantic model of the file.
-        description: for the reference and the JSON Schema.
-        input_files: yields the paths of the files that a section, as plain data, reads.
+        description: description for the reference and the JSON Schema.
+        input_files: function that yields the paths of the files that a section, as plain data, reads.
     """
 
     annotation: Any
@@ -104,7 +104,7 @@ class SectionEntry:
 
 
 def section_entries() -> dict[str, SectionEntry]:
-    """Return name → entry of the sections of the installed extensions."""
+    """Return the section entries of the installed extensions by name."""
     return dict(objects(SECTIONS))
 
 

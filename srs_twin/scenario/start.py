@@ -1,4 +1,4 @@
-"""Start of a scenario: where the snake is at first and how it moves, told by keys or by an earlier run."""
+"""Section `start` of a scenario: initial pose, motion and pressures, from keys or an earlier run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ from srs_twin.robot.world import Pose
 from srs_twin.scenario.fields import FilePath, Section, quantity
 from srs_twin.trajectory import Trajectory
 
-_MOST = 64
+_MAX_SEGMENTS = 64
+"""Largest number of segments in a list."""
+
 Speed = Annotated[float, Field(ge=-10.0, le=10.0)]
 Bend = Annotated[float, Field(ge=-3.2, le=3.2)]
 BendRate = Annotated[float, Field(ge=-100.0, le=100.0)]
@@ -29,7 +31,7 @@ _AT_REST = ("velocity_m_s", "yaw_rate_rad_s", *_PER_SEGMENT)
 
 
 class StartFile(Section):
-    """Where the snake is at first and how it moves: straight and at rest where nothing else is said."""
+    """Initial state of the snake; by default it is straight and at rest."""
 
     constructors = (Pose,)
 
@@ -40,86 +42,105 @@ class StartFile(Section):
     heading_rad: float = quantity(-6.3, 6.3, 0.0)
     """Mean heading, counter-clockwise from x."""
     velocity_m_s: Annotated[tuple[Speed, ...], Field(min_length=2, max_length=2)] | None = None
-    """[x, y] of the centre of mass in the world, m/s, -10 to 10."""
+    """[x, y] velocity of the centre of mass in the world, m/s, -10 to 10."""
     yaw_rate_rad_s: float | None = quantity(-100.0, 100.0, None)
     """Rate of the mean heading."""
-    bend_rad: Annotated[tuple[Bend, ...], Field(max_length=_MOST)] | None = None
-    """Of each segment, head first, positive to the left, rad, -3.2 to 3.2."""
-    bend_rate_rad_s: Annotated[tuple[BendRate, ...], Field(max_length=_MOST)] | None = None
-    """Of each segment, rad/s; where the bends are what the chambers give they have their own."""
+    bend_rad: Annotated[tuple[Bend, ...], Field(max_length=_MAX_SEGMENTS)] | None = None
+    """Bend of each segment from the head, positive to the left, rad, -3.2 to 3.2."""
+    bend_rate_rad_s: Annotated[tuple[BendRate, ...], Field(max_length=_MAX_SEGMENTS)] | None = None
+    """Bend rate of each segment, rad/s, -100 to 100; ignored where bends follow the pressures."""
     pressure_kpa: (
         Annotated[
             tuple[Annotated[tuple[Gauge, ...], Field(min_length=2, max_length=2)], ...],
-            Field(max_length=_MOST),
+            Field(max_length=_MAX_SEGMENTS),
         ]
         | None
     ) = None
-    """[+, -] chamber of each segment, gauge, kPa, 0 to the supply's."""
+    """Pressures of the [+, -] chambers of each segment, gauge, kPa, 0 to the supply pressure."""
     run: FilePath | None = Field(
         default=None,
         alias="from",
         title="From",
-        description="Folder of a run: each plant begins as its own record was.",
+        description="Folder of a run; each plant starts in the state of its trajectory there.",
     )
     time_s: float | None = quantity(0.0, 1e6, None)
-    """When in that run."""
+    """Time in that run."""
 
     def contradictions(self) -> Iterator[tuple[tuple[str, ...], str]]:
         """Yield path and message of keys that contradict each other."""
         if self.run is None:
             if self.time_s is not None:
-                yield ("time_s",), "a time in a run; name the run with from"
+                yield ("time_s",), "needs a run; set from"
             return
         for name in sorted(self.model_fields_set - {"run", "time_s"}):
-            yield (name,), "the run in from says so; take one of them out"
+            yield (name,), "is set by the run in from; remove one of them"
         if self.time_s is None:
-            yield ("from",), "say when in that run: time_s"
+            yield ("from",), "needs the time in that run; set time_s"
 
     @property
     def moves(self) -> bool:
-        """Whether the snake is not straight and at rest."""
+        """Whether the initial state is other than straight and at rest."""
         return self.run is not None or any(getattr(self, name) is not None for name in _AT_REST)
 
-    def begin(self, segments: int, supply_pa: float, plants: Mapping[str, Any]) -> FirstState | None:
-        """Return the first state of each plant; None: straight and at rest.
+    def initial_state(
+        self, segments: int, supply_pa: float, plants: Mapping[str, Any]
+    ) -> InitialState | None:
+        """Return the initial state of each plant; None: straight and at rest.
 
         Args:
-            segments: of the robot.
-            supply_pa: gauge, Pa; no chamber has more.
-            plants: that run, by name.
+            segments: number of segments of the robot.
+            supply_pa: supply pressure, gauge, Pa; upper limit of the chamber pressures.
+            plants: plants that run, by name.
 
         Raises:
-            InputError: as many numbers as another robot has segments, pressures above the supply's, or a run
-                that does not have such a moment.
+            InputError: a list has another number of entries than the robot has segments, a pressure is above
+                the supply pressure, or the run has no such time.
         """
         if not self.moves:
             return None
         if self.run is not None:
-            assert self.time_s is not None, "checked"
-            states = {name: _recorded(Path(self.run), name, self.time_s, segments) for name in plants}
-            return FirstState(states)
+            assert self.time_s is not None, "see contradictions()"
+            states = {name: _state_at(Path(self.run), name, self.time_s, segments) for name in plants}
+            return InitialState(states)
         for name in _PER_SEGMENT:
-            given = getattr(self, name)
-            if given is not None and len(given) != segments:
-                raise InputError(f"{name} has {len(given)} entries; the robot has {segments} segments")
+            values = getattr(self, name)
+            if values is not None and len(values) != segments:
+                raise InputError(f"{name} has {len(values)} entries; the robot has {segments} segments")
 
         def per_segment(name: str, *shape: int) -> np.ndarray:
-            given = getattr(self, name)
-            return np.zeros((segments, *shape)) if given is None else to_si(name, np.array(given))
+            values = getattr(self, name)
+            return np.zeros((segments, *shape)) if values is None else to_si(name, np.array(values))
 
         pressure = per_segment("pressure_kpa", 2)
         if pressure.max() > supply_pa * (1 + 1e-9):
-            text = f"pressure_kpa {pressure.max() / 1000:g} is above the supply's {supply_pa / 1000:g} kPa"
-            raise InputError(text)
+            given, limit = pressure.max() / 1000, supply_pa / 1000
+            raise InputError(f"pressure_kpa {given:g} is above the supply pressure, {limit:g} kPa")
         velocity = np.array(self.velocity_m_s or (0.0, 0.0))
-        place = np.array([self.x_m, self.y_m]), velocity, self.heading_rad, self.yaw_rate_rad_s or 0.0
-        state = _Moving(*place, per_segment("bend_rad"), per_segment("bend_rate_rad_s"), pressure)
-        return FirstState(dict.fromkeys(plants, state))
+        state = _MotionState(
+            np.array([self.x_m, self.y_m]),
+            velocity,
+            self.heading_rad,
+            self.yaw_rate_rad_s or 0.0,
+            per_segment("bend_rad"),
+            per_segment("bend_rate_rad_s"),
+            pressure,
+        )
+        return InitialState(dict.fromkeys(plants, state))
 
 
 @dataclass(frozen=True, eq=False)
-class _Moving:
-    """A physical state, SI; rates and pressures are its own."""
+class _MotionState:
+    """Pose, motion and pressures of a snake in SI.
+
+    Attributes:
+        com: centre of mass, m, shape (2,).
+        com_velocity: velocity of the centre of mass, m/s, shape (2,).
+        heading: mean heading, rad.
+        yaw_rate: rate of the mean heading, rad/s.
+        bend: bends, rad, shape (segments,).
+        bend_rate: bend rates, rad/s, shape (segments,).
+        pressure: chamber pressures, gauge, Pa, shape (segments, 2).
+    """
 
     com: np.ndarray
     com_velocity: np.ndarray
@@ -131,17 +152,17 @@ class _Moving:
 
 
 @dataclass(frozen=True)
-class FirstState:
-    """Brings plants into their first states, see `rollout.Begin`.
+class InitialState:
+    """Initial states of the plants, as a `rollout.Begin`.
 
     Attributes:
-        states: of each plant.
+        states: state of each plant, by name.
     """
 
-    states: Mapping[str, _Moving]
+    states: Mapping[str, _MotionState]
 
     def __call__(self, plant: Plant, seed: int) -> SnakeState:
-        """Place a plant."""
+        """Reset a plant and place it in its initial state."""
         moving = self.states[plant.name]
         x, y = map(float, moving.com)
         resting = plant.reset(pose=(x, y, moving.heading), seed=seed)
@@ -152,29 +173,27 @@ class FirstState:
         return plant.place(snake, yaw_rate=moving.yaw_rate, seed=seed)
 
 
-def _recorded(folder: Path, plant: str, time: float, segments: int) -> _Moving:
-    """Return what a plant's record says of a time; what moves by differences of its neighbours."""
+def _state_at(folder: Path, plant: str, time: float, segments: int) -> _MotionState:
+    """Return the state of a plant at a time (s) of its trajectory, with rates from an interpolant."""
     path = folder / f"{plant}.parquet"
     if not os.path.isfile(path):
-        raise InputError(f"{display_path(folder)} holds no record of the {plant} plant ({path.name})")
-    record = Trajectory.from_parquet(path)
-    times = record.time
+        raise InputError(f"{display_path(folder)} has no trajectory of the {plant} plant ({path.name})")
+    trajectory = Trajectory.from_parquet(path)
+    times = trajectory.time
     if len(times) < 2 or not times[0] - 1e-9 <= time <= times[-1] + 1e-9:
-        raise InputError(
-            f"time_s {time:g} is outside of {display_path(path)}, {times[0]:g} to {times[-1]:g} s"
-        )
-    bend = record.stack("bend")
+        raise InputError(f"time_s {time:g} is outside {display_path(path)}, {times[0]:g} to {times[-1]:g} s")
+    bend = trajectory.stack("bend")
     if bend.shape[1] != segments:
-        raise InputError(f"{display_path(path)} is of {bend.shape[1]} segments; the robot has {segments}")
-    pressure = np.stack([record.stack("pressure_plus"), record.stack("pressure_minus")], axis=-1)
-    columns = np.column_stack([record.com, record["heading"], bend, pressure.reshape(len(times), -1)])
+        raise InputError(f"{display_path(path)} has {bend.shape[1]} segments; the robot has {segments}")
+    pressure = np.stack([trajectory.stack("pressure_plus"), trajectory.stack("pressure_minus")], axis=-1)
+    columns = np.column_stack([trajectory.com, trajectory["heading"], bend, pressure.reshape(len(times), -1)])
     k = min(max(int(np.searchsorted(times, time - 1e-9)), 1), len(times) - 1)
     near = slice(max(k - 2, 0), min(k + 2, len(times)))
-    # A parabola or cubic through the samples around it: values, and what they change by.
+    # Parabola or cubic through the samples around the time: coefficients 0 and 1 are value and rate.
     fit = np.polynomial.polynomial.polyfit(times[near] - time, columns[near], len(times[near]) - 1)
     now, rate = fit[0], fit[1]
     count = 3 + segments
-    return _Moving(
+    return _MotionState(
         now[:2], rate[:2], float(now[2]), float(rate[2]), now[3:count], rate[3:count],
         np.maximum(now[count:], 0.0).reshape(segments, 2),
     )  # fmt: skip

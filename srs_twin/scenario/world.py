@@ -1,4 +1,4 @@
-"""World of a scenario: where the snake lies, what surrounds it, and what is drawn by a seed."""
+"""Section `world` of a scenario: obstacles, floor, bounds, goal and random obstacles."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Radius = Annotated[float, Field(ge=0.001, le=100.0)]
 
 
 class ObstacleFile(Section):
-    """A round obstacle."""
+    """Round obstacle."""
 
     constructors = (Circle,)
 
@@ -32,12 +32,12 @@ class ObstacleFile(Section):
 
 
 class PolygonFile(Section):
-    """An obstacle with straight sides."""
+    """Polygonal obstacle."""
 
     constructors = (Polygon,)
 
     corners_m: Annotated[tuple[Pair, ...], Field(min_length=3, max_length=1000)]
-    """[x, y] of each corner, m; the last is joined to the first, sides do not cross."""
+    """[x, y] of each corner, m; the last corner is joined to the first, and sides must not cross."""
 
     @field_validator("corners_m")
     @classmethod
@@ -45,135 +45,135 @@ class PolygonFile(Section):
         from shapely import Polygon
 
         if not Polygon(corners).is_valid:
-            raise ValueError("these corners do not bound an area: sides cross or fall on each other")
+            raise ValueError("these corners do not bound an area: sides cross or overlap")
         return corners
 
 
 class BoundsFile(Section):
-    """The rectangle that the snake is to stay in."""
+    """Rectangle in which the snake must stay."""
 
     constructors = (Bounds,)
 
     x_m: Pair
-    """Lowest and highest x, m."""
+    """Minimum and maximum x, m."""
     y_m: Pair
-    """Lowest and highest y, m."""
+    """Minimum and maximum y, m."""
 
     @field_validator("x_m", "y_m")
     @classmethod
     def _ordered(cls, ends: Pair) -> Pair:
         if not ends[0] < ends[1]:
-            raise ValueError(f"the lowest comes first, but {ends[0]:g} is not below {ends[1]:g}")
+            raise ValueError(f"the minimum comes first, but {ends[0]:g} is not below {ends[1]:g}")
         return ends
 
 
 class GoalFile(Section):
-    """Where the centre of mass is to arrive."""
+    """Goal of the centre of mass."""
 
     constructors = (Goal,)
 
     x_m: float = quantity(-1000.0, 1000.0)
-    """x."""
+    """x of the goal."""
     y_m: float = quantity(-1000.0, 1000.0)
-    """y."""
+    """y of the goal."""
     heading_rad: float | None = quantity(-6.3, 6.3, None)
     """Heading on arrival (default: any)."""
     radius_m: float = quantity(0.001, 100.0, 0.05)
-    """How near is near enough."""
+    """Position tolerance."""
     heading_tolerance_rad: float = quantity(0.0, 3.14)
-    """How near that heading is near enough."""
+    """Tolerance of the heading."""
 
 
 class RandomFile(Section):
-    """Round obstacles drawn by a seed."""
+    """Random round obstacles."""
 
     constructors = (random_circles,)
 
     kind: Literal["strewn", "fig54"] = "strewn"
-    """strewn: uniformly over a rectangle; fig54: of the 18 sites of robot.random_worlds."""
+    """strewn: uniformly distributed over a rectangle; fig54: at some of the 18 sites of Fig. 54."""
     count: int = quantity(0, 1000)
     """Number of circles."""
     seed: int | None = quantity(0, 2**32 - 1, None)
-    """Of the draw (default: the scenario's)."""
+    """Random seed (default: seed of the scenario)."""
     area: BoundsFile | None = None
-    """Where their centres lie (strewn; default: the bounds)."""
+    """Area of the centres (strewn; default: the bounds)."""
     radius_m: Annotated[tuple[Radius, ...], Field(min_length=2, max_length=2)] = constructor_default()
     """Smallest and largest radius (strewn), m."""
     gap_m: float = quantity(0.0, 100.0)
-    """Least distance between two (strewn)."""
+    """Smallest distance between two circles (strewn)."""
     clear_m: float = quantity(0.0, 100.0, 0.3)
-    """No circle is so near to start or goal (strewn)."""
+    """Smallest distance of circles from start and goal (strewn)."""
 
     @field_validator("radius_m")
     @classmethod
     def _ordered(cls, ends: tuple[float, ...]) -> tuple[float, ...]:
         if not ends[0] <= ends[1]:
-            raise ValueError(f"the smallest comes first, but {ends[0]:g} is above {ends[1]:g}")
+            raise ValueError(f"the smallest radius comes first, but {ends[0]:g} is above {ends[1]:g}")
         return ends
 
     def draw(self, bounds: BoundsFile | None, seed: int, places: list[Pose | Goal]) -> tuple[Circle, ...]:
         """Return the circles.
 
         Args:
-            bounds: where they lie if the section does not say.
-            seed: of the draw if the section does not say.
-            places: start and goal, which stay clear.
+            bounds: default of the area.
+            seed: default of the random seed.
+            places: start and goal, which stay clear of circles.
 
         Raises:
-            InputError: they do not fit.
+            InputError: the circles do not fit into the area.
         """
         seed = seed if self.seed is None else self.seed
         if self.kind == "fig54":
             return fig54_world(self.count, seed).obstacles
         area = self.area or bounds
-        clear = tuple((each.x, each.y, self.clear_m) for each in places)
-        given = self.arguments() | {"seed": seed, "clear": clear}
-        return random_circles(bounds=area.build(), **given) if area else ()
+        clear = tuple((place.x, place.y, self.clear_m) for place in places)
+        arguments = self.arguments() | {"seed": seed, "clear": clear}
+        return random_circles(bounds=area.build(), **arguments) if area else ()
 
 
 class FloorFile(Section):
-    """What the snake lies on; x and y are along it."""
+    """Slope of the floor; x and y are coordinates in its plane."""
 
     constructors = (Floor,)
 
     tilt_deg: float = quantity(0.0, 60.0)
-    """Angle of its slope."""
+    """Slope angle."""
     uphill_deg: float = quantity(-360.0, 360.0)
-    """Which way it rises, counter-clockwise from x."""
+    """Direction in which the floor rises, counter-clockwise from x."""
 
 
 class StepFile(Section):
-    """Where the floor rises or falls, along the whole line at x."""
+    """Step of the floor along the line at x."""
 
     constructors = (Step,)
 
     x_m: float = quantity(-1000.0, 1000.0)
     """x of the line."""
     height_m: float = quantity(-0.1, 0.1)
-    """By how much the floor is higher beyond it."""
+    """Height of the floor beyond the line relative to the floor before it."""
 
 
 class WorldFile(Section):
-    """What surrounds the snake."""
+    """Obstacles, floor, bounds and goal."""
 
     obstacles: Annotated[list[ObstacleFile], Field(max_length=1000)] = []
     """Round obstacles."""
     circles: FilePath | None = None
-    """CSV file of more: columns x_m, y_m, radius_m; path from the current folder."""
+    """CSV file of round obstacles with columns x_m, y_m, radius_m; path relative to the current folder."""
     map: FilePath | None = None
-    """Occupancy map as ROS has it: YAML file with a PGM or PNG picture; path from the current folder."""
+    """ROS occupancy map: YAML file with a PGM or PNG picture; path relative to the current folder."""
     polygons: Annotated[list[PolygonFile], Field(max_length=1000)] = []
-    """Obstacles with straight sides."""
+    """Polygonal obstacles."""
     random: RandomFile | None = None
-    """More round obstacles, drawn by a seed."""
+    """Random round obstacles."""
     floor: FloorFile = FloorFile()
-    """The floor's slope."""
+    """Slope of the floor."""
     steps: Annotated[list[StepFile], Field(max_length=100)] = []
     """Steps of the floor."""
     bounds: BoundsFile | None = None
-    """The rectangle to stay in."""
+    """Rectangle in which the snake must stay."""
     goal: GoalFile | None = None
-    """Where to arrive."""
+    """Goal of the centre of mass."""
 
     @field_validator("circles", "map")
     @classmethod
@@ -185,22 +185,26 @@ class WorldFile(Section):
             raise ValueError(str(error)) from None
         return path
 
-    def surroundings(self, start: Pose, seed: int) -> World:
-        """Return what surrounds a snake that lies at `start`.
+    def build_world(self, start: Pose, seed: int) -> World:
+        """Return the world of a snake that starts at a pose.
+
+        Args:
+            start: initial pose, which random obstacles avoid.
+            seed: random seed of the scenario.
 
         Raises:
-            InputError: circles that are to be drawn do not fit, or a file cannot be used.
+            InputError: random circles do not fit into their area, or a file cannot be used.
         """
         goal = self.goal.build() if self.goal else None
         places = [start, goal] if goal else [start]
-        drawn = self.random.draw(self.bounds, seed, places) if self.random else ()
+        random = self.random.draw(self.bounds, seed, places) if self.random else ()
         listed = read_circles(Path(self.circles)) if self.circles else ()
         return World(
-            obstacles=tuple(each.build() for each in self.obstacles) + listed + drawn,
+            obstacles=tuple(circle.build() for circle in self.obstacles) + listed + random,
             bounds=self.bounds.build() if self.bounds else None,
             goal=goal,
-            polygons=tuple(each.build() for each in self.polygons)
+            polygons=tuple(polygon.build() for polygon in self.polygons)
             + (read_map(Path(self.map)) if self.map else ()),
             floor=self.floor.build(),
-            steps=tuple(each.build() for each in self.steps),
+            steps=tuple(step.build() for step in self.steps),
         )

@@ -80,7 +80,7 @@ class Job:
     log: list[str]
     outcome: object
 
-    def execute(self, progress, cause=None):
+    def execute(self, progress, main_cause=None):
         self.log.append(f"run {self.name}")
         if isinstance(self.outcome, DivergedError):
             return RunResult(self.name, self.folder, {"twin": object()}, diverged=(self.outcome,))

@@ -147,7 +147,7 @@ def test_progress_rises_to_the_end_for_each_plant(tmp_path):
 
 def test_diverged_plant_keeps_its_trajectory_and_the_other_runs(tmp_path):
     job = prepare(load_scenario(write(tmp_path, "short")), tmp_path / "out")
-    plant = job.parts["analytical"][0]
+    plant = job.pairs["analytical"][0]
     sound = plant.play
 
     def unsound(schedule, samples):

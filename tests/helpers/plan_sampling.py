@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.plan import Plan
-from srs_twin.planning.problem import Problem
+from srs_twin.planning.problem import Plan, Problem
 from srs_twin.robot.world import World
 
 TOUCH = 1e-6

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from plan_sampling import deepest, depth_in, swept_points
+from srs_twin.planning.plan import Plan
 
 from srs_twin.planning.footprint import Footprint, load_footprint
-from srs_twin.planning.plan import Plan
 from srs_twin.planning.problem import Outcome, Problem, path_of
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 

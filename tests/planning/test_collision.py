@@ -1,4 +1,4 @@
-"""Body edges along a path, bounds and nearest things, one side at a time."""
+"""Edges of the body along a path, bounds and nearest obstacles."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from srs_twin.planning.arcs import Primitives
-from srs_twin.planning.best_first import at_rest, one_arc
-from srs_twin.planning.collision import Checker, inside, nearest, surroundings
+from srs_twin.planning.collision import Checker, nearest_obstacle, obstacle_at, obstacle_grid
 from srs_twin.planning.footprint import Footprint, Transient
-from srs_twin.planning.free_space import least_length
-from srs_twin.planning.gates import gates_of
-from srs_twin.planning.problem import path_of
-from srs_twin.planning.tree import moves_of
+from srs_twin.planning.guidance import find_passages
+from srs_twin.planning.infeasibility import min_path_length
+from srs_twin.planning.path import path_from_arcs
+from srs_twin.planning.search_kernels import follow_arc, initial_state
+from srs_twin.planning.search_tree import make_move_set
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 BODY = Footprint(
@@ -27,18 +27,18 @@ BEND, STRAIGHT, STEP = (2.0, 0.3), (0.0, 1.0), 1e-4
 
 def frees(pieces: list[tuple[float, float]], world: World) -> tuple[bool, bool]:
     """Return whether a path from the origin is free, by the plan checker and by the search."""
-    moves, free = moves_of(Primitives(3, 0.4, 0.2), BODY), True
-    way = at_rest(0.0, 0.0, 0.0, moves)
+    moves, free = make_move_set(Primitives(3, 0.4, 0.2), BODY), True
+    way = initial_state(0.0, 0.0, 0.0, moves)
     for curvature, length in pieces:
         move = int(np.argmin(abs(moves.curvatures - curvature)))
-        passed, way = one_arc(way, move, length, moves, surroundings(world))
+        passed, way = follow_arc(way, move, length, moves, obstacle_grid(world))
         free = free and bool(passed)
-    return Checker(world, BODY).free_path(path_of(Pose(0.0, 0.0, 0.0), pieces, BODY)), free
+    return Checker(world, BODY).is_path_free(path_from_arcs(Pose(0.0, 0.0, 0.0), pieces, BODY)), free
 
 
 def pin(pieces: list[tuple[float, float]], piece: int, s: float, n: float) -> World:
-    """Return a thin pin, s ahead of the start of a piece and n to its left, m."""
-    x, y, heading = path_of(Pose(0.0, 0.0, 0.0), pieces, BODY)[piece].start
+    """Return a world with a thin pin, s ahead of the start of a piece and n to its left, m."""
+    x, y, heading = path_from_arcs(Pose(0.0, 0.0, 0.0), pieces, BODY)[piece].start
     c, sn = math.cos(heading), math.sin(heading)
     return World((Circle(x + c * s - sn * n, y + sn * s + c * n, STEP),))
 
@@ -107,10 +107,16 @@ def test_nearest_compares_each_bound_with_obstacles(wall):
 
     for gap, found in ((0.11, 0), (0.09, 1)):
         disc = Circle(near[0] - (gap + 0.3) * east, near[1] - (gap + 0.3) * north, 0.3)
-        assert nearest(World((disc,), ROOM), *near) == ("bounds", "obstacle 1")[found]
-        assert nearest(World(bounds=ROOM, polygons=(box(gap),)), *near) == ("bounds", "polygon 1")[found]
-        assert nearest(World((disc,), ROOM), *beyond) == "bounds"
-    assert nearest(World(polygons=(box(0.2),)), *near) == "polygon 1" and nearest(World(), *near) == ""
+        assert nearest_obstacle(World((disc,), ROOM), *near) == ("bounds", "obstacle 1")[found]
+        assert (
+            nearest_obstacle(World(bounds=ROOM, polygons=(box(gap),)), *near)
+            == ("bounds", "polygon 1")[found]
+        )
+        assert nearest_obstacle(World((disc,), ROOM), *beyond) == "bounds"
+    assert (
+        nearest_obstacle(World(polygons=(box(0.2),)), *near) == "polygon 1"
+        and nearest_obstacle(World(), *near) == ""
+    )
 
 
 def test_crossing_a_bound_is_reported_on_each_side(wall):
@@ -118,11 +124,11 @@ def test_crossing_a_bound_is_reported_on_each_side(wall):
     world, said = World(bounds=ROOM), "the bounds (x -1 to 2 m, y -3 to 4 m)"
     body = Footprint.box(0.05, 0.0, speed=0.2, curvature=2.0, ahead=0.09)
     for gap, hit in ((0.001, ""), (-0.001, said)):
-        assert inside(world, x - gap * east, y - gap * north) == hit
+        assert obstacle_at(world, x - gap * east, y - gap * north) == hit
         facing = Pose(x - (0.09 + gap) * east, y - (0.09 + gap) * north, math.atan2(north, east))
-        assert Checker(world, body).blocker(facing) == hit
+        assert Checker(world, body).first_collision(facing) == hit
         sideways = Pose(x - (0.025 + gap) * east, y - (0.025 + gap) * north, facing.heading + math.pi / 2)
-        assert Checker(world, body).blocker(sideways) == hit
+        assert Checker(world, body).first_collision(sideways) == hit
 
 
 def turned(world: World, quarters: int) -> World:
@@ -143,23 +149,23 @@ def test_least_length_respects_each_bound(quarters):
         wall = Polygon(((-0.01, -3.0), (0.01, -3.0), (0.01, 0.5), (-0.01, 0.5)))
         world = turned(World((), Bounds((-9, 9), (-9, 0.5 + gap)), None, (wall,)), quarters)
         ends = Pose(start.real, start.imag, 0.0), Goal(goal.real, goal.imag, None, 0.0)
-        found = least_length(*ends, world, 0.05)
+        found = min_path_length(*ends, world, 0.05)
         assert 2 * math.hypot(1.99, around) < found < 2 * math.hypot(2.0, around + 0.06) + 0.02
 
 
 @pytest.mark.parametrize("quarters", range(4))
-def test_gates_at_a_bound_rotate_with_the_world(quarters):
+def test_passages_at_a_bound_rotate_with_the_world(quarters):
     world = World((Circle(0.0, -0.5, 0.35),), Bounds((-9, 9), (-9, 0.15)))
     body = Footprint.box(0.2, 0.0, speed=0.2, curvature=2.0)
 
-    def gates(world: World) -> np.ndarray:
-        x, y, heading, through = gates_of(world, body).T
+    def passages(world: World) -> np.ndarray:
+        x, y, heading, through = find_passages(world, body).T
         rows = np.column_stack([x, y, np.cos(heading), np.sin(heading), through])
         return rows[np.lexsort(rows.round(6).T)]
 
     c, s = round(math.cos(quarters * math.pi / 2)), round(math.sin(quarters * math.pi / 2))
-    turn, before = np.array([[c, s], [-s, c]]), gates(world)
+    turn, before = np.array([[c, s], [-s, c]]), passages(world)
     assert len(before)
     expected = np.column_stack([before[:, :2] @ turn, before[:, 2:4] @ turn, before[:, 4]])
     expected = expected[np.lexsort(expected.round(6).T)]
-    assert gates(turned(world, quarters)) == pytest.approx(expected, abs=1e-6)
+    assert passages(turned(world, quarters)) == pytest.approx(expected, abs=1e-6)

@@ -11,7 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.optimize import fsolve
 
-from srs_twin.planning.dubins import shortest
+from srs_twin.planning.dubins import shortest_path
 from srs_twin.robot.world import Pose
 
 pytestmark = pytest.mark.fast
@@ -40,12 +40,12 @@ def total(pieces) -> float:
 
 
 def length(a: Pose, b: Pose, radius: float) -> float:
-    return total(shortest(a, b.x, b.y, b.heading, radius))
+    return total(shortest_path(a, b.x, b.y, b.heading, radius))
 
 
 @given(POSE, POSE, RADIUS)
 def test_path_ends_at_the_pose(a, b, radius):
-    path = shortest(a, b.x, b.y, b.heading, radius)
+    path = shortest_path(a, b.x, b.y, b.heading, radius)
     end = rolled(a, path)
     assert end[:2] == pytest.approx([b.x, b.y], abs=1e-7)
     assert math.remainder(end[2] - b.heading, 2 * math.pi) == pytest.approx(0, abs=1e-7)
@@ -60,12 +60,12 @@ def test_path_ends_at_the_pose(a, b, radius):
     Pose(0.0, 1.9567953203528943, 0.0), 1.9567953203528943, 0.0, 1.9567953203528943
 )  # on the turning circle
 def test_path_to_a_point_ends_there_and_no_arrival_heading_is_shorter(a, x, y, radius):
-    path = shortest(a, x, y, None, radius)
+    path = shortest_path(a, x, y, None, radius)
     end = rolled(a, path)
     assert end[:2] == pytest.approx([x, y], abs=1e-7)
-    others = [total(shortest(a, x, y, heading, radius)) for heading in np.linspace(0, 2 * math.pi, 60)]
+    others = [total(shortest_path(a, x, y, heading, radius)) for heading in np.linspace(0, 2 * math.pi, 60)]
     assert total(path) <= min(others) + 1e-7
-    assert total(path) == pytest.approx(total(shortest(a, x, y, end[2], radius)), abs=1e-6)
+    assert total(path) == pytest.approx(total(shortest_path(a, x, y, end[2], radius)), abs=1e-6)
 
 
 @given(POSE, POSE, RADIUS)

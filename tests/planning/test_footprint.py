@@ -1,4 +1,4 @@
-"""Footprints: the published tables, interpolation, transients, and files that cannot be one."""
+"""Footprints: published tables, interpolation, transients and invalid files."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from srs_twin.io.files import shipped_folder, shipped_names
 from srs_twin.planning.footprint import (
     Footprint,
     Transient,
-    checked,
     load_footprint,
     load_footprint_file,
     save_footprint,
+    validate_footprint,
 )
 
 # Table 8 as printed: offset, speed, left, right, radius.
@@ -35,7 +35,7 @@ BOX = Footprint.box(0.05, 0.01, speed=0.2, curvature=math.pi / 3 / 0.2)
 
 
 @pytest.mark.parametrize("row", TABLE_8, ids=lambda row: str(row[0]))
-def test_shipped_table_8_is_the_printed_one(row):
+def test_shipped_table_8_equals_the_printed_table(row):
     offset, speed, left, right, radius = row
     body = load_footprint("gen4_table8")
     curvature = body.curvatures[body.offsets.index(offset)]
@@ -47,7 +47,7 @@ def test_shipped_table_8_is_the_printed_one(row):
     )
 
 
-def test_shipped_boxes_are_those_of_the_text():
+def test_shipped_boxes_are_those_of_the_dissertation():
     text = load_footprint("gen2_section52")
     for column in ("curvatures", "speeds", "left", "right"):
         assert getattr(text, column) == pytest.approx(getattr(BOX, column), abs=1e-5)
@@ -57,14 +57,14 @@ def test_shipped_boxes_are_those_of_the_text():
 
 
 @pytest.mark.parametrize("name", shipped_names("footprint"))
-def test_every_shipped_footprint_is_whole_and_comes_back_from_a_file(name, tmp_path):
-    checked(load_footprint(name))
+def test_shipped_footprints_are_valid_and_round_trip(name, tmp_path):
+    validate_footprint(load_footprint(name))
     save_footprint(load_footprint_file(name), tmp_path / "again.yaml")
     assert load_footprint(tmp_path / "again.yaml") == load_footprint(name)
 
 
 @given(st.floats(0, 1))
-def test_between_rows_everything_is_linear(share):
+def test_rows_are_interpolated_linearly(share):
     body = load_footprint("gen4_table8")
     k = body.curvatures[4] + share * (body.curvatures[5] - body.curvatures[4])
     motion = body.at(k)
@@ -78,12 +78,14 @@ def test_the_box_shifts_outward():
     assert BOX.narrowest == pytest.approx(0.015)
 
 
-def test_tighter_than_it_can_is_refused():
-    with pytest.raises(InputError, match="curvature 6 1/m is not in the footprint's -5.23599 to 5.23599"):
+def test_curvature_beyond_the_table_is_rejected():
+    with pytest.raises(
+        InputError, match="curvature 6 1/m is outside the footprint's range -5.23599 to 5.23599"
+    ):
         BOX.at(6.0)
 
 
-def test_transients_grow_with_the_change_and_know_its_direction():
+def test_transients_grow_with_the_change_and_depend_on_its_direction():
     body = replace(
         BOX, transients=(Transient(-0.3, 0.3, 0.0, 0.02, 0.1), Transient(0.0, 0.3, 0.0, 0.015, 0.08))
     )
@@ -94,7 +96,7 @@ def test_transients_grow_with_the_change_and_know_its_direction():
     assert body.transient(0.1, 0.1) == (0, 0, 0)
 
 
-def test_of_changes_that_are_equally_large_the_widest_counts():
+def test_widest_of_equally_large_changes_counts():
     body = replace(
         BOX,
         transients=(
@@ -107,25 +109,25 @@ def test_of_changes_that_are_equally_large_the_widest_counts():
     assert body.transient(0.0, 0.15) == pytest.approx((0.01, 0.015, 0.2))
 
 
-def test_the_edge_of_each_row_may_reach_to_the_centre_of_its_own_turn():
-    """A long snake that turns tightly: its outer edge is farther away than the centre on the other side."""
+def test_edges_may_reach_the_centre_of_their_turn():
+    """A long snake in a tight turn has an outer edge farther away than the centre on the other side."""
     body = replace(BOX, curvatures=(-13.0, 0.0, 13.0), left=(0.085, 0.05, 0.047), right=(0.047, 0.05, 0.085))
-    assert checked(body) is body
+    assert validate_footprint(body) is body
     with pytest.raises(
         InputError, match=r"left: 0.08 m reaches the centre of the tightest turn, radius 0.0769"
     ):
-        checked(replace(body, left=(0.085, 0.05, 0.08)))
+        validate_footprint(replace(body, left=(0.085, 0.05, 0.08)))
     # A change to the left that pushes the right edge out does not narrow the inside of a left turn.
     out = Transient(-0.3, 0.3, 0.0, 0.06, 0.1)
-    assert checked(replace(body, transients=(out,)))
+    assert validate_footprint(replace(body, transients=(out,)))
     with pytest.raises(InputError, match=r"left: 0.107 m reaches"):
-        checked(replace(body, transients=(replace(out, left=0.06),)))
+        validate_footprint(replace(body, transients=(replace(out, left=0.06),)))
 
 
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("[-0.3, 0.0, 0.3]", "[0.3, 0.0, -0.3]", "5:17: offset.value: must rise from row to row"),
+        ("[-0.3, 0.0, 0.3]", "[0.3, 0.0, -0.3]", "5:17: offset.value: must increase from row to row"),
         ("[0.12, 0.12, 0.12]", "[0.12, 0.12]", "must be a list"),
         ("[0.12, 0.12, 0.12]", "[0.12, 0.12, 0.12, 0.12]", "speed_m_s.value: 4 values for 3 offsets"),
         (
@@ -144,7 +146,7 @@ def test_the_edge_of_each_row_may_reach_to_the_centre_of_its_own_turn():
         ),
     ],
 )
-def test_files_that_cannot_be_a_footprint_are_refused_where_they_are_wrong(old, new, words, tmp_path):
+def test_invalid_footprint_files_are_rejected_with_their_place(old, new, words, tmp_path):
     text = (shipped_folder("footprint") / "gen4_table9.yaml").read_text("utf-8")
     assert old in text
     (tmp_path / "x.yaml").write_text(text.replace(old, new, 1), "utf-8")
@@ -153,7 +155,7 @@ def test_files_that_cannot_be_a_footprint_are_refused_where_they_are_wrong(old, 
     assert words in str(error.value)
 
 
-def test_unknown_name_says_which_there_are():
+def test_unknown_footprint_error_lists_the_names():
     with pytest.raises(InputError, match="unknown footprint 'gen4_table7'; did you mean gen4_table"):
         load_footprint("gen4_table7")
 
@@ -162,15 +164,15 @@ def test_unknown_name_says_which_there_are():
     ("changes", "words"),
     [
         ({"speeds": (0.2, 0.0, 0.2)}, "speeds and edges must be above 0"),
-        ({"ahead": -0.1}, "ahead and behind not below"),
+        ({"ahead": -0.1}, "ahead and behind not negative"),
         ({"left": (0.02, math.nan, 0.02)}, "a number is not finite"),
-        ({"curvatures": (-1.0, 1.0, 0.5)}, "curvatures: must rise"),
+        ({"curvatures": (-1.0, 1.0, 0.5)}, "curvatures: must increase"),
         ({"transients": (Transient(0, 0.3, 0.2, 0, 0.1),)}, "reaches the centre of the tightest turn"),
     ],
 )
 def test_footprints_from_code_are_checked_as_well(changes, words):
     with pytest.raises(InputError, match=words):
-        checked(replace(BOX, **changes))
+        validate_footprint(replace(BOX, **changes))
 
 
 def test_offsets_and_curvatures_rise_together_in_all_shipped_ones():

@@ -1,4 +1,4 @@
-"""The least length of any path, and the room that a path leaves, against what is known of simple worlds."""
+"""Lower bound on path lengths and clearance of paths in simple worlds."""
 
 from __future__ import annotations
 
@@ -8,51 +8,51 @@ from dataclasses import replace
 import pytest
 from plan_worlds import drawn_problem
 
-from srs_twin.planning.collision import MOST_CLEARANCE, Checker
+from srs_twin.planning.collision import MAX_CLEARANCE_M, Checker
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.free_space import least_length
+from srs_twin.planning.infeasibility import min_path_length
+from srs_twin.planning.path import path_from_arcs
 from srs_twin.planning.planner import plan
-from srs_twin.planning.problem import path_of
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 START, GOAL = Pose(-2.0, 0.0, 0.0), Goal(2.0, 0.0, None, 0.0)
 BODY = Footprint.box(0.1, 0.0, speed=0.1, curvature=2.0)
 
 
-def test_in_the_open_it_is_the_distance():
-    assert least_length(START, GOAL, World(), 0.05) == pytest.approx(4.0, abs=1e-9)
-    assert least_length(START, replace(GOAL, radius=0.5), World(), 0.05) == pytest.approx(3.5, abs=1e-9)
+def test_min_path_length_without_obstacles_is_the_distance():
+    assert min_path_length(START, GOAL, World(), 0.05) == pytest.approx(4.0, abs=1e-9)
+    assert min_path_length(START, replace(GOAL, radius=0.5), World(), 0.05) == pytest.approx(3.5, abs=1e-9)
 
 
 @pytest.mark.parametrize("clearance", [0.05, 0.2])
-def test_round_a_circle_it_is_two_tangents_and_an_arc(clearance):
-    """The circle is replaced by chords inside of it, so the bound is a little below."""
+def test_min_path_length_round_a_circle_is_two_tangents_and_an_arc(clearance):
+    """The circle is replaced by inscribed chords, so the bound is slightly smaller."""
     radius = 0.5 + clearance
     exact = 2 * (math.sqrt(4 - radius**2) + radius * math.asin(radius / 2))
-    found = least_length(START, GOAL, World((Circle(0.0, 0.0, 0.5),)), clearance)
+    found = min_path_length(START, GOAL, World((Circle(0.0, 0.0, 0.5),)), clearance)
     assert exact * 0.995 < found <= exact + 1e-9
 
 
-def test_round_a_wall_it_is_what_pythagoras_says_but_for_the_rounding_of_its_corners():
+def test_min_path_length_round_a_wall_agrees_with_pythagoras():
     wall = Polygon(((-0.01, -1.0), (0.01, -1.0), (0.01, 5.0), (-0.01, 5.0)))
-    found = least_length(START, GOAL, World((), Bounds((-9, 9), (-9, 5.0)), None, (wall,)), 0.05)
+    found = min_path_length(START, GOAL, World((), Bounds((-9, 9), (-9, 5.0)), None, (wall,)), 0.05)
     assert 2 * math.hypot(1.99, 1.0) + 0.02 < found < 2 * math.hypot(2.0, 1.06) + 0.02
 
 
-def test_where_there_is_no_way_it_is_infinite():
+def test_min_path_length_is_infinite_without_a_path():
     wall = Polygon(((-0.1, -5.0), (0.1, -5.0), (0.1, 5.0), (-0.1, 5.0)))
-    assert least_length(START, GOAL, World((), Bounds((-9, 9), (-5, 5)), None, (wall,)), 0.05) == math.inf
+    assert min_path_length(START, GOAL, World((), Bounds((-9, 9), (-5, 5)), None, (wall,)), 0.05) == math.inf
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_no_plan_is_shorter(seed):
+def test_no_plan_is_shorter_than_the_min_path_length(seed):
     answer = plan(drawn_problem(seed))
     if answer.found and answer.segments:
         assert 0 < answer.least_length <= answer.length + 1e-9
 
 
-def test_room_is_the_distance_of_the_edge_from_the_nearest_thing():
-    path = path_of(START, [(0.0, 4.0)], BODY)
+def test_clearance_is_the_distance_of_the_edge_from_the_nearest_obstacle():
+    path = path_from_arcs(START, [(0.0, 4.0)], BODY)
     world = World((Circle(0.0, 0.4, 0.1), Circle(0.0, -0.5, 0.1)))
     assert Checker(world, BODY).clearance(path) == pytest.approx(0.25, abs=2e-4)
-    assert Checker(World(), BODY).clearance(path) == pytest.approx(MOST_CLEARANCE, abs=2e-4)
+    assert Checker(World(), BODY).clearance(path) == pytest.approx(MAX_CLEARANCE_M, abs=2e-4)

@@ -1,4 +1,4 @@
-"""The text's rule: what it takes, where it ends, and where it stands."""
+"""Planner of the dissertation: chosen arcs, joint and outcomes."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from plan_sampling import TOUCH, deepest
 
 from srs_twin.errors import InputError
-from srs_twin.planning.arcs import Primitives, along
+from srs_twin.planning.arcs import Primitives, arc_end
 from srs_twin.planning.footprint import Footprint, load_footprint
-from srs_twin.planning.greedy import arc_to, mirrored
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Outcome, Problem
+from srs_twin.planning.reference_planners import arc_through, reversed_footprint
 from srs_twin.robot.random_worlds import FIG54_GOAL, FIG54_START, fig54_world
 from srs_twin.robot.world import Circle, Goal, Pose, World
 
@@ -29,13 +29,13 @@ def fig54(count: int, seed: int) -> Problem:
 
 
 @given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2))
-def test_arc_distance_is_that_of_the_arc_through_the_point(x, y, heading, to_x, to_y):
-    curvature, length = arc_to(Pose(x, y, heading), to_x, to_y)
+def test_arc_through_passes_the_point(x, y, heading, to_x, to_y):
+    curvature, length = arc_through(Pose(x, y, heading), to_x, to_y)
     if math.isfinite(length) and length < 50:
-        end = along(x, y, heading, curvature, length)
+        end = arc_end(x, y, heading, curvature, length)
         assert end[:2] == pytest.approx((to_x, to_y), abs=1e-6)
         assert length >= math.hypot(to_x - x, to_y - y) - 1e-9
-    assert math.isinf(arc_to(Pose(0, 0, 0), -1, 0)[1])
+    assert math.isinf(arc_through(Pose(0, 0, 0), -1, 0)[1])
 
 
 def test_fig_53_turns_toward_the_target_from_both_ends():
@@ -54,17 +54,18 @@ def test_fig_53_turns_toward_the_target_from_both_ends():
         assert s.length < 0.5 or step == pytest.approx(round(step))
 
 
-def test_first_step_has_the_least_score_of_all():
+def test_first_arc_has_the_lowest_score():
     problem = fig54(0, 0)
     start, goal = problem.start, problem.goal
     scores = [
-        0.001 * abs(i - 10) + arc_to(child, goal.x, goal.y)[1] for i, child in enumerate(ARCS.children(start))
+        0.001 * abs(i - 10) + arc_through(child, goal.x, goal.y)[1]
+        for i, child in enumerate(ARCS.children(start))
     ]
     first = plan(problem, planner="greedy").segments[0]
     assert first.curvature == pytest.approx(ARCS.curvatures[int(np.argmin(scores))])
 
 
-def test_arcs_that_would_collide_are_not_taken():
+def test_colliding_arcs_are_not_chosen():
     problem = fig54(0, 0)
     free = plan(problem, planner="greedy")
     middle = free.segments[1].end
@@ -76,7 +77,7 @@ def test_arcs_that_would_collide_are_not_taken():
 
 
 @pytest.mark.parametrize("count", [1, 3, 5, 8])
-def test_what_it_finds_is_free_and_only_its_joint_has_a_kink(count):
+def test_greedy_plans_are_free_with_a_kink_at_the_joint_only(count):
     found = 0
     for seed in range(8):
         problem = fig54(count, seed)
@@ -110,15 +111,15 @@ def test_success_falls_with_obstacles_and_the_default_solves_what_greedy_solves(
     assert solved[1] > solved[9] > solved[18]
 
 
-def test_mirrored_twice_is_itself_and_sides_change_places():
+def test_reversing_a_footprint_twice_restores_it():
     body = load_footprint("gen4_table8")
-    back = mirrored(body)
-    assert mirrored(back) == body
+    back = reversed_footprint(body)
+    assert reversed_footprint(back) == body
     for k in body.curvatures:
         assert (back.at(-k).left, back.at(-k).right) == (body.at(k).right, body.at(k).left)
 
 
-def test_what_it_needs_is_asked_for():
+def test_greedy_requires_primitives_and_an_arrival_heading():
     problem = fig54(1, 0)
     with pytest.raises(InputError, match="greedy needs primitives"):
         plan(Problem(problem.start, problem.goal, problem.world, TEXT), planner="greedy")

@@ -1,4 +1,4 @@
-"""Margins with a probability: the quantile holds as often as it says, and only where it was measured."""
+"""Margins with a probability: coverage of the quantile and conditions of validity."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from srs_twin.errors import InputError, InputFileError
 from srs_twin.identification import excursions
 from srs_twin.planning.follower import ENDINGS
 from srs_twin.planning.footprint import load_footprint_file, save_footprint
-from srs_twin.planning.margins import LOST_M, ConditionsFile, ExcursionsFile, margin, quantile
+from srs_twin.planning.margins import LOST_M, ConditionsFile, ExcursionsFile, excursion_quantile, margin_for
 from srs_twin.scenario.loading import load_scenario
 
 CONDITIONS = {
@@ -30,32 +30,34 @@ def tried(path: list[float], **other: object) -> ExcursionsFile:
 
 @pytest.mark.parametrize("draw", ["lognormal", "uniform", "standard_cauchy"])
 @pytest.mark.parametrize("probability", [0.5, 0.9, 0.95])
-def test_a_new_run_stays_within_as_often_as_it_says(draw, probability):
-    """Whatever the distribution: over many sets of 39 runs, at least p and at most p + 1/40 of new ones."""
+def test_quantile_has_the_stated_coverage(draw, probability):
+    """For any distribution: over many sets of 39 runs, between p and p + 1/40 of the new runs."""
     rng = np.random.default_rng(7)
     kept = [getattr(rng, draw)(size=40) + 100.0 for _ in range(4000)]
-    held = np.mean([each[-1] <= quantile(each[:-1].tolist(), probability) for each in kept if each[-1] > 0])
+    held = np.mean(
+        [each[-1] <= excursion_quantile(each[:-1].tolist(), probability) for each in kept if each[-1] > 0]
+    )
     noise = 3 * np.sqrt(probability * (1 - probability) / 4000)
     assert probability - noise <= held <= probability + 1 / 40 + noise
 
 
-def test_too_few_runs_and_lost_ones_give_no_margin():
-    with pytest.raises(InputError, match="takes 19 runs or more, not 18"):
-        quantile([0.01] * 18, 0.95)
+def test_too_few_or_lost_runs_give_no_margin():
+    with pytest.raises(InputError, match="needs at least 19 runs, not 18"):
+        excursion_quantile([0.01] * 18, 0.95)
     with pytest.raises(InputError, match="too many runs did not arrive"):
-        quantile([0.01] * 90 + [LOST_M] * 10, 0.95)
-    assert quantile([0.01] * 98 + [LOST_M] * 2, 0.95) == 0.01
-    assert quantile([-0.02] * 19, 0.95) == 0.0
+        excursion_quantile([0.01] * 90 + [LOST_M] * 10, 0.95)
+    assert excursion_quantile([0.01] * 98 + [LOST_M] * 2, 0.95) == 0.01
+    assert excursion_quantile([-0.02] * 19, 0.95) == 0.0
 
 
-def test_margins_hold_under_conditions_no_harder_than_measured():
+def test_margins_apply_to_conditions_no_more_difficult_than_measured():
     blocks = [tried([0.03] * 20), tried([0.06] * 20, gain_spread=0.2), tried([0.02] * 20, plant="analytical")]
     wanted = [conditions(gain_spread=0.05), conditions(plant="analytical", delay_s=0.05)]
-    assert margin(blocks, 0.9, wanted).path == 0.03
-    assert margin(blocks, 0.9, [conditions(gain_spread=0.15)]).path == 0.06
-    # Of several the nearest, not the luckiest: harder conditions that went well by chance do not count.
+    assert margin_for(blocks, 0.9, wanted).path == 0.03
+    assert margin_for(blocks, 0.9, [conditions(gain_spread=0.15)]).path == 0.06
+    # The nearest of several conditions counts, even if more difficult ones have smaller excursions by chance.
     luckier = [*blocks, tried([0.01] * 20, gain_spread=0.3)]
-    assert margin(luckier, 0.9, wanted[:1]).path == 0.03
+    assert margin_for(luckier, 0.9, wanted[:1]).path == 0.03
     others = (
         {"gain_spread": 0.3},
         {"delay_s": 0.2},
@@ -65,27 +67,29 @@ def test_margins_hold_under_conditions_no_harder_than_measured():
         {"contact": "loaded"},
     )
     for other in others:
-        with pytest.raises(InputError, match="no excursions were measured for"):
-            margin(blocks, 0.9, [conditions(**other)])
+        with pytest.raises(InputError, match="no excursions are measured for"):
+            margin_for(blocks, 0.9, [conditions(**other)])
 
 
 def test_excursions_without_a_contact_are_those_of_a_preloaded_twin():
     assert conditions() == conditions(contact="preloaded")
     loaded = tried([0.04] * 20, contact="loaded")
-    assert margin([tried([0.03] * 20), loaded], 0.9, [conditions(contact="loaded")]).path == 0.04
-    with pytest.raises(InputError, match="plant twin, contact loaded, .* `srs-twin calibrate margin` does"):
-        margin([tried([0.03] * 20)], 0.9, [conditions(contact="loaded")])
+    assert margin_for([tried([0.03] * 20), loaded], 0.9, [conditions(contact="loaded")]).path == 0.04
+    with pytest.raises(
+        InputError, match="plant twin, contact loaded, .* `srs-twin calibrate margin` measures"
+    ):
+        margin_for([tried([0.03] * 20)], 0.9, [conditions(contact="loaded")])
     assert conditions(plant="analytical").contact is None
     with pytest.raises(ValueError, match="contact loaded belongs to plant twin"):
         conditions(plant="analytical", contact="loaded")
 
 
-def test_a_scenario_whose_twin_has_another_contact_is_refused_the_margin():
-    with pytest.raises(InputFileError, match="no excursions were measured for plant twin, contact preloaded"):
+def test_scenario_with_another_contact_gets_no_margin():
+    with pytest.raises(InputFileError, match="no excursions are measured for plant twin, contact preloaded"):
         load_scenario("follow_fig57", set={"plants.twin.contact": "preloaded"})
 
 
-def test_a_footprint_of_another_contact_is_warned_of():
+def test_footprint_of_another_contact_causes_a_warning():
     def warned(**more: object) -> list[str]:
         changes = {"planner.margin_probability": None, **more}
         return [each for each in load_scenario("follow_fig57", set=changes).warnings if "contact" in each]
@@ -93,8 +97,8 @@ def test_a_footprint_of_another_contact_is_warned_of():
     assert warned() == []
     (text,) = warned(**{"plants.twin.contact": "preloaded"})
     assert text == (
-        "planner.footprint: gen2_gait was measured on a twin with contact loaded, but the twin here has "
-        "contact preloaded; `srs-twin calibrate footprint gen2 --contact preloaded` measures one for it"
+        "planner.footprint: gen2_gait was measured on a twin with contact loaded, but this twin has "
+        "contact preloaded; `srs-twin calibrate footprint gen2 --contact preloaded` measures one"
     )
     assert warned(**{"plants.twin.contact": "preloaded", "planner.footprint": "gen4_table8"}) == []
 
@@ -119,7 +123,7 @@ def test_excursions_survive_their_file(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["gen2_gait", "gen2_orifice", "gen4_ilc"])
-def test_shipped_footprints_keep_a_hundred_runs_on_each_plant(name):
+def test_shipped_footprints_contain_a_hundred_runs_per_plant(name):
     kept = load_footprint_file(name).excursions
     assert {each.conditions.plant for each in kept} == {"analytical", "twin"}
     for each in kept:

@@ -1,4 +1,4 @@
-"""The default planner: found plans are free, refusals have names, unreachable goals are said to be."""
+"""Default planner: plans are collision-free, rejections have names, and infeasible goals are reported."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from plan_sampling import TOUCH, deepest, joints, misses
 from plan_worlds import drawn_problem
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.planning.arcs import Primitives, along
-from srs_twin.planning.best_first import rest
+from srs_twin.planning.arcs import Primitives, arc_end
 from srs_twin.planning.footprint import Footprint, load_footprint
-from srs_twin.planning.free_space import disconnected
+from srs_twin.planning.infeasibility import is_disconnected
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Outcome, Problem, Settings
-from srs_twin.planning.tree import moves_of, target_of
+from srs_twin.planning.search_kernels import lower_bound
+from srs_twin.planning.search_tree import make_move_set, make_target
 from srs_twin.robot.random_worlds import FIG54_BOUNDS, FIG54_GOAL, FIG54_START, fig54_world, random_circles
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
@@ -39,7 +39,7 @@ def ring(x: float, y: float, radius: float, count: int, circle: float) -> tuple[
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_plans_are_free_whole_and_arrive(seed):
+def test_plans_are_free_continuous_and_reach_the_goal(seed):
     problem = drawn_problem(seed)
     answer = plan(problem)
     if not answer.found:
@@ -52,12 +52,12 @@ def test_plans_are_free_whole_and_arrive(seed):
     assert all(s.curvature <= problem.footprint.tightest[1] + 1e-9 for s in answer.segments)
 
 
-def test_most_drawn_worlds_have_a_plan():
-    """Else the test above would say little."""
+def test_most_random_worlds_have_a_plan():
+    """Otherwise the test above would be vacuous."""
     assert sum(plan(drawn_problem(seed)).found for seed in SEEDS) >= 0.9 * len(SEEDS)
 
 
-def test_the_sampling_checker_sees_what_is_in_the_way():
+def test_sampling_checker_detects_obstacles():
     problem = fig54(0, 0)
     answer = plan(problem)
     x, y, _ = answer.samples()[len(answer.samples()) // 2]
@@ -68,7 +68,7 @@ def test_the_sampling_checker_sees_what_is_in_the_way():
     assert deepest(answer, replace(problem, world=World(polygons=(corner,)))) == 1.0
 
 
-def test_the_table_of_a_plan_sets_its_numbers_to_the_right():
+def test_numbers_of_the_plan_table_are_right_aligned():
     answer = plan(fig54(0, 0))
     page = answer._repr_html_()
     for unit, number in (("m", f"{answer.length:.4g}"), ("1", str(len(answer.segments)))):
@@ -82,9 +82,11 @@ def test_fig_53():
     problem = Problem(Pose(0.0, 0.0, -math.pi / 4), goal, World(), body, arcs)
     best = plan(problem)
     assert best.found and not misses(best, problem)
-    # Nothing is in the way: it is the Dubins path, left, straight, left.
+    # Without obstacles it is the Dubins path: left, straight, left.
     assert [math.copysign(round(abs(s.curvature), 6) > 0, s.curvature) for s in best.segments] == [1, 0, 1]
-    assert best.length == pytest.approx(rest(0.0, 0.0, -math.pi / 4, target_of(goal, body)), abs=1e-6)
+    assert best.length == pytest.approx(
+        lower_bound(0.0, 0.0, -math.pi / 4, make_target(goal, body)), abs=1e-6
+    )
     assert best.duration == pytest.approx(best.length)
 
 
@@ -98,33 +100,33 @@ def test_fig_54(count, seed):
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_the_bound_is_below_every_found_length(seed):
-    """At the start, and from every place on the way to the end that was reached."""
+def test_lower_bound_is_below_all_plan_lengths(seed):
+    """At the start, and at the start of every segment."""
     problem = drawn_problem(seed)
     answer = plan(problem, Settings(smooth=seed % 2 == 0))
     if answer.end is None:
         return
     end = answer.end
-    target = target_of(Goal(end.x, end.y, end.heading if seed % 3 else None, 0.0, 0.0), problem.footprint)
+    target = make_target(Goal(end.x, end.y, end.heading if seed % 3 else None, 0.0, 0.0), problem.footprint)
     done = 0.0
     for s in answer.segments:
-        assert rest(s.start.x, s.start.y, s.start.heading, target) <= answer.length - done + 1e-6
+        assert lower_bound(s.start.x, s.start.y, s.start.heading, target) <= answer.length - done + 1e-6
         done += s.length
 
 
 @given(
     st.floats(-2, 2), st.floats(-2, 2), st.floats(-4, 4), st.integers(0, 8), st.floats(0.01, 1), st.booleans()
 )
-def test_the_bound_falls_by_no_more_than_the_arc(x, y, heading, move, length, free):
+def test_lower_bound_is_consistent(x, y, heading, move, length, free):
     body = load_footprint("gen4_table8")
-    moves = moves_of(Primitives(5, 0.5, 0.4), body)
+    moves = make_move_set(Primitives(5, 0.5, 0.4), body)
     curvature = moves.curvatures[move % len(moves.curvatures)]
-    target = target_of(Goal(0.3, -0.2, None if free else 1.0, 0.0), body)
-    after = along(x, y, heading, curvature, length)
-    assert rest(x, y, heading, target) <= length + rest(*after, target) + 1e-6
+    target = make_target(Goal(0.3, -0.2, None if free else 1.0, 0.0), body)
+    after = arc_end(x, y, heading, curvature, length)
+    assert lower_bound(x, y, heading, target) <= length + lower_bound(*after, target) + 1e-6
 
 
-def test_same_problem_same_plan_and_its_mirror_image_is_as_long():
+def test_plans_are_deterministic_and_mirror_images_are_as_long():
     problem = fig54(12, 3)
     answer = plan(problem)
     assert answer == plan(problem)
@@ -139,7 +141,7 @@ def test_same_problem_same_plan_and_its_mirror_image_is_as_long():
     assert plan(flipped).length == pytest.approx(answer.length, rel=0.02)
 
 
-def test_finer_levels_never_make_it_longer():
+def test_finer_levels_never_lengthen_a_plan():
     problem = fig54(18, 4)
     first = plan(problem, Settings(smooth=False))
     better = plan(problem, Settings(smooth=False, improve=True, levels=3, nodes=50_000))
@@ -147,7 +149,7 @@ def test_finer_levels_never_make_it_longer():
     assert better.expanded > first.expanded
 
 
-def test_a_weight_costs_no_more_than_it_says():
+def test_weight_bounds_the_extra_length():
     problem = fig54(18, 4)
     shortest = plan(problem, Settings(smooth=False))
     hasty = plan(problem, Settings(smooth=False, weight=2.0))
@@ -155,7 +157,7 @@ def test_a_weight_costs_no_more_than_it_says():
     assert hasty.expanded <= shortest.expanded
 
 
-def test_who_is_there_already_has_arrived():
+def test_plan_from_the_goal_is_empty():
     problem = replace(fig54(3, 0), start=Pose(2.0, 1.0, math.pi / 4 + 0.01))
     answer = plan(problem)
     assert answer.found and answer.segments == () and answer.length == 0 and answer.end is None
@@ -171,8 +173,8 @@ def test_a_time_budget_ends_the_search():
 def test_coarsest_cells_separate_the_children_of_a_node():
     """A cell is half of the smallest change of heading wide and a third of an arc long, within a tenth."""
     found = plan(fig54(0, 0), Settings(keep=True, levels=1))
-    moves = found.trees[0].search.moves
-    turn = np.diff(moves.curvatures[moves.arcs]).min() * moves.length
+    moves = found.trees[0].spec.moves
+    turn = np.diff(moves.curvatures[moves.primitives]).min() * moves.length
     assert turn / found.cell[1] == pytest.approx(2, rel=0.1)
     assert moves.length / found.cell[0] == pytest.approx(3, rel=0.1)
 
@@ -193,42 +195,42 @@ def walled(**changes) -> Problem:
 
 
 @pytest.mark.slow
-def test_a_goal_walled_in_is_proven_unreachable():
+def test_walled_in_goal_is_proven_unreachable():
     wall = ring(1.5, 0, 0.4, 14, 0.08)
     problem = walled(world=World(wall, Bounds((-1, 3), (-1, 1))))
     answer = plan(problem)
     assert answer.outcome is Outcome.UNREACHABLE and answer.proven and answer.segments == ()
     assert "no path of any shape" in answer.reason and "0.03 m" in answer.reason
-    # Without the circle toward the start there is a way in.
+    # Without the circle towards the start there is a path.
     assert plan(replace(problem, world=World(wall[:7] + wall[8:], Bounds((-1, 3), (-1, 1))))).found
 
 
-def test_a_start_walled_in_without_bounds_is_proven_unreachable_too():
+def test_walled_in_start_without_bounds_is_proven_unreachable():
     assert plan(walled(world=World(ring(0, 0, 0.4, 14, 0.08)))).proven
 
 
 @pytest.mark.slow
-def test_a_polygon_wall_from_side_to_side_is_proven_unreachable():
+def test_polygon_wall_between_bounds_is_proven_impassable():
     wall = Polygon(((0.7, -2), (0.8, -2), (0.8, 2), (0.7, 2)))
     problem = walled(world=World((), Bounds((-1, 3), (-1, 1)), None, (wall,)))
     assert plan(problem).proven
     assert plan(replace(problem, world=World((), Bounds((-1, 3), (-3, 3)), None, (wall,)))).found
 
 
-def test_a_niche_too_small_to_turn_in_is_proven_to_be_unreachable():
-    """The goal lies at a wall that has to be approached at right angles, and looks along it."""
+def test_niche_too_small_to_turn_in_is_proven_unreachable():
+    """The goal is at a wall that must be approached at right angles, with its heading along the wall."""
     left, right = (Polygon(((x, -0.3), (x + 0.1, -0.3), (x + 0.1, 0.3), (x, 0.3))) for x in (1.3, 1.6))
     lid = Polygon(((1.3, 0.3), (1.7, 0.3), (1.7, 0.4), (1.3, 0.4)))
     niche = World((), Bounds((-1, 3), (-1, 1)), None, (left, right, lid))
     problem = walled(world=niche, goal=Goal(1.5, 0.2, 0.0, 0.01))
     answer = plan(problem)
     assert answer.outcome is Outcome.UNREACHABLE and answer.proven
-    assert "where the goal lies there is no room" in answer.reason
-    # Looking into the niche it is reached.
+    assert "the goal has too little room" in answer.reason
+    # With its heading into the niche, the goal is reached.
     assert plan(replace(problem, goal=Goal(1.5, 0.2, math.pi / 2, 0.01))).found
 
 
-def test_a_budget_that_is_spent_is_no_verdict():
+def test_spent_budget_is_its_own_outcome():
     answer = plan(fig54(18, 0), Settings(nodes=20))
     assert answer.outcome is Outcome.BUDGET_SPENT and answer.expanded <= 20
     assert "give more nodes" in answer.reason
@@ -236,7 +238,7 @@ def test_a_budget_that_is_spent_is_no_verdict():
 
 @settings(max_examples=40)
 @given(st.integers(0, 10**6))
-def test_disconnected_is_never_said_of_a_world_with_a_plan(seed):
+def test_worlds_with_a_plan_are_never_disconnected(seed):
     rng = np.random.default_rng(seed)
     bounds = Bounds((-0.3, 1.6), (-0.4, 0.8))
     try:
@@ -251,19 +253,19 @@ def test_disconnected_is_never_said_of_a_world_with_a_plan(seed):
     except InputError:
         return
     if answer.found:
-        assert not disconnected(problem.start, problem.goal, problem.world, TEXT.narrowest)
+        assert not is_disconnected(problem.start, problem.goal, problem.world, TEXT.narrowest)
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"start": Pose(5, 0, 0)}, r"start \(5, 0\) lies outside of the bounds \(x -1 to 3 m"),
-        ({"goal": Goal(0, 4, 0.0, 0.1)}, r"goal \(0, 4\) lies outside of the bounds"),
+        ({"start": Pose(5, 0, 0)}, r"start \(5, 0\) is outside the bounds \(x -1 to 3 m"),
+        ({"goal": Goal(0, 4, 0.0, 0.1)}, r"goal \(0, 4\) is outside the bounds"),
         (
             {"world": World((Circle(9, 9, 1), Circle(0, 0.1, 0.2)))},
-            r"start \(0, 0\) lies inside obstacle 2 \(radius 0.2",
+            r"start \(0, 0\) is inside obstacle 2 \(radius 0.2",
         ),
-        ({"world": World((Circle(1.5, 0, 0.2),))}, r"goal \(1.5, 0\) lies inside obstacle 1"),
+        ({"world": World((Circle(1.5, 0, 0.2),))}, r"goal \(1.5, 0\) is inside obstacle 1"),
         (
             {"world": World(polygons=(Polygon(((1, -1), (2, -1), (1.5, 1))),))},
             r"goal .* inside polygon 1 \(3 corners",
@@ -273,31 +275,31 @@ def test_disconnected_is_never_said_of_a_world_with_a_plan(seed):
         ({"goal": Goal(math.nan, 0, 0.0, 0.1)}, r"goal \(nan, 0\) m: must be finite"),
         ({"start": Pose(0, 0, math.inf)}, "headings inf and 0 rad"),
         ({"goal": Goal(1, 0, 0.0, -0.1)}, "radius -0.1 m must not be below 0"),
-        ({"world": World((Circle(1, 1, 0),))}, "obstacle 1: numbers must be finite, the radius above 0"),
+        ({"world": World((Circle(1, 1, 0),))}, "obstacle 1: numbers must be finite and the radius above 0"),
         (
             {"world": World(polygons=(Polygon(((0, 0), (1, 1), (1, 0), (0, 1))),))},
             "polygon 1: .* sides that do not cross",
         ),
-        ({"world": World(bounds=Bounds((1, -1), (0, 1)))}, "the lowest comes first"),
+        ({"world": World(bounds=Bounds((1, -1), (0, 1)))}, "the lower limit comes first"),
     ],
 )
-def test_what_cannot_be_meant_is_refused_by_name(changes, words):
+def test_invalid_problems_are_rejected_by_name(changes, words):
     with pytest.raises(InputError, match=words):
         plan(walled(**changes))
 
 
-def test_unknown_planners_and_idle_settings_are_refused():
+def test_unknown_planners_and_invalid_settings_are_rejected():
     with pytest.raises(UnknownNameError, match="did you mean greedy"):
         plan(walled(), planner="gredy")
-    with pytest.raises(InputError, match="nodes 0, levels 4, weight 1: all must be 1 at least"):
+    with pytest.raises(InputError, match="nodes 0, levels 4, weight 1: all must be at least 1"):
         Settings(nodes=0)
-    with pytest.raises(InputError, match="levels 9, 5 at most"):
+    with pytest.raises(InputError, match="levels 9 must be at most 5"):
         Settings(levels=9)
     with pytest.raises(InputError, match="seconds -1 must be above 0"):
         Settings(seconds=-1)
 
 
-def test_fields_are_drawn_alike_from_one_seed_and_keep_their_gaps():
+def test_random_worlds_repeat_for_a_seed_and_keep_their_gaps():
     assert fig54_world(7, 3) == fig54_world(7, 3) != fig54_world(7, 4)
     assert len(fig54_world(18, 0).obstacles) == 18
     circles = random_circles(12, FIG54_BOUNDS, 5, gap=0.1, clear=((0, 0, 0.2),))
@@ -340,6 +342,6 @@ print([name for name, count in kernels().items() if count != before.get(name, 0)
 """
 
 
-def test_nothing_is_compiled_while_time_is_taken():
+def test_no_kernel_is_compiled_while_planning_is_timed():
     done = subprocess.run([sys.executable, "-c", COMPILED_LATER], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -360,7 +360,7 @@ def test_diverged_scenario_exits_with_3_and_keeps_its_last_state(tmp_path, srs_t
     done = srs_twin("run", "--quiet", "burst.yaml", cwd=tmp_path)
     assert done.returncode == 3, done.stderr
     assert "burst: twin diverged at t = 0.1" in done.stderr
-    assert done.stderr.rstrip().endswith("what it did up to there is in runs/burst/twin.parquet")
+    assert done.stderr.rstrip().endswith("the trajectory up to that time is in runs/burst/twin.parquet")
     assert "Traceback" not in done.stderr and done.stdout == ""
     folder = tmp_path / "runs/burst"
     assert sorted(os.listdir(folder)) == ["analytical.parquet", "scenario.resolved.yaml", "twin.parquet"]

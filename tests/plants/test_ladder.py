@@ -282,7 +282,7 @@ def test_scenario_without_gap_factor_compares_raw_speeds():
 def test_scenario_rejects_a_meaningless_gap_factor():
     (line,) = refusal()
     assert line == (
-        "comparison.gap_factor: the analytical plant has the gaps in its geometry already; "
+        "comparison.gap_factor: the analytical plant already has gaps in its geometry; "
         "set plants.analytical.gaps: false"
     )
     (line,) = refusal(plants={"analytical": {"gaps": False}})

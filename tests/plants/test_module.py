@@ -94,7 +94,7 @@ def test_reference_beyond_the_range_is_rejected_or_clipped_with_a_warning():
         module(controller=controller)
     scenario = module(controller=controller | {"beyond_range": "saturate"})
     (warning,) = scenario.warnings
-    assert "asks for 1.2 rad and is cut at 0.7326 rad" in warning
+    assert "1.2 rad is limited to 0.7326 rad" in warning
     run = rollout(scenario.build_plant("analytical"), scenario.build_controller(), 0.02)
     assert run["reference_1"].max() == pytest.approx(0.7326, abs=1e-4)
     assert [event.kind for event in run.events] == ["saturation"]

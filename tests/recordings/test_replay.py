@@ -225,7 +225,9 @@ def test_chamber_models_are_refused_with_recorded_pressures(perfect):
 
 def test_a_measured_metric_needs_a_recording():
     expect = [{"metric": "measured_shape_rms_m", "plant": "twin", "below": 0.01}]
-    with pytest.raises(InputFileError, match=r"expect\[0\].metric: measured_shape_rms_m needs recording"):
+    with pytest.raises(
+        InputFileError, match=r"expect\[0\].metric: measured_shape_rms_m needs the section recording"
+    ):
         parse_scenario({
             "robot": "gen2", "duration_s": 1.0, "controller": {"kind": "gait", "frequency_hz": 2.0},
             "expect": expect,

@@ -201,8 +201,8 @@ def test_bench_velocities_are_the_slopes_of_the_positions(bench):
     ("changes", "message"),
     [
         ({"bench": False}, r"recording.motion: bends alone do not tell .*, or bench: true"),
-        ({"start": {"x_m": 1.0}}, "start: what hangs on a bench starts where it is held"),
-        ({"plants": {"analytical": {"friction": "wheel"}}}, "on a bench there is no floor"),
+        ({"start": {"x_m": 1.0}}, "start: a module on a bench starts at its clamp"),
+        ({"plants": {"analytical": {"friction": "wheel"}}}, "there is no floor on a bench"),
         ({"motion": "none.csv"}, r"recording.motion: .*none.csv: no such file"),
         ({"valves": "sensor.csv"}, r"recording.valves: .*one of valve_plus_1,…"),
         ({"recording": {"offset_s": 90.0}}, r"recording.offset_s: .*0 frames in common"),

@@ -19,7 +19,7 @@ from srs_twin.io.validation import validate
 from srs_twin.planning.metrics import PLANNING_UNITS
 from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario.loading import load_scenario, parse_scenario
-from srs_twin.scenario.modified import Changes, changed_fields, decides, marked, with_plants
+from srs_twin.scenario.modified import Changes, affects, changed_fields, marked, with_plants
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import NOT_PHYSICS, versions
 from srs_twin.scenario.scenario import Scenario
@@ -169,7 +169,7 @@ def _with_changes(sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], 
 
 def _affecting_fields(changes: Changes, metric: str) -> list[str]:
     """Return the changed fields that affect a metric of any plant."""
-    return [change["field"] for change in changes if any(decides(change["field"], metric, p) for p in PLANTS)]
+    return [change["field"] for change in changes if any(affects(change["field"], metric, p) for p in PLANTS)]
 
 
 def _scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]:

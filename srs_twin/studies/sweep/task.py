@@ -118,9 +118,9 @@ def _plan_metrics(scenario: Scenario) -> dict[str, Any]:
         raise InputError("there is no planner; give planner, and controller.kind: follow")
     if planner.file.kind not in _warmed_planners:
         # The first plan includes imports and compilation, which the planning time must not.
-        planner.plan_anew()
+        planner.plan_uncached()
         _warmed_planners.add(planner.file.kind)
-    result = planner.plan_anew()
+    result = planner.plan_uncached()
     return plan_metrics(result.found, result.segments, result.expanded) | {"plan_s": result.seconds}
 
 

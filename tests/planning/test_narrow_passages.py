@@ -1,4 +1,4 @@
-"""Narrow gaps: where they are, and that the planner gets through those hardly wider than the body."""
+"""Narrow passages: their entry poses, and plans through gaps hardly wider than the body."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from subsets import first_by_default
 from witnessed_worlds import bodies, walls
 
 from srs_twin.planning.arcs import Primitives
-from srs_twin.planning.best_first import at_rest, one_arc
-from srs_twin.planning.collision import Checker, surroundings
+from srs_twin.planning.collision import Checker, obstacle_grid
 from srs_twin.planning.footprint import load_footprint
-from srs_twin.planning.gates import gates_of
+from srs_twin.planning.guidance import find_passages
+from srs_twin.planning.path import path_from_arcs
 from srs_twin.planning.planner import plan
-from srs_twin.planning.problem import path_of
-from srs_twin.planning.tree import moves_of
+from srs_twin.planning.search_kernels import follow_arc, initial_state
+from srs_twin.planning.search_tree import make_move_set
 from srs_twin.robot.world import Bounds, Circle, Polygon, Pose, World
 
 BODY = load_footprint("gen4_table8")
@@ -39,53 +39,54 @@ def square(x: float, y: float, side: float) -> Polygon:
     ],
     ids=["circles", "polygons", "both", "bounds"],
 )
-def test_a_gate_leads_straight_through_the_middle_of_a_gap(world):
-    gates = gates_of(world, BODY)
-    assert len(gates)
+def test_passages_lead_straight_through_the_middle_of_a_gap(world):
+    passages = find_passages(world, BODY)
+    assert len(passages)
     straight = BODY.at(0.0)
-    for x, y, heading, through in gates:
+    for x, y, heading, through in passages:
         assert math.remainder(heading, math.pi) == pytest.approx(0.0, abs=1e-6)
         along = math.cos(heading)
         assert y + along * (straight.left - straight.right) / 2 == pytest.approx(0.0, abs=1e-6)
         assert x * along < 0 < x * along + through
-        assert Checker(world, BODY).free_path(path_of(Pose(x, y, heading), [(0.0, through)], BODY))
+        assert Checker(world, BODY).is_path_free(path_from_arcs(Pose(x, y, heading), [(0.0, through)], BODY))
 
 
-def test_ways_begin_early_enough_for_the_body_to_settle_and_for_round_things():
-    """A millimetre before the head is in the gap; by the longest transient earlier; by 0.3 widths more."""
+def test_entry_poses_allow_for_transients_and_round_obstacles():
+    """The entry is 1 mm ahead of the gap, or farther by the longest transient, or by 0.3 widths more."""
     body = load_footprint("gen2_gait")
     straight = body.at(0.0)
     width = straight.left + straight.right
     settled = max(each.length for each in body.transients)
     early = settled + 0.3 * width
-    gates = gates_of(World(tuple(Circle(0.0, y, 0.5 - 0.75 * width) for y in (-0.5, 0.5))), body)
-    run_ups = np.unique(np.round(gates[:, 3] - body.behind, 9))
+    passages = find_passages(World(tuple(Circle(0.0, y, 0.5 - 0.75 * width) for y in (-0.5, 0.5))), body)
+    run_ups = np.unique(np.round(passages[:, 3] - body.behind, 9))
     assert run_ups == pytest.approx(body.ahead + 1e-3 + np.array([0, settled, early]))
-    assert np.abs(gates[:, 0]) == pytest.approx(gates[:, 3] - body.behind)
+    assert np.abs(passages[:, 0]) == pytest.approx(passages[:, 3] - body.behind)
 
 
-def test_gaps_that_are_too_narrow_wide_or_filled_have_no_gate():
+def test_gaps_too_narrow_too_wide_or_filled_are_no_passages():
     def pair(gap: float, *more: Circle) -> World:
         return World((Circle(0.0, gap / 2 + 0.3, 0.3), Circle(0.0, -gap / 2 - 0.3, 0.3), *more))
 
-    assert len(gates_of(pair(0.3), BODY))
-    assert not len(gates_of(pair(0.19), BODY)) and not len(gates_of(pair(0.6), BODY))
-    assert not len(gates_of(pair(0.3, Circle(0.01, 0.0, 0.05)), BODY))
+    assert len(find_passages(pair(0.3), BODY))
+    assert not len(find_passages(pair(0.19), BODY)) and not len(find_passages(pair(0.6), BODY))
+    assert not len(find_passages(pair(0.3, Circle(0.01, 0.0, 0.05)), BODY))
 
 
 @settings(max_examples=50)
 @given(st.integers(0, 1000), st.integers(0, 4), st.integers(0, 4), st.floats(0.05, 1.0))
-def test_an_arc_of_the_search_is_as_wide_as_the_checker_has_it(seed, one, other, length):
-    """The change of offset is felt on the first part of an arc only."""
+def test_search_and_checker_agree_on_the_width_of_arcs(seed, one, other, length):
+    """A transient widens the first part of an arc only."""
     body, rng = load_footprint("gen4_ilc"), np.random.default_rng(seed)
-    moves = moves_of(Primitives(5, 0.5, 0.25), body)
+    moves = make_move_set(Primitives(5, 0.5, 0.25), body)
     world = World(tuple(Circle(*rng.uniform(-1.0, 1.0, 2), 0.05) for _ in range(6)))
-    way, pieces = at_rest(0.0, 0.0, 0.0, moves), []
-    for move in moves.arcs[[one, other]]:
-        free, way = one_arc(way, move, length, moves, surroundings(world))
+    way, pieces = initial_state(0.0, 0.0, 0.0, moves), []
+    for move in moves.primitives[[one, other]]:
+        free, way = follow_arc(way, move, length, moves, obstacle_grid(world))
         pieces.append((float(moves.curvatures[move]), length))
         assert (
-            free == Checker(world, body).free_path(path_of(Pose(0.0, 0.0, 0.0), pieces, body)) or one == other
+            free == Checker(world, body).is_path_free(path_from_arcs(Pose(0.0, 0.0, 0.0), pieces, body))
+            or one == other
         )
         if not free:
             break
@@ -93,7 +94,7 @@ def test_an_arc_of_the_search_is_as_wide_as_the_checker_has_it(seed, one, other,
 
 @pytest.mark.parametrize("ratio", first_by_default(1, [1.05, 1.3]))
 @pytest.mark.parametrize("name", bodies())
-def test_ways_through_narrow_gaps_are_found(name, ratio):
+def test_plans_pass_narrow_gaps(name, ratio):
     """Two walls from bound to bound, each with one gap, 1.05 or 1.3 times as wide as the straight body."""
     case = walls(2, bodies()[name], ratio, 2)
     answer = plan(case.problem)

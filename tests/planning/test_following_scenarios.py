@@ -1,4 +1,4 @@
-"""Scenarios that plan and follow: their files, what they build, the command line, reports, sweeps."""
+"""Scenarios with a planner and a follower: files, products, commands, reports and sweeps."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def file(tmp_path):
 
 
 @pytest.mark.slow
-def test_plan_writes_data_and_a_picture_and_moves_nothing(file, srs_twin):
+def test_plan_command_writes_data_and_a_picture(file, srs_twin):
     done = srs_twin("plan", "way.yaml", "--check", "--out", "out", cwd=file)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("way: found: ") and "nodes" in done.stdout and "length" in done.stdout
@@ -98,14 +98,14 @@ def test_no_plan_is_an_outcome_and_fails_under_check(file, srs_twin):
 @pytest.mark.parametrize(
     ("where", "says"),
     [
-        ("goal: {x_m: 0.4, y_m: 0.0, radius_m: 0.05}", "goal (0.4, 0) lies inside"),
+        ("goal: {x_m: 0.4, y_m: 0.0, radius_m: 0.05}", "goal (0.4, 0) is inside"),
         (
             "bounds: {x_m: [-1, 0.5], y_m: [-1, 1]}\n  goal: {x_m: 0.8, y_m: 0.1}",
-            "goal (0.8, 0.1) lies outside of",
+            "goal (0.8, 0.1) is outside the bounds",
         ),
     ],
 )  # fmt: skip
-def test_ends_that_cannot_be_are_bad_input(where, says, file, srs_twin):
+def test_invalid_start_or_goal_is_bad_input(where, says, file, srs_twin):
     text = FILE.replace("goal: {x_m: 0.8, y_m: 0.1, radius_m: 0.05}", where)
     (file / "bad.yaml").write_text(text, "utf-8")
     for verb in ("plan", "run"):
@@ -114,15 +114,16 @@ def test_ends_that_cannot_be_are_bad_input(where, says, file, srs_twin):
     assert not (file / "bad/metrics.json").exists()
 
 
-def test_plan_refuses_what_does_not_plan(tmp_path, srs_twin):
+def test_plan_command_rejects_scenarios_without_a_planner(tmp_path, srs_twin):
     done = srs_twin("plan", "gen2_straight", cwd=tmp_path)
     assert (
-        done.returncode == 2 and "it has no planner; add planner, and controller.kind: follow" in done.stderr
+        done.returncode == 2
+        and "there is no planner section; add planner, and controller.kind: follow" in done.stderr
     )
     assert list(tmp_path.iterdir()) == []
 
 
-def test_run_follows_and_leaves_everything(file, srs_twin):
+def test_run_command_follows_and_writes_all_files(file, srs_twin):
     done = srs_twin("run", "way.yaml", "--check", "--out", "out", cwd=file)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "cross-track, RMS" in done.stdout and "new plans" in done.stdout
@@ -130,7 +131,7 @@ def test_run_follows_and_leaves_everything(file, srs_twin):
     assert metrics.keys() >= FOLLOWING_UNITS.keys()
     assert metrics["cross_track_rms_m"] < 0.015 and metrics["inside_share"] > 0.9
     report = (file / "out/report.html").read_text("utf-8")
-    assert "the floor planned for the body" in report and "Cross-track is" in report
+    assert "Plan with footprint" in report and "Cross-track is" in report
     from rerun.chunk import RrdReader
 
     entities = {chunk.entity_path for chunk in RrdReader(file / "out/recording.rrd").stream().to_chunks()}
@@ -160,8 +161,8 @@ def test_both_plants_follow_one_plan_and_are_drawn_together(tmp_path):
     assert all(each["goal_reached"] == 1 for each in result.metrics["plants"].values())
 
 
-def test_the_twin_feels_what_it_runs_into_on_purpose(tmp_path):
-    """A path that is given goes through a circle: contact, no divergence, an end with a name."""
+def test_collision_of_the_twin_is_a_contact(tmp_path):
+    """A given path through a circle causes contact, no divergence, and a named ending."""
     scenario = parse_scenario(
         data(
             world={"obstacles": [{"x_m": 0.45, "y_m": 0.0, "radius_m": 0.1}]},
@@ -174,7 +175,7 @@ def test_the_twin_feels_what_it_runs_into_on_purpose(tmp_path):
     assert -0.001 < metrics["clearance_m"] <= 0
 
 
-def test_defaults_stand_in_the_file_and_gait_and_follower_are_those():
+def test_resolved_file_contains_the_defaults_of_gait_and_follower():
     scenario = parse_scenario(data())
     assert isinstance(scenario.controller, FollowFile)
     controller = scenario.build_controller()
@@ -185,7 +186,7 @@ def test_defaults_stand_in_the_file_and_gait_and_follower_are_those():
     assert scenario.warnings == ()
 
 
-def test_a_learning_gait_underneath_ticks_every_5_ms():
+def test_learning_gait_of_a_follower_has_ticks_of_5_ms():
     gait = {"kind": "ilc", "frequency_hz": 1.5, "target_rad": 0.7}
     scenario = parse_scenario(
         data(
@@ -196,7 +197,7 @@ def test_a_learning_gait_underneath_ticks_every_5_ms():
     assert scenario.build_plant("twin").tick == 0.005 == scenario.build_plant("analytical").tick
 
 
-def test_a_field_is_drawn_by_the_seed():
+def test_random_world_depends_on_the_seed():
     world = {"random": {"kind": "fig54", "count": 6}, "goal": {"x_m": 2, "y_m": 1}}
     drawn = [parse_scenario(data(world=world, seed=seed)).world.obstacles for seed in (0, 1, 0)]
     assert drawn[0] == drawn[2] == fig54_world(6, 0).obstacles != drawn[1]
@@ -212,7 +213,7 @@ def test_a_field_is_drawn_by_the_seed():
         assert 0.03 <= circle.radius <= 0.05
 
 
-def test_a_footprint_is_reduced_for_planning_and_whole_for_steering():
+def test_footprint_is_reduced_for_planning_only():
     file = data()["planner"] | {"turn_share": 0.5, "margin_m": 0.02}
     planner = parse_scenario(data(planner=file)).planner
     assert planner.footprint.tightest == pytest.approx((5.23599, 5.23599))
@@ -226,16 +227,16 @@ def test_a_footprint_is_reduced_for_planning_and_whole_for_steering():
     assert max(abs(s.curvature) for s in planner.plan().segments) <= 2.618
 
 
-def test_a_run_up_goes_straight_first_and_must_be_free():
+def test_run_up_is_straight_and_must_be_free():
     planner = {"kind": "best_first", "footprint": "gen2_section52", "run_up_m": 0.25}
     first = parse_scenario(data(planner=planner)).planner.plan().segments[0]
     assert first.curvature == 0 and first.length == pytest.approx(0.25)
     world = {"goal": {"x_m": 0.6, "y_m": 0.3}, "obstacles": [{"x_m": 0.3, "y_m": 0, "radius_m": 0.06}]}
-    with pytest.raises(InputError, match=r"straight beginning of 0\.25 m touches .*; run_up_m sets it"):
+    with pytest.raises(InputError, match=r"straight run-up of 0\.25 m touches .*; set a shorter run_up_m"):
         parse_scenario(data(planner=planner, world=world)).build_controller()
 
 
-def test_a_path_that_is_given_ends_where_it_ends():
+def test_goal_of_a_given_path_is_its_end():
     planner = {"kind": "given", "footprint": "gen2_section52", "turns_rad": [0.5, -0.5], "step_m": 0.2}
     route = parse_scenario(data(planner=planner, world={})).planner
     plan, goal = route.plan(), route.problem.goal
@@ -246,12 +247,12 @@ def test_a_path_that_is_given_ends_where_it_ends():
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"planner": None}, "controller: kind: follow has nothing to follow; give planner as well"),
-        ({"controller": {"kind": "gait", "frequency_hz": 2}}, "planner: nobody follows its plan"),
+        ({"planner": None}, "controller: kind: follow needs a plan; add planner"),
+        ({"controller": {"kind": "gait", "frequency_hz": 2}}, "planner: no controller follows its plan"),
         ({"world": {}}, "planner: kind: best_first needs world.goal"),
         (
             {"planner": {"kind": "given", "footprint": "gen2_section52", "turns_rad": [1.2], "step_m": 0.2}},
-            "planner: curvature 6 1/m is not in the footprint's -5.23599 to 5.23599 1/m",
+            "planner: curvature 6 1/m is outside the footprint's range -5.23599 to 5.23599 1/m",
         ),
         (
             {"planner": {"kind": "best_first", "footprint": "gen9"}},
@@ -263,7 +264,7 @@ def test_a_path_that_is_given_ends_where_it_ends():
         ),
         (
             {"world": {"goal": {"x_m": 1, "y_m": 0}, "random": {"count": 3}}},
-            "world.random: where? Give area, or bounds of the world",
+            "world.random: strewn needs an area; set area, or bounds of the world",
         ),
         (
             {"world": {
@@ -274,7 +275,7 @@ def test_a_path_that_is_given_ends_where_it_ends():
         ),
     ],
 )  # fmt: skip
-def test_what_does_not_fit_together_is_said(changes, says):
+def test_contradictions_are_reported(changes, says):
     given = {name: value for name, value in data(**changes).items() if value is not None}
     with pytest.raises(InputFileError) as caught:
         parse_scenario(given)
@@ -294,7 +295,7 @@ def test_metrics_of_following_are_columns_of_a_sweep():
 @pytest.mark.parametrize(
     ("heading", "segments"), [(0.0, "0 segments"), (3.0, "3 segments"), (None, "0 segments")]
 )
-def test_a_goal_at_the_start_has_no_ratio_to_the_least_length(srs_twin, tmp_path, heading, segments):
+def test_plan_from_the_goal_has_no_relative_length(srs_twin, tmp_path, heading, segments):
     goal = {"x_m": 0.0, "y_m": 0.0, "radius_m": 0.05} | ({} if heading is None else {"heading_rad": heading})
     about = data(planner={"kind": "best_first", "footprint": "gen2_gait"}, world={"goal": goal})
     (tmp_path / "way.yaml").write_text(dump_yaml(about | {"title": "t"}), "utf-8")
@@ -306,8 +307,10 @@ def test_a_goal_at_the_start_has_no_ratio_to_the_least_length(srs_twin, tmp_path
     assert found["quality"]["length_over_least"] is None
 
 
-@pytest.mark.parametrize(("bound", "room"), [(5.0, "at least 1000 mm of room"), (0.5, "mm of room")])
-def test_room_beyond_what_is_looked_for_is_said_to_be_at_least_that(srs_twin, tmp_path, bound, room):
+@pytest.mark.parametrize(
+    ("bound", "room"), [(5.0, "at least 1000 mm of clearance"), (0.5, "mm of clearance")]
+)
+def test_clearance_beyond_the_limit_is_reported_as_at_least_the_limit(srs_twin, tmp_path, bound, room):
     world = {"goal": {"x_m": 1.0, "y_m": 0.0}, "bounds": {"x_m": [-5, 5], "y_m": [-bound, bound]}}
     about = data(planner={"kind": "best_first", "footprint": "gen2_gait"}, world=world)
     (tmp_path / "way.yaml").write_text(dump_yaml(about | {"title": "t"}), "utf-8")

@@ -1,4 +1,4 @@
-"""Scenarios: what loads, what is built from it, what its expectations say, what the schema knows."""
+"""Scenarios: loading, plants and controllers, expectations and the JSON Schema."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_the_defaults():
     assert s.warnings == ()
 
 
-def test_units_become_si():
+def test_units_are_converted_to_si():
     s = scenario(
         supply={"pressure_kpa": 50},
         controller={"kind": "gait", "frequency_hz": 1, "offset": -0.2, "phase_rad": 1, "phase_step_rad": 2},
@@ -80,13 +80,13 @@ def test_units_become_si():
     assert s.world.obstacles[0].radius == 0.1 and s.world.bounds and s.world.bounds.x == (-1, 3)
     assert s.world.goal and (s.world.goal.heading, s.world.goal.radius) == (None, 0.05)
     (warning,) = s.warnings
-    assert "no plant or controller takes notice" in warning
+    assert "goal and bounds have no effect" in warning
     plant = s.build_plant("analytical")
     assert (plant.tick, plant.timestep) == (0.01, 0.002)
     assert plant.spec.geometry.rigid_gap == 0 and s.robot.geometry.rigid_gap == 0.018
 
 
-def test_building_is_fresh_each_time_and_knows_both_plants():
+def test_plants_and_controllers_are_new_each_time():
     s = scenario(plants={"twin": {"hinges_per_segment": 2}})
     assert s.build_controller() is not s.build_controller()
     twin = s.build_plant("twin")
@@ -114,7 +114,7 @@ def test_skids_and_their_law_reach_the_plants():
     assert s.build_plant("twin").contact == LoadedContact("ellipse")
 
 
-def test_the_controller_is_a_gait():
+def test_gait_section_builds_a_gait():
     gait = scenario(controller={"kind": "gait", "frequency_hz": 1.5, "offset": 0.3}).build_controller()
     assert (gait.kind, gait.frequency, gait.offset) == ("gait", 1.5, 0.3)
 
@@ -122,7 +122,7 @@ def test_the_controller_is_a_gait():
 # Robots in scenarios
 
 
-def test_a_plain_number_overrides_and_says_so():
+def test_plain_number_overrides_a_record_with_a_note():
     s = scenario(
         robot={"base": "gen2", "bending": {"stiffness_nm_per_rad": 0.2}, "geometry": {"connectors": 7}}
     )
@@ -188,7 +188,7 @@ def test_a_robot_by_path(tmp_path, monkeypatch):
         ({"title": "x"}, "robot.name: missing"),
     ],
 )
-def test_robots_that_are_refused(robot, words):
+def test_invalid_robots_are_rejected(robot, words):
     assert any(words in line for line in refusal(robot=robot)), refusal(robot=robot)
 
 
@@ -264,11 +264,11 @@ def test_defaults_of_pneumatics_are_those_of_the_chambers():
         ({"valve_delay_s": -1}, "pneumatics.valve_delay_s: must be a number from 0 to 1, not -1"),
         (
             {"critical_ratio": 0.3},
-            "pneumatics: critical_ratio belongs to kind: orifice; set that, or take critical_ratio out",
+            "pneumatics: critical_ratio requires kind: orifice; set that, or remove critical_ratio",
         ),
         (
             {"kind": "orifice", "line_volume_ml": 5.0},
-            "pneumatics: line_volume_ml is felt only with flow_limit_l_per_min; give that too",
+            "pneumatics: line_volume_ml requires flow_limit_l_per_min",
         ),
         (
             {"kind": "orifice", "flow_limit_l_per_min": 0},
@@ -277,7 +277,7 @@ def test_defaults_of_pneumatics_are_those_of_the_chambers():
         ("lag", "pneumatics: must be a block of keys (kind, leak_per_s, valve_delay_s, critical_ratio, "),
     ],
 )
-def test_pneumatics_that_are_refused(given, words):
+def test_invalid_pneumatics_are_rejected(given, words):
     assert any(words in line for line in refusal(pneumatics=given)), refusal(pneumatics=given)
 
 
@@ -287,8 +287,8 @@ def test_pneumatics_that_are_refused(given, words):
 def test_a_pressure_above_the_limit_is_refused_with_its_source():
     (line,) = refusal(supply={"pressure_kpa": 80})
     assert line == (
-        "supply.pressure_kpa: 80 kPa is above the 68.9476 kPa that gen2 may be given in pulses, as a gait "
-        "gives it (Sections 1.3 and 2.3.1: runs 'under 10 psi', 'typically below 10 psi'); "
+        "supply.pressure_kpa: 80 kPa is above the limit of gen2 in pulses of a gait, 68.9476 kPa "
+        "(Sections 1.3 and 2.3.1: runs 'under 10 psi', 'typically below 10 psi'); "
         "lower it, or set allow_overpressure: true"
     )
 
@@ -300,7 +300,7 @@ def test_an_allowed_overpressure_runs_with_a_warning(allow):
     s = scenario(**({"supply": {"pressure_kpa": 80}} | allow))
     assert s.supply_pa == 80_000 and s.file.allow_overpressure
     (warning,) = s.warnings
-    assert "80 kPa is above the 68.9476 kPa" in warning
+    assert "80 kPa is above the limit of gen2" in warning
     assert parse_scenario(s.document) == s
 
 
@@ -308,7 +308,7 @@ def test_pulses_may_exceed_the_continuous_limit():
     assert scenario(robot="gen4", supply={"pressure_kpa": 51}).warnings == ()
 
 
-def test_the_pressure_is_judged_even_where_another_key_is_wrong():
+def test_pressure_is_checked_even_if_another_key_is_invalid():
     assert len(refusal(supply={"pressure_kpa": 80}, seed="x")) == 2
 
 
@@ -354,29 +354,29 @@ def test_the_limit_follows_an_override():
         ),
     ],
 )
-def test_times_that_do_not_fit(changes, words):
+def test_times_that_are_no_multiples_are_rejected(changes, words):
     assert words in refusal(**changes)[0]
 
 
 @pytest.mark.parametrize("record_hz", [7.14286, 3.33333, 0.100001, 333.3, 9999.0])
 @pytest.mark.parametrize("ticks", [(0.02, 0.02, 0.001), (0.02, 0.03, 0.0005), (0.001, 0.02, 0.0005)])
-def test_proposed_recording_rate_fits_both_plants(record_hz, ticks):
+def test_proposed_recording_rate_suits_both_plants(record_hz, ticks):
     analytical, twin, step = ticks
     both = {"analytical": {"tick_s": analytical}, "twin": {"tick_s": twin, "timestep_s": step}}
     lines = refusal(plants=both, record_hz=record_hz, duration_s=6)
-    proposed = {found[1] for line in lines if (found := re.search(r"record_hz: (\S+) would fit", line))}
+    proposed = {found[1] for line in lines if (found := re.search(r"record_hz: (\S+) is possible", line))}
     (rate,) = proposed
     assert scenario(plants=both, record_hz=float(rate), duration_s=6).record_hz == float(rate)
 
 
-def test_no_recording_rate_is_proposed_where_the_ticks_meet_too_rarely():
+def test_no_recording_rate_is_proposed_for_incompatible_ticks():
     both = {"analytical": {"tick_s": 0.9999}, "twin": {"tick_s": 0.02}}
     (line,) = refusal(plants=both, duration_s=199.98)
-    assert "no rate fits the plants' ticks; change tick_s" in line
+    assert "no rate suits the plants' ticks; change tick_s" in line
 
 
 @pytest.mark.parametrize("record_hz", [0.5, 10, 25, 50, 200, 1000])
-def test_recording_rates_that_the_rollout_takes(record_hz):
+def test_valid_recording_rates(record_hz):
     from srs_twin.rollout import rollout
 
     s = scenario(duration_s=0.2, record_hz=record_hz, plants=plants())
@@ -425,11 +425,11 @@ def test_what_expectations_allow(keys, inside, outside, allowed):
         {"plants": {"analytical": {"com_speed_m_s": 0.2}}},
     ],
 )
-def test_what_is_not_there_is_not_met(metrics):
+def test_missing_metrics_do_not_meet_expectations(metrics):
     assert not expectation(below=1).check(metrics)["met"]
 
 
-def test_an_outcome_carries_the_published_value():
+def test_row_contains_the_published_value():
     outcome = expectation(near=0.214, rel=0.15, source="Table 10").check(
         {"plants": {"twin": {"com_speed_m_s": 0.2}}}
     )
@@ -443,7 +443,7 @@ def test_an_outcome_carries_the_published_value():
     ("known", "value", "expected"),
     [(None, 0.2, "met"), (None, 0.3, "missed"), ("drag", 0.2, "holds"), ("drag", 0.3, "known")],
 )
-def test_an_expectation_may_be_known_to_be_missed(known, value, expected):
+def test_known_miss_of_an_expectation(known, value, expected):
     each = expectation(near=0.214, rel=0.15, **({"known": known} if known else {}))
     outcome = each.check({"plants": {"twin": {"com_speed_m_s": value}}})
     assert (outcome["known"], verdict(outcome), outcome["met"]) == (known, expected, value == 0.2)
@@ -478,11 +478,11 @@ def test_expectations_of_the_comparison():
         ({"below": None, "near": 1, "rel": 0.1, "abs": 1}, "expect[0]: near needs either rel or abs"),
         (
             {"below": None, "near": 0, "rel": 0.1},
-            "expect[0]: a relative tolerance of 0 allows nothing else; use abs",
+            "expect[0]: near: 0 needs an absolute tolerance; use abs instead of rel",
         ),
     ],
 )
-def test_expectations_that_are_refused(keys, words):
+def test_invalid_expectations_are_rejected(keys, words):
     each = {"metric": "com_speed_m_s", "plant": "twin", "below": 1} | keys
     (line,) = refusal(expect=[{key: value for key, value in each.items() if value is not None}])
     assert line.startswith(words)
@@ -545,7 +545,7 @@ TOGETHER = {
     "comparison": {"plants": {"analytical": {"gaps": False}, "twin": {}}},
     "world": {"plants": {"twin": {"contact": "loaded"}}},
 }
-"""What the keys of a section need besides."""
+"""Additional keys that the keys of a section require."""
 SET = {
     ("supply", "pressure_kpa"): 31.0,
     ("start", "velocity_m_s"): [0.1, -0.2],
@@ -567,14 +567,14 @@ SET = {
     ("plants", "analytical"): {"gaps": False, "model": "simplified", "friction_torque": False},
     ("plants", "twin"): {"gaps": False, "timestep_s": 0.0005, "wheels": "skid", "hinges_per_segment": 3},
 }
-"""Values of keys that do not follow from their bounds."""
+"""Values of keys that cannot be chosen by their bounds."""
 OF_A_RUN = {("start", "run"), ("start", "time_s")}
-"""They need one: test_start.py."""
+"""They need a run: test_start.py."""
 SECTIONS = {key: f.default for key, f in ScenarioFile.model_fields.items() if isinstance(f.default, Section)}
 
 
 def other_than_default(field):
-    """Return a value that a key may have besides its default: of a choice the last, of numbers a low one."""
+    """Return a value of a key other than its default: the last choice, or a low number."""
     kinds = field.annotation, *get_args(field.annotation)
     choices = [choice for kind in kinds for choice in get_args(kind)]
     if texts := [choice for choice in choices if isinstance(choice, str) and choice != field.default]:
@@ -593,7 +593,7 @@ def other_than_default(field):
         if (name, key) not in OF_A_RUN
     ],
 )  # fmt: skip
-def test_every_key_of_a_section_survives_that_defaults_are_written_out(section, key):
+def test_keys_of_sections_survive_resolution(section, key):
     field = type(SECTIONS[section]).model_fields[key]
     value = SET[section, key] if (section, key) in SET else other_than_default(field)
     needed = TOGETHER.get(section, {})
@@ -618,7 +618,7 @@ def test_a_resolved_file_keeps_the_name_of_the_scenario(tmp_path):
     assert load_scenario(path) == s
 
 
-def test_a_document_is_not_shared_with_what_it_was_made_of():
+def test_document_is_independent_of_its_source_data():
     data = copy.deepcopy(MINIMAL)
     parse_scenario(data)
     assert data == MINIMAL
@@ -633,7 +633,7 @@ def test_a_document_is_not_shared_with_what_it_was_made_of():
         ("...yaml", "scenario"),
     ],
 )
-def test_names_can_be_folders(tmp_path, file, name):
+def test_invalid_names_are_rejected_as_folders(tmp_path, file, name):
     path = tmp_path / file
     path.write_text(dump_yaml(MINIMAL), "utf-8")
     s = load_scenario(path)
@@ -641,11 +641,11 @@ def test_names_can_be_folders(tmp_path, file, name):
     assert parse_scenario(s.document) == s
 
 
-# What is shipped
+# Shipped scenarios
 
 
 @pytest.mark.parametrize("name", shipped_names("scenario"))
-def test_shipped_scenarios_can_fail_and_cite_what_is_published(name):
+def test_shipped_expectations_can_fail_and_cite_sources(name):
     s = load_scenario(name)
     # Only a pressure above the limit, asked for knowingly, is warned of.
     assert s.name == name and len(s.warnings) == s.file.allow_overpressure
@@ -655,7 +655,7 @@ def test_shipped_scenarios_can_fail_and_cite_what_is_published(name):
     assert any(each.source for each in s.expect)
 
 
-def test_the_shipped_scenarios_are_those_promised():
+def test_shipped_scenarios_are_those_documented():
     wanted = {f"gen{i}_{way}" for i in (2, 3, 4) for way in ("straight", "turn")} | {"gen1_straight"}
     wanted |= {
         f"module_{what}_{way}"
@@ -676,7 +676,7 @@ def test_the_shipped_scenarios_are_those_promised():
         ("gen3_straight", "gen3-speed", 0.3),
     ],
 )
-def test_published_speeds_are_held_to_by_interval_and_with_their_own_tolerance(name, claim, tol):
+def test_published_speeds_have_an_interval_and_a_tolerance(name, claim, tol):
     (row,) = [c for c in load_yaml(claims_file(), limit=CLAIMS_BYTES).data if c["id"] == claim]
     found = [e for e in load_scenario(name).expect if e.metric == "com_speed_m_s" and e.plant == "twin"]
     by_interval, each = sorted(found, key=lambda e: e.published is None)
@@ -685,7 +685,7 @@ def test_published_speeds_are_held_to_by_interval_and_with_their_own_tolerance(n
 
 
 @pytest.mark.parametrize(("name", "offset"), [("gen4_straight", 0.0), ("gen4_turn", 0.3)])
-def test_generation_4_is_held_to_table_8(name, offset):
+def test_generation_4_is_compared_with_table_8(name, offset):
     (table,) = [c for c in load_yaml(claims_file(), limit=CLAIMS_BYTES).data if c["id"] == "table8"]
     (row,) = [r for r in table["rows"] if r["offset"] == offset]
     published = {"com_speed_m_s": row["speed"], "turning_radius_m": row["radius"]}
@@ -715,13 +715,13 @@ def test_the_schema_describes_every_key():
         for path, prop in walk(part, each):
             assert prop.get("description") or "$ref" in prop, path
     assert schema["properties"]["duration_s"] == {
-        "title": "Simulated time", "description": "Simulated time in s, 0.001 to 3600.",
+        "title": "Simulated duration", "description": "Simulated duration in s, 0.001 to 3600.",
         "type": "number", "minimum": 0.001, "maximum": 3600.0, "unit": "s",
     }  # fmt: skip
     assert schema["$defs"]["Expectation"]["properties"]["metric"]["enum"] == list(known_metrics())
 
 
-def test_references_of_the_schema_lead_somewhere():
+def test_references_of_the_schema_resolve():
     schema = scenario_json_schema()
 
     def references(node):
@@ -737,7 +737,7 @@ def test_references_of_the_schema_lead_somewhere():
     assert found == {f"#/$defs/{name}" for name in schema["$defs"]}
 
 
-def test_the_schema_knows_overrides():
+def test_schema_describes_overrides():
     override = scenario_json_schema()["properties"]["robot"]["anyOf"][1]
     stiffness = override["properties"]["bending"]["properties"]["stiffness_nm_per_rad"]
     assert stiffness["anyOf"][0] == {"type": "number", "minimum": 0.0001, "maximum": 1000000.0}

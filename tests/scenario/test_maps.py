@@ -1,4 +1,4 @@
-"""Maps of other programs: which cells are occupied, where they are, and what cannot be a map."""
+"""Maps and lists of circles: occupied cells, their positions, and invalid files."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def drawn(tmp_path, grey, *, suffix="pgm", x=0.0, y=0.0, turn=0.0, negate=0):
 
 
 def cells(grey) -> set[tuple[int, int]]:
-    """Return column and row, from the lower left, of what is not surely free."""
+    """Return column and row, from the lower left, of cells that are not known to be free."""
     rows, columns = np.nonzero((255 - np.asarray(grey, dtype=float)) / 255 >= 0.196)
     return {(int(column), len(grey) - 1 - int(row)) for row, column in zip(rows, columns, strict=True)}
 
 
 @pytest.mark.parametrize("suffix", ["pgm", "png"])
-def test_rectangles_cover_what_is_not_free_once(tmp_path, suffix):
+def test_rectangles_cover_occupied_cells_once(tmp_path, suffix):
     grey = np.random.default_rng(0).choice(
         [0, 100, 205, 254, 255], p=[0.2, 0.05, 0.05, 0.4, 0.3], size=(23, 31)
     )
@@ -128,7 +128,7 @@ def test_a_pgm_of_text_is_read_and_negate_turns_it_round(tmp_path):
         ),
     ],
 )
-def test_what_is_no_map_is_refused(tmp_path, old, new, words):
+def test_invalid_maps_are_rejected(tmp_path, old, new, words):
     path = drawn(tmp_path, [[0, 255]])
     text = path.read_text()
     assert old in text
@@ -143,8 +143,8 @@ def test_a_list_of_circles(tmp_path):
     path.write_text("name,x_m,y_m,radius_m\npost,1,2,0.1\ntable,-1,0.5,0.4\n")
     assert [(c.x, c.y, c.radius) for c in read_circles(path)] == [(1, 2, 0.1), (-1, 0.5, 0.4)]
     for text, words in (
-        ("x_m,y_m\n1,2\n", ":1: columns x_m, y_m, radius_m are needed; radius_m is missing"),
-        ("x_m,y_m,radius_m\n1,2,0\n", ":2: numbers must be finite, and the radius above 0"),
+        ("x_m,y_m\n1,2\n", ":1: columns x_m, y_m, radius_m are required; radius_m is missing"),
+        ("x_m,y_m,radius_m\n1,2,0\n", ":2: numbers must be finite and the radius above 0"),
         ("x_m,y_m,radius_m\n1,2,wide\n", ":2: not three numbers"),
     ):
         path.write_text(text)
@@ -165,8 +165,8 @@ plants: {analytical: {}, twin: {}}
 
 
 @pytest.mark.slow
-def test_a_scenario_plans_and_runs_in_a_map_and_knows_when_it_changes(tmp_path, monkeypatch):
-    """The wall leaves a way above; both plants have the map about them, drawn pictures too."""
+def test_scenario_in_a_map_plans_runs_and_detects_changes(tmp_path, monkeypatch):
+    """The wall leaves a path above it; the map is part of both plants and of the pictures."""
     grey = np.full((30, 40), 254)
     grey[15:, 20] = 0
     drawn(tmp_path, grey, x=-0.5, y=-1.5)
@@ -188,8 +188,8 @@ def test_a_scenario_plans_and_runs_in_a_map_and_knows_when_it_changes(tmp_path, 
     assert (tmp_path / "runs/room_run/metrics.json").stat().st_mtime_ns > first
 
 
-def test_ten_thousand_cells_are_planned_among(tmp_path):
-    """A wall of a thousand pillars has a gap; distances are asked of what is near only."""
+def test_plan_among_ten_thousand_cells(tmp_path):
+    """A wall of a thousand pillars has a gap; distances are computed for near obstacles only."""
     grey = np.full((400, 600), 254)
     for row in range(0, 400, 12):
         for column in range(60, 560, 12):

@@ -1,4 +1,8 @@
+<<<<<<<< HEAD:tests/plants/test_clearance.py
 """Clearance from obstacles, compared with MuJoCo's distances between the colliding bodies."""
+========
+"""Clearance of obstacles, compared with the distances between collision bodies in MuJoCo."""
+>>>>>>>> c5:tests/planning/test_clearance.py
 
 from __future__ import annotations
 
@@ -20,11 +24,15 @@ WORLD = World(
         Polygon(((-0.5, 0.3), (-0.1, 0.45), (-0.4, 0.36), (-0.48, 0.34))),
     ),
 )
-"""Obstacles that are too narrow for a body to lie in: it would touch no side."""
+"""Obstacles too narrow to contain a body, which would then touch no side."""
 
 ROUNDING_M = 1e-12
 TILT_M = 1e-6
+<<<<<<<< HEAD:tests/plants/test_clearance.py
 """Effect of pitch and roll of a crawling snake, fractions of a degree, on a horizontal distance, m."""
+========
+"""Effect of pitch and roll of a crawling snake, fractions of a degree, on planar distances, m."""
+>>>>>>>> c5:tests/planning/test_clearance.py
 
 
 def recorded(world: World) -> dict:
@@ -88,7 +96,11 @@ def seen(twin: TwinSnake, places: np.ndarray) -> Trajectory:
 
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
 @pytest.mark.parametrize(("hinges", "unequal"), [(1, True), (2, True), (3, False), (5, False)])
+<<<<<<<< HEAD:tests/plants/test_clearance.py
 def test_clearance_equals_the_smallest_distance_in_mujoco(name, hinges, unequal):
+========
+def test_clearance_equals_mujocos_smallest_distance(name, hinges, unequal):
+>>>>>>>> c5:tests/planning/test_clearance.py
     # Preloaded: the wheels of a loaded snake sink in by micrometres, and its body pitches.
     twin = TwinSnake(robot(name), world=WORLD, hinges_per_segment=hinges, contact="preloaded")
     places = poses(twin, 40, unequal=unequal, seed=hinges)
@@ -98,8 +110,13 @@ def test_clearance_equals_the_smallest_distance_in_mujoco(name, hinges, unequal)
     assert distance.min() < 0 < distance.max()
 
 
+<<<<<<<< HEAD:tests/plants/test_clearance.py
 def test_clearance_error_of_unequal_hinges_is_bounded():
     """With three or more hinges per segment, the bends do not determine the inner hinges."""
+========
+def test_inner_hinges_that_bend_unequally_are_bounded():
+    """With three or more hinges per segment, connectors do not determine the inner ones."""
+>>>>>>>> c5:tests/planning/test_clearance.py
     twin = TwinSnake(robot("gen2"), world=WORLD, hinges_per_segment=3)
     places = poses(twin, 100, unequal=True, seed=7)
     clearance = clearances(seen(twin, places), recorded(WORLD))
@@ -128,10 +145,17 @@ def test_hull_deviates_from_the_arc_within_its_bound():
         ("circle", 0.15, False), ("square", 0.0, True), ("square", 0.16, False),
     ],
 )  # fmt: skip
+<<<<<<<< HEAD:tests/plants/test_clearance.py
 def test_clearance_is_zero_or_less_only_with_contact(shape, aside, touched):
     """The twin of generation 2 passes a circle of 0.1 m, or a square, at a lateral distance, m.
 
     For a small distance (None) the result of the follower decides whether they touch.
+========
+def test_clearance_is_positive_exactly_without_contact(shape, aside, touched):
+    """The twin of generation 2 passes a circle or a square of 0.1 m at a given distance from its path, m.
+
+    At small distances (None), contact depends on the follower.
+>>>>>>>> c5:tests/planning/test_clearance.py
     """
     corners = [[0.35, aside - 0.1], [0.55, aside - 0.1], [0.55, aside + 0.1], [0.35, aside + 0.1]]
     world = {
@@ -151,6 +175,12 @@ def test_clearance_is_zero_or_less_only_with_contact(shape, aside, touched):
     metrics = following_metrics(run)
     assert (metrics["contacts"] > 0) == (metrics["clearance_m"] <= 0)
     assert touched in (None, metrics["contacts"] > 0)
+<<<<<<<< HEAD:tests/plants/test_clearance.py
     assert metrics["clearance_m"] > -0.001  # penetration of soft contacts in the engine
     clearance = clearances(run, run.metadata["control"]["following"]["world"])
     assert clearance == pytest.approx(mujoco_distances(twin, run.stack("qpos")), abs=TILT_M)
+========
+    assert metrics["clearance_m"] > -0.001  # penetration of contacts in the engine
+    apart = clearances(run, run.metadata["control"]["following"]["world"])
+    assert apart == pytest.approx(mujoco_distances(twin, run.stack("qpos")), abs=TILT_M)
+>>>>>>>> c5:tests/planning/test_clearance.py

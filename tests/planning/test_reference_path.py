@@ -1,4 +1,4 @@
-"""Places along a plan's path: against a brute search along finely sampled poses."""
+"""Path coordinates, compared with a search over finely sampled poses."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.problem import path_of
-from srs_twin.planning.route import BEYOND, Route
+from srs_twin.planning.path import EXTENSION_M, ReferencePath, path_from_arcs
 from srs_twin.robot.world import Pose
 
 pytestmark = pytest.mark.fast
@@ -22,24 +21,24 @@ PIECES = st.lists(st.tuples(st.floats(-5, 5), st.floats(0.05, 0.6)), min_size=1,
 
 
 def route(pieces, start=ORIGIN):
-    return Route(path_of(start, pieces, BODY))
+    return ReferencePath(path_from_arcs(start, pieces, BODY))
 
 
 @settings(max_examples=40)
 @given(PIECES, st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3))
-def test_no_sampled_point_is_nearer(pieces, x, y, heading):
+def test_nearest_point_is_nearer_than_all_samples(pieces, x, y, heading):
     way = route(pieces, Pose(0.3, -0.2, heading))
     place = way.nearest(x, y)
-    samples = [way.pose(s) for s in np.linspace(-BEYOND, way.length + BEYOND, 3000)]
+    samples = [way.pose(s) for s in np.linspace(-EXTENSION_M, way.length + EXTENSION_M, 3000)]
     least = min(math.hypot(p.x - x, p.y - y) for p in samples)
     foot = way.pose(place.s)
     found = math.hypot(foot.x - x, foot.y - y)
     assert found <= least + 1e-9 and found >= least - 2e-3
-    if -BEYOND < place.s < way.length + BEYOND:
+    if -EXTENSION_M < place.s < way.length + EXTENSION_M:
         assert abs(place.n) == pytest.approx(found, abs=1e-6)
 
 
-def test_left_is_positive_and_ends_go_on_straight():
+def test_left_is_positive_and_ends_are_extended_straight():
     way = route([(0.0, 1.0), (2.0, 0.5)])
     assert way.nearest(0.5, 0.2)[:2] == pytest.approx((0.5, 0.2))
     assert way.nearest(0.5, -0.2)[:2] == pytest.approx((0.5, -0.2))
@@ -51,7 +50,7 @@ def test_left_is_positive_and_ends_go_on_straight():
     assert (way.curvature(0.5), way.curvature(1.2), way.curvature(1.6), way.curvature(-1)) == (0, 2, 0, 0)
 
 
-def test_joint_of_two_arcs_belongs_to_the_second():
+def test_joint_of_two_arcs_has_the_curvature_of_the_second():
     way = route([(1.0, 0.5), (-2.0, 0.25), (3.0, 0.5)])
     assert [way.curvature(s) for s in (0.0, 0.5, 0.75, 1.25)] == [1.0, -2.0, 3.0, 0.0]
     for s in (0.0, 0.5, 0.75):
@@ -59,21 +58,21 @@ def test_joint_of_two_arcs_belongs_to_the_second():
         assert [*after] == pytest.approx([*before], abs=1e-8)
 
 
-def test_a_turn_by_more_than_half_a_circle_is_found_all_along():
+def test_coordinates_are_unique_on_arcs_beyond_half_a_turn():
     way = route([(2.0, 2.8)])
     for s in np.linspace(0.01, 2.79, 40):
         pose = way.pose(s)
         assert way.nearest(pose.x, pose.y)[:2] == pytest.approx((s, 0.0), abs=1e-9)
 
 
-def test_a_window_tells_crossings_apart():
+def test_window_distinguishes_crossings_of_a_path():
     way = route([(5.0, 2 * math.pi / 5), (0.0, 1.0)])
     assert way.nearest(0.0, 0.0, -0.1, 0.3).s == pytest.approx(0.0, abs=1e-9)
     assert way.nearest(0.0, 0.0, 1.0, 1.5).s == pytest.approx(2 * math.pi / 5, abs=1e-9)
 
 
-def test_many_places_are_those_of_each():
+def test_coordinates_of_many_points_equal_those_of_each():
     way, rng = route([(1.0, 0.7), (-2.0, 0.9)]), np.random.default_rng(0)
     points = rng.uniform(-1, 2, (50, 2))
-    s, n = way.places(points)
+    s, n = way.coordinates(points)
     assert [(a, b) for a, b in zip(s, n, strict=True)] == [way.nearest(*p)[:2] for p in points]

@@ -1,4 +1,4 @@
-"""A run begins bent, moving and with air in its chambers: told by keys, or by another run's record."""
+"""Initial states of runs: bends, motion and pressures from keys or from an earlier run."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def run(asked: Scenario, plant: str) -> Trajectory:
 
 
 @pytest.mark.parametrize("plant", PLANTS)
-def test_the_keys_are_the_first_sample(plant):
+def test_first_sample_equals_the_keys(plant):
     way = run(scenario(MOVING), plant)
     assert way.com[0] == pytest.approx([0.5, -0.2], abs=1e-9)
     assert way["heading"][0] == pytest.approx(0.3, abs=1e-9)
@@ -45,15 +45,15 @@ def test_the_keys_are_the_first_sample(plant):
     assert way.stack("pressure_minus")[0] == pytest.approx([0, 0, 10e3, 0], abs=1e-6)
 
 
-def test_one_key_is_enough_and_none_is_as_before():
+def test_one_key_suffices_and_none_means_at_rest():
     bent = run(scenario({"bend_rad": [0.1] * SEGMENTS}), "analytical")
     assert bent.stack("bend")[0] == pytest.approx([0.1] * SEGMENTS)
     assert scenario({"x_m": 1.0}).begin is None
 
 
 @pytest.mark.parametrize("plant", PLANTS)
-def test_from_a_record_it_goes_on_as_the_run_did(plant, tmp_path):
-    """What a record does not hold, rates and the wheels' turning, is found within this much."""
+def test_run_from_a_trajectory_continues_it(plant, tmp_path):
+    """Rates and wheel speeds, which a trajectory does not contain, are recovered within this tolerance."""
     whole = run(scenario({}, duration_s=2.0), plant)
     whole.to_parquet(tmp_path / f"{plant}.parquet")
     at = 1.3
@@ -75,30 +75,30 @@ def test_from_a_record_it_goes_on_as_the_run_did(plant, tmp_path):
     ("start", "told"),
     [
         ({"bend_rad": [0.1]}, "start: bend_rad has 1 entries; the robot has 4 segments"),
-        ({"pressure_kpa": [[900.0, 0.0]] * SEGMENTS}, "start: pressure_kpa 900 is above the supply's"),
-        ({"from": "nowhere", "time_s": 1.0}, "start: nowhere holds no record of the analytical plant"),
-        ({"from": "nowhere"}, "start.from: say when in that run: time_s"),
-        ({"time_s": 1.0}, "start.time_s: a time in a run; name the run with from"),
-        ({"from": "nowhere", "time_s": 1.0, "x_m": 0.0}, "start.x_m: the run in from says so"),
+        ({"pressure_kpa": [[900.0, 0.0]] * SEGMENTS}, "start: pressure_kpa 900 is above the supply pressure"),
+        ({"from": "nowhere", "time_s": 1.0}, "start: nowhere has no trajectory of the analytical plant"),
+        ({"from": "nowhere"}, "start.from: needs the time in that run; set time_s"),
+        ({"time_s": 1.0}, "start.time_s: needs a run; set from"),
+        ({"from": "nowhere", "time_s": 1.0, "x_m": 0.0}, "start.x_m: is set by the run in from"),
         ({"velocity_m_s": [1.0]}, "start.velocity_m_s"),
         ({"yaw_rate_rad_s": math.inf}, "start.yaw_rate_rad_s"),
         ({"bends_rad": [0.1] * SEGMENTS}, "did you mean"),
     ],
 )
-def test_what_cannot_be_is_refused(start, told):
+def test_invalid_starts_are_rejected(start, told):
     with pytest.raises(InputError) as error:
         scenario(start)
     assert told in str(error.value)
 
 
-def test_a_time_outside_of_the_record_is_refused(tmp_path):
+def test_time_outside_the_trajectory_is_rejected(tmp_path):
     for plant in PLANTS:
         run(scenario({}), plant).to_parquet(tmp_path / f"{plant}.parquet")
-    with pytest.raises(InputError, match=r"time_s 3 is outside of .*analytical.parquet, 0 to 1 s"):
+    with pytest.raises(InputError, match=r"time_s 3 is outside .*analytical.parquet, 0 to 1 s"):
         scenario({"from": str(tmp_path), "time_s": 3.0})
 
 
-def test_a_run_starts_from_the_first_and_the_last_sample_of_a_record(tmp_path):
+def test_run_starts_from_the_first_and_last_sample_of_a_trajectory(tmp_path):
     records = {plant: run(scenario({}), plant) for plant in PLANTS}
     for plant, record in records.items():
         record.to_parquet(tmp_path / f"{plant}.parquet")

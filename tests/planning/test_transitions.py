@@ -1,4 +1,4 @@
-"""Shaped changes of offset: against the jumps that were measured, and plans that have them."""
+"""Transition arcs: agreement with measured jumps, and plans that contain them."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import pytest
 from plan_sampling import TOUCH, deepest, joints, misses
 
 from srs_twin.planning import planner
-from srs_twin.planning.arcs import along
+from srs_twin.planning.arcs import arc_end
 from srs_twin.planning.footprint import load_footprint
-from srs_twin.planning.planner import plan, plan_shaped, shaped
-from srs_twin.planning.problem import Problem, Segment, Settings, path_of
+from srs_twin.planning.path import Segment, path_from_arcs
+from srs_twin.planning.planner import plan, plan_with_transitions, with_transitions
+from srs_twin.planning.problem import Problem, Settings
 from srs_twin.robot.world import Bounds, Circle, Goal, Pose, World
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 
@@ -28,10 +29,11 @@ def curvature(footprint, offset):
 
 
 @pytest.mark.parametrize("t", LEARNT.transients, ids=lambda t: f"{t.before:g} to {t.after:g}")
-def test_the_settled_path_is_the_one_that_was_measured(t):
-    """The jump itself, from where the command takes effect, against the shaped arcs; it is 71 mm at most."""
+def test_transition_arcs_end_on_the_measured_path(t):
+    """Compare the measured jump, at most 71 mm, with the transition arcs from where the command takes
+    effect."""
     old, new = (curvature(LEARNT, offset) for offset in (t.before, t.after))
-    path = shaped(path_of(START, [(old, 1.0), (new, 1.0)], LEARNT), LEARNT)
+    path = with_transitions(path_from_arcs(START, [(old, 1.0), (new, 1.0)], LEARNT), LEARNT)
     assert len(path) == 3
     command, settled = path[1].start, path[2]
     c, s = math.cos(command.heading), math.sin(command.heading)
@@ -39,17 +41,17 @@ def test_the_settled_path_is_the_one_that_was_measured(t):
         command.x + c * t.dx - s * t.dy, command.y + s * t.dx + c * t.dy, command.heading + t.dheading
     )
     # Where the measured arc is after as much turning as the shaped path has done since.
-    x, y, heading = along(jumped.x, jumped.y, jumped.heading, new, path[1].length)
+    x, y, heading = arc_end(jumped.x, jumped.y, jumped.heading, new, path[1].length)
     if new:
-        x, y, heading = along(x, y, heading, new, (settled.start.heading - heading) / new)
+        x, y, heading = arc_end(x, y, heading, new, (settled.start.heading - heading) / new)
     assert settled.start.heading == pytest.approx(heading, abs=0.02)
     beside = math.cos(heading) * (settled.start.y - y) - math.sin(heading) * (settled.start.x - x)
     assert abs(beside) < 0.012
 
 
-def test_a_shaped_change_keeps_the_heading_and_turns_no_tighter():
-    planned = path_of(START, [(1.0, 0.8), (-1.5, 0.8), (0.0, 0.5)], LEARNT)
-    path = shaped(planned, LEARNT)
+def test_transition_arcs_keep_the_heading_and_turn_no_tighter():
+    planned = path_from_arcs(START, [(1.0, 0.8), (-1.5, 0.8), (0.0, 0.5)], LEARNT)
+    path = with_transitions(planned, LEARNT)
     assert path[-1].end.heading == pytest.approx(planned[-1].end.heading)
     assert sum(s.length for s in path) == pytest.approx(sum(s.length for s in planned))
     assert max(abs(s.curvature) for s in path) <= 1.5
@@ -57,27 +59,29 @@ def test_a_shaped_change_keeps_the_heading_and_turns_no_tighter():
     assert max(steps) < 2.5 - 0.5
 
 
-def test_mirrored_paths_have_mirrored_shapes():
+def test_mirrored_paths_have_mirrored_transitions():
     ways = []
     for side in (1.0, -1.0):
-        path = shaped(path_of(START, [(side, 0.8), (-side * 1.5, 0.8), (0.0, 0.5)], OPEN), OPEN)
+        path = with_transitions(
+            path_from_arcs(START, [(side, 0.8), (-side * 1.5, 0.8), (0.0, 0.5)], OPEN), OPEN
+        )
         ways.append(np.array([(side * s.curvature, s.length) for s in path]))
     assert ways[0] == pytest.approx(ways[1])
 
 
-def test_changes_without_room_or_measurement_stay_as_they_are():
-    short = path_of(START, [(1.0, 0.1), (-1.0, 0.1)], LEARNT)
-    assert shaped(short, LEARNT) == short
-    long = path_of(START, [(1.0, 0.8), (-1.0, 0.8)], LEARNT)
-    assert shaped(long, replace(LEARNT, transients=())) == long
-    assert shaped((), LEARNT) == ()
+def test_changes_without_room_or_measurement_stay_jumps():
+    short = path_from_arcs(START, [(1.0, 0.1), (-1.0, 0.1)], LEARNT)
+    assert with_transitions(short, LEARNT) == short
+    long = path_from_arcs(START, [(1.0, 0.8), (-1.0, 0.8)], LEARNT)
+    assert with_transitions(long, replace(LEARNT, transients=())) == long
+    assert with_transitions((), LEARNT) == ()
 
 
-def test_a_shaped_plan_is_free_and_arrives():
+def test_plan_with_transitions_is_free_and_arrives():
     body = LEARNT.reduced(0.8, 0.03)
     problem = Problem(Pose(0.4, 0.0, 0.0), GOAL, FIELD, body)
     begin = (Segment(START, 0.0, 0.4, 0.0, 0.18),)
-    answer = plan_shaped(problem, Settings(), begin)
+    answer = plan_with_transitions(problem, Settings(), begin)
     assert answer.found and answer.reason == "a free path" and answer.segments[0].start == START
     whole = replace(problem, start=START)
     assert deepest(answer, whole) < TOUCH and joints(answer, whole) < 1e-6 and not misses(answer, whole)
@@ -86,12 +90,12 @@ def test_a_shaped_plan_is_free_and_arrives():
     assert len(between) >= 2, "changes have an arc between"
 
 
-def test_a_snake_at_its_goal_has_no_change_to_complain_of():
-    answer = plan_shaped(Problem(START, Goal(0.0, 0.0, None, 0.05), FIELD, LEARNT), Settings())
+def test_plan_from_the_goal_needs_no_transitions():
+    answer = plan_with_transitions(Problem(START, Goal(0.0, 0.0, None, 0.05), FIELD, LEARNT), Settings())
     assert answer.found and answer.segments == () and "jumps" not in answer.reason
 
 
-def test_its_nodes_and_time_are_those_of_all_plans_that_were_made(monkeypatch):
+def test_nodes_and_time_are_totals_of_all_searches(monkeypatch):
     made = []
 
     def counted(problem, settings):
@@ -99,28 +103,28 @@ def test_its_nodes_and_time_are_those_of_all_plans_that_were_made(monkeypatch):
         return made[-1]
 
     monkeypatch.setattr(planner, "plan", counted)
-    answer = plan_shaped(Problem(START, GOAL, FIELD, LEARNT.reduced(0.8, 0.03)), Settings())
+    answer = plan_with_transitions(Problem(START, GOAL, FIELD, LEARNT.reduced(0.8, 0.03)), Settings())
     assert len(made) > 1
     assert answer.expanded == sum(each.expanded for each in made)
     assert answer.seconds >= max(each.seconds for each in made) > 0
 
 
 @pytest.mark.slow
-def test_where_no_shaped_path_is_free_the_plan_says_so():
+def test_reason_reports_a_plan_without_transitions():
     tight = World((Circle(0.5, 0.25, 0.1), Circle(0.5, -0.25, 0.1), Circle(1.0, 0.02, 0.11)), FIELD.bounds)
-    answer = plan_shaped(
+    answer = plan_with_transitions(
         Problem(START, Goal(1.3, 0.0, 0.0, 0.001, 0.0), tight, OPEN.reduced(0.4)), Settings()
     )
-    assert answer.found and "changes of offset are jumps in it" in answer.reason
+    assert answer.found and "without transition arcs" in answer.reason
 
 
-def test_without_transients_nothing_is_shaped():
+def test_no_transitions_without_transients():
     problem = Problem(START, GOAL, FIELD, load_footprint("gen4_table9"))
-    answer = plan_shaped(problem, Settings())
+    answer = plan_with_transitions(problem, Settings())
     assert answer.found and {abs(round(s.curvature, 6)) for s in answer.segments} <= {0, 0.6545, 1.309}
 
 
-def test_a_scenario_asks_for_it():
+def test_shape_changes_of_a_scenario_plans_transitions():
     document = dict(load_scenario("follow_gen4_b").document)
     plans = [
         parse_scenario({**document, "planner": {**document["planner"], "shape_changes": shape}})

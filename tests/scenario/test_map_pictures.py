@@ -69,7 +69,7 @@ def png(width, height, depth, kind, rows, more=b""):
 
 
 def draw(rng, channels, white):
-    """Return pixels of which some lie close to the thresholds."""
+    """Return pixels, some of them close to the thresholds."""
     values = rng.integers(0, white + 1, (*SHAPE, channels))
     near = np.rint(white * rng.choice([0, 0.196, 0.804, 0.65, 0.35, 0.9, 0.995, 1], SHAPE)).astype(int)
     near = np.clip(near + rng.integers(-1, 2, SHAPE), 0, white)
@@ -172,7 +172,7 @@ WRITERS = {
 
 
 @pytest.mark.parametrize("library", WRITERS)
-def test_cells_are_those_of_ros(tmp_path, library):
+def test_cells_agree_with_ros(tmp_path, library):
     """Formats × bit depths × modes × negate: 208 maps."""
     rng = np.random.default_rng(42)
     for k, write in enumerate(WRITERS[library]):
@@ -235,7 +235,7 @@ def test_a_wall_is_thirty_cells(tmp_path, levels, more, cells, suffix):
     assert count.sum() == cells and ((count > 0) == ((WALL == 0) if cells == 30 else (WALL > 0))).all()
 
 
-def test_transparent_cells_are_no_way(tmp_path):
+def test_transparent_cells_are_occupied(tmp_path):
     rgba = np.dstack([np.full((*WALL.shape, 3), 254, np.uint8), np.where(WALL > 0, 255, 0).astype(np.uint8)])
     Image.fromarray(rgba).save(tmp_path / "clear.png")
     for more in ("mode: trinary\n", "mode: scale\n"):
@@ -320,8 +320,8 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_what_is_no_picture_of_a_map_is_refused(tmp_path, name):
-    """By content, before Pillow sees it, with one message that has the place in the map."""
+def test_invalid_pictures_are_rejected(tmp_path, name):
+    """By content, before Pillow reads it, with one message that names the place in the map."""
     make, words = HOSTILE[name]
     make(tmp_path / "a.png")
     with pytest.raises(InputError) as error:
@@ -330,13 +330,13 @@ def test_what_is_no_picture_of_a_map_is_refused(tmp_path, name):
     assert "\n" not in str(error.value)
 
 
-def test_suffixes_do_not_matter(tmp_path):
+def test_format_is_read_from_the_content_not_the_suffix(tmp_path):
     Image.fromarray(WALL).save(tmp_path / "a.png")
     (tmp_path / "a.png").rename(tmp_path / "a.pgm")
     assert covered(write_map(tmp_path / "a.pgm"), WALL.shape).sum() == 30
 
 
-def test_a_checkerboard_is_refused_at_once(tmp_path, monkeypatch, capsys):
+def test_checkerboard_is_rejected_quickly(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     board = np.indices((1000, 1000)).sum(axis=0) % 2 == 0
     Image.fromarray(board).save("wall.png")

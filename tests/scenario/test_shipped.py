@@ -1,4 +1,4 @@
-"""Every shipped scenario runs on both plants and misses only the expectations marked in its file."""
+"""Shipped scenarios run on both plants and miss only their known expectations."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from srs_twin.scenario.expectation import verdict
 DOCUMENTED = json.loads((ROOT / "docs/module.json").read_text("utf-8"))
 
 
-# One fast scenario of each kind; ILC: test_learning_scenarios.py.
+# By default one of each kind that is quickly run; ILC: test_learning_scenarios.py.
 BRIEF = {
     "gen2_straight",
     "module_step_direct",
@@ -27,29 +27,29 @@ SHIPPED = [
 ]
 
 
-def test_brief_scenarios_are_shipped():
+def test_default_runs_are_shipped_scenarios():
     assert set(shipped_names("scenario")) >= BRIEF
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_scenario_misses_only_known_expectations(name, shipped_run):
+def test_shipped_scenarios_miss_only_known_expectations(name, shipped_run):
     folder = shipped_run(name)
     assert {path.name for path in folder.iterdir()} == {
         "analytical.parquet", "twin.parquet", "scenario.resolved.yaml", "report.html", "recording.rrd",
         "metrics.json",
     }  # fmt: skip
     metrics = json.loads((folder / "metrics.json").read_text("utf-8"))
-    unexpected = [
-        item
-        for item in metrics["expectations"]
-        if verdict(item) not in ("met", "known") and item.get("verdict") != "undecided"
+    surprising = [
+        each
+        for each in metrics["expectations"]
+        if verdict(each) not in ("met", "known") and each.get("verdict") != "undecided"
     ]
-    assert unexpected == [], "missed, or marked `known` and met: correct the mark in the scenario"
-    check_documented_values(name, metrics["plants"])
+    assert surprising == [], "missed, or marked `known` and met: change the mark on purpose"
+    as_documented(name, metrics["plants"])
     both = load_run(folder).trajectories
     if any(both["twin"].has(name) for name in ("reference", "duty_plus", "offset_commanded")):
-        return  # feedback: the controllers of the plants differ
-    # With equal valve states the chambers must be equal, independent of the bodies.
+        return  # feedback: the commands depend on the plant
+    # Equal valve commands give equal pressures, regardless of the motion.
     assert both["twin"].metadata["valve_switches"] == both["analytical"].metadata["valve_switches"]
     for valve in ("valve_plus", "valve_minus"):
         assert (both["twin"].stack(valve) == both["analytical"].stack(valve)).all()
@@ -57,8 +57,8 @@ def test_scenario_misses_only_known_expectations(name, shipped_run):
         assert both["twin"].stack(chamber) == pytest.approx(both["analytical"].stack(chamber), abs=1e-6)
 
 
-def check_documented_values(name, plants):
-    """Compare the metrics of a scenario with docs/module.json, the source of docs/module.md."""
+def as_documented(name, plants):
+    """Compare the metrics of a scenario with those in docs/module.md, stored in docs/module.json."""
     documented = DOCUMENTED["scenarios"].get(name)
     if documented is None:
         return
@@ -70,10 +70,10 @@ def check_documented_values(name, plants):
         }
         assert numbers.keys() == documented[plant].keys()
         if "leak" not in name:
-            again = "uv run python benchmarks/module_table.py updates docs/module.json"
+            again = "uv run python benchmarks/module_table.py writes them again"
             assert numbers == pytest.approx(documented[plant], rel=0.02, abs=2e-4), again
             continue
-        # At the edge of the dead zone rounding acts like noise: compare with the documented noise draws.
+        # At the edge of the dead zone rounding acts like noise: compare with the documented distribution.
         drawn = DOCUMENTED["leak"]["of"][name.rpartition("_")[2]][plant]
         for metric, unit in (("inlet_openings", 1), ("steady_rms_rad", 180 / math.pi)):
             mean, deviation = drawn[metric]["mean"], drawn[metric]["deviation"]

@@ -1,4 +1,4 @@
-"""Arcs and their swept regions against integration and against finely drawn polygons (shapely)."""
+"""Arcs and their swept regions, compared with integration and with finely drawn polygons (shapely)."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from srs_twin.errors import InputError
-from srs_twin.planning.arcs import Primitives, along, blocked
-from srs_twin.planning.collision import Surroundings, in_cells
+from srs_twin.planning.arcs import Primitives, arc_collides, arc_end
+from srs_twin.planning.collision import ObstacleGrid, build_grid
 from srs_twin.robot.world import Pose
 
 CURVATURE = st.floats(-4, 4) | st.sampled_from([0.0, 1e-12, -1e-10, 1e-8, 1e-6, -1e-4])
@@ -24,7 +24,7 @@ ARC = st.tuples(st.builds(Pose, PLACE, PLACE, ANGLE), CURVATURE, st.floats(0, 1.
 NO_CIRCLES, NO_SIDES = np.empty((0, 3)), np.empty((0, 4))
 ANYWHERE = np.array([-np.inf, np.inf, -np.inf, np.inf])
 NEAR = 1e-4
-"""What the drawn polygon and the region may disagree about, m."""
+"""Tolerance between the drawn polygon and the region, m."""
 
 
 def drawn(arc) -> shapely.Polygon:
@@ -44,12 +44,12 @@ def drawn(arc) -> shapely.Polygon:
 
 def touches(arc, circles=NO_CIRCLES, sides=NO_SIDES, bounds=ANYWHERE) -> bool:
     pose, k, length, ahead, behind, left, right = arc
-    around = Surroundings(circles, sides, bounds, *in_cells(circles, sides))
-    return blocked(*pose, k, length, ahead, behind, left, right, around)
+    around = ObstacleGrid(circles, sides, bounds, *build_grid(circles, sides))
+    return arc_collides(*pose, k, length, ahead, behind, left, right, around)
 
 
 @given(ARC, st.integers(0, 2**32 - 1))
-def test_many_things_are_hit_as_one_by_one(arc, seed):
+def test_many_obstacles_collide_as_each_alone(arc, seed):
     rng = np.random.default_rng(seed)
     circles = np.column_stack([rng.uniform(-3, 3, (40, 2)), rng.uniform(0.01, 0.2, 40)])
     ends = rng.uniform(-3, 3, (40, 2))
@@ -60,17 +60,17 @@ def test_many_things_are_hit_as_one_by_one(arc, seed):
 
 
 @given(st.builds(Pose, PLACE, PLACE, ANGLE), CURVATURE, st.floats(-2, 2))
-def test_arc_is_what_integration_gives(pose, k, length):
+def test_arc_end_agrees_with_integration(pose, k, length):
     solved = solve_ivp(
         lambda _, z: [math.cos(z[2]), math.sin(z[2]), k], (0, abs(length)), [pose.x, pose.y, pose.heading],
         rtol=1e-10, atol=1e-12,
     )  # fmt: skip
     assume(length >= 0)
-    assert along(pose.x, pose.y, pose.heading, k, length) == pytest.approx(solved.y[:, -1], abs=1e-8)
+    assert arc_end(pose.x, pose.y, pose.heading, k, length) == pytest.approx(solved.y[:, -1], abs=1e-8)
 
 
 @given(st.builds(Pose, PLACE, PLACE, ANGLE), st.floats(0.1, 3), st.floats(0.05, 1))
-def test_children_obey_eq_33_with_its_signs_put_right(pose, turn, length):
+def test_children_obey_the_corrected_eq_33(pose, turn, length):
     arcs = Primitives(5, turn, length)
     for i, child in enumerate(arcs.children(pose)):
         alpha = turn * (i - 2) / 2
@@ -87,14 +87,14 @@ def test_children_obey_eq_33_with_its_signs_put_right(pose, turn, length):
 
 
 @given(ARC, PLACE, PLACE, st.floats(0.01, 0.5))
-def test_circles_are_hit_as_the_drawn_region_is(arc, x, y, radius):
+def test_circles_collide_as_with_a_drawn_region(arc, x, y, radius):
     gap = drawn(arc).distance(shapely.Point(x, y)) - radius
     assume(abs(gap) > NEAR)
     assert touches(arc, circles=np.array([[x, y, radius]])) == (gap < 0)
 
 
 @given(ARC, PLACE, PLACE, PLACE, PLACE)
-def test_sides_are_hit_as_the_drawn_region_is(arc, ax, ay, bx, by):
+def test_sides_collide_as_with_a_drawn_region(arc, ax, ay, bx, by):
     region, side = drawn(arc), shapely.LineString([(ax, ay), (bx, by)])
     hit = region.intersects(side)
     assume(hit == region.buffer(NEAR).intersects(side) == region.buffer(-NEAR).intersects(side))
@@ -102,7 +102,7 @@ def test_sides_are_hit_as_the_drawn_region_is(arc, ax, ay, bx, by):
 
 
 @given(ARC, st.floats(0.02, 2), st.floats(0.02, 2), st.floats(0.02, 2), st.floats(0.02, 2))
-def test_bounds_are_left_as_by_the_drawn_region(arc, west, east, south, north):
+def test_bounds_are_left_as_by_a_drawn_region(arc, west, east, south, north):
     region, pose = drawn(arc), arc[0]
     box = (pose.x - west, pose.y - south, pose.x + east, pose.y + north)
     inside = shapely.box(*box).contains(region)
@@ -114,7 +114,7 @@ def test_bounds_are_left_as_by_the_drawn_region(arc, west, east, south, north):
     assert touches(arc, bounds=np.array([box[0], box[2], box[1], box[3]])) == (not inside)
 
 
-def test_primitives_have_a_middle():
+def test_even_numbers_of_primitives_are_rejected():
     with pytest.raises(InputError, match="4 primitives: the number must be odd"):
         Primitives(4, 1.0, 0.1)
     with pytest.raises(InputError, match="below pi"):

@@ -1,4 +1,4 @@
-"""The follower on a unicycle: that it comes to the path in spite of delay and noise, and how it ends."""
+"""Follower on a unicycle: convergence with delay and noise, new plans and endings."""
 
 from __future__ import annotations
 
@@ -18,9 +18,8 @@ from srs_twin.control.reference import Constant
 from srs_twin.control.smc import IterativeSMC
 from srs_twin.planning.follower import ENDINGS, Conditions, Follower
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.plan import Plan
-from srs_twin.planning.problem import Outcome, path_of
-from srs_twin.planning.route import Route
+from srs_twin.planning.path import ReferencePath, path_from_arcs
+from srs_twin.planning.problem import Outcome, Plan
 from srs_twin.planning.steering import BearingLaw, PathLaw, Predictor, Steering
 from srs_twin.robot.file import load_robot
 from srs_twin.robot.world import Circle, Goal, Pose, World
@@ -37,7 +36,7 @@ def as_told(offset):
 
 
 def a_plan(pieces=STRAIGHT, start=ORIGIN):
-    return Plan(Outcome.FOUND, "given", path_of(start, list(pieces), BODY))
+    return Plan(Outcome.FOUND, "given", path_from_arcs(start, list(pieces), BODY))
 
 
 def ours():
@@ -49,9 +48,10 @@ def follow(
     stray=None, replans=3, replan=None, submit=None, curvature_at=as_told, goal=None, world=EMPTY, margin=0.0,
     late=0.0, lag=0.0, least_margin=0.0, **snake,
 ):  # fmt: skip
-    """Return the follower, the snake and its way, shape (samples, 4): time, x, y, heading without the wag.
+    """Return the follower, the snake and its path, shape (samples, 4): time, x, y, heading without
+    oscillation.
 
-    What the follower sees comes so late (s); of that it knows `lag`.
+    Frames are late by `late` (s); the follower compensates `lag` of that.
     """
     wheel = Wheel()
     end = plan.end or Pose(1.0, 0.0, 0.0)
@@ -85,11 +85,11 @@ def follow(
 
 
 def beside(plan, way, since=0.0):
-    return Route(plan.segments).places(way[way[:, 0] >= since, 1:3])[1]
+    return ReferencePath(plan.segments).coordinates(way[way[:, 0] >= since, 1:3])[1]
 
 
 @pytest.mark.parametrize("aside", [0.1, -0.1])
-def test_it_comes_to_a_straight_path_and_stays(aside):
+def test_follower_converges_to_a_straight_path(aside):
     plan = a_plan()
     follower, _, way = follow(plan, start=(0.0, aside, 0.0))
     assert follower.ending == "goal_reached"
@@ -103,7 +103,7 @@ def test_a_winding_path_is_followed_within_millimetres_and_arrived_at():
     assert np.sqrt((beside(a_plan(WINDING), way) ** 2).mean()) < 0.008
 
 
-def test_delay_and_noise_cost_little():
+def test_delay_and_noise_add_little_error():
     plan = a_plan(WINDING)
     camera = Camera(60.0, 0.002, 0.02)
     for seed in range(3):
@@ -112,7 +112,7 @@ def test_delay_and_noise_cost_little():
         assert np.sqrt((beside(plan, way) ** 2).mean()) < 0.012
 
 
-def test_frames_that_come_late_are_reckoned_with():
+def test_late_frames_are_compensated():
     plan = a_plan(WINDING)
     beside_by = {}
     for lag in (0.0, 0.16):
@@ -127,7 +127,7 @@ def test_frames_that_come_late_are_reckoned_with():
     gain=st.floats(0.6, 1.6), drift=st.floats(-0.5, 0.5), aside=st.floats(-0.1, 0.1),
     heading=st.floats(-0.5, 0.5), speed=st.floats(0.12, 0.3),
 )  # fmt: skip
-def test_a_snake_unlike_its_footprint_comes_to_the_path_all_the_same(gain, drift, aside, heading, speed):
+def test_snake_that_differs_from_its_footprint_converges(gain, drift, aside, heading, speed):
     plan = a_plan(((0.0, 8.0),))
     _, _, way = follow(
         plan, start=(0.0, aside, heading), curvature_at=lambda offset: gain * as_told(offset) + drift,
@@ -137,7 +137,7 @@ def test_a_snake_unlike_its_footprint_comes_to_the_path_all_the_same(gain, drift
 
 
 @pytest.mark.parametrize("law", [ours, lambda: BearingLaw(0.6, 0.2, 0.2)])
-def test_mirrored_paths_have_mirrored_ways(law):
+def test_mirrored_paths_are_followed_symmetrically(law):
     ways = []
     for side in (1.0, -1.0):
         plan = a_plan(tuple((side * k, length) for k, length in WINDING))
@@ -148,7 +148,7 @@ def test_mirrored_paths_have_mirrored_ways(law):
     assert ways[0] == pytest.approx(ways[1], abs=1e-9)
 
 
-def test_the_texts_follower_goes_from_node_to_node_and_arrives():
+def test_bearing_law_visits_all_nodes_and_arrives():
     law = BearingLaw(0.6, 0.2, 0.2)
     plan = a_plan(WINDING)
     follower, _, way = follow(plan, law=law, radius=0.1)
@@ -158,7 +158,7 @@ def test_the_texts_follower_goes_from_node_to_node_and_arrives():
     assert np.sqrt((beside(plan, way) ** 2).mean()) > 2 * np.sqrt((ours_beside**2).mean())
 
 
-def test_an_offset_arrives_after_the_delay_and_stays_in_bounds():
+def test_offset_takes_effect_after_the_delay_and_stays_in_bounds():
     follower, plant, _ = follow(a_plan(), start=(0.0, 0.3, 0.0), delay=0.1)
     first = next(time for time, offset in plant.offsets if offset != 0)
     assert first == pytest.approx(0.1, abs=plant.tick / 2)
@@ -166,7 +166,7 @@ def test_an_offset_arrives_after_the_delay_and_stays_in_bounds():
 
 
 class Watcher(Steering):
-    """Turns to and fro by the clock, and keeps the poses that it is given to decide by."""
+    """Alternate turns by time, and record the poses of the input."""
 
     predicts = True
 
@@ -181,8 +181,8 @@ class Watcher(Steering):
         return 0.2 if len(self.poses) % 120 < 60 else -0.2
 
 
-def test_a_law_decides_by_where_the_snake_will_be_when_its_command_arrives():
-    """Also while the snake still obeys commands that are on their way: they arrive the delay later."""
+def test_law_receives_the_pose_at_which_its_command_takes_effect():
+    """Also while earlier commands are still delayed."""
     law, delay = Watcher(), 0.3
     _, plant, way = follow(a_plan(), law=law, delay=delay, duration=8.0)
     ahead = round(delay / plant.tick)
@@ -193,8 +193,8 @@ def test_a_law_decides_by_where_the_snake_will_be_when_its_command_arrives():
     assert apart[settled].max() < 0.01
 
 
-def test_prediction_is_better_than_what_the_camera_last_showed():
-    """On a circle the prediction from a mean that is half a period old is where the snake is."""
+def test_prediction_is_better_than_the_last_frame():
+    """On a circle the prediction from a mean half a period old is the actual pose."""
     predictor, mean = Predictor(BODY, 0.5, 0.1, SETTLE), PeriodMean(0.5)
     wheel = Wheel()
     plant = Unicycle(wheel, as_told)
@@ -214,11 +214,11 @@ def test_prediction_is_better_than_what_the_camera_last_showed():
         state = plant.step(None)
     assert max(far[100:]) < 0.003 < 0.04 < min(lag[100:])
     assert predictor.speed == pytest.approx(0.2, rel=0.02)
-    # On one circle gain and disturbance are not told apart; what they make together is known.
+    # On one circle gain and disturbance are not distinguishable, but their sum is.
     assert predictor.turning == pytest.approx(as_told(0.2), abs=0.05)
 
 
-def test_a_period_mean_is_blind_to_the_gait_and_exact_on_lines():
+def test_period_mean_removes_the_gait_and_is_exact_on_lines():
     mean = PeriodMean(0.5)
     for k in range(200):
         t = k / 60
@@ -231,7 +231,7 @@ def test_a_period_mean_is_blind_to_the_gait_and_exact_on_lines():
     assert mean.pose.heading == pytest.approx(3.1 + 0.5 * (last - 0.25), abs=2e-3)
 
 
-def test_headings_are_counted_on_over_the_turn():
+def test_headings_are_unwrapped():
     mean = PeriodMean(0.5)
     for k in range(600):
         t = k / 60
@@ -260,7 +260,8 @@ def test_frames_come_at_their_rate_and_repeat_for_a_seed():
 
 
 def test_camera_noise_of_x_y_and_heading_has_its_size_and_is_independent():
-    """Tolerances are seven standard errors of a spread and five of a correlation, of 3000 frames."""
+    """Tolerances are seven standard errors of a standard deviation and five of a correlation for 3000
+    frames."""
     noise = np.array([(*each,) for each in camera_frames(1) if each is not None])
     assert noise.std(axis=0) == pytest.approx([0.01, 0.01, 0.1], rel=0.1)
     assert np.abs(noise.mean(axis=0)).max() < 0.1 * 0.1
@@ -268,7 +269,7 @@ def test_camera_noise_of_x_y_and_heading_has_its_size_and_is_independent():
     assert np.abs(np.corrcoef(noise[:-1].T, noise[1:].T)[:3, 3:]).max() < 0.1  # from frame to frame
 
 
-def test_no_plan_ends_it_at_once_with_the_planners_reason():
+def test_missing_plan_ends_the_run_with_the_planners_reason():
     follower, _, way = follow(Plan(Outcome.STUCK, "every arc is blocked"))
     assert follower.finished and follower.ending == "no_plan" and len(way) == 1
     (event,) = follower.events()
@@ -282,24 +283,24 @@ def test_a_snake_that_stops_is_stuck():
     assert 3.0 < way[-1, 0] < 3.0 + 0.5 * 8
 
 
-def test_a_goal_beside_the_path_is_missed():
+def test_goal_away_from_the_path_is_missed():
     follower, _, _ = follow(a_plan(), goal=Goal(3.0, 0.4, None, 0.05))
     assert follower.ending == "goal_missed"
     assert follower.events()[-1].text == ENDINGS["goal_missed"]
 
 
 def blind(offset):
-    """Turns whatever it is told."""
+    """Snake that turns regardless of its commands."""
     return 2.0
 
 
 BESIDE = World((Circle(2.0, 0.25, 0.15),))
-"""Leaves 50 mm beside the body on a straight path; planned with all of that as its margin."""
+"""Obstacle 50 mm from the body on a straight path; this is the whole margin of the plan."""
 
 
 @pytest.mark.parametrize("least", [0.0, 0.5])
-def test_a_snake_beside_a_running_robot_stops_without_the_margin_it_needs(least):
-    """The same obstacle and weak law as below; plans exist with a quarter of the margin only."""
+def test_run_ends_without_the_required_margin(least):
+    """The obstacle and weak law of the test below; plans exist with a quarter of the margin only."""
     shares = []
 
     def replan(pose, share):
@@ -316,13 +317,13 @@ def test_a_snake_beside_a_running_robot_stops_without_the_margin_it_needs(least)
     events = follower.events()
     if least:
         assert follower.ending == "no_room"
-        assert events[-1].text.startswith("no way with the margin that is needed: close; start: ")
+        assert events[-1].text.startswith("no path with the required margin: close; start: ")
     else:
         assert events[0].kind == "replanned" and "25% of the margin" in events[0].text
 
 
 @pytest.mark.parametrize("least", [0.0, 0.5])
-def test_a_snake_that_comes_near_with_no_plan_left_stops_where_a_margin_is_needed(least):
+def test_run_with_a_required_margin_ends_near_an_obstacle_when_no_plan_is_left(least):
     follower, _, _ = follow(
         a_plan(), law=BearingLaw(0.3, 0.2, 0.1), curvature_at=lambda offset: as_told(offset) + 0.7,
         stray=1.0, replans=0, replan=lambda pose, _: a_plan(start=pose), world=BESIDE, margin=0.05,
@@ -333,7 +334,7 @@ def test_a_snake_that_comes_near_with_no_plan_left_stops_where_a_margin_is_neede
     assert ("no_new_plan" in [each.kind for each in events]) != bool(least)
 
 
-def test_straying_gets_new_plans_as_often_as_allowed():
+def test_straying_requests_new_plans_up_to_the_limit():
     asked = []
 
     def replan(pose, _share):
@@ -348,8 +349,8 @@ def test_straying_gets_new_plans_as_often_as_allowed():
     assert times == sorted(times) and len(times) == 3
 
 
-def test_a_new_plan_is_asked_for_before_the_body_comes_near_to_something():
-    """The snake turns to the side of the obstacle by itself, and its law is too weak."""
+def test_new_plan_is_requested_before_the_body_reaches_an_obstacle():
+    """The snake drifts towards the obstacle, and its law is too weak."""
     asked = []
 
     def replan(pose, share):
@@ -369,7 +370,7 @@ def test_a_new_plan_is_asked_for_before_the_body_comes_near_to_something():
     assert event.kind == "replanned" and "(close, 75% of the margin)" in event.text
 
 
-def test_on_its_path_or_without_a_margin_nothing_is_asked_for():
+def test_no_plan_is_requested_on_the_path_or_without_a_margin():
     for margin in (0.05, 0.0):
         follower, _, _ = follow(a_plan(), stray=1.0, replan=refuse, world=BESIDE, margin=margin)
         assert follower.ending == "goal_reached" and [e.kind for e in follower.events()] == ["goal_reached"]
@@ -379,7 +380,7 @@ def refuse(pose, _share):
     raise InputError("start (1, 2): the straight body's footprint touches obstacle 1")
 
 
-def test_without_a_new_plan_it_goes_on_along_the_old_one_for_as_often_as_allowed():
+def test_old_plan_is_kept_if_there_is_no_new_one():
     follower, _, way = follow(a_plan(), curvature_at=blind, stray=0.1, replan=refuse, replans=2)
     assert follower.ending == "strayed" and len(follower.plans) == 1
     events = follower.events()
@@ -391,13 +392,13 @@ def test_without_a_new_plan_it_goes_on_along_the_old_one_for_as_often_as_allowed
     assert follower.ending == "goal_reached" and follower.events()[0].kind == "no_new_plan"
 
 
-def test_a_missed_goal_without_a_new_plan_ends_it_and_says_why():
+def test_missed_goal_without_a_new_plan_ends_the_run_with_a_reason():
     follower, _, _ = follow(a_plan(), goal=Goal(3.0, 0.4, None, 0.05), replan=refuse)
     assert follower.ending == "goal_missed" and follower.events()[-1].text.endswith("touches obstacle 1")
 
 
 def test_a_new_plan_leads_to_the_goal():
-    """Pushed off its path once, it goes on along another one."""
+    """After one push off its path, the snake follows a new path."""
     plan = a_plan()
 
     def replan(pose, _share):
@@ -410,7 +411,7 @@ def test_a_new_plan_leads_to_the_goal():
 
 
 class Later:
-    """What another thread has done when it is asked for the tenth time."""
+    """Future that is done when it is polled for the tenth time."""
 
     def __init__(self, job):
         self.job, self.asked = job, 0
@@ -423,7 +424,7 @@ class Later:
         return self.job()
 
 
-def test_a_snake_goes_on_along_the_old_plan_until_another_thread_has_made_one():
+def test_old_plan_is_followed_until_another_thread_returns_a_new_one():
     jobs = []
 
     def submit(job):
@@ -451,19 +452,19 @@ def test_a_snake_goes_on_along_the_old_plan_until_another_thread_has_made_one():
 
 
 def test_a_controller_without_an_offset_is_refused():
-    with pytest.raises(InputError, match="'iterative_smc' has no offset to steer by; gait and ilc have"):
+    with pytest.raises(InputError, match="'iterative_smc' has no offset to steer by; use gait or ilc"):
         Follower(
             IterativeSMC(Constant(0.1)), ours(), a_plan(), Goal(1, 0, None, 0.1), BODY, Conditions(Camera())
         )
 
 
-def test_a_run_can_be_had_again():
+def test_runs_are_repeatable():
     first, second = (follow(a_plan(WINDING), camera=Camera(60, 0.002, 0.02), seed=4)[2] for _ in range(2))
     assert (first == second).all()
 
 
-def test_settings_of_reset_do_not_remain():
-    """One follower driven twice does the same twice."""
+def test_reset_restores_all_settings():
+    """Two runs of one follower are equal."""
     wheel = Wheel()
     plan = a_plan(WINDING)
     follower = Follower(
@@ -480,8 +481,8 @@ def test_settings_of_reset_do_not_remain():
     assert ways[0] == ways[1]
 
 
-def test_gain_and_bias_of_turning_are_learnt_and_forgotten():
-    """A snake that turns 0.7 of what its footprint says, and 0.4 1/m besides."""
+def test_gain_and_disturbance_of_turning_are_estimated_and_reset():
+    """A snake with a turning gain of 0.7 and a disturbance of 0.4 1/m."""
     predictor, mean = Predictor(BODY, 0.5, 0.1, SETTLE), PeriodMean(0.5)
     wheel = Wheel()
     plant = Unicycle(wheel, lambda offset: 0.7 * as_told(offset) + 0.4)
@@ -499,5 +500,5 @@ def test_gain_and_bias_of_turning_are_learnt_and_forgotten():
         state = plant.step(None)
     assert predictor.gain == pytest.approx(0.7, abs=0.1)
     assert predictor.disturbance == pytest.approx(0.4, abs=0.15)
-    predictor.forget()
+    predictor.reset_turning()
     assert (predictor.gain, predictor.disturbance) == (1.0, 0.0)

@@ -1,4 +1,4 @@
-"""Metrics of following, on ways that were prescribed: every number is known beforehand."""
+"""Metrics of following for prescribed motions with known values."""
 
 from __future__ import annotations
 
@@ -58,16 +58,16 @@ def moved(trajectory, dx=0.0, dy=0.0):
 
 
 STILL = Snake(amplitude=0.0, sway=(0.0, 0.0), heading_sway=0.0)
-"""A rod that slides along x with 0.2 m/s for 6 s."""
+"""Rod that slides along x at 0.2 m/s for 6 s."""
 
 
-def test_a_run_without_a_plan_has_none_and_the_names_are_metrics():
+def test_run_without_a_plan_has_no_following_metrics():
     metrics = plant_metrics(STILL.trajectory())
     assert all(metrics[name] is None for name in FOLLOWING_UNITS)
     assert FOLLOWING_UNITS.items() <= METRIC_UNITS.items()
 
 
-def test_a_rod_beside_its_path():
+def test_cross_track_of_a_rod_parallel_to_its_path():
     run = followed(moved(STILL.trajectory(), dy=0.01), [plan([line()])])
     metrics = following_metrics(run)
     assert metrics["cross_track_rms_m"] == pytest.approx(0.01)
@@ -82,7 +82,7 @@ def test_a_rod_beside_its_path():
     assert (metrics["contacts"], metrics["contact_time_s"], metrics["clearance_m"]) == (None, None, None)
 
 
-def test_how_much_of_the_time_is_spent_inside():
+def test_inside_share_counts_the_time_within_the_edges():
     trajectory = STILL.trajectory()
     aside = np.where(trajectory.time < 1.5, 0.0, np.where(trajectory.time < 3.0, 0.02, 0.04))
     columns = {
@@ -96,7 +96,7 @@ def test_how_much_of_the_time_is_spent_inside():
 
 
 def test_edges_shift_with_the_turn():
-    """A rod on a circle: its middle swings out to neither side, its ends to the outside."""
+    """Rod on a circle: its middle stays on the path, its ends are outside."""
     radius = 0.3
     run = Snake(
         speed=0.2, yaw_rate=0.2 / radius, amplitude=0.0, sway=(0, 0), heading_sway=0.0, duration=2.0
@@ -112,11 +112,11 @@ def test_edges_shift_with_the_turn():
         full = [[*arc[:4], 2.0 * math.pi * radius * 0.9, *arc[5:]]]
         metrics = following_metrics(followed(run, [plan(full)], footprint=edges))
         late = metrics["inside_share"]
-        # At first the tail is before the start, where the path goes on straight.
+        # At first the tail is before the start, where the path is extended straight.
         assert late == pytest.approx(share, abs=0.5) and (late > 0.5) == (share == 1.0)
 
 
-def test_each_plan_counts_from_its_time_on():
+def test_each_plan_counts_from_its_start():
     run = followed(STILL.trajectory(), [plan([line()]), plan([line(y=0.03)], time=3.0)])
     parts = list(legs(run))
     assert [part.samples for part in parts] == [slice(0, 300), slice(300, 601)]
@@ -125,13 +125,13 @@ def test_each_plan_counts_from_its_time_on():
     assert metrics["cross_track_rms_m"] == pytest.approx(0.03 * math.sqrt(301 / 601))
 
 
-def test_a_goal_missed_and_the_heading_without_the_swing():
+def test_arrival_error_and_heading_without_oscillation():
     run = Snake(yaw_rate=0.1, duration=4.0).trajectory()
     x, y = run.com[-1]
     metrics = following_metrics(followed(run, [plan([line()])], goal=(x + 0.06, y, 0.5, 0.05)))
     assert metrics["goal_reached"] == 0
     assert metrics["arrival_error_m"] == pytest.approx(0.06)
-    # The heading at the end is 0.4, whatever it swings by.
+    # The heading at the end is 0.4 without the oscillation.
     assert metrics["arrival_heading_error_rad"] == pytest.approx(0.1, abs=0.03)
 
 
@@ -144,7 +144,7 @@ def test_a_goal_is_not_reached_through_an_obstacle(deep, reached):
     assert metrics["clearance_m"] == pytest.approx(-deep, abs=1e-6) and metrics["goal_reached"] == reached
 
 
-def test_no_plan_at_all():
+def test_metrics_without_a_path():
     run = followed(STILL.trajectory(), [plan([], outcome="unreachable")])
     metrics = following_metrics(run)
     assert metrics["plan_found"] == 0 and metrics["plan_length_m"] is None
@@ -178,7 +178,7 @@ def test_contacts_are_counted_with_their_time():
 
 
 def test_middles_of_segments_lie_on_their_arcs():
-    """Against the centre line that `synthetic` integrates: the middle of an arc by its own length."""
+    """Compare with the centre line that `synthetic` integrates."""
     snake = Snake(amplitude=0.9, rigid_gap=0.0)
     run = snake.trajectory()
     points, heading = centre_points(run)

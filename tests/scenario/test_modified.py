@@ -1,4 +1,4 @@
-"""Runs of a modified scenario: what titles, reports and expectations say of the changed fields."""
+"""Modified scenarios: changed fields in titles and reports, and invalidated expectations."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from srs_twin.io.documents import Override, dump_yaml, parse_yaml
 from srs_twin.io.files import data_root
 from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario.loading import parse_scenario
-from srs_twin.scenario.modified import decides, marked
+from srs_twin.scenario.modified import affects, marked
 from srs_twin.scenario.provenance import judged_digest, run_key
 from srs_twin.studies.optimization.loading import load_study
 from srs_twin.studies.sweep.loading import load_sweep
@@ -59,13 +59,13 @@ def changed(scenario):
         ({"robot.friction.mu_t": 0.043, "valves.layout": "3/2", "start.x_m": 0}, {}),
     ],
 )
-def test_the_fields_are_listed_whose_values_differ_from_those_of_the_file(fields, listed):
+def test_changed_fields_are_listed(fields, listed):
     found = gen2(**fields)
     assert {field: pair for field, pair in changed(found).items() if field != "expect"} == listed
     assert ("modified" in found.title) == bool(found.changes)
 
 
-def test_a_title_names_few_changes_and_counts_many():
+def test_title_names_few_changes_and_counts_many():
     assert gen2(**SLOW).title == f"{TITLE} {SLOWER}"
     assert gen2(**SLOW).label == f"gen2_straight {SLOWER}"
     assert gen2().title == TITLE
@@ -79,7 +79,7 @@ def test_a_title_names_few_changes_and_counts_many():
     assert marked("x", [{"field": "a" * 100, "from": 1, "to": 2}]) == f"x (modified: {'a' * 100})"
 
 
-def test_changes_stay_with_a_resolved_scenario_and_end_when_a_value_is_restored():
+def test_changes_are_kept_until_a_value_is_restored():
     slow = gen2(**SLOW, seed=5)
     read = parse_yaml(dump_yaml(slow.document), "scenario.resolved.yaml").data
     assert parse_scenario(read, name="again") == slow
@@ -94,7 +94,7 @@ def test_changes_stay_with_a_resolved_scenario_and_end_when_a_value_is_restored(
     assert len(restored.expect) == 7
 
 
-def test_a_value_that_was_edited_by_hand_is_listed_as_it_is_now():
+def test_hand_edited_value_is_listed_with_its_present_value():
     document = gen2(**SLOW).document
     document = {**document, "controller": {**document["controller"], "frequency_hz": 1.5}}
     assert changed(parse_scenario(document)) == {"controller.frequency_hz": (2.0, 1.5)}
@@ -110,7 +110,7 @@ def test_keys_of_runs_do_not_depend_on_how_a_value_was_set():
 
 
 def test_the_list_of_changes_cannot_be_set():
-    with pytest.raises(InputError, match="srs_twin itself lists the changed fields"):
+    with pytest.raises(InputError, match="this list is written by srs_twin"):
         gen2(changes=[])
 
 
@@ -131,7 +131,7 @@ OURS = [("comparison", "shape_rms_body")]
         ({"allow_overpressure": True}, set()),
     ],
 )
-def test_what_was_published_is_not_expected_under_other_conditions(fields, left_out):
+def test_published_values_are_not_expected_under_other_conditions(fields, left_out):
     plain, found = gen2(), gen2(**fields)
     gone = [each for each in plain.expect if each not in found.expect]
     assert {each.subject for each in gone} == left_out
@@ -141,17 +141,17 @@ def test_what_was_published_is_not_expected_under_other_conditions(fields, left_
     assert all(each["because"] == list(fields) for each in found.left_out)
 
 
-def test_a_duration_decides_totals_but_no_means_over_periods():
+def test_duration_affects_totals_but_not_period_means():
     sine = load_scenario("module_square_2hz_direct", set={"duration_s": 4.0})
     assert {each["metric"] for each in sine.left_out} == {"inlet_openings"}
-    assert decides("duration_s", "inlet_openings", "twin") and decides("duration_s", "path_length_m", "twin")
-    assert not decides("duration_s", "com_speed_m_s", "twin")
-    assert not decides("duration_s", "com_speed_rel", "comparison")
+    assert affects("duration_s", "inlet_openings", "twin") and affects("duration_s", "path_length_m", "twin")
+    assert not affects("duration_s", "com_speed_m_s", "twin")
+    assert not affects("duration_s", "com_speed_rel", "comparison")
 
 
 @pytest.fixture(scope="module")
 def slow_run(tmp_path_factory, srs_twin):
-    """A run of the model alone at another frequency."""
+    """Run of the analytical model at another frequency."""
     folder = tmp_path_factory.mktemp("modified")
     words = ["run", "gen2_straight", "--plants", "analytical", "--set", "controller.frequency_hz=1.0"]
     done = srs_twin(*words, "--duration", "5", "--check", "--junit", "out.xml", cwd=folder)
@@ -162,7 +162,7 @@ def slow_run(tmp_path_factory, srs_twin):
 ALL_THREE = "(modified: 3 fields)"
 
 
-def test_nothing_that_a_run_leaves_claims_the_unmodified_scenario(slow_run):
+def test_files_of_a_modified_run_are_marked(slow_run):
     folder, done = slow_run
     run = folder / "runs/gen2_straight"
     page = (run / "report.html").read_text("utf-8")
@@ -202,13 +202,13 @@ def test_an_unmodified_run_lists_nothing(shipped_run):
     assert "changes" not in load_run(shipped_run("gen1_straight")).scenario.document
 
 
-def test_a_comparison_from_python_says_what_was_run():
+def test_comparison_from_python_names_the_changes():
     found = srs.compare("gen1_straight", set={"controller.frequency_hz": 1.0, "duration_s": 0.2})
     assert found.title.endswith("→ 0.2)") and found.title in found._repr_html_()
     assert [each["field"] for each in found.results["changes"]] == ["controller.frequency_hz", "duration_s"]
 
 
-def test_intervals_of_a_modified_scenario_are_not_kept_for_the_unmodified_one(srs_twin, tmp_path):
+def test_intervals_of_a_modified_scenario_are_stored_separately(srs_twin, tmp_path):
     words = ["uncertainty", "gen2_straight", "--set", "controller.frequency_hz=1", "--write"]
     done = srs_twin(*words, cwd=tmp_path)
     assert done.returncode == 2
@@ -228,7 +228,7 @@ def set_to(field, value):
     return [Override(f"--set {field}={value}", tuple(field.split(".")), value)]
 
 
-def test_a_modified_sweep_is_marked_and_stands_beside_nothing_published():
+def test_modified_sweep_is_marked_and_not_compared_with_published_values():
     plain, found = load_sweep("table8"), load_sweep("table8", set=set_to("robot.friction.mu_t", 0.2))
     assert found.title == f"{plain.title} (modified: robot.friction.mu_t 0.0901 → 0.2)"
     assert plain.beside is not None and found.beside is None

@@ -1,4 +1,4 @@
-"""Open list, closed set and guide against what plain Python gives."""
+"""Open list, closed set and grid distances, compared with plain Python."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from srs_twin.planning.best_first import NODES, OPEN, empty_frontier, grown, pop, push, slot_of
-from srs_twin.planning.guide import NO_GUIDE, guide_to, way_from
+from srs_twin.planning.guidance import NO_HEURISTIC, grid_distance, grid_heuristic
+from srs_twin.planning.search_kernels import NODES, OPEN, cell_slot, empty_frontier, enlarged, pop, push
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 pytestmark = pytest.mark.fast
@@ -20,7 +20,7 @@ FLOOR = Bounds((0.0, 2.0), (0.0, 1.0))
 
 
 @given(st.lists(st.floats(-5, 5), min_size=1, max_size=60), st.integers(0, 30))
-def test_nodes_come_off_the_heap_by_key(keys, early):
+def test_heap_pops_nodes_in_key_order(keys, early):
     frontier = empty_frontier(64)
     for node, key in enumerate(keys):
         push(frontier, node, key)
@@ -33,50 +33,50 @@ def test_nodes_come_off_the_heap_by_key(keys, early):
 
 
 @given(st.lists(st.tuples(st.floats(-9, 9), st.floats(-9, 9), st.floats(-9, 9)), min_size=1, max_size=60))
-def test_poses_share_a_slot_if_they_share_a_cell_also_after_growth(poses):
+def test_poses_share_a_slot_exactly_if_they_share_a_cell(poses):
     cell, sector = 0.5, math.pi / 6
     frontier, slots = empty_frontier(64), {}
     for k, (x, y, heading) in enumerate(poses):
-        # What lies on the border of two sectors may fall into either.
+        # Headings on the border of two sectors may fall into either.
         turned = (heading / sector) % 12
         if abs(turned - round(turned)) < 1e-9:
             continue
         name = (math.floor(x / cell), math.floor(y / cell), math.floor(turned))
-        slot = slot_of(frontier, x, y, heading, cell, sector)
+        slot = cell_slot(frontier, x, y, heading, cell, sector)
         assert slots.setdefault(name, slot) == slot
         if frontier.owners[slot] == 0:
             frontier.owners[slot] = k + 1
             frontier.counts[NODES] += 1
     assert len(set(slots.values())) == len(slots)
-    larger = grown(frontier)
+    larger = enlarged(frontier)
     for x, y, heading in poses:
         turned = (heading / sector) % 12
         if abs(turned - round(turned)) >= 1e-9:
-            before, after = (slot_of(f, x, y, heading, cell, sector) for f in (frontier, larger))
+            before, after = (cell_slot(f, x, y, heading, cell, sector) for f in (frontier, larger))
             assert frontier.owners[before] == larger.owners[after] > 0
 
 
-def test_guide_is_the_straight_way_where_nothing_is_in_the_way():
-    guide = guide_to(GOAL, START, World(bounds=FLOOR), 0.02, 1.0)
+def test_grid_distance_is_the_straight_distance_without_obstacles():
+    guide = grid_heuristic(GOAL, START, World(bounds=FLOOR), 0.02, 1.0)
     for x, y in np.random.default_rng(0).uniform((0.05, 0.05), (1.95, 0.95), (200, 2)):
         straight = math.hypot(x - GOAL.x, y - GOAL.y)
-        assert straight - 2 * guide.cell <= way_from(guide, x, y) <= 1.0824 * straight + 2 * guide.cell
+        assert straight - 2 * guide.cell <= grid_distance(guide, x, y) <= 1.0824 * straight + 2 * guide.cell
 
 
-def test_guide_leads_round_a_wall_and_knows_nothing_of_closed_rooms():
+def test_grid_distance_goes_round_walls_and_is_zero_in_closed_rooms():
     wall = Polygon(((0.95, -0.1), (1.05, -0.1), (1.05, 0.8), (0.95, 0.8)))
-    guide = guide_to(GOAL, START, World((), FLOOR, None, (wall,)), 0.05, 1.0)
+    guide = grid_heuristic(GOAL, START, World((), FLOOR, None, (wall,)), 0.05, 1.0)
     over = math.hypot(0.7, 0.35) + 0.2 + math.hypot(0.7, 0.35)
-    assert over - 0.05 <= way_from(guide, START.x, START.y) <= 1.09 * over + 0.05
-    assert way_from(guide, 1.0, 0.4) == 0
+    assert over - 0.05 <= grid_distance(guide, START.x, START.y) <= 1.09 * over + 0.05
+    assert grid_distance(guide, 1.0, 0.4) == 0
     ring = tuple(
         Circle(1.8 + 0.15 * math.cos(a), 0.5 + 0.15 * math.sin(a), 0.05) for a in np.arange(12) * math.pi / 6
     )
-    assert way_from(guide_to(GOAL, START, World(ring, FLOOR), 0.02, 1.0), START.x, START.y) == 0
+    assert grid_distance(grid_heuristic(GOAL, START, World(ring, FLOOR), 0.02, 1.0), START.x, START.y) == 0
 
 
-def test_guide_without_bounds_goes_round_everything():
+def test_grid_distance_without_bounds_goes_round_all_obstacles():
     wall = Polygon(((0.95, -2.0), (1.05, -2.0), (1.05, 2.0), (0.95, 2.0)))
-    guide = guide_to(GOAL, START, World((), None, None, (wall,)), 0.05, 0.5)
-    assert way_from(guide, START.x, START.y) == pytest.approx(2 * math.hypot(0.7, 1.55) + 0.2, rel=0.1)
-    assert way_from(guide, 50.0, 50.0) == 0 == way_from(NO_GUIDE, 0.0, 0.0)
+    guide = grid_heuristic(GOAL, START, World((), None, None, (wall,)), 0.05, 0.5)
+    assert grid_distance(guide, START.x, START.y) == pytest.approx(2 * math.hypot(0.7, 1.55) + 0.2, rel=0.1)
+    assert grid_distance(guide, 50.0, 50.0) == 0 == grid_distance(NO_HEURISTIC, 0.0, 0.0)

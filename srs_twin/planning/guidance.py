@@ -1,0 +1,239 @@
+"""Guidance of the search in cluttered worlds: grid distances to the goal, and narrow passages.
+
+The first search uses the Dubins length as heuristic, which ignores obstacles. If it does not succeed at once,
+a second tree uses in addition
+
+- the distance to the goal on a grid around obstacles. It is an estimate and no lower bound: grid paths are up
+  to 8 % longer than straight lines, and passages narrower than a cell may be missing or too wide. The tree
+  finds some path quickly, not necessarily the shortest.
+- entry poses of narrow passages. Poses on arcs of fixed length rarely hit a passage that is hardly wider than
+  the body. Its centre is known: two obstacles have their shortest distance there, and no other obstacle is
+  nearer. The tree tries Dubins paths to an entry pose far enough ahead of the passage for the last transient
+  to end.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from srs_twin.compute.compiled import compiled
+from srs_twin.planning.footprint import Footprint
+from srs_twin.robot.world import Bounds, Goal, Pose, World
+
+_GRID_CELLS = 160
+"""Cells along the longer side of the grid."""
+
+NO_PASSAGES = np.empty((0, 4))
+"""Empty result of `find_passages`."""
+
+_MAX_WIDTH = 2.0
+"""Widths of the straight body; wider passages are found without help."""
+
+_ENTRY_CLEARANCE_M = 1e-3
+"""Distance of the straight body's head from the narrowest point when the straight path begins, m."""
+
+_ROUND_CLEARANCE = 0.3
+"""Additional distance in body widths: round obstacles narrow the passage ahead of its narrowest point."""
+
+_DISTANCE_TOLERANCE_M = 1e-6
+"""Distances closer than this count as equal, m."""
+
+_MIN_SPACING = 0.1
+"""Body widths; passages closer to each other than this are one."""
+
+
+class GridHeuristic(NamedTuple):
+    """Distance to the goal on a grid.
+
+    Attributes:
+        distance: distance to the goal from each cell, m, shape (columns, rows), x first; infinite: no path;
+            empty: no heuristic.
+        west: x of the grid's left edge, m.
+        south: y of the grid's lower edge, m.
+        cell: side of a cell, m.
+    """
+
+    distance: np.ndarray
+    west: float
+    south: float
+    cell: float
+
+
+NO_HEURISTIC = GridHeuristic(np.empty((0, 0)), 0.0, 0.0, 1.0)
+"""Heuristic that is 0 everywhere."""
+
+
+@compiled
+def grid_distance(heuristic, x, y):  # type: ignore[no-untyped-def]
+    """Return the grid distance of a position from the goal, m; 0 if unknown."""
+    column = int(np.floor((x - heuristic.west) / heuristic.cell))
+    row = int(np.floor((y - heuristic.south) / heuristic.cell))
+    if 0 <= column < heuristic.distance.shape[0] and 0 <= row < heuristic.distance.shape[1]:
+        distance = heuristic.distance[column, row]
+        return distance if distance < np.inf else 0.0
+    return 0.0
+
+
+def grid_heuristic(goal: Goal, start: Pose, world: World, clearance: float, margin: float) -> GridHeuristic:
+    """Return the distances to a goal for points that keep a clearance from obstacles.
+
+    Args:
+        goal: goal.
+        start: pose that the grid must contain.
+        world: obstacles and bounds.
+        clearance: clearance, m.
+        margin: width of the grid beyond obstacles, start and goal in a world without bounds, m.
+    """
+    from scipy.sparse.csgraph import dijkstra
+
+    bounds = world.bounds or _bounding_box(goal, start, world, margin)
+    (west, east), (south, north) = bounds.x, bounds.y
+    cell = max(east - west, north - south) / _GRID_CELLS
+    x = np.arange(west + cell / 2, east + cell / 2, cell)
+    y = np.arange(south + cell / 2, north + cell / 2, cell)
+    free = _free_cells(x, y, cell, world, clearance)
+    column, row = int((goal.x - west) / cell), int((goal.y - south) / cell)
+    column, row = min(column, len(x) - 1), min(row, len(y) - 1)
+    # From the goal, so that one search gives the distances of all cells.
+    distance = dijkstra(_grid_graph(free, cell), directed=False, indices=column * len(y) + row)
+    return GridHeuristic(distance.reshape(free.shape), west, south, cell)
+
+
+def _bounding_box(goal: Goal, start: Pose, world: World, margin: float) -> Bounds:
+    """Return the bounding box of obstacles, start and goal, widened by a margin (m)."""
+    corners = [corner for p in world.polygons for corner in p.corners]
+    for c in world.obstacles:
+        corners += [(c.x - c.radius, c.y - c.radius), (c.x + c.radius, c.y + c.radius)]
+    x, y = zip((goal.x, goal.y), (start.x, start.y), *corners, strict=True)
+    return Bounds((min(x) - margin, max(x) + margin), (min(y) - margin, max(y) + margin))
+
+
+def _free_cells(x: np.ndarray, y: np.ndarray, cell: float, world: World, clearance: float) -> np.ndarray:
+    """Return which cells have a free centre, shape (columns, rows)."""
+    import shapely
+
+    free = np.ones((len(x), len(y)), dtype=bool)
+    for circle in world.obstacles:
+        reach = circle.radius + clearance
+        columns, rows = _cell_window(x, circle.x, reach, cell), _cell_window(y, circle.y, reach, cell)
+        outside = np.hypot(x[columns, None] - circle.x, y[None, rows] - circle.y) >= reach
+        free[columns, rows] &= outside
+    for polygon in world.polygons:
+        grown = shapely.Polygon(polygon.corners).buffer(clearance)
+        west, south, east, north = grown.bounds
+        columns = _cell_window(x, (west + east) / 2, (east - west) / 2, cell)
+        rows = _cell_window(y, (south + north) / 2, (north - south) / 2, cell)
+        free[columns, rows] &= ~shapely.contains_xy(grown, *np.meshgrid(x[columns], y[rows], indexing="ij"))
+    return free
+
+
+def _cell_window(centres: np.ndarray, middle: float, reach: float, cell: float) -> slice:
+    """Return the cells whose centres may lie within `reach` of a position."""
+    first = math.floor((middle - reach - centres[0]) / cell)
+    return slice(max(0, first), max(0, first + 2 + math.ceil(2 * reach / cell)))
+
+
+def _grid_graph(free: np.ndarray, cell: float):  # type: ignore[no-untyped-def]
+    """Return the sparse graph of distances (m) between free neighbours, diagonal ones included."""
+    from scipy.sparse import coo_array
+
+    number = np.arange(free.size).reshape(free.shape)
+    edges: list[tuple[np.ndarray, np.ndarray, float]] = []
+    for here, there, length in (
+        (np.s_[:-1, :], np.s_[1:, :], 1.0),
+        (np.s_[:, :-1], np.s_[:, 1:], 1.0),
+        (np.s_[:-1, :-1], np.s_[1:, 1:], math.sqrt(2)),
+        (np.s_[:-1, 1:], np.s_[1:, :-1], math.sqrt(2)),
+    ):
+        both = free[here] & free[there]
+        edges.append((number[here][both], number[there][both], length * cell))
+    lengths = np.concatenate([np.full(len(a), length) for a, _, length in edges])
+    ends = (np.concatenate([a for a, _, _ in edges]), np.concatenate([b for _, b, _ in edges]))
+    return coo_array((lengths, ends), shape=(free.size, free.size)).tocsr()
+
+
+def find_passages(world: World, body: Footprint) -> np.ndarray:
+    """Return the narrow passages of a world, in both directions and with several entry poses.
+
+    Args:
+        world: obstacles and bounds.
+        body: footprint of the snake.
+
+    Returns:
+        x, y (m), heading (rad) of the entry pose and length of the straight path through (m), shape (n, 4).
+    """
+    import shapely
+
+    straight = body.at(0.0)
+    width = straight.left + straight.right
+    ends, radii = _thick_lines(world)
+    if len(ends) < 2:
+        return NO_PASSAGES
+    circles = len(world.obstacles)  # as points: shapely has no distance from a line without length
+    lines = np.concatenate([shapely.points(ends[:circles, 0]), shapely.linestrings(ends[circles:])])
+    tree, largest = shapely.STRtree(lines), float(radii.max(initial=0.0))
+    one, other = tree.query(lines, predicate="dwithin", distance=_MAX_WIDTH * width + radii + largest)
+    # Each pair once.
+    one, other = one[one < other], other[one < other]
+    near = shapely.get_coordinates(shapely.shortest_line(lines[one], lines[other])).reshape(-1, 2, 2)
+    across = near[:, 1] - near[:, 0]
+    distance = np.hypot(*across.T)
+    gap = distance - radii[one] - radii[other]
+    kept = (gap >= width) & (gap <= _MAX_WIDTH * width) & (distance > 0)
+    near, across, distance, gap = near[kept], across[kept], distance[kept], gap[kept]
+    normal = across / distance[:, None]
+    centre = near[:, 0] + normal * (radii[one[kept]] + gap / 2)[:, None]
+    points = shapely.points(centre)
+    # Drop pairs with another obstacle between them, and those inside a polygon.
+    at, obstacle = tree.query(points, predicate="dwithin", distance=gap / 2 + largest)
+    nearer = (
+        shapely.distance(points[at], lines[obstacle]) - radii[obstacle] < gap[at] / 2 - _DISTANCE_TOLERANCE_M
+    )
+    solid = shapely.union_all([shapely.Polygon(p.corners) for p in world.polygons])
+    is_open = ~(np.isin(np.arange(len(gap)), at[nearer]) | shapely.contains(solid, points))
+    # Narrowest first: of close passages the narrowest is kept.
+    ordered = sorted(zip(gap[is_open], centre[is_open].tolist(), normal[is_open].tolist(), strict=True))
+    return _entry_poses([(point, direction) for _, point, direction in ordered], body, _MIN_SPACING * width)
+
+
+def _thick_lines(world: World) -> tuple[np.ndarray, np.ndarray]:
+    """Return obstacles and bounds as line segments, shape (n, 2, 2), with half widths, shape (n,), m."""
+    segments = [((c.x, c.y), (c.x, c.y)) for c in world.obstacles]
+    for polygon in world.polygons:
+        segments += zip(polygon.corners, polygon.corners[1:] + polygon.corners[:1], strict=True)
+    if world.bounds is not None:
+        (west, east), (south, north) = world.bounds.x, world.bounds.y
+        corners = ((west, south), (east, south), (east, north), (west, north))
+        segments += zip(corners, corners[1:] + corners[:1], strict=True)
+    radii = np.zeros(len(segments))
+    radii[: len(world.obstacles)] = [c.radius for c in world.obstacles]
+    return np.array(segments, dtype=float).reshape(-1, 2, 2), radii
+
+
+def _entry_poses(
+    centres: list[tuple[list[float], list[float]]], body: Footprint, spacing: float
+) -> np.ndarray:
+    """Return the entry poses of passages with given centres and directions across, as `find_passages`."""
+    straight = body.at(0.0)
+    transient = max((change.length for change in body.transients), default=0.0)
+    width = straight.left + straight.right
+    # The middle of the body, not the centre of mass, follows the middle of the passage.
+    lateral, ahead = (straight.right - straight.left) / 2, body.ahead + _ENTRY_CLEARANCE_M
+    passages: list[tuple[float, float, float, float]] = []
+    kept: list[tuple[float, float]] = []
+    for (x, y), (across_x, across_y) in centres:
+        if any(math.hypot(x - a, y - b) < spacing for a, b in kept):
+            continue
+        kept.append((x, y))
+        for sign in (1.0, -1.0):
+            # Perpendicular to the shortest line between the obstacles, in both directions.
+            heading = math.atan2(-sign * across_x, sign * across_y)
+            c, s = math.cos(heading), math.sin(heading)
+            run_ups = {ahead, ahead + transient, ahead + transient + _ROUND_CLEARANCE * width}
+            for run_up in sorted(run_ups):
+                entry_x, entry_y = x - run_up * c - lateral * s, y - run_up * s + lateral * c
+                passages.append((entry_x, entry_y, heading, run_up + body.behind))
+    return np.array(passages).reshape(-1, 4)

@@ -1,0 +1,363 @@
+r"""Proofs of infeasibility, and a lower bound on the length of any path.
+
+Proof by connectivity, independent of curvature. Consider a point o of an obstacle whose distance from a
+smooth path is below the clearance w, the smallest distance of an edge from the path. If the nearest point of
+the path is not an end of it, o is straight across from that point and within the edges: a collision. So the
+nearest point is an end, at most w from o, and all other points of the path within w of o are within 2 w of
+that end. Hence a collision-free path is contained in the free space: the complement of obstacles grown by w
+in bounds reduced by w, together with discs of radius 2 w around both ends. If start and goal are in different
+connected components, no path exists; otherwise the shortest line in the component is a lower bound on the
+path length.
+
+Proof by curvature. All poses reachable from a start or goal by paths of curvature at most K are covered by
+cells of x, y and heading. From a cell, a path of length L with turn Δ has headings between those of the two
+paths that turn first to one side and then to the other at curvature K,
+
+$$ θ_{lo}(s) = \max(-Ks,\ Δ - K(L - s)) \le θ(s) \le \min(Ks,\ Δ + K(L - s)) = θ_{hi}(s), $$
+
+and stays within K L²/8 of the chord between its ends. All cells that this set overlaps are marked, unless a
+point on the way is closer to an obstacle than the clearance w by more than the rounding of cells. If no more
+cells can be marked before they come near the other end, no path exists.
+
+An obstacle closer than w to a path is straight across from it, within the edges, or beyond the end E of the
+head (or tail) at the last pose, closer than w to E. Therefore a point p counts as blocked if an obstacle is
+closer than w' = min(w, |p - E|/2).
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from srs_twin.compute.compiled import allocating, compiled
+from srs_twin.planning.collision import ObstacleGrid
+from srs_twin.planning.footprint import Footprint
+from srs_twin.robot.world import Goal, Pose, World
+
+if TYPE_CHECKING:
+    import shapely
+
+_FINE_CHORDS = 32
+"""Chords per quarter circle of the connectivity proof. Chords lie inside the circle, which only widens
+gaps."""
+_COARSE_CHORDS = 4
+"""Chords per quarter circle of the length bound: fewer corners, a faster search."""
+_ROUNDING_M = 1e-9
+"""Tolerance for lines along the boundary of the free space, m."""
+
+_MAX_TURN = 0.5
+"""Largest turn of a step, rad."""
+_INTEGRATION_POINTS = 64
+"""Points of the midpoint rule along a step."""
+_CHECKED_POINTS = 4
+"""Points of a step that are checked for obstacles."""
+
+
+class Resolution(NamedTuple):
+    """Resolution of the proof by curvature.
+
+    Attributes:
+        sectors: heading cells per turn of a step.
+        cells: position cells per length of a step.
+        exit_radii: distance at which the surroundings count as left, in turning radii.
+        max_cells: largest number of cells.
+    """
+
+    sectors: int
+    cells: int
+    exit_radii: float
+    max_cells: int
+
+
+COARSE = Resolution(6, 8, 1.5, 30_000)
+"""Fast resolution, tried first."""
+FINE = Resolution(10, 16, 4.0, 40_000)
+"""Slow resolution for dead ends that `COARSE` does not prove."""
+
+
+def is_disconnected(start: Pose, goal: Goal, world: World, clearance: float) -> bool:
+    """Return whether start and goal are in different components of the free space.
+
+    Args:
+        start: start of the path.
+        goal: goal; the path may end anywhere within its radius.
+        world: obstacles and bounds.
+        clearance: `Footprint.narrowest`, m.
+    """
+    return _free_component(start, goal, world, clearance, _FINE_CHORDS) is None
+
+
+def min_path_length(start: Pose, goal: Goal, world: World, clearance: float) -> float:
+    """Return a lower bound on the length of any path from start to goal, m; infinite if there is none.
+
+    Args:
+        start: start of the path.
+        goal: goal; the path may end anywhere within its radius.
+        world: obstacles and bounds.
+        clearance: `Footprint.narrowest`, m.
+    """
+    import shapely
+
+    component = _free_component(start, goal, world, clearance, _COARSE_CHORDS)
+    if component is None:
+        return math.inf
+    # A* on the visibility graph: shortest lines bend at corners of the free space only. Visibility is tested
+    # late, when a line reaches the front of the queue.
+    free = component.buffer(_ROUNDING_M, join_style="mitre")
+    shapely.prepare(free)
+    corners = np.array([(start.x, start.y), (goal.x, goal.y), *_reflex_corners(component)])
+    straight = np.hypot(*(corners - corners[1]).T)
+    done = np.zeros(len(corners), dtype=bool)
+    queue = [(float(straight[0]), 0.0, 0, 0)]
+    while queue:
+        _, length, before, here = heapq.heappop(queue)
+        if done[here] or not free.covers(shapely.linestrings([corners[before], corners[here]])):
+            continue
+        if here == 1:
+            return max(length - goal.radius, 0.0)
+        done[here] = True
+        lengths = length + np.hypot(*(corners - corners[here]).T)
+        for there in np.flatnonzero(~done).tolist():
+            heapq.heappush(
+                queue, (float(lengths[there] + straight[there]), float(lengths[there]), here, there)
+            )
+    return math.inf
+
+
+def _reflex_corners(polygon: shapely.Polygon) -> list[tuple[float, float]]:
+    """Return the corners with an interior angle above π, at which shortest lines may bend."""
+    import shapely
+
+    corners: list[tuple[float, float]] = []
+    oriented = shapely.geometry.polygon.orient(polygon)
+    for ring in (oriented.exterior, *oriented.interiors):
+        at = np.asarray(ring.coords)[:-1]
+        before, after = at - np.roll(at, 1, axis=0), np.roll(at, -1, axis=0) - at
+        corners += at[before[:, 0] * after[:, 1] < before[:, 1] * after[:, 0]].tolist()
+    return corners
+
+
+def _free_component(
+    start: Pose, goal: Goal, world: World, clearance: float, chords: int
+) -> shapely.Polygon | None:
+    """Return the connected component of the free space with start and goal; None if they differ."""
+    import shapely
+
+    here, there = shapely.Point(start.x, start.y), shapely.Point(goal.x, goal.y)
+    # Discs are drawn as polygons around the circle: the free space must not be too small.
+    around = 1 / math.cos(math.pi / (4 * chords))
+    ends = [
+        here.buffer(2 * clearance * around, quad_segs=chords),
+        there.buffer((2 * clearance + goal.radius) * around, quad_segs=chords),
+    ]
+    grown = [shapely.Point(c.x, c.y).buffer(c.radius + clearance, quad_segs=chords) for c in world.obstacles]
+    grown += [shapely.Polygon(p.corners).buffer(clearance, quad_segs=chords) for p in world.polygons]
+    blocked = shapely.union_all(grown)
+    box = _reduced_bounds(world, shapely.union_all([blocked, *ends]).bounds, clearance)
+    free = shapely.union_all([box.difference(blocked), *ends])
+    components = list(free.geoms) if free.geom_type == "MultiPolygon" else [free]
+    return next((part for part in components if part.intersects(here) and part.intersects(there)), None)
+
+
+def _reduced_bounds(
+    world: World, extent: tuple[float, float, float, float], clearance: float
+) -> shapely.Polygon:
+    """Return the bounds reduced by the clearance; without bounds a box with room around all obstacles."""
+    import shapely
+
+    if world.bounds is None:
+        west, south, east, north = extent
+        return shapely.box(west - clearance, south - clearance, east + clearance, north + clearance)
+    (west, east), (south, north) = world.bounds.x, world.bounds.y
+    west, east, south, north = west + clearance, east - clearance, south + clearance, north - clearance
+    return shapely.box(west, south, east, north) if west < east and south < north else shapely.Polygon()
+
+
+def prove_unreachable(
+    start: Pose, goal: Goal, body: Footprint, grid: ObstacleGrid, resolution: Resolution
+) -> str:
+    """Return the end that no path of the body's turns leaves, "start" or "goal"; "" without a proof.
+
+    Args:
+        start: start of the path.
+        goal: goal.
+        body: footprint.
+        grid: obstacles and bounds.
+        resolution: size of cells; a finer one may find a proof where a coarse one does not.
+    """
+    curvature, clearance = max(body.tightest), body.narrowest
+    # Steps longer than the clearance would pass obstacles between the checked points.
+    step = min(_MAX_TURN / curvature, 2 * clearance)
+    sectors = math.ceil(2 * math.pi / (curvature * step / resolution.sectors))
+    boxes, cell = _step_boxes(curvature, step, 2 * math.pi / sectors), step / resolution.cells
+    # An end: x, y, heading away from it, position and heading tolerance, reach of the body behind it.
+    first = np.array([start.x, start.y, start.heading, 0.0, 0.0, body.behind])
+    # From the goal the path is followed backwards.
+    if goal.heading is None:
+        heading, tolerance = 0.0, math.pi
+    else:
+        heading, tolerance = goal.heading + math.pi, goal.heading_tolerance
+    last = np.array([goal.x, goal.y, heading, goal.radius, tolerance, body.ahead])
+    for name, end, other in (("goal", last, first), ("start", first, last)):
+        side = math.ceil((resolution.exit_radii / curvature + end[3] + end[5]) / cell)
+        # Few of these pages are ever touched, and the operating system allocates only those.
+        marked = np.zeros((2 * side + 1, 2 * side + 1, sectors), dtype=np.bool_)
+        if _exhausts_cells(
+            end, other, curvature, clearance, step, cell, marked, boxes, resolution.max_cells, grid
+        ):
+            return name
+    return ""
+
+
+def _step_boxes(curvature: float, step: float, sector: float) -> np.ndarray:
+    """Return the bounding boxes of all steps from the origin, by turn.
+
+    Args:
+        curvature: largest curvature K, 1/m.
+        step: length L of a step, m.
+        sector: width of a heading cell, rad.
+
+    Returns:
+        Turn in sectors, minimum and maximum x, minimum and maximum y (m), shape (n, 5).
+    """
+    s = (np.arange(_INTEGRATION_POINTS) + 0.5) / _INTEGRATION_POINTS * step
+    max_turn, rows = curvature * step, []
+    for turn in range(-math.ceil(max_turn / sector), math.ceil(max_turn / sector) + 1):
+        # Start and end may lie anywhere in their sectors.
+        low, high = max((turn - 1) * sector, -max_turn), min((turn + 1) * sector, max_turn)
+        if low > high:
+            continue
+        lowest = np.maximum(-curvature * s, low - curvature * (step - s))
+        highest = np.minimum(curvature * s, high + curvature * (step - s))
+        smallest = np.where((lowest <= 0) & (highest >= 0), 0.0, np.minimum(abs(lowest), abs(highest)))
+        # Bounds of the integrals of cos θ and sin θ over all admissible headings.
+        x = np.cos(np.maximum(abs(lowest), abs(highest))).mean(), np.cos(smallest).mean()
+        y = np.sin(lowest).mean(), np.sin(highest).mean()
+        error = step / _INTEGRATION_POINTS**2  # of the midpoint rule
+        rows.append((turn, step * x[0] - error, step * x[1] + error,
+                     step * y[0] - error, step * y[1] + error))  # fmt: skip
+    return np.array(rows)
+
+
+@allocating
+def _exhausts_cells(end, other, curvature, clearance, step, cell, marked, boxes, max_cells, grid):  # type: ignore[no-untyped-def]
+    """Return whether all cells reachable from an end stay in its surroundings, away from the other end.
+
+    Args:
+        end: end to start from, see `prove_unreachable`, shape (6,).
+        other: the other end, shape (6,).
+        curvature: largest curvature K, 1/m.
+        clearance: clearance w, m.
+        step: length of a step, m.
+        cell: side of a cell, m.
+        marked: reached cells, initially False, shape (columns, rows, sectors).
+        boxes: bounding boxes of the steps, as `_step_boxes`, shape (n, 5).
+        max_cells: largest number of cells; without a proof if it is reached.
+        grid: obstacles and bounds.
+    """
+    sectors, side = marked.shape[2], marked.shape[0] // 2
+    sector = 2 * np.pi / sectors
+    west, south = end[0] - side * cell, end[1] - side * cell
+    distances = np.full((2 * side + 1, 2 * side + 1), np.nan)  # computed when needed
+    stack = np.empty((max_cells, 3), dtype=np.int32)
+    count = 0
+    # Mark the cells of all poses within the tolerances of the end.
+    rim, fan = int(np.ceil(end[3] / cell)) + 1, min(int(np.ceil(end[4] / sector)) + 1, sectors // 2)
+    middle = int(np.floor((end[2] / (2 * np.pi) - np.floor(end[2] / (2 * np.pi))) * sectors))
+    for i in range(side - rim, side + rim + 1):
+        for j in range(side - rim, side + rim + 1):
+            if np.hypot(i - side, j - side) * cell <= end[3] + cell:
+                for k in range(middle - fan, middle + fan + 1):
+                    if not marked[i, j, k % sectors]:
+                        marked[i, j, k % sectors] = True
+                        stack[count, 0], stack[count, 1], stack[count, 2] = i, j, k % sectors
+                        count += 1
+                        if count + 1 >= max_cells:
+                            return False
+    # Point E of the module docstring, with its uncertainty, for both ends.
+    end_x, end_y, loose = _body_end(end, curvature)
+    far_x, far_y, far_loose = _body_end(other, curvature)
+    slack = curvature * step * step / 8 + np.sqrt(2.0) * cell  # chord deviation and rounding to cells
+    near = far_loose + 2 * clearance + step + slack
+    arrival = other[3] + step + slack
+    total = count
+    # Depth-first: the order does not matter, because all reachable cells are marked.
+    while count > 0:
+        count -= 1
+        i, j, k = stack[count]
+        x, y = west + i * cell, south + j * cell
+        if np.hypot(x - far_x, y - far_y) < near or np.hypot(x - other[0], y - other[1]) < arrival:
+            return False
+        c, s = np.cos((k + 0.5) * sector), np.sin((k + 0.5) * sector)
+        for box in range(len(boxes)):
+            turn, low_x, high_x, low_y, high_y = boxes[box]
+            middle_x, middle_y = (low_x + high_x) / 2, (low_y + high_y) / 2
+            half_x, half_y = (high_x - low_x) / 2, (high_y - low_y) / 2
+            extra = step * sector / 2 + cell / 2  # rounding of heading and position
+            to_x, to_y = x + c * middle_x - s * middle_y, y + s * middle_x + c * middle_y
+            wide_x, wide_y = (
+                abs(c) * half_x + abs(s) * half_y + extra,
+                abs(s) * half_x + abs(c) * half_y + extra,
+            )
+            to_k = (k + int(turn)) % sectors
+            low_i, high_i = np.round((to_x - wide_x - west) / cell), np.round((to_x + wide_x - west) / cell)
+            low_j, high_j = np.round((to_y - wide_y - south) / cell), np.round((to_y + wide_y - south) / cell)
+            for to_i in range(int(low_i), int(high_i) + 1):
+                for to_j in range(int(low_j), int(high_j) + 1):
+                    # Beyond the grid the surroundings count as left: no proof.
+                    if not (0 <= to_i <= 2 * side and 0 <= to_j <= 2 * side):
+                        return False
+                    if marked[to_i, to_j, to_k]:
+                        continue
+                    blocked = False
+                    for point in range(1, _CHECKED_POINTS + 1):
+                        share = point / _CHECKED_POINTS
+                        at_i = int(np.round(i + share * (to_i - i)))
+                        at_j = int(np.round(j + share * (to_j - j)))
+                        at_x, at_y = west + at_i * cell, south + at_j * cell
+                        if np.isnan(distances[at_i, at_j]):
+                            distances[at_i, at_j] = _obstacle_distance(at_x, at_y, grid)
+                        from_end = np.hypot(at_x - end_x, at_y - end_y)
+                        required = min(clearance, (from_end - loose - slack) / 2)
+                        if distances[at_i, at_j] + slack < required:
+                            blocked = True
+                            break
+                    if blocked:
+                        continue
+                    marked[to_i, to_j, to_k] = True
+                    stack[count, 0], stack[count, 1], stack[count, 2] = to_i, to_j, to_k
+                    count += 1
+                    total += 1
+                    if total + 1 >= max_cells:
+                        return False
+    return True
+
+
+@compiled
+def _body_end(end, curvature):  # type: ignore[no-untyped-def]
+    """Return x and y of the body's end at an end of the path, and their uncertainty, m."""
+    reach = end[5]
+    loose = end[3] + reach * min(2.0, end[4] + curvature * reach / 2)
+    return end[0] - reach * np.cos(end[2]), end[1] - reach * np.sin(end[2]), loose
+
+
+@compiled
+def _obstacle_distance(x, y, grid):  # type: ignore[no-untyped-def]
+    """Return the distance of a point from the nearest obstacle or bound, m.
+
+    Negative in a circle and outside the bounds.
+    """
+    bounds = grid.bounds
+    least = min(min(x - bounds[0], bounds[1] - x), min(y - bounds[2], bounds[3] - y))
+    for k in range(len(grid.circles)):
+        least = min(least, np.hypot(x - grid.circles[k, 0], y - grid.circles[k, 1]) - grid.circles[k, 2])
+    for k in range(len(grid.sides)):
+        ax, ay, bx, by = grid.sides[k]
+        dx, dy = bx - ax, by - ay
+        share = ((x - ax) * dx + (y - ay) * dy) / max(dx * dx + dy * dy, 1e-300)
+        share = min(max(share, 0.0), 1.0)
+        least = min(least, np.hypot(x - ax - share * dx, y - ay - share * dy))
+    return least

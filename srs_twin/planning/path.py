@@ -1,0 +1,177 @@
+"""Paths of arcs, and path coordinates relative to them.
+
+Path coordinates as in `arcs`: s along the path from its start, n to its left, m. The path is extended by a
+straight line at both ends, so that a body whose centre of mass is at an end has coordinates as well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from srs_twin.compute.compiled import allocating, compiled
+from srs_twin.planning.arcs import arc_end, path_coordinates
+from srs_twin.planning.footprint import Footprint
+from srs_twin.robot.world import Pose
+
+EXTENSION_M = 2.0
+"""Length of the straight extensions, m; longer than any body."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Arc of a plan.
+
+    Attributes:
+        start: pose of the centre of mass at its start.
+        curvature: curvature, positive to the left, 1/m.
+        length: length, m.
+        offset: gait offset that follows the curvature.
+        speed: speed of the centre of mass, m/s.
+    """
+
+    start: Pose
+    curvature: float
+    length: float
+    offset: float
+    speed: float
+
+    def pose(self, length: float) -> Pose:
+        """Return the pose after a length (m)."""
+        return Pose(*map(float, arc_end(*self.start, self.curvature, length)))
+
+    @property
+    def end(self) -> Pose:
+        """Pose at the end."""
+        return self.pose(self.length)
+
+
+def make_segment(start: Pose, curvature: float, length: float, footprint: Footprint) -> Segment:
+    """Return an arc with the offset and speed of its curvature in a footprint."""
+    row = footprint.at(curvature)
+    return Segment(start, curvature, length, row.offset, row.speed)
+
+
+def path_from_arcs(start: Pose, arcs: list[tuple[float, float]], footprint: Footprint) -> tuple[Segment, ...]:
+    """Return the path of consecutive arcs; neighbours of equal curvature are merged.
+
+    Args:
+        start: pose at the start.
+        arcs: curvature (1/m) and length (m) of each arc; arcs without length are dropped.
+        footprint: source of offsets and speeds.
+    """
+    merged: list[list[float]] = []
+    for curvature, length in arcs:
+        if length <= 0:
+            continue
+        # A difference of 1e-12 1/m is a rounding error.
+        if merged and math.isclose(merged[-1][0], curvature, abs_tol=1e-12):
+            merged[-1][1] += length
+        else:
+            merged.append([curvature, length])
+    segments: list[Segment] = []
+    for curvature, length in merged:
+        segments.append(make_segment(start, curvature, length, footprint))
+        start = segments[-1].end
+    return tuple(segments)
+
+
+class PathPoint(NamedTuple):
+    """Position relative to a path: s and n, m; heading and curvature of the path at s, rad and 1/m."""
+
+    s: float
+    n: float
+    heading: float
+    curvature: float
+
+
+class ReferencePath:
+    """Path of a plan with lookup by position and by path length.
+
+    Attributes:
+        length: length of the path, m.
+        arcs: x, y, heading, curvature, initial s and length of each arc, extensions included, shape (n, 6).
+    """
+
+    def __init__(self, segments: Sequence[Segment]) -> None:
+        """Prepare the lookup.
+
+        Args:
+            segments: arcs of a plan, at least one.
+        """
+        first, last = segments[0].start, segments[-1].end
+        before = (
+            first.x - EXTENSION_M * math.cos(first.heading),
+            first.y - EXTENSION_M * math.sin(first.heading),
+        )
+        rows = [(*before, first.heading, 0.0, -EXTENSION_M, EXTENSION_M)]
+        begin = 0.0
+        for segment in segments:
+            start = segment.start
+            rows.append((start.x, start.y, start.heading, segment.curvature, begin, segment.length))
+            begin += segment.length
+        rows.append((last.x, last.y, last.heading, 0.0, begin, EXTENSION_M))
+        self.length = begin
+        self.arcs = np.array(rows)
+
+    def nearest(self, x: float, y: float, low: float = -EXTENSION_M, high: float = math.inf) -> PathPoint:
+        """Return the path coordinates of a point (x, y), m, with s between `low` and `high`, m."""
+        return PathPoint(*map(float, _nearest(x, y, self.arcs, low, high)))
+
+    def coordinates(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return s and n of points of shape (k, 2); shape (k,) each, m."""
+        rows = _nearest_of_all(np.ascontiguousarray(points, dtype=float), self.arcs)
+        return rows[:, 0], rows[:, 1]
+
+    def curvature(self, s: float) -> float:
+        """Return the curvature at s (m), 1/m; 0 on the extensions."""
+        return float(self.arcs[self._arc_index(s), 3])
+
+    def pose(self, s: float) -> Pose:
+        """Return the pose at s (m)."""
+        x, y, heading, curvature, begin, _ = self.arcs[self._arc_index(s)]
+        return Pose(*map(float, arc_end(x, y, heading, curvature, s - begin)))
+
+    def _arc_index(self, s: float) -> int:
+        return max(0, int(np.searchsorted(self.arcs[:, 4], s, side="right")) - 1)
+
+
+@compiled
+def _nearest(x, y, arcs, low, high):  # type: ignore[no-untyped-def]
+    """Return s, n, heading and curvature of the path's nearest point with low ≤ s ≤ high."""
+    best = np.inf
+    s_best, n_best, heading_best, curvature_best = 0.0, 0.0, 0.0, 0.0
+    for k in range(len(arcs)):
+        begin, length, curvature = arcs[k, 4], arcs[k, 5], arcs[k, 3]
+        first, last = max(0.0, low - begin), min(length, high - begin)
+        if first > last:
+            continue
+        # Transform the point to the frame of the arc's start.
+        c, sn = np.cos(arcs[k, 2]), np.sin(arcs[k, 2])
+        dx, dy = x - arcs[k, 0], y - arcs[k, 1]
+        n, s = path_coordinates(c * dx + sn * dy, c * dy - sn * dx, curvature)
+        # s is between -π/|κ| and π/|κ|; on arcs of more than half a turn, add a full turn.
+        if s < 0 and curvature != 0 and s + 2 * np.pi / abs(curvature) <= last:
+            s += 2 * np.pi / abs(curvature)
+        s = min(max(s, first), last)
+        px, py, heading = arc_end(arcs[k, 0], arcs[k, 1], arcs[k, 2], curvature, s)
+        distance = np.hypot(x - px, y - py)
+        if distance < best:
+            best = distance
+            lateral = np.cos(heading) * (y - py) - np.sin(heading) * (x - px)
+            s_best, n_best, heading_best, curvature_best = begin + s, lateral, heading, curvature
+    return s_best, n_best, heading_best, curvature_best
+
+
+@allocating
+def _nearest_of_all(points, arcs):  # type: ignore[no-untyped-def]
+    """Return s and n of each point, shape (k, 2)."""
+    rows = np.empty((len(points), 2))
+    for k in range(len(points)):
+        s, n, _, _ = _nearest(points[k, 0], points[k, 1], arcs, -np.inf, np.inf)
+        rows[k, 0], rows[k, 1] = s, n
+    return rows

@@ -1,0 +1,228 @@
+r"""Reference planners for comparison: the planner of the dissertation, and RRT-Connect.
+
+`greedy`, Section 5.2.1, grows two trees of one branch each, from the start and from the goal. At the newest
+node of each side in turn, start first, all N arcs are scored and the one with the lowest score g + h is
+taken. There is no open list and no backtracking.
+
+- g favours straight arcs: g = |i - (N+1)/2| (E8: the printed formula contradicts its sentence). The
+  dissertation gives g and h no common unit. Here a step of g counts as a millimetre, the unit of its figures,
+  so that g decides between arcs that come equally close, as in its example with distances alone.
+- h is the arc distance to the newest node of the other side: the length d β / sin β of the arc that begins
+  along the node's heading and passes through the other node, at distance d and bearing β. It ignores the
+  other node's heading. In the dissertation, blocked arcs have a score of 10000; here they are excluded, and
+  if all arcs are blocked the planner is stuck.
+
+The search ends when the arc distance falls below a threshold. The dissertation gives no value; here it is the
+length of one arc. Its second condition, "and the difference between the rotation angles is π", is joined by
+"or" and has no effect. The heading may therefore jump where the branches meet (`Plan.kink`), and no snake can
+follow such a plan exactly. The joint is the arc whose length is the arc distance; it must be free and no
+tighter than the primitives.
+
+The backward branch grows from the goal with the heading turned by π and the reversed footprint.
+
+`rrt_connect` uses the Open Motion Planning Library (extra `ompl`) with the same collision checks. Its motions
+are Dubins paths with the footprint's tightest turn, and its path is shortened, as in `best_first`. The
+library seeds its random numbers once per process and its budget is wall time, so plans differ between runs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+from srs_twin.errors import InputError
+from srs_twin.planning.arcs import Primitives
+from srs_twin.planning.best_first import shorten_path
+from srs_twin.planning.collision import Checker, ObstacleGrid
+from srs_twin.planning.dubins import ArcSequence, dubins_path, shortest_path
+from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.path import Segment, make_segment, path_from_arcs
+from srs_twin.planning.problem import Outcome, Plan, Problem, Settings
+from srs_twin.planning.search_kernels import MoveSet, follow_dubins_path, initial_state
+from srs_twin.planning.search_tree import make_move_set
+from srs_twin.robot.world import Pose
+
+G_STEP_M = 0.001
+"""Cost of one step of the g score, m; see the module docstring."""
+
+_MAX_BRANCH_ARCS = 200
+"""Arcs per branch after which the search ends: 40 m with the primitives of Section 5.2."""
+
+DEFAULT_SECONDS = 1.0
+"""Wall time of `rrt_connect` without `Settings.seconds`, s."""
+
+Branch = list[tuple[Pose, float]]
+"""Start pose and curvature (1/m) of each arc."""
+
+
+def greedy(problem: Problem) -> Plan:
+    """Plan as the dissertation does.
+
+    Raises:
+        InputError: the problem has no primitives, or its goal no heading.
+    """
+    arcs = problem.primitives
+    if arcs is None:
+        raise InputError("planner greedy needs primitives: their number, largest turn and length")
+    if problem.goal.heading is None:
+        raise InputError("planner greedy needs a goal with a heading: its second branch starts there")
+    forward = Checker(problem.world, problem.footprint)
+    backward = Checker(problem.world, reversed_footprint(problem.footprint))
+    tips = [problem.start, Pose(problem.goal.x, problem.goal.y, problem.goal.heading + math.pi)]
+    branches: list[Branch] = [[], []]
+    for turn in range(2 * _MAX_BRANCH_ARCS):
+        side = turn % 2
+        # The joint is tried before each new arc, with the forward footprint.
+        joint = _joint(tips[0], tips[1], arcs, forward)
+        if joint is not None:
+            path = _joined_path(branches, joint, problem, arcs.length)
+            return Plan(Outcome.FOUND, "the branches met", path, turn)
+        child = _best_child(tips[side], tips[1 - side], arcs, (forward, backward)[side])
+        if child is None:
+            where = f"{turn // 2} arcs from the {('start', 'goal')[side]}"
+            reason = f"every arc is blocked {where}, and greedy does not go back; try best_first"
+            return Plan(Outcome.STUCK, reason, (), turn)
+        curvature, end = child
+        branches[side].append((tips[side], curvature))
+        tips[side] = end
+    reason = f"the branches did not meet within {_MAX_BRANCH_ARCS} arcs each; try best_first"
+    return Plan(Outcome.BUDGET_SPENT, reason, (), 2 * _MAX_BRANCH_ARCS)
+
+
+def arc_through(pose: Pose, x: float, y: float) -> tuple[float, float]:
+    """Return curvature (1/m) and length (m) of the arc that begins at a pose and passes through a point.
+
+    The length is infinite for a point straight behind the pose.
+    """
+    dx, dy = x - pose.x, y - pose.y
+    distance = math.hypot(dx, dy)
+    bearing = math.remainder(math.atan2(dy, dx) - pose.heading, 2 * math.pi)
+    if distance < 1e-12 or abs(bearing) < 1e-9:
+        return 0.0, distance
+    sine = math.sin(bearing)
+    return 2 * sine / distance, distance * bearing / sine if abs(sine) > 1e-9 else math.inf
+
+
+def reversed_footprint(footprint: Footprint) -> Footprint:
+    """Return the footprint of a body that follows the same paths in the opposite direction."""
+    return replace(
+        footprint,
+        offsets=tuple(-value for value in reversed(footprint.offsets)),
+        curvatures=tuple(-value for value in reversed(footprint.curvatures)),
+        speeds=footprint.speeds[::-1],
+        left=footprint.right[::-1],
+        right=footprint.left[::-1],
+        ahead=footprint.behind,
+        behind=footprint.ahead,
+        transients=(),
+    )
+
+
+def _best_child(tip: Pose, other: Pose, arcs: Primitives, checker: Checker) -> tuple[float, Pose] | None:
+    """Return curvature and end of the free arc with the lowest score; None if all are blocked."""
+    best, lowest = None, math.inf
+    for i, (curvature, child) in enumerate(zip(arcs.curvatures, arcs.children(tip), strict=True)):
+        score = G_STEP_M * abs(i - arcs.count // 2) + arc_through(child, other.x, other.y)[1]
+        if score < lowest and checker.is_arc_free(tip, float(curvature), arcs.length):
+            best, lowest = (float(curvature), child), score
+    return best
+
+
+def _joint(here: Pose, there: Pose, arcs: Primitives, checker: Checker) -> tuple[float, float] | None:
+    """Return curvature and length of the arc between the newest nodes if it is short, free and possible."""
+    curvature, length = arc_through(here, there.x, there.y)
+    near = length < arcs.length and abs(curvature) <= arcs.curvatures[-1]
+    return (curvature, length) if near and checker.is_arc_free(here, curvature, length) else None
+
+
+def _joined_path(
+    branches: list[Branch], joint: tuple[float, float], problem: Problem, length: float
+) -> tuple[Segment, ...]:
+    """Return the forward branch, the joint and the reversed backward branch."""
+    body = problem.footprint
+    path = [make_segment(pose, curvature, length, body) for pose, curvature in branches[0]]
+    path.append(make_segment(path[-1].end if path else problem.start, *joint, body))
+    for pose, curvature in reversed(branches[1]):
+        end = make_segment(pose, curvature, length, body).end
+        # The same arc from its other end turns to the other side.
+        path.append(make_segment(Pose(end.x, end.y, end.heading - math.pi), -curvature, length, body))
+    return tuple(path)
+
+
+def rrt_connect(problem: Problem, settings: Settings) -> Plan:
+    """Plan by RRT-Connect; of the settings only `seconds` and `smooth` are used.
+
+    Raises:
+        InputError: the extra `ompl` is not installed, the problem has no bounds or no arrival heading, or the
+            footprint has transients.
+    """
+    try:
+        from ompl import base, geometric, util
+    except ImportError as error:
+        raise InputError("planner ompl needs the extra of that name: pip install 'srs-twin[ompl]'") from error
+    bounds, goal, body = problem.world.bounds, problem.goal, problem.footprint
+    if bounds is None or goal.heading is None or body.transients:
+        raise InputError("planner ompl needs bounds, an arrival heading, and a footprint without transients")
+    util.noOutputHandler()
+    radius = 1 / min(body.tightest)
+    moves = make_move_set(Primitives(3, 0.5, 0.5 * radius), body)
+    grid = Checker(problem.world, body).grid
+    space = base.DubinsStateSpace(radius)
+    box = base.RealVectorBounds(2)
+    for axis, (low, high) in enumerate((bounds.x, bounds.y)):
+        box.setLow(axis, low)
+        box.setHigh(axis, high)
+    space.setBounds(box)
+    setup = geometric.SimpleSetup(space)
+    info = setup.getSpaceInformation()
+    validator = _motion_validator(base)(info, moves, grid, radius)
+    info.setMotionValidator(validator)
+    setup.setStateValidityChecker(lambda state: validator.is_free(_pose(state), _pose(state)))
+    setup.setStartAndGoalStates(
+        _state(space, problem.start), _state(space, Pose(goal.x, goal.y, goal.heading))
+    )
+    # Compile the kernels before the time limit starts.
+    validator.is_free(problem.start, problem.start)
+    setup.setPlanner(geometric.RRTConnect(info))
+    seconds = settings.seconds or DEFAULT_SECONDS
+    setup.solve(seconds)
+    if not setup.haveExactSolutionPath():
+        return Plan(Outcome.BUDGET_SPENT, f"no path after {seconds:g} s; give more seconds")
+    poses = [_pose(state) for state in setup.getSolutionPath().getStates()]
+    path: ArcSequence = []
+    for a, b in zip([problem.start, *poses[1:]], poses[1:], strict=False):
+        path += shortest_path(a, b.x, b.y, b.heading, radius)
+    if settings.smooth:
+        path = shorten_path(problem.start, path, moves, grid, radius)
+    return Plan(Outcome.FOUND, "a free path", path_from_arcs(problem.start, path, body))
+
+
+def _motion_validator(base: Any) -> Any:
+    """Return the class of the motion validator; its base class needs the optional library."""
+
+    class Validator(base.MotionValidator):
+        def __init__(self, info: Any, moves: MoveSet, grid: ObstacleGrid, radius: float) -> None:
+            super().__init__(info)
+            self.moves, self.grid, self.radius = moves, grid, radius
+
+        def is_free(self, a: Pose, b: Pose) -> bool:
+            path = dubins_path(a.x, a.y, a.heading, b.x, b.y, b.heading, False, self.radius)
+            return bool(follow_dubins_path(initial_state(*a, self.moves), path, self.moves, self.grid)[0])
+
+        def checkMotion(self, a: Any, b: Any, last: Any = None) -> bool:  # noqa: N802
+            return self.is_free(_pose(a), _pose(b))
+
+    return Validator
+
+
+def _pose(state: Any) -> Pose:
+    return Pose(state.getX(), state.getY(), state.getYaw())
+
+
+def _state(space: Any, pose: Pose) -> Any:
+    state = space.allocState()
+    state.setX(pose.x)
+    state.setY(pose.y)
+    state.setYaw(math.remainder(pose.heading, 2 * math.pi))
+    return state

@@ -1,0 +1,465 @@
+"""Compiled kernels of the best-first search over arcs of constant curvature (hybrid A*).
+
+A node is a pose that is reached from the start by arcs. Its key is g + w h, where g is the length of the path
+so far and h the Dubins length to the goal at the tightest curvature of the footprint. h is a lower bound on
+the remaining length, and along an arc it decreases by at most the arc's length, so keys never decrease for w
+= 1. For w > 1 the path is at most w times as long as the shortest one on the same arcs and cells.
+
+When a node is expanded, the Dubins path from it to the goal is tested. If that path is free, both together
+are a plan. The open list is a binary heap. The closed set is a hash table with one node per cell of poses: a
+later node replaces it only if its path is shorter. This makes the search finite, and also incomplete: another
+pose of the same cell might have had a free continuation.
+
+The kernels pass an arc state, a tuple with the pose (x, y, heading) at the end of an arc, the move that led
+there, and the transient of the last changes of offset: extra left and right width and remaining length, m.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from srs_twin.compute.compiled import compiled
+from srs_twin.planning.arcs import arc_collides, arc_end
+from srs_twin.planning.collision import ObstacleGrid
+from srs_twin.planning.dubins import dubins_path
+from srs_twin.planning.guidance import GridHeuristic, grid_distance
+
+NODES = 0
+"""Index in `Frontier.counts`: created nodes."""
+OPEN = 1
+"""Index in `Frontier.counts`: nodes on the heap."""
+EXPANDED = 2
+"""Index in `Frontier.counts`: expanded nodes."""
+
+CONNECTED = 0
+"""Result of `expand`: the Dubins path from a node to the goal is free."""
+ARRIVED = 1
+"""Result of `expand`: a node is within the goal's tolerance."""
+PAUSED = 2
+"""Result of `expand`: the requested number of nodes is expanded."""
+EXHAUSTED = 3
+"""Result of `expand`: no node is open."""
+FULL = 4
+"""Result of `expand`: the arrays are full."""
+
+_INDEX_BITS = 26
+"""Bits of the row and of the column in a cell's key; the remaining 11 bits are for the heading sector."""
+_INDEX_OFFSET = 1 << (_INDEX_BITS - 1)
+"""Added to rows and columns to make them positive."""
+
+_COST_TOLERANCE = 1e-9
+"""Smallest improvement of a path length that replaces a node, m; above rounding errors."""
+_PASSAGE_INTERVAL = 4
+"""Narrow passages are tried at every fourth expanded node: each costs far more than an arc."""
+_PASSAGE_REACH = 6.0
+"""Distance beyond which a narrow passage is not tried, in turning radii."""
+
+
+class Frontier(NamedTuple):
+    """State of a search: nodes, open list and closed set.
+
+    Attributes:
+        nodes: x, y, heading, path length so far (m), lower bound on the rest (m), and the transient: extra
+            left and right width and remaining length (m); shape (capacity, 8).
+        links: parent (-1: root) and move from it, shape (capacity, 2).
+        keys: keys in heap order, m, shape (capacity,).
+        heap: nodes in heap order, shape (capacity,).
+        cells: cell key of each slot of the hash table, shape (slots,); slots is a power of 2.
+        owners: 1 + node that represents the cell, 0 for an empty slot, shape (slots,).
+        counts: created, open and expanded nodes, shape (3,).
+    """
+
+    nodes: np.ndarray
+    links: np.ndarray
+    keys: np.ndarray
+    heap: np.ndarray
+    cells: np.ndarray
+    owners: np.ndarray
+    counts: np.ndarray
+
+
+def empty_frontier(capacity: int) -> Frontier:
+    """Return the state of a new search for up to `capacity` nodes."""
+    # At least twice as many slots as nodes keep probing short.
+    slots = 1 << (2 * capacity - 1).bit_length()
+    nodes, links = np.empty((capacity, 8)), np.empty((capacity, 2), dtype=np.int32)
+    keys, heap = np.empty(capacity), np.empty(capacity, dtype=np.int32)
+    cells, owners = np.empty(slots, dtype=np.int64), np.zeros(slots, dtype=np.int32)
+    return Frontier(nodes, links, keys, heap, cells, owners, np.zeros(3, dtype=np.int64))
+
+
+def enlarged(frontier: Frontier) -> Frontier:
+    """Return a copy of a search with eight times the capacity."""
+    larger = empty_frontier(8 * len(frontier.nodes))
+    count = int(frontier.counts[NODES])
+    for old, new in zip(frontier[:4], larger[:4], strict=True):
+        new[:count] = old[:count]
+    larger.counts[:] = frontier.counts
+    _copy_cells(frontier, larger)
+    return larger
+
+
+@compiled
+def push(frontier, node, key):  # type: ignore[no-untyped-def]
+    """Put a node on the heap."""
+    keys, heap, place = frontier.keys, frontier.heap, frontier.counts[OPEN]
+    frontier.counts[OPEN] += 1
+    while place > 0:
+        parent = (place - 1) >> 1
+        if keys[parent] <= key:
+            break
+        keys[place], heap[place] = keys[parent], heap[parent]
+        place = parent
+    keys[place], heap[place] = key, node
+
+
+@compiled
+def pop(frontier):  # type: ignore[no-untyped-def]
+    """Remove and return the node with the smallest key from a heap that is not empty."""
+    keys, heap = frontier.keys, frontier.heap
+    frontier.counts[OPEN] -= 1
+    size, first = frontier.counts[OPEN], heap[0]
+    key, node, place = keys[size], heap[size], 0
+    while True:
+        child = 2 * place + 1
+        if child >= size:
+            break
+        if child + 1 < size and keys[child + 1] < keys[child]:
+            child += 1
+        if keys[child] >= key:
+            break
+        keys[place], heap[place] = keys[child], heap[child]
+        place = child
+    keys[place], heap[place] = key, node
+    return first
+
+
+@compiled
+def cell_slot(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return the hash table slot of a pose's cell; a new cell is entered without an owner.
+
+    Args:
+        cell: side of a cell, m.
+        sector: heading width of a cell, rad; 2π is a multiple of it.
+    """
+    row, column = np.int64(np.floor(x / cell)) + _INDEX_OFFSET, np.int64(np.floor(y / cell)) + _INDEX_OFFSET
+    turns = heading / (2 * np.pi)
+    # Wrap the heading to a full turn.
+    layer = np.int64(np.floor((turns - np.floor(turns)) * 2 * np.pi / sector))
+    return _key_slot(frontier, (layer << (2 * _INDEX_BITS)) | (row << _INDEX_BITS) | column)
+
+
+@compiled
+def _key_slot(frontier, key):  # type: ignore[no-untyped-def]
+    """Return the slot of a cell's key by linear probing."""
+    # Fibonacci hashing (the constant is 2⁶⁴ divided by the golden ratio); the product may overflow.
+    last = frontier.cells.shape[0] - 1
+    slot = ((key * np.int64(-7046029254386353131)) >> 20) & last
+    while frontier.owners[slot] != 0 and frontier.cells[slot] != key:
+        slot = (slot + 1) & last
+    frontier.cells[slot] = key
+    return slot
+
+
+@compiled
+def _copy_cells(frontier, larger):  # type: ignore[no-untyped-def]
+    """Copy the occupied cells into a larger hash table."""
+    for old in range(frontier.cells.shape[0]):
+        if frontier.owners[old] != 0:
+            larger.owners[_key_slot(larger, frontier.cells[old])] = frontier.owners[old]
+
+
+class MoveSet(NamedTuple):
+    """Arcs that the snake can follow.
+
+    Attributes:
+        curvatures: curvatures, rising, 1/m, shape (n,).
+        left: left edge of the footprint for each curvature, m, shape (n,).
+        right: right edge of the footprint for each curvature, m, shape (n,).
+        transients: extra left width, extra right width and length (m) of the transient after a change from
+            one curvature to another, shape (n + 1, n, 3); row n: at the start.
+        primitives: indices of the curvatures that lead to a node's children, shape (m,).
+        radius_factors: turning radii of the tested Dubins paths relative to the smallest one, 1 first,
+            shape (k,).
+        dubins_moves: for each factor the indices of right turn, straight line and left turn, shape (k, 3).
+        length: length of a primitive, m.
+        ahead: extent of the body ahead of the centre of mass, m.
+        behind: extent of the body behind the centre of mass, m.
+    """
+
+    curvatures: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    transients: np.ndarray
+    primitives: np.ndarray
+    radius_factors: np.ndarray
+    dubins_moves: np.ndarray
+    length: float
+    ahead: float
+    behind: float
+
+
+class Target(NamedTuple):
+    """Goal of a search.
+
+    Attributes:
+        x: m.
+        y: m.
+        heading: rad; ignored if `any_heading` is set.
+        any_heading: whether the arrival heading is free.
+        radius: position tolerance, m.
+        heading_tolerance: rad.
+        bound_radius: turning radius for the lower bound, that of the tightest turn to either side, m.
+        dubins_radius: turning radius of the Dubins paths, possible to both sides, m.
+    """
+
+    x: float
+    y: float
+    heading: float
+    any_heading: bool
+    radius: float
+    heading_tolerance: float
+    bound_radius: float
+    dubins_radius: float
+
+
+class SearchSpec(NamedTuple):
+    """Parameters of a search.
+
+    Attributes:
+        moves: arcs that the snake can follow.
+        target: goal.
+        grid: obstacles and bounds.
+        cell: side of a cell of poses, m.
+        sector: heading width of a cell, rad; 2π is a multiple of it.
+        weight: weight w of the lower bound.
+        heuristic: grid distances that may increase the key, or `guidance.NO_HEURISTIC`. Nodes are pruned by
+            the lower bound only.
+        passages: entry poses and lengths of narrow passages, as `guidance.find_passages` returns them.
+    """
+
+    moves: MoveSet
+    target: Target
+    grid: ObstacleGrid
+    cell: float
+    sector: float
+    weight: float
+    heuristic: GridHeuristic
+    passages: np.ndarray
+
+
+@compiled
+def lower_bound(x, y, heading, target):  # type: ignore[no-untyped-def]
+    """Return the lower bound h on the path length from a pose to the goal, m."""
+    path = dubins_path(
+        x, y, heading, target.x, target.y, target.heading, target.any_heading, target.bound_radius
+    )
+    return path[3] + path[4] + path[5]
+
+
+@compiled
+def add_root(frontier, x, y, heading, spec):  # type: ignore[no-untyped-def]
+    """Add a start pose, unless its cell already has one."""
+    slot = cell_slot(frontier, x, y, heading, spec.cell, spec.sector)
+    bound = lower_bound(x, y, heading, spec.target)
+    if frontier.owners[slot] == 0:
+        root = _add_node(frontier, slot, x, y, heading, 0.0, bound, 0.0, 0.0, 0.0)
+        frontier.links[root, 0], frontier.links[root, 1] = -1, spec.moves.curvatures.shape[0]
+        push(frontier, root, bound)
+
+
+@compiled
+def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
+    """Expand nodes until an event; return the event (`CONNECTED` …) and its node.
+
+    Args:
+        frontier: state of the search, modified in place.
+        spec: parameters of the search.
+        best: length of the best plan so far, m; nodes that cannot improve it are dropped.
+        count: largest number of nodes to expand.
+    """
+    moves, cell, sector = spec.moves, spec.cell, spec.sector
+    until = frontier.counts[EXPANDED] + count
+    while frontier.counts[OPEN] > 0:
+        if frontier.counts[EXPANDED] >= until:
+            return PAUSED, -1
+        # Make sure that all children fit before the node leaves the heap.
+        children = moves.primitives.shape[0] + moves.dubins_moves.shape[0] * spec.passages.shape[0]
+        if frontier.counts[NODES] + children > frontier.nodes.shape[0]:
+            return FULL, -1
+        node = pop(frontier)
+        x, y, heading, cost, bound = frontier.nodes[node, :5]
+        owner = frontier.owners[cell_slot(frontier, x, y, heading, cell, sector)]
+        # Skip nodes that a shorter path to their cell has replaced.
+        if owner != node + 1 or cost + bound >= best:
+            continue
+        frontier.counts[EXPANDED] += 1
+        if _in_goal(x, y, heading, spec.target):
+            return ARRIVED, node
+        if _connects_to_goal(frontier, node, spec, best):
+            return CONNECTED, node
+        for move in moves.primitives:
+            _try_arc(frontier, node, move, spec, best)
+        passages = spec.passages.shape[0] if frontier.counts[EXPANDED] % _PASSAGE_INTERVAL == 1 else 0
+        for passage in range(passages):
+            for factor in range(moves.dubins_moves.shape[0]):
+                _try_passage(frontier, node, passage, factor, spec, best)
+    return EXHAUSTED, -1
+
+
+@compiled
+def _try_arc(frontier, node, move, spec, best):  # type: ignore[no-untyped-def]
+    """Add the child at the end of an arc if it is free, improves its cell and may improve the best plan."""
+    state, cost = _arc_state(frontier, node, spec)
+    length = spec.moves.length
+    to_x, to_y, to_heading = arc_end(state[0], state[1], state[2], spec.moves.curvatures[move], length)
+    slot = cell_slot(frontier, to_x, to_y, to_heading, spec.cell, spec.sector)
+    cost += length
+    owner = frontier.owners[slot] - 1
+    if owner >= 0 and frontier.nodes[owner, 3] <= cost + _COST_TOLERANCE:
+        return
+    free, state = follow_arc(state, move, length, spec.moves, spec.grid)
+    if not free:
+        return
+    bound = lower_bound(to_x, to_y, to_heading, spec.target)
+    if cost + bound >= best:
+        return
+    child = _add_node(frontier, slot, to_x, to_y, to_heading, cost, bound, state[4], state[5], state[6])
+    frontier.links[child, 0], frontier.links[child, 1] = node, move
+    push(frontier, child, cost + spec.weight * max(bound, grid_distance(spec.heuristic, to_x, to_y)))
+
+
+@compiled
+def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[no-untyped-def]
+    """Add the child at the exit of a narrow passage, as `_try_arc` does, if a Dubins path leads into it.
+
+    Its move is −1 − passage n − factor, where n is the number of radius factors.
+    """
+    moves, target, grid = spec.moves, spec.target, spec.grid
+    state, cost = _arc_state(frontier, node, spec)
+    entry_x, entry_y, heading, through = spec.passages[passage]
+    dx, dy = entry_x - state[0], entry_y - state[1]
+    reach = _PASSAGE_REACH * target.dubins_radius + 2 * through
+    if dx * dx + dy * dy > reach * reach:
+        return
+    to_x, to_y, to_heading = arc_end(entry_x, entry_y, heading, 0.0, through)
+    slot = cell_slot(frontier, to_x, to_y, to_heading, spec.cell, spec.sector)
+    owner = frontier.owners[slot] - 1
+    radius = target.dubins_radius * moves.radius_factors[factor]
+    path = dubins_path(*state[:3], entry_x, entry_y, heading, False, radius)
+    cost += path[3] + path[4] + path[5] + through
+    bound = lower_bound(to_x, to_y, to_heading, target)
+    if (owner >= 0 and frontier.nodes[owner, 3] <= cost + _COST_TOLERANCE) or cost + bound >= best:
+        return
+    for piece in range(4):  # three pieces of the Dubins path, then straight through the passage
+        length = through if piece == 3 else path[3 + piece]
+        turn = 0 if piece == 3 else int(path[piece])
+        if length > 0:
+            free, state = follow_arc(state, moves.dubins_moves[factor, 1 + turn], length, moves, grid)
+            if not free:
+                return
+    child = _add_node(frontier, slot, to_x, to_y, to_heading, cost, bound, state[4], state[5], state[6])
+    frontier.links[child, 0] = node
+    frontier.links[child, 1] = -1 - passage * moves.dubins_moves.shape[0] - factor
+    push(frontier, child, cost + spec.weight * max(bound, grid_distance(spec.heuristic, to_x, to_y)))
+
+
+@compiled
+def _add_node(frontier, slot, x, y, heading, cost, bound, left, right, lasting):  # type: ignore[no-untyped-def]
+    """Add a node as the owner of its cell and return its number."""
+    # The new node replaces the former owner of the cell, which is skipped when it is popped.
+    child = frontier.counts[NODES]
+    frontier.counts[NODES] += 1
+    frontier.owners[slot] = child + 1
+    row = frontier.nodes[child]
+    row[0], row[1], row[2], row[3], row[4] = x, y, heading, cost, bound
+    row[5], row[6], row[7] = left, right, lasting
+    return child
+
+
+@compiled
+def _arc_state(frontier, node, spec):  # type: ignore[no-untyped-def]
+    """Return the arc state at a node and the length of the path to it, m."""
+    x, y, heading, cost, _, left, right, lasting = frontier.nodes[node]
+    move = frontier.links[node, 1]
+    # A passage (a negative move) ends straight.
+    before = np.int64(move if move >= 0 else spec.moves.dubins_moves[0, 1])
+    return (x, y, heading, before, left, right, lasting), cost
+
+
+@compiled
+def _in_goal(x, y, heading, target):  # type: ignore[no-untyped-def]
+    """Return whether a pose is within the tolerances of the goal."""
+    dx, dy = target.x - x, target.y - y
+    if dx * dx + dy * dy > target.radius * target.radius:
+        return False
+    turn = target.heading - heading
+    return (
+        target.any_heading or abs(turn - 2 * np.pi * np.round(turn / (2 * np.pi))) <= target.heading_tolerance
+    )
+
+
+@compiled
+def _connects_to_goal(frontier, node, spec, best):  # type: ignore[no-untyped-def]
+    """Return whether the Dubins path from a node to the goal is free and improves the best plan."""
+    state, cost = _arc_state(frontier, node, spec)
+    target = spec.target
+    path = dubins_path(
+        *state[:3], target.x, target.y, target.heading, target.any_heading, target.dubins_radius
+    )
+    if cost + path[3] + path[4] + path[5] >= best:
+        return False
+    return follow_dubins_path(state, path, spec.moves, spec.grid)[0]
+
+
+@compiled
+def initial_state(x, y, heading, moves):  # type: ignore[no-untyped-def]
+    """Return the arc state at the start of a path, without a previous move."""
+    return x, y, heading, len(moves.curvatures), 0.0, 0.0, 0.0
+
+
+@compiled
+def follow_dubins_path(state, path, moves, grid):  # type: ignore[no-untyped-def]
+    """Return whether a path of `dubins.dubins_path` is free, and the arc state at its end."""
+    free = True
+    for piece in range(3):
+        if path[3 + piece] > 0:
+            move = moves.dubins_moves[0, 1 + int(path[piece])]
+            free, state = follow_arc(state, move, path[3 + piece], moves, grid)
+            if not free:
+                break
+    return free, state
+
+
+@compiled
+def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def]
+    """Return whether an arc is free, and the arc state at its end.
+
+    Args:
+        state: arc state at its start (module docstring).
+        move: index of its curvature.
+        length: its length, m.
+        moves: arcs that the snake can follow.
+        grid: obstacles and bounds.
+    """
+    x, y, heading, before, left, right, lasting = state
+    if lasting <= 0:
+        left, right, lasting = 0.0, 0.0, 0.0
+    # Overlapping transients: the larger width and length of each.
+    change = moves.transients[before, move]
+    left, right, lasting = max(left, change[0]), max(right, change[1]), max(lasting, change[2])
+    curvature, ahead, behind = moves.curvatures[move], moves.ahead, moves.behind
+    # The first part of the arc has the wider edges, the rest the steady ones.
+    first = min(lasting, length)
+    free = True
+    if first > 0:
+        wide = moves.left[move] + left, moves.right[move] + right
+        free = not arc_collides(x, y, heading, curvature, first, ahead, behind, wide[0], wide[1], grid)
+        x, y, heading = arc_end(x, y, heading, curvature, first)
+    if free and first < length:
+        edges = moves.left[move], moves.right[move]
+        free = not arc_collides(x, y, heading, curvature, length - first, ahead, behind, *edges, grid)
+    x, y, heading = arc_end(x, y, heading, curvature, length - first)
+    return free, (x, y, heading, move, left, right, lasting - first)

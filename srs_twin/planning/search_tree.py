@@ -1,0 +1,247 @@
+"""Search trees: resumable best-first search from the start or from the goal, and a trace for display."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from srs_twin.planning.arcs import Primitives, arc_end
+from srs_twin.planning.collision import nearest_obstacle
+from srs_twin.planning.dubins import ArcSequence, shortest_path
+from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.search_kernels import (
+    ARRIVED,
+    CONNECTED,
+    EXHAUSTED,
+    EXPANDED,
+    FULL,
+    NODES,
+    OPEN,
+    Frontier,
+    MoveSet,
+    SearchSpec,
+    Target,
+    add_root,
+    empty_frontier,
+    enlarged,
+    expand,
+    follow_arc,
+)  # fmt: skip
+from srs_twin.robot.world import Goal, Pose, World
+
+_INITIAL_CAPACITY = 4096
+"""Nodes; enough for easy problems, and enlarged when needed."""
+
+_BOUND_SLACK = 1e-6
+"""Relative reduction of the turning radius for the lower bound. At the end of a tightest turn, rounding may
+put the goal inside the turning circle, where the Dubins length is larger by a full turn."""
+
+_GOAL_SPREAD = (0.0, -0.7, 0.7)
+"""Positions of backward start poses in units of the goal's radius; the corners are within it."""
+
+_RADIUS_FACTORS = (1.0, 2.0, 5.0)
+"""Turning radii into narrow passages relative to the smallest: wide turns have small transients."""
+
+_ARC_POINTS = 5
+"""Points of an arc in a trace."""
+
+MAX_TRACED_NODES = 3000
+"""Nodes of a search whose rejected arcs are traced."""
+
+
+def make_move_set(primitives: Primitives, footprint: Footprint) -> MoveSet:
+    """Return the arcs of a search: the primitives, the tightest and wider turns, and straight ahead.
+
+    Raises:
+        InputError: a primitive is tighter than the footprint allows.
+    """
+    right, left = footprint.tightest
+    both = min(right, left)
+    own = [*primitives.curvatures, -right, -both, 0.0, both, left]
+    wide = [side * both / factor for factor in _RADIUS_FACTORS for side in (-1, 1)]
+    # Rounding merges equal curvatures; clipping keeps them within the footprint.
+    curvatures = np.unique(np.round([*own, *wide], 12))
+    curvatures = np.clip(curvatures, -right, left)
+    rows = [footprint.at(float(k)) for k in curvatures]
+    offsets = [row.offset for row in rows]
+    transients = [[footprint.transient(a, b) for b in offsets] for a in offsets]
+    transients.append([(0.0, 0.0, 0.0)] * len(offsets))
+    indices = np.unique([np.argmin(abs(curvatures - k)) for k in own])
+    turns = [
+        [np.argmin(abs(curvatures - side * both / factor)) for side in (-1, 0, 1)]
+        for factor in _RADIUS_FACTORS
+    ]
+    return MoveSet(
+        curvatures,
+        np.array([row.left for row in rows]),
+        np.array([row.right for row in rows]),
+        np.array(transients),
+        indices,
+        np.array(_RADIUS_FACTORS),
+        np.array(turns),
+        primitives.length,
+        footprint.ahead,
+        footprint.behind,
+    )
+
+
+def make_target(goal: Goal, footprint: Footprint) -> Target:
+    """Return the kernels' form of a goal."""
+    right, left = footprint.tightest
+    pose = goal.x, goal.y, goal.heading or 0.0
+    radii = (1 - _BOUND_SLACK) / max(right, left), 1 / min(right, left)
+    return Target(*pose, goal.heading is None, goal.radius, goal.heading_tolerance, *radii)
+
+
+def reverse_moves(moves: MoveSet) -> MoveSet:
+    """Return the moves along the same paths in the opposite direction: sides and ends exchanged."""
+    last = len(moves.curvatures) - 1
+    reverse, left, right = (values[::-1].copy() for values in (-moves.curvatures, moves.right, moves.left))
+    # Backward search is used only without transients, which make paths depend on the direction.
+    transients = np.zeros_like(moves.transients)
+    turns, primitives = last - moves.dubins_moves[:, ::-1], last - moves.primitives[::-1]
+    reach = moves.length, moves.behind, moves.ahead
+    return MoveSet(reverse, left, right, transients, primitives, moves.radius_factors, turns, *reach)
+
+
+class SearchTree:
+    """Best-first search that can be paused and resumed.
+
+    Args:
+        roots: start poses.
+        spec: parameters of the search.
+        backward: whether the tree solves the reversed problem, from the goal.
+    """
+
+    def __init__(self, roots: list[Pose], spec: SearchSpec, *, backward: bool = False) -> None:
+        self.spec, self.backward, self.exhausted = spec, backward, False
+        self.frontier: Frontier = empty_frontier(max(_INITIAL_CAPACITY, 2 * len(roots)))
+        for root in roots:
+            add_root(self.frontier, *root, spec)
+
+    @property
+    def expanded(self) -> int:
+        """Number of expanded nodes."""
+        return int(self.frontier.counts[EXPANDED])
+
+    def grow(self, count: int, best: float) -> ArcSequence | None:
+        """Expand up to `count` nodes; return the arcs of a plan shorter than `best` (m), or None."""
+        until = self.expanded + count
+        while True:
+            event, node = expand(self.frontier, self.spec, best, until - self.expanded)
+            if event != FULL:
+                break
+            self.frontier = enlarged(self.frontier)
+        self.exhausted = event == EXHAUSTED
+        return self._path(int(node), connected=event == CONNECTED) if event in (CONNECTED, ARRIVED) else None
+
+    def _path(self, node: int, *, connected: bool) -> ArcSequence:
+        """Return the arcs from the root to a node, if connected followed by the Dubins path to the goal."""
+        moves, target = self.spec.moves, self.spec.target
+        arcs: ArcSequence = []  # from the goal to the root
+        end = Pose(*map(float, self.frontier.nodes[node, :3]))
+        if connected:
+            heading = None if target.any_heading else target.heading
+            # The same Dubins path that the kernel has tested.
+            arcs = shortest_path(end, target.x, target.y, heading, target.dubins_radius)[::-1]
+        while (parent := int(self.frontier.links[node, 0])) >= 0:
+            move = int(self.frontier.links[node, 1])
+            if move >= 0:
+                arcs.append((float(moves.curvatures[move]), moves.length))
+            else:
+                passage, factor = divmod(-1 - move, len(moves.radius_factors))
+                x, y, heading, through = map(float, self.spec.passages[passage])
+                begin = Pose(*map(float, self.frontier.nodes[parent, :3]))
+                entry = shortest_path(
+                    begin, x, y, heading, target.dubins_radius * moves.radius_factors[factor]
+                )
+                arcs += [(0.0, through), *entry[::-1]]
+            node = parent
+        return arcs[::-1]
+
+
+def goal_poses(goal: Goal, sector: float) -> list[Pose]:
+    """Return poses within a goal's tolerances, the goal first; with a free heading one per sector (rad)."""
+    if goal.heading is None:
+        # One pose per heading cell.
+        headings = list(np.arange(0.0, 2 * math.pi, sector))
+    else:
+        headings = [goal.heading + share * goal.heading_tolerance for share in (0.0, -1.0, 1.0)]
+    x, y = ([centre + share * goal.radius for share in _GOAL_SPREAD] for centre in (goal.x, goal.y))
+    return [Pose(*position, float(heading)) for heading in headings for position in product(x, y)]
+
+
+def turned_around(pose: Pose) -> Pose:
+    """Return a pose with the opposite heading."""
+    return Pose(pose.x, pose.y, pose.heading + math.pi)
+
+
+@dataclass(frozen=True)
+class SearchTrace:
+    """Explored and rejected arcs of a search, for display; all in m.
+
+    Attributes:
+        arcs: arcs that lead to a node, shape (n, points, 2); entries of narrow passages are straight lines.
+        passages: start and end of the straight path through each narrow passage, shape (g, 2, 2).
+        rejected: arcs that collide, shape (m, points, 2).
+        reasons: name of the obstacle that each rejected arc touches.
+        nodes: number of created nodes.
+    """
+
+    arcs: np.ndarray
+    passages: np.ndarray
+    rejected: np.ndarray
+    reasons: tuple[str, ...]
+    nodes: int
+
+
+def trace_search(trees: Sequence[SearchTree], world: World) -> SearchTrace:
+    """Return the trace of a search.
+
+    Rejected arcs are not stored during the search, so the collision checks of expanded nodes are repeated.
+
+    Args:
+        trees: trees at the end of the search.
+        world: obstacles and bounds.
+    """
+    arcs, rejected, reasons, passages = [], [], [], np.empty((0, 4))
+    for tree in trees:
+        frontier, moves = tree.frontier, tree.spec.moves
+        count = int(frontier.counts[NODES])
+        open_nodes = set(frontier.heap[: int(frontier.counts[OPEN])].tolist())
+        for node in range(count):
+            parent, move = (int(link) for link in frontier.links[node])
+            if parent >= 0:
+                begin = frontier.nodes[parent]
+                straight = np.linspace(begin[:2], frontier.nodes[node, :2], _ARC_POINTS)
+                arcs.append(
+                    straight if move < 0 else _arc_points(begin, moves.curvatures[move], moves.length)
+                )
+        closed = [node for node in range(count) if node not in open_nodes]
+        for node in closed[: MAX_TRACED_NODES // len(trees)]:
+            pose = frontier.nodes[node]
+            # A passage (a negative move) ends straight.
+            before = max(int(frontier.links[node, 1]), -1)
+            state = (*pose[:3], before if before >= 0 else int(moves.dubins_moves[0, 1]), *pose[5:8])
+            for move in moves.primitives:
+                if not follow_arc(state, move, moves.length, moves, tree.spec.grid)[0]:
+                    arc = _arc_points(pose, moves.curvatures[move], moves.length)
+                    rejected.append(arc)
+                    reasons.append(nearest_obstacle(world, *map(float, arc[-1])))
+        passages = np.vstack([passages, tree.spec.passages])
+    ends = [arc_end(x, y, heading, 0.0, length)[:2] for x, y, heading, length in passages]
+    return SearchTrace(
+        np.array(arcs).reshape(-1, _ARC_POINTS, 2),
+        np.stack([passages[:, :2], np.array(ends).reshape(-1, 2)], axis=1),
+        np.array(rejected).reshape(-1, _ARC_POINTS, 2),
+        tuple(reasons),
+        sum(int(tree.frontier.counts[NODES]) for tree in trees),
+    )
+
+
+def _arc_points(pose: np.ndarray, curvature: float, length: float) -> np.ndarray:
+    return np.array([arc_end(*pose[:3], curvature, s)[:2] for s in np.linspace(0.0, length, _ARC_POINTS)])
