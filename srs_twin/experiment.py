@@ -279,7 +279,8 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
         }
     if digest != judged_digest(scenario.document):
         return {
-            "stale": f"the interval in {display_path(path)} is for another robot or scenario; {renew} renews it"
+            "stale": f"the interval in {display_path(path)} is for another robot or scenario; "
+            f"{renew} renews it"
         }
     return {"stale": None, "file": display_path(path), "renew": renew, "plants": plants}
 

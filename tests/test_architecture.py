@@ -28,7 +28,7 @@ CORE = (
 ORDER = (*CORE, *EXTENSIONS)
 STEP = {name: i for i, name in enumerate(ORDER)}
 
-# What is heavy or swaps out one day, and the only parts of the package that may know of it.
+# Large or replaceable packages, and the only rooms that may import them.
 RESERVED = {
     "mujoco": {"plants", "warp", "viewing", "envs", "identification", "cli"},
     "dm_control": {"plants", "viewing", "envs", "identification", "cli"},
@@ -64,7 +64,7 @@ def imports(tree: ast.AST, package: tuple[str, ...] = ("srs_twin",)) -> Iterator
 
 
 def faults(part: str, tree: ast.AST, package: tuple[str, ...] = ("srs_twin",)) -> list[str]:
-    """Return what a source of a part imports against the rules, as 'line: what'."""
+    """Return forbidden imports of a source, as 'line: message'."""
     found = []
     for line, name in imports(tree, package):
         top, _, rest = name.partition(".")

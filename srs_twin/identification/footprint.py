@@ -528,8 +528,8 @@ def check_same_study(path: Path, study: FootprintStudy, robot: str, name: str) -
     first = [line.removeprefix("# ") for line in read_text(path).splitlines()[:2]]
     if first != _identity(study, robot, name):
         raise InputError(
-            f"{display_path(path)}: the file exists with another footprint; --overwrite replaces it; --name or "
-            "--out choose another file"
+            f"{display_path(path)}: the file exists with another footprint; --overwrite replaces it; --name "
+            "or --out choose another file"
         )
 
 

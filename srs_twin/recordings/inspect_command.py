@@ -25,20 +25,20 @@ def inspect(
     overwrite: OverwriteOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Say what is in recordings, and propose a map.
+    """Describe recordings and propose a map.
 
-    No robot and no log are needed; with a robot, also whether they read as its recording.
+    Needs no robot and no log. With a robot, also reports whether the files read as its recording.
 
     Options:
-        robot: Shipped, or a file: whether it may be of this robot.
-        map: What is known of the files (docs/logs.md).
-        units: Of lengths, where the file does not say: m, cm, mm, in, ft.
-        rate: Frames a second, where the file has no time.
-        columns: Names of the columns of a plain file that has none, as time,x_1,y_1.
-        separator: Separator of the cells of a plain file: , ; | tab or space, where it is not found.
-        decimal: Decimal mark of a plain file, where it is not found.
-        picture: The markers from above; of several files NAME goes before it.
-        write_map: Where a proposed map goes.
+        robot: Shipped robot or a file, to check the recording against.
+        map: Recording map with what is known already (docs/logs.md).
+        units: Unit of lengths if the file states none: m, cm, mm, in, ft.
+        rate: Frames per second if the file has no time.
+        columns: Column names of a plain file without a header, as time,x_1,y_1.
+        separator: Cell separator of a plain file: , ; | tab or space. [default: detected]
+        decimal: Decimal mark of a plain file. [default: detected]
+        picture: Picture of the markers from above; for several files NAME is prefixed.
+        write_map: File for the proposed map.
     """
     from srs_twin.io.files import check_output_folder, escape_unprintable, write_text
     from srs_twin.recordings.inspection import in_words, inspect_file, proposed_map

@@ -10,37 +10,37 @@ from srs_twin.cli.options import option
 if TYPE_CHECKING:
     from srs_twin.recordings.takes import RecordingReader
 
-_LOGS = "Log of each recording, FILE... first, then --validate. [default: NAME.valves.csv beside it]"
+_LOGS = "Log of each recording, FILE... first, then --validate. [default: NAME.valves.csv in the same folder]"
 
 
 ValvesOption = Annotated[list[str] | None, option("--valves LOG", _LOGS)]
 
 
-_OFFSET = "What to add to the logs' times. [default: estimated]"
+_OFFSET = "Clock offset added to the times of the logs, s. [default: estimated]"
 
 
 OffsetOption = Annotated[float | None, option("--offset S", _OFFSET)]
 
 
-FrequencyOption = Annotated[float | None, option("--frequency HZ", "Of the gait. [default: the valves']")]
+FrequencyOption = Annotated[float | None, option("--frequency HZ", "Gait frequency. [default: the valves']")]
 
 
 @dataclass(frozen=True)
 class ReadingOptions:
-    """How markers are read; see `RecordingReader`.
+    """Options of `RecordingReader`.
 
     Options:
-        up: Axis of the files that points up.
+        up: Upward axis of the files: x, y, z, -x, -y, -z or auto.
         layout: Markers: auto, single, head, pair, middles or head_middles.
-        head: At the head. [default: where it crawls to]
+        head: Marker at the head. [default: where it crawls to]
         longest_gap: Longest gap that is filled. [default: 0.2]
-        map: What is what in the files (docs/logs.md).
-        units: Of lengths, where the file does not say: m, cm, mm, in, ft.
-        rate: Frames a second, where the file has no time.
-        columns: Names of the columns of a plain file that has none, as time,x_1,y_1.
-        separator: Separator of the cells of a plain file: , ; | tab or space, where it is not found.
-        decimal: Decimal mark of a plain file, where it is not found.
-        marker: Its place, as tip=connector 3, m1=middle 1 or h2=connector 1 ahead; repeatable.
+        map: Recording map: quantities of markers and columns (docs/logs.md).
+        units: Unit of lengths if the file states none: m, cm, mm, in, ft.
+        rate: Frames per second if the file has no time.
+        columns: Column names of a plain file without a header, as time,x_1,y_1.
+        separator: Cell separator of a plain file: , ; | tab or space. [default: detected]
+        decimal: Decimal mark of a plain file. [default: detected]
+        marker: Position of a marker, as tip=connector 3 or m1=middle 1; repeatable.
     """
 
     up: Annotated[str, option("--up AXIS")] = "auto"

@@ -75,7 +75,7 @@ class RecordingFile(ExtensionSection):
     motion: FilePath
     """What cameras saw (docs/logs.md#file-formats); on a bench also a CSV file of time,bend_1,…."""
     valves: FilePath | None = None
-    """Log of valves or pressures; a plain CSV or MCAP file (default: NAME.valves.csv beside the motion)."""
+    """Log of valves or pressures; a plain CSV or MCAP file (default: NAME.valves.csv in the same folder)."""
     offset_s: float | None = quantity(-1e9, 1e9)
     """What to add to the log's times (default: estimated)."""
     gait_frequency_hz: float | None = quantity(0.01, 50.0)

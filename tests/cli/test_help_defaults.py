@@ -35,7 +35,7 @@ PLACES = {
 }  # fmt: skip
 PHRASES = {
     "all but studies", "one per processor", "those of the scenario", "the scenario's", "the sweep's",
-    "the twin's", "NAME.valves.csv beside it", "the robot's", "the valves'", "estimated",
+    "the twin's", "NAME.valves.csv in the same folder", "detected", "the robot's", "the valves'", "estimated",
     "where it crawls to", "free", "none", "no motion capture", "run until Ctrl-C", "this machine's",
     "the run's folder", "ROBOT_WHAT", "ROBOT_CONTROLLER", "3; 1 where the twin's shapes lead",
     "generation 2", "scaled from generation 2", "NAME.yaml, NAME.py", 

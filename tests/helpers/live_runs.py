@@ -1,7 +1,7 @@
-"""A robot and its shadow in simulated time: the stand-in of `srs-twin emulate`, what its messages suffer.
+"""Emulated robots and their shadows in simulated time, with lost and late messages.
 
 Modules spread by 10 %, chambers of compressible flow, 0.02 rad of noise. Of the messages 5 % are lost, the
-rest late by up to 20 ms; motion capture has 30 frames a second.
+rest late by up to 20 ms; motion capture has 30 frames per second.
 """
 
 from __future__ import annotations
@@ -61,17 +61,17 @@ class Run:
     """One robot, walking.
 
     Attributes:
-        seed: of modules, noise and what messages suffer.
+        seed: seed of modules, noise and message losses.
         seconds: of it.
         fault: as `srs-twin emulate` takes it; empty: none.
         robot: name.
         frequency: of its gait, Hz.
-        pressures: whether it tells them.
-        valves: whether it tells what it did with them.
+        pressures: whether it publishes pressures.
+        valves: whether it publishes valve states.
         cameras_s: for how long motion capture sees it.
         loss: share of messages that are lost.
-        jitter_s: by how much each is late at most.
-        camera_hz: frames a second.
+        jitter_s: largest delay of a message, s.
+        camera_hz: frame rate of motion capture, Hz.
         pneumatics: its chambers.
         tau_spread: of their time constants.
         gain_spread: of the modules' gains.
@@ -81,7 +81,7 @@ class Run:
         motion: "walk", "stand", "stop and go" or "hold".
         poor_sensors: whether bend sensors have a gain, an offset and a drift.
         rate_hz: messages of the robot in a second.
-        tells_supply: whether the robot tells the pressure of its supply.
+        tells_supply: whether the robot publishes its supply pressure.
     """
 
     seed: int
@@ -136,7 +136,7 @@ class Run:
         )  # fmt: skip
 
     def commands(self, robot: EmulatedRobot) -> Iterator[np.ndarray]:
-        """Yield the states of its valves, tick by tick: a gait that goes straight, left, right."""
+        """Yield the valve states of each tick: a gait that crawls straight, left, right."""
         gait, tick, segments = Gait(self.frequency), robot.tick, robot.segments
         gait.reset(robot.twin.spec, tick)
         rng, held = np.random.default_rng((self.seed, 8)), np.full((segments, 2), -1.0)
@@ -239,7 +239,7 @@ class Wire:
             self.send(POSES, "natnet", time, np.array(rows).reshape(-1, 4), tuple(seen))
 
     def arrived(self, time: float) -> list[Message]:
-        """Return what has arrived."""
+        """Return the messages that have arrived."""
         found = []
         while self._waiting and self._waiting[0][0] <= time:
             found.append(heapq.heappop(self._waiting)[2])
@@ -293,7 +293,7 @@ def shadowed(run: Run, **shadow: Any) -> Iterator[Moment]:
 
 
 def steered(order: tuple[Run, str]) -> dict[str, Any]:
-    """Let a shadow steer a robot along a scenario's way, and say how it ended and what it touched."""
+    """Steer a robot by its shadow along the path of a scenario; return the ending and the contacts."""
     run, name = order
     scenario = load_scenario(name)
     robot, wire = run.emulated(start=scenario.pose), Wire(run)
@@ -403,7 +403,7 @@ def conditioned(condition: str, seed: int, seconds: float, **more: Any) -> Run:
 
 
 def cached(key: Any, make: Callable[[], Any]) -> Any:
-    """Return what `make` returns; from the folder `CACHE` where it was made before."""
+    """Return the result of `make`, from the folder `CACHE` if it was computed before."""
     if not CACHE:
         return make()
     file = Path(CACHE) / f"{hashlib.sha256(repr(key).encode()).hexdigest()[:20]}.pickle"
@@ -460,7 +460,7 @@ def breakages(
 
 
 def isolated(order: tuple[int, str, Sequence[str]]) -> list[dict[str, Any]]:
-    """Let a robot break in several ways, and say whether its shadow named each fault rightly and in time."""
+    """Inject several faults into a robot; return whether its shadow named each one correctly and in time."""
     seed, condition, kinds = order
     sound, found = cached(("faults", *order), lambda: breakages(condition, seed, kinds))
     twin = Shadow(load_robot(sound.run.robot), seed=seed, members=8)
@@ -489,7 +489,7 @@ def _note_faults(named: dict[str, tuple[str, float]], found: Estimate | None, ti
 
 
 def alarms(order: tuple[int, float, str]) -> list[str]:
-    """Return what a healthy robot was accused of in so many seconds; it is then taken for whole."""
+    """Return the false alarms of a healthy robot in a number of seconds; each one is reset."""
     seed, seconds, condition = order
     found = []
     for moment in shadowed(conditioned(condition, seed, seconds), members=8):

@@ -1,4 +1,4 @@
-"""How a robot goes by bending: what physics says of it, and that what was hidden is found."""
+"""Local connection: laws of physics, and recovery of hidden parameters."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def gait(steps, segments=4):
 
 
 def test_who_bends_and_straightens_the_same_way_is_where_it_was():
-    """Scallop theorem: without momentum a way there and back leads nowhere."""
+    """Scallop theorem: without momentum, a shape change and its reverse cause no displacement."""
     known, there = connection(), gait(40)
     bends = np.concatenate([there, there[-2::-1]])
     went = sum(known.matrix((a + b) / 2) @ (b - a) for a, b in zip(bends[:-1], bends[1:], strict=True))

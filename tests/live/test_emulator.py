@@ -1,4 +1,4 @@
-"""A stand-in for a robot: faults as told, a watchdog, messages in real time over a real broker."""
+"""Emulated robot: injected faults, watchdog, messages in real time over a real broker."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ QUIET = {"noise_rad": 0.0, "gain_spread": 0.0}
 
 
 def walked(robot: EmulatedRobot, seconds: float) -> dict[str, np.ndarray]:
-    """Let a robot obey a gait; return what it senses and is, tick by tick."""
+    """Drive a robot by a gait; return its readings and states at each tick."""
     gait = Gait(1.5)
     gait.reset(robot.twin.spec, robot.tick)
     seen = {"bends": [], "true": [], "pressure": [], "tracked": []}

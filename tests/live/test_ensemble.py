@@ -90,7 +90,7 @@ def test_first_frame_places_the_members():
         [1 + c * poses[:, 0] - s * poses[:, 1], s * poses[:, 0] + c * poses[:, 1], poses[:, 2] + turn]
     )
     seen[1] = np.nan
-    seen[3, 2] -= 2 * np.pi  # headings come in whatever turn
+    seen[3, 2] -= 2 * np.pi  # headings may be any number of turns apart
     for _ in range(10):
         ensemble.update_poses(seen)
     found = ensemble.poses().mean(axis=0)

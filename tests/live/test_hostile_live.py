@@ -25,7 +25,7 @@ SEGMENTS = 4
 
 
 class Client:
-    """Stands in for paho's client: admits everybody, and keeps what is published."""
+    """Replacement of paho's client that accepts every connection and keeps published messages."""
 
     def __init__(self, *_) -> None:
         self.sent: list[tuple[float, str, bytes]] = []

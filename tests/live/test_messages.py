@@ -1,4 +1,4 @@
-"""Messages come back as they were sent; whatever else arrives is refused with a reason."""
+"""Messages decode as they were sent; all other input is refused with a reason."""
 
 from __future__ import annotations
 

@@ -42,8 +42,8 @@ def test_inrush_after_switching_is_learnt():
         # Pressures that come each tick tell what rushes in, but not at which moment of the tick.
         early, then = np.split(rates.rate[0, 0, state, :30], [6])
         assert 0.01 * early.sum() == pytest.approx(way * 400e3 * 0.04, rel=0.1)
-        assert np.abs(then[:-2]).max() < 60e3  # a pressure after the switch tells of ages before it as well
-    # What is known well hardly wanders; of the other chamber nothing was told.
+        assert np.abs(then[:-2]).max() < 60e3  # a pressure after the switch also informs ages before it
+    # Well-known rates have a small random walk; the other chamber had no measurements.
     assert rates.wander[0, 0, 1, 10:20].max() < 0.5 * rates.wander[0, 1, 1, 0]
     assert (rates.rate[0, 1] == 0).all()
 

@@ -31,14 +31,14 @@ STALE_S, TOO_SLOW_S = sessions.STALE_S, sessions.TOO_SLOW_S
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):
-    """Let sessions steer on a busy machine, and a robot that lies still whatever its valves do."""
+    """Relax limits, so that sessions steer on a busy machine and a robot that never moves."""
     monkeypatch.setattr(steering_module, "_LARGEST_SD_M", 1.0)
     monkeypatch.setattr(sessions, "STALE_S", 60.0)
     monkeypatch.setattr(sessions, "TOO_SLOW_S", 60.0)
 
 
 class Wire(Link):
-    """A link to a robot that lies still, or to what `tell` puts on it; keeps what is sent."""
+    """Link to a robot that never moves, or to messages added by `tell`; keeps sent messages."""
 
     def __init__(self, segments: int = 4, *, still: bool = True) -> None:
         super().__init__()
@@ -314,7 +314,7 @@ def test_a_state_that_was_saved_is_whole(tmp_path):
 
 
 def slowed(found: Session, seconds: float, ticks: range) -> None:
-    """Let the filter of a session take longer in some ticks."""
+    """Delay the filter of a session in some ticks."""
     take, count = found.shadow.update, 0
 
     def slow(now, messages):

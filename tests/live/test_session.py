@@ -1,4 +1,4 @@
-"""A shadow in real time beside a stand-in, over a real broker: what it keeps, and that it survives kills."""
+"""Shadow of an emulated robot in real time over a real broker: its files, and kills."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_it_runs_beside_a_robot_and_keeps_what_it_heard(tmp_path, srs_twin):
     assert kinds.count(BENDS) >= told["messages"][BENDS]
     estimate = Trajectory.from_parquet(lab / "estimate.parquet")
     assert estimate.stack("bend").shape[1] == 4
-    # On a busy machine all may stand still for a second, at the end as well.
+    # On a busy machine everything may pause for a second, also at the end.
     assert (estimate["lost"] == 0).mean() > 0.5
     assert json.loads((lab / "shadow.json").read_text()) == told
     # Four times slower than the robot was, so that a busy machine keeps up.

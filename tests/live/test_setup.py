@@ -76,7 +76,7 @@ def test_mistakes_are_shown_where_they_are(tmp_path, srs_twin, text, words):
 
 
 def asked_for(srs_twin, tmp_path, monkeypatch, *words: str) -> SimpleNamespace:
-    """Return what the command asks of the broker."""
+    """Return the arguments with which the command connects to the broker."""
     found = SimpleNamespace()
 
     def broker_link(name, segments, address, user, ca, *, speaks):
