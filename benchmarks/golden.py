@@ -159,7 +159,12 @@ def _run(*words: str, cwd: Path | None = None) -> None:
 
 
 def _without(value: Any, keys: tuple[str, ...]) -> Any:
-    """Return a JSON value without some keys at any depth, including keys that follow a plant's name."""
+    """Return a JSON value without some keys at any depth, including keys that follow a plant's name.
+
+    Sentences and paths become empty: their wording and the place of the checkout do not count.
+    """
+    if isinstance(value, str) and (" " in value or "/" in value):
+        return ""
     if isinstance(value, dict):
         return {k: _without(item, keys) for k, item in value.items() if k.rpartition(".")[2] not in keys}
     if isinstance(value, list):

@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 _COUNTED = "segment|run|connector|tick|step|second|module|kind|robot|wheel|row|file|chamber|period|sample|frame|plant"
 PATTERNS = {
     "clause as subject": r"^What (?!is\?|are\?)",
-    "verb + what": r"\b(returns?|says?|takes?|gives?|writes?|shows?|knows?|finds?|yields?|holds?|reads?|adds?) what\b",
+    "verb + what": r"\b(return|say|take|give|write|show|know|find|yield|hold|read|add)s? what\b",
     "whoever": r"\b(whoever|whatever|nobody|somebody|anybody|anyhow|anew)\b",
     "tell": r"\b(told|tells|tell of|telling of|untold)\b",
     "go": r"\b(goes by|goes on|go on|goes|went)\b",
