@@ -1,8 +1,4 @@
-<<<<<<<< HEAD:tests/plants/test_clearance.py
-"""Clearance from obstacles, compared with MuJoCo's distances between the colliding bodies."""
-========
 """Clearance of obstacles, compared with the distances between collision bodies in MuJoCo."""
->>>>>>>> c5:tests/planning/test_clearance.py
 
 from __future__ import annotations
 
@@ -28,18 +24,14 @@ WORLD = World(
 
 ROUNDING_M = 1e-12
 TILT_M = 1e-6
-<<<<<<<< HEAD:tests/plants/test_clearance.py
-"""Effect of pitch and roll of a crawling snake, fractions of a degree, on a horizontal distance, m."""
-========
 """Effect of pitch and roll of a crawling snake, fractions of a degree, on planar distances, m."""
->>>>>>>> c5:tests/planning/test_clearance.py
 
 
 def recorded(world: World) -> dict:
     """Return a world as in the metadata of a follower."""
     return {
-        "obstacles": [vars(item) for item in world.obstacles],
-        "polygons": [{"corners": item.corners} for item in world.polygons],
+        "obstacles": [vars(each) for each in world.obstacles],
+        "polygons": [{"corners": each.corners} for each in world.polygons],
     }
 
 
@@ -50,29 +42,27 @@ def mujoco_distances(twin: TwinSnake, places: np.ndarray) -> np.ndarray:
     names = [model.geom(k).name for k in range(model.ngeom)]
     hulls = [k for k, name in enumerate(names) if name.startswith("hull_")]
     solid = [k for k, name in enumerate(names) if name.startswith(("obstacle_", "polygon_"))]
-    result = []
+    found = []
     for qpos in places:
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
-        result.append(
-            min(mujoco.mj_geomDistance(model, data, a, b, 10.0, None) for a in hulls for b in solid)
-        )
-    return np.array(result)
+        found.append(min(mujoco.mj_geomDistance(model, data, a, b, 10.0, None) for a in hulls for b in solid))
+    return np.array(found)
 
 
 def poses(twin: TwinSnake, count: int, *, unequal: bool, seed: int) -> np.ndarray:
-    """Draw poses among the obstacles, with bends of up to 1.5 rad, shape (count, nq)."""
+    """Draw poses anywhere among the obstacles, segments bent by up to 1.5 rad, shape (count, nq)."""
     draw, model = np.random.default_rng(seed), twin.physics.model.ptr
-    actual = np.tile(twin.physics.data.qpos, (count, 1))
+    found = np.tile(twin.physics.data.qpos, (count, 1))
     heading = draw.uniform(-np.pi, np.pi, count)
-    actual[:, :2] = draw.uniform(-0.6, 0.6, (count, 2))
-    actual[:, 3], actual[:, 6] = np.cos(heading / 2), np.sin(heading / 2)
+    found[:, :2] = draw.uniform(-0.6, 0.6, (count, 2))
+    found[:, 3], found[:, 6] = np.cos(heading / 2), np.sin(heading / 2)
     segments, hinges = twin.spec.segments, twin.describe()["hinges_per_segment"]
     angles = draw.uniform(-1.5, 1.5, (count, segments, hinges if unequal else 1)) / hinges
     for j in range(segments):
         for k in range(hinges):
-            actual[:, model.joint(f"hinge_{j + 1}_{k + 1}").qposadr[0]] = angles[:, j, k if unequal else 0]
-    return actual
+            found[:, model.joint(f"hinge_{j + 1}_{k + 1}").qposadr[0]] = angles[:, j, k if unequal else 0]
+    return found
 
 
 def seen(twin: TwinSnake, places: np.ndarray) -> Trajectory:
@@ -80,7 +70,7 @@ def seen(twin: TwinSnake, places: np.ndarray) -> Trajectory:
     states = np.concatenate(
         [np.zeros((len(places), 1)), places, np.zeros((len(places), twin.physics.model.nv))], axis=1
     )
-    view, geometry = twin.physics.kinematics(states), twin.spec.geometry
+    view, geometry = twin.physics.look(states), twin.spec.geometry
     # Headings are recorded without jumps along the body.
     theta = view.headings[:, :1] - np.cumsum(np.pad(view.bends, ((0, 0), (1, 0))), axis=1)
     columns = {"time": np.arange(len(places), dtype=float)}
@@ -96,41 +86,32 @@ def seen(twin: TwinSnake, places: np.ndarray) -> Trajectory:
 
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
 @pytest.mark.parametrize(("hinges", "unequal"), [(1, True), (2, True), (3, False), (5, False)])
-<<<<<<<< HEAD:tests/plants/test_clearance.py
-def test_clearance_equals_the_smallest_distance_in_mujoco(name, hinges, unequal):
-========
 def test_clearance_equals_mujocos_smallest_distance(name, hinges, unequal):
->>>>>>>> c5:tests/planning/test_clearance.py
     # Preloaded: the wheels of a loaded snake sink in by micrometres, and its body pitches.
     twin = TwinSnake(robot(name), world=WORLD, hinges_per_segment=hinges, contact="preloaded")
     places = poses(twin, 40, unequal=unequal, seed=hinges)
     run, distance = seen(twin, places), mujoco_distances(twin, places)
-    clearance = clearances(run, recorded(WORLD))
-    assert clearance == pytest.approx(distance, abs=ROUNDING_M)
+    apart = clearances(run, recorded(WORLD))
+    assert apart == pytest.approx(distance, abs=ROUNDING_M)
     assert distance.min() < 0 < distance.max()
 
 
-<<<<<<<< HEAD:tests/plants/test_clearance.py
-def test_clearance_error_of_unequal_hinges_is_bounded():
-    """With three or more hinges per segment, the bends do not determine the inner hinges."""
-========
 def test_inner_hinges_that_bend_unequally_are_bounded():
     """With three or more hinges per segment, connectors do not determine the inner ones."""
->>>>>>>> c5:tests/planning/test_clearance.py
     twin = TwinSnake(robot("gen2"), world=WORLD, hinges_per_segment=3)
     places = poses(twin, 100, unequal=True, seed=7)
-    clearance = clearances(seen(twin, places), recorded(WORLD))
-    error = np.abs(clearance - mujoco_distances(twin, places)).max()
+    apart = clearances(seen(twin, places), recorded(WORLD))
+    error = np.abs(apart - mujoco_distances(twin, places)).max()
     assert ROUNDING_M < error < twin.spec.geometry.segment_length * 1.0 / 8
 
 
-def test_hull_deviates_from_the_arc_within_its_bound():
+def test_the_hull_is_within_its_bound_of_the_arc():
     twin = TwinSnake(robot("gen2"), world=WORLD)
     places = poses(twin, 100, unequal=False, seed=3)
     run, geometry = seen(twin, places), twin.spec.geometry
     bend = np.abs(np.diff(run.stack("theta"), axis=1))
     hinges = hull_lines(run)[:, :-1].reshape(100, geometry.segments, 3, 2)[:, :, 1:]
-    middle = centre_lines(run, geometry, divisions=2)[:, :, 2]
+    middle = centre_lines(run, geometry, pieces=2)[:, :, 2]
     beside = np.linalg.norm(hinges.mean(axis=2) - middle, axis=-1)
     bound = geometry.segment_length * bend / 24  # of small bends
     assert (beside < 1.05 * bound + 1e-9).all()
@@ -145,28 +126,21 @@ def test_hull_deviates_from_the_arc_within_its_bound():
         ("circle", 0.15, False), ("square", 0.0, True), ("square", 0.16, False),
     ],
 )  # fmt: skip
-<<<<<<<< HEAD:tests/plants/test_clearance.py
-def test_clearance_is_zero_or_less_only_with_contact(shape, aside, touched):
-    """The twin of generation 2 passes a circle of 0.1 m, or a square, at a lateral distance, m.
-
-    For a small distance (None) the result of the follower decides whether they touch.
-========
 def test_clearance_is_positive_exactly_without_contact(shape, aside, touched):
     """The twin of generation 2 passes a circle or a square of 0.1 m at a given distance from its path, m.
 
     At small distances (None), contact depends on the follower.
->>>>>>>> c5:tests/planning/test_clearance.py
     """
     corners = [[0.35, aside - 0.1], [0.55, aside - 0.1], [0.55, aside + 0.1], [0.35, aside + 0.1]]
     world = {
         "circle": {"obstacles": [{"x_m": 0.45, "y_m": aside, "radius_m": 0.1}]},
         "square": {"polygons": [{"corners_m": corners}]},
     }[shape]
-    planner = {"kind": "given", "footprint": "gen2_section52", "turns_rad": [0, 0], "step_m": 0.5}
+    given = {"kind": "given", "footprint": "gen2_section52", "turns_rad": [0, 0], "step_m": 0.5}
     gait = {"kind": "gait", "frequency_hz": 2.0}
     scenario = parse_scenario(
         {
-            "robot": "gen2", "duration_s": 4, "record_hz": 50, "world": world, "planner": planner,
+            "robot": "gen2", "duration_s": 4, "record_hz": 50, "world": world, "planner": given,
             "controller": {"kind": "follow", "gait": gait}, "plants": {"twin": {}},
         }
     )  # fmt: skip
@@ -175,12 +149,6 @@ def test_clearance_is_positive_exactly_without_contact(shape, aside, touched):
     metrics = following_metrics(run)
     assert (metrics["contacts"] > 0) == (metrics["clearance_m"] <= 0)
     assert touched in (None, metrics["contacts"] > 0)
-<<<<<<<< HEAD:tests/plants/test_clearance.py
-    assert metrics["clearance_m"] > -0.001  # penetration of soft contacts in the engine
-    clearance = clearances(run, run.metadata["control"]["following"]["world"])
-    assert clearance == pytest.approx(mujoco_distances(twin, run.stack("qpos")), abs=TILT_M)
-========
     assert metrics["clearance_m"] > -0.001  # penetration of contacts in the engine
     apart = clearances(run, run.metadata["control"]["following"]["world"])
     assert apart == pytest.approx(mujoco_distances(twin, run.stack("qpos")), abs=TILT_M)
->>>>>>>> c5:tests/planning/test_clearance.py
