@@ -19,8 +19,8 @@ from srs_twin.robot.file import RobotFile
 from srs_twin.robot.priors import Priors
 from srs_twin.scenario.loading import load_scenario
 from srs_twin.studies.sweep.execution import local
-from srs_twin.studies.uncertainty.propagation import OWN_ROWS, propagate
-from srs_twin.studies.uncertainty.study import Study
+from srs_twin.studies.uncertainty.propagation import REFERENCE_ROWS, propagate
+from srs_twin.studies.uncertainty.study import UncertaintyStudy
 
 FEW, SETS = 64, 10
 ENDS = [0.025, 0.975]
@@ -36,12 +36,12 @@ def main() -> None:
     options = parser.parse_args()
     scenario = load_scenario(options.scenario, set={"duration_s": options.duration})
     priors = Priors.from_robot(RobotFile.model_validate(scenario.document["robot"]))
-    study = Study(scenario, priors, ("twin",), options.samples, options.samples)
+    study = UncertaintyStudy(scenario, priors, ("twin",), options.samples, options.samples)
     rows = propagate(study, options.out, local()).rows
     print("| metric | correlation | worse end of each set, % of the width | within 5 % | within 2 s.e. |")
     print("|---|---|---|---|---|")
     for metric, plain in rows["twin"].items():
-        cheap, costly = rows["compliant"][metric][:-OWN_ROWS], plain[:-OWN_ROWS]
+        cheap, costly = rows["compliant"][metric][:-REFERENCE_ROWS], plain[:-REFERENCE_ROWS]
         if not np.isfinite(costly).all() or np.std(costly) < 1e-9 * abs(np.mean(costly)):
             continue
         full = np.quantile(costly, ENDS)

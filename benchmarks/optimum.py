@@ -24,15 +24,15 @@ import cma
 import numpy as np
 from grid import table
 
-from srs_twin.studies.optimization.loading import Study, load_study
-from srs_twin.studies.optimization.runs import Run, Runs
+from srs_twin.studies.optimization.loading import OptimizationStudy, load_study
+from srs_twin.studies.optimization.runs import Run, StudyRuns
 from srs_twin.studies.optimization.search import costs, excesses, front, search
 from srs_twin.studies.sweep.execution import local
 
 POPULATION = 12
 
 
-def truth(study: Study, runs: Runs, budget: int) -> float:
+def truth(study: OptimizationStudy, runs: StudyRuns, budget: int) -> float:
     """Return the smallest cost that CMA-ES reaches on the twin, restarted until the budget is spent."""
     best, restarts = np.inf, 0
     rng, asked = np.random.default_rng(99), 0
@@ -40,7 +40,7 @@ def truth(study: Study, runs: Runs, budget: int) -> float:
         options = {"bounds": [0, 1], "seed": 500 + restarts, "verbose": -9, "popsize": POPULATION}
         strategy = cma.CMAEvolutionStrategy(rng.uniform(0.2, 0.8, study.space.size), 0.25, options)
         while asked < budget and not strategy.stop():
-            designs = study.space.settled(np.array(strategy.ask()))
+            designs = study.space.snapped(np.array(strategy.ask()))
             result = runs.run("twin", designs)
             asked += len(designs)
             values = penalised(study, result)
@@ -50,10 +50,10 @@ def truth(study: Study, runs: Runs, budget: int) -> float:
     return best
 
 
-def true_front(study: Study, runs: Runs, budget: int) -> np.ndarray:
+def true_front(study: OptimizationStudy, runs: StudyRuns, budget: int) -> np.ndarray:
     """Return the costs of all runs of CMA-ES with ten weights of the two objectives."""
     result: list[Run] = runs.run(
-        "twin", study.space.settled(np.random.default_rng(98).random((100, study.space.size)))
+        "twin", study.space.snapped(np.random.default_rng(98).random((100, study.space.size)))
     )
     scale = np.nanstd(costs(study, result), axis=0)
     for k, weight in enumerate(np.linspace(0.05, 0.95, 10)):
@@ -62,20 +62,20 @@ def true_front(study: Study, runs: Runs, budget: int) -> np.ndarray:
         strategy = cma.CMAEvolutionStrategy(np.clip(start, 0.02, 0.98), 0.2, options)
         asked = 0
         while asked < (budget - 100) // 10 and not strategy.stop():
-            designs = study.space.settled(np.array(strategy.ask()))
+            designs = study.space.snapped(np.array(strategy.ask()))
             mine = runs.run("twin", designs)
             strategy.tell(list(designs), _weighed(study, mine, weight, scale).tolist())
             result, asked = result + mine, asked + len(designs)
     return fine(study, result)
 
 
-def _weighed(study: Study, result: list[Run], weight: float, scale: np.ndarray) -> np.ndarray:
+def _weighed(study: OptimizationStudy, result: list[Run], weight: float, scale: np.ndarray) -> np.ndarray:
     cost, excess = costs(study, result) / scale, np.maximum(excesses(study, result), 0).sum(axis=1)
     value = cost @ [weight, 1 - weight]
     return np.where(np.isnan(value) | np.isnan(excess), 1e6, np.where(excess > 0, 1e3 * (1 + excess), value))
 
 
-def fine(study: Study, result: list[Run]) -> np.ndarray:
+def fine(study: OptimizationStudy, result: list[Run]) -> np.ndarray:
     """Return the costs of runs that meet the constraints, shape (runs, objectives)."""
     cost, excess = costs(study, result), excesses(study, result)
     return cost[np.isfinite(cost).all(axis=1) & (excess <= 0).all(axis=1)]
@@ -89,7 +89,7 @@ def area(points: np.ndarray, worst: np.ndarray) -> float:
     return float(np.sum((ends - points[:, 0]) * (worst[1] - np.minimum.accumulate(points[:, 1]))))
 
 
-def genetic(study: Study, runs: Runs, part: str, budget: int, seed: int = 1) -> list[Run]:
+def genetic(study: OptimizationStudy, runs: StudyRuns, part: str, budget: int, seed: int = 1) -> list[Run]:
     """Return the costs of the runs of NSGA-II."""
     from pymoo.algorithms.moo.nsga2 import NSGA2
     from pymoo.core.problem import Problem
@@ -99,7 +99,7 @@ def genetic(study: Study, runs: Runs, part: str, budget: int, seed: int = 1) -> 
 
     class Designs(Problem):
         def _evaluate(self, x: np.ndarray, out: dict[str, Any], *_: Any, **__: Any) -> None:
-            mine = runs.run(part, study.space.settled(x))
+            mine = runs.run(part, study.space.snapped(x))
             result.extend(mine)
             out["F"] = np.nan_to_num(costs(study, mine), nan=1e3)
             out["G"] = np.nan_to_num(excesses(study, mine), nan=1e3)
@@ -110,7 +110,7 @@ def genetic(study: Study, runs: Runs, part: str, budget: int, seed: int = 1) -> 
     return result
 
 
-def rival(study: Study, runs: Runs, budget: int, worst: np.ndarray) -> float:
+def rival(study: OptimizationStudy, runs: StudyRuns, budget: int, worst: np.ndarray) -> float:
     """Print the areas of NSGA-II; return the largest."""
     result = genetic(study, runs, "twin", budget)
     areas = {n: area(fine(study, result[:n]), worst) for n in (60, 200, 500, 1000, budget) if n <= budget}
@@ -125,7 +125,7 @@ def rival(study: Study, runs: Runs, budget: int, worst: np.ndarray) -> float:
     return max(areas.values())
 
 
-def fronts(study: Study, runs: Runs, seeds: int, budget: int, *, rivals: bool) -> list[str]:
+def fronts(study: OptimizationStudy, runs: StudyRuns, seeds: int, budget: int, *, rivals: bool) -> list[str]:
     """Compare the areas of the fronts; return a row of the table."""
     begun = Run("twin", np.zeros(study.space.size), runs.rows("twin", [{}])[0])
     worst = costs(study, [begun])[0]
@@ -134,7 +134,7 @@ def fronts(study: Study, runs: Runs, seeds: int, budget: int, *, rivals: bool) -
         truth = max(truth, rival(study, runs, budget, worst))
     shares, most = [], 0
     for seed in range(seeds):
-        runs.forget()
+        runs.reset()
         answer = search(replace(study, file=study.file.model_copy(update={"seed": seed})), runs)
         shares.append(area(costs(study, answer.best), worst) / truth)
         most = max(most, sum(run.part == "twin" for run in answer.runs))
@@ -149,13 +149,13 @@ def fronts(study: Study, runs: Runs, seeds: int, budget: int, *, rivals: bool) -
     ]
 
 
-def penalised(study: Study, result: list[Run]) -> np.ndarray:
+def penalised(study: OptimizationStudy, result: list[Run]) -> np.ndarray:
     """Return costs for CMA-ES, in which failed and infeasible runs have the largest costs."""
     cost, excess = costs(study, result)[:, 0], np.maximum(excesses(study, result), 0).sum(axis=1)
     return np.where(np.isnan(cost) | np.isnan(excess), 1e6, np.where(excess > 0, 1e3 * (1 + excess), cost))
 
 
-def kept(study: Study, result: list[Run]) -> float:
+def kept(study: OptimizationStudy, result: list[Run]) -> float:
     """Return the smallest cost of the feasible runs."""
     cost, excess = costs(study, result)[:, 0], excesses(study, result)
     fine = np.isfinite(cost) & (excess <= 0).all(axis=1)
@@ -175,7 +175,7 @@ def main() -> None:
     lines, summary = [], dict[str, Any]()
     for name in selected.studies:
         study = load_study(name)
-        with Runs(study, selected.out / name, local()) as runs:
+        with StudyRuns(study, selected.out / name, local()) as runs:
             if len(study.file.objectives) == 2:
                 lines.append(fronts(study, runs, selected.seeds, selected.truth, rivals=selected.rival))
                 continue
@@ -183,7 +183,7 @@ def main() -> None:
             result = []
             for seed in range(selected.seeds):
                 file = study.file.model_copy(update={"seed": seed})
-                runs.forget()
+                runs.reset()
                 answer = search(replace(study, file=file), runs)
                 twin = [run for run in answer.runs if run.part == "twin"]
                 result.append((kept(study, list(answer.best)), len(twin)))

@@ -25,13 +25,12 @@ from typing import Any
 
 import numpy as np
 from grid import table
-from srs_twin.planning.plan import Plan
 from timing import machine
 
 from srs_twin.io.files import atomic_write
 from srs_twin.planning.footprint import load_footprint
 from srs_twin.planning.planner import plan
-from srs_twin.planning.problem import Problem, Settings
+from srs_twin.planning.problem import Plan, Problem, Settings
 from srs_twin.robot.random_worlds import (
     FIG54_BOUNDS,
     FIG54_GOAL,

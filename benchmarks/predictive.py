@@ -23,9 +23,9 @@ from srs_twin.robot.file import RobotFile
 from srs_twin.robot.priors import Priors
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.studies.sweep.execution import local
-from srs_twin.studies.uncertainty.propagation import OWN_ROWS, Propagation, propagate
-from srs_twin.studies.uncertainty.study import Study
-from srs_twin.studies.uncertainty.surrogates import Chaos
+from srs_twin.studies.uncertainty.propagation import REFERENCE_ROWS, Propagation, propagate
+from srs_twin.studies.uncertainty.study import UncertaintyStudy
+from srs_twin.studies.uncertainty.surrogates import PolynomialChaos
 
 FINER: dict[str, Any] = {"hinges_per_segment": 4, "timestep_s": 0.0005}
 ASSUMPTIONS: dict[str, Mapping[str, Any]] = {
@@ -45,15 +45,17 @@ METRICS = {
 FORMS = {"pneumatics.kind": ("lag", "orifice")}
 
 
-def study(changes: Mapping[str, Any], samples: int, seed: int, scenario: str, duration: float) -> Study:
+def study(
+    changes: Mapping[str, Any], samples: int, seed: int, scenario: str, duration: float
+) -> UncertaintyStudy:
     """Return the runs of a scenario on the twin with other assumptions."""
     result = load_scenario(scenario, set={"duration_s": duration, **changes})
     document = {**result.document, "plants": {"twin": result.document["plants"]["twin"]}, "expect": []}
     priors = Priors.from_robot(RobotFile.model_validate(document["robot"]))
-    return Study(parse_scenario(document, name=scenario), priors, ("twin",), samples, 64, seed)
+    return UncertaintyStudy(parse_scenario(document, name=scenario), priors, ("twin",), samples, 64, seed)
 
 
-class Alone(Study):
+class Alone(UncertaintyStudy):
     """Runs of the twin without a low-fidelity plant."""
 
     partner = None
@@ -69,7 +71,7 @@ def held(predictor: Propagation, truth: Mapping[str, np.ndarray], robots: np.nda
     for metric, column_of in METRICS.items():
         column, true = column_of(spreads), truth[metric]
         known = np.isfinite(true)
-        chaos = Chaos.fit(study.shares, column[:, None])
+        chaos = PolynomialChaos.fit(study.shares, column[:, None])
         low, high = np.quantile(column, [0.025, 0.975])
         wide, narrow, widths = (low <= true[known]) & (true[known] <= high), [], []
         for robot, value in zip(robots[known], true[known], strict=True):
@@ -78,9 +80,9 @@ def held(predictor: Propagation, truth: Mapping[str, np.ndarray], robots: np.nda
                 sd = 0.1 / 1.96 * abs(float(number))
                 measurement = prior.with_measurement(
                     float(number) + sd * float(rng.standard_normal()), sd
-                ).at(fresh[:, i])
+                ).quantile(fresh[:, i])
                 after[:, i] = prior.cdf(measurement)
-            drawn = chaos.at(after)[:, 0] + rng.choice(chaos.rest[:, 0], len(fresh))
+            drawn = chaos.at(after)[:, 0] + rng.choice(chaos.residuals[:, 0], len(fresh))
             a, b = np.quantile(drawn, [0.025, 0.975])
             narrow.append(a <= value <= b)
             widths.append(b - a)
@@ -107,14 +109,16 @@ def main() -> None:
     parser.add_argument("--forms", action="store_true", help="also use a predictor with both models")
     options = parser.parse_args()
 
-    def made(changes: Mapping[str, Any], samples: int, seed: int) -> Study:
+    def made(changes: Mapping[str, Any], samples: int, seed: int) -> UncertaintyStudy:
         return study(changes, samples, seed, options.scenario, options.duration)
 
     def ran(name: str, changes: Mapping[str, Any], samples: int) -> dict[str, np.ndarray]:
         result = made(changes, samples, 1)
         alone = Alone(result.scenario, result.priors, ("twin",), samples, samples, 1)
         rows = propagate(alone, options.out / name.replace(" ", "_"), local()).rows["twin"]
-        return {metric: np.asarray(column_of(rows))[:-OWN_ROWS] for metric, column_of in METRICS.items()}
+        return {
+            metric: np.asarray(column_of(rows))[:-REFERENCE_ROWS] for metric, column_of in METRICS.items()
+        }
 
     same = ran("same_chambers", {"plants.twin": FINER}, options.robots)
     truth = ran("truth", {"plants.twin": FINER, "pneumatics": {"kind": "orifice"}}, options.robots)
@@ -127,7 +131,9 @@ def main() -> None:
     held(result, truth, robots)
     if options.forms:
         print("\nRobots with orifices, predictor with --form pneumatics.kind=lag,orifice")
-        held(propagate(replace(shipped, forms=FORMS), options.out / "forms", local()), truth, robots)
+        held(
+            propagate(replace(shipped, discrete_choices=FORMS), options.out / "forms", local()), truth, robots
+        )
     spreads = {name: spread.samples for name, spread in result.plants["twin"].items()}
     print("\n| assumption alone, median change over spread | " + " | ".join(METRICS) + " |\n|" + "---|" * 5)
     reference: dict[str, np.ndarray] | None = None

@@ -22,7 +22,7 @@ from grid import table
 from srs_twin.planning.free_space import disconnected
 from srs_twin.planning.pockets import COARSE, FINE, shut_in
 
-from srs_twin.planning.collision import surroundings
+from srs_twin.planning.collision import obstacle_grid
 from srs_twin.planning.footprint import Footprint, load_footprint
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Problem
@@ -34,7 +34,7 @@ from witnessed_worlds import KINDS, bodies, drawn
 
 def false_proofs(case: Problem) -> int:
     """Return the number of proofs of infeasibility in a solvable world."""
-    body, around = case.footprint, surroundings(case.world)
+    body, around = case.footprint, obstacle_grid(case.world)
     shut = disconnected(case.start, case.goal, case.world, body.narrowest)
     return shut + sum(bool(shut_in(case.start, case.goal, body, around, how)) for how in (COARSE, FINE))
 

@@ -25,12 +25,12 @@ from pathlib import Path
 
 import numpy as np
 from grid import table
-from srs_twin.identification.unknowns import with_values
 
 from srs_twin.errors import InputError
 from srs_twin.identification.fit_file import FitFile, fit_file, write_fit
-from srs_twin.identification.fitted_robot import fitted
-from srs_twin.identification.footprint import PLANTS, Drive
+from srs_twin.identification.fitted_robot import apply_fit
+from srs_twin.identification.footprint import PLANTS, GaitSetup
+from srs_twin.identification.parameters import with_values
 from srs_twin.io.files import atomic_write
 from srs_twin.scenario.provenance import versions
 
@@ -94,12 +94,12 @@ def fit(study: str, threads: int | None = None) -> FitFile:
         method="offsets", command=command(study), versions=versions(), data=data,
     )  # fmt: skip
     bare = make()
-    if bare.withheld():
+    if bare.unidentified():
         raise InputError(
-            f"{result.text()}\n{', '.join(bare.withheld())} cannot be identified: fix one of them"
+            f"{result.text()}\n{', '.join(bare.unidentified())} cannot be identified: fix one of them"
         )
     # Predict with the rounded values in the file.
-    return make(averages=averages(rows, replace(drive, spec=fitted(bare, drive.spec)), threads))
+    return make(averages=averages(rows, replace(drive, spec=apply_fit(bare, drive.spec)), threads))
 
 
 def title(study: str, held: Iterable[str]) -> str:
@@ -119,7 +119,7 @@ def command(study: str) -> str:
     return f"uv run python benchmarks/table8_fit.py --plant {STUDIES[study].plant}{wave}"
 
 
-def averages(rows: Sequence[PublishedRun], drive: Drive, threads: int | None):
+def averages(rows: Sequence[PublishedRun], drive: GaitSetup, threads: int | None):
     """Return the measured and predicted values by name of the data."""
     paths = predicted(drive, [row.offset for row in rows], threads=threads)
     result = {}

@@ -15,7 +15,7 @@ import numpy as np
 from grid import table
 
 from srs_twin.control.base import Controller
-from srs_twin.planning.arcs import along
+from srs_twin.planning.arcs import arc_end
 from srs_twin.rollout import rollout
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 
@@ -75,7 +75,7 @@ class Turned:
         # The frame has the direction of the path, because the body of a turning snake slides.
         x, y = self.com[still + 1] - self.com[still - 1]
         old = self.curvature[(self.periods > -4) & (self.periods < -1)].mean()
-        place = along(*self.com[still], np.arctan2(y, x), old, -distance[still])
+        place = arc_end(*self.com[still], np.arctan2(y, x), old, -distance[still])
         c, s = np.cos(place[2]), np.sin(place[2])
         return ((self.com[at:] - place[:2]) @ np.array([[c, -s], [s, c]]))[distance[at:] <= length]
 

@@ -18,7 +18,7 @@ from matplotlib.axes import Axes
 from transient import Turned, turned
 
 from srs_twin.io.files import atomic_write
-from srs_twin.planning.arcs import along
+from srs_twin.planning.arcs import arc_end
 from srs_twin.planning.footprint import Footprint, load_footprint
 from srs_twin.viewing.plots.style import finish, style_of
 
@@ -73,7 +73,7 @@ def _assumptions(left: Axes, right: Axes, footprint: Footprint) -> None:
         ((0.0, 0.0, 0.0), 0.0, _ASSUMED, "instant change"),
         ((jump.dx, jump.dy, jump.dheading), jump.length, _JUMPED, "measured jump, steady arc"),
     ):
-        arc = np.array([along(*start, new, s)[:2] for s in np.linspace(begin, SHOWN_M, 60)])
+        arc = np.array([arc_end(*start, new, s)[:2] for s in np.linspace(begin, SHOWN_M, 60)])
         right.plot(*arc.T, color=color, linewidth=1.0, linestyle=":" if begin else "-", label=words, zorder=3)
     right.plot(0, 0, "k.", markersize=5)
     right.annotate(f"{math.degrees(jump.dheading):.0f}°, {1e3 * jump.dy:.0f} mm", (0.02, 0.02),

@@ -11,19 +11,34 @@ from pathlib import Path
 
 from srs_twin.io.files import atomic_write
 from srs_twin.reproduction.claims import Claim, load_claims
-from srs_twin.reproduction.report import MEANINGS, TITLES, by_category, cell, count, published
-from srs_twin.reproduction.verdicts import EXPLAINED, MET, MISSED, Baseline, Judged, Outcome, load_baseline
+from srs_twin.reproduction.report import (
+    MEANINGS,
+    TITLES,
+    by_category,
+    count_verdicts,
+    outcome_text,
+    published_text,
+)
+from srs_twin.reproduction.verdicts import (
+    EXPLAINED,
+    MET,
+    MISSED,
+    Baseline,
+    JudgedClaim,
+    Outcome,
+    load_baseline,
+)
 
 ROOT = Path(__file__).parents[1]
 NAME = "reproduction"
 
 
-def judged_claims(claims: Sequence[Claim], baseline: Baseline) -> tuple[Judged, ...]:
+def judged_claims(claims: Sequence[Claim], baseline: Baseline) -> tuple[JudgedClaim, ...]:
     """Return the claims with the outcomes of the baseline."""
-    return tuple(Judged(claim, baseline.outcomes.get(claim.id, {})) for claim in claims)
+    return tuple(JudgedClaim(claim, baseline.outcomes.get(claim.id, {})) for claim in claims)
 
 
-def markdown(rows: Sequence[Judged]) -> str:
+def markdown(rows: Sequence[JudgedClaim]) -> str:
     """Return the tables of docs/reproduction.md: one section per category, with the causes of its misses."""
     sections = []
     for name, chosen in by_category(rows).items():
@@ -45,37 +60,37 @@ def markdown(rows: Sequence[Judged]) -> str:
     return "\n\n".join(sections)
 
 
-def table(rows: Sequence[Judged]) -> str:
+def table(rows: Sequence[JudgedClaim]) -> str:
     """Return the table of the README: rows met by category, headline first."""
     columns = {"twin": "twin", "analytical": "analytical model", "alone": "without a plant"}
     lines = [f"{len(rows)} rows in total; the table counts the rows that are met:", ""]
     lines += [f"| rows | {' | '.join(columns.values())} |"]
     lines += [f"|{' --- |' * (len(columns) + 1)}"]
     for name, chosen in by_category(rows).items():
-        counts = [count(chosen, column) for column in columns]
+        counts = [count_verdicts(chosen, column) for column in columns]
         cells = [f"{counted[MET]} of {counted['all']}" if counted["all"] else "" for counted in counts]
         title = f"**{TITLES[name]}**" if name == "headline" else TITLES[name]
         lines.append(f"| {title} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def _summary(rows: Sequence[Judged]) -> str:
+def _summary(rows: Sequence[JudgedClaim]) -> str:
     parts = []
     for column, name in (("twin", "twin"), ("analytical", "analytical"), ("alone", "without a plant")):
-        counts = count(rows, column)
+        counts = count_verdicts(rows, column)
         if counts["all"]:
             parts.append(f"{name} {counts[MET]} of {counts['all']} met, {counts[EXPLAINED]} explained")
     return f"{'; '.join(parts)}."
 
 
-def _line(row: Judged) -> str:
+def _line(row: JudgedClaim) -> str:
     claim = row.claim
     unit = "" if claim.unit == "1" or claim.value is None else f" {claim.unit}"
     cells = [_marked(row.outcomes.get(name)) for name in ("analytical", "twin")]
     if "alone" in row.outcomes:
         cells = [_marked(row.outcomes["alone"]), ""]
     statement = f"{claim.says} ({claim.source})"
-    texts = [f"`{claim.id}`", statement, f"{published(claim)}{unit}", *cells, claim.could_fail or ""]
+    texts = [f"`{claim.id}`", statement, f"{published_text(claim)}{unit}", *cells, claim.could_fail or ""]
     return f"| {' | '.join(texts)} |".replace("\n", " ")
 
 
@@ -83,10 +98,10 @@ def _marked(outcome: Outcome | None) -> str:
     if outcome is None:
         return ""
     mark = {MET: "", EXPLAINED: "*", MISSED: "**"}[outcome.verdict]
-    return f"{mark}{cell(outcome)}{mark}"
+    return f"{mark}{outcome_text(outcome)}{mark}"
 
 
-def _reasons(rows: Sequence[Judged]) -> list[str]:
+def _reasons(rows: Sequence[JudgedClaim]) -> list[str]:
     columns_of: dict[tuple[str, str], list[str]] = {}
     for row in rows:
         for column, outcome in row.outcomes.items():
@@ -110,7 +125,7 @@ def replace_between(page: str, name: str, text: str) -> str:
     return f"{before}{begin}\n{text}\n{end}{after}"
 
 
-def pages(rows: tuple[Judged, ...]) -> dict[Path, str]:
+def pages(rows: tuple[JudgedClaim, ...]) -> dict[Path, str]:
     """Return path → new text of both pages."""
     texts = {ROOT / "README.md": table(rows), ROOT / "docs/reproduction.md": markdown(rows)}
     return {path: replace_between(path.read_text("utf-8"), NAME, text) for path, text in texts.items()}

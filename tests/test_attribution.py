@@ -204,7 +204,7 @@ def test_diverged_variant_is_named_and_keeps_the_run(tmp_path, monkeypatch):
 
     monkeypatch.setattr(PlantVariants, "stiff_twin", stuck)
     result = prepare(scenario(), tmp_path).execute(explain=explain)
-    (error,) = result.unexplained
+    (error,) = result.failed_attributions
     assert str(error) == "short: attribution: stiff twin: twin diverged at t = 0.3 s: it flew"
     assert result.metrics["plants"]["twin"]["com_speed_m_s"] > 0.1 and "attribution" not in result.metrics
     assert (tmp_path / "report.html").is_file() and (tmp_path / "twin.parquet").is_file()

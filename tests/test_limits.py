@@ -12,9 +12,9 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
-from srs_twin.identification.unknowns import names_of_fields, unknowns
 
 from srs_twin import load_robot
+from srs_twin.identification.parameters import free_parameters, parameter_names
 from srs_twin.live.ensemble import ModelError
 from srs_twin.scenario.schema import scenario_json_schema
 from srs_twin.studies.optimization.file import study_json_schema
@@ -29,7 +29,7 @@ KEYWORDS = ("exclusiveMinimum", "minimum", "exclusiveMaximum", "maximum", "defau
 def limits():
     """Return key → its limits and its default, of scenarios, sweeps and studies; bounds of fits."""
     spec = load_robot("gen2")
-    bounds = {name: unknowns(spec, [name.replace("_N", "_1")])[0] for name in names_of_fields()}
+    bounds = {name: free_parameters(spec, [name.replace("_N", "_1")])[0] for name in parameter_names()}
     found = {f"fit {name}": ["", f"{each.low:g}", "", f"{each.high:g}", ""] for name, each in bounds.items()}
     found |= {f"ensemble {each.name}": ["", "", "", "", str(each.default)] for each in fields(ModelError)}
     for kind in (scenario_json_schema, sweep_json_schema, study_json_schema):

@@ -60,13 +60,13 @@ def values() -> dict[tuple[str, str], str]:
     """Return command and parameter → default that the command takes, in the help's words."""
     from srs_twin.comparison.diff import Tolerances
     from srs_twin.identification.command import _FREQUENCY_HZ, _plant_settings
-    from srs_twin.identification.footprint import Drive
+    from srs_twin.identification.footprint import GaitSetup
     from srs_twin.identification.replay_command import _plants
     from srs_twin.recordings.takes import RecordingReader
     from srs_twin.robot.file import load_robot
 
     spec = load_robot("gen2")
-    most = {name: max(Drive(spec, 2.0, 48e3, name).offsets) for name in ("gait", "ilc")}
+    most = {name: max(GaitSetup(spec, 2.0, 48e3, name).offsets) for name in ("gait", "ilc")}
     gap, fitted = f"{RecordingReader().longest_gap_s:g}", _plant_settings("analytical", None, None)
     return {
         ("diff", "rel"): f"{Tolerances().rel:.0e}".replace("e-0", "e-"),

@@ -218,8 +218,16 @@ def test_documented_tolerances_load(tmp_path):
     _, _, rest = page.partition("```yaml tolerances\n")
     (tmp_path / "tolerances.yaml").write_text(rest.partition("```")[0])
     allowed = load_tolerances(tmp_path / "tolerances.yaml")
-    assert allowed.of("analytical.com_speed_m_s").rel == allowed.of("twin.com_speed_m_s").rel == 0.01
-    assert allowed.of("twin.yaw_rate_rad_s").abs == 0.005 != allowed.of("analytical.yaw_rate_rad_s").abs
+    assert (
+        allowed.for_metric("analytical.com_speed_m_s").rel
+        == allowed.for_metric("twin.com_speed_m_s").rel
+        == 0.01
+    )
+    assert (
+        allowed.for_metric("twin.yaw_rate_rad_s").abs
+        == 0.005
+        != allowed.for_metric("analytical.yaw_rate_rad_s").abs
+    )
 
 
 def test_foreign_files_are_refused(tmp_path):

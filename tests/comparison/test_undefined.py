@@ -12,10 +12,10 @@ import pytest
 
 from srs_twin.comparison.metrics import MEASURED_UNITS, METRIC_UNITS
 from srs_twin.comparison.undefined import why_undefined
-from srs_twin.experiment import PreparedRun, kept_intervals
+from srs_twin.experiment import PreparedRun, stored_intervals
 from srs_twin.io.files import shipped_names
 from srs_twin.rollout import rollout
-from srs_twin.scenario.expectation import Expectation, in_words, largest_parameter, verdict
+from srs_twin.scenario.expectation import Expectation, largest_parameter, result_text, verdict
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.trajectory import Trajectory
 
@@ -53,7 +53,7 @@ BENCH: dict[str, Any] = STEP | {"controller": GAIT["controller"], "sensor": {"ki
 def ran(document: dict[str, Any], **changes: Any) -> tuple[dict[str, Any], Trajectory]:
     """Run the analytical plant of a scenario; return its metrics.json and its trajectory."""
     scenario = parse_scenario({"title": "Brief", "expect": []} | document | changes, name="brief")
-    run = PreparedRun.of(scenario, Path(), ["analytical"])
+    run = PreparedRun.build(scenario, Path(), ["analytical"])
     plant, controller = run.parts["analytical"]
     found = {"analytical": rollout(plant, controller, **scenario.timing)}
     return run.measure(found, {"analytical": 1.0})[0], found["analytical"]
@@ -214,11 +214,13 @@ def test_a_published_value_is_compared_in_a_sentence():
     row = within(0.2)
     assert (row["state"], row["largest"], row["largest_parameter"]) == ("met", "u_input", "friction.drag_n")
     said = "published 0.214 lies within the 95 % interval 0.1 to 0.25 (largest uncertainty: axial drag)"
-    assert in_words(row) == f"= 0.2 m/s; {said}"
-    assert "outside the 95 % interval 0.1 to 0.25" in in_words(within(0.2, published=0.3))
-    assert "(largest uncertainty: the time step)" in in_words(within(0.2, u_num=1.0))
-    assert "(largest uncertainty: the published value)" in in_words(within(0.2, published=0.24, u_input=1e-5))
-    assert "(largest uncertainty: the robot's parameters)" in in_words(within(0.2, sensitivity=None))
+    assert result_text(row) == f"= 0.2 m/s; {said}"
+    assert "outside the 95 % interval 0.1 to 0.25" in result_text(within(0.2, published=0.3))
+    assert "(largest uncertainty: the time step)" in result_text(within(0.2, u_num=1.0))
+    assert "(largest uncertainty: the published value)" in result_text(
+        within(0.2, published=0.24, u_input=1e-5)
+    )
+    assert "(largest uncertainty: the robot's parameters)" in result_text(within(0.2, sensitivity=None))
 
 
 @pytest.mark.parametrize("published", [0.10004, 0.1, 0.09996, 0.25, 0.25004])
@@ -294,14 +296,14 @@ def test_shipped_intervals_are_for_the_shipped_scenarios(name):
     """None is unjudged; `tests/scenarios` checks this in the runs."""
     scenario = load_scenario(name)
     if any(each.within for each in scenario.expect):
-        kept = kept_intervals(scenario)
+        kept = stored_intervals(scenario)
         assert kept["stale"] is None
         assert all(each.metric in kept["plants"][each.subject] for each in scenario.expect if each.within)
 
 
 def test_seed_and_duration_keep_the_interval_valid_but_another_robot_does_not():
     def stale(**changes: Any) -> bool:
-        return kept_intervals(load_scenario("gen2_straight", set=changes))["stale"] is not None
+        return stored_intervals(load_scenario("gen2_straight", set=changes))["stale"] is not None
 
     assert not stale(seed=1, duration_s=5)
     assert stale(robot="gen3")
@@ -310,4 +312,4 @@ def test_seed_and_duration_keep_the_interval_valid_but_another_robot_does_not():
 
 def test_an_interval_for_another_contact_is_reported():
     other = load_scenario("gen2_straight", set={"plants.twin.contact": "preloaded"})
-    assert "is for a twin with contact loaded, not preloaded" in kept_intervals(other)["stale"]
+    assert "is for a twin with contact loaded, not preloaded" in stored_intervals(other)["stale"]

@@ -15,11 +15,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from srs_twin.identification.unknowns import unknowns
 
-from srs_twin.identification.estimate import Estimate, Residual, Role
-from srs_twin.identification.fit_file import DataSet, fingerprint, with_roles
+from srs_twin.identification.estimate import FitEstimate, Residual, Role
+from srs_twin.identification.fit_file import DataSet, array_hash, assign_roles
 from srs_twin.identification.least_squares import least_squares
+from srs_twin.identification.parameters import free_parameters
 from srs_twin.robot.spec import RobotSpec
 
 WIDTH = "geometry.width_m"
@@ -49,11 +49,13 @@ class BoxEdges:
     def data_set(self, role: Role) -> DataSet:
         """Return the record of these data in a fit."""
         return DataSet(
-            f"offset {self.offset:g}", fingerprint(np.array([self.offset, *self.measured])), role, 2
+            f"offset {self.offset:g}", array_hash(np.array([self.offset, *self.measured])), role, 2
         )
 
 
-def fit_width(runs: Sequence[BoxEdges], spec: RobotSpec, *, validation: Sequence[BoxEdges] = ()) -> Estimate:
+def fit_width(
+    runs: Sequence[BoxEdges], spec: RobotSpec, *, validation: Sequence[BoxEdges] = ()
+) -> FitEstimate:
     """Return the width for which the reach of a plant agrees with the measured one.
 
     Args:
@@ -64,7 +66,7 @@ def fit_width(runs: Sequence[BoxEdges], spec: RobotSpec, *, validation: Sequence
     Raises:
         InputError: there is no run, or a validation run is also fitted.
     """
-    roles = with_roles("box edges", runs, validation)
+    roles = assign_roles("box edges", runs, validation)
 
     def residuals(values: Mapping[str, float]) -> list[Residual]:
         change = values[WIDTH] - spec.geometry.width
@@ -76,4 +78,4 @@ def fit_width(runs: Sequence[BoxEdges], spec: RobotSpec, *, validation: Sequence
             for item, role in roles
         ]  # fmt: skip
 
-    return least_squares(residuals, unknowns(spec, [WIDTH]))
+    return least_squares(residuals, free_parameters(spec, [WIDTH]))

@@ -1,7 +1,7 @@
 r"""Fits to speeds and radii at several steering offsets (Table 8).
 
 Each row is one run with offset φ, speed v of the centre of mass and radius R of the path. The plant is driven
-with the same start and learning as the robot (`Drive`) and compared with
+with the same start and learning as the robot (`GaitSetup`) and compared with
 
 $$ v \quad\text{and}\quad \kappa = \operatorname{sgn}(\varphi)/R . $$
 
@@ -17,13 +17,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from published_tables import PublishedRun
-from srs_twin.identification.unknowns import Unknown, unknowns, with_values
 
 from srs_twin.errors import DivergedError, InputError
-from srs_twin.identification.estimate import Estimate, Parameter, Residual, Role, identifiability
-from srs_twin.identification.fit_file import DataSet, fingerprint, with_roles
-from srs_twin.identification.footprint import Drive, steady_path
+from srs_twin.identification.estimate import FitEstimate, Parameter, Residual, Role, identifiability
+from srs_twin.identification.fit_file import DataSet, array_hash, assign_roles
+from srs_twin.identification.footprint import GaitSetup, steady_path
 from srs_twin.identification.least_squares import SearchOptions, least_squares
+from srs_twin.identification.parameters import FreeParameter, free_parameters, with_values
 from srs_twin.identification.paths import SteadyPath
 from srs_twin.rollout import run_many
 
@@ -59,7 +59,7 @@ class OffsetRun:
 
     def data_set(self, role: Role) -> DataSet:
         """Return the record of these data in a fit."""
-        sha256 = fingerprint(np.array([self.offset, self.speed, self.curvature]))
+        sha256 = array_hash(np.array([self.offset, self.speed, self.curvature]))
         return DataSet(f"offset {self.offset:g}", sha256, role, 2)
 
 
@@ -80,7 +80,7 @@ def offset_runs(rows: Sequence[PublishedRun]) -> list[OffsetRun]:
 
 
 def predicted(
-    drive: Drive, offsets: Sequence[float], *, threads: int | None = None
+    drive: GaitSetup, offsets: Sequence[float], *, threads: int | None = None
 ) -> list[SteadyPath | None]:
     """Return the steady path at each offset; None if the plant diverges or does not advance.
 
@@ -89,7 +89,7 @@ def predicted(
         offsets: φ of each run.
         threads: number of parallel runs; default: one per processor.
     """
-    maker = drive.plant_maker()
+    maker = drive.plant_factory()
     jobs = [drive.steady_job(maker, offset, 0.0, PERIODS) for offset in offsets]
     result: list[SteadyPath | None] = []
     for run in run_many(jobs, threads=threads):
@@ -102,7 +102,7 @@ def predicted(
 
 def fit_offsets(
     runs: Sequence[OffsetRun],
-    drive: Drive,
+    drive: GaitSetup,
     names: Iterable[str],
     *,
     besides: Iterable[str] = (),
@@ -110,8 +110,8 @@ def fit_offsets(
     starting: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
     threads: int | None = None,
-) -> Estimate:
-    """Estimate robot parameters from runs at several offsets.
+) -> FitEstimate:
+    """FitEstimate robot parameters from runs at several offsets.
 
     Args:
         runs: measured runs.
@@ -126,18 +126,18 @@ def fit_offsets(
     Raises:
         InputError: there is no run, there are more unknowns than data, or a validation run is also fitted.
     """
-    with_roles("runs at offsets", runs, validation)
+    assign_roles("runs at offsets", runs, validation)
     scales = {name: (noise or {}).get(name, scale) for name, (scale, _) in NOISE.items()}
     fitted, kept = (
         _Rows(tuple(runs), drive, "fit", scales, threads),
         _Rows(tuple(validation), drive, "validation", scales, threads),
     )
-    wanted = unknowns(drive.spec, names, starts=starting)
+    wanted = free_parameters(drive.spec, names, starts=starting)
     # Validate with the final values of all parameters, also of unidentifiable ones.
     validating = kept.residuals if validation else None
     options = SearchOptions(_STEP, tolerance=_ENOUGH)
     estimate = least_squares(fitted.residuals, wanted, options=options, validation=validating)
-    others = unknowns(drive.spec, besides)
+    others = free_parameters(drive.spec, besides)
     hidden = [_hidden(fitted, estimate, wanted, other) for other in others]
     return replace(
         estimate,
@@ -149,7 +149,9 @@ def fit_offsets(
     )
 
 
-def _hidden(rows: _Rows, estimate: Estimate, wanted: Sequence[Unknown], other: Unknown) -> Parameter | None:
+def _hidden(
+    rows: _Rows, estimate: FitEstimate, wanted: Sequence[FreeParameter], other: FreeParameter
+) -> Parameter | None:
     """Return a fixed parameter as not identifiable; None if the data could identify it in addition."""
     prediction = [item for item in wanted if item.name in estimate.values]
     everything = [*prediction, other]
@@ -163,7 +165,7 @@ def _hidden(rows: _Rows, estimate: Estimate, wanted: Sequence[Unknown], other: U
     noise = estimate.residual_scale * math.sqrt(estimate.samples / estimate.independent)
     widths = np.array([item.coordinate(item.high) - item.coordinate(item.low) for item in everything])
     known = identifiability(fine, coarse - fine, noise, widths)
-    if not known.hidden(-1):
+    if not known.is_unidentifiable(-1):
         return None
     size = float(np.abs(fine[:, -1]).max())
     beside = ", ".join(item.name for item in prediction)
@@ -174,7 +176,7 @@ def _hidden(rows: _Rows, estimate: Estimate, wanted: Sequence[Unknown], other: U
     return Parameter(other.name, other.unit, "not identifiable", why=why)
 
 
-def _slope(rows: _Rows, unknowns: Sequence[Unknown], z: np.ndarray, i: int, h: float) -> np.ndarray:
+def _slope(rows: _Rows, unknowns: Sequence[FreeParameter], z: np.ndarray, i: int, h: float) -> np.ndarray:
     """Return the derivative of the weighted residuals with respect to coordinate i."""
 
     def weighted(at: float) -> np.ndarray:
@@ -197,7 +199,7 @@ class _Rows:
     def __init__(
         self,
         runs: tuple[OffsetRun, ...],
-        drive: Drive,
+        drive: GaitSetup,
         role: Role,
         scales: Mapping[str, float],
         threads: int | None,

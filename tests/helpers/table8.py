@@ -10,7 +10,7 @@ from box_edges import WIDTH, BoxEdges, fit_width
 
 from srs_twin import load_robot
 from srs_twin.identification.fit_file import FitFile, fit_file, load_fit
-from srs_twin.identification.footprint import Drive
+from srs_twin.identification.footprint import GaitSetup
 from srs_twin.io.files import data_root
 from srs_twin.scenario.provenance import versions
 
@@ -61,10 +61,10 @@ def shipped() -> dict[str, FitFile]:
     return {study: load_fit(place(study)) for study in STUDIES if place(study).is_file()}
 
 
-def drive_of(study: str) -> Drive:
+def drive_of(study: str) -> GaitSetup:
     """Return generation 4 with the iterative learning control of Section 5.3."""
     plant, steering = STUDIES[study].plant, STUDIES[study].steering
-    return Drive(load_robot("gen4"), FREQUENCY_HZ, SUPPLY_PA, "ilc", TARGET_RAD, plant, steering)
+    return GaitSetup(load_robot("gen4"), FREQUENCY_HZ, SUPPLY_PA, "ilc", TARGET_RAD, plant, steering)
 
 
 def held_values(study: str) -> dict[str, float]:

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from plan_sampling import deepest, depth_in, swept_points
-from srs_twin.planning.plan import Plan
 
 from srs_twin.planning.footprint import Footprint, load_footprint
-from srs_twin.planning.problem import Outcome, Problem, path_of
+from srs_twin.planning.path import path_from_arcs
+from srs_twin.planning.problem import Outcome, Plan, Problem
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 Pieces = list[tuple[float, float]]
@@ -99,7 +99,7 @@ class _Start:
     ) -> Witnessed | None:
         """Return the world with the given obstacles if the path and the run-up are free of them."""
         start = Pose(0.0, 0.0, 0.0)
-        path = path_of(start, pieces, self.body)
+        path = path_from_arcs(start, pieces, self.body)
         corners = [(c.x + sx * c.radius, c.y + sx * c.radius) for c in circles for sx in (-1, 1)]
         corners += [corner for item in polygons for corner in item.corners]
         corners += [(item.start.x, item.start.y) for item in path] + [(path[-1].end.x, path[-1].end.y)]
@@ -116,7 +116,7 @@ class _Start:
 
     def swept(self, pieces: Pieces) -> np.ndarray:
         """Return the points that the path covers, including the space of the run-up."""
-        path = path_of(Pose(0.0, 0.0, 0.0), pieces, self.body)
+        path = path_from_arcs(Pose(0.0, 0.0, 0.0), pieces, self.body)
         points = [
             swept_points((0.0, 0.0, 0.0), 0.0, self.run_up, self.body, 0.02, (self.room, self.room)),
             *(swept_points((*item.start,), item.curvature, item.length, self.body, 0.02) for item in path),
@@ -171,7 +171,7 @@ def _sides(start: _Start, pieces: Pieces, before: Pieces, ratio: float) -> list[
     left, right = max(body.left), max(body.right)
     for item in body.transients:
         left, right = max(left, max(body.left) + item.left), max(right, max(body.right) + item.right)
-    path = path_of(path_of(Pose(0.0, 0.0, 0.0), before, body)[-1].end, pieces, body)
+    path = path_from_arcs(path_from_arcs(Pose(0.0, 0.0, 0.0), before, body)[-1].end, pieces, body)
     poses = [item.pose(s) for item in path for s in np.arange(0.0, item.length, 0.08)] + [path[-1].end]
     result = []
     for near in (ratio * left, -ratio * right):
@@ -203,7 +203,7 @@ def _pocket(rng: np.random.Generator, start: _Start) -> Witnessed | None:
         (0.0, _settled(body) + body.behind + depth),
     ]
     walls = _sides(start, [(0.0, depth)], [*pieces[:-1], (0.0, pieces[-1][1] - depth)], ratio)
-    end = path_of(Pose(0.0, 0.0, 0.0), pieces, body)[-1].end
+    end = path_from_arcs(Pose(0.0, 0.0, 0.0), pieces, body)[-1].end
     ahead, half = body.ahead + 0.03, ratio * max(*body.left, *body.right)
     c, s = math.cos(end.heading), math.sin(end.heading)
     corners = [(ahead, half), (ahead + 0.03, half), (ahead + 0.03, -half), (ahead, -half)]
@@ -286,7 +286,7 @@ def _walls(
     start = Pose(0.0, 0.0, 0.0)
     ends = [start]
     for k, length in pieces:
-        ends.append(path_of(ends[-1], [(k, length)], body)[-1].end)
+        ends.append(path_from_arcs(ends[-1], [(k, length)], body)[-1].end)
     x, y = [item.x for item in ends], [item.y for item in ends]
     room = 3 * width + body.ahead + body.behind
     bounds = Bounds((min(x) - room, max(x) + room), (min(y) - 2 * room, max(y) + 2 * room))
@@ -365,5 +365,5 @@ def _checked(
     """Return the world if the path is free."""
     goal = Goal(end.x, end.y, end.heading, 0.02 + 0.1 * width, 0.1)
     problem = Problem(start, goal, world, body)
-    witness = Plan(Outcome.FOUND, "drawn first", path_of(start, pieces, body))
+    witness = Plan(Outcome.FOUND, "drawn first", path_from_arcs(start, pieces, body))
     return Witnessed(problem, witness, width, gap) if deepest(witness, problem) < 0 else None

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from malformed_scenarios import TEXT
 from malformed_yaml import edited
 
-from srs_twin.identification.estimate import Estimate, Parameter
+from srs_twin.identification.estimate import FitEstimate, Parameter
 from srs_twin.identification.fit_file import DataSet, FitFile, fit_file
 
 SWEEP = b"""\
@@ -120,7 +120,7 @@ def fits(draw: st.DrawFn) -> FitFile:
     data = [DataSet(draw(TEXT), f"{k:064x}", role, draw(count)) for k, role in enumerate(roles)]
     held = {"mass_kg": draw(st.floats(-1e9, 1e9))}
     return fit_file(
-        Estimate(tuple(parameters), correlation, samples=draw(count), held=held),
+        FitEstimate(tuple(parameters), correlation, samples=draw(count), held=held),
         name="any", title=draw(TEXT), robot=draw(TEXT), method="pulls", command=draw(TEXT),
         versions={"srs_twin": draw(TEXT)}, data=data,
     )  # fmt: skip

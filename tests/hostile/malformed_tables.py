@@ -13,7 +13,7 @@ from harness import Contents, MakeFile, Malformed
 from hypothesis import strategies as st
 
 from srs_twin import load_robot
-from srs_twin.identification.actuator import read_static
+from srs_twin.identification.actuator import read_static_table
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.signals.logs import read_valves
 
@@ -170,7 +170,7 @@ TABLES = (
     ("Motive export", MOTIVE, partial(read_motion, spec=SPEC), MOTIVE_MALFORMED, _READ_MARKERS),
     ("plain motion", PLAIN, partial(read_motion, spec=SPEC), PLAIN_MALFORMED, _READ_MARKERS),
     ("valve log", VALVES, partial(read_valves, spec=SPEC), VALVE_MALFORMED, _READ_FILE),
-    ("static table", STATIC, partial(read_static, spec=MODULE), STATIC_MALFORMED, _READ_FILE),
+    ("static table", STATIC, partial(read_static_table, spec=MODULE), STATIC_MALFORMED, _READ_FILE),
 )
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.files import display_path, require_file
-from srs_twin.plants.twin.mjcf.check import ModelReport, scan_mjcf, verdict
+from srs_twin.plants.twin.mjcf.check import ModelReport, parse_report, scan_mjcf
 
 LIMIT_S = 10
 """Time limit of one check, s."""
@@ -68,7 +68,7 @@ def check(path: Path) -> ModelReport:
     assert server.stdin is not None and server.stdout is not None
     server.stdin.write(json.dumps([str(model), LIMIT_S]) + "\n")
     server.stdin.flush()
-    return verdict(*json.loads(server.stdout.readline()), LIMIT_S)
+    return parse_report(*json.loads(server.stdout.readline()), LIMIT_S)
 
 
 def raise_faults(path: Path, report: ModelReport) -> ModelReport:

@@ -1,18 +1,18 @@
-"""Fits of a body width to box edges: a known width is recovered, and the shipped one is current."""
+"""Fits of a width to box edges: a known one is recovered, the shipped one is current and in its scenario."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmark_runs import run_benchmark
 from box_edges import WIDTH, BoxEdges, fit_width
+from conftest import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
 from published_tables import published_runs
-from table8_fit import place
-from table8_width import edges, edges_table, fit
+from table8 import edges, fit_body_width, place
 
 from srs_twin import AnalyticalSnake, load_robot, load_scenario, rollout
 from srs_twin.comparison.centre_line import body_sides
@@ -27,7 +27,7 @@ SPEC = load_robot("gen4")
 
 @given(width=st.floats(0.02, 0.3), drawn=st.lists(st.floats(0.01, 0.1), min_size=6, max_size=6))
 def test_a_known_width_is_recovered(width, drawn):
-    """The expected edges are the extent of the centre line plus half of the width."""
+    """Edges of a body by a sum of our own: how far the middle reaches, and half of the width."""
     runs = [
         BoxEdges(
             0.1 * i,
@@ -39,37 +39,42 @@ def test_a_known_width_is_recovered(width, drawn):
     assert fit_width(runs, SPEC).values[WIDTH] == pytest.approx(width, rel=1e-3)
 
 
-def test_a_wider_body_moves_equally_with_edges_farther_by_half_the_difference():
-    """Assumption of the fit, checked for a snake that crawls and turns."""
+def test_a_wider_body_moves_alike_and_reaches_farther_by_half():
+    """What the fit takes for granted, of a snake that crawls and turns."""
     wide = replace(SPEC, geometry=replace(SPEC.geometry, width=SPEC.geometry.width + 0.04))
-    runs = [rollout(AnalyticalSnake(spec), Gait(1.0, 0.2), 2.0) for spec in (SPEC, wide)]
+    runs = [rollout(AnalyticalSnake(item), Gait(1.0, 0.2), 2.0) for item in (SPEC, wide)]
     assert np.array_equal(runs[0]["com_x"], runs[1]["com_x"])
     narrow, far = (body_sides(run, spec.geometry) for run, spec in zip(runs, (SPEC, wide), strict=True))
     apart = np.hypot(*np.moveaxis(far - narrow, -1, 0))
     assert apart == pytest.approx(np.full_like(apart, 0.02), abs=1e-9)
 
 
-def test_an_edge_row_cannot_fit_and_validate():
+def test_the_same_row_cannot_fit_and_validate():
     run = BoxEdges(0.1, (0.1, 0.1), (0.05, 0.05))
     with pytest.raises(InputError, match=r"offset 0\.1"):
         fit_width([run], SPEC, validation=[run])
-    with pytest.raises(InputError, match="give at least one"):
+    with pytest.raises(InputError, match="none was given"):
         fit_width([], SPEC)
 
 
-def test_the_shipped_width_is_reproduced_by_its_command():
+def test_the_shipped_width_is_what_its_command_finds():
     shipped = load_fit(place("width"))
-    assert fit().parameters == shipped.parameters
-    assert {data.name for data in shipped.data if data.role == "fit"} == {
+    assert fit_body_width().parameters == shipped.parameters
+    assert {item.name for item in shipped.data if item.role == "fit"} == {
         "offset 0",
         "offset 0.3",
         "offset -0.3",
     }
     table = {f"offset {row.offset:g}": (row.left_m, row.right_m) for row in published_runs()}
-    for data in shipped.data:
-        assert (data.measured["left_m"], data.measured["right_m"]) == table[data.name]
-    page = (Path(__file__).parents[2] / "docs/dissertation-data.md").read_text("utf-8")
-    assert edges_table(shipped) in page
+    for item in shipped.data:
+        assert (item.measured["left_m"], item.measured["right_m"]) == table[item.name]
+
+
+def test_the_page_shows_the_edges_of_the_shipped_width():
+    done = run_benchmark("table8_width.py", "--show")
+    assert done.returncode == 0, done.stderr
+    table = "\n".join(line for line in done.stdout.splitlines() if line.startswith("|"))
+    assert "Table 8 (m)" in table and table in (ROOT / "docs/dissertation-data.md").read_text("utf-8")
 
 
 def test_the_scenario_has_the_robot_of_the_fits():
@@ -82,8 +87,8 @@ def test_the_scenario_has_the_robot_of_the_fits():
     assert robot.mass == SPEC.mass and robot.bending == SPEC.bending
 
 
-def test_edges_are_read_for_both_sides():
-    rows = edges(load_fit(place("analytical")), "fit")
-    assert len(rows) == 3
-    for row in rows:
-        assert min(*row.measured, *row.drawn) > 0
+def test_edges_are_read_with_their_sides():
+    result = edges(load_fit(place("analytical")), "fit")
+    assert len(result) == 3
+    for item in result:
+        assert min(*item.measured, *item.drawn) > 0

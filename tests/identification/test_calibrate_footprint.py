@@ -26,7 +26,12 @@ from srs_twin.identification.footprint import (
 from srs_twin.identification.paths import SteadyPath
 from srs_twin.io.documents import dump_yaml, parse_yaml
 from srs_twin.io.files import shipped_folder
-from srs_twin.planning.footprint import checked, load_footprint, load_footprint_file, save_footprint
+from srs_twin.planning.footprint import (
+    load_footprint,
+    load_footprint_file,
+    save_footprint,
+    validate_footprint,
+)
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Problem
 from srs_twin.robot.world import Circle, Goal, Pose, World
@@ -230,7 +235,7 @@ def test_shipped_footprints_are_current(name):
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_footprints_are_symmetric_and_can_be_planned_with(name):
     """All modules of a robot are equal, so left and right turns are mirror images."""
-    body = checked(load_footprint(name))
+    body = validate_footprint(load_footprint(name))
     assert body.curvatures == pytest.approx([-k for k in body.curvatures[::-1]], abs=0.02)
     assert body.left == pytest.approx(body.right[::-1], abs=1e-3)
     assert body.speeds == pytest.approx(body.speeds[::-1], rel=0.01)

@@ -34,7 +34,7 @@ from srs_twin.identification.paths import (
     combine_transients,
     measure_transient,
 )
-from srs_twin.planning.footprint import Footprint, Transient, checked
+from srs_twin.planning.footprint import Footprint, Transient, validate_footprint
 
 PERIODS = 6
 
@@ -308,7 +308,7 @@ def test_a_full_measurement_is_valid_for_the_planner():
         load_robot("gen2"), frequency=2.0, plant="analytical", offsets=(-0.2, 0.0, 0.2), periods=3, phases=2,
         changes=[(-0.2, 0.2), (0.2, -0.2)], progress=done.append,
     )  # fmt: skip
-    body = checked(footprint_of(fit))
+    body = validate_footprint(footprint_of(fit))
     assert body.offsets == (-0.2, 0.0, 0.2) and done == list(range(1, 11))
     # Two phases half a period apart are mirror images.
     assert body.curvatures[0] == pytest.approx(-body.curvatures[2], rel=1e-3)

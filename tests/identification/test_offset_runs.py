@@ -1,27 +1,17 @@
-"""Fits to speeds and radii at several offsets: a known law is recovered, and the shipped fits are current."""
+"""Fits to speeds and radii at several offsets: a known law is recovered, the shipped fits are current."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import offset_runs as module
 import pytest
+from benchmark_runs import run_benchmark
+from conftest import ROOT
 from offset_runs import OffsetRun, fit_offsets, offset_runs, predicted
 from published_tables import published_runs
-from table8_fit import (
-    FITTED,
-    LENGTH,
-    STUDIES,
-    drive_of,
-    held_values,
-    pairs_table,
-    rows_table,
-    shipped,
-    values_of,
-    values_table,
-)
+from table8 import FITTED, LENGTH, STUDIES, drive_of, held_values, shipped, values_of
 
 from srs_twin import load_robot
 from srs_twin.errors import InputError
@@ -38,7 +28,7 @@ OFFSETS = (0.0, 0.3, -0.3)
 
 
 def law(spec, offset):
-    """Return a path by a test law without masses, in which only the ratio of frictions acts."""
+    """Return a path by a law of our own: without masses, and of the friction only the ratio acts."""
     length, friction = spec.geometry.segment_length, spec.friction
     speed = 2 * length * (1 - 3 * friction.mu_t / friction.mu_n + 0.5 * offset**2)
     return SteadyPath(speed, (0.5 * offset - spec.modules.sensor_bias[0]) / length, 0, 0, 0, 0)
@@ -46,14 +36,14 @@ def law(spec, offset):
 
 @pytest.fixture
 def lawful(monkeypatch):
-    """Replace the plants by the law; return a gait setup."""
+    """Put the law in place of the plants; return a drive."""
     asked = []
 
-    def told(drive, offsets, *, threads=None):
+    def message(drive, offsets, *, threads=None):
         asked.append(tuple(offsets))
         return [law(drive.spec, offset) for offset in offsets]
 
-    monkeypatch.setattr(module, "predicted", told)
+    monkeypatch.setattr(module, "predicted", message)
     return GaitSetup(load_robot("gen4"), 1.5, 131e3, "ilc", 0.7, "analytical"), asked
 
 
@@ -66,59 +56,59 @@ def measured(offsets, truth=TRUTH, noise=0.0):
 
 
 def test_known_values_are_recovered_from_three_rows(lawful):
-    fit = fit_offsets(measured(OFFSETS), lawful[0], TRUTH)
+    found = fit_offsets(measured(OFFSETS), lawful[0], TRUTH)
     for name, value in TRUTH.items():
-        assert fit[name].value == pytest.approx(value, rel=1e-3), name
-        assert fit[name].verdict == "identified"
+        assert found[name].value == pytest.approx(value, rel=1e-3), name
+        assert found[name].verdict == "identified"
 
 
-def test_held_parameters_without_effect_are_reported_as_unidentifiable(lawful):
+def test_what_is_held_is_said_to_be_unknowable_where_it_is(lawful):
     besides = ("friction.mu_n", "mass.connectors_kg", "geometry.rigid_gap_m")
-    fit = fit_offsets(measured(OFFSETS, noise=0.02), lawful[0], TRUTH, besides=besides)
+    found = fit_offsets(measured(OFFSETS, noise=0.02), lawful[0], TRUTH, besides=besides)
     for name in besides:
-        assert fit[name].verdict == "not identifiable" and fit[name].value is None
-    assert "held at 0.57; beside geometry.segment_length_m" in fit["friction.mu_n"].why
-    assert fit.held["friction.mu_n"] == 0.57
-    assert fit.correlation.shape == (6, 6)
+        assert found[name].verdict == "not identifiable" and found[name].value is None
+    assert "held at 0.57; beside geometry.segment_length_m" in found["friction.mu_n"].why
+    assert found.held["friction.mu_n"] == 0.57
+    assert found.correlation.shape == (6, 6)
 
 
-def test_held_parameters_with_an_effect_are_only_held(lawful):
+def test_what_is_held_though_it_could_be_told_is_only_held(lawful):
     names = [name for name in TRUTH if name != "friction.mu_t"]
     runs = measured(OFFSETS, TRUTH | {"friction.mu_t": load_robot("gen4").friction.mu_t}, noise=0.001)
-    fit = fit_offsets(runs, lawful[0], names, besides=["friction.mu_t"])
-    assert [parameter.name for parameter in fit.parameters] == names
-    assert list(fit.held) == ["friction.mu_t"]
+    found = fit_offsets(runs, lawful[0], names, besides=["friction.mu_t"])
+    assert [item.name for item in found.parameters] == names
+    assert list(found.held) == ["friction.mu_t"]
 
 
-def test_validation_rows_run_only_after_the_fit(lawful):
+def test_rows_to_validate_with_are_not_run_before_the_end(lawful):
     drive, asked = lawful
-    fit = fit_offsets(measured(OFFSETS), drive, TRUTH, validation=measured((0.1, -0.2)))
+    found = fit_offsets(measured(OFFSETS), drive, TRUTH, validation=measured((0.1, -0.2)))
     assert set(asked[:-1]) == {OFFSETS} and asked[-1] == (0.1, -0.2)
-    assert fit.rms("validation") < 0.01
+    assert found.rms("validation") < 0.01
     assert len(set(asked)) == 2
 
 
-def test_parameters_that_cancel_have_no_value_and_the_fit_predicts_nothing(lawful):
-    """Only the ratio of the coefficients acts: fit and validation agree, but neither is identified."""
+def test_what_cancels_has_no_number_and_nothing_is_predicted_with_the_robots_own(lawful):
+    """Of the friction only the ratio acts: fit and validation are both met, though neither is told."""
     names = [*TRUTH, "friction.mu_n"]
-    fit = fit_offsets(measured(OFFSETS), lawful[0], names, validation=measured((0.1, -0.2)))
-    assert [fit[name].value for name in ("friction.mu_t", "friction.mu_n")] == [None, None]
-    assert fit.rms("fit") < 0.01 and fit.rms("validation") < 0.01
+    found = fit_offsets(measured(OFFSETS), lawful[0], names, validation=measured((0.1, -0.2)))
+    assert [found[name].value for name in ("friction.mu_t", "friction.mu_n")] == [None, None]
+    assert found.rms("fit") < 0.01 and found.rms("validation") < 0.01
     about = {"name": "x", "title": "x", "robot": "gen4", "method": "offsets", "command": "x", "versions": {}}
     data = [run.data_set("fit") for run in measured(OFFSETS)]
-    assert fit_file(fit, **about, data=data).unidentified() == ["friction.mu_t", "friction.mu_n"]
-    with pytest.raises(InputError, match=r"x: friction.mu_t, friction.mu_n has no value, .* fix one"):
-        fit_file(fit, **about, data=data, averages={"offset 0": ({"speed_m_s": 0.1}, {"speed_m_s": 0.1})})
+    assert fit_file(found, **about, data=data).unidentified() == ["friction.mu_t", "friction.mu_n"]
+    with pytest.raises(InputError, match=r"x: friction.mu_t, friction.mu_n got no number, .* hold one"):
+        fit_file(found, **about, data=data, averages={"offset 0": ({"speed_m_s": 0.1}, {"speed_m_s": 0.1})})
 
 
-def test_an_offset_cannot_fit_and_validate(lawful):
-    with pytest.raises(InputError, match="the same data as offset 0.3"):
+def test_the_same_row_cannot_fit_and_validate(lawful):
+    with pytest.raises(InputError, match="must be new to it"):
         fit_offsets(measured(OFFSETS), lawful[0], TRUTH, validation=measured((0.3,)))
-    with pytest.raises(InputError, match="give at least one"):
+    with pytest.raises(InputError, match="none was given"):
         fit_offsets([], lawful[0], TRUTH)
 
 
-def test_radii_have_the_sign_of_their_offset():
+def test_paths_have_the_sign_of_their_offset_and_0_that_of_the_fitted_rows():
     rows = published_runs()
     fitted = offset_runs([row for row in rows if row.offset in FITTED])
     for run in fitted:
@@ -132,18 +122,16 @@ FITS = shipped()
 
 
 def numbers(fit):
-    """Return the fitted and held values of a fit file, read as plain YAML."""
-    return fit.held | {
-        parameter.name: parameter.value for parameter in fit.parameters if parameter.value is not None
-    }
+    """Return what a fit's file states, found or held, without a look at how the package takes it."""
+    return fit.held | {item.name: item.value for item in fit.parameters if item.value is not None}
 
 
-def test_every_study_has_a_shipped_fit():
+def test_all_studies_ship():
     assert list(FITS) == list(STUDIES)
 
 
 @pytest.mark.parametrize("study", FITS)
-def test_a_shipped_fit_lists_every_parameter_once(study):
+def test_a_shipped_fit_states_each_unknown_once_found_or_held(study):
     fit = FITS[study]
     assert set(TRUTH) <= numbers(fit).keys() and fit.unidentified() == []
     for name, value in held_values(study).items():
@@ -152,15 +140,15 @@ def test_a_shipped_fit_lists_every_parameter_once(study):
 
 
 @pytest.mark.parametrize("study", FITS)
-def test_shipped_fits_use_only_the_offsets_0_and_03(study):
+def test_the_shipped_fits_have_seen_offsets_0_and_03_alone(study):
     rows = {f"offset {row.offset:g}": row for row in published_runs()}
     fit = FITS[study]
-    assert {data.name for data in fit.data} == set(rows)
-    assert {data.name for data in fit.data if data.role == "fit"} == {"offset 0", "offset 0.3", "offset -0.3"}
-    for data in fit.data:
-        row = rows[data.name]
-        assert data.measured["speed_m_s"] == row.speed_m_s
-        assert abs(data.measured["curvature_per_m"]) == pytest.approx(1 / row.radius_m, rel=1e-5)
+    assert {item.name for item in fit.data} == set(rows)
+    assert {item.name for item in fit.data if item.role == "fit"} == {"offset 0", "offset 0.3", "offset -0.3"}
+    for item in fit.data:
+        row = rows[item.name]
+        assert item.measured["speed_m_s"] == row.speed_m_s
+        assert abs(item.measured["curvature_per_m"]) == pytest.approx(1 / row.radius_m, rel=1e-5)
 
 
 @pytest.mark.slow
@@ -174,7 +162,7 @@ def test_shipped_fits_use_only_the_offsets_0_and_03(study):
         ),
     ],
 )
-def test_shipped_predictions_are_reproduced_by_the_plants(study, offset):
+def test_the_shipped_predictions_are_what_the_plants_give(study, offset):
     fit, drive = FITS[study], drive_of(study)
     moved = replace(drive, spec=with_values(drive.spec, numbers(fit)))
     (path,) = predicted(moved, [offset], threads=1)
@@ -184,7 +172,7 @@ def test_shipped_predictions_are_reproduced_by_the_plants(study, offset):
 
 
 @pytest.mark.parametrize("study", FITS)
-def test_a_shipped_fit_can_be_applied_to_its_robot(study):
+def test_a_shipped_fit_becomes_a_robot(study):
     fit = FITS[study]
     document = parse_yaml(dump_yaml({"robot": robot_override(fit)}), "scenario.yaml")
     file = resolve_robot(document, document.data["robot"], prefix=("robot",))
@@ -199,6 +187,10 @@ def test_a_shipped_fit_can_be_applied_to_its_robot(study):
 
 
 def test_the_page_shows_the_tables_of_the_shipped_fits():
-    page = (Path(__file__).parents[2] / "docs/dissertation-data.md").read_text("utf-8")
-    for shown in (values_table, rows_table, pairs_table):
-        assert shown(FITS) in page, shown.__name__
+    page = (ROOT / "docs/dissertation-data.md").read_text("utf-8")
+    done = run_benchmark("table8_fit.py", "--show")
+    assert done.returncode == 0, done.stderr
+    tables = [part for part in done.stdout.strip().split("\n\n") if part.startswith("| ")]
+    assert len(tables) == 3
+    for table in tables:
+        assert table in page

@@ -111,7 +111,7 @@ def test_the_hull_is_within_its_bound_of_the_arc():
     run, geometry = seen(twin, places), twin.spec.geometry
     bend = np.abs(np.diff(run.stack("theta"), axis=1))
     hinges = hull_lines(run)[:, :-1].reshape(100, geometry.segments, 3, 2)[:, :, 1:]
-    middle = centre_lines(run, geometry, pieces=2)[:, :, 2]
+    middle = centre_lines(run, geometry, divisions=2)[:, :, 2]
     beside = np.linalg.norm(hinges.mean(axis=2) - middle, axis=-1)
     bound = geometry.segment_length * bend / 24  # of small bends
     assert (beside < 1.05 * bound + 1e-9).all()

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 import pytest
 from conftest import ROOT
-from reproduction import between, markdown, remembered, table
+from reproduction import judged_claims, markdown, replace_between, table
 
 from srs_twin.cli import main
 from srs_twin.reproduction.claims import load_claims
@@ -110,13 +110,15 @@ def test_changed_verdicts_exit_with_1_better_or_worse(before, tmp_path, monkeypa
 
 
 CLAIMS, BASELINE = load_claims(), load_baseline()
-ROWS = remembered(CLAIMS, BASELINE)
+ROWS = judged_claims(CLAIMS, BASELINE)
 
 
 @pytest.mark.parametrize(("page", "text"), [("README.md", table), ("docs/reproduction.md", markdown)])
 def test_pages_show_the_committed_baseline(page, text):
     current = (ROOT / page).read_text("utf-8")
-    assert current == between(current, "reproduction", text(ROWS)), "run docs/reproduction.py to write it"
+    assert current == replace_between(current, "reproduction", text(ROWS)), (
+        "run docs/reproduction.py to write it"
+    )
 
 
 def test_the_baseline_has_exactly_the_rows_of_the_claims():

@@ -534,7 +534,7 @@ scenarios = mappings(
 def test_a_resolved_document_loads_as_an_equal_scenario(data):
     s = parse_scenario(data)
     again = parse_yaml(dump_yaml(s.document), "scenario.resolved.yaml")
-    again.finish()
+    again.raise_problems()
     assert again.data == s.document
     assert parse_scenario(again.data, name="another") == s
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import sensor as study
+import sensor_strips as study
+from benchmark_runs import run_benchmark
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
@@ -313,11 +313,11 @@ def test_distant_cylinder_is_a_dipole():
     assert (ratios[1] - 1) / (ratios[0] - 1) == pytest.approx(1 / 16, rel=0.2)
 
 
-def test_sensor_study_prints_and_plots(tmp_path, monkeypatch, capsys):
+def test_sensor_study_prints_and_plots(tmp_path):
     picture = tmp_path / "sensor.png"
-    monkeypatch.setattr(sys, "argv", ["sensor.py", "--out", str(picture)])
-    study.main()
-    output = capsys.readouterr().out
+    done = run_benchmark("sensor.py", "--out", str(picture))
+    assert done.returncode == 0, done.stderr
+    output = done.stdout
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert output.count("\n| --- |") == 5
     assert "| θ = q | up |" in output

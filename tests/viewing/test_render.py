@@ -95,17 +95,17 @@ def test_images_of_every_kind_of_run(runs, srs_twin, tmp_path, name):
 @pytest.mark.slow
 def test_the_strobe_figure_shows_the_snake_where_it_was(runs, opengl_here):
     """Its axes are metres: a body drawn without perspective covers the floor that its geometry says."""
-    from srs_twin.viewing.mujoco.strobe import _floor, _from_above
+    from srs_twin.viewing.mujoco.strobe import _floor_corners, _render_from_above
 
     run = load_run(runs / "gen2_straight")
     twin = run.trajectories["twin"]
     stage = Stage(run.scenario, twin)
-    low, high = _floor(run.scenario, twin)
+    low, high = _floor_corners(run.scenario, twin)
     size = high - low
     wide = 400
     tall = 2 * round(wide * size[1] / size[0] / 2)
     rows = [0, len(twin) - 1]
-    shown = _from_above(stage, rows, (low + high) / 2, float(size[1]), (wide, tall)).astype(int)
+    shown = _render_from_above(stage, rows, (low + high) / 2, float(size[1]), (wide, tall)).astype(int)
     for row in rows:
         for x, y in (twin.position[row, 1:] + twin.position[row, :-1]) / 2:
             across = int((x - low[0]) / size[0] * wide)
@@ -330,7 +330,7 @@ def test_without_opengl_the_error_names_packages(monkeypatch):
 @pytest.mark.parametrize("name", ["egl", "osmesa"])
 def test_egl_and_osmesa_draw_equal_images(runs, name, tmp_path):
     """Two implementations, one picture; whichever is chosen, a run looks alike."""
-    if opengl._complaint(name):
+    if opengl._test(name):
         pytest.skip(f"{name} does not draw here")
     code = (
         "import sys, numpy as np\n"

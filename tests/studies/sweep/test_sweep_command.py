@@ -12,7 +12,7 @@ import sys
 import time
 from pathlib import Path
 
-import kills
+import killed_sweeps as kills
 import pyarrow.parquet as pq
 import pytest
 from conftest import wait_until

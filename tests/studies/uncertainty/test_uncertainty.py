@@ -50,14 +50,14 @@ def robot(**uncertain: dict[str, Any]) -> RobotFile:
     ],
 )
 def test_samples_have_the_distribution_of_the_file(spread, expected):
-    (prior,) = Priors.from_robot(robot(friction__mu_t=spread)).members
+    (prior,) = Priors.from_robot(robot(friction__mu_t=spread)).parameters
     assert prior.quantile(SHARES) == pytest.approx(expected.ppf(SHARES), rel=1e-9)
 
 
 @pytest.mark.slow
 @given(sd=st.floats(1e-4, 10.0), share=st.floats(0.0, 1.0), more=st.floats(0.0, 1.0))
 def test_normal_samples_are_truncated_and_monotone(sd, share, more):
-    (prior,) = Priors.from_robot(robot(friction__mu_t={"kind": "normal", "sd": sd})).members
+    (prior,) = Priors.from_robot(robot(friction__mu_t={"kind": "normal", "sd": sd})).parameters
     low, high = prior.quantile(np.sort([share, more]))
     assert 0.0 <= low <= high <= 10.0
 
