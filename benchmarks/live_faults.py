@@ -65,7 +65,8 @@ def main() -> None:
     ]  # fmt: skip
     found = [
         {"condition": order[2], "seed": order[0], "named": name}
-        for order, ended in zip(healthy, run_tasks(alarms, healthy), strict=True) for name in ended.result or ()
+        for order, ended in zip(healthy, run_tasks(alarms, healthy), strict=True)
+        for name in ended.result or ()
     ]  # fmt: skip
     hours = len(healthy) * RUN_S / 3600
     print(f"{len(found)} false alarms in {hours:.2f} sound hours")

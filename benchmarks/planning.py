@@ -36,6 +36,7 @@ from srs_twin.robot.random_worlds import (
     FIG54_GOAL,
     FIG54_SITES,
     FIG54_START,
+    random_circles,
 )
 from srs_twin.robot.world import Bounds, Goal, Polygon, Pose, World
 from srs_twin.scenario.map_file import read_map
