@@ -1,6 +1,7 @@
 """Makes the picture of docs/optimization.md: the scenario as it stands and the best design of a study.
 
-uv run --extra optimize srs-twin optimize gen2_air && uv run python docs/optimum_picture.py runs/studies/gen2_air
+uv run --extra optimize srs-twin optimize gen2_air
+    uv run python docs/optimum_picture.py runs/studies/gen2_air
 """
 
 from __future__ import annotations
