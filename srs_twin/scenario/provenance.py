@@ -82,12 +82,12 @@ def run_key(document: Mapping[str, Any], plants: Iterable[str], runner: str) -> 
         scenario={key: value for key, value in document.items() if key not in NOT_PHYSICS},
         plants=list(plants),
         files=list(file_digests(document).values()),
-        sources=_sources(document, runner),
+        sources=run_sources(document, runner),
         versions=versions(),
     )
 
 
-def _sources(document: Mapping[str, Any], runner: str) -> dict[str, str]:
+def run_sources(document: Mapping[str, Any], runner: str) -> dict[str, str]:
     """Return module → digest of its source: of the runner, and of what the registry adds to the scenario."""
     sections = {name: entry for name, entry in SECTIONS.items() if document.get(name)}
     used = installed(METRICS) | installed(sections)
