@@ -1,7 +1,7 @@
 """Animation of docs/optimization.md: the original scenario and the best design of a study.
 
-uv run --extra optimize srs-twin optimize gen2_air && uv run python docs/optimum_picture.py
-runs/studies/gen2_air
+uv run --extra optimize srs-twin optimize gen2_air
+uv run python docs/optimum_picture.py runs/studies/gen2_air
 """
 
 from __future__ import annotations

@@ -16,6 +16,5 @@ __getattr__ = lazy(
         "Segment": "srs_twin.planning.path:Segment",
         "Settings": "srs_twin.planning.problem:Settings",
         "load_footprint": "srs_twin.planning.footprint:load_footprint",
-        "plan": "srs_twin.planning.planner:plan",
     }
 )

@@ -84,12 +84,12 @@ def run_key(document: Mapping[str, Any], plants: Iterable[str], runner: str) -> 
         scenario={key: value for key, value in document.items() if key not in NOT_PHYSICS},
         plants=list(plants),
         files=list(file_digests(document).values()),
-        sources=_sources(document, runner),
+        sources=run_sources(document, runner),
         versions=versions(),
     )
 
 
-def _sources(document: Mapping[str, Any], runner: str) -> dict[str, str]:
+def run_sources(document: Mapping[str, Any], runner: str) -> dict[str, str]:
     """Return the source digests of the runner and of the extensions that a scenario uses, by module."""
     sections = {name: entry for name, entry in SECTIONS.items() if document.get(name)}
     used = installed(METRICS) | installed(sections)

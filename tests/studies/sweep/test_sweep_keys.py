@@ -17,7 +17,7 @@ from subsets import first_by_default
 import srs_twin
 from srs_twin.errors import InputError
 from srs_twin.scenario.loading import load_scenario
-from srs_twin.scenario.provenance import file_digests, run_key, source_digests
+from srs_twin.scenario.provenance import file_digests, run_key, run_sources, source_digests
 from srs_twin.studies.sweep.execution import open_sweep
 from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.points import RUNNER, Experiment, Point
@@ -164,7 +164,7 @@ def test_all_files_and_sources_of_a_run_are_in_its_key(name):
     ours = {Path(path).relative_to(package) for path in called if path.startswith(f"{package}/")}
     modules = {".".join(("srs_twin", *path.with_suffix("").parts)) for path in ours}
     modules = {module.removesuffix(".__init__") for module in modules}
-    assert len(modules) > 10 and modules - {"srs_twin"} <= source_digests(RUNNER).keys()
+    assert len(modules) > 10 and modules - {"srs_twin"} <= run_sources(document, RUNNER).keys()
 
 
 def test_a_plan_and_a_run_of_one_scenario_have_different_keys():
