@@ -341,7 +341,7 @@ class SnakePhysics(dm.Physics, Stateful):
                 spin = velocity[3:] @ ahead / (self._spec.geometry.wheel_radius * (ahead @ ahead))
                 data.qvel[raw.jnt_dofadr[joint]] = spin
 
-    def remembered(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the saved state; the engine's part is MuJoCo's integration state."""
         engine = np.empty(mujoco.mj_stateSize(self.model.ptr, _SAVED_STATE))
         mujoco.mj_getState(self.model.ptr, self.data.ptr, engine, _SAVED_STATE)
