@@ -4,12 +4,12 @@ A hypothesis m states the behaviour of the valves, chambers and sensor of a segm
 determines the chamber pressures, by the first-order law of `pneumatics.lag`, and their drives
 $A^\pm = G a^\pm$ (rad), where $a^\pm$ is the pressure after the lag τ₂. Bend and measurements are
 
-$$ q = b + g^+ A_m^+ - g^- A_m^- + d, \qquad y = q + s + n, \qquad y_{markers} = q + n', $$
+$$ q = b + g^+ A_m^+ - g^- A_m^- + d, \qquad y = (1 + e)\,q + s + n, \qquad y_{markers} = q + n', $$
 
 with the constant bias b and gains g± of the module, the disturbance d (load, inertia and model error; a
-first-order Gauss–Markov process), and the offset s of the sensor, which drifts under one hypothesis. The
-state (b, g⁺, g⁻, d, s) is linear: each hypothesis has a Kalman filter, and the filters are mixed as by Blom
-and Bar-Shalom (1988). Faults are rare and permanent.
+first-order Gauss–Markov process), and the offset s and scale error e of the sensor. Under one hypothesis the
+offset drifts quickly. Each hypothesis has a Kalman filter for the state (b, g⁺, g⁻, d, s, e), linearised in
+e q, and the filters are mixed as by Blom and Bar-Shalom (1988). Faults are rare and permanent.
 
 While a segment has no fault, the detector learns the deviations of the pressures from the first-order law
 (`pressure_table`). Leaks are detected from balances of air (`leak_detector`).
@@ -65,11 +65,9 @@ _TAILS = 4.0
 """Degrees of freedom of Student's t distribution."""
 _AT_REST_RAD = 1e-6
 _LEAST_PROBABILITY = 1e-12
-_OFFSET_WALK = 1e-5
-"""Random walk of the sensor's offset without a drift, rad per step."""
 _FROZEN_NOISE = 0.1
 """Largest difference of successive readings of a frozen sensor, share of the noise."""
-_BIAS, _PLUS, _MINUS, _LOAD, _SENSOR = range(5)
+_BIAS, _PLUS, _MINUS, _LOAD, _SENSOR, _SCALE = range(6)
 _MODULE = [_PLUS, _MINUS, _BIAS]
 
 
@@ -86,12 +84,13 @@ class DetectorSettings:
         gain: standard deviation of the modules' gains.
         bias: standard deviation of the modules' bends without pressure, rad.
         offset: standard deviation of the sensors' offsets, rad.
+        scale: standard deviation of the sensors' scale errors.
         pressure: initial standard deviation of pressures, and its minimum, share of the supply pressure.
         load: standard deviation of d, share of the largest bend.
         load_time: time constant of d, s.
         pressure_time: correlation time of pressure residuals, s.
         wander: random walks of the bias (rad) and the gains, per square root of a second.
-        drift: random walk of a drifting sensor, rad per square root of a second.
+        drift: random walks of the offset of a sound and of a drifting sensor, rad per square root of a second.
     """
 
     fault_rate: float = 1e-3
@@ -102,12 +101,13 @@ class DetectorSettings:
     gain: float = 0.15
     bias: float = 0.05
     offset: float = 0.06
+    scale: float = 0.05
     pressure: tuple[float, float] = (0.12, 0.02)
     load: float = 0.11
     load_time: float = 0.15
     pressure_time: float = 0.08
     wander: tuple[float, float] = (0.0014, 0.0035)
-    drift: float = 0.03
+    drift: tuple[float, float] = (0.002, 0.03)
 
 
 class FaultDetector(Stateful):
@@ -116,7 +116,7 @@ class FaultDetector(Stateful):
     Attributes:
         settings: assumptions.
         probability: of the hypotheses, shape (segments, hypotheses).
-        mean: of b, g⁺, g⁻, d and s, shape (segments, hypotheses, 5).
+        mean: of b, g⁺, g⁻, d, s and e, shape (segments, hypotheses, 6).
         supply: filter for the supply pressure.
         leaks: balances of air.
         naming: detected faults.
@@ -157,7 +157,7 @@ class FaultDetector(Stateful):
         self._delayed = np.zeros((count, kinds, 2))
         self._levels = PressureLevels(count, settings.pressure[0])
         s = settings
-        self.mean = np.zeros((count, kinds, 5))
+        self.mean = np.zeros((count, kinds, 6))
         self.mean[..., _PLUS] = self.mean[..., _MINUS] = 1.0
         self._largest = largest_bend(spec, supply_pa)
         self._load = s.load * self._largest
@@ -166,7 +166,7 @@ class FaultDetector(Stateful):
         variants = list(dict.fromkeys(inflow for pair in inflows for inflow in pair))
         self._variant = np.array([[variants.index(inflow) for inflow in pair] for pair in inflows])
         self.leaks = LeakDetector(spec, supply_pa=supply_pa, variants=variants)
-        sd = np.array([s.bias, s.gain, s.gain, self._load, s.offset])
+        sd = np.array([s.bias, s.gain, s.gain, self._load, s.offset, s.scale])
         self._covariance = np.tile(np.diag(sd**2), (count, kinds, 1, 1))
         self.probability = np.zeros((count, kinds))
         self.probability[:, 0] = 1.0
@@ -213,6 +213,15 @@ class FaultDetector(Stateful):
         square = variances + (values - mean[:, None]) ** 2
         return mean, np.sqrt(np.einsum("sm,smi->si", self.probability, square))
 
+    def corrected(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return readings (rad) without the errors of their sensors, and standard deviations of these."""
+        mean = np.einsum("sm,smk->sk", self.probability, self.mean)
+        bends = (readings - mean[:, _SENSOR]) / (1 + mean[:, _SCALE])
+        rows = np.zeros_like(mean)
+        rows[:, _SENSOR], rows[:, _SCALE] = 1.0, np.nan_to_num(bends)
+        variance = np.einsum("sm,sk,smkl,sl->s", self.probability, rows, self._covariance, rows)
+        return bends, np.sqrt(variance)
+
     def parameters(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return values and standard deviations of gains and biases (rad) by name."""
         mean, sd = self.modules()
@@ -249,16 +258,19 @@ class FaultDetector(Stateful):
             return
         drive = self._gain[:, None] * self._delayed
         drive = drive * self._bend_share(drive)
-        rows = np.ones((*self.probability.shape, 5))
+        rows = np.ones((*self.probability.shape, 6))
         rows[..., _PLUS], rows[..., _MINUS] = drive[..., 0], -drive[..., 1]
+        rows[..., [_SENSOR, _SCALE]] = 0.0
         log_likelihood = np.zeros(self.probability.shape)
         if readings is not None:
             readings = np.asarray(readings, dtype=float)
             reads = np.isin(SENSORS, (READS, DRIFTS))
             log_likelihood += self._sensor_log_likelihood(readings)
-            log_likelihood += self._correct(rows, readings, self.settings.noise, reads)
+            bends = np.einsum("smk,smk->sm", rows, self.mean)
+            sensed = rows.copy()
+            sensed[..., _SENSOR], sensed[..., _SCALE] = 1.0, bends
+            log_likelihood += self._correct(sensed, readings, self.settings.noise, reads)
             self._last = np.where(np.isnan(readings), self._last, readings)
-        rows[..., _SENSOR] = 0.0
         if markers is not None:
             noise = heading_noise_scale * self.settings.marker_noise
             every = np.ones(len(HYPOTHESES), dtype=bool)
@@ -307,11 +319,11 @@ class FaultDetector(Stateful):
         transition[1:, 0] = 0.0
         np.fill_diagonal(transition, 0.0)
         np.fill_diagonal(transition, 1 - transition.sum(axis=1))
-        decay = np.array([1.0, 1.0, 1.0, math.exp(-dt / s.load_time), 1.0])
-        bias, gain = (walk * math.sqrt(dt) for walk in s.wander)
+        decay = np.array([1.0, 1.0, 1.0, math.exp(-dt / s.load_time), 1.0, 1.0])
+        bias, gain, offset, drift = (walk * math.sqrt(dt) for walk in (*s.wander, *s.drift))
         load = self._load * math.sqrt(1 - decay[_LOAD] ** 2)
-        noise = np.tile(np.diag([bias, gain, gain, load, _OFFSET_WALK]) ** 2, (len(HYPOTHESES), 1, 1))
-        noise[SENSORS == DRIFTS, _SENSOR, _SENSOR] = s.drift**2 * dt
+        noise = np.tile(np.diag([bias, gain, gain, load, offset, 0.0]) ** 2, (len(HYPOTHESES), 1, 1))
+        noise[SENSORS == DRIFTS, _SENSOR, _SENSOR] = drift**2
         joint = self.probability[:, :, None] * transition
         predicted = joint.sum(axis=1)
         share = joint / np.maximum(predicted[:, None, :], 1e-300)
@@ -329,7 +341,7 @@ class FaultDetector(Stateful):
         """Correct by one measurement per segment.
 
         Args:
-            rows: measurement matrix, shape (segments, hypotheses, 5).
+            rows: measurement matrix, shape (segments, hypotheses, 6).
             measured: shape (segments,), rad, NaN where it is missing.
             noise: standard deviation, rad.
             used: whether a hypothesis uses the measurement, shape (hypotheses,).
