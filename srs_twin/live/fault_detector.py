@@ -90,7 +90,7 @@ class DetectorSettings:
         load_time: time constant of d, s.
         pressure_time: correlation time of pressure residuals, s.
         wander: random walks of the bias (rad) and the gains, per square root of a second.
-        drift: random walks of the offset of a sound and of a drifting sensor, rad per square root of a second.
+        drift: random walks of the offsets of sound and drifting sensors, rad per square root of a second.
     """
 
     fault_rate: float = 1e-3
@@ -405,10 +405,14 @@ class FaultDetector(Stateful):
             self.leaks.drop(np.ones(pressures.shape, dtype=bool))
             self._rescale(before)
             return
-        balanced = self.leaks.strokes.learnt >= _BALANCED_STROKES
+        # At first the balances are unknown, and the pressures of filled chambers are used instead.
+        balanced = self.leaks.strokes.learnt >= 1
         excess, slope, variance = np.moveaxis(self.leaks.residuals(self.time, pressures, filled), -1, 0)
-        weight = np.where(balanced, obeys, 0.0)
-        self.supply.update(excess, slope, np.sqrt(variance), weight, MESSAGES_PER_INDEPENDENT)
+        self.supply.update(
+            np.where(balanced, excess, residual), np.where(balanced, slope, response),
+            np.where(balanced, np.sqrt(variance), before * sd), np.where(balanced | late, obeys, 0.0),
+            MESSAGES_PER_INDEPENDENT,
+        )  # fmt: skip
         self._rescale(before)
 
     def _rescale(self, before: float) -> None:

@@ -36,7 +36,7 @@ MOST_STROKES = 40
 SCATTER = 0.05
 """Prior scatter between strokes, share of the inflow."""
 SCATTER_STROKES = 3
-"""Number of strokes that the prior scatter counts for."""
+"""Number of strokes that the prior scatter counts for; they are not learnt from."""
 LEAST_SCATTER = 0.02
 """Lower limit of the scatter, share of the inflow."""
 MESSAGES_PER_INDEPENDENT = 16
@@ -51,7 +51,7 @@ LEAST_INFLOW = 0.1
 """Inflow above which a stroke is used, share of K times the supply pressure."""
 LONGEST_GAP_S = 0.1
 """Interval between messages that ends a stroke, s."""
-SOUND = 0.9
+SOUND = 0.98
 """Probability of no fault above which a chamber is learnt from."""
 LIMIT = 3.0
 """Largest residual of a stroke, in standard deviations, that the scatter is learnt from."""
@@ -323,12 +323,12 @@ def _accumulate(j, side, strokes):  # type: ignore[no-untyped-def]
     """Add a message to the pending statistics of its stroke, which are used if the stroke is sound."""
     inflow, outflow, pending = strokes.sums[j, side, 1], -strokes.sums[j, side, 0], strokes.pending[j, side]
     residual, variance, learnt = _residual(j, side, inflow, 0.0, strokes)
-    weight = 1 / (MESSAGES_PER_INDEPENDENT * (variance - learnt))
-    pending[0] += weight * inflow * inflow
-    pending[1] += weight * inflow * outflow
-    pending[2] += weight * outflow * outflow
-    pending[3] += weight * inflow * residual
-    pending[4] += weight * outflow * residual
+    # Errors are common to the messages of a stroke, so only the most informative one counts.
+    weight = 1 / (variance - learnt)
+    if weight * inflow * inflow > pending[0]:
+        pending[0], pending[1] = weight * inflow * inflow, weight * inflow * outflow
+        pending[2] = weight * outflow * outflow
+        pending[3], pending[4] = weight * inflow * residual, weight * outflow * residual
     # A single outlier must not increase the scatter by more than a residual at the limit.
     pending[5] = (min(residual**2, LIMIT**2 * variance) - variance) / inflow**2
 
@@ -338,9 +338,11 @@ def _learn(j, side, strokes):  # type: ignore[no-untyped-def]
     """Update c, λ₀ and the scatter with a stroke without a fault."""
     pending, information, fit = strokes.pending[j, side], strokes.information[j, side], strokes.fit[j, side]
     strokes.learnt[j, side] = min(strokes.learnt[j, side] + 1, MOST_STROKES)
-    share = 1 / (strokes.learnt[j, side] + SCATTER_STROKES)
-    scatter = strokes.scatter[j, side] + share * pending[5]
-    strokes.scatter[j, side] = max(scatter, LEAST_SCATTER**2)
+    # Residuals of the first strokes include the error of the initial supply pressure.
+    if strokes.learnt[j, side] > SCATTER_STROKES:
+        share = 1 / strokes.learnt[j, side]
+        scatter = strokes.scatter[j, side] + share * pending[5]
+        strokes.scatter[j, side] = max(scatter, LEAST_SCATTER**2)
     information[0] = FORGETTING * information[0] + (1 - FORGETTING) / FLOW_SD**2 + pending[0]
     information[1] = FORGETTING * information[1] + pending[1]
     information[2] = FORGETTING * information[2] + (1 - FORGETTING) / LOSS_SD**2 + pending[2]

@@ -18,7 +18,7 @@ import numpy as np
 
 from srs_twin.io.saved_state import Stateful
 
-PRIOR_SD = 0.02
+PRIOR_SD = 0.05
 """Standard deviation of the supply pressure at the start, share of the nominal one."""
 LARGEST_SD = 0.2
 """Largest standard deviation, while no chamber fills, share of the nominal pressure."""
