@@ -385,7 +385,7 @@ class FaultDetector(Stateful):
         spread = np.where(self._obeys, sd[:, None] + least, first)
         log = _log_student((residual / spread) ** 2) - np.log(spread)
         # With enough strokes, the balance of air replaces this evidence for leaks.
-        balanced = (self.leaks.strokes.learnt >= _BALANCED_STROKES)[:, None] & (CHAMBERS == LEAKS)
+        balanced = (self.leaks.learnt >= _BALANCED_STROKES)[:, None] & (CHAMBERS == LEAKS)
         log = np.where(balanced, log.max(axis=1, keepdims=True), log)
         self._levels.update(residual[:, 0], ~np.isnan(pressures) & (self.probability[:, :1] > 0.9))
         return np.asarray(log.sum(axis=-1) * min(dt / self.settings.pressure_time, 1.0))
@@ -406,8 +406,8 @@ class FaultDetector(Stateful):
             self._rescale(before)
             return
         # At first the balances are unknown, and the pressures of filled chambers are used instead.
-        balanced = self.leaks.strokes.learnt >= 1
-        excess, slope, variance = np.moveaxis(self.leaks.residuals(self.time, pressures, filled), -1, 0)
+        balanced = self.leaks.learnt >= 1
+        excess, slope, variance = self.leaks.residuals(self.time, pressures, filled)
         self.supply.update(
             np.where(balanced, excess, residual), np.where(balanced, slope, response),
             np.where(balanced, np.sqrt(variance), before * sd), np.where(balanced | late, obeys, 0.0),

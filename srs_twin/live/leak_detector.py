@@ -12,13 +12,10 @@ satisfy such a balance as well, with other c and λ₀.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import compiled
 from srs_twin.io.saved_state import Stateful
 from srs_twin.pneumatics.chambers import AMBIENT_PA, volume
 from srs_twin.pneumatics.flow import REFERENCE_PA, conductances, flow
@@ -59,71 +56,23 @@ TAILS = 12.0
 """Degrees of freedom of Student's t distribution for the residuals of strokes."""
 
 
-class StrokeStatistics(NamedTuple):
-    """Statistics of each chamber, shape (segments, 2, …); amounts are shares of K times the supply pressure.
-
-    Attributes:
-        fit: c and λ₀ (1/s).
-        information: inverse covariance of the fit: c with c, c with λ₀, λ₀ with λ₀.
-        pending: contributions of the current stroke: to the information (3), to its product with the fit
-            (2), and to the scatter.
-        scatter: variance between strokes, share of the squared inflow.
-        learnt: number of strokes learnt from.
-        time: of the last pressure of the stroke, s; NaN without one.
-        begun: amount at the start of the stroke and its standard deviation.
-        reached: the same at the last pressure.
-        rates: pressure over the supply pressure, inflow of each variant (1/s), and the derivative of the
-            inflow by the supply pressure (1/(s Pa)).
-        sums: integrals of the rates over the stroke.
-        supply: supply pressure at the start of the stroke and at its last pressure, gauge, Pa, and the
-            standard deviation of the latter.
-        log_likelihood: of each variant.
-    """
-
-    fit: np.ndarray
-    information: np.ndarray
-    pending: np.ndarray
-    scatter: np.ndarray
-    learnt: np.ndarray
-    time: np.ndarray
-    begun: np.ndarray
-    reached: np.ndarray
-    rates: np.ndarray
-    sums: np.ndarray
-    supply: np.ndarray
-    log_likelihood: np.ndarray
-
-
-class ChamberConstants(NamedTuple):
-    """Constants of the chambers.
-
-    Attributes:
-        dead: volume without bend, m³.
-        displacement: change of the volume with the bend, m³/rad.
-        conductance: of the inlets, J/(s Pa).
-        unit: K times the supply pressure, J.
-        supply: nominal supply pressure, gauge, Pa.
-        leaks: leak of each variant, 1/s.
-        shares: share of the supply pressure of each variant.
-    """
-
-    dead: float
-    displacement: float
-    conductance: float
-    unit: float
-    supply: float
-    leaks: np.ndarray
-    shares: np.ndarray
+_volume = np.vectorize(volume, otypes=[float, float])
+_flow = np.vectorize(lambda first, second: flow(first, second, CRITICAL_RATIO)[0], otypes=[float])
 
 
 class LeakDetector(Stateful):
-    """Balances of air of all chambers.
+    """Balances of air of all chambers; amounts are shares of K times the nominal supply pressure.
 
     Attributes:
-        strokes: statistics.
+        fit: c and λ₀ (1/s), shape (segments, 2, 2).
+        scatter: variance between strokes, share of the squared inflow, shape (segments, 2).
+        learnt: number of strokes learnt from, shape (segments, 2).
     """
 
-    state_attributes = ("strokes",)
+    state_attributes = (
+        "fit", "scatter", "learnt", "_information", "_pending", "_time", "_begun", "_reached", "_rates",
+        "_sums", "_supply", "_supply_sd", "_log_likelihood",
+    )  # fmt: skip
 
     def __init__(self, spec: RobotSpec, *, supply_pa: float, variants: Sequence[tuple[float, float]]) -> None:
         """Begin with the values of the robot file.
@@ -135,34 +84,37 @@ class LeakDetector(Stateful):
                 any inflow; the first variant has no fault.
         """
         conductance, _, capacity = conductances(spec, CRITICAL_RATIO)
-        leaks, shares = np.array(variants, dtype=float).T
-        self._constants = ChamberConstants(
-            spec.chamber.dead_volume, spec.chamber.displacement, conductance * REFERENCE_PA,
-            capacity * supply_pa, supply_pa, leaks.copy(), shares.copy(),
-        )  # fmt: skip
-        chambers = (spec.segments, 2)
-        self.strokes = StrokeStatistics(
-            fit=np.tile([1.0, 0.0], (*chambers, 1)),
-            information=np.tile([1 / FLOW_SD**2, 0.0, 1 / LOSS_SD**2], (*chambers, 1)),
-            pending=np.zeros((*chambers, 6)),
-            scatter=np.full(chambers, SCATTER**2),
-            learnt=np.zeros(chambers),
-            time=np.full(chambers, np.nan),
-            begun=np.zeros((*chambers, 2)),
-            reached=np.zeros((*chambers, 2)),
-            rates=np.zeros((*chambers, 2 + len(variants))),
-            sums=np.zeros((*chambers, 2 + len(variants))),
-            supply=np.zeros((*chambers, 3)),
-            log_likelihood=np.zeros((*chambers, len(variants))),
-        )
+        self._chamber, self._nominal, self._unit = spec.chamber, supply_pa, capacity * supply_pa
+        self._conductance = conductance * REFERENCE_PA / self._unit
+        self._leaks, self._shares = np.array(variants, dtype=float).T
+        shape, count = (spec.segments, 2), len(variants)
+        self.fit = np.tile([1.0, 0.0], (*shape, 1))
+        self.scatter, self.learnt = np.full(shape, SCATTER**2), np.zeros(shape)
+        # Inverse covariance of the fit.
+        self._prior = np.diag([1 / FLOW_SD**2, 1 / LOSS_SD**2])
+        self._information = np.tile(self._prior, (*shape, 1, 1))
+        # Most informative message of the stroke: integrals of inflow and outflow, residual and weight; and
+        # the contribution of the stroke to the scatter.
+        self._pending = np.zeros((*shape, 5))
+        # Time of the last pressure of the stroke; NaN without one.
+        self._time = np.full(shape, np.nan)
+        # Amount and its standard deviation, at the start of the stroke and at the last pressure.
+        self._begun, self._reached = np.zeros((*shape, 2)), np.zeros((*shape, 2))
+        # Gauge pressure, inflow of each variant, derivative of the inflow by the supply pressure; integrals.
+        self._rates, self._sums = np.zeros((*shape, count + 2)), np.zeros((*shape, count + 2))
+        # Supply pressure at the start of the stroke and at the last pressure.
+        self._supply, self._supply_sd = np.zeros((*shape, 2)), 0.0
+        self._log_likelihood = np.zeros((*shape, count))
 
     def drop(self, chambers: np.ndarray) -> None:
         """End the strokes of some chambers (shape (segments, 2)), whose valves may have switched unseen."""
-        self.strokes.time[chambers] = np.nan
-        for values in (self.strokes.pending, self.strokes.sums, self.strokes.log_likelihood):
+        self._time[chambers] = np.nan
+        for values in (self._pending, self._sums, self._log_likelihood):
             values[chambers] = 0.0
 
-    def residuals(self, time: float, pressure: np.ndarray, filled: np.ndarray) -> np.ndarray:
+    def residuals(
+        self, time: float, pressure: np.ndarray, filled: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the residuals of current strokes, for the supply pressure.
 
         Args:
@@ -171,23 +123,17 @@ class LeakDetector(Stateful):
             filled: as in `update`.
 
         Returns:
-            Excess of air over the expected amount, its derivative by the supply pressure (1/Pa) and its
-            variance, shape (segments, 2, 3); NaN where they are unknown.
+            Excess of air over the expected amount (NaN where it is unknown), its derivative by the supply
+            pressure (1/Pa) and its variance, shape (segments, 2).
         """
-        found = np.full((*pressure.shape, 3), np.nan)
-        _residuals(time, pressure, filled, self.strokes, found)
-        return found
+        used = self._continues(time, pressure, filled) & (self._sums[..., 1] > LEAST_INFLOW)
+        residual, variance, _ = (values[..., 0] for values in self._residual())
+        return np.where(used, residual, np.nan), self.fit[..., 0] * self._sums[..., -1], variance
 
     def update(
-        self,
-        time: float,
-        pressure: np.ndarray,
-        bend: np.ndarray,
-        bend_sd: np.ndarray,
-        filled: np.ndarray,
-        sound: np.ndarray,
-        supply: tuple[float, float],
-    ) -> np.ndarray:
+        self, time: float, pressure: np.ndarray, bend: np.ndarray, bend_sd: np.ndarray, filled: np.ndarray,
+        sound: np.ndarray, supply: tuple[float, float],
+    ) -> np.ndarray:  # fmt: skip
         """Update with measured pressures.
 
         Args:
@@ -202,150 +148,99 @@ class LeakDetector(Stateful):
         Returns:
             Changes of the log-likelihoods of the variants, shape (segments, 2, variants).
         """
-        added = np.zeros_like(self.strokes.log_likelihood)
-        _update(time, pressure, bend, bend_sd, filled, sound, supply, self.strokes, self._constants, added)
+        seen, continues = ~np.isnan(pressure), self._continues(time, pressure, filled)
+        change = np.where(continues, supply[0] - self._supply[..., 1], 0.0)
+        # Correct the inflow of the stroke for the change of the estimated supply pressure.
+        self._sums[..., 1:-1] += np.where(self._shares == 1.0, (self._sums[..., -1] * change)[..., None], 0.0)
+        self._supply[seen, 1], self._supply_sd = supply
+        # A lost command may have closed the valve before the last message. Therefore a message is used only
+        # after the next one confirms that the valve is open.
+        used = continues & (self._sums[..., 1] > LEAST_INFLOW)
+        self._accumulate(used)
+        added = np.where(used[..., None], self._log_likelihoods() - self._log_likelihood, 0.0)
+        self._log_likelihood += added
+        ended = seen & ~continues
+        self._learn(ended & (self._pending[..., 3] > 0.0) & (sound > SOUND)[:, None])
+        self.drop(ended)
+        self._advance(time, seen & (filled > 0.0), pressure, bend, bend_sd, supply)
         return added
 
+    def _continues(self, time: float, pressure: np.ndarray, filled: np.ndarray) -> np.ndarray:
+        """Return whether the valve of a chamber has been open since the last pressure."""
+        since = time - self._time
+        return ~np.isnan(pressure) & (since < LONGEST_GAP_S) & (filled > since - 1e-6)
 
-@compiled
-def _update(time, pressure, bend, bend_sd, filled, sound, supply, strokes, constants, added):  # type: ignore[no-untyped-def]
-    """See `LeakDetector.update`."""
-    for j in range(pressure.shape[0]):
-        for side in range(2):
-            gauge, since = pressure[j, side], time - strokes.time[j, side]
-            if math.isnan(gauge):
-                continue
-            continues = since < LONGEST_GAP_S and filled[j, side] > since - 1e-6
-            pending, sums = strokes.pending[j, side], strokes.sums[j, side]
-            supply_now = strokes.supply[j, side]
-            if continues:
-                # Correct the inflow of the stroke for the change of the estimated supply pressure.
-                for k in range(len(constants.shares)):
-                    if constants.shares[k] == 1.0:
-                        sums[1 + k] += sums[-1] * (supply[0] - supply_now[1])
-            supply_now[1], supply_now[2] = supply
-            if continues:
-                # A lost command may have closed the valve before the last message. Therefore a message is
-                # used only after the next one confirms that the valve is open.
-                if sums[1] > LEAST_INFLOW:
-                    _accumulate(j, side, strokes)
-                    for k in range(len(added[j, side])):
-                        log_likelihood = _log_likelihood(j, side, k, constants, strokes)
-                        added[j, side, k] = log_likelihood - strokes.log_likelihood[j, side, k]
-                        strokes.log_likelihood[j, side, k] = log_likelihood
-            else:
-                if pending[0] > 0.0 and sound[j] > SOUND:
-                    _learn(j, side, strokes)
-                strokes.time[j, side] = math.nan
-                pending[:] = 0.0
-                sums[:] = 0.0
-                strokes.log_likelihood[j, side, :] = 0.0
-            if filled[j, side] <= 0.0:
-                continue
-            size, growth = volume(constants.dead, constants.displacement, bend[j], side)
-            held = (gauge + AMBIENT_PA) / constants.unit
-            reached, rates = strokes.reached[j, side], strokes.rates[j, side]
-            reached[0], reached[1] = held * size, held * abs(growth) * bend_sd[j]
-            if not continues:
-                strokes.begun[j, side, 0], strokes.begun[j, side, 1] = reached[0], reached[1]
-                supply_now[0] = supply[0]
-            last, slope = len(rates) - 1, 0.0
-            for k in range(len(rates)):
-                if k == 0:
-                    now = gauge / constants.supply
-                elif k == last:
-                    now = slope
-                else:
-                    now, line = 0.0, constants.shares[k - 1] * supply[0]
-                    if line > 0.0:
-                        passed, _, _ = flow(line + AMBIENT_PA, gauge + AMBIENT_PA, CRITICAL_RATIO)
-                        now = constants.conductance * passed / constants.unit
-                        if k == 1:  # a difference quotient, because the slope diverges at equal pressures
-                            inside, sd = gauge + AMBIENT_PA, max(supply[1], 1.0)
-                            more, _, _ = flow(line + sd + AMBIENT_PA, inside, CRITICAL_RATIO)
-                            less, _, _ = flow(line - sd + AMBIENT_PA, inside, CRITICAL_RATIO)
-                            slope = constants.conductance * (more - less) / (2 * sd) / constants.unit
-                if continues:
-                    sums[k] += since * (rates[k] + now) / 2
-                rates[k] = now
-            strokes.time[j, side] = time
+    def _advance(
+        self, time: float, filling: np.ndarray, pressure: np.ndarray, bend: np.ndarray, bend_sd: np.ndarray,
+        supply: tuple[float, float],
+    ) -> None:  # fmt: skip
+        """Integrate to the pressures of filling chambers."""
+        chamber, inside = self._chamber, np.nan_to_num(pressure) + AMBIENT_PA
+        size, growth = _volume(chamber.dead_volume, chamber.displacement, bend[:, None], [0, 1])
+        held = inside / self._unit
+        reached = np.stack([held * size, held * np.abs(growth) * bend_sd[:, None]], axis=-1)
+        self._reached[filling] = reached[filling]
+        line, sd = supply[0], max(supply[1], 1.0)
+        lines = np.append(self._shares * line, [line + sd, line - sd])
+        flows = self._conductance * _flow(lines + AMBIENT_PA, inside[..., None])
+        flows[..., :-2] *= self._shares > 0.0
+        # A difference quotient, because the slope diverges at equal pressures.
+        slope = (flows[..., -2:-1] - flows[..., -1:]) / (2 * sd)
+        gauge = np.nan_to_num(pressure)[..., None] / self._nominal
+        rates = np.concatenate([gauge, flows[..., :-2], slope], axis=-1)
+        begins = np.isnan(self._time)
+        since = np.where(filling & ~begins, time - self._time, 0.0)
+        self._sums += since[..., None] * (self._rates + rates) / 2
+        self._rates[filling] = rates[filling]
+        begins &= filling
+        self._begun[begins], self._supply[begins, 0] = self._reached[begins], line
+        self._time[filling] = time
 
+    def _residual(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return residuals, their variances, and the parts of these due to the fit.
 
-@compiled
-def _residuals(time, pressure, filled, strokes, found):  # type: ignore[no-untyped-def]
-    """See `LeakDetector.residuals`."""
-    for j in range(pressure.shape[0]):
-        for side in range(2):
-            since, sums = time - strokes.time[j, side], strokes.sums[j, side]
-            continues = since < LONGEST_GAP_S and filled[j, side] > since - 1e-6
-            if continues and sums[1] > LEAST_INFLOW and not math.isnan(pressure[j, side]):
-                residual, variance, _ = _residual(j, side, sums[1], 0.0, strokes)
-                found[j, side, 0], found[j, side, 2] = residual, variance
-                found[j, side, 1] = strokes.fit[j, side, 0] * sums[-1]
+        Returns:
+            Of each variant, shape (segments, 2, variants).
+        """
+        inflow, outflow = self._sums[..., 1:-1], self._sums[..., :1]
+        row = np.stack([inflow, np.broadcast_to(-outflow, inflow.shape)], axis=-1)
+        gain = (self._reached - self._begun)[..., :1]
+        residual = gain - (row @ self.fit[..., None])[..., 0] + self._leaks * outflow
+        learnt = ((row @ np.linalg.inv(self._information)) * row).sum(axis=-1)
+        read = self._reached[..., 1] ** 2 + self._begun[..., 1] ** 2 + AMOUNT_SD**2
+        # The time at which the supply pressure changed within the stroke is unknown.
+        changed = (self._supply[..., 1] - self._supply[..., 0]) ** 2 + self._supply_sd**2
+        read += changed * (self.fit[..., 0] * self._sums[..., -1]) ** 2
+        return residual, learnt + read[..., None] + self.scatter[..., None] * inflow**2, learnt
 
+    def _log_likelihoods(self) -> np.ndarray:
+        """Return the log-likelihoods of the variants, shape (segments, 2, variants)."""
+        residual, variance, _ = self._residual()
+        variance += (LEAK_RATE_SD * self._leaks * self._sums[..., :1]) ** 2
+        variance += (self._shares < 1.0) * (WEAK_INFLOW_SD * self._sums[..., 1:-1]) ** 2
+        return np.asarray(-np.log1p(residual**2 / variance / TAILS) * (TAILS + 1) / 2 - np.log(variance) / 2)
 
-@compiled
-def _covariance(information):  # type: ignore[no-untyped-def]
-    """Return the covariance of the fit: c with c, c with λ₀, λ₀ with λ₀."""
-    size = information[0] * information[2] - information[1] ** 2
-    return information[2] / size, -information[1] / size, information[0] / size
+    def _accumulate(self, used: np.ndarray) -> None:
+        """Note the most informative message of each stroke; it is learnt from if the stroke is sound."""
+        inflow, pending = self._sums[..., 1], self._pending
+        residual, variance, learnt = (values[..., 0] for values in self._residual())
+        # Errors are common to the messages of a stroke, so only one message counts.
+        weight = 1 / (variance - learnt)
+        better = used & (weight * inflow**2 > pending[..., 3] * pending[..., 0] ** 2)
+        pending[better, :4] = np.stack([inflow, -self._sums[..., 0], residual, weight], axis=-1)[better]
+        # A single outlier must not increase the scatter by more than a residual at the limit.
+        excess = np.minimum(residual**2, LIMIT**2 * variance) - variance
+        pending[used, 4] = excess[used] / inflow[used] ** 2
 
-
-@compiled
-def _residual(j, side, inflow, leak, strokes):  # type: ignore[no-untyped-def]
-    """Return the residual of a stroke, its variance, and the part of the variance due to the fit."""
-    outflow, fit = strokes.sums[j, side, 0], strokes.fit[j, side]
-    flow_sd2, covariance, loss_sd2 = _covariance(strokes.information[j, side])
-    gain = strokes.reached[j, side, 0] - strokes.begun[j, side, 0]
-    residual = gain - fit[0] * inflow + (fit[1] + leak) * outflow
-    learnt = flow_sd2 * inflow**2 - 2 * covariance * inflow * outflow + loss_sd2 * outflow**2
-    read = strokes.reached[j, side, 1] ** 2 + strokes.begun[j, side, 1] ** 2 + AMOUNT_SD**2
-    # The time at which the supply pressure changed within the stroke is unknown.
-    begun, now, sd = strokes.supply[j, side]
-    changed = (now - begun) ** 2 + sd**2
-    read += changed * (fit[0] * strokes.sums[j, side, -1]) ** 2
-    return residual, learnt + read + strokes.scatter[j, side] * inflow**2, learnt
-
-
-@compiled
-def _log_likelihood(j, side, variant, constants, strokes):  # type: ignore[no-untyped-def]
-    """Return the log-likelihood of a variant."""
-    inflow, leak = strokes.sums[j, side, 1 + variant], constants.leaks[variant]
-    residual, variance, _ = _residual(j, side, inflow, leak, strokes)
-    variance += (LEAK_RATE_SD * leak * strokes.sums[j, side, 0]) ** 2
-    if constants.shares[variant] < 1.0:
-        variance += (WEAK_INFLOW_SD * inflow) ** 2
-    return -math.log1p(residual * residual / variance / TAILS) * (TAILS + 1) / 2 - math.log(variance) / 2
-
-
-@compiled
-def _accumulate(j, side, strokes):  # type: ignore[no-untyped-def]
-    """Add a message to the pending statistics of its stroke, which are used if the stroke is sound."""
-    inflow, outflow, pending = strokes.sums[j, side, 1], -strokes.sums[j, side, 0], strokes.pending[j, side]
-    residual, variance, learnt = _residual(j, side, inflow, 0.0, strokes)
-    # Errors are common to the messages of a stroke, so only the most informative one counts.
-    weight = 1 / (variance - learnt)
-    if weight * inflow * inflow > pending[0]:
-        pending[0], pending[1] = weight * inflow * inflow, weight * inflow * outflow
-        pending[2] = weight * outflow * outflow
-        pending[3], pending[4] = weight * inflow * residual, weight * outflow * residual
-    # A single outlier must not increase the scatter by more than a residual at the limit.
-    pending[5] = (min(residual**2, LIMIT**2 * variance) - variance) / inflow**2
-
-
-@compiled
-def _learn(j, side, strokes):  # type: ignore[no-untyped-def]
-    """Update c, λ₀ and the scatter with a stroke without a fault."""
-    pending, information, fit = strokes.pending[j, side], strokes.information[j, side], strokes.fit[j, side]
-    strokes.learnt[j, side] = min(strokes.learnt[j, side] + 1, MOST_STROKES)
-    # Residuals of the first strokes include the error of the initial supply pressure.
-    if strokes.learnt[j, side] > SCATTER_STROKES:
-        share = 1 / strokes.learnt[j, side]
-        scatter = strokes.scatter[j, side] + share * pending[5]
-        strokes.scatter[j, side] = max(scatter, LEAST_SCATTER**2)
-    information[0] = FORGETTING * information[0] + (1 - FORGETTING) / FLOW_SD**2 + pending[0]
-    information[1] = FORGETTING * information[1] + pending[1]
-    information[2] = FORGETTING * information[2] + (1 - FORGETTING) / LOSS_SD**2 + pending[2]
-    flow_sd2, covariance, loss_sd2 = _covariance(information)
-    fit[0] += flow_sd2 * pending[3] + covariance * pending[4]
-    fit[1] += covariance * pending[3] + loss_sd2 * pending[4]
+    def _learn(self, chambers: np.ndarray) -> None:
+        """Update c, λ₀ and the scatter of some chambers with a stroke without a fault."""
+        row, residual, weight, excess = np.split(self._pending[chambers], [2, 3, 4], axis=-1)
+        learnt = np.minimum(self.learnt[chambers] + 1, MOST_STROKES)
+        # Residuals of the first strokes include the error of the initial supply pressure.
+        share = np.where(learnt > SCATTER_STROKES, 1 / learnt, 0.0)
+        scatter = np.maximum(self.scatter[chambers] + share * excess[:, 0], LEAST_SCATTER**2)
+        self.learnt[chambers], self.scatter[chambers] = learnt, scatter
+        information = FORGETTING * self._information[chambers] + (1 - FORGETTING) * self._prior
+        information += weight[..., None] * row[:, :, None] * row[:, None, :]
+        self._information[chambers] = information
+        self.fit[chambers] += np.linalg.solve(information, (weight * residual * row)[..., None])[..., 0]

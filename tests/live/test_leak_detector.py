@@ -71,7 +71,7 @@ def test_unknown_chamber_volumes_are_learnt():
         detector, found = stroked(chambers, true, said=said, after=lambda c=chambers: c.leak(1, 0, 2.0))
         assert found[0, 0, :WEAK].argmax() == SLOW
         assert (found[0, 1:].argmax(axis=1) == SOUND).all()
-        assert np.abs(detector.strokes.fit[..., 1]).max() < 0.5, "apparent loss"
+        assert np.abs(detector.fit[..., 1]).max() < 0.5, "apparent loss"
 
 
 def test_first_order_chambers_have_no_leak():
