@@ -1,6 +1,6 @@
 r"""FaultDetector: interacting multiple model filter for the faults of each segment.
 
-A hypothesis m states the behaviour of the valves, chambers and sensor of a segment (`hypotheses`). It
+A hypothesis m states the behaviour of the valves, chambers and sensor of a segment (`fault_hypotheses`). It
 determines the chamber pressures, by the first-order law of `pneumatics.lag`, and their drives
 $A^\pm = G a^\pm$ (rad), where $a^\pm$ is the pressure after the lag τ₂. Bend and measurements are
 
@@ -12,11 +12,11 @@ offset drifts quickly. Each hypothesis has a Kalman filter for the state (b, g�
 e q, and the filters are mixed as by Blom and Bar-Shalom (1988). Faults are rare and permanent.
 
 While a segment has no fault, the detector learns the deviations of the pressures from the first-order law
-(`pressure_table`). Leaks are detected from balances of air (`leak_detector`).
+(`pressure_table`). Leaks are detected from balances of air (`air_balance`).
 
-All pressures are relative to the estimated supply pressure (`supply`), so a droop of the supply is not a
+All pressures are relative to the estimated supply pressure (`air_balance`), so a droop of the supply is not a
 fault. A sudden loss makes all segments weak, or seem to leak, at once; the estimate is then corrected.
-`starved` is reported below `supply.STARVED_BELOW` of the nominal pressure.
+`starved` is reported below `STARVED_BELOW` of the nominal pressure.
 """
 
 from __future__ import annotations
@@ -27,8 +27,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from srs_twin.io.saved_state import Stateful
-from srs_twin.live.fault_naming import FaultNaming, NamingSettings
-from srs_twin.live.hypotheses import (
+from srs_twin.live.air_balance import (
+    MESSAGES_PER_INDEPENDENT,
+    RECOVERED_ABOVE,
+    STARVED_BELOW,
+    LeakDetector,
+    SupplyFilter,
+)
+from srs_twin.live.fault_hypotheses import (
     CHAMBERS,
     DRIFTS,
     FROZEN,
@@ -42,11 +48,11 @@ from srs_twin.live.hypotheses import (
     SILENT,
     SUPPLY_SHARES,
     WEAK,
+    FaultNaming,
+    NamingSettings,
     valve_duty,
 )
-from srs_twin.live.leak_detector import MESSAGES_PER_INDEPENDENT, LeakDetector
 from srs_twin.live.pressure_table import PressureLevels
-from srs_twin.live.supply import RECOVERED_ABOVE, STARVED_BELOW, SupplyFilter
 from srs_twin.pneumatics.chambers import chamber_gains, free_bends, largest_bend
 from srs_twin.pneumatics.lag import followed, relaxation_of, relaxed
 from srs_twin.robot.spec import RobotSpec

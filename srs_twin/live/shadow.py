@@ -21,9 +21,16 @@ from srs_twin.io.saved_state import SavedState, Stateful, short_digest
 from srs_twin.live.clocks import ReorderBuffer
 from srs_twin.live.commands import KEPT_S, CommandHistory
 from srs_twin.live.ensemble import EnsembleFilter
-from srs_twin.live.estimate import Estimate
+from srs_twin.live.estimate import (
+    SLOT_S,
+    CommandPeriod,
+    Estimate,
+    IntervalCalibration,
+    Prediction,
+    PredictionCalibration,
+)
 from srs_twin.live.fault_detector import FaultDetector
-from srs_twin.live.hypotheses import (
+from srs_twin.live.fault_hypotheses import (
     CHAMBERS,
     LEAK_RATES,
     LEAKS,
@@ -34,13 +41,6 @@ from srs_twin.live.hypotheses import (
 )
 from srs_twin.live.member_dynamics import STEP_S, ValveInput
 from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, SUPPLY, VALVES, Message
-from srs_twin.live.prediction import (
-    SLOT_S,
-    CommandPeriod,
-    IntervalCalibration,
-    Prediction,
-    PredictionCalibration,
-)
 from srs_twin.robot.spec import RobotSpec
 
 TRANSPORT_DELAY_S = 0.002

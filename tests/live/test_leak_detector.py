@@ -9,7 +9,7 @@ import pytest
 from live_runs import isolated
 from snakes import robot
 
-from srs_twin.live.leak_detector import LeakDetector
+from srs_twin.live.air_balance import LeakDetector
 from srs_twin.pneumatics import LagPneumatics, OrificePneumatics
 
 TICK, NOISE = 0.02, 0.015

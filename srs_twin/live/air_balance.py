@@ -1,4 +1,4 @@
-r"""LeakDetector: balance of the air in each filling chamber.
+r"""SupplyFilter and LeakDetector: supply pressure and leaks from the air that filling chambers take in.
 
 From the opening of the valve of a chamber on, measured pressures and the bend of its segment satisfy
 
@@ -8,10 +8,20 @@ with the flow of an orifice (`pneumatics/flow.py`) and the capacity K of a nomin
 the apparent loss λ₀ of an intact chamber are estimated over many strokes (linear regression with forgetting),
 and so is the scatter between strokes. A leak λ is then visible within one stroke. First-order chambers
 satisfy such a balance as well, with other c and λ₀.
+
+All chambers share one supply. Its gauge pressure S is a random walk. The air that chamber i has taken in
+since its valve opened exceeds the expected amount by r_i = h_i (S − Ŝ) + v_i. A Kalman filter combines the
+chambers:
+
+$$ \hat S' = \hat S + \frac{\sum_i w_i h_i r_i / \sigma_i^2}{1/P + \sum_i w_i h_i^2 / \sigma_i^2}. $$
+
+The weights w of Student's t distribution limit the effect of a chamber that leaks or is stuck. A large change
+is followed at once if most filling chambers agree.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,6 +31,124 @@ from srs_twin.pneumatics.chambers import AMBIENT_PA, volume
 from srs_twin.pneumatics.flow import REFERENCE_PA, conductances, flow
 from srs_twin.pneumatics.orifice import CRITICAL_RATIO
 from srs_twin.robot.spec import RobotSpec
+
+PRIOR_SD = 0.05
+"""Standard deviation of the supply pressure at the start, share of the nominal one."""
+LARGEST_SD = 0.2
+"""Largest standard deviation, while no chamber fills, share of the nominal pressure."""
+WALK = 0.02
+"""Random walk of the supply pressure, share of the nominal one per square root of a second."""
+SENSOR_SD = 0.01
+"""Standard deviation of a measured supply pressure, share of the nominal one."""
+STARVED_BELOW = 0.6
+"""Share of the nominal pressure below which `starved` is reported."""
+RECOVERED_ABOVE = 0.7
+"""Share of the nominal pressure above which `starved` is cleared."""
+_SUDDEN = 0.12
+"""Change of the chambers' pressures that is followed at once, share of the nominal supply pressure."""
+_SUDDEN_SD = 3.0
+"""The same in standard deviations of the scatter between strokes."""
+_SURPRISE = 3.0
+"""Change of the median, in standard deviations, above which the variance of the estimate is increased."""
+_AGREE = 3
+"""Smallest number of chambers whose median is used."""
+_SUPPLY_TAILS = 4.0
+"""Degrees of freedom of Student's t distribution for the residuals of the supply."""
+_LOWEST = 0.02  # share of the nominal pressure
+
+
+class SupplyFilter(Stateful):
+    """Kalman filter for the supply pressure (module docstring).
+
+    Attributes:
+        nominal: gauge, Pa.
+        pressure: estimate, gauge, Pa.
+        variance: of the estimate, Pa².
+    """
+
+    state_attributes = ("pressure", "variance")
+
+    def __init__(self, nominal: float) -> None:
+        """Begin with the nominal pressure (gauge, Pa)."""
+        self.nominal = self.pressure = nominal
+        self.variance = (PRIOR_SD * nominal) ** 2
+
+    @property
+    def share(self) -> float:
+        """Estimate as a share of the nominal pressure."""
+        return self.pressure / self.nominal
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of the estimate, Pa."""
+        return math.sqrt(self.variance)
+
+    def predict(self, dt: float) -> None:
+        """Advance by a time step (s)."""
+        self.variance = min(self.variance + (WALK * self.nominal) ** 2 * dt, (LARGEST_SD * self.nominal) ** 2)
+
+    def update(
+        self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray, weight: np.ndarray,
+        repeats: float = 1.0,
+    ) -> None:  # fmt: skip
+        """Correct by filling chambers.
+
+        Args:
+            residual: r; NaN without a measurement.
+            response: h.
+            sd: of v.
+            weight: of each chamber, 0 to 1.
+            repeats: number of measurements with the information of one independent measurement.
+        """
+        there = ~np.isnan(residual) & (weight > 0) & (response > 0)
+        if not there.any():
+            return
+        residual, response, variance = residual[there], response[there], sd[there] ** 2
+        # If most chambers agree on a change, outliers are those that differ from it.
+        change = 0.0
+        if len(residual) >= _AGREE:
+            change = float(np.median(residual / response))
+            chance = np.pi / 2 / len(residual) * float(np.median(variance / response**2))
+            if change**2 > _SURPRISE**2 * (self.variance + chance):
+                self.variance += change**2
+        expected = variance + response**2 * self.variance
+        robust = (_SUPPLY_TAILS + 1) / (_SUPPLY_TAILS + (residual - response * change) ** 2 / expected)
+        information = weight[there] * np.minimum(robust, 1.0) * response / variance / repeats
+        self.variance = 1 / (1 / self.variance + float(information @ response))
+        self._set(self.pressure + self.variance * float(information @ residual))
+
+    def follow_sudden_change(self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray) -> bool:
+        """Follow a sudden change that most chambers show; return whether there was one.
+
+        Args:
+            residual: p − h S of filling chambers, Pa.
+            response: h.
+            sd: of p, Pa.
+        """
+        if len(residual) < _AGREE:
+            return False
+        change, deviation = float(np.median(residual / response)), float(np.median(residual / sd))
+        if abs(change) < _SUDDEN * self.nominal or abs(deviation) < _SUDDEN_SD:
+            return False
+        self.variance = max(self.variance, (change / 2) ** 2)
+        self._set(self.pressure + change)
+        return True
+
+    def measure(self, pressure: float) -> None:
+        """Correct by a measured supply pressure (gauge, Pa)."""
+        noise = (SENSOR_SD * self.nominal) ** 2
+        gain = self.variance / (self.variance + noise)
+        self.variance *= 1 - gain
+        self._set(self.pressure + gain * (pressure - self.pressure))
+
+    def jump(self, share: float) -> None:
+        """Accept that the pressure fell to a share of the estimate."""
+        self._set(share * self.pressure)
+        self.variance = (LARGEST_SD * self.pressure) ** 2
+
+    def _set(self, pressure: float) -> None:
+        self.pressure = max(pressure, _LOWEST * self.nominal)
+
 
 FLOW_SD = 0.15
 """Prior standard deviation of c."""
