@@ -384,9 +384,9 @@ class FaultDetector(Stateful):
         self._update_supply(pressures)
         residual = np.nan_to_num((pressures[:, None] - self._pressure) / self.supply.pressure)
         log = _log_student((residual / self.settings.pressure) ** 2)
-        # With enough strokes, the balance of air replaces this evidence between a leak and no fault.
+        # With enough strokes, the balance of air replaces this evidence for leaks.
         balanced = (self.leaks.learnt >= _BALANCED_STROKES)[:, None] & (CHAMBERS == LEAKS)
-        log = np.where(balanced, log[:, :1], log)
+        log = np.where(balanced, log.max(axis=1, keepdims=True), log)
         return np.asarray(log.sum(axis=-1) * min(dt / self.settings.pressure_time, 1.0))
 
     def _update_supply(self, pressures: np.ndarray) -> None:
