@@ -44,6 +44,10 @@ STARVED_BELOW = 0.6
 """Share of the nominal pressure below which `starved` is reported."""
 RECOVERED_ABOVE = 0.7
 """Share of the nominal pressure above which `starved` is cleared."""
+_SUDDEN = 0.12
+"""Change of the chambers' pressures that is followed at once, share of the nominal supply pressure."""
+_SUDDEN_SD = 3.0
+"""The same in standard deviations of the scatter between strokes."""
 _SURPRISE = 3.0
 """Change of the median, in standard deviations, above which the variance of the estimate is increased."""
 _AGREE = 3
@@ -112,6 +116,23 @@ class SupplyFilter(Stateful):
         information = weight[there] * np.minimum(robust, 1.0) * response / variance / repeats
         self.variance = 1 / (1 / self.variance + float(information @ response))
         self._set(self.pressure + self.variance * float(information @ residual))
+
+    def follow_sudden_change(self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray) -> bool:
+        """Follow a sudden change that most chambers show; return whether there was one.
+
+        Args:
+            residual: p − h S of filling chambers, Pa.
+            response: h.
+            sd: of p, Pa.
+        """
+        if len(residual) < _AGREE:
+            return False
+        change, deviation = float(np.median(residual / response)), float(np.median(residual / sd))
+        if abs(change) < _SUDDEN * self.nominal or abs(deviation) < _SUDDEN_SD:
+            return False
+        self.variance = max(self.variance, (change / 2) ** 2)
+        self._set(self.pressure + change)
+        return True
 
     def measure(self, pressure: float) -> None:
         """Correct by a measured supply pressure (gauge, Pa)."""

@@ -11,7 +11,8 @@ first-order Gauss–Markov process), and the offset s and scale error e of the s
 offset drifts quickly. Each hypothesis has a Kalman filter for the state (b, g⁺, g⁻, d, s, e), linearised in
 e q, and the filters are mixed as by Blom and Bar-Shalom (1988). Faults are rare and permanent.
 
-Leaks are detected from balances of air (`air_balance`).
+While a segment has no fault, the detector learns the deviations of the pressures from the first-order law
+(`pressure_table`). Leaks are detected from balances of air (`air_balance`).
 
 All pressures are relative to the estimated supply pressure (`air_balance`), so a droop of the supply is not a
 fault. A sudden loss makes all segments weak, or seem to leak, at once; the estimate is then corrected.
@@ -51,7 +52,7 @@ from srs_twin.live.fault_hypotheses import (
     NamingSettings,
     valve_duty,
 )
-from srs_twin.live.pressure_table import ValveAges
+from srs_twin.live.pressure_table import PressureLevels
 from srs_twin.pneumatics.chambers import chamber_gains, free_bends, largest_bend
 from srs_twin.pneumatics.lag import followed, relaxation_of, relaxed
 from srs_twin.robot.spec import RobotSpec
@@ -90,7 +91,7 @@ class DetectorSettings:
         bias: standard deviation of the modules' bends without pressure, rad.
         offset: standard deviation of the sensors' offsets, rad.
         scale: standard deviation of the sensors' scale errors.
-        pressure: standard deviation of pressures from the first-order law, share of the supply pressure.
+        pressure: initial standard deviation of pressures, and its minimum, share of the supply pressure.
         load: standard deviation of d, share of the largest bend.
         load_time: time constant of d, s.
         pressure_time: correlation time of pressure residuals, s.
@@ -107,7 +108,7 @@ class DetectorSettings:
     bias: float = 0.05
     offset: float = 0.06
     scale: float = 0.05
-    pressure: float = 0.14
+    pressure: tuple[float, float] = (0.12, 0.02)
     load: float = 0.11
     load_time: float = 0.15
     pressure_time: float = 0.08
@@ -134,7 +135,7 @@ class FaultDetector(Stateful):
         "_covariance",
         "_pressure",
         "_delayed",
-        "_ages",
+        "_levels",
         "_last",
         "naming",
         "leaks",
@@ -160,7 +161,7 @@ class FaultDetector(Stateful):
         self._settling_s = 4 * (max(self._fill, self._vent) + self._tau)
         self._pressure = np.zeros((count, kinds, 2))
         self._delayed = np.zeros((count, kinds, 2))
-        self._ages = ValveAges(count)
+        self._levels = PressureLevels(count, settings.pressure[0])
         s = settings
         self.mean = np.zeros((count, kinds, 6))
         self.mean[..., _PLUS] = self.mean[..., _MINUS] = 1.0
@@ -243,7 +244,7 @@ class FaultDetector(Stateful):
         self.supply.predict(dt)
         self._mix(dt)
         duty = np.asarray(duty, dtype=float)
-        self._ages.advance(duty, dt)
+        self._levels.ages.advance(duty, dt)
         self._advance_chambers(duty, dt)
 
     def update(
@@ -381,31 +382,41 @@ class FaultDetector(Stateful):
 
     def _pressure_log_likelihood(self, pressures: np.ndarray, dt: float) -> np.ndarray:
         """Return log-likelihoods of pressures; residuals are correlated, so each counts for dt only."""
-        self._update_supply(pressures)
+        first, least = self.settings.pressure
+        usual, sd = self._levels.read()
+        self._update_supply(pressures, usual, sd + least)
         residual = np.nan_to_num((pressures[:, None] - self._pressure) / self.supply.pressure)
-        log = _log_student((residual / self.settings.pressure) ** 2)
+        # Nothing was learnt about valves that do not obey.
+        residual = residual - np.where(self._obeys, usual[:, None], 0.0)
+        spread = np.where(self._obeys, sd[:, None] + least, first)
+        log = _log_student((residual / spread) ** 2) - np.log(spread)
         # With enough strokes, the balance of air replaces this evidence for leaks.
         balanced = (self.leaks.learnt >= _BALANCED_STROKES)[:, None] & (CHAMBERS == LEAKS)
         log = np.where(balanced, log.max(axis=1, keepdims=True), log)
+        self._levels.update(residual[:, 0], ~np.isnan(pressures) & (self.probability[:, :1] > 0.9))
         return np.asarray(log.sum(axis=-1) * min(dt / self.settings.pressure_time, 1.0))
 
-    def _update_supply(self, pressures: np.ndarray) -> None:
+    def _update_supply(self, pressures: np.ndarray, usual: np.ndarray, sd: np.ndarray) -> None:
         """Correct the supply pressure by chambers that fill as commanded."""
-        before, filled = self.supply.pressure, self._ages.filled_s
-        response = self._pressure[:, 0] / before
+        before = self.supply.pressure
+        response = self._pressure[:, 0] / before + usual
         obeys = np.einsum("sm,mc->sc", self.probability, self._obeys)
         obeys[self.naming.faulty] = 0.0
+        filled = self._levels.ages.filled_s
         residual = pressures - before * response
         late = (filled > _SETTLED_S) & ~np.isnan(pressures) & (obeys > 0.5)
         if late.sum() * 2 >= len(pressures):
             self._level = float(np.median(pressures[late] / (before * response[late])))
+        if self.supply.follow_sudden_change(residual[late], response[late], before * sd[late]):
+            self.leaks.drop(np.ones(pressures.shape, dtype=bool))
+            self._rescale(before)
+            return
         # At first the balances are unknown, and the pressures of filled chambers are used instead.
         balanced = self.leaks.learnt >= 1
         excess, slope, variance = self.leaks.residuals(self.time, pressures, filled)
         self.supply.update(
             np.where(balanced, excess, residual), np.where(balanced, slope, response),
-            np.where(balanced, np.sqrt(variance), before * self.settings.pressure),
-            np.where(balanced | late, obeys, 0.0),
+            np.where(balanced, np.sqrt(variance), before * sd), np.where(balanced | late, obeys, 0.0),
             MESSAGES_PER_INDEPENDENT,
         )  # fmt: skip
         self._rescale(before)
@@ -461,7 +472,7 @@ class FaultDetector(Stateful):
         variance = np.einsum("smk,smkl,sml->sm", rows, self._covariance, rows)
         sd = np.sqrt((self.probability * (variance + (bends - bend[:, None]) ** 2)).sum(axis=1))
         found = self.leaks.update(
-            self.time, pressures, bend, sd, self._ages.filled_s, self.probability[:, 0],
+            self.time, pressures, bend, sd, self._levels.ages.filled_s, self.probability[:, 0],
             (self.supply.pressure, self.supply.sd),
         )  # fmt: skip
         return np.asarray(found[:, np.arange(2), self._variant].sum(axis=-1))

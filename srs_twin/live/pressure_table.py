@@ -1,7 +1,7 @@
-"""PressureRates: rates of pressures beyond a first-order chamber model, by the time since a valve switched.
+"""PressureTable: pressure residuals of a first-order chamber model, by the time since a valve switched.
 
 A chamber with compressible flow deviates from its first-order model in the same way in each stroke. The
-table is indexed by chamber, valve state and the age of that state.
+tables are indexed by chamber, valve state and the age of that state.
 """
 
 from __future__ import annotations
@@ -24,14 +24,24 @@ class ValveAges(Stateful):
 
     state_attributes = ("filling", "age", "_dt")
 
-    def __init__(self, segments: int) -> None:
-        """Begin with vented chambers."""
+    def __init__(self, segments: int, bins: int, width_s: float) -> None:
+        """Begin with vented chambers; tables have a number of bins of a width (s)."""
         self.filling, self.age, self._dt = np.zeros((segments, 2), dtype=int), np.zeros((segments, 2)), 0.0
+        self._chambers, self._bins, self._width_s = np.indices((segments, 2)), bins, width_s
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of a table: segments, sides, valve states, bins."""
+        return *self.age.shape, 2, self._bins
 
     @property
     def filled_s(self) -> np.ndarray:
         """Time for which each chamber has been filled, shape (segments, 2), s; 0 while it vents."""
         return np.where(self.filling == 1, self.age, 0.0)
+
+    def index(self) -> BinIndex:
+        """Return the current bins."""
+        return *self._chambers, self.filling, np.minimum(self.age / self._width_s, self._bins - 1).astype(int)
 
     def advance(self, duty: np.ndarray, dt: float) -> None:
         """Advance by a step (s) with a duty of the valves, share of time in which they fill."""
@@ -67,17 +77,15 @@ class PressureRates:
             supply: nominal supply pressure, gauge, Pa.
             wander: initial wander, share of the supply pressure per square root of a second.
         """
-        self.ages, self._chambers = ValveAges(segments), np.indices((segments, 2))
-        self.rate = np.zeros((segments, 2, 2, self._BINS))
+        self.ages = ValveAges(segments, self._BINS, self._WIDTH_S)
+        self.rate = np.zeros(self.ages.shape)
         self.wander = np.full_like(self.rate, (wander * supply) ** 2)
         self._least, self._time_in_bin = (self._LEAST_WANDER * supply) ** 2, np.zeros_like(self.rate)
 
     def advance(self, duty: np.ndarray, dt: float) -> BinIndex:
         """Advance by dt (s) with a duty of the valves, shape (segments, 2); return the bins."""
         self.ages.advance(duty, dt)
-        ages = self.ages
-        bins = np.minimum(ages.age / self._WIDTH_S, self._BINS - 1).astype(int)
-        index = *self._chambers, ages.filling, bins
+        index = self.ages.index()
         self._time_in_bin[index] += dt
         return index
 
@@ -99,3 +107,41 @@ class PressureRates:
         squares = np.maximum((times**2).sum(axis=(2, 3), keepdims=True), 1e-12)
         self.rate = self.rate + np.where(share > 0, self._GAIN * known * times / squares, 0.0)
         self._time_in_bin = np.where(measured, 0.0, times)
+
+
+class PressureLevels(Stateful):
+    """Means and variances of pressures less those of the first-order model, over the supply pressure.
+
+    Attributes:
+        ages: of the valves.
+    """
+
+    state_attributes = ("ages", "_count", "_mean", "_variance")
+    _BINS, _WIDTH_S = 25, 0.02
+    _MOST_COUNTED = 40
+    """Number of pressures that a mean is taken over."""
+
+    def __init__(self, segments: int, sd: float) -> None:
+        """Begin with means of 0 and an initial standard deviation."""
+        self.ages = ValveAges(segments, self._BINS, self._WIDTH_S)
+        self._count, self._mean = np.ones(self.ages.shape), np.zeros(self.ages.shape)
+        self._variance = np.full(self.ages.shape, sd**2)
+
+    def read(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean and standard deviation in the current bins, shape (segments, 2)."""
+        index = self.ages.index()
+        return self._mean[index], np.sqrt(self._variance[index])
+
+    def update(self, residual: np.ndarray, learns: np.ndarray) -> None:
+        """Learn from residuals, pressures less those of the model and the mean.
+
+        Args:
+            residual: share of the supply pressure, shape (segments, 2).
+            learns: whether a chamber is learnt from, shape (segments, 2).
+        """
+        index = self.ages.index()
+        count = np.minimum(self._count[index] + 1, self._MOST_COUNTED)
+        self._count[index] = np.where(learns, count, self._count[index])
+        gain = np.where(learns, 1 / self._count[index], 0.0)
+        self._mean[index] += gain * residual
+        self._variance[index] += gain * (residual**2 - self._variance[index])
