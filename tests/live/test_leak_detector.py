@@ -9,7 +9,7 @@ import pytest
 from live_runs import isolated
 from snakes import robot
 
-from srs_twin.live.air_balance import LeakDetector
+from srs_twin.live.air_balance import SCATTER, SCATTER_STROKES, LeakDetector
 from srs_twin.pneumatics import LagPneumatics, OrificePneumatics
 
 TICK, NOISE = 0.02, 0.015
@@ -85,6 +85,13 @@ def test_weak_supply_is_not_a_leak():
     chambers = chambers_of(spec)
     _, found = stroked(chambers, spec, after=lambda: chambers.set_supply_pressure(0.5 * spec.supply.nominal))
     assert (found.argmax(axis=-1) == WEAK).all()
+
+
+def test_unknown_initial_supply_does_not_increase_the_scatter():
+    spec = robot("gen4")
+    true = replace(spec, supply=replace(spec.supply, nominal=0.85 * spec.supply.nominal))
+    detector, _ = stroked(chambers_of(true), true, said=spec, strokes=2 * SCATTER_STROKES)
+    assert (detector.learnt > 0).all() and (detector.scatter <= SCATTER**2).all()
 
 
 @pytest.mark.slow
