@@ -21,7 +21,7 @@ from shapely import LineString
 
 from srs_twin.comparison.centre_line import centre_lines
 from srs_twin.live.estimate import Estimate
-from srs_twin.live.prediction import Prediction
+from srs_twin.live.estimate import Prediction
 from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 

@@ -15,7 +15,7 @@ from srs_twin.cli.options import JsonOption, PressureOption, QuietOption, RobotA
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
-    from srs_twin.live.mqtt import MqttLink
+    from srs_twin.live.links import MqttLink
 
 PASSWORD = "SRS_TWIN_MQTT_PASSWORD"  # noqa: S105  # the name of a variable
 
@@ -32,7 +32,7 @@ def broker_link(
     Raises:
         InputError: a name that is no part of a topic, or no such broker.
     """
-    from srs_twin.live import mqtt as broker
+    from srs_twin.live import links as broker
     from srs_twin.live.links import address as parsed
     from srs_twin.live.messages import KINDS
 

@@ -20,9 +20,8 @@ import numpy as np
 
 from srs_twin.control.pwm import PulseWidthModulator
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.live.links import clock
+from srs_twin.live.links import MqttLink, clock
 from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, SUPPLY, VALVES
-from srs_twin.live.mqtt import MqttLink
 from srs_twin.live.natnet import RigidBody
 from srs_twin.live.optitrack import NatNetServer
 from srs_twin.plants.base import SnakeState

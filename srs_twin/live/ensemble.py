@@ -21,15 +21,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.live.connection import LocalConnection
-from srs_twin.live.ensemble_kernels import correct
+from srs_twin.compute.compiled import allocating
 from srs_twin.live.member_dynamics import STEP_S, MemberDynamics, ValveInput
-from srs_twin.live.odometry import Odometry
+from srs_twin.live.odometry import LocalConnection, Odometry
 from srs_twin.live.pressure_table import PressureRates
 from srs_twin.pneumatics.chambers import AMBIENT_PA
 from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import RobotSpec
 
+_OUTLIER = 4.0
+"""Innovation, in standard deviations, above which a measurement gets a larger noise."""
 _NOISE_FRAMES = 10
 """Number of frames that their noise is estimated from."""
 _LEAST_NOISE = {"place": 0.4, "heading": 1.0}
@@ -384,3 +385,59 @@ class EnsembleFilter:
         self.set_modules(*self._modules)
         self._of("bend")[:] = self._of("bias")
         self.placed = False
+
+
+@allocating
+def correct(members, predicted, measured, variances, masks, correlated):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Correct the members by measurements, one after another; return normalised innovations.
+
+    Args:
+        members: in place, shape (members, columns).
+        predicted: measurements predicted by each member, in place, shape (members, measurements).
+        measured: measurements, NaN where they are missing.
+        variances: of their noise.
+        masks: localisation of each measurement, 0 to 1, shape (measurements, columns).
+        correlated: whether a measurement also corrects the predictions of later ones.
+    """
+    count, width = members.shape
+    normalised = np.full(measured.shape[0], np.nan)
+    for k in range(measured.shape[0]):
+        if np.isnan(measured[k]):
+            continue
+        mean = 0.0
+        for m in range(count):
+            mean += predicted[m, k] / count
+        spread = 0.0
+        for m in range(count):
+            spread += (predicted[m, k] - mean) ** 2 / (count - 1)
+        innovation = measured[k] - mean
+        normalised[k] = innovation / math.sqrt(spread + variances[k])
+        noise = max(variances[k], (innovation / _OUTLIER) ** 2 - spread)
+        total = spread + noise
+        # Share of the gain that reduces the deviations of the members (square root filter).
+        reduction = 1 / (1 + math.sqrt(noise / total))
+        for column in range(width):
+            if masks[k, column] == 0.0:
+                continue
+            middle = 0.0
+            for m in range(count):
+                middle += members[m, column] / count
+            covariance = own = 0.0
+            for m in range(count):
+                covariance += (predicted[m, k] - mean) * (members[m, column] - middle) / (count - 1)
+                own += (members[m, column] - middle) ** 2 / (count - 1)
+            # Squared sample correlations are too large on average; this is the part beyond chance.
+            square = covariance**2 / max(own * spread, 1e-300)
+            significant = max(1 - (1 - square) / ((count - 2) * max(square, 1e-12)), 0.0)
+            gain = masks[k, column] * significant * covariance / total
+            for m in range(count):
+                members[m, column] += gain * (innovation - reduction * (predicted[m, k] - mean))
+        if correlated:
+            for later in range(k + 1, measured.shape[0]):
+                covariance = 0.0
+                for m in range(count):
+                    covariance += (predicted[m, k] - mean) * predicted[m, later] / (count - 1)
+                gain = covariance / total
+                for m in range(count):
+                    predicted[m, later] += gain * (innovation - reduction * (predicted[m, k] - mean))
+    return normalised

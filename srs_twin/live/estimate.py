@@ -1,9 +1,11 @@
-"""Estimate: estimated state of a robot at one time."""
+"""Estimates and predictions of a live twin, and the calibration of their intervals."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,3 +58,176 @@ class Estimate:
             contact_force=np.zeros((n, 2)), obstacle_force=np.zeros((n, 2)), torque=still,
             work=np.float64(0.0), internal_loss=np.float64(0.0), air=np.float64(0.0), qpos=np.empty(0),
         )  # fmt: skip
+
+
+SLOT_S = 0.02
+_KEPT = 250
+"""Number of slots with commands that are kept."""
+_LAGS = range(10, 126)
+"""Possible periods, slots."""
+_SAME = 0.1
+"""Mean difference of the duties below which commands are the same."""
+_MEMORY = 8
+"""Number of predictions that the mean error is taken over."""
+_ADAPTATION_RATE = 5.0
+"""Rate r at which the scale of intervals adapts, 1/s."""
+_LONGEST_COMPARED_S = 0.2
+"""Longest interval that one comparison counts for, s."""
+_SQUARES = 0.1, 10.0
+"""Range of the squared scale of intervals."""
+_T95 = 2.1
+"""Half of a 95 % interval over its standard deviation, which is estimated from few predictions."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Predicted path of a robot, if its commands repeat.
+
+    Attributes:
+        begun: start, our clock, s.
+        heading: mean heading at the start, rad.
+        time: our clock, s, shape (times,).
+        pose: x, y (m), mean heading (rad), shape (times, 3).
+        pose_sd: standard deviations along and across the initial heading (m) and of the heading (rad).
+    """
+
+    begun: float
+    heading: float
+    time: np.ndarray
+    pose: np.ndarray
+    pose_sd: np.ndarray
+
+    def error(self, poses: np.ndarray) -> np.ndarray:
+        """Return poses less the predicted ones, along and across the initial heading, shape (times, 3)."""
+        c, s, (x, y, turn) = math.cos(self.heading), math.sin(self.heading), (poses - self.pose).T
+        return np.column_stack([c * x + s * y, c * y - s * x, turn])
+
+    def contains(self, poses: np.ndarray) -> np.ndarray:
+        """Return whether poses are in the 95 % intervals, shape (times, 3)."""
+        return np.asarray(np.abs(self.error(poses)) <= _T95 * self.pose_sd)
+
+
+class CommandPeriod:
+    """Commands of the last seconds in equal slots, and their period."""
+
+    def __init__(self) -> None:
+        """Begin without a command."""
+        self._slot = -1
+        self._duties: deque[np.ndarray] = deque(maxlen=_KEPT)
+
+    def add(self, time: float, duty: np.ndarray) -> None:
+        """Add the duty of the valves in the slot of a time (s), shape (segments, 2)."""
+        slot = math.floor(time / SLOT_S)
+        if slot > self._slot + 1:  # after a gap, earlier commands have another lag
+            self._duties.clear()
+        if slot > self._slot:
+            self._duties.append(duty)
+            self._slot = slot
+
+    def commands(self, slots: int) -> np.ndarray:
+        """Return the duties of the next slots, repeated or constant, shape (slots, segments, 2)."""
+        past, lag = np.array(self._duties), self.period()
+        return past[-lag:][np.arange(slots) % lag] if lag else np.repeat(past[-1:], slots, axis=0)
+
+    def period(self) -> int:
+        """Return the period of the commands in slots, 0 without one."""
+        past = np.array(self._duties)
+        recent = past[-_LAGS[-1] // 2 :]
+        best = _SAME, 0
+        for lag in _LAGS:
+            before = past[-len(recent) - lag : -lag]
+            if len(before) == len(recent):
+                best = min(best, (float(np.abs(recent - before).mean()), lag))
+        # Constant commands have no period.
+        return best[1] if np.ptp(recent, axis=0).any() else 0
+
+
+class PredictionCalibration:
+    """Spread of the errors of earlier predictions, which widens the intervals of later ones."""
+
+    def __init__(self) -> None:
+        """Begin without predictions."""
+        # Mean squares of the errors, and of the stated standard deviations.
+        self._error = self._stated = np.zeros((0, 3))
+        self._count = 0
+        self._open: deque[Prediction] = deque(maxlen=20)
+        self._path: deque[tuple[float, np.ndarray]] = deque(maxlen=200)
+
+    def observe(self, time: float, pose: np.ndarray) -> None:
+        """Add a pose (x, y, heading) at a time (s); learn from the predictions that ended."""
+        self._path.append((time, pose))
+        while self._open and self._open[0].time[-1] <= time:
+            past = self._open.popleft()
+            times, poses = (np.array(values) for values in zip(*self._path, strict=True))
+            if times[0] > past.begun:
+                continue
+            error = past.error(np.column_stack([np.interp(past.time, times, column) for column in poses.T]))
+            if len(self._error) != len(error):
+                self._error, self._stated, self._count = np.zeros_like(error), np.zeros_like(error), 0
+            self._count += 1
+            weight = max(1 / _MEMORY, 1 / self._count)
+            self._error = self._error + weight * (error**2 - self._error)
+            self._stated = self._stated + weight * (past.pose_sd**2 - self._stated)
+
+    def widened(self, raw: Prediction) -> Prediction:
+        """Return a prediction with widened intervals; its own error is learnt when it has ended."""
+        self._open.append(raw)
+        if len(self._error) != len(raw.time):
+            return raw
+        # The interval of a mean square of few errors is wider.
+        count = min(self._count, _MEMORY)
+        factor = (count + 1) / max(count - 1, 1)
+        excess = np.maximum(factor * self._error - self._stated, 0.0)
+        return replace(raw, pose_sd=np.sqrt(raw.pose_sd**2 + excess))
+
+
+class IntervalCalibration:
+    r"""Scale of the standard deviations of states that are predicted from the last message to the present.
+
+    A prediction for a time is compared with the estimate after the measurements of that time. The factor
+    s of each group of values adapts until 95 % of the later estimates are inside the interval:
+
+    $$ \frac{d \ln s^2}{dt} = r \left(\mathrm{share}\left[
+    (\hat x - x)^2 + \sigma_x^2 > 1.96^2 s^2 \hat\sigma^2\right] - 0.05\right) . $$
+
+    The errors have heavy tails, because lost commands are not in the prediction. A scale that is fitted to
+    their mean square would be too large or too small, depending on the message rate.
+    """
+
+    def __init__(self, groups: Sequence[int]) -> None:
+        """Begin with a scale of 1; `groups` are the numbers of values with a common scale."""
+        self._starts, self._counts = np.cumsum([0, *groups[:-1]]), np.array(groups)
+        self._square, self._compared = np.ones(len(groups)), np.full(len(groups), -np.inf)
+        self._open: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=200)
+
+    @property
+    def scale(self) -> np.ndarray:
+        """Factor of each value's standard deviation."""
+        return np.repeat(np.sqrt(self._square), self._counts)
+
+    def predict(self, time: float, value: np.ndarray, sd: np.ndarray) -> None:
+        """Add a prediction for a time (s), with standard deviations before scaling."""
+        self._open.append((time, value, sd))
+
+    def update(self, time: float, value: np.ndarray, sd: np.ndarray, measured: Sequence[bool]) -> None:
+        """Compare the predictions for a time (s) with the estimate after its measurements.
+
+        Args:
+            time: of the measurements, s.
+            value: estimate.
+            sd: of the estimate.
+            measured: whether the measurements corrected a group.
+        """
+        while len(self._open) > 1 and self._open[1][0] < time:
+            self._open.popleft()
+        if len(self._open) < 2 or not self._open[0][0] <= time:
+            return
+        (begun, first, first_sd), (ended, second, second_sd) = self._open[0], self._open[1]
+        weight = (time - begun) / (ended - begun)
+        predicted = first + weight * (second - first)
+        limit = 1.96 * self.scale * (first_sd + weight * (second_sd - first_sd))
+        outside = (predicted - value) ** 2 + sd**2 > limit**2
+        share = np.add.reduceat(outside.astype(float), self._starts) / self._counts
+        dt = np.where(measured, np.minimum(time - self._compared, _LONGEST_COMPARED_S), 0.0)
+        self._compared = np.where(measured, time, self._compared)
+        self._square = np.clip(self._square * np.exp(_ADAPTATION_RATE * dt * (share - 0.05)), *_SQUARES)

@@ -1,22 +1,22 @@
 r"""FaultDetector: interacting multiple model filter for the faults of each segment.
 
-A hypothesis m states the behaviour of the valves, chambers and sensor of a segment (`hypotheses`). It
+A hypothesis m states the behaviour of the valves, chambers and sensor of a segment (`fault_hypotheses`). It
 determines the chamber pressures, by the first-order law of `pneumatics.lag`, and their drives
 $A^\pm = G a^\pm$ (rad), where $a^\pm$ is the pressure after the lag τ₂. Bend and measurements are
 
-$$ q = b + g^+ A_m^+ - g^- A_m^- + d, \qquad y = q + s + n, \qquad y_{markers} = q + n', $$
+$$ q = b + g^+ A_m^+ - g^- A_m^- + d, \qquad y = (1 + e)\,q + s + n, \qquad y_{markers} = q + n', $$
 
 with the constant bias b and gains g± of the module, the disturbance d (load, inertia and model error; a
-first-order Gauss–Markov process), and the offset s of the sensor, which drifts under one hypothesis. The
-state (b, g⁺, g⁻, d, s) is linear: each hypothesis has a Kalman filter, and the filters are mixed as by Blom
-and Bar-Shalom (1988). Faults are rare and permanent.
+first-order Gauss–Markov process), and the offset s and scale error e of the sensor. Under one hypothesis the
+offset drifts quickly. Each hypothesis has a Kalman filter for the state (b, g⁺, g⁻, d, s, e), linearised in
+e q, and the filters are mixed as by Blom and Bar-Shalom (1988). Faults are rare and permanent.
 
 While a segment has no fault, the detector learns the deviations of the pressures from the first-order law
-(`pressure_table`). Leaks are detected from balances of air (`leak_detector`).
+(`pressure_table`). Leaks are detected from balances of air (`air_balance`).
 
-All pressures are relative to the estimated supply pressure (`supply`), so a droop of the supply is not a
+All pressures are relative to the estimated supply pressure (`air_balance`), so a droop of the supply is not a
 fault. A sudden loss makes all segments weak, or seem to leak, at once; the estimate is then corrected.
-`starved` is reported below `supply.STARVED_BELOW` of the nominal pressure.
+`starved` is reported below `STARVED_BELOW` of the nominal pressure.
 """
 
 from __future__ import annotations
@@ -27,8 +27,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from srs_twin.io.saved_state import Stateful
-from srs_twin.live.fault_naming import FaultNaming, NamingSettings
-from srs_twin.live.hypotheses import (
+from srs_twin.live.air_balance import (
+    MESSAGES_PER_INDEPENDENT,
+    RECOVERED_ABOVE,
+    STARVED_BELOW,
+    LeakDetector,
+    SupplyFilter,
+)
+from srs_twin.live.fault_hypotheses import (
     CHAMBERS,
     DRIFTS,
     FROZEN,
@@ -42,11 +48,11 @@ from srs_twin.live.hypotheses import (
     SILENT,
     SUPPLY_SHARES,
     WEAK,
+    FaultNaming,
+    NamingSettings,
     valve_duty,
 )
-from srs_twin.live.leak_detector import MESSAGES_PER_INDEPENDENT, LeakDetector
 from srs_twin.live.pressure_table import PressureLevels
-from srs_twin.live.supply import RECOVERED_ABOVE, STARVED_BELOW, SupplyFilter
 from srs_twin.pneumatics.chambers import chamber_gains, free_bends, largest_bend
 from srs_twin.pneumatics.lag import followed, relaxation_of, relaxed
 from srs_twin.robot.spec import RobotSpec
@@ -65,11 +71,9 @@ _TAILS = 4.0
 """Degrees of freedom of Student's t distribution."""
 _AT_REST_RAD = 1e-6
 _LEAST_PROBABILITY = 1e-12
-_OFFSET_WALK = 1e-5
-"""Random walk of the sensor's offset without a drift, rad per step."""
 _FROZEN_NOISE = 0.1
 """Largest difference of successive readings of a frozen sensor, share of the noise."""
-_BIAS, _PLUS, _MINUS, _LOAD, _SENSOR = range(5)
+_BIAS, _PLUS, _MINUS, _LOAD, _SENSOR, _SCALE = range(6)
 _MODULE = [_PLUS, _MINUS, _BIAS]
 
 
@@ -86,12 +90,13 @@ class DetectorSettings:
         gain: standard deviation of the modules' gains.
         bias: standard deviation of the modules' bends without pressure, rad.
         offset: standard deviation of the sensors' offsets, rad.
+        scale: standard deviation of the sensors' scale errors.
         pressure: initial standard deviation of pressures, and its minimum, share of the supply pressure.
         load: standard deviation of d, share of the largest bend.
         load_time: time constant of d, s.
         pressure_time: correlation time of pressure residuals, s.
         wander: random walks of the bias (rad) and the gains, per square root of a second.
-        drift: random walk of a drifting sensor, rad per square root of a second.
+        drift: random walks of the offsets of sound and drifting sensors, rad per square root of a second.
     """
 
     fault_rate: float = 1e-3
@@ -102,12 +107,13 @@ class DetectorSettings:
     gain: float = 0.15
     bias: float = 0.05
     offset: float = 0.06
+    scale: float = 0.05
     pressure: tuple[float, float] = (0.12, 0.02)
     load: float = 0.11
     load_time: float = 0.15
     pressure_time: float = 0.08
     wander: tuple[float, float] = (0.0014, 0.0035)
-    drift: float = 0.03
+    drift: tuple[float, float] = (0.002, 0.03)
 
 
 class FaultDetector(Stateful):
@@ -116,7 +122,7 @@ class FaultDetector(Stateful):
     Attributes:
         settings: assumptions.
         probability: of the hypotheses, shape (segments, hypotheses).
-        mean: of b, g⁺, g⁻, d and s, shape (segments, hypotheses, 5).
+        mean: of b, g⁺, g⁻, d, s and e, shape (segments, hypotheses, 6).
         supply: filter for the supply pressure.
         leaks: balances of air.
         naming: detected faults.
@@ -157,7 +163,7 @@ class FaultDetector(Stateful):
         self._delayed = np.zeros((count, kinds, 2))
         self._levels = PressureLevels(count, settings.pressure[0])
         s = settings
-        self.mean = np.zeros((count, kinds, 5))
+        self.mean = np.zeros((count, kinds, 6))
         self.mean[..., _PLUS] = self.mean[..., _MINUS] = 1.0
         self._largest = largest_bend(spec, supply_pa)
         self._load = s.load * self._largest
@@ -166,7 +172,7 @@ class FaultDetector(Stateful):
         variants = list(dict.fromkeys(inflow for pair in inflows for inflow in pair))
         self._variant = np.array([[variants.index(inflow) for inflow in pair] for pair in inflows])
         self.leaks = LeakDetector(spec, supply_pa=supply_pa, variants=variants)
-        sd = np.array([s.bias, s.gain, s.gain, self._load, s.offset])
+        sd = np.array([s.bias, s.gain, s.gain, self._load, s.offset, s.scale])
         self._covariance = np.tile(np.diag(sd**2), (count, kinds, 1, 1))
         self.probability = np.zeros((count, kinds))
         self.probability[:, 0] = 1.0
@@ -213,6 +219,15 @@ class FaultDetector(Stateful):
         square = variances + (values - mean[:, None]) ** 2
         return mean, np.sqrt(np.einsum("sm,smi->si", self.probability, square))
 
+    def corrected(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return readings (rad) without the errors of their sensors, and standard deviations of these."""
+        mean = np.einsum("sm,smk->sk", self.probability, self.mean)
+        bends = (readings - mean[:, _SENSOR]) / (1 + mean[:, _SCALE])
+        rows = np.zeros_like(mean)
+        rows[:, _SENSOR], rows[:, _SCALE] = 1.0, np.nan_to_num(bends)
+        variance = np.einsum("sm,sk,smkl,sl->s", self.probability, rows, self._covariance, rows)
+        return bends, np.sqrt(variance)
+
     def parameters(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return values and standard deviations of gains and biases (rad) by name."""
         mean, sd = self.modules()
@@ -249,16 +264,19 @@ class FaultDetector(Stateful):
             return
         drive = self._gain[:, None] * self._delayed
         drive = drive * self._bend_share(drive)
-        rows = np.ones((*self.probability.shape, 5))
+        rows = np.ones((*self.probability.shape, 6))
         rows[..., _PLUS], rows[..., _MINUS] = drive[..., 0], -drive[..., 1]
+        rows[..., [_SENSOR, _SCALE]] = 0.0
         log_likelihood = np.zeros(self.probability.shape)
         if readings is not None:
             readings = np.asarray(readings, dtype=float)
             reads = np.isin(SENSORS, (READS, DRIFTS))
             log_likelihood += self._sensor_log_likelihood(readings)
-            log_likelihood += self._correct(rows, readings, self.settings.noise, reads)
+            bends = np.einsum("smk,smk->sm", rows, self.mean)
+            sensed = rows.copy()
+            sensed[..., _SENSOR], sensed[..., _SCALE] = 1.0, bends
+            log_likelihood += self._correct(sensed, readings, self.settings.noise, reads)
             self._last = np.where(np.isnan(readings), self._last, readings)
-        rows[..., _SENSOR] = 0.0
         if markers is not None:
             noise = heading_noise_scale * self.settings.marker_noise
             every = np.ones(len(HYPOTHESES), dtype=bool)
@@ -307,11 +325,11 @@ class FaultDetector(Stateful):
         transition[1:, 0] = 0.0
         np.fill_diagonal(transition, 0.0)
         np.fill_diagonal(transition, 1 - transition.sum(axis=1))
-        decay = np.array([1.0, 1.0, 1.0, math.exp(-dt / s.load_time), 1.0])
-        bias, gain = (walk * math.sqrt(dt) for walk in s.wander)
+        decay = np.array([1.0, 1.0, 1.0, math.exp(-dt / s.load_time), 1.0, 1.0])
+        bias, gain, offset, drift = (walk * math.sqrt(dt) for walk in (*s.wander, *s.drift))
         load = self._load * math.sqrt(1 - decay[_LOAD] ** 2)
-        noise = np.tile(np.diag([bias, gain, gain, load, _OFFSET_WALK]) ** 2, (len(HYPOTHESES), 1, 1))
-        noise[SENSORS == DRIFTS, _SENSOR, _SENSOR] = s.drift**2 * dt
+        noise = np.tile(np.diag([bias, gain, gain, load, offset, 0.0]) ** 2, (len(HYPOTHESES), 1, 1))
+        noise[SENSORS == DRIFTS, _SENSOR, _SENSOR] = drift**2
         joint = self.probability[:, :, None] * transition
         predicted = joint.sum(axis=1)
         share = joint / np.maximum(predicted[:, None, :], 1e-300)
@@ -329,7 +347,7 @@ class FaultDetector(Stateful):
         """Correct by one measurement per segment.
 
         Args:
-            rows: measurement matrix, shape (segments, hypotheses, 5).
+            rows: measurement matrix, shape (segments, hypotheses, 6).
             measured: shape (segments,), rad, NaN where it is missing.
             noise: standard deviation, rad.
             used: whether a hypothesis uses the measurement, shape (hypotheses,).
@@ -373,7 +391,7 @@ class FaultDetector(Stateful):
         spread = np.where(self._obeys, sd[:, None] + least, first)
         log = _log_student((residual / spread) ** 2) - np.log(spread)
         # With enough strokes, the balance of air replaces this evidence for leaks.
-        balanced = (self.leaks.strokes.learnt >= _BALANCED_STROKES)[:, None] & (CHAMBERS == LEAKS)
+        balanced = (self.leaks.learnt >= _BALANCED_STROKES)[:, None] & (CHAMBERS == LEAKS)
         log = np.where(balanced, log.max(axis=1, keepdims=True), log)
         self._levels.update(residual[:, 0], ~np.isnan(pressures) & (self.probability[:, :1] > 0.9))
         return np.asarray(log.sum(axis=-1) * min(dt / self.settings.pressure_time, 1.0))
@@ -393,10 +411,14 @@ class FaultDetector(Stateful):
             self.leaks.drop(np.ones(pressures.shape, dtype=bool))
             self._rescale(before)
             return
-        balanced = self.leaks.strokes.learnt >= _BALANCED_STROKES
-        excess, slope, variance = np.moveaxis(self.leaks.residuals(self.time, pressures, filled), -1, 0)
-        weight = np.where(balanced, obeys, 0.0)
-        self.supply.update(excess, slope, np.sqrt(variance), weight, MESSAGES_PER_INDEPENDENT)
+        # At first the balances are unknown, and the pressures of filled chambers are used instead.
+        balanced = self.leaks.learnt >= 1
+        excess, slope, variance = self.leaks.residuals(self.time, pressures, filled)
+        self.supply.update(
+            np.where(balanced, excess, residual), np.where(balanced, slope, response),
+            np.where(balanced, np.sqrt(variance), before * sd), np.where(balanced | late, obeys, 0.0),
+            MESSAGES_PER_INDEPENDENT,
+        )  # fmt: skip
         self._rescale(before)
 
     def _rescale(self, before: float) -> None:

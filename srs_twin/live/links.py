@@ -1,4 +1,4 @@
-"""Link: base of the connections to brokers, motion capture and journals.
+"""Links: connections to brokers, motion capture and journals; MqttLink; keys of the terminal.
 
 Each link receives in its own thread, which notes the time of arrival; `received` returns the messages since
 the last call. A link connects to the given address only, reconnects after a loss, and counts the messages
@@ -8,16 +8,40 @@ that it could not read.
 from __future__ import annotations
 
 import contextlib
+import os
 import queue
 import re
+import select
 import socket
+import sys
+import termios
+import threading
 import time
+import tty
 from abc import ABC, abstractmethod
 from collections import Counter
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.live.messages import BadMessageError, Message
+from srs_twin.io.files import display_path, require_file
+from srs_twin.live.messages import (
+    GO,
+    KINDS,
+    PAUSE,
+    STATUS,
+    STOP,
+    VENT,
+    BadMessageError,
+    Message,
+    decode,
+    encode,
+    topic,
+)
 
 LOOPBACK = "127.0.0.1"
 _MOST_WAITING = 100_000
@@ -119,3 +143,173 @@ def resolved(host: str) -> str:
         return socket.gethostbyname(host)
     except (OSError, UnicodeError) as error:
         raise InputError(f"{host[:80]!r}: no host of this name is known") from error
+
+
+PORT = 1883
+LOST = "lost"
+"""Status that the broker publishes when a connection breaks."""
+
+
+class MqttLink(Link):
+    """One robot's topics at a broker.
+
+    Attributes:
+        connected: whether the broker answers now.
+    """
+
+    def __init__(
+        self, robot: str, segments: int, host: str = LOOPBACK, port: int = PORT, *,
+        kinds: Iterable[str] = KINDS, user: str | None = None, password: str | None = None,
+        ca: Path | None = None, wait_s: float = 5.0, speaks: str | None = None,
+    ) -> None:  # fmt: skip
+        """Connect and subscribe.
+
+        Args:
+            robot: whose topics.
+            segments: of the robot.
+            host: of the broker.
+            port: of the broker.
+            kinds: of messages to receive.
+            user: name at the broker; None: without.
+            password: of that user.
+            ca: CA certificate of the broker; it enables TLS.
+            wait_s: longest wait for the first answer of the broker, s.
+            speaks: robot whose `status` becomes `LOST` if this connection breaks; None: no status.
+
+        Raises:
+            InputError: paho-mqtt is not installed, or no broker answers or admits us.
+        """
+        super().__init__()
+        try:
+            from paho.mqtt import client as mqtt
+        except ImportError as error:
+            raise InputError("MQTT needs paho-mqtt: pip install 'srs-twin[live]'") from error
+        self._robot, self._segments, self._topics = robot, segments, {topic(robot, k): k for k in kinds}
+        self.connected, self._answered, self._why = False, threading.Event(), ""
+        self._client = client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+        client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
+        client.on_message = self._on_message
+        client.reconnect_delay_set(1, 2)
+        if user is not None:
+            client.username_pw_set(user, password)
+        if ca is not None:
+            _trust(client, ca)
+        if speaks is not None:
+            client.will_set(topic(speaks, STATUS), encode(STATUS, 0.0, LOST))
+        try:
+            client.connect(host, port, keepalive=5)
+        except (OSError, ValueError) as error:  # ValueError: a name that no host can have
+            raise InputError(f"no broker answers at {host}:{port}: {error}") from error
+        client.loop_start()
+        if not self._answered.wait(wait_s) or not self.connected:
+            self.close()
+            raise InputError(f"the broker at {host}:{port} does not admit us: {self._why or 'no answer'}")
+
+    def send(
+        self, kind: str, values: np.ndarray | str, *, at: float | None = None, wait_s: float = 0.0
+    ) -> None:
+        """Send a message; nothing is kept for a broker that is away.
+
+        Args:
+            kind: one of `KINDS`.
+            values: as `encode` takes them.
+            at: of our clock, s; default now.
+            wait_s: longest time to wait until it has left, s.
+        """
+        time = clock() if at is None else at
+        sent = self._client.publish(topic(self._robot, kind), encode(kind, time, values))
+        if wait_s:
+            with contextlib.suppress(RuntimeError, ValueError):  # not connected, or the queue is full
+                sent.wait_for_publish(wait_s)
+
+    def close(self) -> None:
+        """See `Link.close`."""
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def _on_connect(self, client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        self.connected, self._why = not reason.is_failure, str(reason)
+        if self.connected:
+            self.counts["connected"] += 1
+            # Else small messages wait for the acknowledgement of the one before, up to 40 ms.
+            with contextlib.suppress(OSError, AttributeError):  # a connection that is gone again
+                client.socket().setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if self._topics:
+                client.subscribe([(each, 0) for each in self._topics])
+        self._answered.set()
+
+    def _on_disconnect(self, *_: Any) -> None:
+        self.connected = False
+
+    def _on_message(self, _client: Any, _data: Any, message: Any) -> None:
+        arrived = clock()
+        try:
+            kind = self._topics.get(message.topic, "")
+            if message.retain and kind != STATUS:
+                raise BadMessageError("retained by the broker from earlier")
+            self._take(
+                decode(kind, message.payload, source=self._robot, arrived=arrived, segments=self._segments)
+            )
+        except Exception as error:  # the edge of the client's thread: no message may end it
+            self._refuse(error)
+
+
+def _trust(client: Any, ca: Path) -> None:
+    """Encrypt a client's connection; trust a broker whose certificate this authority has signed.
+
+    Raises:
+        InputError: the file is no certificate in PEM form.
+    """
+    place = require_file(ca, suffix=".pem")  # else a pipe would be waited for
+    try:
+        client.tls_set(str(place))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{display_path(ca)}: not a certificate in PEM form; --ca needs that of the authority that "
+            "signed the broker's"
+        ) from error
+
+
+KEYS = {"p": PAUSE, "g": GO, "v": VENT, "s": STOP}
+
+
+@contextmanager
+def typed_words(terminal: TextIO | None = None) -> Iterator[Callable[[], list[str]]]:
+    """Yield a function that returns the control words typed since its last call, of `WORDS`.
+
+    Lines need no Enter meanwhile, and the terminal is restored afterwards. Without a terminal, and in the
+    background, no key is read.
+
+    Args:
+        terminal: default standard input.
+    """
+    stream = sys.stdin if terminal is None else terminal
+    if stream is None or stream.closed or not stream.isatty() or not _in_foreground(stream.fileno()):
+        yield list
+        return
+    handle = stream.fileno()
+    before = termios.tcgetattr(handle)
+    tty.setcbreak(handle)
+
+    def words() -> list[str]:
+        if not _in_foreground(handle) or not select.select([handle], [], [], 0)[0]:
+            return []
+        with suppress(OSError):  # the terminal was closed
+            return [
+                KEYS[key] for key in os.read(handle, 1024).decode("ascii", "replace").lower() if key in KEYS
+            ]
+        return []
+
+    try:
+        yield words
+    finally:
+        with suppress(termios.error):
+            termios.tcsetattr(handle, termios.TCSADRAIN, before)
+
+
+def _in_foreground(handle: int) -> bool:
+    """Return whether the process may read from its terminal; in the background reading would stop it."""
+    try:
+        return os.tcgetpgrp(handle) == os.getpgrp()
+    except OSError:  # not the controlling terminal
+        return True

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.live.ensemble_kernels import advance, set_momenta
+from srs_twin.compute.compiled import allocating
 from srs_twin.live.pressure_table import PressureRates
 from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.floor import floor_friction
@@ -120,9 +120,39 @@ class MemberDynamics:
         states[:, [kernels.STATE_X, kernels.STATE_Y, kernels.HEADING]] = pose
         bends = states[:, compliant_kernels.BENDS :][:, :n]
         bends[:] = bend
-        set_momenta(states, velocity, self._model)
+        _set_momenta(states, velocity, self._model)
         free = self._spec.bending.stiffness * (bias + free_bends(self._spec, drive))
         moments = np.ascontiguousarray(free.transpose(2, 0, 1, 3))
-        complete = advance(states, velocity, np.full(len(drive), h), moments, self._model)
+        complete = _advance(states, velocity, np.full(len(drive), h), moments, self._model)
         slow = np.abs(velocity[:, :3]).max(axis=1) <= _LARGEST_VELOCITY
         return bends, complete & slow & np.isfinite(states).all(axis=1)
+
+
+@allocating
+def _advance(states, velocities, steps, moments, model):  # type: ignore[no-untyped-def]
+    """Advance bodies in place; return whether each made all steps."""
+    complete = np.empty(states.shape[0], dtype=np.bool_)
+    marks = np.empty(0, dtype=np.int64)
+    seen = np.empty((0, states.shape[1])), np.empty((0, velocities.shape[1]))
+    for m in range(states.shape[0]):
+        now = states[m], velocities[m]
+        complete[m] = compliant_kernels.advance(now, steps, moments[m], marks, model, seen) == steps.shape[0]
+    return complete
+
+
+@allocating
+def _set_momenta(states, velocities, model):  # type: ignore[no-untyped-def]
+    """Fill velocities and momenta of bodies from their velocities in the frames of their mean headings."""
+    n, size = model[0].mass.shape[0], velocities.shape[1]
+    segments, ahead = n - 1, compliant_kernels.BENDS
+    momentum, force, moment = np.empty(size), np.empty(size), np.zeros(segments)
+    work = compliant_kernels.work_arrays(n)
+    for m in range(states.shape[0]):
+        state, u = states[m], velocities[m]
+        c, s = math.cos(state[kernels.HEADING]), math.sin(state[kernels.HEADING])
+        state[kernels.STATE_VX], state[kernels.STATE_VY] = c * u[0] - s * u[1], s * u[0] + c * u[1]
+        bend = state[ahead : ahead + segments]
+        compliant_kernels.balance(bend, u, moment, 0.0, model, momentum, force, work)
+        state[kernels.MOMENT] = momentum[2]
+        for j in range(segments):
+            state[ahead + segments + j] = momentum[3 + j]

@@ -1,6 +1,6 @@
 """NatNet: packets of motion capture as Motive sends them by UDP; reading, and writing for emulators.
 
-Versions 2.6 to 4.2 are supported. Rigid bodies and labelled markers are read; other lists are skipped, from
+Versions 2.6 to 4.2 are supported. Rigid bodies are read; other lists are skipped, from
 version 4.1 on by their stated length. Lengths are in m. The axes are those of Motive; `turned` rotates them
 to z up.
 """
@@ -22,7 +22,7 @@ FRAME, KEEPALIVE, UNRECOGNIZED = 7, 10, 100
 COMMAND_PORT, DATA_PORT, GROUP = 1510, 1511, "239.255.42.99"
 VERSIONS = ((2, 6), (2, 7), (2, 9), (2, 10), (2, 11), (3, 0), (3, 1), (4, 0), (4, 1), (4, 2))
 _MOST = 10_000  # of anything in a frame
-_TRACKED, _OCCLUDED = 0x01, 0x01
+_TRACKED = 0x01
 _NAME = 256
 _FURTHEST_M = 1000.0
 """No motion capture volume is larger; coordinates beyond it are no place."""
@@ -57,13 +57,11 @@ class Frame:
         number: counted by the sender.
         time: of the sender's clock, s.
         bodies: by their id.
-        markers: labelled ones that were seen, by their id, m.
     """
 
     number: int
     time: float
     bodies: Mapping[int, RigidBody] = field(default_factory=dict)
-    markers: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
 
 
 class _Reader:
@@ -211,11 +209,13 @@ def read_frame(content: bytes, version: Version) -> Frame:
     (number,) = packet.read("i")
     for read_one in (_marker_set, _place):  # unlabelled markers have no name
         _skip(packet, version, read_one)
-    bodies = dict(_all(packet, version, _body))
+    count, end = packet.listed(version)
+    bodies = dict(_body(packet, version) for _ in range(count))
+    packet.at = packet.at if end is None else end
     for read_one, since in ((_skeleton, (2, 1)), (_asset, (4, 1))):
         if version >= since:
             _skip(packet, version, read_one)
-    markers = {key: place for key, place in _all(packet, version, _labelled) if place is not None}
+    _skip(packet, version, _labelled)
     for since in ((2, 9), (2, 11)):  # force plates, devices
         if version >= since:
             _skip(packet, version, _channels)
@@ -223,14 +223,7 @@ def read_frame(content: bytes, version: Version) -> Frame:
     (time,) = packet.read("d" if version >= (2, 7) else "f")
     if not abs(time) <= LATEST_S:
         raise BadMessageError(f"the frame's time is no number up to {LATEST_S:g} s")
-    return Frame(number, time, bodies, markers)
-
-
-def _all(packet: _Reader, version: Version, read_one: Any) -> list[tuple[int, Any]]:
-    count, end = packet.listed(version)
-    found = [read_one(packet, version) for _ in range(count)]
-    packet.at = packet.at if end is None else end
-    return found
+    return Frame(number, time, bodies)
 
 
 def _skip(packet: _Reader, version: Version, read_one: Any) -> None:
@@ -273,12 +266,8 @@ def _asset(packet: _Reader, version: Version) -> None:
     raise BadMessageError("an asset without its length")  # from 4.1 on lists have theirs
 
 
-def _labelled(packet: _Reader, version: Version) -> tuple[int, tuple[float, ...] | None]:
-    number, x, y, z, _, params = packet.read("i4fH")
-    if version >= (3, 0):
-        packet.read("f")
-    seen = not params & _OCCLUDED and is_place((x, y, z))
-    return number, (x, y, z) if seen else None
+def _labelled(packet: _Reader, version: Version) -> None:
+    packet.read("i4fHf" if version >= (3, 0) else "i4fH")
 
 
 def _channels(packet: _Reader, version: Version) -> None:
@@ -302,14 +291,9 @@ def write_frame(frame: Frame, version: Version) -> bytes:
         + struct.pack("<fH", each.error, _TRACKED if each.tracked else 0)
         for key, each in frame.bodies.items()
     ]
-    markers = [
-        struct.pack("<i4fH", key, *place, 0.01, 0) + (struct.pack("<f", 0.0) if version >= (3, 0) else b"")
-        for key, place in frame.markers.items()
-    ]
     content = struct.pack("<i", frame.number) + none + none + listed(bodies) + none
-    content += none if version >= (4, 1) else b""
-    content += listed(markers)
-    content += none * ((version >= (2, 9)) + (version >= (2, 11)))
+    # Assets, labelled markers, force plates and devices.
+    content += none * (1 + (version >= (4, 1)) + (version >= (2, 9)) + (version >= (2, 11)))
     content += struct.pack("<II", 0, 0) + struct.pack("<d" if version >= (2, 7) else "<f", frame.time)
     if version >= (3, 0):
         content += struct.pack("<3Q", 0, 0, 0)

@@ -1,13 +1,161 @@
-"""Odometry: motion of the members' bodies by their bends."""
+r"""LocalConnection and Odometry: motion of a body on wheels by the change of its bends.
+
+If inertia is negligible, a body moves by its change of shape only, at any pace (Kelly and Murray 1995):
+
+$$ ξ = A(q) \, \dot q , \qquad A = A_w(q) + \sum_k W_k \, φ_k(\tanh(q / q_0)) , \quad
+φ(x) = (1, x_i, x_i x_j, x_i x_j x_k) , $$
+
+where ξ is the forward and lateral velocity and the yaw rate. A_w minimises the friction of wheels whose
+friction is proportional to speed. W is the difference of the robot: for example, a gait that turns is slower
+than a straight one to either side, which needs cubic terms. Regularised least squares fits W to successive
+frames of motion capture.
+"""
 
 from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Mapping
+from itertools import combinations_with_replacement
+from typing import Any
 
 import numpy as np
 
-from srs_twin.live.connection import LocalConnection
+from srs_twin.io.saved_state import Stateful
+from srs_twin.robot.geometry import body_shape, relative_headings
+from srs_twin.robot.spec import RobotSpec
+
+PRIOR = 0.1
+"""Prior standard deviation of the entries of W, rad/rad."""
+_MODEL_ERROR_RANGE = 0.01, 0.05
+"""Limits of the uncertainty of A, rad per rad of bending; cubic terms cannot represent every robot."""
+_SATURATION_RAD = 0.7
+"""q₀: the features do not grow beyond it, so small bends determine no extrapolation to large ones."""
+_BLOCK = 30
+"""Number of frames after which W is fitted again."""
+_KEPT_BLOCKS = 10
+"""Number of blocks that the scatter of the displacement is a mean of."""
+_FORGETTING_FRAMES = 3000
+"""Number of frames after which the weight of a frame has fallen to 1/e."""
+_NOISE_RAD = 0.02
+"""Prior standard deviation of the heading of a frame."""
+_SCATTER = 0.001, 0.001, 0.02
+"""Prior standard deviation of the displacement per frame: forward, lateral (m), turning (rad)."""
+_ERROR_INFLATION = 1.3
+"""Factor of the standard deviation of W, because the errors of the cubic terms recur in each stroke."""
+_DIFFERENCE_RAD = 1e-4
+"""Step of the difference quotient by the bends."""
+
+
+class LocalConnection(Stateful):
+    """Local connection of one robot.
+
+    Attributes:
+        weights: W, one row per product of a feature and the change of a bend; columns forward, lateral (m)
+            and turning (rad).
+    """
+
+    state_attributes = ("weights", "_gram", "_sums", "_noise", "_scatter", "_frames", "_block")
+
+    def __init__(self, spec: RobotSpec, mass: np.ndarray) -> None:
+        """Begin with W = 0.
+
+        Args:
+            spec: the robot.
+            mass: of each connector with its share of the segments, kg.
+        """
+        n = spec.segments
+        self._spec, self._mass = spec, mass
+        self._powers = [np.array(list(combinations_with_replacement(range(n), power))) for power in (1, 2, 3)]
+        count = n * (1 + sum(map(len, self._powers)))
+        self.weights: np.ndarray = np.zeros((count, 3))
+        self._gram, self._sums = np.zeros((count, count)), np.zeros((count, 3))
+        self._noise, self._scatter = _NOISE_RAD**2, np.square(_SCATTER)
+        self._frames, self._block = 0, np.zeros(3)
+        self._root: np.ndarray = np.eye(count) * PRIOR / _NOISE_RAD
+
+    def snapshot(self) -> LocalConnection:
+        """Return a copy for another thread, which cannot learn."""
+        made = object.__new__(LocalConnection)
+        # `learn` and `recall` replace these arrays and never change them.
+        for name in ("_spec", "_mass", "_powers", "weights", "_root", "_scatter"):
+            setattr(made, name, getattr(self, name))
+        return made
+
+    def features(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """Return φ ⊗ dq for a change of the bends (rad), shape (rows of W,)."""
+        return np.outer(self._features((before + after) / 2), after - before).ravel()
+
+    def matrix(self, bends: np.ndarray) -> np.ndarray:
+        """Return A: forward, lateral (m/rad), turning (rad/rad), shape (3, segments)."""
+        features = self._features(bends)
+        learnt = self.weights.reshape(len(features), self._spec.segments, 3)
+        return self.kinematic_matrix(bends) + np.einsum("k,kjc->cj", features, learnt)
+
+    def kinematic_matrix(self, bends: np.ndarray) -> np.ndarray:
+        """Return A_w, as `matrix`."""
+        g, mu, n = self._spec.geometry, self._spec.friction, self._spec.segments
+        shapes = body_shape(
+            bends + _DIFFERENCE_RAD * np.eye(n + 1, n, -1), self._mass, g.segment_length, g.rigid_gap
+        )
+        place, moves = shapes[0], (shapes[1:] - shapes[0]) / _DIFFERENCE_RAD
+        heading = relative_headings(bends)
+        ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        directions = np.stack([math.sqrt(mu.mu_t) * ahead, math.sqrt(mu.mu_n) * ahead[:, ::-1] * [-1.0, 1.0]])
+        turns = np.stack([-place[:, 1], place[:, 0]], axis=-1)
+        body = np.concatenate(
+            [directions, np.sum(directions * turns, axis=-1, keepdims=True)], axis=-1
+        ).reshape(-1, 3)
+        own = np.einsum("kic,jic->kij", directions, moves).reshape(-1, n)
+        return np.asarray(-np.linalg.lstsq(body, own, rcond=None)[0])
+
+    def sample_model_error(self, features: np.ndarray, draws: np.ndarray) -> np.ndarray:
+        """Return displacements due to the uncertainty of W, shape (members, 3).
+
+        Args:
+            features: as from `features`.
+            draws: standard normal numbers, shape (members, rows of W, 3).
+        """
+        spread = _ERROR_INFLATION * features @ self._root
+        sd = math.sqrt(self._scatter[2]) * float(np.linalg.norm(spread))
+        least, most = np.multiply(_MODEL_ERROR_RANGE, np.linalg.norm(features[: self._spec.segments]))
+        factor = min(max(sd, least), most) / max(sd, 1e-12)
+        return np.asarray(factor * np.sqrt(self._scatter) * np.einsum("f,rfc->rc", spread, draws))
+
+    def learn(self, features: np.ndarray, residual: np.ndarray) -> None:
+        """Learn from a displacement between frames (m, m, rad) less A_w dq."""
+        self._gram *= 1 - 1 / _FORGETTING_FRAMES
+        self._sums *= 1 - 1 / _FORGETTING_FRAMES
+        self._gram += np.outer(features, features)
+        self._sums += np.outer(features, residual)
+        error = residual - features @ self.weights
+        self._noise += (error[2] ** 2 - self._noise) / 100
+        self._block += error
+        self._frames += 1
+        if self._frames % _BLOCK:
+            return
+        # The noise of one frame cancels with the next one, so the scatter is that of sums over a block.
+        kept = max(min(self._frames // _BLOCK, _KEPT_BLOCKS), 2)
+        self._scatter = self._scatter + (self._block**2 / _BLOCK - self._scatter) / kept
+        self._block = np.zeros(3)
+        self.weights = np.asarray(np.linalg.solve(self._normal(), self._sums))
+
+    def load_state_dict(self, memory: Mapping[str, Any]) -> None:
+        """Restore saved values."""
+        super().load_state_dict(memory)
+        if self._frames >= _BLOCK:
+            self._normal()
+
+    def _normal(self) -> np.ndarray:
+        """Return the matrix of the normal equations with the prior; keep the root of its inverse."""
+        gram: np.ndarray = self._gram + self._noise / PRIOR**2 * np.eye(len(self._gram))
+        self._root = np.asarray(np.linalg.inv(np.linalg.cholesky(gram)).T)
+        return gram
+
+    def _features(self, bends: np.ndarray) -> np.ndarray:
+        bends = np.tanh(bends / _SATURATION_RAD)
+        return np.concatenate([[1.0], *(bends[index].prod(axis=1) for index in self._powers)])
+
 
 _LONGEST_FRAME_INTERVAL_S = 0.2
 """Interval between frames above which the connection is not fitted."""

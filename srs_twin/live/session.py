@@ -1,13 +1,14 @@
-"""Session: a live twin of a robot in real time, from messages to estimates, commands and a journal."""
+"""Session: a live twin of a robot in real time, from messages to estimates, commands, journal and results."""
 
 from __future__ import annotations
 
+import json
 import math
 import sys
 import time
 import warnings
-from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,11 +17,12 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import InputError, SessionWarning
+from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import create_numbered_file, display_path
 from srs_twin.io.saved_state import SavedState
-from srs_twin.live.estimate import Estimate
+from srs_twin.live.estimate import Estimate, Prediction
 from srs_twin.live.journal import Journal
-from srs_twin.live.links import Link
+from srs_twin.live.links import Link, MqttLink
 from srs_twin.live.messages import (
     BENDS,
     COMMAND,
@@ -32,12 +34,109 @@ from srs_twin.live.messages import (
     VALVES,
     Message,
 )
-from srs_twin.live.mqtt import MqttLink
-from srs_twin.live.prediction import Prediction
-from srs_twin.live.results import STATE, TICK_S, EstimateTable, finite, summary, timing, write_results
 from srs_twin.live.shadow import Shadow
 from srs_twin.live.steering import TOO_SLOW, EstimateSteering
 from srs_twin.robot.spec import RobotSpec
+from srs_twin.trajectory import Trajectory
+
+TICK_S = 0.02
+"""Interval between updates of the live twin."""
+STATE = "state.npz"
+SUMMARY, ESTIMATE = "shadow.json", "estimate.parquet"
+KEPT = (SUMMARY, ESTIMATE, STATE)
+"""Files in the session's folder that the next session replaces; journals and recordings are numbered."""
+_MOST_ROWS = 1_000_000
+
+
+class EstimateTable:
+    """Estimates and their standard deviations over time."""
+
+    def __init__(self, spec: RobotSpec) -> None:
+        """Begin without rows."""
+        self._spec, self._rows = spec, list[np.ndarray]()
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self._rows)
+
+    def add(self, time: float, e: Estimate) -> None:
+        """Add an estimate, at a time from the start of the session (s)."""
+        self._rows.append(np.concatenate([[time], e.pose, e.pose_sd, e.bend, e.bend_sd, [bool(e.lost)]]))
+        del self._rows[:-_MOST_ROWS]
+
+    def trajectory(self) -> Trajectory:
+        """Return the table as a trajectory."""
+        segments = range(1, self._spec.segments + 1)
+        units = {"com_x_sd": "m", "com_y_sd": "m", "heading_sd": "rad"}
+        units |= {f"bend_sd_{j}": "rad" for j in segments}
+        names = [
+            "time", "com_x", "com_y", "heading", "com_x_sd", "com_y_sd", "heading_sd",
+            *(f"bend_{j}" for j in segments), *(f"bend_sd_{j}" for j in segments), "lost",
+        ]  # fmt: skip
+        columns = dict(zip(names, np.array(self._rows).T, strict=True))
+        return Trajectory(columns, units, metadata={"robot": self._spec.name})
+
+
+def summary(shadow: Shadow, links: Sequence[Link], e: Estimate | None) -> dict[str, Any]:
+    """Return message counts, clocks and the last estimate as JSON values."""
+    counts: Counter[str] = Counter()
+    for link in links:
+        counts.update(dict(link.counts))  # a copy, because the link's thread still counts
+    dropped: Counter[str] = Counter()
+    for (_, kind, what), count in shadow.buffer.counts.items():
+        if what != "taken":
+            dropped[f"{kind} {what}"] += count
+    clocks = {
+        sender: {"offset_s": clock.offset, "jitter_s": clock.jitter}
+        for sender, clock in shadow.buffer.clocks.items()
+    }
+    found: dict[str, Any] = {
+        "robot": shadow.spec.name, "messages": dict(counts), "dropped": dict(dropped), "clocks": clocks,
+    }  # fmt: skip
+    if e is not None:
+        found["estimate"] = {
+            "lost": e.lost, "pose": e.pose.tolist(), "pose_sd": e.pose_sd.tolist(),
+            "bend_rad": e.bend.tolist(), "bend_sd_rad": e.bend_sd.tolist(), "off": dict(e.off),
+            "parameters": {
+                name: {"value": value.tolist(), "sd": sd.tolist()}
+                for name, (value, sd) in e.parameters.items()
+            },
+        }  # fmt: skip
+    return found
+
+
+def timing(ticks: Iterable[float], latency: Iterable[float]) -> dict[str, Any]:
+    """Return quantiles of tick durations and latencies (s), in ms, and the number of ticks that overran."""
+    ticks = list(ticks)
+    return {
+        "tick_ms": _quantiles(ticks), "latency_ms": _quantiles(latency),
+        "overruns": sum(tick > TICK_S for tick in ticks),
+    }  # fmt: skip
+
+
+def write_results(folder: Path, found: Mapping[str, Any], table: EstimateTable) -> None:
+    """Write summary and estimates to a folder."""
+    with replace_files(folder, (SUMMARY, ESTIMATE)) as fresh:
+        if len(table):
+            table.trajectory().to_parquet(fresh / ESTIMATE)
+        (fresh / SUMMARY).write_text(json.dumps(found, indent=1) + "\n", "utf-8")
+
+
+def finite(value: Any) -> Any:
+    """Return JSON values with null for each number that is not finite."""
+    if isinstance(value, Mapping):
+        return {key: finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _quantiles(values: Iterable[float]) -> Mapping[str, float | None]:
+    durations = np.array(list(values)) * 1e3
+    if not len(durations):
+        return {"median": None, "p99": None}
+    return {"median": float(np.median(durations)), "p99": float(np.quantile(durations, 0.99))}
+
 
 PREDICTION_INTERVAL_S = 0.5
 VIEW_INTERVAL_S = 0.12

@@ -15,7 +15,7 @@ from pydantic import Field, field_validator
 from srs_twin.errors import InputError
 from srs_twin.io.files import require_file
 from srs_twin.io.validation import load_model
-from srs_twin.live import mqtt, natnet
+from srs_twin.live import links, natnet
 from srs_twin.live.links import address
 from srs_twin.scenario.fields import FilePath, Line, PathOrName, Section, quantity
 
@@ -35,7 +35,7 @@ class BrokerFile(Section):
     @field_validator("address")
     @classmethod
     def _is_one(cls, given: str) -> str:
-        return _checked(given, mqtt.PORT)
+        return _checked(given, links.PORT)
 
 
 class MotionCaptureFile(Section):

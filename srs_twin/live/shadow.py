@@ -21,9 +21,16 @@ from srs_twin.io.saved_state import SavedState, Stateful, short_digest
 from srs_twin.live.clocks import ReorderBuffer
 from srs_twin.live.commands import KEPT_S, CommandHistory
 from srs_twin.live.ensemble import EnsembleFilter
-from srs_twin.live.estimate import Estimate
+from srs_twin.live.estimate import (
+    SLOT_S,
+    CommandPeriod,
+    Estimate,
+    IntervalCalibration,
+    Prediction,
+    PredictionCalibration,
+)
 from srs_twin.live.fault_detector import FaultDetector
-from srs_twin.live.hypotheses import (
+from srs_twin.live.fault_hypotheses import (
     CHAMBERS,
     LEAK_RATES,
     LEAKS,
@@ -34,13 +41,6 @@ from srs_twin.live.hypotheses import (
 )
 from srs_twin.live.member_dynamics import STEP_S, ValveInput
 from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, SUPPLY, VALVES, Message
-from srs_twin.live.prediction import (
-    SLOT_S,
-    CommandPeriod,
-    IntervalCalibration,
-    Prediction,
-    PredictionCalibration,
-)
 from srs_twin.robot.spec import RobotSpec
 
 TRANSPORT_DELAY_S = 0.002
@@ -227,7 +227,8 @@ class Shadow:
             if message.kind == PRESSURES:
                 self._note_innovation(PRESSURES, self.ensemble.update_pressures(message.values))
             elif message.kind == BENDS:
-                readings = np.where(self._working_sensors(), message.values, np.nan)
+                bends, _ = self.faults.corrected(message.values)
+                readings = np.where(self._working_sensors(), bends, np.nan)
                 self._note_innovation(BENDS, self.ensemble.update_bends(readings))
         self.ensemble.apply_odometry()
         kinds = {message.kind for message in measured}
@@ -325,11 +326,14 @@ class Shadow:
         sd = sd * self._intervals.scale
         n = len(value) - 3
         pose, pose_sd = value[n:], sd[n:]
+        # Errors of sensors and transport delays are constant, so they do not average out in the ensemble.
+        _, sensor_sd = self.faults.corrected(value[:n])
+        delay_sd = TRANSPORT_DELAY_S * ensemble.mean("motion")[3:]
         (x, y, turn), (c, s) = ensemble.twist, (math.cos(pose[2]), math.sin(pose[2]))
         return Estimate(
             time=now,
             bend=value[:n],
-            bend_sd=np.hypot(sd[:n], TRANSPORT_DELAY_S * ensemble.mean("motion")[3:]),
+            bend_sd=np.sqrt(sd[:n] ** 2 + sensor_sd**2 + delay_sd**2),
             pose=pose,
             pose_sd=pose_sd,
             velocity=np.array([c * x - s * y, s * x + c * y, turn]),

@@ -17,8 +17,7 @@ from srs_twin.errors import InputError
 from srs_twin.live.emulate_command import broker_link
 
 if TYPE_CHECKING:
-    from srs_twin.live.links import Link
-    from srs_twin.live.mqtt import MqttLink
+    from srs_twin.live.links import Link, MqttLink
     from srs_twin.live.session import Session
     from srs_twin.live.shadow import Shadow
     from srs_twin.live.steering import EstimateSteering
@@ -84,7 +83,7 @@ def shadow(
     from threadpoolctl import threadpool_limits
 
     from srs_twin.io.files import check_output_folder, make_folder
-    from srs_twin.live.results import KEPT
+    from srs_twin.live.session import KEPT
 
     if mcap is not None and (mqtt is not None or natnet is not None or follow is not None):
         raise InputError("--mcap plays what has been; --mqtt, --natnet and --follow are for a running robot")
@@ -155,8 +154,7 @@ def _twin(
         members: ensemble size.
         seed: random seed.
     """
-    from srs_twin.live.results import TICK_S
-    from srs_twin.live.session import warm_up
+    from srs_twin.live.session import TICK_S, warm_up
     from srs_twin.live.shadow import Shadow, frames_of
     from srs_twin.live.steering import EstimateSteering
     from srs_twin.robot.file import load_robot
@@ -192,8 +190,7 @@ def _session(
     from srs_twin.io.files import create_numbered_file
     from srs_twin.live import natnet as protocol
     from srs_twin.live.journal import McapLink
-    from srs_twin.live.keys import typed_words
-    from srs_twin.live.links import address
+    from srs_twin.live.links import address, typed_words
     from srs_twin.live.optitrack import NatNetLink
     from srs_twin.live.session import RECORDINGS, Session
 

@@ -11,7 +11,7 @@ from srs_twin.control.camera import Camera
 from srs_twin.errors import InputError
 from srs_twin.live.commands import DELAY_S
 from srs_twin.live.estimate import Estimate
-from srs_twin.live.hypotheses import CHAMBERS, FILLS, VENTS
+from srs_twin.live.fault_hypotheses import CHAMBERS, FILLS, VENTS
 from srs_twin.live.messages import GO, PAUSE, VENT
 from srs_twin.live.shadow import Shadow
 from srs_twin.planning.follower import Follower

@@ -26,8 +26,8 @@ from pathlib import Path
 
 import numpy as np
 
+from srs_twin.live.links import MqttLink
 from srs_twin.live.messages import COMMAND
-from srs_twin.live.mqtt import MqttLink
 
 ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE = ROOT / "examples/firmware"

@@ -20,9 +20,8 @@ import numpy as np
 
 from srs_twin import Gait, RobotSpec, load_robot, load_scenario
 from srs_twin.live.emulator import SILENT_S, EmulatedRobot
-from srs_twin.live.estimate import Estimate
+from srs_twin.live.estimate import Estimate, Prediction
 from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, SUPPLY, VALVES, Message
-from srs_twin.live.prediction import Prediction
 from srs_twin.live.shadow import Shadow
 from srs_twin.live.steering import EstimateSteering
 from srs_twin.plants.twin.snake import TwinSnake

@@ -7,7 +7,7 @@ import pytest
 from live_runs import Run, followed_estimate
 
 from srs_twin import load_robot
-from srs_twin.live.connection import LocalConnection
+from srs_twin.live.odometry import LocalConnection
 from srs_twin.plants.analytical.kinematics import BodyParameters
 
 

@@ -17,8 +17,8 @@ from brokers import broker, free_port, needs_broker, wait
 from srs_twin import Gait, InputError, load_robot
 from srs_twin.live import emulator
 from srs_twin.live.emulator import KINDS, EmulatedRobot, Fault
+from srs_twin.live.links import MqttLink
 from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, VALVES, Message
-from srs_twin.live.mqtt import MqttLink
 from srs_twin.live.natnet import turned
 from srs_twin.live.optitrack import NatNetLink
 

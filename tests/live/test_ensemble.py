@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from srs_twin import AnalyticalSnake, Gait, load_robot
-from srs_twin.live.ensemble import EnsembleFilter, ModelError
-from srs_twin.live.ensemble_kernels import correct
+from srs_twin.live.ensemble import EnsembleFilter, ModelError, correct
 from srs_twin.live.member_dynamics import ValveInput
 
 EXACT = ModelError(disturbance=0.0, pressure=0.0, position=0.0)

@@ -16,8 +16,8 @@ from benchmark_runs import run_benchmark
 from brokers import needs_broker
 from firmware_rig import FIRMWARE, HOLD_S, NAME, SEGMENTS, WATCHDOG_S, Cause, Rig, lay, micropython, until
 
+from srs_twin.live.links import LOST, MqttLink
 from srs_twin.live.messages import BENDS, COMMAND, LARGEST_BYTES, STATUS, VALVES, encode, topic
-from srs_twin.live.mqtt import LOST, MqttLink
 
 pytestmark = pytest.mark.skipif(micropython() is None, reason="MicroPython's Unix port is not installed")
 

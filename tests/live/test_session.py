@@ -15,8 +15,8 @@ import pytest
 from brokers import broker, free_port, needs_broker, wait
 
 from srs_twin.live.journal import journal_messages
+from srs_twin.live.links import MqttLink
 from srs_twin.live.messages import BENDS, COMMAND, CONTROL, POSES, STATUS
-from srs_twin.live.mqtt import MqttLink
 from srs_twin.trajectory import Trajectory
 
 SCRIPT = Path(sys.executable).with_name("srs-twin")

@@ -14,7 +14,7 @@ import yaml
 from brokers import broker, free_port, needs_broker
 
 from srs_twin import InputError
-from srs_twin.live.keys import typed_words
+from srs_twin.live.links import typed_words
 from srs_twin.live.setup_file import load_setup, setup_json_schema
 
 LAB = """\

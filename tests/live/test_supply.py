@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from live_runs import DROOPS_S, OUTAGE, Run, alarms, conditioned, shadowed
 
+from srs_twin.live.air_balance import LARGEST_SD, PRIOR_SD, WALK, SupplyFilter
 from srs_twin.live.messages import SUPPLY, BadMessageError, decode, encode
-from srs_twin.live.supply import LARGEST_SD, PRIOR_SD, WALK, SupplyFilter
 
 NOMINAL, TICK = 60e3, 0.02
 

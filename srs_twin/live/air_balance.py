@@ -1,0 +1,374 @@
+r"""SupplyFilter and LeakDetector: supply pressure and leaks from the air that filling chambers take in.
+
+From the opening of the valve of a chamber on, measured pressures and the bend of its segment satisfy
+
+$$ \Delta (P\,V(q)) = c \int \dot n_{in}\,dt - (\lambda_0 + \lambda)\,K \int (P - P_a)\,dt, $$
+
+with the flow of an orifice (`pneumatics/flow.py`) and the capacity K of a nominal chamber. The factor c and
+the apparent loss λ₀ of an intact chamber are estimated over many strokes (linear regression with forgetting),
+and so is the scatter between strokes. A leak λ is then visible within one stroke. First-order chambers
+satisfy such a balance as well, with other c and λ₀.
+
+All chambers share one supply. Its gauge pressure S is a random walk. The air that chamber i has taken in
+since its valve opened exceeds the expected amount by r_i = h_i (S − Ŝ) + v_i. A Kalman filter combines the
+chambers:
+
+$$ \hat S' = \hat S + \frac{\sum_i w_i h_i r_i / \sigma_i^2}{1/P + \sum_i w_i h_i^2 / \sigma_i^2}. $$
+
+The weights w of Student's t distribution limit the effect of a chamber that leaks or is stuck. A large change
+is followed at once if most filling chambers agree.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from srs_twin.io.saved_state import Stateful
+from srs_twin.pneumatics.chambers import AMBIENT_PA, volume
+from srs_twin.pneumatics.flow import REFERENCE_PA, conductances, flow
+from srs_twin.pneumatics.orifice import CRITICAL_RATIO
+from srs_twin.robot.spec import RobotSpec
+
+PRIOR_SD = 0.05
+"""Standard deviation of the supply pressure at the start, share of the nominal one."""
+LARGEST_SD = 0.2
+"""Largest standard deviation, while no chamber fills, share of the nominal pressure."""
+WALK = 0.02
+"""Random walk of the supply pressure, share of the nominal one per square root of a second."""
+SENSOR_SD = 0.01
+"""Standard deviation of a measured supply pressure, share of the nominal one."""
+STARVED_BELOW = 0.6
+"""Share of the nominal pressure below which `starved` is reported."""
+RECOVERED_ABOVE = 0.7
+"""Share of the nominal pressure above which `starved` is cleared."""
+_SUDDEN = 0.12
+"""Change of the chambers' pressures that is followed at once, share of the nominal supply pressure."""
+_SUDDEN_SD = 3.0
+"""The same in standard deviations of the scatter between strokes."""
+_SURPRISE = 3.0
+"""Change of the median, in standard deviations, above which the variance of the estimate is increased."""
+_AGREE = 3
+"""Smallest number of chambers whose median is used."""
+_SUPPLY_TAILS = 4.0
+"""Degrees of freedom of Student's t distribution for the residuals of the supply."""
+_LOWEST = 0.02  # share of the nominal pressure
+
+
+class SupplyFilter(Stateful):
+    """Kalman filter for the supply pressure (module docstring).
+
+    Attributes:
+        nominal: gauge, Pa.
+        pressure: estimate, gauge, Pa.
+        variance: of the estimate, Pa².
+    """
+
+    state_attributes = ("pressure", "variance")
+
+    def __init__(self, nominal: float) -> None:
+        """Begin with the nominal pressure (gauge, Pa)."""
+        self.nominal = self.pressure = nominal
+        self.variance = (PRIOR_SD * nominal) ** 2
+
+    @property
+    def share(self) -> float:
+        """Estimate as a share of the nominal pressure."""
+        return self.pressure / self.nominal
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of the estimate, Pa."""
+        return math.sqrt(self.variance)
+
+    def predict(self, dt: float) -> None:
+        """Advance by a time step (s)."""
+        self.variance = min(self.variance + (WALK * self.nominal) ** 2 * dt, (LARGEST_SD * self.nominal) ** 2)
+
+    def update(
+        self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray, weight: np.ndarray,
+        repeats: float = 1.0,
+    ) -> None:  # fmt: skip
+        """Correct by filling chambers.
+
+        Args:
+            residual: r; NaN without a measurement.
+            response: h.
+            sd: of v.
+            weight: of each chamber, 0 to 1.
+            repeats: number of measurements with the information of one independent measurement.
+        """
+        there = ~np.isnan(residual) & (weight > 0) & (response > 0)
+        if not there.any():
+            return
+        residual, response, variance = residual[there], response[there], sd[there] ** 2
+        # If most chambers agree on a change, outliers are those that differ from it.
+        change = 0.0
+        if len(residual) >= _AGREE:
+            change = float(np.median(residual / response))
+            chance = np.pi / 2 / len(residual) * float(np.median(variance / response**2))
+            if change**2 > _SURPRISE**2 * (self.variance + chance):
+                self.variance += change**2
+        expected = variance + response**2 * self.variance
+        robust = (_SUPPLY_TAILS + 1) / (_SUPPLY_TAILS + (residual - response * change) ** 2 / expected)
+        information = weight[there] * np.minimum(robust, 1.0) * response / variance / repeats
+        self.variance = 1 / (1 / self.variance + float(information @ response))
+        self._set(self.pressure + self.variance * float(information @ residual))
+
+    def follow_sudden_change(self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray) -> bool:
+        """Follow a sudden change that most chambers show; return whether there was one.
+
+        Args:
+            residual: p − h S of filling chambers, Pa.
+            response: h.
+            sd: of p, Pa.
+        """
+        if len(residual) < _AGREE:
+            return False
+        change, deviation = float(np.median(residual / response)), float(np.median(residual / sd))
+        if abs(change) < _SUDDEN * self.nominal or abs(deviation) < _SUDDEN_SD:
+            return False
+        self.variance = max(self.variance, (change / 2) ** 2)
+        self._set(self.pressure + change)
+        return True
+
+    def measure(self, pressure: float) -> None:
+        """Correct by a measured supply pressure (gauge, Pa)."""
+        noise = (SENSOR_SD * self.nominal) ** 2
+        gain = self.variance / (self.variance + noise)
+        self.variance *= 1 - gain
+        self._set(self.pressure + gain * (pressure - self.pressure))
+
+    def jump(self, share: float) -> None:
+        """Accept that the pressure fell to a share of the estimate."""
+        self._set(share * self.pressure)
+        self.variance = (LARGEST_SD * self.pressure) ** 2
+
+    def _set(self, pressure: float) -> None:
+        self.pressure = max(pressure, _LOWEST * self.nominal)
+
+
+FLOW_SD = 0.15
+"""Prior standard deviation of c."""
+LOSS_SD = 0.3
+"""Prior standard deviation of λ₀, 1/s."""
+FORGETTING = 0.95
+"""Weight of a stroke relative to the next one."""
+MOST_STROKES = 40
+"""Number of strokes that the scatter is a mean of."""
+SCATTER = 0.05
+"""Prior scatter between strokes, share of the inflow."""
+SCATTER_STROKES = 3
+"""Number of strokes that the prior scatter counts for; they are not learnt from."""
+LEAST_SCATTER = 0.02
+"""Lower limit of the scatter, share of the inflow."""
+MESSAGES_PER_INDEPENDENT = 16
+"""Number of messages in a stroke with the information of one independent message."""
+AMOUNT_SD = 0.013
+"""Standard deviation of an amount at the time of a message, share of K times the supply pressure."""
+LEAK_RATE_SD = 0.3
+"""Relative standard deviation of the rate of a leak."""
+WEAK_INFLOW_SD = 0.7
+"""Relative standard deviation of the inflow from a weak supply."""
+LEAST_INFLOW = 0.1
+"""Inflow above which a stroke is used, share of K times the supply pressure."""
+LONGEST_GAP_S = 0.1
+"""Interval between messages that ends a stroke, s."""
+SOUND = 0.98
+"""Probability of no fault above which a chamber is learnt from."""
+LIMIT = 3.0
+"""Largest residual of a stroke, in standard deviations, that the scatter is learnt from."""
+TAILS = 12.0
+"""Degrees of freedom of Student's t distribution for the residuals of strokes."""
+
+
+_volume = np.vectorize(volume, otypes=[float, float])
+_flow = np.vectorize(lambda first, second: flow(first, second, CRITICAL_RATIO)[0], otypes=[float])
+
+
+class LeakDetector(Stateful):
+    """Balances of air of all chambers; amounts are shares of K times the nominal supply pressure.
+
+    Attributes:
+        fit: c and λ₀ (1/s), shape (segments, 2, 2).
+        scatter: variance between strokes, share of the squared inflow, shape (segments, 2).
+        learnt: number of strokes learnt from, shape (segments, 2).
+    """
+
+    state_attributes = (
+        "fit", "scatter", "learnt", "_information", "_pending", "_time", "_begun", "_reached", "_rates",
+        "_sums", "_supply", "_supply_sd", "_log_likelihood",
+    )  # fmt: skip
+
+    def __init__(self, spec: RobotSpec, *, supply_pa: float, variants: Sequence[tuple[float, float]]) -> None:
+        """Begin with the values of the robot file.
+
+        Args:
+            spec: the robot.
+            supply_pa: gauge, Pa.
+            variants: possible faults of a chamber as leak (1/s) and share of the supply pressure, 0 without
+                any inflow; the first variant has no fault.
+        """
+        conductance, _, capacity = conductances(spec, CRITICAL_RATIO)
+        self._chamber, self._nominal, self._unit = spec.chamber, supply_pa, capacity * supply_pa
+        self._conductance = conductance * REFERENCE_PA / self._unit
+        self._leaks, self._shares = np.array(variants, dtype=float).T
+        shape, count = (spec.segments, 2), len(variants)
+        self.fit = np.tile([1.0, 0.0], (*shape, 1))
+        self.scatter, self.learnt = np.full(shape, SCATTER**2), np.zeros(shape)
+        # Inverse covariance of the fit.
+        self._prior = np.diag([1 / FLOW_SD**2, 1 / LOSS_SD**2])
+        self._information = np.tile(self._prior, (*shape, 1, 1))
+        # Most informative message of the stroke: integrals of inflow and outflow, residual and weight; and
+        # the contribution of the stroke to the scatter.
+        self._pending = np.zeros((*shape, 5))
+        # Time of the last pressure of the stroke; NaN without one.
+        self._time = np.full(shape, np.nan)
+        # Amount and its standard deviation, at the start of the stroke and at the last pressure.
+        self._begun, self._reached = np.zeros((*shape, 2)), np.zeros((*shape, 2))
+        # Gauge pressure, inflow of each variant, derivative of the inflow by the supply pressure; integrals.
+        self._rates, self._sums = np.zeros((*shape, count + 2)), np.zeros((*shape, count + 2))
+        # Supply pressure at the start of the stroke and at the last pressure.
+        self._supply, self._supply_sd = np.zeros((*shape, 2)), 0.0
+        self._log_likelihood = np.zeros((*shape, count))
+
+    def drop(self, chambers: np.ndarray) -> None:
+        """End the strokes of some chambers (shape (segments, 2)), whose valves may have switched unseen."""
+        self._time[chambers] = np.nan
+        for values in (self._pending, self._sums, self._log_likelihood):
+            values[chambers] = 0.0
+
+    def residuals(
+        self, time: float, pressure: np.ndarray, filled: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the residuals of current strokes, for the supply pressure.
+
+        Args:
+            time: s.
+            pressure: as in `update`.
+            filled: as in `update`.
+
+        Returns:
+            Excess of air over the expected amount (NaN where it is unknown), its derivative by the supply
+            pressure (1/Pa) and its variance, shape (segments, 2).
+        """
+        used = self._continues(time, pressure, filled) & (self._sums[..., 1] > LEAST_INFLOW)
+        residual, variance, _ = (values[..., 0] for values in self._residual())
+        return np.where(used, residual, np.nan), self.fit[..., 0] * self._sums[..., -1], variance
+
+    def update(
+        self, time: float, pressure: np.ndarray, bend: np.ndarray, bend_sd: np.ndarray, filled: np.ndarray,
+        sound: np.ndarray, supply: tuple[float, float],
+    ) -> np.ndarray:  # fmt: skip
+        """Update with measured pressures.
+
+        Args:
+            time: s.
+            pressure: gauge, shape (segments, 2), Pa, NaN where they are missing.
+            bend: of each segment, rad.
+            bend_sd: standard deviation of the bend, rad.
+            filled: time for which each chamber has been filled, shape (segments, 2), s; 0 while it vents.
+            sound: probability of no fault of each segment.
+            supply: supply pressure (gauge, Pa) and its standard deviation.
+
+        Returns:
+            Changes of the log-likelihoods of the variants, shape (segments, 2, variants).
+        """
+        seen, continues = ~np.isnan(pressure), self._continues(time, pressure, filled)
+        change = np.where(continues, supply[0] - self._supply[..., 1], 0.0)
+        # Correct the inflow of the stroke for the change of the estimated supply pressure.
+        self._sums[..., 1:-1] += np.where(self._shares == 1.0, (self._sums[..., -1] * change)[..., None], 0.0)
+        self._supply[seen, 1], self._supply_sd = supply
+        # A lost command may have closed the valve before the last message. Therefore a message is used only
+        # after the next one confirms that the valve is open.
+        used = continues & (self._sums[..., 1] > LEAST_INFLOW)
+        self._accumulate(used)
+        added = np.where(used[..., None], self._log_likelihoods() - self._log_likelihood, 0.0)
+        self._log_likelihood += added
+        ended = seen & ~continues
+        self._learn(ended & (self._pending[..., 3] > 0.0) & (sound > SOUND)[:, None])
+        self.drop(ended)
+        self._advance(time, seen & (filled > 0.0), pressure, bend, bend_sd, supply)
+        return added
+
+    def _continues(self, time: float, pressure: np.ndarray, filled: np.ndarray) -> np.ndarray:
+        """Return whether the valve of a chamber has been open since the last pressure."""
+        since = time - self._time
+        return ~np.isnan(pressure) & (since < LONGEST_GAP_S) & (filled > since - 1e-6)
+
+    def _advance(
+        self, time: float, filling: np.ndarray, pressure: np.ndarray, bend: np.ndarray, bend_sd: np.ndarray,
+        supply: tuple[float, float],
+    ) -> None:  # fmt: skip
+        """Integrate to the pressures of filling chambers."""
+        chamber, inside = self._chamber, np.nan_to_num(pressure) + AMBIENT_PA
+        size, growth = _volume(chamber.dead_volume, chamber.displacement, bend[:, None], [0, 1])
+        held = inside / self._unit
+        reached = np.stack([held * size, held * np.abs(growth) * bend_sd[:, None]], axis=-1)
+        self._reached[filling] = reached[filling]
+        line, sd = supply[0], max(supply[1], 1.0)
+        lines = np.append(self._shares * line, [line + sd, line - sd])
+        flows = self._conductance * _flow(lines + AMBIENT_PA, inside[..., None])
+        flows[..., :-2] *= self._shares > 0.0
+        # A difference quotient, because the slope diverges at equal pressures.
+        slope = (flows[..., -2:-1] - flows[..., -1:]) / (2 * sd)
+        gauge = np.nan_to_num(pressure)[..., None] / self._nominal
+        rates = np.concatenate([gauge, flows[..., :-2], slope], axis=-1)
+        begins = np.isnan(self._time)
+        since = np.where(filling & ~begins, time - self._time, 0.0)
+        self._sums += since[..., None] * (self._rates + rates) / 2
+        self._rates[filling] = rates[filling]
+        begins &= filling
+        self._begun[begins], self._supply[begins, 0] = self._reached[begins], line
+        self._time[filling] = time
+
+    def _residual(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return residuals, their variances, and the parts of these due to the fit.
+
+        Returns:
+            Of each variant, shape (segments, 2, variants).
+        """
+        inflow, outflow = self._sums[..., 1:-1], self._sums[..., :1]
+        row = np.stack([inflow, np.broadcast_to(-outflow, inflow.shape)], axis=-1)
+        gain = (self._reached - self._begun)[..., :1]
+        residual = gain - (row @ self.fit[..., None])[..., 0] + self._leaks * outflow
+        learnt = ((row @ np.linalg.inv(self._information)) * row).sum(axis=-1)
+        read = self._reached[..., 1] ** 2 + self._begun[..., 1] ** 2 + AMOUNT_SD**2
+        # The time at which the supply pressure changed within the stroke is unknown.
+        changed = (self._supply[..., 1] - self._supply[..., 0]) ** 2 + self._supply_sd**2
+        read += changed * (self.fit[..., 0] * self._sums[..., -1]) ** 2
+        return residual, learnt + read[..., None] + self.scatter[..., None] * inflow**2, learnt
+
+    def _log_likelihoods(self) -> np.ndarray:
+        """Return the log-likelihoods of the variants, shape (segments, 2, variants)."""
+        residual, variance, _ = self._residual()
+        variance += (LEAK_RATE_SD * self._leaks * self._sums[..., :1]) ** 2
+        variance += (self._shares < 1.0) * (WEAK_INFLOW_SD * self._sums[..., 1:-1]) ** 2
+        return np.asarray(-np.log1p(residual**2 / variance / TAILS) * (TAILS + 1) / 2 - np.log(variance) / 2)
+
+    def _accumulate(self, used: np.ndarray) -> None:
+        """Note the most informative message of each stroke; it is learnt from if the stroke is sound."""
+        inflow, pending = self._sums[..., 1], self._pending
+        residual, variance, learnt = (values[..., 0] for values in self._residual())
+        # Errors are common to the messages of a stroke, so only one message counts.
+        weight = 1 / (variance - learnt)
+        better = used & (weight * inflow**2 > pending[..., 3] * pending[..., 0] ** 2)
+        pending[better, :4] = np.stack([inflow, -self._sums[..., 0], residual, weight], axis=-1)[better]
+        # A single outlier must not increase the scatter by more than a residual at the limit.
+        excess = np.minimum(residual**2, LIMIT**2 * variance) - variance
+        pending[used, 4] = excess[used] / inflow[used] ** 2
+
+    def _learn(self, chambers: np.ndarray) -> None:
+        """Update c, λ₀ and the scatter of some chambers with a stroke without a fault."""
+        row, residual, weight, excess = np.split(self._pending[chambers], [2, 3, 4], axis=-1)
+        learnt = np.minimum(self.learnt[chambers] + 1, MOST_STROKES)
+        # Residuals of the first strokes include the error of the initial supply pressure.
+        share = np.where(learnt > SCATTER_STROKES, 1 / learnt, 0.0)
+        scatter = np.maximum(self.scatter[chambers] + share * excess[:, 0], LEAST_SCATTER**2)
+        self.learnt[chambers], self.scatter[chambers] = learnt, scatter
+        information = FORGETTING * self._information[chambers] + (1 - FORGETTING) * self._prior
+        information += weight[..., None] * row[:, :, None] * row[:, None, :]
+        self._information[chambers] = information
+        self.fit[chambers] += np.linalg.solve(information, (weight * residual * row)[..., None])[..., 0]

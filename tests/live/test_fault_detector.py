@@ -1,0 +1,52 @@
+"""Errors of bend sensors that are no faults are estimated and removed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from snakes import robot
+
+from srs_twin.live.fault_detector import FaultDetector
+from srs_twin.pneumatics import LagPneumatics
+
+TICK, HALF, NOISE = 0.02, 17, 0.02
+OFFSET, SCALE, DRIFT = np.array(
+    [[0.06, -0.05, 0.0, 0.03], [0.05, -0.05, 0.08, 0.0], [6e-4, 0.0, -6e-4, 3e-4]]
+)
+
+
+def walked(seconds, fault=lambda time, readings: readings):
+    """Return a detector after a walk with poor sensors, the last readings and the true bends."""
+    spec, rng = robot("gen4"), np.random.default_rng(2)
+    chambers = LagPneumatics(spec, supply_pa=spec.supply.nominal)
+    detector = FaultDetector(spec, supply_pa=spec.supply.nominal)
+    for k in range(round(seconds / TICK)):
+        way = 1 if k // HALF % 2 == 0 else -1
+        states = np.tile([way, -way], (spec.segments, 1))
+        bend = chambers.advance(chambers.schedule(states, TICK), np.array([TICK])).bend[-1]
+        detector.predict((states + 1) / 2, TICK)
+        error = OFFSET + DRIFT * k * TICK + NOISE * rng.normal(size=bend.shape)
+        readings = fault(k * TICK, (1 + SCALE) * bend + error)
+        detector.update(readings)
+        if k % 2 == 0:
+            detector.update(markers=bend + NOISE * rng.normal(size=bend.shape))
+    return detector, readings, bend
+
+
+def test_poor_sensors_are_corrected_and_are_no_fault():
+    detector, readings, bend = walked(15.0)
+    assert detector.named == {}
+    corrected, sd = detector.corrected(readings)
+    assert (sd < NOISE).all()
+    # Five standard deviations of the correction and of one reading.
+    assert corrected == pytest.approx(bend, abs=5 * np.hypot(sd, NOISE).max())
+    constant, _ = detector.corrected(OFFSET + DRIFT * 15.0)
+    assert np.abs(constant).max() < 3 * sd.max()
+
+
+def test_drift_of_a_poor_sensor_is_a_fault():
+    def drifting(time, readings):
+        return readings + np.array([0.0, 0.1, 0.0, 0.0]) * max(time - 6.0, 0.0)
+
+    detector, *_ = walked(8.5, drifting)
+    assert detector.named == {2: "drifting_sensor"}
