@@ -6,9 +6,9 @@ $$ ξ = A(q) \, \dot q , \qquad A = A_w(q) + \sum_k W_k \, φ_k(\tanh(q / q_0)) 
 φ(x) = (1, x_i, x_i x_j, x_i x_j x_k) , $$
 
 where ξ is the forward and lateral velocity and the yaw rate. A_w minimises the friction of wheels whose
-friction is proportional to speed. W is the difference of the robot: for example, a gait that turns is slower
-than a straight one to either side, which needs cubic terms. Regularised least squares fits W to successive
-frames of motion capture.
+friction is proportional to speed. W is the deviation of the robot from this model. It needs cubic terms: for
+example, a turning gait is slower than a straight gait, for turns to either side. Regularised least squares
+fits W to successive frames of motion capture.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _SATURATION_RAD = 0.7
 _BLOCK = 30
 """Number of frames after which W is fitted again."""
 _KEPT_BLOCKS = 10
-"""Number of blocks that the scatter of the displacement is a mean of."""
+"""Number of blocks over which the scatter of the displacement is averaged."""
 _FORGETTING_FRAMES = 3000
 """Number of frames after which the weight of a frame has fallen to 1/e."""
 _NOISE_RAD = 0.02
@@ -41,9 +41,10 @@ _NOISE_RAD = 0.02
 _SCATTER = 0.001, 0.001, 0.02
 """Prior standard deviation of the displacement per frame: forward, lateral (m), turning (rad)."""
 _ERROR_INFLATION = 1.3
-"""Factor of the standard deviation of W, because the errors of the cubic terms recur in each stroke."""
+"""Factor on the standard deviation of W: the errors of the cubic terms recur in each stroke, so they do not
+average out."""
 _DIFFERENCE_RAD = 1e-4
-"""Step of the difference quotient by the bends."""
+"""Step of the finite differences with respect to the bends."""
 
 
 class LocalConnection(Stateful):
@@ -57,11 +58,11 @@ class LocalConnection(Stateful):
     state_attributes = ("weights", "_gram", "_sums", "_noise", "_scatter", "_frames", "_block")
 
     def __init__(self, spec: RobotSpec, mass: np.ndarray) -> None:
-        """Begin with W = 0.
+        """Create a connection with W = 0.
 
         Args:
             spec: the robot.
-            mass: of each connector with its share of the segments, kg.
+            mass: mass of each connector with its share of the adjacent segments, kg.
         """
         n = spec.segments
         self._spec, self._mass = spec, mass
@@ -74,9 +75,9 @@ class LocalConnection(Stateful):
         self._root: np.ndarray = np.eye(count) * PRIOR / _NOISE_RAD
 
     def snapshot(self) -> LocalConnection:
-        """Return a copy for another thread, which cannot learn."""
+        """Return a copy for predictions on another thread; the copy cannot learn."""
         made = object.__new__(LocalConnection)
-        # `learn` and `recall` replace these arrays and never change them.
+        # `learn` and `load_state_dict` replace these arrays and never modify them, so sharing them is safe.
         for name in ("_spec", "_mass", "_powers", "weights", "_root", "_scatter"):
             setattr(made, name, getattr(self, name))
         return made
@@ -92,7 +93,7 @@ class LocalConnection(Stateful):
         return self.kinematic_matrix(bends) + np.einsum("k,kjc->cj", features, learnt)
 
     def kinematic_matrix(self, bends: np.ndarray) -> np.ndarray:
-        """Return A_w, as `matrix`."""
+        """Return A_w, in the format of `matrix`."""
         g, mu, n = self._spec.geometry, self._spec.friction, self._spec.segments
         shapes = body_shape(
             bends + _DIFFERENCE_RAD * np.eye(n + 1, n, -1), self._mass, g.segment_length, g.rigid_gap
@@ -133,7 +134,8 @@ class LocalConnection(Stateful):
         self._frames += 1
         if self._frames % _BLOCK:
             return
-        # The noise of one frame cancels with the next one, so the scatter is that of sums over a block.
+        # The noise of a frame enters two successive displacements with opposite signs. Sums over a block
+        # cancel it, so the scatter is computed from these sums.
         kept = max(min(self._frames // _BLOCK, _KEPT_BLOCKS), 2)
         self._scatter = self._scatter + (self._block**2 / _BLOCK - self._scatter) / kept
         self._block = np.zeros(3)

@@ -1,8 +1,9 @@
 """Emulator: a simulated robot with the interfaces of a real one.
 
-A twin with momentary loads, compressible flow in the chambers, random modules and faults at given times gets
-commands from a broker and publishes bends, pressures and valve states in real time. A NatNet server sends
-the poses of the connectors. Like the firmware of a robot, it vents all chambers 0.2 s after the last command.
+The simulated robot is a twin with momentary loads, compressible flow in the chambers, random modules and
+faults at given times. It receives commands from a broker and publishes bends, pressures and valve states in
+real time. A NatNet server sends the poses of the connectors. Like the firmware of a robot, it vents all
+chambers 0.2 s after the last command.
 """
 
 from __future__ import annotations
@@ -62,9 +63,9 @@ class Fault:
     Attributes:
         kind: one of `KINDS`.
         number: segment or connector, from 1; 0 without one.
-        side: of a chamber, 0 for + and 1 for −.
+        side: side of the chamber, 0 for + and 1 for −.
         how: value of the variant, as in `KINDS`.
-        since: s from the start.
+        since: time of the fault from the start, s.
     """
 
     kind: str
@@ -108,9 +109,9 @@ class EmulatedRobot:
         twin: simulation of the robot.
         state: true state.
         faults: faults and their times.
-        supply_pa: nominal pressure of its supply, gauge, Pa.
-        supply_now_pa: pressure of its supply now, gauge, Pa.
-        valves: as it set them last; a stuck one is where it is.
+        supply_pa: nominal supply pressure, gauge, Pa.
+        supply_now_pa: current supply pressure, gauge, Pa.
+        valves: valve states of the last tick; a stuck valve keeps its state.
     """
 
     def __init__(
@@ -119,12 +120,12 @@ class EmulatedRobot:
         supply_kpa: float | None = None, start: tuple[float, float, float] = (0.0, 0.0, 0.0),
         changes: Mapping[str, Any] | None = None,
     ) -> None:  # fmt: skip
-        """Build it.
+        """Build the simulation.
 
         Args:
             robot: name or path of its file.
-            seed: draws modules and noise.
-            faults: as `Fault.parse` takes them.
+            seed: random seed of modules and noise.
+            faults: texts in the format of `Fault.parse`.
             gain_spread: standard deviation of the modules' gains.
             noise_rad: standard deviation of bend readings, rad.
             tick: s.
@@ -135,7 +136,7 @@ class EmulatedRobot:
             changes: changed fields of the robot file, as in `robot` of a scenario.
 
         Raises:
-            InputError: no such robot, or no such fault.
+            InputError: the robot does not exist, or a fault is invalid.
         """
         modules = {"gain_spread": gain_spread, "tau_spread": tau_spread}
         changes = dict(changes or {})
@@ -173,7 +174,7 @@ class EmulatedRobot:
         self.state = self.twin.reset(pose=start, seed=seed)
 
     def step(self, command: np.ndarray | None) -> SnakeState:
-        """Obey a command for a tick: states of valves, or duties; None vents everything."""
+        """Advance by one tick under a command, valve states or duties; None vents all chambers."""
         now = float(self.state.time)
         for each in [each for each in self._pending if each.since <= now + 1e-9]:
             self._pending.remove(each)
@@ -192,7 +193,7 @@ class EmulatedRobot:
         return self.state
 
     def regulate(self, share: float) -> None:
-        """Set the pressure of a supply that is not starved to a share of the nominal one, 0 to 1."""
+        """Set a supply that is not starved to a fraction (0 to 1) of the nominal pressure."""
         self._share = share
         self.supply_now_pa = share * self._left * self.supply_pa
         self._air.set_supply_pressure(self.supply_now_pa)
@@ -221,7 +222,7 @@ class EmulatedRobot:
         noise = _CAMERA_NOISE_M * self._rng.normal(size=(len(self.state.position), 3))
         for i, (x, y) in enumerate(self.state.position):
             dx, dy, dz = noise[i].tolist()
-            turn = float(self.state.theta[i]) + dz / 0.02  # markers 20 mm from the middle
+            turn = float(self.state.theta[i]) + dz / 0.02  # markers 20 mm from the centre
             place = float(x) + dx, _HEIGHT_M, -(float(y) + dy)
             body = RigidBody(place, (0.0, math.sin(turn / 2), 0.0, math.cos(turn / 2)))
             found[i + 1] = RigidBody(body.place, body.turn, tracked=i + 1 not in lost)
@@ -229,9 +230,10 @@ class EmulatedRobot:
 
 
 _GOODBYE_S = 1.0
-"""Longest wait for the broker to take the last status."""
+"""Longest wait until the broker accepts the last status, s."""
 _LETS_GO_S = 0.001
-"""So long the next tick waits for the broker's thread: kernels hold the interpreter."""
+"""Pause before the next tick, s, in which the broker's thread can run; compiled kernels hold the interpreter
+lock."""
 
 
 @dataclass(frozen=True)
@@ -262,13 +264,13 @@ def emulate(
 
     Args:
         robot: the simulated robot.
-        link: its topics, also for commands.
+        link: connection to its topics, which also delivers commands.
         capture: server of motion capture; None: no motion capture.
         transport: loss and delay of messages.
         duration: s.
-        stop: returns whether the run ends, called in every tick.
+        stop: called in every tick; returns whether the run ends.
         seed: random seed of the transport.
-        tells_supply: whether the pressure of the supply is published.
+        tells_supply: whether the supply pressure is published.
 
     Returns:
         ``ticks``, and ``late``: number of ticks that began more than a tick late.

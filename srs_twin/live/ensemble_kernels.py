@@ -15,7 +15,7 @@ OUTLIER = 4.0
 
 @allocating
 def advance(states, velocities, steps, moments, model):  # type: ignore[no-untyped-def]
-    """Advance bodies in place; return whether each made all steps."""
+    """Advance bodies in place; return whether each body completed all steps."""
     complete = np.empty(states.shape[0], dtype=np.bool_)
     marks = np.empty(0, dtype=np.int64)
     seen = np.empty((0, states.shape[1])), np.empty((0, velocities.shape[1]))
@@ -45,14 +45,14 @@ def set_momenta(states, velocities, model):  # type: ignore[no-untyped-def]
 
 @allocating
 def correct(members, predicted, measured, variances, masks, correlated):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Correct the members by measurements, one after another; return normalised innovations.
+    """Correct the members by one measurement after another; return normalised innovations.
 
     Args:
         members: in place, shape (members, columns).
         predicted: measurements predicted by each member, in place, shape (members, measurements).
         measured: measurements, NaN where they are missing.
-        variances: of their noise.
-        masks: localisation of each measurement, 0 to 1, shape (measurements, columns).
+        variances: variances of the measurement noise.
+        masks: localisation weights of each measurement, 0 to 1, shape (measurements, columns).
         correlated: whether a measurement also corrects the predictions of later ones.
     """
     count, width = members.shape
@@ -70,7 +70,7 @@ def correct(members, predicted, measured, variances, masks, correlated):  # type
         normalised[k] = innovation / math.sqrt(spread + variances[k])
         noise = max(variances[k], (innovation / OUTLIER) ** 2 - spread)
         total = spread + noise
-        # Share of the gain that reduces the deviations of the members (square root filter).
+        # Fraction of the gain that is applied to the deviations of the members (square root filter).
         reduction = 1 / (1 + math.sqrt(noise / total))
         for column in range(width):
             if masks[k, column] == 0.0:
@@ -82,7 +82,8 @@ def correct(members, predicted, measured, variances, masks, correlated):  # type
             for m in range(count):
                 covariance += (predicted[m, k] - mean) * (members[m, column] - middle) / (count - 1)
                 own += (members[m, column] - middle) ** 2 / (count - 1)
-            # Squared sample correlations are too large on average; this is the part beyond chance.
+            # Squared sample correlations of few members are too large on average; subtract the expected
+            # excess.
             square = covariance**2 / max(own * spread, 1e-300)
             significant = max(1 - (1 - square) / ((count - 2) * max(square, 1e-12)), 0.0)
             gain = masks[k, column] * significant * covariance / total

@@ -15,7 +15,8 @@ class Estimate:
     """Estimated state of a robot, with standard deviations.
 
     Attributes:
-        time: of the estimate, our clock, s. The state is predicted to it from the last used message.
+        time: time of the estimate, our clock, s. The state is predicted from the last used message to this
+            time.
         bend: of each segment, rad.
         bend_sd: standard deviation of the bends, rad.
         pose: x, y (m) of the centre of mass, mean heading (rad).

@@ -22,8 +22,8 @@ class Hypothesis(NamedTuple):
         plus: behaviour of the + chamber.
         minus: behaviour of the − chamber.
         sensor: behaviour of the sensor.
-        leak: pressure that a leaking chamber loses, share per second.
-        weak: supply pressure of a weak segment, share of that of the robot.
+        leak: relative rate at which a leaking chamber loses pressure, 1/s.
+        weak: supply pressure of a weak segment, as a fraction of that of the robot.
     """
 
     name: str
@@ -34,7 +34,7 @@ class Hypothesis(NamedTuple):
     weak: float = 1.0
 
     def inflow(self, chamber: int) -> tuple[float, float]:
-        """Return leak (1/s) and share of the supply pressure of a chamber, given its behaviour."""
+        """Return leak rate (1/s) and fraction of the supply pressure for a behaviour of a chamber."""
         return self.leak if chamber == LEAKS else 0.0, 0.0 if chamber == VENTS else self.weak
 
 
@@ -68,5 +68,5 @@ SUPPLY_SHARES = np.array([hypothesis.weak for hypothesis in HYPOTHESES])
 
 
 def valve_duty(duty: np.ndarray, chambers: np.ndarray) -> np.ndarray:
-    """Return the duty of the valves (share of time in which they fill), given the chambers' behaviour."""
+    """Return the duty of the valves (fraction of time in which they fill) for a chamber behaviour."""
     return np.where(chambers == FILLS, 1.0, np.where(chambers == VENTS, 0.0, duty))

@@ -18,10 +18,10 @@ KEYS = {"p": PAUSE, "g": GO, "v": VENT, "s": STOP}
 
 @contextmanager
 def typed_words(terminal: TextIO | None = None) -> Iterator[Callable[[], list[str]]]:
-    """Yield a function that returns the control words typed since its last call, of `WORDS`.
+    """Yield a function that returns the control words (of `WORDS`) typed since its last call.
 
-    Lines need no Enter meanwhile, and the terminal is restored afterwards. Without a terminal, and in the
-    background, no key is read.
+    Within the block, keys take effect without Enter; afterwards the terminal is restored. Without a terminal,
+    and in the background, no keys are read.
 
     Args:
         terminal: default standard input.

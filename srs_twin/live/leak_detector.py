@@ -1,6 +1,7 @@
 r"""LeakDetector: balance of the air in each filling chamber.
 
-From the opening of the valve of a chamber on, measured pressures and the bend of its segment satisfy
+A stroke begins when the valve of a chamber opens. From then on, the measured pressure P and the bend q of its
+segment satisfy
 
 $$ \Delta (P\,V(q)) = c \int \dot n_{in}\,dt - (\lambda_0 + \lambda)\,K \int (P - P_a)\,dt, $$
 
@@ -32,15 +33,15 @@ LOSS_SD = 0.3
 FORGETTING = 0.95
 """Weight of a stroke relative to the next one."""
 MOST_STROKES = 40
-"""Number of strokes that the scatter is a mean of."""
+"""Number of strokes over which the scatter is averaged."""
 SCATTER = 0.05
 """Prior scatter between strokes, share of the inflow."""
 SCATTER_STROKES = 3
-"""Number of strokes that the prior scatter counts for."""
+"""Weight of the prior scatter, in strokes."""
 LEAST_SCATTER = 0.02
 """Lower limit of the scatter, share of the inflow."""
 MESSAGES_PER_INDEPENDENT = 16
-"""Number of messages in a stroke with the information of one independent message."""
+"""Number of successive messages that carry the information of one independent message."""
 AMOUNT_SD = 0.013
 """Standard deviation of an amount at the time of a message, share of K times the supply pressure."""
 LEAK_RATE_SD = 0.3
@@ -52,9 +53,9 @@ LEAST_INFLOW = 0.1
 LONGEST_GAP_S = 0.1
 """Interval between messages that ends a stroke, s."""
 SOUND = 0.9
-"""Probability of no fault above which a chamber is learnt from."""
+"""Probability of no fault above which the fit of a chamber is updated."""
 LIMIT = 3.0
-"""Largest residual of a stroke, in standard deviations, that the scatter is learnt from."""
+"""Limit, in standard deviations, at which a residual is clipped when the scatter is updated."""
 TAILS = 12.0
 """Degrees of freedom of Student's t distribution for the residuals of strokes."""
 
@@ -68,12 +69,12 @@ class StrokeStatistics(NamedTuple):
         pending: contributions of the current stroke: to the information (3), to its product with the fit
             (2), and to the scatter.
         scatter: variance between strokes, share of the squared inflow.
-        learnt: number of strokes learnt from.
+        learnt: number of strokes in the fit.
         time: of the last pressure of the stroke, s; NaN without one.
-        begun: amount at the start of the stroke and its standard deviation.
-        reached: the same at the last pressure.
+        begun: amount of air at the start of the stroke and its standard deviation.
+        reached: amount of air at the last pressure and its standard deviation.
         rates: pressure over the supply pressure, inflow of each variant (1/s), and the derivative of the
-            inflow by the supply pressure (1/(s Pa)).
+            inflow with respect to the supply pressure (1/(s Pa)).
         sums: integrals of the rates over the stroke.
         supply: supply pressure at the start of the stroke and at its last pressure, gauge, Pa, and the
             standard deviation of the latter.
@@ -100,11 +101,11 @@ class ChamberConstants(NamedTuple):
     Attributes:
         dead: volume without bend, m³.
         displacement: change of the volume with the bend, m³/rad.
-        conductance: of the inlets, J/(s Pa).
+        conductance: of the inlet valves, J/(s Pa).
         unit: K times the supply pressure, J.
         supply: nominal supply pressure, gauge, Pa.
         leaks: leak of each variant, 1/s.
-        shares: share of the supply pressure of each variant.
+        shares: supply pressure of each variant, as a fraction of the measured one.
     """
 
     dead: float
@@ -126,13 +127,13 @@ class LeakDetector(Stateful):
     state_attributes = ("strokes",)
 
     def __init__(self, spec: RobotSpec, *, supply_pa: float, variants: Sequence[tuple[float, float]]) -> None:
-        """Begin with the values of the robot file.
+        """Create a detector with the values of the robot file.
 
         Args:
             spec: the robot.
             supply_pa: gauge, Pa.
-            variants: possible faults of a chamber as leak (1/s) and share of the supply pressure, 0 without
-                any inflow; the first variant has no fault.
+            variants: possible faults of a chamber as leak (1/s) and fraction of the supply pressure, 0
+                without any inflow; the first variant has no fault.
         """
         conductance, _, capacity = conductances(spec, CRITICAL_RATIO)
         leaks, shares = np.array(variants, dtype=float).T
@@ -157,13 +158,13 @@ class LeakDetector(Stateful):
         )
 
     def drop(self, chambers: np.ndarray) -> None:
-        """End the strokes of some chambers (shape (segments, 2)), whose valves may have switched unseen."""
+        """End the strokes of a mask of chambers, shape (segments, 2), as valves may have switched unseen."""
         self.strokes.time[chambers] = np.nan
         for values in (self.strokes.pending, self.strokes.sums, self.strokes.log_likelihood):
             values[chambers] = 0.0
 
     def residuals(self, time: float, pressure: np.ndarray, filled: np.ndarray) -> np.ndarray:
-        """Return the residuals of current strokes, for the supply pressure.
+        """Return the residuals of current strokes, from which the supply pressure is estimated.
 
         Args:
             time: s.
@@ -171,12 +172,12 @@ class LeakDetector(Stateful):
             filled: as in `update`.
 
         Returns:
-            Excess of air over the expected amount, its derivative by the supply pressure (1/Pa) and its
-            variance, shape (segments, 2, 3); NaN where they are unknown.
+            Excess of air over the expected amount, its derivative with respect to the supply pressure (1/Pa)
+            and its variance, shape (segments, 2, 3); NaN where they are unknown.
         """
-        found = np.full((*pressure.shape, 3), np.nan)
-        _residuals(time, pressure, filled, self.strokes, found)
-        return found
+        residuals = np.full((*pressure.shape, 3), np.nan)
+        _residuals(time, pressure, filled, self.strokes, residuals)
+        return residuals
 
     def update(
         self,
@@ -293,7 +294,7 @@ def _covariance(information):  # type: ignore[no-untyped-def]
 
 @compiled
 def _residual(j, side, inflow, leak, strokes):  # type: ignore[no-untyped-def]
-    """Return the residual of a stroke, its variance, and the part of the variance due to the fit."""
+    """Return the residual of a stroke, its variance, and the variance that the fit contributes."""
     outflow, fit = strokes.sums[j, side, 0], strokes.fit[j, side]
     flow_sd2, covariance, loss_sd2 = _covariance(strokes.information[j, side])
     gain = strokes.reached[j, side, 0] - strokes.begun[j, side, 0]
@@ -320,7 +321,7 @@ def _log_likelihood(j, side, variant, constants, strokes):  # type: ignore[no-un
 
 @compiled
 def _accumulate(j, side, strokes):  # type: ignore[no-untyped-def]
-    """Add a message to the pending statistics of its stroke, which are used if the stroke is sound."""
+    """Add a message to the pending statistics of its stroke, for `_learn` if there is no fault."""
     inflow, outflow, pending = strokes.sums[j, side, 1], -strokes.sums[j, side, 0], strokes.pending[j, side]
     residual, variance, learnt = _residual(j, side, inflow, 0.0, strokes)
     weight = 1 / (MESSAGES_PER_INDEPENDENT * (variance - learnt))
@@ -329,7 +330,7 @@ def _accumulate(j, side, strokes):  # type: ignore[no-untyped-def]
     pending[2] += weight * outflow * outflow
     pending[3] += weight * inflow * residual
     pending[4] += weight * outflow * residual
-    # A single outlier must not increase the scatter by more than a residual at the limit.
+    # Clip outliers, so that a single one increases the scatter by at most a residual at the limit.
     pending[5] = (min(residual**2, LIMIT**2 * variance) - variance) / inflow**2
 
 

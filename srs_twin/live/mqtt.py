@@ -1,4 +1,4 @@
-"""MqttLink: a robot's topics at a broker (MQTT)."""
+"""MqttLink: connection to a robot's topics at an MQTT broker."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from srs_twin.live.messages import KINDS, STATUS, BadMessageError, decode, encod
 
 PORT = 1883
 LOST = "lost"
-"""Status that the broker publishes when a connection breaks."""
+"""Status that the broker publishes when a connection is lost."""
 
 
 class MqttLink(Link):
-    """One robot's topics at a broker.
+    """Connection to the topics of one robot at a broker.
 
     Attributes:
-        connected: whether the broker answers now.
+        connected: whether the connection to the broker is up.
     """
 
     def __init__(
@@ -36,19 +36,19 @@ class MqttLink(Link):
         """Connect and subscribe.
 
         Args:
-            robot: whose topics.
-            segments: of the robot.
-            host: of the broker.
-            port: of the broker.
-            kinds: of messages to receive.
-            user: name at the broker; None: without.
-            password: of that user.
+            robot: name of the robot.
+            segments: number of segments of the robot.
+            host: host of the broker.
+            port: port of the broker.
+            kinds: kinds of messages to receive.
+            user: user name; None: no authentication.
+            password: password of the user.
             ca: CA certificate of the broker; it enables TLS.
             wait_s: longest wait for the first answer of the broker, s.
-            speaks: robot whose `status` becomes `LOST` if this connection breaks; None: no status.
+            speaks: robot whose `status` becomes `LOST` if this connection is lost; None: no status.
 
         Raises:
-            InputError: paho-mqtt is not installed, or no broker answers or admits us.
+            InputError: paho-mqtt is not installed, or the broker does not answer or refuses the user.
         """
         super().__init__()
         try:
@@ -79,13 +79,13 @@ class MqttLink(Link):
     def send(
         self, kind: str, values: np.ndarray | str, *, at: float | None = None, wait_s: float = 0.0
     ) -> None:
-        """Send a message; nothing is kept for a broker that is away.
+        """Send a message; without a connection it is dropped.
 
         Args:
             kind: one of `KINDS`.
-            values: as `encode` takes them.
-            at: of our clock, s; default now.
-            wait_s: longest time to wait until it has left, s.
+            values: as in `encode`.
+            at: time on our clock, s; default now.
+            wait_s: longest wait until the message is sent, s.
         """
         time = clock() if at is None else at
         sent = self._client.publish(topic(self._robot, kind), encode(kind, time, values))
@@ -102,7 +102,7 @@ class MqttLink(Link):
         self.connected, self._why = not reason.is_failure, str(reason)
         if self.connected:
             self.counts["connected"] += 1
-            # Else small messages wait for the acknowledgement of the one before, up to 40 ms.
+            # Without this, a small message waits up to 40 ms for the acknowledgement of the previous one.
             with contextlib.suppress(OSError, AttributeError):  # a connection that is gone again
                 client.socket().setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if self._topics:
@@ -126,10 +126,10 @@ class MqttLink(Link):
 
 
 def _trust(client: Any, ca: Path) -> None:
-    """Encrypt a client's connection; trust a broker whose certificate this authority has signed.
+    """Enable TLS; accept only brokers whose certificate is signed by this authority.
 
     Raises:
-        InputError: the file is no certificate in PEM form.
+        InputError: the file is not a certificate in PEM format.
     """
     place = require_file(ca, suffix=".pem")  # else a pipe would be waited for
     try:

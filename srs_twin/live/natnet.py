@@ -1,4 +1,4 @@
-"""NatNet: packets of motion capture as Motive sends them by UDP; reading, and writing for emulators.
+"""NatNet packets of motion capture, as Motive sends them over UDP: reading, and writing for emulators.
 
 Versions 2.6 to 4.2 are supported. Rigid bodies and labelled markers are read; other lists are skipped, from
 version 4.1 on by their stated length. Lengths are in m. The axes are those of Motive; `turned` rotates them
@@ -25,22 +25,22 @@ _MOST = 10_000  # of anything in a frame
 _TRACKED, _OCCLUDED = 0x01, 0x01
 _NAME = 256
 _FURTHEST_M = 1000.0
-"""No motion capture volume is larger; coordinates beyond it are no place."""
+"""Largest plausible coordinate, m; no motion capture volume is larger."""
 _LENGTH_TOLERANCE = 0.1
-"""Deviation from 1 up to which the length of a quaternion is taken for rounding and averaging."""
+"""Largest deviation of a quaternion's length from 1 that rounding and averaging explain."""
 
 Version = tuple[int, int]
 
 
 @dataclass(frozen=True)
 class RigidBody:
-    """One rigid body.
+    """Rigid body in a frame.
 
     Attributes:
-        place: m, Motive's axes.
-        turn: quaternion x, y, z, w.
-        error: mean of its markers', m.
-        tracked: whether it was seen, with a usable place and rotation.
+        place: position in Motive's axes, m.
+        turn: rotation as a quaternion x, y, z, w.
+        error: mean error of its markers, m.
+        tracked: whether it was visible, with a usable position and rotation.
     """
 
     place: tuple[float, ...]
@@ -51,13 +51,13 @@ class RigidBody:
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame.
+    """Frame of motion capture.
 
     Attributes:
-        number: counted by the sender.
-        time: of the sender's clock, s.
-        bodies: by their id.
-        markers: labelled ones that were seen, by their id, m.
+        number: frame number of the sender.
+        time: time on the sender's clock, s.
+        bodies: rigid bodies by id.
+        markers: positions of the visible labelled markers by id, m.
     """
 
     number: int
@@ -67,13 +67,13 @@ class Frame:
 
 
 class _Reader:
-    """Reader of the rest of a packet."""
+    """Cursor that reads values from a packet."""
 
     def __init__(self, data: bytes) -> None:
         self._data, self.at = memoryview(data), 0
 
     def read(self, form: str) -> tuple[Any, ...]:
-        """Read numbers, by their form in `struct`, little-endian."""
+        """Read little-endian numbers in a format of `struct`."""
         try:
             found = struct.unpack_from("<" + form, self._data, self.at)
         except struct.error:
@@ -89,21 +89,21 @@ class _Reader:
         return int(found)
 
     def listed(self, version: Version) -> tuple[int, int | None]:
-        """Read how many things follow and where they end, where the version says that."""
+        """Read the number of entries of a list and, from version 4.1 on, the position of its end."""
         count = self.count()
         if version < (4, 1):
             return count, None
         return count, self.end()
 
     def end(self) -> int:
-        """Read how many bytes something takes, and return where it ends."""
+        """Read a size in bytes; return the position of the end."""
         (size,) = self.read("i")
         if not 0 <= size <= len(self._data) - self.at:
             raise BadMessageError("a list is longer than its packet")
         return self.at + int(size)
 
     def text(self) -> str:
-        """Read a text that ends with a zero."""
+        """Read a zero-terminated text."""
         rest = bytes(self._data[self.at : self.at + _NAME + 1])
         end = rest.find(b"\0")
         if end < 0:
@@ -113,10 +113,10 @@ class _Reader:
 
 
 def opened(packet: bytes) -> tuple[int, bytes]:
-    """Return a packet's kind and content.
+    """Return kind and content of a packet.
 
     Raises:
-        BadMessageError: no packet, or cut off.
+        BadMessageError: the packet is invalid or incomplete.
     """
     if len(packet) < 4:
         raise BadMessageError("no packet: fewer than 4 bytes")
@@ -132,10 +132,10 @@ def closed(kind: int, content: bytes = b"") -> bytes:
 
 
 def read_server(content: bytes) -> tuple[Version, tuple[str, int] | None]:
-    """Return the version of a server's frames, and group and port where it says that it multicasts.
+    """Return the NatNet version of a server, and its multicast group and port, if any.
 
     Raises:
-        BadMessageError: no such content.
+        BadMessageError: the content is invalid.
     """
     packet = _Reader(content)
     packet.at = _NAME + 4
@@ -159,10 +159,10 @@ def write_server(version: Version, *, group: str | None = None, port: int = DATA
 
 
 def read_models(content: bytes, version: Version) -> dict[int, str]:
-    """Return the names of rigid bodies by their id; what follows the first thing that is none is left out.
+    """Return the names of rigid bodies by id, up to the first description of an unknown type.
 
     Raises:
-        BadMessageError: no such content.
+        BadMessageError: the content is invalid.
     """
     packet, found = _Reader(content), dict[int, str]()
     for _ in range(packet.count()):
@@ -202,10 +202,10 @@ def write_models(names: Mapping[int, str], version: Version) -> bytes:
 
 
 def read_frame(content: bytes, version: Version) -> Frame:
-    """Return a frame.
+    """Return the frame in a packet's content.
 
     Raises:
-        BadMessageError: no such content.
+        BadMessageError: the content is invalid.
     """
     packet = _Reader(content)
     (number,) = packet.read("i")
@@ -324,9 +324,9 @@ def is_place(place: Sequence[float]) -> bool:
 
 
 def unit_quaternion(turn: Sequence[float]) -> tuple[float, ...] | None:
-    """Return a quaternion of length 1; None where its length differs from 1 by more than a tenth.
+    """Return a quaternion scaled to length 1; None if its length differs from 1 by more than a tenth.
 
-    Zeros, which some senders use for "no rotation known", and NaN are none.
+    None is also returned for NaN, and for the zeros that some senders use for an unknown rotation.
     """
     length = math.hypot(*turn)
     if not abs(length - 1) <= _LENGTH_TOLERANCE:
@@ -335,13 +335,13 @@ def unit_quaternion(turn: Sequence[float]) -> tuple[float, ...] | None:
 
 
 def turned(body: RigidBody, up: str) -> np.ndarray:
-    """Return x, y, z (m, z up) and heading (rad) of a body; its own x axis points ahead.
+    """Return x, y, z (m, z up) and heading (rad) of a body, whose own x axis points forwards.
 
-    All are NaN where the rotation is none (`unit_quaternion`).
+    All are NaN if the rotation is unknown (`unit_quaternion`).
 
     Args:
-        body: in Motive's axes.
-        up: "y" or "z", as Motive streams.
+        body: rigid body in Motive's axes.
+        up: upward axis of the stream, "y" or "z".
     """
     turn = unit_quaternion(body.turn)
     if turn is None:

@@ -13,24 +13,25 @@ SLOT_S = 0.02
 _KEPT = 250
 """Number of slots with commands that are kept."""
 _LAGS = range(10, 126)
-"""Possible periods, slots."""
+"""Candidates for the period, in slots."""
 _SAME = 0.1
-"""Mean difference of the duties below which commands are the same."""
+"""Mean difference of the duties below which two command sequences count as equal."""
 _MEMORY = 8
-"""Number of predictions that the mean error is taken over."""
+"""Number of predictions over which errors are averaged."""
 _ADAPTATION_RATE = 5.0
 """Rate r at which the scale of intervals adapts, 1/s."""
 _LONGEST_COMPARED_S = 0.2
-"""Longest interval that one comparison counts for, s."""
+"""Longest interval that one comparison represents, s."""
 _SQUARES = 0.1, 10.0
 """Range of the squared scale of intervals."""
 _T95 = 2.1
-"""Half of a 95 % interval over its standard deviation, which is estimated from few predictions."""
+"""Half-width of a 95 % interval in standard deviations that are estimated from few predictions (Student's
+t)."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Predicted path of a robot, if its commands repeat.
+    """Predicted path of a robot, assuming that its commands repeat.
 
     Attributes:
         begun: start, our clock, s.
@@ -47,7 +48,7 @@ class Prediction:
     pose_sd: np.ndarray
 
     def error(self, poses: np.ndarray) -> np.ndarray:
-        """Return poses less the predicted ones, along and across the initial heading, shape (times, 3)."""
+        """Return poses minus predicted poses, along and across the initial heading, shape (times, 3)."""
         c, s, (x, y, turn) = math.cos(self.heading), math.sin(self.heading), (poses - self.pose).T
         return np.column_stack([c * x + s * y, c * y - s * x, turn])
 
@@ -67,7 +68,8 @@ class CommandPeriod:
     def add(self, time: float, duty: np.ndarray) -> None:
         """Add the duty of the valves in the slot of a time (s), shape (segments, 2)."""
         slot = math.floor(time / SLOT_S)
-        if slot > self._slot + 1:  # after a gap, earlier commands have another lag
+        if slot > self._slot + 1:
+            # After a gap, a lag in slots is no longer a lag in time.
             self._duties.clear()
         if slot > self._slot:
             self._duties.append(duty)
@@ -92,18 +94,18 @@ class CommandPeriod:
 
 
 class PredictionCalibration:
-    """Spread of the errors of earlier predictions, which widens the intervals of later ones."""
+    """Widening of prediction intervals by the errors of earlier predictions."""
 
     def __init__(self) -> None:
         """Begin without predictions."""
-        # Mean squares of the errors, and of the stated standard deviations.
+        # Mean squares of the errors, and of the predicted standard deviations.
         self._error = self._stated = np.zeros((0, 3))
         self._count = 0
         self._open: deque[Prediction] = deque(maxlen=20)
         self._path: deque[tuple[float, np.ndarray]] = deque(maxlen=200)
 
     def observe(self, time: float, pose: np.ndarray) -> None:
-        """Add a pose (x, y, heading) at a time (s); learn from the predictions that ended."""
+        """Add an estimated pose (x, y, heading) at a time (s); learn from the predictions that have ended."""
         self._path.append((time, pose))
         while self._open and self._open[0].time[-1] <= time:
             past = self._open.popleft()
@@ -123,7 +125,7 @@ class PredictionCalibration:
         self._open.append(raw)
         if len(self._error) != len(raw.time):
             return raw
-        # The interval of a mean square of few errors is wider.
+        # A mean square of few errors is uncertain, so its interval is wider.
         count = min(self._count, _MEMORY)
         factor = (count + 1) / max(count - 1, 1)
         excess = np.maximum(factor * self._error - self._stated, 0.0)
@@ -139,8 +141,8 @@ class IntervalCalibration:
     $$ \frac{d \ln s^2}{dt} = r \left(\mathrm{share}\left[
     (\hat x - x)^2 + \sigma_x^2 > 1.96^2 s^2 \hat\sigma^2\right] - 0.05\right) . $$
 
-    The errors have heavy tails, because lost commands are not in the prediction. A scale that is fitted to
-    their mean square would be too large or too small, depending on the message rate.
+    The errors have heavy tails, because lost commands are not in the prediction. A scale fitted to their mean
+    square would be too large or too small, depending on the message rate.
     """
 
     def __init__(self, groups: Sequence[int]) -> None:

@@ -102,7 +102,7 @@ def write_results(folder: Path, found: Mapping[str, Any], table: EstimateTable) 
 
 
 def finite(value: Any) -> Any:
-    """Return JSON values with null for each number that is not finite."""
+    """Return JSON values in which null replaces each number that is not finite."""
     if isinstance(value, Mapping):
         return {key: finite(each) for key, each in value.items()}
     if isinstance(value, list | tuple):

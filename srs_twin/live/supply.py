@@ -1,13 +1,13 @@
-r"""SupplyFilter: supply pressure of the robot, estimated from the air that chambers take in.
+r"""SupplyFilter: supply pressure of the robot, estimated from the inflow of the chambers.
 
-All chambers share one supply. Its gauge pressure S is a random walk. The air that chamber i has taken in
-since its valve opened exceeds the expected amount by r_i = h_i (S − Ŝ) + v_i (`leak_detector`). A Kalman
+All chambers share one supply. Its gauge pressure S is a random walk. The inflow of chamber i since its valve
+opened exceeds the expected amount by r_i = h_i (S − Ŝ) + v_i, with the noise v_i (`leak_detector`). A Kalman
 filter combines the chambers:
 
 $$ \hat S' = \hat S + \frac{\sum_i w_i h_i r_i / \sigma_i^2}{1/P + \sum_i w_i h_i^2 / \sigma_i^2}. $$
 
 The weights w of Student's t distribution limit the effect of a chamber that leaks or is stuck. A large change
-is followed at once if most filling chambers agree.
+is accepted at once if most filling chambers show it.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ STARVED_BELOW = 0.6
 RECOVERED_ABOVE = 0.7
 """Share of the nominal pressure above which `starved` is cleared."""
 _SUDDEN = 0.12
-"""Change of the chambers' pressures that is followed at once, share of the nominal supply pressure."""
+"""Change of the chamber pressures that is accepted at once, as a fraction of the nominal supply pressure."""
 _SUDDEN_SD = 3.0
-"""The same in standard deviations of the scatter between strokes."""
+"""The same change in standard deviations of the scatter between strokes."""
 _SURPRISE = 3.0
 """Change of the median, in standard deviations, above which the variance of the estimate is increased."""
 _AGREE = 3
@@ -76,20 +76,21 @@ class SupplyFilter(Stateful):
         self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray, weight: np.ndarray,
         repeats: float = 1.0,
     ) -> None:  # fmt: skip
-        """Correct by filling chambers.
+        """Correct the estimate by the residuals of filling chambers.
 
         Args:
             residual: r; NaN without a measurement.
             response: h.
             sd: of v.
             weight: of each chamber, 0 to 1.
-            repeats: number of measurements with the information of one independent measurement.
+            repeats: number of successive measurements that carry the information of one independent
+                measurement.
         """
         there = ~np.isnan(residual) & (weight > 0) & (response > 0)
         if not there.any():
             return
         residual, response, variance = residual[there], response[there], sd[there] ** 2
-        # If most chambers agree on a change, outliers are those that differ from it.
+        # If most chambers agree on a change, treat those that differ from it as outliers.
         change = 0.0
         if len(residual) >= _AGREE:
             change = float(np.median(residual / response))
@@ -127,7 +128,7 @@ class SupplyFilter(Stateful):
         self._set(self.pressure + gain * (pressure - self.pressure))
 
     def jump(self, share: float) -> None:
-        """Accept that the pressure fell to a share of the estimate."""
+        """Lower the estimate to a fraction of its value after a sudden loss."""
         self._set(share * self.pressure)
         self.variance = (LARGEST_SD * self.pressure) ** 2
 
