@@ -50,7 +50,7 @@ class CameraFrames(Stateful):
         self._next_frame = 0
 
     def restart(self) -> None:
-        """Make the first frame due at time 0 again; the noise continues."""
+        """Restart the frames at time 0; the noise sequence continues."""
         self._next_frame = 0
 
     @property
