@@ -28,7 +28,7 @@ def as_warp_functions(functions: Sequence[Callable[..., Any]], **translated: Any
     """Return the Warp versions of functions by name, with those given as `translated`.
 
     Args:
-        functions: compiled by numba; a function comes before those that call it.
+        functions: functions compiled by numba, callees before their callers.
         **translated: Warp functions that the functions call, by name.
     """
     namespace: dict[str, Any] = _TOLERANCES | translated
