@@ -139,9 +139,9 @@ class ReorderBuffer:
         if self._calls % _HOLD_UPDATES == 0 and self.clocks:
             late = max(clock.delay_quantile(_IN_TIME) for clock in self.clocks.values())
             self.hold = min(max(self._least, late), max(self._least, MOST_HOLD_S))
-        until, found = now - self.hold, []
+        until, due = now - self.hold, []
         while self._waiting and self._waiting[0][0] <= until:
             time, _, _, message = heapq.heappop(self._waiting)
-            found.append((time, message))
+            due.append((time, message))
         self._handed = max(self._handed, until)
-        return found
+        return due

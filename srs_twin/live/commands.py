@@ -26,7 +26,7 @@ _GAP_FACTOR = 1.5
 
 
 def duty(message: Message) -> np.ndarray:
-    """Return the share of time in which each valve fills, from valve states or duties."""
+    """Return the fraction of time in which each valve fills, from valve states or duties."""
     if np.isin(message.values, (-1.0, 1.0)).all():
         return np.asarray((message.values + 1) / 2)
     return np.clip(message.values, 0.0, 1.0)

@@ -134,7 +134,7 @@ def _pose(text: str) -> tuple[float, float, float]:
         InputError: the text is not three finite numbers.
     """
     try:
-        x, y, heading = (float(each) for each in text.split(","))
+        x, y, heading = (float(number) for number in text.split(","))
     except ValueError:
         x = y = heading = math.nan
     if not math.isfinite(x + y + heading):

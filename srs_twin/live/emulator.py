@@ -79,13 +79,13 @@ class Fault:
         """Return the fault of a text such as ``stuck_valve:2+@5``.
 
         Raises:
-            InputError: a malformed text, or a part that the robot does not have.
-            UnknownNameError: an unknown kind or variant.
+            InputError: the text is malformed, or the robot does not have the part.
+            UnknownNameError: the kind or variant is unknown.
         """
-        found = _FAULT.fullmatch(text)
-        if found is None:
+        match = _FAULT.fullmatch(text)
+        if match is None:
             raise InputError(f"{text!r} is no fault; the form is {_FORM}")
-        kind, number, side, how, since = found.groups()
+        kind, number, side, how, since = match.groups()
         if kind not in KINDS:
             raise UnknownNameError("fault", kind, KINDS)
         of, ways = KINDS[kind]
@@ -98,8 +98,8 @@ class Fault:
         most = segments + (of == "connector")
         if number is not None and not 1 <= int(number) <= most:
             raise InputError(f"{text!r}: there is no {of} {number}; the robot has {most}")
-        way = ways[how] if how is not None else next(iter(ways.values()))
-        return cls(kind, int(number or 0), _SIDES.get(side or "", 0), way, float(since))
+        variant = ways[how] if how is not None else next(iter(ways.values()))
+        return cls(kind, int(number or 0), _SIDES.get(side or "", 0), variant, float(since))
 
 
 class EmulatedRobot:
@@ -155,17 +155,17 @@ class EmulatedRobot:
         self._air = self.twin.pneumatics
         spec = self.twin.spec
         self.segments, self.tick = spec.segments, tick
-        self.faults = tuple(Fault.parse(each, spec.segments) for each in faults)
+        self.faults = tuple(Fault.parse(fault, spec.segments) for fault in faults)
         self._rng, self._noise = np.random.default_rng((seed, 0xE0)), noise_rad
         self.supply_pa = self.supply_now_pa = asked.supply_pa
         self._share = self._left = 1.0
         self._air.stuck = tuple(
-            StuckValve(each.number, each.side, int(each.how), each.since)
-            for each in self.faults if each.kind == "stuck_valve"
+            StuckValve(fault.number, fault.side, int(fault.how), fault.since)
+            for fault in self.faults if fault.kind == "stuck_valve"
         )  # fmt: skip
         if not isinstance(self._air, OrificePneumatics) and any(e.kind == "leak" for e in self.faults):
             raise InputError(f"chambers of pneumatics {pneumatics!r} do not begin to leak; 'orifice' ones do")
-        self._pending = [each for each in self.faults if each.kind in ("leak", "starved")]
+        self._pending = [fault for fault in self.faults if fault.kind in ("leak", "starved")]
         self._pulses = PulseWidthModulator(
             CARRIER_HZ, tick, spec.segments, aligned=True, allow_long_ticks=True
         )
@@ -176,12 +176,12 @@ class EmulatedRobot:
     def step(self, command: np.ndarray | None) -> SnakeState:
         """Advance by one tick under a command, valve states or duties; None vents all chambers."""
         now = float(self.state.time)
-        for each in [each for each in self._pending if each.since <= now + 1e-9]:
-            self._pending.remove(each)
-            if isinstance(self._air, OrificePneumatics) and each.kind == "leak":
-                self._air.leak(each.number, each.side, each.how)
+        for fault in [fault for fault in self._pending if fault.since <= now + 1e-9]:
+            self._pending.remove(fault)
+            if isinstance(self._air, OrificePneumatics) and fault.kind == "leak":
+                self._air.leak(fault.number, fault.side, fault.how)
             else:
-                self._left = each.how
+                self._left = fault.how
                 self.regulate(self._share)
         shape = (self.segments, 2)
         wanted = np.full(shape, -1.0) if command is None else np.asarray(command, dtype=float)
@@ -200,24 +200,24 @@ class EmulatedRobot:
 
     def bends(self) -> np.ndarray:
         """Return the bend readings, rad; NaN without a reading."""
-        time, seen = (
+        time, readings = (
             float(self.state.time),
             self.state.bend + self._noise * self._rng.normal(size=self.segments),
         )
-        for each in self.faults:
-            if each.since > time:
+        for fault in self.faults:
+            if fault.since > time:
                 continue
-            j = each.number - 1
-            if each.kind == "dead_sensor":
-                self._frozen[j] = seen[j] if np.isnan(self._frozen[j]) else self._frozen[j]
-                seen[j] = math.nan if each.how else self._frozen[j]
-            elif each.kind == "drifting_sensor":
-                seen[j] += each.how * _DRIFT_RAD_PER_S * (time - each.since)
-        return np.asarray(seen)
+            j = fault.number - 1
+            if fault.kind == "dead_sensor":
+                self._frozen[j] = readings[j] if np.isnan(self._frozen[j]) else self._frozen[j]
+                readings[j] = math.nan if fault.how else self._frozen[j]
+            elif fault.kind == "drifting_sensor":
+                readings[j] += fault.how * _DRIFT_RAD_PER_S * (time - fault.since)
+        return np.asarray(readings)
 
     def bodies(self) -> dict[int, RigidBody]:
         """Return the rigid bodies of motion capture by connector, from 1 at the head, y up."""
-        time, found = float(self.state.time), {}
+        time, bodies = float(self.state.time), {}
         lost = {e.number for e in self.faults if e.kind == "lost_marker" and e.since <= time}
         noise = _CAMERA_NOISE_M * self._rng.normal(size=(len(self.state.position), 3))
         for i, (x, y) in enumerate(self.state.position):
@@ -225,8 +225,8 @@ class EmulatedRobot:
             turn = float(self.state.theta[i]) + dz / 0.02  # markers 20 mm from the centre
             place = float(x) + dx, _HEIGHT_M, -(float(y) + dy)
             body = RigidBody(place, (0.0, math.sin(turn / 2), 0.0, math.cos(turn / 2)))
-            found[i + 1] = RigidBody(body.place, body.turn, tracked=i + 1 not in lost)
-        return found
+            bodies[i + 1] = RigidBody(body.place, body.turn, tracked=i + 1 not in lost)
+        return bodies
 
 
 _GOODBYE_S = 1.0

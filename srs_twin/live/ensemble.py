@@ -53,7 +53,7 @@ class ModelError:
     """Standard deviations of the model's errors.
 
     Attributes:
-        disturbance: of the bends, rad.
+        disturbance: standard deviation of the bends, rad.
         disturbance_s: time constant of the disturbance, s.
         pressure: initial random walk of the pressures, share of the supply pressure per square root of a
             second.
@@ -72,10 +72,10 @@ class MeasurementNoise:
     """Standard deviations of measurements.
 
     Attributes:
-        bend: of a bend sensor, rad.
-        pressure: of a pressure sensor, Pa.
-        place: of the position of a connector, m, including the error of the arcs that the model assumes.
-        heading: of the heading of a connector, rad.
+        bend: standard deviation of a bend sensor, rad.
+        pressure: standard deviation of a pressure sensor, Pa.
+        place: standard deviation of the position of a connector, m, including the model's arc errors.
+        heading: standard deviation of the heading of a connector, rad.
     """
 
     bend: float = 0.02

@@ -116,8 +116,8 @@ class FaultDetector(Stateful):
 
     Attributes:
         settings: assumptions.
-        probability: of the hypotheses, shape (segments, hypotheses).
-        mean: of b, g⁺, g⁻, d and s, shape (segments, hypotheses, 5).
+        probability: probabilities of the hypotheses, shape (segments, hypotheses).
+        mean: means of b, g⁺, g⁻, d and s, shape (segments, hypotheses, 5).
         supply: filter for the supply pressure.
         leaks: balances of air.
         naming: detected faults.
@@ -163,7 +163,7 @@ class FaultDetector(Stateful):
         self._largest = largest_bend(spec, supply_pa)
         self._load = s.load * self._largest
         self._obeys = np.isin(CHAMBERS, (OBEYS, LEAKS))
-        inflows = [(each.inflow(each.plus), each.inflow(each.minus)) for each in HYPOTHESES]
+        inflows = [(h.inflow(h.plus), h.inflow(h.minus)) for h in HYPOTHESES]
         variants = list(dict.fromkeys(inflow for pair in inflows for inflow in pair))
         self._variant = np.array([[variants.index(inflow) for inflow in pair] for pair in inflows])
         self.leaks = LeakDetector(spec, supply_pa=supply_pa, variants=variants)

@@ -57,8 +57,8 @@ class FaultNaming(Stateful):
     @property
     def named(self) -> dict[int, str]:
         """Names of the faults by segment, from 1; 0 is the supply."""
-        found = {j: [NAMES[m] for m in pair if m >= 0] for j, pair in enumerate(self.pairs.tolist())}
-        return {j: " or ".join(texts) if j else STARVED for j, texts in found.items() if texts}
+        names = {j: [NAMES[m] for m in pair if m >= 0] for j, pair in enumerate(self.pairs.tolist())}
+        return {j: " or ".join(texts) if j else STARVED for j, texts in names.items() if texts}
 
     @property
     def starved(self) -> bool:
@@ -76,18 +76,18 @@ class FaultNaming(Stateful):
 
     def most_likely(self, probability: np.ndarray) -> np.ndarray:
         """Return, for each segment, the most likely hypothesis with a detected name; 0 without a fault."""
-        found = np.zeros(len(probability), dtype=int)
+        likely = np.zeros(len(probability), dtype=int)
         for j in np.flatnonzero(self.faulty):
             among = HAS_NAME[:, [m for m in self.pairs[j + 1] if m >= 0]].sum(axis=1)
-            found[j] = np.argmax(probability[j] * among)
-        return found
+            likely[j] = np.argmax(probability[j] * among)
+        return likely
 
     def update(self, time: float, probability: np.ndarray) -> None:
         """Detect and clear faults.
 
         Args:
             time: s.
-            probability: of the hypotheses, shape (segments, hypotheses).
+            probability: probabilities of the hypotheses, shape (segments, hypotheses).
         """
         s, pairs = self.settings, self.pairs
         if time < s.start_s:

@@ -121,7 +121,7 @@ def _nanoseconds(time: float) -> int:
 
 
 def _poses(message: Message) -> bytes:
-    rows = [[each if math.isfinite(each) else None for each in row] for row in message.values.tolist()]
+    rows = [[value if math.isfinite(value) else None for value in row] for row in message.values.tolist()]
     return json.dumps({"t": message.sent, "names": message.names, "poses": rows}).encode()
 
 
@@ -132,7 +132,7 @@ def journal_messages(
     """Yield the messages of a robot and of motion capture in the order of arrival, up to a damaged record.
 
     Args:
-        path: of the journal.
+        path: path of the journal.
         robot: name of the robot.
         segments: number of segments of the robot.
         refuse: called with the error of each record that is not a valid message; None: such records are
@@ -140,7 +140,7 @@ def journal_messages(
         others: set to which the names of other robots in the journal are added.
 
     Raises:
-        InputError: no such file, or no MCAP.
+        InputError: the file does not exist or is not MCAP.
     """
     skip = refuse or (lambda _: None)
     with opened_journal(path) as file:

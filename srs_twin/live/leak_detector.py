@@ -70,7 +70,7 @@ class StrokeStatistics(NamedTuple):
             (2), and to the scatter.
         scatter: variance between strokes, share of the squared inflow.
         learnt: number of strokes in the fit.
-        time: of the last pressure of the stroke, s; NaN without one.
+        time: time of the last pressure of the stroke, s; NaN without one.
         begun: amount of air at the start of the stroke and its standard deviation.
         reached: amount of air at the last pressure and its standard deviation.
         rates: pressure over the supply pressure, inflow of each variant (1/s), and the derivative of the
@@ -78,7 +78,7 @@ class StrokeStatistics(NamedTuple):
         sums: integrals of the rates over the stroke.
         supply: supply pressure at the start of the stroke and at its last pressure, gauge, Pa, and the
             standard deviation of the latter.
-        log_likelihood: of each variant.
+        log_likelihood: log-likelihood of each variant.
     """
 
     fit: np.ndarray
@@ -101,7 +101,7 @@ class ChamberConstants(NamedTuple):
     Attributes:
         dead: volume without bend, m³.
         displacement: change of the volume with the bend, m³/rad.
-        conductance: of the inlet valves, J/(s Pa).
+        conductance: conductance of the inlet valves, J/(s Pa).
         unit: K times the supply pressure, J.
         supply: nominal supply pressure, gauge, Pa.
         leaks: leak of each variant, 1/s.
@@ -194,7 +194,7 @@ class LeakDetector(Stateful):
         Args:
             time: s.
             pressure: gauge, shape (segments, 2), Pa, NaN where they are missing.
-            bend: of each segment, rad.
+            bend: bend of each segment, rad.
             bend_sd: standard deviation of the bend, rad.
             filled: time for which each chamber has been filled, shape (segments, 2), s; 0 while it vents.
             sound: probability of no fault of each segment.
@@ -273,7 +273,7 @@ def _update(time, pressure, bend, bend_sd, filled, sound, supply, strokes, const
 
 
 @compiled
-def _residuals(time, pressure, filled, strokes, found):  # type: ignore[no-untyped-def]
+def _residuals(time, pressure, filled, strokes, residuals):  # type: ignore[no-untyped-def]
     """See `LeakDetector.residuals`."""
     for j in range(pressure.shape[0]):
         for side in range(2):
@@ -281,8 +281,8 @@ def _residuals(time, pressure, filled, strokes, found):  # type: ignore[no-untyp
             continues = since < LONGEST_GAP_S and filled[j, side] > since - 1e-6
             if continues and sums[1] > LEAST_INFLOW and not math.isnan(pressure[j, side]):
                 residual, variance, _ = _residual(j, side, sums[1], 0.0, strokes)
-                found[j, side, 0], found[j, side, 2] = residual, variance
-                found[j, side, 1] = strokes.fit[j, side, 0] * sums[-1]
+                residuals[j, side, 0], residuals[j, side, 2] = residual, variance
+                residuals[j, side, 1] = strokes.fit[j, side, 0] * sums[-1]
 
 
 @compiled

@@ -44,11 +44,11 @@ class Link(ABC):
 
     def received(self) -> list[Message]:
         """Return the messages since the last call."""
-        found = []
+        messages = []
         with contextlib.suppress(queue.Empty):
             while True:
-                found.append(self._queue.get_nowait())
-        return found
+                messages.append(self._queue.get_nowait())
+        return messages
 
     def clock(self) -> float:
         """Return the time on the clock of the arrival times, s."""
@@ -106,7 +106,7 @@ def _is_host(name: str) -> bool:
     except UnicodeError:
         return False
     labels = name.removesuffix(".").split(".")
-    return len(encoded) <= _LONGEST_HOST and all(_LABEL.fullmatch(each) for each in labels)
+    return len(encoded) <= _LONGEST_HOST and all(_LABEL.fullmatch(label) for label in labels)
 
 
 def resolved(host: str) -> str:

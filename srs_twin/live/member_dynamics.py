@@ -50,7 +50,7 @@ class MemberDynamics:
     `pressure_table`.
 
     Attributes:
-        mass: of each connector with its share of the segments, kg.
+        mass: mass of each connector with its share of the segments, kg.
     """
 
     def __init__(self, spec: RobotSpec) -> None:
@@ -73,7 +73,7 @@ class MemberDynamics:
             dt: duration, s.
             step: longest time step, s.
             pressure: at the start, shape (members, segments, 2), Pa.
-            gain: of the chambers, same shape.
+            gain: gains of the chambers, same shape.
             rates: learnt rates of the pressures.
             noise: standard normal numbers, same shape.
 

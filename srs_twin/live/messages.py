@@ -77,7 +77,7 @@ def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
     if isinstance(values, str):
         return json.dumps({"t": time, "text": values}).encode()
     if kind == BENDS:
-        bends = [None if math.isnan(each) else each for each in np.ravel(values).tolist()]
+        bends = [None if math.isnan(bend) else bend for bend in np.ravel(values).tolist()]
         return json.dumps({"t": time, "rad": bends}).encode()
     if kind == SUPPLY:
         return json.dumps({"t": time, "kpa": round(float(values) / _PA_PER_KPA, 6)}).encode()
@@ -87,7 +87,7 @@ def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
 
 
 def _plain(values: np.ndarray) -> list[float]:
-    return [int(each) if each == int(each) else round(each, 6) for each in values.tolist()]
+    return [int(value) if value == int(value) else round(value, 6) for value in values.tolist()]
 
 
 def decode(kind: str, payload: bytes, *, source: str, arrived: float, segments: int) -> Message:
@@ -150,4 +150,4 @@ def _numbers(
     given = document.get(key)
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != count:
         raise BadMessageError(f"{key}: a list of {count} numbers is needed, one a segment")
-    return [math.nan if gaps and each is None else _number({key: each}, key, low, high) for each in given]
+    return [math.nan if gaps and value is None else _number({key: value}, key, low, high) for value in given]

@@ -106,7 +106,7 @@ class MqttLink(Link):
             with contextlib.suppress(OSError, AttributeError):  # a connection that is gone again
                 client.socket().setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if self._topics:
-                client.subscribe([(each, 0) for each in self._topics])
+                client.subscribe([(topic, 0) for topic in self._topics])
         self._answered.set()
 
     def _on_disconnect(self, *_: Any) -> None:

@@ -75,18 +75,18 @@ class _Reader:
     def read(self, form: str) -> tuple[Any, ...]:
         """Read little-endian numbers in a format of `struct`."""
         try:
-            found = struct.unpack_from("<" + form, self._data, self.at)
+            values = struct.unpack_from("<" + form, self._data, self.at)
         except struct.error:
             raise BadMessageError("the packet ends too early") from None
         self.at += struct.calcsize("<" + form)
-        return found
+        return values
 
     def count(self) -> int:
         """Read the number of entries."""
-        (found,) = self.read("i")
-        if not 0 <= found <= _MOST:
+        (count,) = self.read("i")
+        if not 0 <= count <= _MOST:
             raise BadMessageError(f"a list with a negative number of entries, or more than {_MOST}")
-        return int(found)
+        return int(count)
 
     def listed(self, version: Version) -> tuple[int, int | None]:
         """Read the number of entries of a list and, from version 4.1 on, the position of its end."""
@@ -141,7 +141,7 @@ def read_server(content: bytes) -> tuple[Version, tuple[str, int] | None]:
     packet.at = _NAME + 4
     major, minor, _, _ = packet.read("4B")
     if not VERSIONS[0] <= (major, minor) < (VERSIONS[-1][0] + 1, 0):
-        first, last = (".".join(map(str, each)) for each in (VERSIONS[0], VERSIONS[-1]))
+        first, last = (".".join(map(str, version)) for version in (VERSIONS[0], VERSIONS[-1]))
         raise BadMessageError(f"NatNet of another version than {first} to {last}")
     if (major, minor) < (3, 0) or len(content) - packet.at < 15:
         return (major, minor), None
@@ -164,7 +164,7 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
     Raises:
         BadMessageError: the content is invalid.
     """
-    packet, found = _Reader(content), dict[int, str]()
+    packet, names = _Reader(content), dict[int, str]()
     for _ in range(packet.count()):
         (kind,) = packet.read("i")
         end = None
@@ -177,7 +177,7 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
         elif kind == 1:
             name = packet.text()
             number, _, *_ = packet.read("ii3f" + ("4f" if version >= (4, 2) else ""))
-            found[number] = name
+            names[number] = name
             if version >= (3, 0):
                 count = packet.count()
                 packet.read("3f" * count + "i" * count)
@@ -186,7 +186,7 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
         elif end is None:
             break
         packet.at = packet.at if end is None else end
-    return found
+    return names
 
 
 def write_models(names: Mapping[int, str], version: Version) -> bytes:
@@ -228,9 +228,9 @@ def read_frame(content: bytes, version: Version) -> Frame:
 
 def _all(packet: _Reader, version: Version, read_one: Any) -> list[tuple[int, Any]]:
     count, end = packet.listed(version)
-    found = [read_one(packet, version) for _ in range(count)]
+    entries = [read_one(packet, version) for _ in range(count)]
     packet.at = packet.at if end is None else end
-    return found
+    return entries
 
 
 def _skip(packet: _Reader, version: Version, read_one: Any) -> None:
@@ -297,10 +297,10 @@ def write_frame(frame: Frame, version: Version) -> bytes:
 
     none = listed([])
     bodies = [
-        struct.pack("<i7f", key, *each.place, *each.turn)
+        struct.pack("<i7f", key, *rigid_body.place, *rigid_body.turn)
         + (struct.pack("<i", 0) if version < (3, 0) else b"")
-        + struct.pack("<fH", each.error, _TRACKED if each.tracked else 0)
-        for key, each in frame.bodies.items()
+        + struct.pack("<fH", rigid_body.error, _TRACKED if rigid_body.tracked else 0)
+        for key, rigid_body in frame.bodies.items()
     ]
     markers = [
         struct.pack("<i4fH", key, *place, 0.01, 0) + (struct.pack("<f", 0.0) if version >= (3, 0) else b"")
@@ -320,7 +320,7 @@ def write_frame(frame: Frame, version: Version) -> bytes:
 
 def is_place(place: Sequence[float]) -> bool:
     """Return whether coordinates (m) are finite and within the largest volume of motion capture."""
-    return all(abs(each) <= _FURTHEST_M for each in place)
+    return all(abs(coordinate) <= _FURTHEST_M for coordinate in place)
 
 
 def unit_quaternion(turn: Sequence[float]) -> tuple[float, ...] | None:
@@ -331,7 +331,7 @@ def unit_quaternion(turn: Sequence[float]) -> tuple[float, ...] | None:
     length = math.hypot(*turn)
     if not abs(length - 1) <= _LENGTH_TOLERANCE:
         return None
-    return tuple(each / length for each in turn)
+    return tuple(component / length for component in turn)
 
 
 def turned(body: RigidBody, up: str) -> np.ndarray:

@@ -22,7 +22,7 @@ class Odometry:
     mean bends.
 
     Attributes:
-        connection: of the robot.
+        connection: local connection of the robot.
         twist: forward and lateral velocity (m/s) and yaw rate (rad/s) of the last step.
     """
 
@@ -47,7 +47,7 @@ class Odometry:
 
         Args:
             pose: x, y (m) and heading (rad) of the members, in place.
-            bends: of the members, rad.
+            bends: bends of the members, rad.
         """
         if not self._elapsed:
             return

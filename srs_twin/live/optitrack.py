@@ -31,14 +31,14 @@ class _UdpLink(Link):
     def __init__(self, sockets: Iterable[socket.socket]) -> None:
         super().__init__()
         self._sockets, self._over = list(sockets), threading.Event()
-        for each in self._sockets:
-            each.settimeout(_LISTENS_S)
+        for own in self._sockets:
+            own.settimeout(_LISTENS_S)
         self._threads = [threading.Thread(target=self._listen, args=(s,), daemon=True) for s in self._sockets]
 
     def _start(self) -> None:
         # An answer to the first thread may add another thread during this loop.
-        for each in tuple(self._threads):
-            each.start()
+        for thread in tuple(self._threads):
+            thread.start()
 
     def _listen(self, own: socket.socket) -> None:
         while not self._over.is_set():
@@ -73,8 +73,8 @@ class _UdpLink(Link):
     def close(self) -> None:
         """See `Link.close`."""
         self._over.set()
-        for each in self._threads:
-            each.join(timeout=2 * _LISTENS_S + 1)
+        for thread in self._threads:
+            thread.join(timeout=2 * _LISTENS_S + 1)
         for own in self._sockets:
             own.close()
 
@@ -103,7 +103,7 @@ class FrameNumbers:
             self._missing.update(range(newest + 1, number))
             self.lost += number - newest - 1
             self._newest = number
-            self._missing = {each for each in self._missing if each > number - _WINDOW}
+            self._missing = {missing for missing in self._missing if missing > number - _WINDOW}
         elif number in self._missing:
             self._missing.remove(number)
             self.lost -= 1
@@ -191,8 +191,8 @@ class NatNetLink(_UdpLink):
             frame = natnet.read_frame(content, self.version)
             self._last = arrived
             self._count(frame)
-            seen = {key: each for key, each in frame.bodies.items() if each.tracked}
-            values = [natnet.turned(each, self._up) for each in seen.values()]
+            seen = {key: body for key, body in frame.bodies.items() if body.tracked}
+            values = [natnet.turned(body, self._up) for body in seen.values()]
             names = tuple(self.names.get(key, str(key)) for key in seen)
             self._take(Message(POSES, "natnet", frame.time, arrived, np.array(values).reshape(-1, 4), names))
         else:
@@ -210,8 +210,8 @@ class NatNetLink(_UdpLink):
             if number or name in self.counts:
                 self.counts[name] = number
         useless = sum(
-            natnet.unit_quaternion(each.turn) is None or not natnet.is_place(each.place)
-            for each in frame.bodies.values()
+            natnet.unit_quaternion(body.turn) is None or not natnet.is_place(body.place)
+            for body in frame.bodies.values()
         )
         if useless:
             self.counts["bodies without a usable pose"] += useless
@@ -286,11 +286,11 @@ class NatNetServer(_UdpLink):
         packet = natnet.write_frame(natnet.Frame(self._number, time, bodies), self._version)
         self._number += 1
         now = clock()
-        alive = [each for each, heard in list(self._clients.items()) if now - heard < 10 * _ASKS_EVERY_S]
+        alive = [client for client, heard in list(self._clients.items()) if now - heard < 10 * _ASKS_EVERY_S]
         to = [(self._group, self._data_port)] if self._group else alive
-        for each in to:
+        for client in to:
             with contextlib.suppress(OSError):
-                self._sockets[0].sendto(packet, each)
+                self._sockets[0].sendto(packet, client)
 
     def _packet(self, kind: int, content: bytes, sender: tuple[str, int], arrived: float) -> None:
         self._clients[sender] = arrived

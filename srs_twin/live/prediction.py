@@ -164,9 +164,9 @@ class IntervalCalibration:
         """Compare the predictions for a time (s) with the estimate after its measurements.
 
         Args:
-            time: of the measurements, s.
+            time: time of the measurements, s.
             value: estimate.
-            sd: of the estimate.
+            sd: standard deviation of the estimate.
             measured: whether the measurements corrected a group.
         """
         while len(self._open) > 1 and self._open[1][0] < time:

@@ -113,7 +113,7 @@ class PressureLevels(Stateful):
     """Means and variances of pressure residuals relative to the supply pressure.
 
     Attributes:
-        ages: of the valves.
+        ages: time since switching of the valves.
     """
 
     state_attributes = ("ages", "_count", "_mean", "_variance")

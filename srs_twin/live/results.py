@@ -69,11 +69,11 @@ def summary(shadow: Shadow, links: Sequence[Link], e: Estimate | None) -> dict[s
         sender: {"offset_s": clock.offset, "jitter_s": clock.jitter}
         for sender, clock in shadow.buffer.clocks.items()
     }
-    found: dict[str, Any] = {
+    document: dict[str, Any] = {
         "robot": shadow.spec.name, "messages": dict(counts), "dropped": dict(dropped), "clocks": clocks,
     }  # fmt: skip
     if e is not None:
-        found["estimate"] = {
+        document["estimate"] = {
             "lost": e.lost, "pose": e.pose.tolist(), "pose_sd": e.pose_sd.tolist(),
             "bend_rad": e.bend.tolist(), "bend_sd_rad": e.bend_sd.tolist(), "off": dict(e.off),
             "parameters": {
@@ -81,7 +81,7 @@ def summary(shadow: Shadow, links: Sequence[Link], e: Estimate | None) -> dict[s
                 for name, (value, sd) in e.parameters.items()
             },
         }  # fmt: skip
-    return found
+    return document
 
 
 def timing(ticks: Iterable[float], latency: Iterable[float]) -> dict[str, Any]:
@@ -93,20 +93,20 @@ def timing(ticks: Iterable[float], latency: Iterable[float]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def write_results(folder: Path, found: Mapping[str, Any], table: EstimateTable) -> None:
+def write_results(folder: Path, document: Mapping[str, Any], table: EstimateTable) -> None:
     """Write summary and estimates to a folder."""
     with replace_files(folder, (SUMMARY, ESTIMATE)) as fresh:
         if len(table):
             table.trajectory().to_parquet(fresh / ESTIMATE)
-        (fresh / SUMMARY).write_text(json.dumps(found, indent=1) + "\n", "utf-8")
+        (fresh / SUMMARY).write_text(json.dumps(document, indent=1) + "\n", "utf-8")
 
 
 def finite(value: Any) -> Any:
     """Return JSON values in which null replaces each number that is not finite."""
     if isinstance(value, Mapping):
-        return {key: finite(each) for key, each in value.items()}
+        return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [finite(each) for each in value]
+        return [finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

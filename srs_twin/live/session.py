@@ -305,7 +305,7 @@ class Session:
             self._journal.close()
 
     def _summarise(self, seconds: float, error: BaseException | None) -> None:
-        found = summary(self.shadow, self._links, self.estimate) | {
+        document = summary(self.shadow, self._links, self.estimate) | {
             "seconds": seconds, "resumed": self.resumed,
             "error": None if error is None else f"{type(error).__name__}: {error}", "problems": [],
             "faults": [{"part": p, "fault": f, "time_s": at} for (p, f), at in self.faults.items()],
@@ -313,8 +313,8 @@ class Session:
             "view_share": self.view_s / max(seconds, 1e-9),
         }  # fmt: skip
         if self._steering is not None:
-            found["following"] = self._steering.summary()
-        self._summary = finite(found)
+            document["following"] = self._steering.summary()
+        self._summary = finite(document)
 
     def _write(self) -> None:
         """Write the summary and the estimates."""

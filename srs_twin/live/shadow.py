@@ -83,7 +83,7 @@ class Shadow:
         command_period: period of the commands.
         prediction_calibration: errors of earlier predictions.
         buffer: messages that wait for earlier ones.
-        time: of the filter, our clock, s; NaN before the first message.
+        time: time of the filter, our clock, s; NaN before the first message.
     """
 
     def __init__(
@@ -352,14 +352,14 @@ def frames_of(pairs: Sequence[str], connectors: int) -> dict[str, int]:
     """Return the connector of each body, from ``BODY=CONNECTOR`` pairs.
 
     Raises:
-        InputError: a malformed pair, or an unknown connector.
+        InputError: a pair is malformed, or a connector is unknown.
     """
-    found = {}
+    frames = {}
     for pair in pairs:
         name, _, number = pair.rpartition("=")
         if not name or not number.isdigit() or not 1 <= int(number) <= connectors:
             raise InputError(
                 f"{pair!r} names no body; BODY=CONNECTOR does, with a connector from 1 to {connectors}"
             )
-        found[name] = int(number)
-    return found
+        frames[name] = int(number)
+    return frames

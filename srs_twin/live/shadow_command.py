@@ -52,7 +52,7 @@ def shadow(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a live twin: estimate and predict the state of a robot, and detect faults.
+    """Run a live twin: estimate, predict and detect faults.
 
     Receives commands, bends and pressures over MQTT and frames of motion capture over NatNet, or reads all of
     them from a journal. With --follow it steers the robot by its estimate; the keys p, g, v and s, or the
@@ -235,10 +235,10 @@ def _print_result(result: dict[str, Any]) -> None:
         return
     estimate = result["estimate"]
     x, y, heading = estimate["pose"]
-    a, b, c = (1.96 * each for each in estimate["pose_sd"])
+    a, b, c = (1.96 * sd for sd in estimate["pose_sd"])
     say(f"at x {x:.3f} ± {a:.3f} m, y {y:.3f} ± {b:.3f} m, heading {heading:.2f} ± {c:.2f} rad"
         f"{', but ' + estimate['lost'] if estimate['lost'] else ''}")  # fmt: skip
-    for each in result["faults"]:
-        say(f"{each['time_s']:.1f} s: {each['part']}: {each['fault']}")
+    for fault in result["faults"]:
+        say(f"{fault['time_s']:.1f} s: {fault['part']}: {fault['fault']}")
     if "following" in result:
         say(f"following ended: {result['following']['ending']}")

@@ -51,19 +51,19 @@ def differences(one: RobotSpec, other: RobotSpec) -> list[str]:
     Names, titles and the values of single modules do not count, because the live twin estimates the latter.
     The bend limit does not count either, because scenarios set it for the models.
     """
-    found = []
+    texts = []
     for field in fields(RobotSpec):
         first, second = getattr(one, field.name), getattr(other, field.name)
         if field.name in ("name", "title", "variation") or first == second:
             continue
         if not (is_dataclass(first) and type(first) is type(second)):
-            found.append(f"{field.name} ({_short(first)} and {_short(second)})")
+            texts.append(f"{field.name} ({_short(first)} and {_short(second)})")
             continue
         for name in (inner.name for inner in fields(first)):
             a, b = getattr(first, name), getattr(second, name)
             if a != b and (field.name, name) not in _MODEL_FIELDS:
-                found.append(f"{field.name}.{name} ({_short(a)} and {_short(b)})")
-    return found
+                texts.append(f"{field.name}.{name} ({_short(a)} and {_short(b)})")
+    return texts
 
 
 def _short(value: Any) -> str:
@@ -77,7 +77,7 @@ class EstimateSteering:
     made. The chambers are vented while the estimate is lost, and at the end after a loss of the supply.
 
     Attributes:
-        follower: of the scenario.
+        follower: follower of the scenario.
     """
 
     def __init__(self, scenario: Scenario, shadow: Shadow, tick: float, *, press_on: bool = False) -> None:

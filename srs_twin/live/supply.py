@@ -48,7 +48,7 @@ class SupplyFilter(Stateful):
     Attributes:
         nominal: gauge, Pa.
         pressure: estimate, gauge, Pa.
-        variance: of the estimate, Pa².
+        variance: variance of the estimate, Pa².
     """
 
     state_attributes = ("pressure", "variance")
@@ -81,8 +81,8 @@ class SupplyFilter(Stateful):
         Args:
             residual: r; NaN without a measurement.
             response: h.
-            sd: of v.
-            weight: of each chamber, 0 to 1.
+            sd: standard deviation of v.
+            weight: weight of each chamber, 0 to 1.
             repeats: number of successive measurements that carry the information of one independent
                 measurement.
         """
@@ -109,7 +109,7 @@ class SupplyFilter(Stateful):
         Args:
             residual: p − h S of filling chambers, Pa.
             response: h.
-            sd: of p, Pa.
+            sd: standard deviation of p, Pa.
         """
         if len(residual) < _AGREE:
             return False
