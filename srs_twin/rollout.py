@@ -467,8 +467,8 @@ def run_scripts(
         As `run_batch`.
 
     Raises:
-        InputError: a controller that uses sensor readings, another number of controllers than twins, or an
-            error as in `run_batch`.
+        InputError: a controller uses sensor readings, the numbers of controllers and twins differ, or the
+            errors of `run_batch`.
     """
     ticks = count_steps("duration", duration, "tick", batch.tick)
     samples, stride = sample_counts(batch.tick, record_hz, batch.twins[0].sample_step)

@@ -101,7 +101,7 @@ class PeriodMean(Stateful):
         """Add a frame; its heading is unwrapped with respect to the previous frame.
 
         Args:
-            time: of the frame, s.
+            time: time of the frame, s.
             pose: measured pose.
         """
         integrals, last, period_start = self._integrals, self._last, time - self._period

@@ -123,7 +123,7 @@ class CrawlTask(Task):
             **settings: `fit`, `ranges` and settings of the twin, see `Task`.
 
         Raises:
-            UnknownNameError: a setting that the twin does not have.
+            UnknownNameError: the twin does not have a setting of that name.
             InputError: the robot, fit, range or time limit is invalid, or the camera is too slow.
         """
         super().__init__(robot, limit_s, **settings)

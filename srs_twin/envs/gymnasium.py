@@ -67,7 +67,6 @@ class EpisodeRenderer:
 
         Raises:
             InputError: OpenGL cannot render without a display here.
-            InputError: no OpenGL draws here without a screen.
         """
         from srs_twin.viewing.mujoco.canvas import Canvas
         from srs_twin.viewing.mujoco.stage import Skins

@@ -222,7 +222,7 @@ class Task(ABC):
             **twin_settings: arguments of `TwinSnake`, except those that the task sets.
 
         Raises:
-            UnknownNameError: a setting that the twin does not have.
+            UnknownNameError: the twin does not have a setting of that name.
             InputError: the robot, fit or range is invalid, or the time limit is not a multiple of the step.
         """
         variation = Variation.load(robot, fit, ranges)

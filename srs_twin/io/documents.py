@@ -219,8 +219,7 @@ def parse_yaml(text: str, name: str) -> Document:
         name: name of the file in messages.
 
     Raises:
-        InputFileError: the text has a syntax error or a second document, is nested too deeply, or has too
-            much data.
+        InputFileError: a syntax error or a second document, or nesting or data beyond the limits.
     """
     reader = _Reader(YAML(typ="safe", pure=True).parse(text), Document(name))
     try:

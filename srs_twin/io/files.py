@@ -182,7 +182,7 @@ def missing_folders(folder: Path) -> list[Path]:
 
 
 def remove_empty_folders(folders: Iterable[Path]) -> None:
-    """Remove those folders that are empty; another process may have written to the others."""
+    """Remove those folders that are empty; the remaining ones may contain files of another process."""
     for folder in folders:
         with suppress(OSError):
             folder.rmdir()

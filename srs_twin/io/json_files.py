@@ -46,7 +46,7 @@ def parse_json(text: str, name: str) -> Any:
         name: name of the file in messages.
 
     Raises:
-        InputError: the text is not JSON or nested too deeply, a number is out of range, or a key is repeated.
+        InputError: invalid JSON, nesting beyond the limit, a number out of range, or a repeated key.
     """
     try:
         data = json.loads(

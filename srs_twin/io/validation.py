@@ -219,7 +219,7 @@ def _existing_path(loc: Loc, data: Any) -> Loc:
 
 
 def _is_absent(item: Any, schema: Schema, loc: Loc, data: Any) -> bool:
-    """Return whether the problem concerns a key that is not in its block: a missing or default one."""
+    """Return whether the file lacks the problem's key, because it is missing or has its default."""
     last = item["loc"][-1] if item["loc"] else None
     known = item["type"] == "value_error" and isinstance(last, str) and loc[-1:] != (last,)
     return item["type"] == "missing" or (known and last in _allowed_keys(schema, loc, data))

@@ -3,7 +3,7 @@
 The first search uses the Dubins length as heuristic, which ignores obstacles. If it does not succeed at once,
 a second tree uses in addition
 
-- the distance to the goal on a grid around obstacles. It is an estimate and no lower bound: grid paths are up
+- the distance to the goal on a grid around obstacles. It is an estimate, not a lower bound: grid paths are up
   to 8 % longer than straight lines, and passages narrower than a cell may be missing or too wide. The tree
   finds some path quickly, not necessarily the shortest.
 - entry poses of narrow passages. Poses on arcs of fixed length rarely hit a passage that is hardly wider than

@@ -66,7 +66,7 @@ def plan(problem: Problem, settings: Settings | None = None, *, planner: str = "
 
     Raises:
         InputError: start or goal is in an obstacle or outside the bounds, or a number is not allowed.
-        UnknownNameError: unknown planner.
+        UnknownNameError: the planner is unknown.
     """
     if planner not in PLANNERS:
         raise UnknownNameError("planner", planner, PLANNERS)

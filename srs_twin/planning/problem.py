@@ -110,7 +110,8 @@ class Plan(HtmlResult):
         expanded: number of expanded nodes.
         cell: side (m) and heading width (rad) of the finest cells that were searched; None for `greedy`,
             `ompl` and proofs of infeasibility.
-        seconds: wall time, s; ignored by comparisons. problem: the problem; not compared.
+        seconds: wall time, s; not compared.
+        problem: the problem; not compared.
         trees: trees of the last search if `Settings.keep` is set, otherwise empty; not compared.
     """
 

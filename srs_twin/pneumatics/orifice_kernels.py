@@ -131,7 +131,7 @@ def _newton(y, amounts, base, line_base, weight, state, coupled, bend, air, line
 
     Args:
         y: state, shape (segments, 3).
-        amounts: of the whole robot, shape (3,).
+        amounts: amounts of air of the whole robot, shape (3,).
         base, line_base: known parts of y and of the amount of air in the line.
         weight: γ h, s.
         state: valve states, shape (segments, 2).

@@ -315,6 +315,6 @@ def result_text(checked: Mapping[str, Any]) -> str:
 
 
 def tally(verdicts: Mapping[str, int]) -> str:
-    """Return the text of the numbers of expectations by verdict."""
+    """Return how many expectations have each verdict, as text."""
     counted = [f"{verdicts[name]} {text}" for name, text in _TALLY.items() if verdicts.get(name)]
     return ", ".join(counted) or "none"

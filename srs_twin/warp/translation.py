@@ -45,7 +45,7 @@ class WarpStruct(NamedTuple):
     """Warp versions of a record.
 
     Attributes:
-        single: struct of one world, as the translated functions take it.
+        single: struct of one world, the argument of translated functions.
         batched: struct of all worlds; its fields have a leading axis of worlds.
         select: Warp function that maps a batched struct and an index to the struct of that world.
     """

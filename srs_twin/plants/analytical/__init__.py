@@ -73,7 +73,7 @@ class Body(Stateful, ABC):
     """Abstract mechanics of an analytical model, driven by the chambers.
 
     Attributes:
-        state: current state, with the indices of `kernels` and, for compliant bends, more.
+        state: current state. `kernels` names its indices; compliant bends append further entries.
         velocity: current velocities, in the format of `Motion.velocities`.
         solid: constants of the body for the kernels.
         floor: floor for the kernels.

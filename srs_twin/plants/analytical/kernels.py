@@ -57,7 +57,7 @@ def inverse_dynamics(velocities, trace, model, torque):  # type: ignore[no-untyp
     Args:
         velocities: velocity of the centre of mass in the mean-heading frame (m/s) and yaw rate (rad/s), shape
             (samples, 3).
-        trace: of the chambers, whose free bends are the bends.
+        trace: trace of the chambers, whose free bends are the bends.
         model: body, floor, and whether the friction moment acts.
         torque: out, shape (samples, segments), N·m.
     """
