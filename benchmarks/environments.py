@@ -35,7 +35,7 @@ class Vector:
         self._envs = SnakeVectorEnv("GoTo", count, threads=threads, limit_s=1e4)
         for env in self._envs.envs:
             assert isinstance(env.task, CrawlTask)
-            env.task.place = replace(OPEN, distances=(2.4, 2.4))
+            env.task.arena = replace(OPEN, distances=(2.4, 2.4))
         self._actions = np.tile(np.float32([OFFSET, FREQUENCY_HZ, PRESSURE_KPA]), (count, 1))
         self._envs.reset(seed=0)
 

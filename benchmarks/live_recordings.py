@@ -44,7 +44,7 @@ def named(
     time = way.time
     bends = np.stack([way[f"bend_{j}"] for j in range(1, spec.segments + 1)], axis=1)
     bends = bends + NOISE_RAD * np.random.default_rng(seed).normal(size=bends.shape)
-    begun = (time[-1] + time[0] + DetectorSettings().learns) / 2
+    begun = (time[-1] + time[0] + DetectorSettings().naming.start_s) / 2
     if fault:
         broken = time >= begun
         bends[broken, segment] = BREAKS[fault](bends[broken, segment], time[broken] - begun)

@@ -62,9 +62,9 @@ def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory
         out = engine.rollout(steps, controls, record=(_SEEN, "sensordata"))
         for k, twin in enumerate(twins):
             mujoco.mj_setState(models[k], twin.physics.data.ptr, engine.state[k], _WHOLE)
-            history = twin.physics.recorded(out[_SEEN][k], out["sensordata"][k])
+            batch = twin.physics.evaluate(out[_SEEN][k], out["sensordata"][k])
             trace = traces[k].at(np.arange(1, steps + 1))
-            recorders[k].add(twin._history(second + times, trace, history, steps // samples))
+            recorders[k].add(twin._chunk_history(second + times, trace, batch, steps // samples))
     return [recorder.trajectory() for recorder in recorders]
 
 

@@ -6,7 +6,6 @@ uv run python docs/live_picture.py
 from __future__ import annotations
 
 import sys
-from collections import deque
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +25,7 @@ from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests/helpers"))
-from live_runs import Moment, Run, shadowed  # noqa: E402
+from live_runs import Run, recorded, shadowed  # noqa: E402
 
 RUN = Run(3, 10.0, fault="stuck_valve:2+=open@6.0", frequency=1.0)
 START_S = 3.0
@@ -52,14 +51,27 @@ def draw_segments(
         axes.fill(*np.asarray(tube.exterior.coords).T, facecolor=color, **style)
 
 
+def true_poses(truth: np.ndarray, spec: RobotSpec) -> np.ndarray:
+    """Return x, y (m) and heading (rad) of the connectors, shape (ticks, connectors, 3).
+
+    Args:
+        truth: time (s), bends (rad), centre of mass (m) and heading (rad), shape (ticks, segments + 4).
+        spec: the robot.
+    """
+    bends, com, heading = truth[:, 1:-3], truth[:, None, -3:-1], truth[:, -1:]
+    shape = body_shape(bends, spec.mass.array(), spec.geometry.segment_length, spec.geometry.rigid_gap)
+    c, s = np.cos(heading), np.sin(heading)
+    turned = np.stack([c * shape[..., 0] - s * shape[..., 1], s * shape[..., 0] + c * shape[..., 1]], axis=-1)
+    return np.concatenate([com + turned, (heading + relative_headings(bends))[..., None]], axis=-1)
+
+
 def draw_frame(
-    moment: Moment, true: np.ndarray, estimate: Estimate, prediction: Prediction | None
+    time: float, true: np.ndarray, geometry: Geometry, estimate: Estimate, prediction: Prediction | None
 ) -> np.ndarray:
     """Return a frame, shape (height, width, 3)."""
     figure = Figure(figsize=(8.0, 8.0 * HEIGHT_M / WIDTH_M + 0.5), dpi=100)
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_axes((0.0, 0.12, 1.0, 0.88))
-    geometry = moment.robot.twin.spec.geometry
     faulty = {name for name, _, _ in estimate.faults}
     colors = [
         FAULT_COLOR if f"segment {j}" in faulty else ESTIMATE_COLOR for j in range(1, len(estimate.bend) + 1)
@@ -86,7 +98,7 @@ def draw_frame(
     axes.tick_params(length=0, labelbottom=False, labelleft=False)
     status = "; ".join(f"{name}: {fault}" for name, fault, _ in estimate.faults) or "no fault"
     position = {"transform": axes.transAxes, "fontsize": 13}
-    axes.text(0.012, 0.93, f"t = {moment.time:.1f} s", **position)
+    axes.text(0.012, 0.93, f"t = {time:.1f} s", **position)
     axes.text(0.14, 0.93, status, color=FAULT_COLOR if faulty else "#2c7a3f", weight="bold", **position)
     entries = (
         ("robot", TRUE_COLOR, 8),
@@ -102,17 +114,17 @@ def draw_frame(
 def main() -> None:
     """Simulate the run and write docs/images/live.webp."""
     frames, prediction = [], None
-    history: deque[tuple[float, np.ndarray]] = deque(maxlen=20)
+    recording = recorded(RUN)
+    poses, geometry = true_poses(recording.truth, recording.spec), recording.spec.geometry
     for moment in shadowed(RUN):
-        state, k = moment.robot.state, round(moment.time * 50)
-        history.append((moment.time, np.column_stack([state.position, state.theta])))
+        k = round(moment.time * 50)
         if moment.estimate is None or moment.time < START_S:
             continue
         if k % round(PREDICTION_INTERVAL_S * 50) == 0:
             prediction = moment.shadow.predict()
         if k % round(FRAME_S * 50) == 0:
-            true = min(history, key=lambda entry: abs(entry[0] - moment.shadow.time))[1]
-            frames.append(draw_frame(moment, true, moment.estimate, prediction))
+            true = poses[np.abs(recording.truth[:, 0] - moment.shadow.time).argmin()]
+            frames.append(draw_frame(moment.time, true, geometry, moment.estimate, prediction))
     first, *others = [
         Image.fromarray(frame).quantize(64, dither=Image.Dither.NONE).convert("RGB") for frame in frames
     ]

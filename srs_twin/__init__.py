@@ -9,7 +9,8 @@ from typing import Any
 
 __version__ = "0.1.0"
 
-# Public name → module that defines it. Handed out lazily, so that importing the package costs nothing.
+# Public name → module that defines it. Names are imported on first use, so that importing the package is
+# fast.
 _HOME = {
     "AnalyticalSnake": "srs_twin.plants.analytical",
     "TwinSnake": "srs_twin.plants.twin.snake",
@@ -57,7 +58,7 @@ def __dir__() -> list[str]:
 
 
 class _Package(ModuleType):
-    """Keeps a public name from being shadowed by its module: `rollout` is the function of rollout.py."""
+    """Module class that keeps public names from being shadowed: `rollout` is the function of rollout.py."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         if isinstance(value, ModuleType) and _HOME.get(name) == value.__name__:

@@ -75,7 +75,7 @@ FROZEN_CHORDS = "frozen chords"
 MATCHED_STIFFNESS_FACTOR = 45.0
 """Factor on the bending stiffness of the twin in the matched setting: gen2 gets 20 instead of 0.44 N·m/rad.
 
-So stiff a segment follows its free bend, as the prescribed bends of the analytical model do.
+Such a stiff segment follows its free bend, like the prescribed bends of the analytical model.
 """
 
 RobotChange = Callable[[RobotSpec], RobotSpec]
@@ -109,7 +109,7 @@ class Refinement:
         name: short name.
         title: the approximation.
         options: changed arguments of the plant.
-        factor: total effect over the change under the refinement.
+        factor: ratio of the total effect to the change under the refinement.
         plant: plant that makes the approximation, "twin" or "analytical".
         base: changed arguments of the plant without the refinement.
         change: change of the robot.
@@ -217,7 +217,7 @@ class PlantVariants:
         wheels_of_law = {law: wheels for wheels, law in LAW_OF.items()}
         if contact.law not in wheels_of_law or self._scenario.world.uneven:
             return [loads]
-        # The two solvers are compared under static loads.
+        # Compare the two solvers under static loads.
         solver = Refinement(
             "friction solver",
             "stick-slip friction → MuJoCo's own friction",
@@ -326,9 +326,9 @@ def explain(
     """Attribute the difference between the two plants of a run to assumptions.
 
     Every subset of the switches is simulated with the analytical model and compared with the given twin,
-    which gives the Shapley value of each switch (`contributions`). Approximations of one plant are then
-    refined, one at a time, against the model with all switches on. Shares and remainder add up to the
-    difference.
+    which gives the Shapley value of each switch (`contributions`). Then each approximation that only one
+    plant makes is refined, and its effect is measured with all switches on. Contributions and remainder add
+    up to the difference.
 
     Args:
         scenario: scenario of the run.
@@ -382,7 +382,7 @@ def explain(
 def main_cause(scenario: Scenario, trajectories: Mapping[str, Trajectory]) -> dict[str, Any] | None:
     """Return the effect of compliance on the analytical model, from one additional run.
 
-    Compliance usually has the largest of the shares that `explain` computes.
+    Compliance usually has the largest of the contributions that `explain` computes.
 
     Args:
         scenario: scenario of the run.
@@ -446,7 +446,7 @@ def _run_all(
 def _refinement_shares(
     refinements: Sequence[Refinement], runs: Mapping[str, Trajectory], all_on: frozenset[str]
 ) -> list[AssumptionShare]:
-    """Return the shares of the refinements, against the model with all switches on or the given twin."""
+    """Return the contributions of the refinements to the model with all switches on or to the twin."""
     model, twin = runs[_variant_name(all_on)], runs[_variant_name({})]
     shares = []
     for refinement in refinements:
@@ -462,7 +462,7 @@ def _refinement_shares(
 
 
 def _make_share(name: str, title: str, how: str, contribution: Contribution) -> AssumptionShare:
-    """Return a share of the difference: positive if a switch reduces it."""
+    """Return a contribution to the difference, positive if a switch reduces the difference."""
     return AssumptionShare(
         name,
         title,

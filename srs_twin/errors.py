@@ -23,13 +23,13 @@ MAX_LISTED_NAMES = 12
 
 _MAX_SUGGESTIONS = 3
 _MIN_SIMILARITY = 0.6
-"""Lowest similarity of a suggested name, on the scale of `difflib`; its default cutoff as well."""
+"""Lowest similarity of a suggested name; the scale and the value are those of `difflib`."""
 
 _SIMILARITY_TIE = 0.05
 """Names whose similarity is within this distance of the best are suggested together."""
 
 _MIN_PREFIX_SIMILARITY = 0.75
-"""`_MIN_SIMILARITY` for the first words of a name: short texts are similar by chance."""
+"""Lowest similarity to the first words of a name; higher, because short texts are similar by chance."""
 
 _FILE_SUFFIXES = (".yaml", ".yml", ".csv", ".parquet", ".rrd", ".xml", ".json", ".urdf", ".mjcf")
 _WORD_SEPARATOR = re.compile(r"[_.\s-]")
@@ -68,7 +68,7 @@ class UnknownNameError(InputError):
     def __init__(self, kind: str, name: str, available: Iterable[str], listing: str = "") -> None:
         names = sorted(available)
         suggestion = did_you_mean(name, names)
-        # A long list would hide the suggestion.
+        # Do not list many names, because they would hide the suggestion.
         hide_list = suggestion and len(names) > MAX_LISTED_NAMES
         rest = "" if hide_list else f" (available: {format_names(names, listing)})"
         super().__init__(f"unknown {kind} '{name}'{suggestion}{rest}")
@@ -82,7 +82,8 @@ class TimeStepError(InputError):
     """
 
     def __init__(self, name: str, period_s: float, step_name: str, step_s: float) -> None:
-        # As many digits as show the problem: 0.13999994 s is 0.14 s to six digits, a multiple of 0.02 s.
+        # Print enough digits to show the problem: with six digits, 0.13999994 s would be 0.14 s, a multiple
+        # of 0.02 s.
         period = shortest_decimal(period_s, lambda time: not _is_whole(time / step_s))
         self.problem = f"{name} {period} s is not a multiple of {step_name} {format_exact(step_s)} s"
         multiple = max(1, round(period_s / step_s)) * step_s
@@ -361,7 +362,7 @@ def nearest_rate(
     candidates += [near for grid in grids for near in grid.rates_near(rate)]
 
     def fits(rate: float) -> bool:
-        # Tighter than the checks of the plants, which divide once more.
+        # A tighter tolerance than that of the plants, which divide once more.
         return low <= rate <= high and all(grid.fits(rate, 1e-10) for grid in grids)
 
     fitting = sorted(filter(fits, candidates), key=lambda candidate: abs(math.log(candidate / rate)))

@@ -50,12 +50,12 @@ RECORDING = "recording.rrd"
 MEASURED = "measured"
 """Name of the measured trajectory."""
 PRODUCTS = (METRICS, RESOLVED, REPORT, RECORDING, *(f"{plant}.parquet" for plant in PLANTS))
-"""Files of a run; metrics.json comes first, because the folder is complete as long as it exists."""
+"""Files of a run; metrics.json comes first, because it marks a complete folder."""
 _ALL_PRODUCTS = (*PRODUCTS, f"{MEASURED}.parquet")
 """Files of a run with a recording."""
 
 Progress = Callable[[str, float], None]
-"""Function called with the name of a task and its completed share, 0 to 1."""
+"""Function called with the name of a task and its completed fraction, 0 to 1."""
 Explain = Callable[..., "Attribution"]
 """Function that attributes the difference of the plants (`attribution.explain`)."""
 
@@ -116,7 +116,7 @@ class PreparedRun:
         there are no comparison, pictures and metrics.json.
 
         Args:
-            progress: called with the name of the plant and the completed share.
+            progress: called with the name of the plant and the completed fraction.
             explain: attributes the difference of the plants (`attribution.explain`); None: no attribution.
             main_cause: computes the main cause of the difference (`attribution.main_cause`) without
                 `explain`.
@@ -129,7 +129,7 @@ class PreparedRun:
         walls: dict[str, float] = {}
         diverged: list[DivergedError] = []
         for kind, (plant, controller) in self.pairs.items():
-            # Compile the kernels before the time is measured.
+            # Compile the kernels first, so that the measured time excludes compilation.
             plant.step(np.full((plant.spec.segments, 2), -1, dtype=np.int8))
             watch = _percents(partial(progress, kind) if progress else None, scenario.duration)
             start = time.perf_counter()
@@ -152,7 +152,7 @@ class PreparedRun:
         cause = None
         if main_cause is not None and not (diverged or attribution):
             cause = main_cause(scenario, trajectories)
-        # All files are replaced at once: an interrupt or a full disk leaves those of an earlier run.
+        # Replace all files at once, so that an interrupt or a full disk leaves those of an earlier run.
         with replace_files(self.folder, _ALL_PRODUCTS) as fresh:
             (fresh / RESOLVED).write_text(dump_yaml(scenario.document), "utf-8")
             for kind, trajectory in trajectories.items():
@@ -209,7 +209,7 @@ class PreparedRun:
         twin = scenario.file.plants.twin
         if "twin" in trajectories and twin and twin.fast_preset:
             metrics["preset"] = twin.fast_preset
-        # Expectations of plants that were not requested to run are not missed.
+        # Expectations of plants that were not run do not count as missed.
         available = {*trajectories, *(["comparison"] if comparison else ())}
         complete = set(scenario.plants) <= available
         expected = [item for item in scenario.expect if item.subject in available or complete]
@@ -221,7 +221,7 @@ class PreparedRun:
         metrics["left_out"] = [row for row in scenario.left_out if row["of"] in available]
         metrics.get("intervals", {}).pop("plants", None)
         metrics["versions"] = versions()
-        # The robot of the plants may differ from that of the scenario: plants without gaps.
+        # Use the robot of the plants, which may differ from that of the scenario (plants without rigid gaps).
         spec = [plant.spec for plant, _ in self.pairs.values()][-1]
         return metrics, {
             "spec": spec,
@@ -234,7 +234,7 @@ class PreparedRun:
         self, fresh: Path, metrics: dict[str, Any], shared: dict[str, Any], attribution: Attribution | None
     ) -> None:
         """Write report, recording and metrics into a folder."""
-        # Imported late: rerun alone takes half a second to import.
+        # Import late, because rerun alone takes half a second.
         from srs_twin.viewing.html.report import write_report
         from srs_twin.viewing.rerun.recording import write_recording
 

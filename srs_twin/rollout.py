@@ -78,7 +78,7 @@ def rollout(
         controller: controller of its valves.
         duration: simulated time, s, a multiple of the plant's tick.
         pose: initial pose: centre of mass x, y (m), mean heading (rad).
-        begin: sets another initial state of the plant, as `Plant.place` does; called with plant and seed.
+        begin: function of plant and seed that sets another initial state, as `Plant.place` does.
         resume: saved states of plant and controller to continue from; the simulated time continues as well.
         seed: random seed of plant and controller.
         record_hz: sampling rate, Hz: a whole number of samples per tick, or one sample per whole number of
@@ -317,13 +317,13 @@ class Job:
 
     Attributes:
         plant: simulated robot, or a function that builds it. Consecutive jobs with the same function share
-            the plants that it builds, one per thread.
+            its plants, one per thread.
         controller: controller of its valves, or a function that builds it.
         duration: simulated time, s.
         pose: initial pose: centre of mass x, y (m), mean heading (rad).
         seed: random seed of plant and controller.
         record_hz: sampling rate, Hz.
-        begin: sets another initial state of the plant.
+        begin: function that sets another initial state of the plant.
     """
 
     plant: Plant | Callable[[], Plant]
@@ -376,7 +376,7 @@ def run_many(
                 progress=check_cancelled,
             )
         except DivergedError as error:
-            return error.with_traceback(None)  # its frames would keep the plant alive
+            return error.with_traceback(None)  # the traceback's frames would keep the plant alive
         except InputError as error:
             raise InputError(f"job {k + 1} of {len(jobs)}: {error}") from error
 
@@ -467,8 +467,8 @@ def run_scripts(
         As `run_batch`.
 
     Raises:
-        InputError: a controller that uses sensor readings, another number of controllers than twins, or an
-            error as in `run_batch`.
+        InputError: a controller uses sensor readings, the numbers of controllers and twins differ, or the
+            errors of `run_batch`.
     """
     ticks = count_steps("duration", duration, "tick", batch.tick)
     samples, stride = sample_counts(batch.tick, record_hz, batch.twins[0].sample_step)
@@ -532,7 +532,7 @@ class _CancelledError(Exception):
 
 
 class _PolicyController(Controller):
-    """Placeholder controller in the recording of a batch that a policy commands; it has no signals."""
+    """Placeholder for the controller in recordings of batches that a policy commands; it has no signals."""
 
     kind = "policy"
 

@@ -73,7 +73,7 @@ class Trajectory(HtmlResult):
 
     Attributes:
         columns: name → float array of shape (samples,).
-        units: name → unit, for columns with names other than these.
+        units: name → unit, for columns with other names.
         events: events in the order of time.
         metadata: JSON values, such as plant, robot, tick, gait frequency and valve switch counts; no wall
             times.
@@ -147,7 +147,7 @@ class Trajectory(HtmlResult):
             [pa.Array.from_buffers(pa.float64(), len(each), [None, pa.py_buffer(each)]) for each in values],
             schema=pa.schema(fields, metadata=schema_metadata),
         )
-        # Splitting the bytes of floats compresses smooth signals better than a dictionary.
+        # Split the bytes of floats, which compresses smooth signals better than a dictionary.
         encoding = dict.fromkeys(self.columns, "BYTE_STREAM_SPLIT")
         options = {"compression": "zstd", "use_dictionary": False, "write_page_checksum": True}
         pq.write_table(table, path, **options, column_encoding=encoding)
@@ -157,7 +157,7 @@ class Trajectory(HtmlResult):
         """Read a file written by `to_parquet`.
 
         Raises:
-            InputError: not a Parquet file, not a trajectory, damaged or too large.
+            InputError: the file is not a Parquet file or not a trajectory, is damaged or too large.
         """
         table = read_table(path, _FILE_KIND, _check_schema)
         schema_metadata = table.schema.metadata or {}
@@ -182,7 +182,7 @@ def _check_schema(schema: Any) -> None:
     """Check that a file is a trajectory before its data are read.
 
     Raises:
-        TypeError: another kind of Parquet file, or a column that is not float64.
+        TypeError: the file is not a trajectory, or a column is not float64.
     """
     if not {b"srs_twin.events", b"srs_twin.metadata"} <= (schema.metadata or {}).keys():
         raise TypeError("a Parquet file with other content")
@@ -206,7 +206,7 @@ def _parse_event(data: Any) -> Event:
     """Return an event from its JSON object.
 
     Raises:
-        TypeError, ValueError: a missing or unknown key, or a value of another type.
+        TypeError, ValueError: a key is missing or unknown, or a value has another type.
     """
     event = Event(**data)
     if not (isinstance(event.kind, str) and isinstance(event.text, str)):

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _PYTHON_FORMATWARNING = warnings.formatwarning
 
-# Errors of a path that no earlier check can exclude: a name too long, a full or read-only disk, missing
+# File errors that no earlier check can exclude: a name that is too long, a full or read-only disk, missing
 # permission, a defective medium. A missing file, or a folder in place of a file, remains an internal error.
 _FILE_SYSTEM_ERRORS = frozenset(
     {
@@ -45,8 +45,8 @@ def main(argv: list[str] | None = None) -> None:
     """Run `srs-twin` and exit the process with its exit code.
 
     Exit codes: 0 success; 1 an expectation failed under ``--check``; 2 invalid input; 3 a simulation
-    diverged; 4 internal error; 130 interrupted. Messages are printed on stderr, results on stdout. A closed
-    pipe (``| head -1``) neither stops the work nor changes the exit code.
+    diverged; 4 internal error; 130 interrupted. Messages are printed on stderr, results on stdout. A pipe
+    that its reader closes (``| head -1``) neither stops the command nor changes the exit code.
 
     Args:
         argv: arguments after the program name; default: those of this process.
@@ -109,7 +109,7 @@ class _StandardStream(io.FileIO):
             InputError: the write failed.
         """
         if not memoryview(data).nbytes:
-            return 0  # a library tests whether the stream is binary
+            return 0  # libraries write nothing to test whether the stream is binary
         try:
             return super().write(data)
         except OSError as error:
@@ -125,7 +125,7 @@ class _StandardStream(io.FileIO):
 
 
 def _without_broken_pipes(stream: TextIO) -> TextIO:
-    """Return a standard stream of the process on a `_StandardStream`; return any other stream unchanged."""
+    """Wrap a standard stream of the process in a `_StandardStream`; return any other stream unchanged."""
     if not isinstance(stream, io.TextIOWrapper) or stream not in (sys.__stdout__, sys.__stderr__):
         return stream
     stream.flush()

@@ -62,7 +62,7 @@ def run_case(
         return CaseResult(None, (error,), time.perf_counter() - start)
     errors = (*result.diverged, *result.failed_attributions)
     for failure in errors:
-        # Their file contains them; a worker process should not send them again.
+        # Drop the trajectories: they are in files, and a worker process should not send them as well.
         failure.trajectory = failure.history = None
     result = replace(result, trajectories={}, diverged=(), failed_attributions=())
     return CaseResult(result, errors, time.perf_counter() - start)
@@ -143,8 +143,8 @@ def make_cases(names: Sequence[str]) -> list[Case]:
 
     sources: list[str] = []
     for name in names:
-        # A shipped scenario takes precedence over a folder of the same name. Of names that are too long,
-        # `isdir` returns False, whereas `glob` raises.
+        # A shipped scenario takes precedence over a folder of the same name. For names that are too long,
+        # `isdir` returns False, whereas `glob` raises an error.
         is_folder = name not in shipped_names("scenario") and os.path.isdir(name)
         files = sorted(map(str, Path(name).glob("*.yaml"))) if is_folder else []
         sources += files or [name]

@@ -23,7 +23,7 @@ def report_path(name: str) -> Path:
     """Return the path of a report.
 
     Raises:
-        InputError: the name does not end in .xml. The check protects a scenario file given by mistake.
+        InputError: the name does not end in .xml; the check prevents overwriting a scenario file by mistake.
     """
     path = Path(name)
     if path.suffix.lower() != ".xml":

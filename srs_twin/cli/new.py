@@ -50,14 +50,14 @@ def robot(
 ) -> None:
     """Write a robot file, scaled from generation 2.
 
-    An interactive terminal prompts for the values without an option.
+    On a terminal, the command prompts for values that no option sets.
 
     Options:
         length: Body length, m. [default: generation 2]
         mass: Mass of the whole robot, kg. [default: scaled from generation 2]
         segments: Number of segments. [default: generation 2]
         pressure: Supply pressure (gauge), kPa. [default: generation 2]
-        bend: Bend of one segment at that pressure, rad. [default: generation 2]
+        bend: Bend of one segment at the supply pressure, rad. [default: generation 2]
     """
     count = int(_answer("number of segments", segments, 4))
     body_length = _answer("body length, m", length, 4 * _PITCH_M)

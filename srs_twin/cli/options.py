@@ -80,7 +80,7 @@ def print_json(document: Any) -> None:
     """Print a JSON document on stdout; NumPy numbers and arrays become Python numbers and lists."""
     import json
 
-    # ASCII only: names from foreign files may contain control characters that a terminal would execute.
+    # Write ASCII only: names from foreign files may contain control characters that a terminal would execute.
     typer.echo(json.dumps(document, indent=2, allow_nan=False, default=lambda value: value.tolist()))
 
 

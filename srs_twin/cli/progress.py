@@ -116,7 +116,7 @@ class RunCounter(Display):
             self._progress.start()
 
     def _rate(self) -> float:
-        """Return the runs per second; the start of the workers is excluded once two runs are complete."""
+        """Return the runs per second; after two complete runs, without the start-up time of the workers."""
         if self._done < 2:
             return self._done / max(self._elapsed(), 1e-3)
         return (self._done - 1) / max(self._elapsed() - self._first_done_s, 1e-3)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from srs_twin.experiment import RunResult
 
-# Labels of metrics that their names would not describe well.
+# Labels of metrics whose names are not clear by themselves.
 _LABELS = {
     "amplitude_error_end_rel": "amplitude error, end",
     "path_speed_m_s": "speed at the end",
@@ -53,7 +53,7 @@ _EXPLAINABLE = {"com_speed_rel", "yaw_rate_abs"}
 """Differences that `compare --explain` attributes to assumptions."""
 
 _ZERO = 5e-6
-"""Absolute value below which a difference is printed as 0; in m, m/s, rad and rad/s alike."""
+"""Absolute value below which a difference is printed as 0; the same for m, m/s, rad and rad/s."""
 
 
 def rows(metrics: Mapping[str, Any]) -> list[list[str]]:

@@ -47,7 +47,7 @@ def view(
 
 
 def _serve(recording: Path, port: int) -> None:
-    """Serve a recording until an interrupt, which is a normal end."""
+    """Serve a recording until an interrupt, which is the normal end."""
     from srs_twin.viewing.rerun.web import serve_recordings
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -81,7 +81,7 @@ def find_recording(run: str) -> Path:
 
 
 def name_recordings(recordings: Sequence[Path]) -> dict[str, Path]:
-    """Return unique name → recording; a name has as many trailing parts of the path as needed.
+    """Return unique name → recording; a name has as many of the last parts of its path as necessary.
 
     Raises:
         InputError: a recording is given twice.

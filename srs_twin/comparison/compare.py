@@ -188,8 +188,8 @@ class MeasuredDifference:
 
     Attributes:
         comparison: plant minus measurement, see `compare`.
-        only_bends: whether only bends were measured; the position of the body is then computed from them.
-        clamped: whether the heads of plant and robot were clamped, so that neither moved away.
+        only_bends: whether only bends were measured, from which the position of the body is then computed.
+        clamped: whether the heads of plant and robot were clamped, so that neither could travel.
     """
 
     comparison: Comparison
@@ -263,8 +263,8 @@ class AssumptionShare:
         value: contribution to each of `MEASURES`, in that order.
         low: smallest contribution over the orders in which the assumptions may be switched.
         high: largest contribution over these orders.
-        how: "averaged" over orders or "first" in the order, both on the analytical side, or "refined" on the
-            only plant that has the assumption.
+        how: "averaged" over orders or "first" in the order (both in the analytical model), or "refined" in
+            the only plant that has the assumption.
     """
 
     name: str
@@ -285,7 +285,7 @@ class Attribution:
         remainder: part that no assumption explains.
         matched: difference that remains if both plants have stiff bends and the same friction at the same
             points.
-        same: assumptions in which the two plants agree in this scenario, so that they explain nothing.
+        same: assumptions that both plants share in this scenario, so that they explain no difference.
         shares: contributions of the assumptions; together with the remainder they add up to the gap.
     """
 

@@ -1,8 +1,8 @@
 """Comparison of two sets of results, for example of two commits, machines or settings.
 
-A number has changed if |a − b| > max(abs, rel · max(|a|, |b|)). Any other value (a verdict, a status, a
-number that only one side has) has changed if it is not equal. Two single runs are compared even if their
-scenarios have different names. Wall times are left out.
+A number counts as changed if |a − b| > max(abs, rel · max(|a|, |b|)). Any other value (a verdict, a status, a
+number that only one side has) counts as changed if it is not equal. Two single runs are compared even if
+their scenarios have different names. Wall times are left out.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Tolerance(StrictModel):
         """Return whether two values count as equal."""
         if _is_number(a) and _is_number(b):
             if math.isnan(a) and math.isnan(b):  # type: ignore[arg-type]
-                return True  # neither side has a number
+                return True  # both sides lack the number
             return math.isclose(a, b, rel_tol=self.rel, abs_tol=self.abs)  # type: ignore[arg-type]
         return a == b and _is_number(a) == _is_number(b)
 
@@ -119,7 +119,7 @@ class Difference:
     """Differences between two sets of results A and B.
 
     Attributes:
-        moved: changed values in the order of A, followed by those that only B has.
+        moved: changed values in the order of A, then values that only B has.
         same: number of values that count as equal.
         wheres: all scenarios, sweep points and rows, in order.
         versions: package → versions of A and B, if they differ.
@@ -190,7 +190,7 @@ def read_results(path: str | os.PathLike[str]) -> Results:
             them.
 
     Raises:
-        InputError: there are no such results, or the file is something else.
+        InputError: there are no results, or the file does not contain results.
     """
     source = Path(path)
     if not os.path.isdir(source):
@@ -215,7 +215,7 @@ def _result_files(folder: Path) -> Iterator[Path]:
         InputError: the folder cannot be listed.
     """
     pending = [os.fspath(folder)]
-    while pending:  # without recursion, because folders may be nested deeper than the stack
+    while pending:  # without recursion: folders may be nested more deeply than the stack allows
         current = pending.pop()
         try:
             entries = list(os.scandir(current))
@@ -223,7 +223,7 @@ def _result_files(folder: Path) -> Iterator[Path]:
             if current == os.fspath(folder):
                 raise InputError(f"{display_path(folder)}: cannot be read ({error.strerror})") from error
             continue
-        # Hidden folders may contain incomplete files of a killed process.
+        # Skip hidden folders, which may contain incomplete files of a killed process.
         entries = [entry for entry in entries if not entry.name.startswith(".")]
         pending += [entry.path for entry in entries if entry.is_dir(follow_symlinks=False)]
         yield from (Path(entry.path) for entry in entries if entry.name in _FILES and entry.is_file())

@@ -20,7 +20,7 @@ WARM_UP_PERIODS = 2
 MIN_PERIODS = 3
 """Smallest number of whole gait periods of a run with gait metrics."""
 _MIN_SAMPLES_PER_PERIOD = 4
-"""Smallest number of samples per gait period that resolve the wave."""
+"""Smallest number of samples per gait period that resolves the gait."""
 _MIN_TIMES_PER_PERIOD = 64
 """Smallest number of times per gait period at which signals are evaluated."""
 _PERIOD_ROUNDING = 1e-6
@@ -69,7 +69,7 @@ class GaitWindow:
         time = trajectory.time
         whole, samples = _extent(trajectory, frequency)
         warm_up = min(WARM_UP_PERIODS, whole - 2)
-        # Four times per sample period evaluate the spline between samples as well.
+        # Evaluate at four times per sample period, to include the spline between samples.
         times = max(_MIN_TIMES_PER_PERIOD, int(np.ceil(4 * samples)))
         return cls(float(time[0]) + warm_up / frequency, 1.0 / frequency, whole - warm_up, times)
 
@@ -201,7 +201,7 @@ For generation 2 it is about 20 m; a path of 2 m then deviates from its tangent 
 STRAIGHT_TURN_RAD = 1e-3
 """Turn per gait period below which a path counts as straight, rad.
 
-These 0.06° are of the size that contact creep causes in a snake that does not move forward.
+Contact creep causes turns of about this size (0.06°) in a snake that does not move forward.
 """
 
 

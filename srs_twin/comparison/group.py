@@ -18,8 +18,8 @@ class MetricGroup:
     Attributes:
         units: metric → unit; each metric is one number.
         measure: returns the values of a run by metric, None where a metric is undefined.
-        why_undefined: returns the reason for a metric without a value, empty where that is the outcome.
-        relative: metrics whose difference between the plants is a share of the analytical value.
+        why_undefined: returns the reason why a metric has no value; empty if this is the outcome of the run.
+        relative: metrics whose difference between the plants is given relative to the analytical value.
         main: metric that only runs of this topic have; it selects `short_table`.
         short_table: metrics of the short table of such a run.
     """

@@ -130,7 +130,7 @@ class PathFit:
             axis = np.linalg.svd(mean - centroid, full_matrices=False)[2][0]
             return cls(centroid, None, axis if axis @ direction > 0 else -axis)
         centre = np.array([-a / 2, -b / 2])
-        # The mean over a period reduces the radius by the factor sinc(turn/2).
+        # Correct the radius: the mean over a period reduces it by the factor sinc(turn/2).
         radius = length * float(np.sqrt(centre @ centre - c)) / float(np.sinc(turn / (2 * np.pi)))
         left = direction[0] * centre[1] - direction[1] * centre[0]
         return cls(centroid + length * centre, radius if left > 0 else -radius, direction)
@@ -168,7 +168,8 @@ LEARNING_UNITS = units_of("""
 """Metrics of a run with iterative learning; each is one number or None."""
 
 LEARNING_LIST_UNITS = units_of("amplitude_error_rad duty heading_drift_by_period_rad")
-"""Histories: per period a list per segment of lists per chamber; of the heading one number per period."""
+"""Histories: for each period a list over segments of lists over chambers; for the heading one number per
+period."""
 
 CONVERGENCE_TOLERANCE = 0.05
 """Largest relative amplitude error of a chamber that has converged, 1."""
@@ -188,7 +189,7 @@ def learning_metrics(trajectory: Trajectory) -> dict[str, Any]:
     """Compute the metrics of a run with iterative learning; None for those that do not apply.
 
     Amplitudes refer to the periods of each chamber, which are numbered from 1; a period that began before
-    time 0 counts as well. Chambers without a target, which belong to modules with a fault, are left out:
+    time 0 counts as well. Chambers of modules with a fault have no target and are left out:
 
     - ``amplitude_growth_rel``: mean amplitude of the last period before a duty changes, divided by that of
       the first period; 1 if the chambers have their final pressures from the start.
@@ -209,8 +210,8 @@ def learning_metrics(trajectory: Trajectory) -> dict[str, Any]:
       ``heading_drift_rad`` (turn per period): means over the last five periods.
     - ``path_radius_spread_rel``: range of the radii in these periods, divided by their mean.
     - ``path_bend_before_per_m``, ``path_bend_per_m``: magnitudes of both curvatures.
-    - ``path_bend_left_rel``: the second magnitude divided by the first, the fraction that remains after
-      learning.
+    - ``path_bend_left_rel``: ratio of the second magnitude to the first: the fraction of the curvature that
+      remains after learning.
     - ``box_left_m``, ``box_right_m``: extent of the body to the left (negative) and to the right of the
       circle or line through the period-averaged path of the last five periods.
     - ``heading_drift_by_period_rad``: turn in every whole period of the run.

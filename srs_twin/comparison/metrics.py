@@ -64,7 +64,7 @@ def difference(metrics: Mapping[str, Any], metric: str) -> str:
 
 def relative_difference(reference: float, value: float) -> str:
     """Return value − reference in per cent of the reference, as "-11.5 %", or in its unit if signs differ."""
-    # A ratio to zero, or between opposite directions, has no meaning.
+    # A ratio to zero, or between values of opposite sign, has no meaning.
     if reference * value <= 0:
         return _absolute_difference(reference, value)
     return f"{100 * (value - reference) / reference:+.1f} %"
@@ -109,7 +109,8 @@ COMPARISON_UNITS = units_of("""
     com_speed_rel gap_factor yaw_rate_abs shape_rms_m shape_rms_body path_rms_m
     bend_rms_rad bend_rms_rel heading_rms_rad
 """) | {"yaw_rate_abs": "rad/s"}
-"""Metrics of `compare`, each one number. They are defined here so that listing them needs no other import."""
+"""Metrics of `compare`, each one number. They are defined here, so that listing them does not import
+`compare`."""
 
 
 _MEANINGS = """
@@ -303,7 +304,7 @@ def _compared(metrics: Mapping[str, Any], metric: str, less: str, more: str, uni
 def _main_cause(metrics: Mapping[str, Any], metric: str, reference: float, share: float) -> str:
     """Return the main cause of a relative difference as text, in whole per cents that add up to it.
 
-    The text of a cause that was switched alone says that it "would" have the effect. The contributions of an
+    If a cause was switched alone, the text states the effect with "would". The contributions of an
     attribution are means over the orders of switching. The text is empty if no cause acts in the direction of
     the difference.
     """
@@ -404,8 +405,8 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
     - ``yaw_rate_rad_s``: slope of the period-mean heading, positive to the left.
     - ``turning_radius_m``: radius of the circle on which each period moves the centre of mass, positive if
       its centre is on the left; None for a straight path (`gait.turning_radius`).
-    - ``bend_amplitude_rad``: half the peak-to-peak of each period, averaged over the periods; head first.
-      ``mean_bend_amplitude_rad`` is the mean over the segments.
+    - ``bend_amplitude_rad``: half the peak-to-peak range of each period, averaged over the periods; head
+      first. ``mean_bend_amplitude_rad`` is the mean over the segments.
     - ``bend_bias_rad``: mean bend, head first.
     - power and cost of transport: see `gait.energy_metrics`.
 

@@ -66,7 +66,7 @@ class ReadingCurve:
 
     @property
     def backstep(self) -> tuple[float, float | None]:
-        """Largest decrease of the reading with increasing bend, and the bend in the middle of it, rad.
+        """Largest decrease of the reading with increasing bend, and the bend in its middle, rad.
 
         It is (0, None) for a monotonic reading.
         """

@@ -121,7 +121,7 @@ def _first_crossing(time: np.ndarray, response: np.ndarray, level: float) -> flo
 
 
 def _settling_time(time: np.ndarray, response: np.ndarray, band: float) -> float | None:
-    """Return the time from which the response stays within a band about 1, s."""
+    """Return the time after which the response stays within a band about 1, s."""
     outside = np.flatnonzero(np.abs(response - 1.0) > band)
     if not len(outside):
         return 0.0
@@ -268,7 +268,7 @@ def _openings(trajectory: Trajectory) -> dict[str, float | None]:
         return metrics
     states = np.stack([trajectory[name] for name in names])
     every_tick = float(np.diff(trajectory.time).max()) < 1.5 * tick
-    # A hold state shows that inlet and outlet are separate valves.
+    # Only separate inlet and outlet valves have a hold state.
     if every_tick and (states == 0).any():
         opened = (states[:, 1:] == -1) & (states[:, :-1] != -1)
         metrics["outlet_openings"] = float(opened.sum(axis=1).mean())

@@ -55,7 +55,7 @@ class Undefined:
 def why_undefined(
     metric: str, subject: str, metrics: Mapping[str, Any], runs: Mapping[str, Trajectory]
 ) -> Undefined | None:
-    """Return why a metric of a run has no value.
+    """Return the reason why a metric of a run has no value.
 
     Args:
         metric: name of the metric.

@@ -15,14 +15,16 @@ from threadpoolctl import ThreadpoolController
 from srs_twin.errors import InputError
 
 LARGEST_PLAUSIBLE = 1e9
-"""Limit for all quantities in SI units: pressures of a snake reach 1e7 Pa, and positions 1e6 m."""
+"""Largest plausible magnitude of any quantity in SI units; pressures of a snake reach 1e7 Pa, and positions
+1e6 m."""
 
 _BLAS_LOCK = threading.RLock()
 
 
 def is_plausible(*quantities: Any) -> bool:
     """Return whether all elements of some arrays are finite and smaller than `LARGEST_PLAUSIBLE`."""
-    # The sum of squares decides almost all cases, in half a microsecond per array and without warnings.
+    # Test the sum of squares first: it decides almost all cases in half a microsecond per array, without
+    # warnings.
     if sum(np.vdot(values, values) for values in quantities) < LARGEST_PLAUSIBLE**2:
         return True
     return all(first_implausible(values) is None for values in quantities)
@@ -55,9 +57,9 @@ def check_positive(name: str, value: Any, unit: str = "") -> None:
 def one_blas_thread() -> Iterator[None]:
     """Limit BLAS to one thread within a `with` block, so that results do not depend on the number of cores.
 
-    OpenBLAS splits sums between its threads, so that the last digits of products of matrices larger than
-    about 100 × 100 depend on their number. The limit applies to the whole process. Blocks in several Python
-    threads are therefore serialised: otherwise the first one to end would remove the limit for the rest.
+    OpenBLAS splits sums between its threads, so the last digits of products of matrices larger than about 100
+    × 100 depend on the number of threads. The limit applies to the whole process. Blocks in several Python
+    threads are therefore serialised: otherwise the first block to end would remove the limit for the others.
     """
     with _BLAS_LOCK, ThreadpoolController().limit(limits=1, user_api="blas"):
         yield

@@ -19,16 +19,17 @@ from numba.core.caching import FunctionCache
 
 from srs_twin.errors import CacheWarning
 
-# Optimisations that may change the order of sums, but not the treatment of infinities and NaN.
+# Allowed optimisations: they may change the order of sums, but not the treatment of infinities and NaN.
 _FASTMATH = {"contract", "reassoc", "arcp", "nsz"}
 _OPTIONS: Any = {"nogil": True, "error_model": "numpy", "forceinline": True, "fastmath": _FASTMATH}
-# A kernel that creates no arrays needs no reference counts, which take most of a small kernel's time.
+# Disable reference counts, which take most of a small kernel's time; a kernel that creates no arrays does not
+# need them.
 _NO_REFCOUNTS: Any = {"_nrt": False}
 _NO_WRAPPERS: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _CONSTANT_TYPES = (bool, int, float, complex, str, type(None))
 _warned = False
 _notices: list[Callable[[], None]] = []
-"""At most one function, to be called before the first compilation."""
+"""At most one function, which is called before the first compilation."""
 
 
 def notify_first_compilation(notice: Callable[[], None]) -> None:
@@ -94,7 +95,7 @@ class _Cache(FunctionCache):
 
     @contextmanager
     def _guard_against_spurious_io_errors(self) -> Iterator[None]:
-        """Continue without the cache after errors that numba's own method would raise."""
+        """Continue without the cache after errors that numba would raise."""
         try:
             yield
         except OSError as error:

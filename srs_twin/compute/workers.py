@@ -90,7 +90,7 @@ class Workers:
                 results.append(task(k, lambda: False))
                 progress(k + 1)
             return results
-        end = count  # results of tasks with this number or a higher one are not needed
+        end = count  # results of tasks with this or a higher number are not needed
         futures = [self._pool.submit(task, k, lambda k=k: k >= end) for k in range(count)]  # type: ignore[misc]
         try:
             for done, future in enumerate(as_completed(futures), start=1):
@@ -126,7 +126,8 @@ _WARNINGS = (os.environ.get("PYTHONWARNINGS"), "ignore::UserWarning:srs_twin.com
 _ENVIRONMENT = {
     # Import nothing from the current folder.
     "PYTHONSAFEPATH": "1",
-    # There are as many workers as processors, and a process to be forked should have no other threads.
+    # Disable threads of libraries: there are as many workers as processors, and a forked process should have
+    # no other threads.
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONWARNINGS": ",".join(filter(None, _WARNINGS)),
 }
@@ -146,7 +147,7 @@ def start_server(preload: str | None = None) -> None:
     if preload is not None:
         _preloaded[:] = [preload]
     forkserver.set_forkserver_preload(_preloaded)  # instead of the main program
-    # The tracker would unblock Ctrl-C if it were started inside the block below.
+    # Start the tracker first: inside the block below it would unblock Ctrl-C.
     resource_tracker.ensure_running()
     before = dict(os.environ)
     os.environ.update(_ENVIRONMENT)
@@ -296,7 +297,7 @@ class _TaskRun:
                 continue
             try:
                 result, error = worker.receive()
-            except (EOFError, OSError):  # it died, possibly while it sent a result
+            except (EOFError, OSError):  # the worker died, possibly while it sent a result
                 self._handle_death(worker)
                 continue
             if worker.number is not None:

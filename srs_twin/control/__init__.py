@@ -1,1 +1,1 @@
-"""Controllers: what decides the valves, whichever plant they drive."""
+"""Controllers: functions of sensor readings and poses that return valve commands for any plant."""

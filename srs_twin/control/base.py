@@ -27,8 +27,8 @@ class Controller(Stateful, ABC):
         kind: name of the controller in scenario files.
         frequency: gait frequency, Hz; None if the controller is not periodic.
         layouts: supported valve layouts, names in `LAYOUTS`.
-        finished: whether the controller has ended its task; the rollout ends after the tick in which it turns
-            True.
+        finished: whether the controller has ended its task; the rollout ends after the tick in which it
+            becomes True.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ("finished",)
@@ -102,7 +102,7 @@ class Controller(Stateful, ABC):
 
 
 MAX_READING_RAD = 2 * math.pi
-"""Larger readings count as lost, rad: no segment bends by a full turn."""
+"""Magnitude above which readings count as lost, rad: no segment bends by a full turn."""
 
 
 class SensorReadings(Stateful):

@@ -50,7 +50,7 @@ class CameraFrames(Stateful):
         self._next_frame = 0
 
     def restart(self) -> None:
-        """Make the first frame due at time 0 again; the noise continues."""
+        """Restart the frames at time 0; the noise sequence continues."""
         self._next_frame = 0
 
     @property
@@ -101,7 +101,7 @@ class PeriodMean(Stateful):
         """Add a frame; its heading is unwrapped with respect to the previous frame.
 
         Args:
-            time: of the frame, s.
+            time: time of the frame, s.
             pose: measured pose.
         """
         integrals, last, period_start = self._integrals, self._last, time - self._period

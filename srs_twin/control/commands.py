@@ -27,7 +27,7 @@ Range = tuple[float, float]
 """Smallest and largest allowed value."""
 
 MAX_OFFSET = 0.4
-"""Largest steering offset φ, 1: the one of generation 2 in Section 3.4.2, where other robots use less."""
+"""Largest steering offset φ, 1: that of generation 2 in Section 3.4.2; other robots use smaller ones."""
 FREQUENCY_RANGE_HZ = (1.0, 2.0)
 """Gait frequencies of generation 2 in Section 3.4.2; those of the other generations are similar."""
 RELATIVE_PRESSURE_RANGE = (0.85, 1.15)

@@ -156,11 +156,11 @@ class ChamberPeriods(Stateful):
         self._lost_readings += lost[:, None]
 
     def due(self, time: float) -> bool:
-        """Return whether a period begins in the tick that begins at `time` (s)."""
+        """Return whether the period of any chamber begins in the tick that begins at `time` (s)."""
         return time + self._tick > self._next
 
     def advance(self, time: float) -> np.ndarray:
-        """Begin the periods that are due; return which chambers completed one, shape (segments, 2)."""
+        """Begin the periods that are due; return the chambers that completed one, shape (segments, 2)."""
         latest = time + self._tick - _PERIOD_ROUNDING * self.period
         begun = self.fill_starts + self.number * self.period < latest
         ended = begun & (self.number >= 1)
@@ -235,7 +235,7 @@ class Duties(Stateful):
         self._converged = False
 
     def converged(self, time: float, working: np.ndarray) -> list[Event]:
-        """Return an event when the amplitudes of all working segments have reached their targets.
+        """Return an event if the amplitudes of all working segments have just reached their targets.
 
         Args:
             time: s.

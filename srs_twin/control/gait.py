@@ -123,7 +123,8 @@ class Gait(Controller):
     def valves_at(self, time: float) -> np.ndarray:
         """Return the valve states of the tick that begins at `time` (s)."""
         first, last = self._wave(time + self._tick * self._slot_centres[[0, -1]])
-        # A tick shorter than every level of the wave contains at most one change: equal ends mean none.
+        # A tick that is shorter than every level of the wave contains at most one change; equal states at its
+        # ends mean none.
         if self._tick < self._shortest_level() and (first == last).all():
             return _antagonistic(first)
         wave = self._wave(time + self._tick * self._slot_centres)
@@ -135,8 +136,8 @@ class Gait(Controller):
         count = round(duration / slot)
         if self._shortest_level() < 2 * slot:
             return Schedule.from_slots(_antagonistic(self._wave(slot * (np.arange(count) + 0.5))), duration)
-        # Evaluate the wave only near its changes: in the slot of a change and, because rounding may move it
-        # by one slot, in the two adjacent ones.
+        # Evaluate the wave only near its changes: in the slot of a change and in the two adjacent slots,
+        # because rounding may move the change by one slot.
         period, (up, down) = 1 / self.frequency, self._crossings()
         angles = [-up, math.pi + up, -down, math.pi + down] if self.rest_level else [-up, math.pi + up]
         phases = np.add.outer(self.phase_lag, angles).ravel() / (2 * math.pi) * period
@@ -159,7 +160,7 @@ class Gait(Controller):
         return min(angle for angle in angles if angle > 0) / (2 * math.pi * self.frequency)
 
     def _crossings(self) -> tuple[float, float]:
-        """Return the negated angles at which S becomes 1 and at which it becomes −1, rad."""
+        """Return the negated phase angles at which S changes to 1 and to −1, rad."""
         levels = self._offset - self.rest_level, self._offset + self.rest_level
         up, down = (math.asin(min(max(level, -1.0), 1.0)) for level in levels)
         return up, down

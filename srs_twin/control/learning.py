@@ -109,7 +109,7 @@ class ILC(Controller):
 
         Raises:
             InputError: a number is out of range, or a fill has too few pulses.
-            UnknownNameError: an option is none of its allowed words.
+            UnknownNameError: an option has an unknown value.
         """
         for name, word in {"on_fault": on_fault, "clock": clock, "steering": steering}.items():
             if word not in _CHOICES[name]:
@@ -231,7 +231,7 @@ class ILC(Controller):
         self._set_commands()
 
     def _set_commands(self) -> None:
-        """Set the commanded duties and the targets; segments that do not work get duty 0 and target NaN.
+        """Set the commanded duties and the targets; idle segments get duty 0 and target NaN.
 
         It is called after every change of its inputs rather than in every tick, which saves time.
         """
@@ -249,7 +249,7 @@ class ILC(Controller):
             return
         faults.check_sensors(time, ended, self._command, periods)
         peak = np.where(periods.lost <= _MAX_LOST, periods.peak, math.nan)
-        # Periods that began before the end of a test include vented time.
+        # Ignore periods that began before the end of a test, because they include venting.
         measured = ended & ~np.isnan(peak) & (periods.started >= faults.resumed[:, None])
         self._amplitudes = np.where(measured, peak, self._amplitudes)
         if self.amplitude is None:

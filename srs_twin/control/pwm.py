@@ -17,8 +17,8 @@ class PulseWidthModulator(Stateful):
 
     In each carrier period a chamber fills for the fraction given by its duty, and vents for the rest. By
     default the pulse of the + chamber begins at the start of the period and that of the − chamber ends at its
-    end. Two duties with sum 1 then make the two valves opposite, as in Fig. 45c. With `aligned`, both pulses
-    begin at the start of the period, so that both chambers are treated alike.
+    end. If the two duties add up to 1, the two valves are then always in opposite states, as in Fig. 45c.
+    With `aligned`, both pulses begin at the start of the period, so that both chambers are treated alike.
 
     A period may be a fractional number of ticks or slots: a slot belongs to the period, and to the pulse,
     that contains its centre. The length of a pulse is therefore wrong by at most one slot, and the mean over

@@ -22,7 +22,7 @@ sampled every millisecond and 25 Hz these are 7°/s and 283°/s.
 $$ \sigma > \varepsilon: \text{fill +, vent −}; \qquad \sigma < -\varepsilon: \text{vent +, fill −};
 \qquad |\sigma| \le \varepsilon: \text{hold both}. $$
 
-At rest σ = D e, so errors up to ε/D remain. The bend and its rate come from the same `VelocityFilter`: with
+At rest σ = D e, so errors up to ε/D persist. The bend and its rate come from the same `VelocityFilter`: with
 an equal delay of both, σ is the delayed true one, and the noise of D e is filtered as well. The printed D =
 0.5 1/s would give a time constant of 2 s, and the printed ε = 2°/s is below the noise of any rate estimate
 that is fast enough (E6).
@@ -40,7 +40,7 @@ reading per period would always be taken at the same phase of the ripple, which 
 degrees. A step of the reference contributes to ė.
 
 Eq. 29 and Eq. 30 disagree on whether K multiplies D e (E6); both forms are available. The form of Eq. 30 with
-D K in place of D equals that of Eq. 29.
+D K instead of D equals that of Eq. 29.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class VelocityFilter(Stateful):
     state_attributes = ("_last", "value", "rate")
 
     def __init__(self, cutoff_hz: float | np.ndarray, tick: float) -> None:
-        """Create a filter; its first reading is taken as a state of rest.
+        """Create a filter; its first reading is treated as a state of rest.
 
         Args:
             cutoff_hz: ω_c/2π, one value for all segments or one per segment, Hz.

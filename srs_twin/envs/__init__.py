@@ -23,7 +23,8 @@ def _register() -> None:
             entry_point="srs_twin.envs.gymnasium:SnakeEnv",
             vector_entry_point="srs_twin.envs.gymnasium:SnakeVectorEnv",
             kwargs={"task": task},
-            # SnakeEnv checks order and types itself; `copy.copy` of a wrapper would share the environment.
+            # No wrappers: SnakeEnv checks order and types itself, and `copy.copy` of a wrapper would share
+            # the environment.
             order_enforce=False,
             disable_env_checker=True,
         )

@@ -40,7 +40,7 @@ PRESSURE_KPA = 48.3
 
 # The next four are those of scenario follow_fig57; docs/following.md describes how they were chosen.
 TURN_SHARE = 0.7
-"""Fraction of the measured curvature range that the planner may use; the rest is left to the steering law."""
+"""Fraction of the measured curvature range that the planner may use; the steering law needs the rest."""
 
 SETTLE_M = 0.035
 """Response length, m."""

@@ -123,7 +123,7 @@ class CrawlTask(Task):
             **settings: `fit`, `ranges` and settings of the twin, see `Task`.
 
         Raises:
-            UnknownNameError: a setting that the twin does not have.
+            UnknownNameError: the twin does not have a setting of that name.
             InputError: the robot, fit, range or time limit is invalid, or the camera is too slow.
         """
         super().__init__(robot, limit_s, **settings)
@@ -258,7 +258,7 @@ def gait_signals(limits: GaitLimits) -> Signals:
 
 def _observations(arena: Arena, segments: int, actions: Sequence[Signal]) -> Signals:
     (left, right), (bottom, top) = arena.room.x, arena.room.y
-    margin = 0.5  # m: a step may end outside the room, and the camera has noise
+    margin = 0.5  # margin, m: a step may end outside the room, and the camera has noise
     farthest = math.hypot(right - left, top - bottom) + 1.0
     signals = [
         Signal("x_m", "m", left - margin, right + margin, "x of the centre of mass, from the camera"),

@@ -1,6 +1,6 @@
 """Gymnasium environments: one task, or several of one kind stepped in parallel threads.
 
-Each environment of a `SnakeVectorEnv` is a `SnakeEnv` and gives the same values to the bit as it does alone.
+Each environment of a `SnakeVectorEnv` is a `SnakeEnv` and gives exactly the same values as it does alone.
 As in `TwinBatch`, each thread steps whole environments: nearly all of a step is one engine call, which
 releases Python's global interpreter lock. Images show the twin coloured by pressure, its obstacles, and its
 goal as a ring, as `srs-twin render` does; no display is needed.
@@ -47,7 +47,7 @@ _BODY_LENGTHS = 4.0
 """Smallest camera distance in body lengths."""
 
 _GOAL_DISTANCES = 1.7
-"""Smallest camera distance in distances from snake to goal, so that both are visible."""
+"""Smallest camera distance as a multiple of the distance from snake to goal, so that both are visible."""
 
 
 class EpisodeRenderer:
@@ -67,7 +67,6 @@ class EpisodeRenderer:
 
         Raises:
             InputError: OpenGL cannot render without a display here.
-            InputError: no OpenGL draws here without a screen.
         """
         from srs_twin.viewing.mujoco.canvas import Canvas
         from srs_twin.viewing.mujoco.stage import Skins
@@ -196,7 +195,7 @@ class SnakeEnv(DeepCopied, gymnasium.Env[np.ndarray, np.ndarray]):
         check_seed(seed)
         checked = check_reset_options(options)
         rng = copy.deepcopy(self.np_random) if seed is None else seeding.np_random(seed)[0]
-        # Options may be refused, so the twin of the running episode must not be reused with them.
+        # Do not reuse the twin of the running episode with options, because they may be refused.
         episode = self.task.begin(rng, None if checked else self.episode)
         if "state" in checked:
             episode.restore(checked["state"])
@@ -384,7 +383,7 @@ class SnakeVectorEnv(DeepCopied, SyncVectorEnv[np.ndarray, np.ndarray]):
         valves = [vented] * self.num_envs
         for k in running:
             valves[k] = self.envs[k]._current_episode().command(actions[k])
-        # Commands with several valve states per step have three dimensions; a single one is repeated.
+        # Arrays with several valve states per step have three dimensions; repeat a single state.
         substeps = max(states.shape[0] if states.ndim == 3 else 1 for states in valves)
         shape = (substeps, *vented.shape)
         batch.regulate()

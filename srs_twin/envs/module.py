@@ -54,7 +54,7 @@ class ModuleTask(Task):
             **settings: `fit`, `ranges` and settings of the twin, see `Task`; the sensor is "hall" by default.
 
         Raises:
-            UnknownNameError: a setting that the twin does not have.
+            UnknownNameError: the twin does not have a setting of that name.
             InputError: the robot has several segments, or it, the fit, range or time limit is invalid.
         """
         super().__init__(robot, limit_s, **{"sensor": "hall", "timestep": TIMESTEP_S, **settings})

@@ -96,7 +96,7 @@ def as_finite_array(numbers: object, shape: tuple[int, ...]) -> np.ndarray | Non
     """Return numbers as a float64 array, or None if the shape differs or a value is not finite."""
     try:
         values = np.asarray(numbers)
-    except (TypeError, ValueError):  # ragged lists, tensors on a device
+    except (TypeError, ValueError):  # ragged lists, or tensors on a device
         return None
     if values.dtype.kind not in "biuf" or values.shape != shape:
         return None
@@ -115,7 +115,7 @@ def check_seed(seed: object) -> None:
     """Check that a seed is None or an integer of 0 or more.
 
     Raises:
-        InputError: it is neither.
+        InputError: the seed is neither.
     """
     is_integer = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
     if not (seed is None or (is_integer and seed >= 0)):  # type: ignore[operator]
@@ -222,7 +222,7 @@ class Task(ABC):
             **twin_settings: arguments of `TwinSnake`, except those that the task sets.
 
         Raises:
-            UnknownNameError: a setting that the twin does not have.
+            UnknownNameError: the twin does not have a setting of that name.
             InputError: the robot, fit or range is invalid, or the time limit is not a multiple of the step.
         """
         variation = Variation.load(robot, fit, ranges)
@@ -279,7 +279,7 @@ class Episode(Stateful, ABC):
     goal: Goal | None = None
 
     def __init__(self, task: Task, twin: TwinSnake, state: SnakeState) -> None:
-        """Initialise; a subclass sets its own attributes first, as this makes the first observation."""
+        """Initialise; a subclass sets its attributes before, because this makes the first observation."""
         self.twin, self.state = twin, state
         self._task = task
         self._bounds = lower_bounds(task.observations), upper_bounds(task.observations)
@@ -351,7 +351,7 @@ class Episode(Stateful, ABC):
         return StepResult(self._observation(), reward, terminated, truncated, self._info())
 
     def diverged(self, error: DivergedError) -> StepResult:
-        """End the episode; the observation is that of the previous step, as no later one exists."""
+        """End the episode with the observation of the previous step, because there is no later one."""
         self._steps += 1
         self.ending = DIVERGED
         return StepResult(
@@ -378,7 +378,7 @@ class Episode(Stateful, ABC):
         """Return the reward of the step that led to `state`; set `ending` if the episode is over."""
 
     def _info(self) -> dict[str, Any]:
-        """Return diagnostics; units in the keys."""
+        """Return diagnostics as name → value; names end in the unit."""
         return {"time_s": float(self.state.time), "air_j": float(self.state.air), "ending": self.ending}
 
 
@@ -442,7 +442,7 @@ def _draw_fitted_values(fit: FitFile, spec: RobotSpec, rng: np.random.Generator)
     values = np.array([parameter.value for parameter in fitted], dtype=float)
     errors = np.array([parameter.standard_error for parameter in fitted], dtype=float)
     covariance = np.array(fit.correlation, dtype=float) * np.outer(errors, errors)
-    # Eigenvalues, because correlations of 1 make the covariance singular.
+    # Use eigenvalues, because correlations of 1 make the covariance singular.
     drawn = rng.multivariate_normal(values, covariance, method="eigh") if fitted else values
     unknowns = free_parameters(spec, (parameter.name for parameter in fitted))
     bounds = {unknown.name: unknown for unknown in unknowns}

@@ -67,7 +67,7 @@ _OUTLIER_MEDIANS = 7.5
 """Deviation of a pressure, in median deviations, above which it is an outlier."""
 
 _OUTLIER_MARGIN_PA = 100.0
-"""Deviation that is allowed in addition, for pressures without noise."""
+"""Additional allowed deviation, for pressures without noise."""
 
 _MIN_DRIFT_RAD = 1e-4
 """Drift over a plateau below which a bend has settled; also the smallest error of a bend."""
@@ -90,7 +90,7 @@ _DEAD_ZONE = (_ONSET, _ONSET_WIDTH, _ONSET_SHARE)
 _MODULE_PARAMETERS = ("modules.gain_plus", "modules.gain_minus", "modules.bias_rad")
 
 _SHARP_WIDTH_RAD = 0.02
-"""Width of a dead zone whose width the data do not determine; the smallest allowed."""
+"""Width of a dead zone if the data do not determine it: the smallest allowed value."""
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ def fit_actuator(
         robot = with_values(spec, values)
         result: list[Residual] = []
         for k, (response, role) in enumerate(data):
-            # Validation responses have no clock parameter: they must not influence the fit.
+            # Validation responses have no clock parameter, because they must not influence the fit.
             result += _response_residuals(response, robot, values.get(f"clock_{k}", 0.0), role)
         return result
 
@@ -251,7 +251,8 @@ def _bend_residuals(
 ) -> list[Residual]:
     """Return the residuals of measured bends by segment.
 
-    Those of a segment share one scale: the RMS of its errors, or `_BEND_NOISE_RAD` if one is unknown.
+    The residuals of a segment share one scale: the RMS of its errors, or `_BEND_NOISE_RAD` if any error is
+    unknown.
     """
     residuals = []
     errors = np.broadcast_to(error, difference.shape)
@@ -334,11 +335,11 @@ def _settled_frames(
     limit = _OUTLIER_MEDIANS * np.median(deviation, axis=0) + _OUTLIER_MARGIN_PA
     is_near = (deviation <= limit).all(axis=(1, 2))
     since = time[begin:end] - time[begin]
-    # At the end the next step may have begun within the band, and clocks may differ a little.
+    # Discard the end: the next step may already have begun within the band, and clocks may differ a little.
     frames = begin + np.flatnonzero(is_near & (since >= wait) & (since <= span - _CLOCK_ERROR_S))
     if len(frames) < MIN_FRAMES:
         return None
-    # A slow ramp stays within any band for some time, in which it rises by the width of the band.
+    # A slow ramp is not a plateau, although it stays within the band while it rises by the band's width.
     slope = np.polyfit(since[frames - begin], pressure[frames].reshape(len(frames), -1), 1)[0]
     return None if (np.abs(slope) * span > band.ravel()).any() else frames
 
@@ -402,7 +403,7 @@ def plateau_tables(recordings: NamedRecordings, spec: RobotSpec, supply_pa: floa
     """
     tables = [StaticTable.from_recording(recording, name, spec, supply_pa) for name, recording in recordings]
     if any(_log(recording, name).kind == "valve" for name, recording in recordings):
-        return tables  # valves give two pressures only
+        return tables  # a log of valves gives only two pressures
     merged = merge_tables(tables)
     for j, k in np.ndindex(spec.segments, len(SIDES)):
         levels = np.sort(merged.pressure[np.isfinite(merged.bend[:, j]), j, k])
@@ -521,7 +522,8 @@ def fit_static(
         has_limit = _BEND_LIMIT in searched and estimate[_BEND_LIMIT].value is not None
         if names is not None or not unlimited or _BEND_LIMIT not in searched or has_limit:
             return estimate
-        # The data do not reach the limit; at its bound it would still reduce the bends, so fit without it.
+        # The data do not reach the bend limit. At its upper bound it would still reduce the bends, so fit
+        # without it.
         without = search([name for name in searched if name != _BEND_LIMIT], fixed, {})
         return without.with_fixed([estimate[_BEND_LIMIT]])
 

@@ -84,11 +84,11 @@ def friction(
 ) -> None:
     """Estimate mu_t and mu_n from pulls or coasting tests.
 
-    Pulls are a table of deformations of a spring car; coasting tests are recordings.
+    Pulls are a table of spring deformations, measured with a spring car; coasting tests are recordings.
 
     Options:
         law: Friction law of coasting tests: wheel, axis or ellipse (skids).
-        wheel_inertia: Whether the wheels have rotational inertia in coasting tests.
+        wheel_inertia: Include the rotational inertia of the wheels in coasting tests.
     """
     output = FitOutput.from_options(context, "friction", robot, fit)
     from srs_twin.identification.friction import (
@@ -135,7 +135,8 @@ def design(
     Candidates are pulls, weighing, markers, constant pressures, pressure steps and gait runs.
 
     Options:
-        want: Parameters and half their 95 % intervals, as friction.mu_t=5%,bending.stiffness_nm_per_rad=10%.
+        want: Parameters and target half-widths of their 95 % intervals, e.g.
+            friction.mu_t=5%,bending.stiffness_nm_per_rad=10%.
     """
     import numpy as np
 
@@ -282,7 +283,7 @@ def locomotion(
     with interruptible(NOTHING_WRITTEN):
         recordings = _read_recordings([*files, *kept], valves, reader, spec, fit.quiet)
         length = measured_length([recording for _, recording in recordings[:count]], spec, names)
-        if length is not None:  # bends and centre of mass depend on the length: read them again
+        if length is not None:  # bends and centre of mass depend on the length, so read the recordings again
             spec = with_values(spec, {length.name: length.value or 0.0})
             recordings = _read_recordings([*files, *kept], valves, reader, spec, quiet=True)
             length = measured_length([recording for _, recording in recordings[:count]], spec, names)
@@ -326,7 +327,7 @@ def robot(
         fits: Fit files of one robot; later ones override earlier ones.
         name: Name of the new robot and its file.
         out: Robot file. [default: robots/NAME.yaml]
-        weak: Whether weakly identified parameters are included.
+        weak: Include weakly identified parameters.
     """
     from srs_twin.identification.fitted_robot import fitted_robot, write_robot
     from srs_twin.io.files import check_output_folder
@@ -418,17 +419,17 @@ def footprint(
 ) -> None:
     """Measure the area swept at each offset.
 
-    With transients, also the area that it sweeps when the offset changes.
+    With --transients, the area swept during changes of offset is measured as well.
 
     Options:
         controller: Controller: gait (open loop) or ilc (learning).
         frequency: Gait frequency. [default: 2, ilc 1.5]
-        target: Target bend amplitude of ilc.
+        target: Target bend amplitude of ilc, rad.
         plant: Simulated plant: twin or analytical.
         contact: Contact of the twin, loaded or preloaded. [default: the twin's]
         chambers: Pneumatic model: lag, or orifice for compressible flow.
-        offsets: Offsets, as --offsets=-0.3,0,0.3. [default: to +-0.4; ilc: to +-0.3]
-        transients: Whether changes of offset are measured.
+        offsets: Offsets, e.g. --offsets=-0.3,0,0.3. [default: -0.4 to 0.4; ilc: -0.3 to 0.3]
+        transients: Also measure changes of offset.
         periods: Measured gait periods of each run.
         phases: Runs per offset, with different initial phases.
         out: Output folder.
@@ -500,7 +501,7 @@ def margin(
     from srs_twin.planning.margins import excursion_quantile
     from srs_twin.scenario.loading import load_scenario
 
-    # A margin that the scenario requests would hide the excursions to be measured.
+    # Remove the margin of the scenario, which would hide the excursions to be measured.
     no_margin = Override("a margin to be measured", ("planner", "margin_probability"), None)
     loaded = load_scenario(scenario, set=[*changes.changes(), no_margin])
     plant_names = parse_plants(plants) or list(loaded.plants)

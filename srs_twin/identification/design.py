@@ -1,13 +1,13 @@
 r"""Optimal experimental design: choose recordings that determine parameters to a requested accuracy.
 
-Each candidate is an experiment that the fits can use, with its predicted observations and their noise. With J
-the derivatives of the predictions by the coordinates z, the logarithms of all uncertain parameters, and R the
-covariance of the noise, an experiment changes the information matrix Λ to
+Each candidate is an experiment that the fits can use, with its predicted observations and their noise. Let J
+be the derivatives of the predictions with respect to the coordinates z, the logarithms of all uncertain
+parameters, and R the covariance of the noise. Then an experiment changes the information matrix Λ to
 
 $$ \Lambda' = \Lambda + J^T R^{-1} J, \qquad \mathrm{sd}(z_i) = \sqrt{(\Lambda'^{-1})_{ii}}. $$
 
-The initial Λ is that of the `uncertain` parameters of the robot file. The design is greedy: the next
-experiment is the one with the smallest mean logarithm of interval over requested interval, over the intervals
+The initial Λ is that of the `uncertain` parameters of the robot file. The design is greedy. The next
+experiment minimises the mean logarithm of the ratio of interval to requested interval, over the intervals
 that are still too wide. It ends if no experiment narrows one of them by 2 %. For a parameter of value 0, such
 as drag, z is its value divided by a tenth of the robot's axial friction.
 
@@ -55,7 +55,7 @@ _MIN_NARROWING = 0.98
 """Ratio of interval widths that an experiment must reach to be worthwhile."""
 
 _STEP = 0.05
-"""Step of differences in z; large, because metrics of runs are rough in their third digit."""
+"""Step of finite differences in z; large, because metrics of runs are not smooth in their third digit."""
 
 _PRIOR_STD = 3.0
 """Standard deviation of z of a parameter that the robot file does not list as uncertain."""
@@ -201,7 +201,7 @@ class ExperimentDesign:
 
     @property
     def unmet(self) -> tuple[str, ...]:
-        """Parameters whose interval stays wider than requested."""
+        """Parameters whose interval remains wider than requested."""
         return tuple(
             name
             for name, widths in self.after.items()

@@ -9,12 +9,13 @@ $$ s_k \le 2\,\lVert E v_k \rVert \quad\text{or}\quad s_k \le 10^{-6} s_1 . $$
 
 The other directions have the standard error σ/s_k. A parameter is not identifiable if more than a tenth of it
 lies in the unidentifiable directions, or if its standard error in z is 1 or more (a factor e in either
-direction), as the data then add little to its bounds. Up to 0.1 it is identified, in between weakly
-identified. A smaller component in an unidentifiable direction adds the variance within the bounds.
+direction), as the data then add little to its bounds. Up to a standard error of 0.1 it is identified, in
+between weakly identified. A smaller component in an unidentifiable direction adds the variance within the
+bounds.
 
 The verdicts assume that the model is right. If the weighted residuals, all or those of one kind of signal,
-exceed their noise by more than `MAX_RESIDUAL_SCALE`, no parameter is identified. The interval is then the
-spread about the best value under a wrong model, and the verdict is "cannot tell".
+exceed their noise by more than `MAX_RESIDUAL_SCALE`, no parameter is identified. The interval is then only
+the scatter about the best value under a wrong model, and the verdict is "cannot tell".
 
 **Independent samples.** Residuals of neighbouring samples are correlated, because cameras and filters smooth
 the noise and because of model errors. With their autocorrelation ρ_k, n samples determine a mean as well as
@@ -57,7 +58,8 @@ MAX_RESIDUAL_SCALE = 2.0
 MISFIT_MESSAGE = "the model does not explain the data; these intervals do not hold"
 
 _DERIVATIVE_ERRORS = 2.0
-"""Singular value, in errors of the derivatives, up to which a direction is unidentifiable."""
+"""Singular value, as a multiple of the error of the derivatives, up to which a direction is
+unidentifiable."""
 
 _RELATIVE_CUTOFF = 1e-6
 """Singular value relative to the largest up to which a direction is unidentifiable (rounding)."""
@@ -148,7 +150,7 @@ class Parameter:
         unit: unit of all values here.
         verdict: "identified": the standard error is at most a tenth of the value or scale. "weakly
             identified": it is at most once the value or scale. "cannot tell": the model does not explain the
-            data, and the interval is the spread about the best value under a wrong model. "not
+            data, and the interval is only the scatter about the best value under a wrong model. "not
             identifiable": these data do not determine it; such a parameter has no values.
         value: estimate.
         standard_error: standard error of the estimate.
@@ -254,7 +256,8 @@ _MIN_SERIES = 20
 """Number of values from which a signal is treated as a time series."""
 
 _GROWTH = 1.5
-"""RMS of a series' second half over that of its first from which the residuals are reported as growing."""
+"""Ratio of the RMS of the second half of a series to that of the first half above which residuals count as
+growing."""
 
 
 def residuals_by_kind(residuals: Sequence[Residual]) -> dict[str, list[Residual]]:

@@ -35,7 +35,7 @@ _ARC_LENGTHS_M = (0.3, 0.8)
 """Smallest and largest length of an arc."""
 
 _MIN_ARC_M = 0.05
-"""Length below which no further arc is added."""
+"""Remaining length below which no further arc is added."""
 
 _MAX_HEADING = 1.4
 """Largest heading of a random path relative to its start, rad; beyond it a path might cross itself."""
@@ -83,7 +83,7 @@ class FollowerRun:
             conditions=conditions, body=body, replan=lambda pose, share: plan_from(pose),
         )  # fmt: skip
         longest = (self.run_up + LENGTH_M + 1) / (_SLOWEST_SHARE * min(body.speeds))
-        # A multiple of the scenario's duration is a whole number of ticks.
+        # Use a multiple of the scenario's duration, which is a whole number of ticks.
         duration = scenario.duration * math.ceil(longest / scenario.duration)
         trajectory = rollout(
             scenario.build_plant(self.plant), controller, duration,
@@ -107,7 +107,7 @@ def _random_arcs(rng: np.random.Generator, low: float, high: float) -> list[tupl
     while left > _MIN_ARC_M:
         curvature = float(rng.choice([value for value in (low, 0.0, high) if value != curvature]))
         length = min(float(rng.uniform(*_ARC_LENGTHS_M)), left)
-        # On a path that crosses itself, the part that the body leaves would be ambiguous.
+        # Limit the heading: on a path that crosses itself, the nearest part would be ambiguous.
         if curvature and abs(heading + curvature * length) > _MAX_HEADING:
             length = (math.copysign(_MAX_HEADING, curvature) - heading) / curvature
         if length > _MIN_ARC_M:

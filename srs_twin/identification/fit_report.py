@@ -23,7 +23,7 @@ _MAX_PANELS = 10
 """Largest number of signals in a plot."""
 
 _MAX_BARS = 3
-"""Largest number of samples drawn as bars; more are a line."""
+"""Largest number of samples drawn as bars; longer series are drawn as a line."""
 
 _COLORS = {"fit": "#0072B2", "validation": "#D55E00"}
 

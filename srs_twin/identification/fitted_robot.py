@@ -47,8 +47,8 @@ def robot_override(fit: FitFile, *, weak: bool = True, over: RobotSpec | None = 
     Args:
         fit: fit, whose robot becomes the base.
         weak: whether weakly identified parameters are included.
-        over: base with the results of other fits, whose list elements stay where this fit has none; None: the
-            base.
+        over: base with the results of other fits; its list elements remain where this fit has none. None: the
+            base alone.
 
     Raises:
         InputError: the base robot does not exist or draws a fitted parameter at random, or no parameter is

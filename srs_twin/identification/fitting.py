@@ -175,7 +175,7 @@ class FitOutput:
         """Return the output files after checking that they may be written.
 
         Raises:
-            InputError: the name is not allowed, or the file exists and is not by the same command.
+            InputError: the name is not allowed, or the file exists and was written by another command.
         """
         name, out = options.name, options.out
         source = "--name" if name else f"{'--out' if out else '--robot'} names the fit, without --name"
@@ -248,7 +248,7 @@ def _check_same_command(path: Path, command: str) -> None:
     """Check that an existing file is a fit by the same command, which may be replaced.
 
     Raises:
-        InputError: it is not.
+        InputError: another command wrote the file.
     """
     from srs_twin.identification.fit_file import load_fit
     from srs_twin.io.files import display_path
@@ -270,7 +270,7 @@ def command_line(context: typer.Context) -> str:
     arguments: list[str] = []
     for parameter in context.command.params:
         value: Any = context.params.get(parameter.name or "")
-        # Output options do not change the result, so they do not distinguish commands.
+        # Ignore output options, because they do not change the result.
         if value in (None, (), [], parameter.default) or parameter.name in ("quiet", "overwrite", "as_json"):
             continue
         values = value if isinstance(value, (list, tuple)) else [value]

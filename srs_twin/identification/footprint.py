@@ -129,7 +129,7 @@ class GaitSetup:
 
     @property
     def settling_periods(self) -> int:
-        """Gait periods until a start from rest has no more effect, by air or by duties not yet learnt."""
+        """Number of gait periods until pressures or learnt duties are steady after a start."""
         return 16 if self.controller == "ilc" else 8
 
     @property
@@ -200,7 +200,7 @@ def _make_plant(setup: GaitSetup) -> Plant:
         return TwinSnake(setup.spec, **settings)
     from srs_twin.plants.analytical import AnalyticalSnake
 
-    # With the pulses of learning, the model with prescribed bends slips too much (docs/learning.md).
+    # With the pulses of learning, the model with prescribed bends would slip too much (docs/learning.md).
     return AnalyticalSnake(setup.spec, model="compliant", friction="wheel", **settings)
 
 
@@ -289,7 +289,7 @@ class FootprintStudy:
         """Run the plant and measure the footprint.
 
         Args:
-            threads: number of parallel runs; default: one per processor. The result does not depend on it.
+            threads: number of parallel runs, which does not affect the result; default: one per processor.
             progress: called with the number of finished runs.
 
         Raises:
@@ -432,7 +432,7 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
     """Return a measurement as the content of a file, with unit, status and source of each column."""
     setup, paths, source = measured.setup, measured.steady, _source(measured)
     edge = "as curvature_per_m; the farthest that any repeat reached"
-    # The straight snake at the start is longer than it ever is during the gait.
+    # The straight snake at the start is longer than during the gait, so its length is an upper bound.
     body = setup.spec.geometry
     straight = round((body.body_length + body.width) / 2, _DIGITS)
 
@@ -521,7 +521,7 @@ def check_same_study(path: Path, study: FootprintStudy, robot: str, name: str) -
     """Check that an existing file is from the same study, which may be replaced.
 
     Raises:
-        InputError: it is not, or the file cannot be read.
+        InputError: the file is from another study, or cannot be read.
     """
     if not os.path.lexists(path):
         return

@@ -14,8 +14,8 @@ optional standard errors ``spring_error_n_per_m`` and ``mass_error_kg``.
 **Coasting tests.** The straight robot with vented chambers is pushed and released on the floor. It
 decelerates by μ_t g/(1 + s) along its wheels and by μ_n g across them; in other directions the friction law
 determines the deceleration (`floor.slide`, which also defines s). Initial position and velocity of each run
-are fitted together with μ_t and μ_n. If a run moves by no more than the noise in one direction, its initial
-velocity in that direction is taken as 0.
+are fitted together with μ_t and μ_n. If the motion of a run in one direction is within the noise, its initial
+velocity in that direction is set to 0.
 """
 
 from __future__ import annotations
@@ -114,14 +114,14 @@ class Pulls:
 
 
 def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
-    """Estimate μ_t and μ_n from pulls; without pulls in a direction its coefficient is not identifiable.
+    """Estimate μ_t and μ_n from pulls; a coefficient without pulls in its direction is not identifiable.
 
     Args:
         pulls: measured pulls.
         validation: pulls for validation.
 
     Raises:
-        InputError: validation pulls are also fitted.
+        InputError: the same pulls are used for fit and validation.
     """
     data_with_roles = assign_roles("pulls", [pulls], validation)
     shared = (pulls.stiffness_error / pulls.stiffness) ** 2 + (pulls.mass_error / pulls.mass) ** 2
@@ -160,7 +160,8 @@ def _parameter(k: int, values: np.ndarray, mean: float, variance: float, error: 
     if error >= UNIDENTIFIABLE_ERROR * mean:
         why = f"the scatter of the pulls {_DIRECTIONS[k]} is as large as their mean"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
-    # Welch-Satterthwaite; the shared errors of k and m count as known with many degrees of freedom.
+    # Welch-Satterthwaite formula; the shared errors of k and m get many degrees of freedom, as if exactly
+    # known.
     freedom = (len(values) - 1) * (error**2 / variance) ** 2 if variance > 0 else np.inf
     half_width = float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error
     verdict: Verdict = "identified" if error <= IDENTIFIED_ERROR * mean else "weakly identified"
@@ -245,7 +246,7 @@ def _constant(table: CsvTable, column: CsvColumn, values: np.ndarray) -> float:
 
 
 _MAX_TURN_RAD = 0.2
-"""Largest change of heading during coasting; beyond it the robot does not slide as a point mass does."""
+"""Largest change of heading during coasting; with a larger one the robot does not slide like a point mass."""
 
 _MIN_SAMPLES = 8
 """Smallest number of samples of a coasting test."""
@@ -292,7 +293,7 @@ class CoastingTest:
             start: time from which the robot is not touched, s; None: the time of its largest speed.
 
         Raises:
-            InputError: it is too short or too slow, or the robot turns.
+            InputError: the test is too short or too slow, or the robot turns.
         """
         time, com = trajectory.time, trajectory.com
         if len(time) < _MIN_SAMPLES:
@@ -367,7 +368,7 @@ def fit_coasting(
 
 
 def _initial_velocities(run: CoastingTest, k: int) -> list[FreeParameter]:
-    """Return the initial velocities of run k as nuisance parameters, if the run moves in their direction."""
+    """Return the initial velocities of run k, in the directions in which it moves, as nuisance parameters."""
     few = len(run.time) // 4
     travel = np.abs(run.position[-few:].mean(axis=0) - run.position[: max(1, few // 4)].mean(axis=0))
     return [

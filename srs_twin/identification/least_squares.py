@@ -2,10 +2,11 @@ r"""Weighted nonlinear least squares, with confidence intervals and identifiabil
 
 **Search.** SciPy's trust-region method minimises the sum of squared weighted residuals within bounds, in the
 coordinates z of `parameters`. The Jacobian uses central differences, which keeps the number of model runs
-small. For a model with kinks the search is repeated with a coarse step from its end point. Optionally a
-first stage uses only residuals that vary monotonically over a large range of the parameters. For a crawling
-robot these are the bends: path and heading are informative only within a few per cent, because beyond that
-the simulated robot has turned elsewhere. The search is deterministic; further starts are drawn from a seed.
+small. For a model with kinks the search is repeated with a coarse step from its end point. An optional first
+stage uses only residuals that vary monotonically over a large range of the parameters. For a crawling robot
+these are the bends: path and heading are informative only within a few per cent, because with larger errors
+the simulated robot turns in another direction. The search is deterministic; further starts are drawn from a
+seed.
 
 **Intervals.** With S the sum at the estimate, n samples equivalent to n/τ independent ones
 (`correlation_time`) and p parameters, the covariance is
@@ -13,19 +14,20 @@ the simulated robot has turned elsewhere. The search is deterministic; further s
 $$ C = s^2\,\tau\,(J^\top J)^{-1}, \qquad s^2 = \frac{S}{n}\,\frac{n/\tau}{n/\tau - p}, $$
 
 and intervals use Student's t with n/τ − p degrees of freedom in z, so intervals of logarithms are asymmetric.
-This is exact for parameters whose effect is slower than the correlation of the residuals, and overstates the
-error of others.
+This is exact for parameters whose effect is slower than the correlation of the residuals, and overestimates
+the error of others.
 
 **Model error.** Errors of the model bias the estimate, and residuals need not show it. A better model, the
 *reference*, reveals the bias: the search is applied to data that the reference simulates with values z₀, and
 b(z₀) is the difference between its result and z₀ (indirect inference: Gouriéroux, Monfort and Renault 1993,
-Journal of Applied Econometrics 8). The relevant bias is that at the true values, and b depends on them. With
+Journal of Applied Econometrics 8). The relevant bias is that at the unknown true values. With
 b₁ = b(z), the iteration b_{k+1} = b(z − b_k) approaches it, and the covariance becomes
 
 $$ C \to C + b_n b_n^\top + (b_n - b_{n-1})(b_n - b_{n-1})^\top ; $$
 
-the last term is the uncertainty of b. The iteration ends when no element of b changes by more than its
-standard error in C, or after five searches. The estimate itself is not corrected: it stays the best fit.
+the last term is the uncertainty of b. The iteration ends when no element of b changes by more than the
+standard error of its parameter (from C), or after five searches. The estimate itself is not corrected: it
+remains the best fit.
 """
 
 from __future__ import annotations
@@ -117,7 +119,7 @@ class SearchOptions:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """End of a search.
+    """Result of a search.
 
     Attributes:
         z: coordinates, shape (n,).
@@ -215,7 +217,8 @@ class Search:
         fine, coarse = self.jacobian(z, step), self.jacobian(z, 2 * step)
         if wide is None:
             return fine, coarse - fine
-        # With a rough model both are equally accurate; half the difference is the error of their mean.
+        # If the model is not smooth, both Jacobians are equally accurate; half their difference is the error
+        # of their mean.
         return (fine + coarse) / 2, (coarse - fine) / 2
 
     def bias(self, z: np.ndarray, refit: Refit) -> np.ndarray:
@@ -256,10 +259,10 @@ class Search:
         return end
 
     def _minimize(self, start: np.ndarray, step: float, only: ResidualFilter | None = None) -> SearchResult:
-        from scipy import optimize  # takes 0.5 s, so only fits import it
+        from scipy import optimize  # the import takes 0.5 s, so only fits pay for it
 
-        # Parameters without effect on the filtered residuals stay at the start, which counts as one
-        # observation.
+        # Add one observation per parameter at its start, so that parameters without effect on the filtered
+        # residuals stay there.
         prior = np.zeros((0, len(start))) if only is None else np.eye(len(start))
         result = optimize.least_squares(
             lambda z: np.concatenate([self.weighted(z, only), prior @ (z - start)]),
@@ -321,7 +324,7 @@ def least_squares(
 
     Args:
         residuals: residuals of all data as a function of the parameter values; their number and lengths must
-            not change. Those whose role is not "fit" are evaluated only at the end.
+            not change. Residuals with another role than "fit" are evaluated only at the end.
         unknowns: free parameters.
         options: settings of the search; default: those of a smooth model.
         starts: number of searches; the first from the parameters' own starts, the others from the best of
@@ -359,7 +362,7 @@ def _estimate(
     variance = 2 * best.cost / samples * max(independent / freedom, 1.0)
     noise, scale = float(np.sqrt(variance * samples / independent)), float(np.sqrt(variance))
     jacobian, error = search.jacobian_and_error(z, noise)
-    # A parameter without effect may end anywhere, so its being at a bound means nothing.
+    # A parameter without effect may end anywhere, so a bound at its end means nothing.
     has_effect = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(error, axis=0)
     at_bound = has_effect & ((z - search.low < _BOUND_DISTANCE) | (search.high - z < _BOUND_DISTANCE))
     inside = np.flatnonzero(~at_bound)

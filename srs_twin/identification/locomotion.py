@@ -2,8 +2,9 @@
 
 Either plant is driven by the recorded valve states. Its motion is compared with the measured one by
 period-averaged speed and yaw rate (`averages`), by path, heading and bends over time (`shapes`), or by both.
-Only ratios of the masses have an effect, and stiffness and damping only relative to them; with prescribed
-bends (`complete`) the stiffness has none. Such parameters are reported as not identifiable.
+Masses affect the motion only through their ratios, and stiffness and damping only relative to the masses.
+With prescribed bends (`complete`) the stiffness has no effect. Such parameters are reported as not
+identifiable.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ NOISE = {
     "heading": (2e-2, "rad"),
     "bend": (2e-2, "rad"),
 }
-"""Expected standard deviation and unit of a signal; a bend's is larger if its markers give a larger error."""
+"""Expected standard deviation and unit of a signal; for bends, a larger error from the markers takes
+precedence."""
 
 _STEP = 3e-2
 """Step of differences in z for the analytical plants, which have kinks."""
@@ -49,11 +51,11 @@ _COARSE_STEP = 0.1
 """Coarse step in z for the analytical plants."""
 
 MAX_TWIN_RUNS = 150
-"""Largest number of times that a search simulates all recordings with the twin."""
+"""Largest number of simulations of all recordings with the twin in one search."""
 
 _CLOSE_STEPS = {"tolerance": 2e-5}  # m/s
-"""Settings of an analytical plant in a fit: the tolerance of the friction is a tenth of the default one,
-with which differences between runs are dominated by the step control."""
+"""Settings of an analytical plant in a fit. The tolerance of the friction is a tenth of the default, because
+with the default the step control dominates the differences between runs."""
 
 _COMPLIANT_STEPS = _CLOSE_STEPS | {"timestep": 0.0005, "slip_speed": 0.001}  # s, m/s
 """Settings of `compliant` in a fit, which has a fixed time step. With the default (2 ms, 0.25 mm/s) the sum
@@ -111,9 +113,9 @@ class PlantModel:
         """Return the settings of a search with this plant.
 
         The twin's motion is smooth down to 1e-3 in z. Its path and heading are monotonic in the parameters
-        only within 1e-2, but its bends within 1, so the first stage uses the bends. Identifiability is judged
-        over the few per cent that the data leave undetermined. `compliant` has finer kinks than the twin, and
-        all its signals are monotonic.
+        only within 1e-2, but its bends are monotonic within 1, so the first stage uses the bends.
+        Identifiability is judged over the few per cent that the data leave undetermined. `compliant` has
+        finer kinks than the twin, and all its signals are monotonic.
         """
         if self.plant == "twin":
             uses_shapes = against != "averages"
@@ -189,8 +191,8 @@ def fit_locomotion(
         starts: number of searches; a single one may end in a local minimum with a large residual. With
             shapes and the twin one is enough.
         watch: progress callback, see `least_squares`.
-        reference: better model of the robot that shows the bias by model error, see `least_squares`; None:
-            the intervals assume that the model is right.
+        reference: better model of the robot, which reveals the bias due to model errors, see `least_squares`;
+            None: the intervals assume that the model is right.
         known: measured parameters, which are fixed at their values.
 
     Raises:
@@ -240,7 +242,7 @@ def fit_locomotion(
         for run, _, role in fitted:
             copy = replace(run, trajectory=reference.simulate(run, robot))
             simulated.append((copy, signals(copy.trajectory, None, against, run.name), role))
-        # The search starts where the fit did, so that both may end in the same local minimum.
+        # Start the search where the fit started, so that both end in the same local minimum.
         search = Search(partial(residuals, simulated), unknowns, options, None)
         start = np.array([unknown.coordinate(unknown.start) for unknown in unknowns])
         return search.values(search.run(start).z)
@@ -268,7 +270,7 @@ def signals(
     Args:
         trajectory: run.
         measured: measured run to whose times and pose the run is aligned; None: the run itself is measured.
-        against: one of `AGAINST`.
+        against: signals to compare, one of `AGAINST`.
         name: name of the run for messages.
 
     Raises:
@@ -301,7 +303,7 @@ def _shapes(trajectory: Trajectory, measured: Trajectory, *, is_aligned: bool) -
 
     path, heading = resample(trajectory, trajectory.com), resample(trajectory, trajectory["heading"])[:, 0]
     if is_aligned:
-        # A plant starts at the origin: only the shape of the path is compared, not its place.
+        # Align the paths, because a plant starts at the origin: only the shape of the path is compared.
         target = resample(measured, measured.com)
         target_heading = resample(measured, measured["heading"])[:, 0]
         turn = float((target_heading - heading).mean())

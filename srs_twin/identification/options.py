@@ -16,7 +16,7 @@ RobotOption = Annotated[str, option("--robot -r ROBOT", "Initial robot, shipped 
 _VALIDATE = "Recording or table for validation, not used by the fit (repeatable)."
 ValidateOption = Annotated[list[str] | None, option("--validate FILE", _VALIDATE)]
 
-_FIND = "Parameters to fit, as friction.mu_t,friction.mu_n."
+_FIND = "Parameters to fit, e.g. friction.mu_t,friction.mu_n."
 FindOption = Annotated[str | None, option("--find NAMES", _FIND)]
 
 
@@ -27,7 +27,7 @@ class FitOptions:
     Options:
         name: Name of the fit and its file. [default: ROBOT_WHAT]
         out: Fit file. [default: calibration/fits/NAME.yaml]
-        overwrite: Replace an existing fit by another command.
+        overwrite: Replace an existing fit that another command wrote.
     """
 
     name: Annotated[str | None, option("--name NAME")] = None

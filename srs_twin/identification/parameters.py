@@ -147,7 +147,7 @@ def _key(name: str) -> tuple[str, int]:
     """Return a name with N for its number, and the number counted from 0; 0 if it has none."""
     match = re.fullmatch(r"(.+_)([1-9]\d?)", name, flags=re.ASCII)
     if match is None:
-        return "" if name.endswith("_N") else name, 0  # a literal N is not a number
+        return "" if name.endswith("_N") else name, 0  # a name with a literal N is invalid
     return f"{match[1]}N", int(match[2]) - 1
 
 
@@ -224,7 +224,7 @@ def _set_mass(spec: RobotSpec, value: float, k: int) -> RobotSpec:
 
 
 def _lightest(spec: RobotSpec) -> float:
-    """Return the smallest mass of a connector, kg: just above that of its wheels, so that a body remains."""
+    """Return the smallest mass of a connector, kg: just above that of its wheels, so its body has mass."""
     return 2.01 * spec.mass.wheel / WHEEL_SHARE
 
 

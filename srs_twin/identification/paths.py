@@ -16,9 +16,9 @@ settled, is
 $$ P ∘ D ∘ A(v (t − t_s)) $$
 
 with a constant displacement D, as if the snake had jumped by D at the change and then followed the new arc.
-The path has settled when every later period turns the body as the new offset does, within 10 % of the
-difference between the two offsets. Learning does not come to rest, so twice the variation between periods at
-the end of the run is allowed if that is larger.
+The path has settled when the turn of every later period equals that of the new offset, within 10 % of the
+difference between the two offsets. Learning continues to vary, so twice the variation between the last
+periods is allowed if that is larger.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ class SteadyPath:
         """Measure the steady path over whole periods of a run.
 
         The body is the band of the robot's width about its centre line, with round ends. The connectors alone
-        would not do, as the band bulges between them.
+        are not sufficient, because the band bulges between them.
 
         Args:
             trajectory: run.
@@ -174,7 +174,7 @@ class SteadyPath:
         ends, offset = on_arc.coordinates(trajectory.position[in_window][:, [0, -1]], curvature)
         extent = (
             geometry.width / 2 / (1 - curvature * offset)
-        )  # of the discs, as angles about the arc's centre
+        )  # half widths of the discs, as angles about the arc's centre
         if abs(curvature) > _STRAIGHT_PER_M:
             extent = np.arcsin(curvature * extent) / curvature
         ahead = max(along.max(), (ends + extent).max())
@@ -199,7 +199,7 @@ STEADY_PERIODS = 4
 """Number of periods over which the path is averaged, before a change and after it has settled."""
 
 SETTLED = 0.1
-"""Error in the turn per period, relative to its change, below which a change is complete."""
+"""Error of the turn per period, relative to its change, below which a change is complete."""
 
 MAX_UNREST = 0.1
 """Largest such error at the end of a run; with a larger one the path has not settled."""
@@ -225,7 +225,7 @@ def measure_transient(
 ) -> Transient:
     """Measure one change of offset.
 
-    The part of the body that is still on the arc before the change does not count, as a planner includes it
+    The part of the body that is still on the arc before the change is excluded, because a planner includes it
     in that arc.
 
     Args:
@@ -273,7 +273,7 @@ def measure_transient(
 
 
 def _settling_time(trajectory: Trajectory, period: float, time: float, paths: BothPaths) -> float:
-    """Return the time (s) from which each period turns as the new offset does.
+    """Return the time (s) from which the turn of each period is that of the new offset.
 
     Raises:
         InputError: the run ends before the path has settled.

@@ -51,10 +51,11 @@ FROM_MARKERS = "measured from the markers, not from the walk"
 def measured_length(
     recordings: Sequence[Recording], spec: RobotSpec, names: Sequence[str]
 ) -> Parameter | None:
-    r"""Return the rigid gap or the segment length measured from markers; None if they do not show it.
+    r"""Return the rigid gap or segment length from markers; None if they do not determine it.
 
-    The pitch is the sum of both for a straight segment, so each follows from the pitch and the other one in
-    the robot file. With the arc lengths ℓ that the markers give for the gap g of the file,
+    The pitch is the sum of rigid gap and segment length of a straight segment. Each follows from the pitch
+    and the other one in the robot file. With the arc lengths ℓ that the markers give for the gap g of the
+    file,
 
     $$ \ell = a + b\,q^2, \qquad \text{pitch} = a + g . $$
 

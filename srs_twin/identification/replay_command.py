@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from srs_twin.robot.file import RobotFile
 
 _MAX_DURATION_S = 3600.0
-"""Longest replay, the limit of a scenario."""
+"""Longest replay, s: the limit of a scenario."""
 
 _BENCH_RECORD_HZ = 1000
 """Sampling rate on a bench, where bends follow the valves within milliseconds."""
@@ -70,7 +70,7 @@ def replay(
         valves: Log of valves or pressures. [default: NAME.valves.csv in the same folder]
         fit: Fit file of this robot (repeatable).
         expect: File of expectations, as in a scenario: `expect: …`.
-        bench: The robot was clamped at the head, not on the floor; also for one module.
+        bench: Robot (or single module) on a bench, clamped at its head, instead of on the floor.
         plants: Plants: analytical, twin or both.
         model: Model of the analytical plant.
         out: Output folder. [default: runs/MOTION]

@@ -45,7 +45,7 @@ _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], Any]], ...] = (
     (re.compile(r"~|null|Null|NULL|"), lambda text: None),
     (re.compile(r"true|True|TRUE"), lambda text: True),
     (re.compile(r"false|False|FALSE"), lambda text: False),
-    # Longer integers are read as floats, so that they become infinite and are rejected.
+    # Read longer integers as floats, which are infinite and therefore rejected.
     (re.compile(r"[-+]?[0-9]{1,300}"), int),
     (re.compile(r"0o[0-7]{1,300}"), lambda text: int(text[2:], 8)),
     (re.compile(r"0x[0-9a-fA-F]{1,300}"), lambda text: int(text[2:], 16)),
@@ -189,7 +189,7 @@ class Document:
             InputFileError: there is at least one problem.
         """
         lines = list(other_files)
-        # The alternatives of a union report equal messages: these are shown once.
+        # The alternatives of a union report equal messages, which are shown only once.
         for (line, column), message in sorted(dict.fromkeys(self.problems), key=itemgetter(0)):
             place = f"{self.name}:{line}:{column}" if line > 0 else self.name
             lines.append(f"{self.override_labels[-line - 1] if line < 0 else place}: {message}")
@@ -219,7 +219,7 @@ def parse_yaml(text: str, name: str) -> Document:
         name: name of the file in messages.
 
     Raises:
-        InputFileError: a syntax error, too deep or too much data, or a second document.
+        InputFileError: a syntax error or a second document, or nesting or data beyond the limits.
     """
     reader = _Reader(YAML(typ="safe", pure=True).parse(text), Document(name))
     try:
@@ -251,7 +251,7 @@ def dump_yaml(data: Any, *, compact: bool = False) -> str:
     yaml.Representer = _CompactRepresenter if compact else _Representer
     yaml.default_flow_style = False
     yaml.allow_unicode = True
-    yaml.width = 150 if compact else 110  # wide enough for the rows of compact lists
+    yaml.width = 150 if compact else 110  # wide enough for a row of a compact list
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
     stream = io.StringIO()
     yaml.dump(data, stream)
@@ -295,7 +295,7 @@ class _Reader:
         self._nodes = 0
 
     def fail(self, position: Position, message: str) -> None:
-        """Raise this problem and all earlier ones."""
+        """Raise an error with this problem and all earlier ones."""
         self.document.problems.append((position, message))
         self.document.raise_problems()
 
@@ -322,7 +322,7 @@ class _Reader:
         self._check(event)
         scalar = isinstance(event, events.ScalarEvent)
         if scalar and event.implicit[0] and not event.value and loc in self.document.keys:
-            # Nothing follows the colon: the parser's mark is in the next line, so take that of the key.
+            # If nothing follows the colon, the parser's mark is in the next line: use the mark of the key.
             self.last = self.document.keys[loc]
         self.document.values[loc] = self.last
         if scalar:

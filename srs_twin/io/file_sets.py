@@ -31,13 +31,14 @@ _ASIDE = ".aside"
 """Subfolder of earlier files before any new file is moved in."""
 
 _SAVED = ".earlier"
-"""The same subfolder once it has all earlier files; new files may have been moved in."""
+"""The same subfolder after it has received all earlier files; new files may have been moved in."""
 
 _OBSOLETE = ".gone"
 """The same subfolder after a complete replacement."""
 
 _LOCK_TIMEOUT_S = 60.0
-"""A replacement takes milliseconds; a lock that lasts this long belongs to a suspended process."""
+"""Longest wait for a lock, s. A replacement takes milliseconds, so a longer lock belongs to a suspended
+process."""
 
 # Errors of file systems without folder locks, such as some network drives.
 _LOCKS_UNSUPPORTED = (errno.EBADF, errno.EINVAL, errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
@@ -143,7 +144,7 @@ def _restore(folder: Path, staging: Path) -> None:
         ValueError: the list of products is damaged.
     """
     mark, *others = (staging / _PRODUCT_LIST).read_text("utf-8").splitlines()
-    # If the mark exists, either no file was moved away or all new files were moved in.
+    # If the completion mark exists, either no file was moved away or all new files were moved in.
     if not os.path.lexists(folder / mark):
         if (staging / _SAVED).is_dir():
             for name in _existing_products(folder, others):
@@ -158,7 +159,7 @@ def _restore(folder: Path, staging: Path) -> None:
 def _staging_folder(folder: Path, products: Sequence[str]) -> Iterator[Path]:
     """Yield a new locked staging folder; first clean up after killed processes."""
     with ExitStack() as locks:
-        # The lock keeps other processes from removing the new staging folder as an abandoned one.
+        # The lock prevents other processes from removing the new staging folder as an abandoned one.
         with _lock(folder):
             _clean_up(folder)
             staging = Path(tempfile.mkdtemp(prefix=_STAGING_PREFIX, dir=folder))

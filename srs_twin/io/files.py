@@ -84,7 +84,7 @@ def find_file(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
 
 
 def results_name(path: Path) -> str:
-    """Return the name of the results of a file: its stem, changed to be valid as a folder and YAML key."""
+    """Return the name for the results of a file: its stem, made valid as a folder name and YAML key."""
     return re.sub(r"[^\w .+=-]", "_", path.stem).lstrip(". ") or "scenario"
 
 
@@ -134,7 +134,7 @@ def read_text(path: Path, *, limit: int = MAX_BYTES) -> str:
         limit: largest allowed size, bytes.
 
     Raises:
-        InputError: missing, a folder, not readable, too large or not UTF-8.
+        InputError: the file is missing, a folder, not readable, too large or not UTF-8.
     """
     try:
         with require_file(path).open("rb") as stream:
@@ -164,7 +164,7 @@ def decode_text(raw: bytes, name: str) -> str:
 
 
 MAX_NEW_FOLDERS = 100
-"""Largest depth of new folders; `Path.mkdir` creates parents by recursion."""
+"""Largest number of nested new folders, because `Path.mkdir` creates parents by recursion."""
 
 
 def missing_folders(folder: Path) -> list[Path]:
@@ -182,7 +182,7 @@ def missing_folders(folder: Path) -> list[Path]:
 
 
 def remove_empty_folders(folders: Iterable[Path]) -> None:
-    """Remove the empty ones of some folders; another process may have written to the rest."""
+    """Remove those folders that are empty; the remaining ones may contain files of another process."""
     for folder in folders:
         with suppress(OSError):
             folder.rmdir()
@@ -215,7 +215,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
         InputError: the file cannot be written.
     """
     target = Path(path)
-    # The suffix stays at the end, because some writers choose their format by it.
+    # Keep the suffix at the end, because some writers choose their format by it.
     temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}.part{target.suffix}")
     try:
         with make_folder(target.parent):
@@ -223,7 +223,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
                 yield temporary
                 temporary.replace(target)
             finally:
-                # A further error in an unusable folder must not hide the first one.
+                # Suppress further errors in an unusable folder, which would hide the first one.
                 with suppress(OSError):
                     temporary.unlink(missing_ok=True)
     except OSError as error:
@@ -276,7 +276,7 @@ def require_file(path: Path, *, suffix: str = ".yaml", remedy: str = "", names: 
         names: names of shipped files to suggest.
 
     Raises:
-        InputError: not a regular file, missing, or a name that cannot be used.
+        InputError: the file is missing or not a regular file, or the name is not allowed.
     """
     check_printable(path)
     try:
@@ -335,7 +335,7 @@ def check_not_folders(folder: Path, products: Sequence[str]) -> None:
     """Check that no folder has the name of a product.
 
     Raises:
-        InputError: a folder has; the message names it.
+        InputError: a folder has the name of a product; the message names it.
     """
     for product in products:
         if (folder / product).is_dir():

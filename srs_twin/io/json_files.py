@@ -26,7 +26,7 @@ def read_json(path: Path) -> Any:
     """Read a JSON file.
 
     Raises:
-        InputError: missing, not a regular file, not readable, too large, or not JSON.
+        InputError: the file is missing, not a regular file, not readable, too large, or not JSON.
     """
     try:
         with require_file(path, suffix=".json").open("rb") as stream:
@@ -46,7 +46,7 @@ def parse_json(text: str, name: str) -> Any:
         name: name of the file in messages.
 
     Raises:
-        InputError: not JSON, a number out of range, a key given twice, or nested too deep.
+        InputError: invalid JSON, nesting beyond the limit, a number out of range, or a repeated key.
     """
     try:
         data = json.loads(
@@ -75,7 +75,7 @@ def _number(text: str) -> float:
 
 
 def _integer(text: str) -> int | float:
-    # Python refuses integers of thousands of digits; shorter ones may still be too large for a float.
+    # Python rejects integers with thousands of digits; shorter ones may still be too large for a float.
     return int(text) if len(text) < 19 else _number(text)
 
 

@@ -52,8 +52,8 @@ def read_table(
         check: raises TypeError or ValueError for another schema, before any data are read.
 
     Raises:
-        InputError: missing, not a regular file, not Parquet, damaged, or larger than a limit; the message
-            names the damaged column.
+        InputError: the file is missing, not a regular file, not Parquet, damaged, or larger than a limit; the
+            message names the damaged column.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -127,7 +127,7 @@ def _read(file: Any) -> pyarrow.Table:
     import pyarrow as pa
 
     try:
-        # One thread unpacks one column at a time, which limits the memory for pages of false sizes.
+        # Unpack one column at a time in one thread, which limits the memory if declared page sizes are false.
         table = file.read(use_threads=False)
         table.validate()
     except (pa.ArrowException, OSError) as error:

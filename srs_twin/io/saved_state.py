@@ -45,7 +45,7 @@ _DOCUMENT = "state"
 """Name of the JSON document in the archive."""
 
 _MAX_UNPACKED_BYTES = 256 << 20
-"""Limit against archives that unpack to far more than their own size."""
+"""Largest unpacked size of an archive, against archives that unpack to far more than their own size."""
 
 _PACKAGE = __name__.partition(".")[0] + "."
 
@@ -84,7 +84,7 @@ class DeepCopied:
 def _why_not_copyable(value: Any) -> str | None:
     """Return the reason that a value can be neither copied nor pickled, or None.
 
-    A copy of a nested function would share the variables of the enclosing function.
+    Nested functions are not copyable, because a copy would share the variables of the enclosing function.
     """
     if isinstance(value, partial):
         return _why_not_copyable(value.func)
@@ -140,7 +140,7 @@ class Stateful(DeepCopied):
         """Check that the class defines its state and that the object has been reset.
 
         Args:
-            base: base class whose own `state_attributes` do not suffice.
+            base: base class whose own `state_attributes` are not sufficient.
             label: name of the object in messages.
 
         Raises:
@@ -167,8 +167,8 @@ class SavedState:
     """State of a plant or a controller that determines its further evolution; it can be pickled and written.
 
     Attributes:
-        owner: settings of the object that it belongs to, JSON values; only an object with equal settings can
-            restore it.
+        owner: settings of the saved object as JSON values; only an object with equal settings can restore the
+            state.
         content: state attributes, name → value.
         version: version of the format of `content`.
     """
@@ -234,7 +234,7 @@ class SavedState:
             raise
         except OSError as error:
             raise InputError(f"{display_path(path)}: cannot be read: {error.strerror or error}") from error
-        except Exception as error:  # damaged archives raise errors of many kinds, zlib's among them
+        except Exception as error:  # damaged archives raise many kinds of errors, including those of zlib
             reason = f"{type(error).__name__}: {error}"
             raise InputError(f"{display_path(path)}: not a saved state ({reason})") from error
 

@@ -114,7 +114,8 @@ def validate(model: type[Model], document: Document, data: Any, *, prefix: Loc =
     except ValidationError as error:
         schema, elsewhere = _schema_of(model), getattr(model, "elsewhere", {})
         for item in error.errors(include_url=False):
-            # A missing key, or a default that is not valid with the given keys, is not in the data.
+            # The path may not exist in the data: a missing key, or a default that is invalid together with
+            # the given keys.
             loc = _existing_path(item["loc"], data)
             if item["type"] in _UNION_TAG_ERRORS:
                 _report_block_kind(document, item, prefix + loc)
@@ -196,7 +197,7 @@ def _suggest_unit(value: Any, loc: Loc, options: Iterable[Schema]) -> str:
     """Return '; did you mean 48.3?' for a number that would be allowed after a common change of unit."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < abs(value) < 1e300:
         return ""
-    # The value of a record is named by the key of the record.
+    # The key of a record, not its `value`, has the unit.
     key = next((key for key in reversed(loc) if isinstance(key, str) and key != "value"), "")
     factors = [1e-3, 1e3] * key.endswith(_SCALED_SUFFIXES) + [math.pi / 180] * key.endswith("_rad")
     for option in options:
@@ -218,7 +219,7 @@ def _existing_path(loc: Loc, data: Any) -> Loc:
 
 
 def _is_absent(item: Any, schema: Schema, loc: Loc, data: Any) -> bool:
-    """Return whether the problem is a key that its block does not have: it is missing or has its default."""
+    """Return whether the file lacks the problem's key, because it is missing or has its default."""
     last = item["loc"][-1] if item["loc"] else None
     known = item["type"] == "value_error" and isinstance(last, str) and loc[-1:] != (last,)
     return item["type"] == "missing" or (known and last in _allowed_keys(schema, loc, data))

@@ -30,19 +30,19 @@ _IN_TIME = 0.97
 _HOLD_UPDATES = 25
 """Number of calls after which the holding time is adapted."""
 _RANKS = {COMMAND: 0, VALVES: 0, BENDS: 1}
-"""Order of messages with the same time: commands, bends, measurements that depend on bends."""
+"""Processing order of messages with equal times: commands, bends, then measurements that depend on bends."""
 
 
 class SenderClock:
     """The clock of one sender.
 
     Attributes:
-        offset: our clock less the sender's, including the minimum delay, s.
-        jumps: number of times it was set.
+        offset: our clock minus the sender's clock, including the minimum delay, s.
+        jumps: number of times that the sender's clock was set.
     """
 
     def __init__(self) -> None:
-        """Begin without a message."""
+        """Create a clock without any messages."""
         self.offset, self.jumps = math.nan, 0
         self._seen: deque[tuple[float, float]] = deque(maxlen=KEPT)
         # Candidates for the minimum in the window, the smallest first.
@@ -79,17 +79,17 @@ class SenderClock:
 
 
 class ReorderBuffer:
-    """Messages of all senders, in the order of their sending times on our clock.
+    """Buffer that sorts the messages of all senders by their sending times on our clock.
 
     Attributes:
-        clocks: by sender; the sender of commands has another clock than the robot.
+        clocks: clocks by sender; the sender of commands and the robot have different clocks.
         hold: time for which messages are held, s; it grows with the jitter up to `MOST_HOLD_S`.
         counts: number of messages by source, kind and result: "taken", "duplicate", "late" after a newer one
             was used, or "off its clock", with a time that differs from the clock by more than `STEP_S`.
     """
 
     def __init__(self, hold_s: float = 0.03) -> None:
-        """Hold messages for a time (s)."""
+        """Create a buffer that holds messages for a time (s)."""
         self.clocks: dict[str, SenderClock] = {}
         self.counts: Counter[tuple[str, str, str]] = Counter()
         self.hold, self._least, self._handed = hold_s, hold_s, -math.inf
@@ -134,14 +134,14 @@ class ReorderBuffer:
         return False
 
     def pop_until(self, now: float) -> list[tuple[float, Message]]:
-        """Return the messages that are due now (our clock, s), with their times on our clock."""
+        """Return the messages that are due at `now` (our clock, s), with their times on our clock."""
         self._calls += 1
         if self._calls % _HOLD_UPDATES == 0 and self.clocks:
             late = max(clock.delay_quantile(_IN_TIME) for clock in self.clocks.values())
             self.hold = min(max(self._least, late), max(self._least, MOST_HOLD_S))
-        until, found = now - self.hold, []
+        until, due = now - self.hold, []
         while self._waiting and self._waiting[0][0] <= until:
             time, _, _, message = heapq.heappop(self._waiting)
-            found.append((time, message))
+            due.append((time, message))
         self._handed = max(self._handed, until)
-        return found
+        return due

@@ -12,31 +12,31 @@ import numpy as np
 from srs_twin.live.messages import COMMAND, VALVES, Message
 
 DELAY_S = 0.01
-"""Delay from the sending of a command to its effect: half a tick of the robot."""
+"""Delay from sending a command to its effect: half a tick of the robot."""
 REPORTED_S = 0.02
-"""Time before a report for which the valves had the reported states: a tick of the robot."""
+"""Time before a report during which the valves had the reported states: one tick of the robot."""
 SILENT_S = 0.2
 """Age of a command above which the robot vents."""
 KEPT_S = 1.0
 """Time for which commands are kept."""
 _LEAST_INTERVAL_S = 1e-3
-"""Reports at a shorter interval were sent together."""
+"""Interval between reports below which they belong to one transmission."""
 _GAP_FACTOR = 1.5
-"""Interval between commands, over the usual one, from which some were lost."""
+"""Ratio of an interval between commands to the usual interval above which commands were lost."""
 
 
 def duty(message: Message) -> np.ndarray:
-    """Return the share of time in which each valve fills, from valve states or duties."""
+    """Return the fraction of time in which each valve fills, from valve states or duties."""
     if np.isin(message.values, (-1.0, 1.0)).all():
         return np.asarray((message.values + 1) / 2)
     return np.clip(message.values, 0.0, 1.0)
 
 
 class CommandHistory:
-    """Duties of the valves, each from its time on; initially all chambers vent."""
+    """Duties of the valves over time; each holds until the next one, and initially all chambers vent."""
 
     def __init__(self, segments: int) -> None:
-        """Begin without a command."""
+        """Create an empty history."""
         self._times, self._duties = deque([-math.inf]), deque([np.zeros((segments, 2))])
         self._carrier = False
         self._reported, self._report_s = -math.inf, REPORTED_S
@@ -46,7 +46,7 @@ class CommandHistory:
 
         Returns:
             Change of the duty, shape (segments, 2), and the interval in which it happened (s), if commands
-            before this one were lost.
+            before this one were lost; otherwise None.
         """
         if message.kind == COMMAND:
             self._carrier = not np.isin(message.values, (-1.0, 1.0)).all()

@@ -27,10 +27,10 @@ def broker_link(
     robot: str, segments: int, address: str, user: str | None, ca: Path | None, *, speaks: str | None = None,
     kinds: Iterable[str] | None = None,
 ) -> MqttLink:  # fmt: skip
-    """Return a robot's topics at a broker, as the options say.
+    """Return the connection to a robot's topics at the broker that the options select.
 
     Raises:
-        InputError: a name that is no part of a topic, or no such broker.
+        InputError: the name cannot be part of a topic, or the broker does not answer.
     """
     from srs_twin.live import links as broker
     from srs_twin.live.links import address as parsed
@@ -71,7 +71,7 @@ def emulate(
 
     A twin with varying modules, compressible flow in the chambers, sensor noise and faults obeys commands and
     publishes bends, pressures, valve states and poses in real time. docs/live.md describes the messages. The
-    environment variable SRS_TWIN_MQTT_PASSWORD has the password of --user.
+    environment variable SRS_TWIN_MQTT_PASSWORD contains the password of --user.
 
     Options:
         mqtt: MQTT broker.
@@ -83,8 +83,8 @@ def emulate(
         noise: Standard deviation of bend readings, rad.
         chambers: orifice (compressible flow) or lag (first order).
         start: Initial pose, m and rad, e.g. --start=0.2,-0.1,0.5.
-        loss: Share of messages that are lost.
-        jitter: Largest delay of a message.
+        loss: Fraction of messages that are lost.
+        jitter: Largest delay of a message, s.
         tell_supply: Publish the supply pressure.
         duration: Stop after S seconds. [default: run until Ctrl-C]
         user: MQTT user name.
@@ -128,13 +128,13 @@ def emulate(
 
 
 def _pose(text: str) -> tuple[float, float, float]:
-    """Return x, y (m) and heading (rad) of a text.
+    """Parse x, y (m) and heading (rad).
 
     Raises:
-        InputError: it is no three finite numbers.
+        InputError: the text is not three finite numbers.
     """
     try:
-        x, y, heading = (float(each) for each in text.split(","))
+        x, y, heading = (float(number) for number in text.split(","))
     except ValueError:
         x = y = heading = math.nan
     if not math.isfinite(x + y + heading):

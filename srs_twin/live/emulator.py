@@ -1,8 +1,9 @@
 """Emulator: a simulated robot with the interfaces of a real one.
 
-A twin with momentary loads, compressible flow in the chambers, random modules and faults at given times gets
-commands from a broker and publishes bends, pressures and valve states in real time. A NatNet server sends
-the poses of the connectors. Like the firmware of a robot, it vents all chambers 0.2 s after the last command.
+The simulated robot is a twin with momentary loads, compressible flow in the chambers, random modules and
+faults at given times. It receives commands from a broker and publishes bends, pressures and valve states in
+real time. A NatNet server sends the poses of the connectors. Like the firmware of a robot, it vents all
+chambers 0.2 s after the last command.
 """
 
 from __future__ import annotations
@@ -61,9 +62,9 @@ class Fault:
     Attributes:
         kind: one of `KINDS`.
         number: segment or connector, from 1; 0 without one.
-        side: of a chamber, 0 for + and 1 for −.
+        side: side of the chamber, 0 for + and 1 for −.
         how: value of the variant, as in `KINDS`.
-        since: s from the start.
+        since: time of the fault from the start, s.
     """
 
     kind: str
@@ -77,13 +78,13 @@ class Fault:
         """Return the fault of a text such as ``stuck_valve:2+@5``.
 
         Raises:
-            InputError: a malformed text, or a part that the robot does not have.
-            UnknownNameError: an unknown kind or variant.
+            InputError: the text is malformed, or the robot does not have the part.
+            UnknownNameError: the kind or variant is unknown.
         """
-        found = _FAULT.fullmatch(text)
-        if found is None:
+        match = _FAULT.fullmatch(text)
+        if match is None:
             raise InputError(f"{text!r} is no fault; the form is {_FORM}")
-        kind, number, side, how, since = found.groups()
+        kind, number, side, how, since = match.groups()
         if kind not in KINDS:
             raise UnknownNameError("fault", kind, KINDS)
         of, ways = KINDS[kind]
@@ -96,8 +97,8 @@ class Fault:
         most = segments + (of == "connector")
         if number is not None and not 1 <= int(number) <= most:
             raise InputError(f"{text!r}: there is no {of} {number}; the robot has {most}")
-        way = ways[how] if how is not None else next(iter(ways.values()))
-        return cls(kind, int(number or 0), _SIDES.get(side or "", 0), way, float(since))
+        variant = ways[how] if how is not None else next(iter(ways.values()))
+        return cls(kind, int(number or 0), _SIDES.get(side or "", 0), variant, float(since))
 
 
 class EmulatedRobot:
@@ -107,9 +108,9 @@ class EmulatedRobot:
         twin: simulation of the robot.
         state: true state.
         faults: faults and their times.
-        supply_pa: nominal pressure of its supply, gauge, Pa.
-        supply_now_pa: pressure of its supply now, gauge, Pa.
-        valves: as it set them last; a stuck one is where it is.
+        supply_pa: nominal supply pressure, gauge, Pa.
+        supply_now_pa: current supply pressure, gauge, Pa.
+        valves: valve states of the last tick; a stuck valve keeps its state.
     """
 
     def __init__(
@@ -118,12 +119,12 @@ class EmulatedRobot:
         supply_kpa: float | None = None, start: tuple[float, float, float] = (0.0, 0.0, 0.0),
         changes: Mapping[str, Any] | None = None,
     ) -> None:  # fmt: skip
-        """Build it.
+        """Build the simulation.
 
         Args:
             robot: name or path of its file.
-            seed: draws modules and noise.
-            faults: as `Fault.parse` takes them.
+            seed: random seed of modules and noise.
+            faults: texts in the format of `Fault.parse`.
             gain_spread: standard deviation of the modules' gains.
             noise_rad: standard deviation of bend readings, rad.
             tick: s.
@@ -134,7 +135,7 @@ class EmulatedRobot:
             changes: changed fields of the robot file, as in `robot` of a scenario.
 
         Raises:
-            InputError: no such robot, or no such fault.
+            InputError: the robot does not exist, or a fault is invalid.
         """
         modules = {"gain_spread": gain_spread, "tau_spread": tau_spread}
         changes = dict(changes or {})
@@ -153,17 +154,17 @@ class EmulatedRobot:
         self._air = self.twin.pneumatics
         spec = self.twin.spec
         self.segments, self.tick = spec.segments, tick
-        self.faults = tuple(Fault.parse(each, spec.segments) for each in faults)
+        self.faults = tuple(Fault.parse(fault, spec.segments) for fault in faults)
         self._rng, self._noise = np.random.default_rng((seed, 0xE0)), noise_rad
         self.supply_pa = self.supply_now_pa = asked.supply_pa
         self._share = self._left = 1.0
         self._air.stuck = tuple(
-            StuckValve(each.number, each.side, int(each.how), each.since)
-            for each in self.faults if each.kind == "stuck_valve"
+            StuckValve(fault.number, fault.side, int(fault.how), fault.since)
+            for fault in self.faults if fault.kind == "stuck_valve"
         )  # fmt: skip
         if not isinstance(self._air, OrificePneumatics) and any(e.kind == "leak" for e in self.faults):
             raise InputError(f"chambers of pneumatics {pneumatics!r} do not begin to leak; 'orifice' ones do")
-        self._pending = [each for each in self.faults if each.kind in ("leak", "starved")]
+        self._pending = [fault for fault in self.faults if fault.kind in ("leak", "starved")]
         self._pulses = PulseWidthModulator(
             CARRIER_HZ, tick, spec.segments, aligned=True, allow_long_ticks=True
         )
@@ -172,14 +173,14 @@ class EmulatedRobot:
         self.state = self.twin.reset(pose=start, seed=seed)
 
     def step(self, command: np.ndarray | None) -> SnakeState:
-        """Obey a command for a tick: states of valves, or duties; None vents everything."""
+        """Advance by one tick under a command, valve states or duties; None vents all chambers."""
         now = float(self.state.time)
-        for each in [each for each in self._pending if each.since <= now + 1e-9]:
-            self._pending.remove(each)
-            if isinstance(self._air, OrificePneumatics) and each.kind == "leak":
-                self._air.leak(each.number, each.side, each.how)
+        for fault in [fault for fault in self._pending if fault.since <= now + 1e-9]:
+            self._pending.remove(fault)
+            if isinstance(self._air, OrificePneumatics) and fault.kind == "leak":
+                self._air.leak(fault.number, fault.side, fault.how)
             else:
-                self._left = each.how
+                self._left = fault.how
                 self.regulate(self._share)
         shape = (self.segments, 2)
         wanted = np.full(shape, -1.0) if command is None else np.asarray(command, dtype=float)
@@ -191,46 +192,47 @@ class EmulatedRobot:
         return self.state
 
     def regulate(self, share: float) -> None:
-        """Set the pressure of a supply that is not starved to a share of the nominal one, 0 to 1."""
+        """Set a supply that is not starved to a fraction (0 to 1) of the nominal pressure."""
         self._share = share
         self.supply_now_pa = share * self._left * self.supply_pa
         self._air.set_supply_pressure(self.supply_now_pa)
 
     def bends(self) -> np.ndarray:
         """Return the bend readings, rad; NaN without a reading."""
-        time, seen = (
+        time, readings = (
             float(self.state.time),
             self.state.bend + self._noise * self._rng.normal(size=self.segments),
         )
-        for each in self.faults:
-            if each.since > time:
+        for fault in self.faults:
+            if fault.since > time:
                 continue
-            j = each.number - 1
-            if each.kind == "dead_sensor":
-                self._frozen[j] = seen[j] if np.isnan(self._frozen[j]) else self._frozen[j]
-                seen[j] = math.nan if each.how else self._frozen[j]
-            elif each.kind == "drifting_sensor":
-                seen[j] += each.how * _DRIFT_RAD_PER_S * (time - each.since)
-        return np.asarray(seen)
+            j = fault.number - 1
+            if fault.kind == "dead_sensor":
+                self._frozen[j] = readings[j] if np.isnan(self._frozen[j]) else self._frozen[j]
+                readings[j] = math.nan if fault.how else self._frozen[j]
+            elif fault.kind == "drifting_sensor":
+                readings[j] += fault.how * _DRIFT_RAD_PER_S * (time - fault.since)
+        return np.asarray(readings)
 
     def bodies(self) -> dict[int, RigidBody]:
         """Return the rigid bodies of motion capture by connector, from 1 at the head, y up."""
-        time, found = float(self.state.time), {}
+        time, bodies = float(self.state.time), {}
         lost = {e.number for e in self.faults if e.kind == "lost_marker" and e.since <= time}
         noise = _CAMERA_NOISE_M * self._rng.normal(size=(len(self.state.position), 3))
         for i, (x, y) in enumerate(self.state.position):
             dx, dy, dz = noise[i].tolist()
-            turn = float(self.state.theta[i]) + dz / 0.02  # markers 20 mm from the middle
+            turn = float(self.state.theta[i]) + dz / 0.02  # markers 20 mm from the centre
             place = float(x) + dx, _HEIGHT_M, -(float(y) + dy)
             body = RigidBody(place, (0.0, math.sin(turn / 2), 0.0, math.cos(turn / 2)))
-            found[i + 1] = RigidBody(body.place, body.turn, tracked=i + 1 not in lost)
-        return found
+            bodies[i + 1] = RigidBody(body.place, body.turn, tracked=i + 1 not in lost)
+        return bodies
 
 
 _GOODBYE_S = 1.0
-"""Longest wait for the broker to take the last status."""
+"""Longest wait until the broker accepts the last status, s."""
 _LETS_GO_S = 0.001
-"""So long the next tick waits for the broker's thread: kernels hold the interpreter."""
+"""Pause before the next tick, s, in which the broker's thread can run; compiled kernels hold the interpreter
+lock."""
 
 
 @dataclass(frozen=True)
@@ -261,13 +263,13 @@ def emulate(
 
     Args:
         robot: the simulated robot.
-        link: its topics, also for commands.
+        link: connection to its topics, which also delivers commands.
         capture: server of motion capture; None: no motion capture.
         transport: loss and delay of messages.
         duration: s.
-        stop: returns whether the run ends, called in every tick.
+        stop: called in every tick; returns whether the run ends.
         seed: random seed of the transport.
-        tells_supply: whether the pressure of the supply is published.
+        tells_supply: whether the supply pressure is published.
 
     Returns:
         ``ticks``, and ``late``: number of ticks that began more than a tick late.

@@ -2,10 +2,12 @@
 
 Each member has a pose, velocities, bends and chamber pressures, gains and biases of its modules, and a
 disturbance of each bend: the error of the model, a first-order Gauss–Markov process. Chambers and bodies
-follow the `compliant` model (`member_dynamics`), the pose follows the bends (`odometry`). Gains and biases
-are drawn from the estimate of the fault detector, because a small ensemble contains spurious correlations.
+follow the `compliant` model (`member_dynamics`), and the pose follows the bends (`odometry`). Gains and
+biases are drawn from the estimate of the fault detector, because a small ensemble contains spurious
+correlations.
 
-Measurements correct the members one by one by the ensemble square root filter (Whitaker and Hamill 2002):
+Measurements correct all members, one measurement after another, by the ensemble square root filter (Whitaker
+and Hamill 2002):
 
 - Localisation: a bend or pressure sensor corrects its own segment; motion capture corrects all states.
 - Outliers: a measurement with an innovation above four standard deviations gets a larger noise.
@@ -32,18 +34,18 @@ from srs_twin.robot.spec import RobotSpec
 _OUTLIER = 4.0
 """Innovation, in standard deviations, above which a measurement gets a larger noise."""
 _NOISE_FRAMES = 10
-"""Number of frames that their noise is estimated from."""
+"""Number of frames over which their noise is averaged."""
 _LEAST_NOISE = {"place": 0.4, "heading": 1.0}
-"""Lower limit of the estimated noise of frames, share of the usual noise. Errors of the model's arcs are
-constant in time, so innovations do not show the noise of headings fully."""
+"""Lower limit of the estimated noise of frames, as a fraction of the assumed noise. The errors of the arcs
+that the model assumes are nearly constant in time, so innovations underestimate the noise of headings."""
 _LARGEST_NOISE = 10.0
-"""Upper limit, share of the usual noise."""
+"""Upper limit of the estimated noise of frames, as a multiple of the assumed noise."""
 _MOVED_SD = 6.0
-"""Median innovation of a frame, in standard deviations, above which the robot may have been moved."""
+"""Median innovation of a frame, in standard deviations, above which someone may have moved the robot."""
 _MOVED_FRAMES = 5
-"""Number of such frames after which the members are placed again."""
+"""Number of successive such frames after which the members are initialised at the measured pose."""
 _PLACE_FACTOR, _HEADING_FACTOR = 5.0, 2.0
-"""Initial uncertainty of position and heading, over the noise of a frame."""
+"""Initial standard deviations of position and heading, as multiples of the noise of a frame."""
 _POSE = slice(0, 3)
 
 
@@ -52,12 +54,12 @@ class ModelError:
     """Standard deviations of the model's errors.
 
     Attributes:
-        disturbance: of the bends, rad.
+        disturbance: standard deviation of the bends, rad.
         disturbance_s: time constant of the disturbance, s.
         pressure: initial random walk of the pressures, share of the supply pressure per square root of a
             second.
-        position: random walk of the position, m per square root of a second; of the heading, the same over
-            half of the robot's length.
+        position: random walk of the position, m per square root of a second; that of the heading is this
+            value divided by half of the robot's length.
     """
 
     disturbance: float = 0.05
@@ -71,10 +73,10 @@ class MeasurementNoise:
     """Standard deviations of measurements.
 
     Attributes:
-        bend: of a bend sensor, rad.
-        pressure: of a pressure sensor, Pa.
-        place: of the position of a connector, m, including the error of the model's arcs.
-        heading: of the heading of a connector, rad.
+        bend: standard deviation of a bend sensor, rad.
+        pressure: standard deviation of a pressure sensor, Pa.
+        place: standard deviation of the position of a connector, m, including the model's arc errors.
+        heading: standard deviation of the heading of a connector, rad.
     """
 
     bend: float = 0.02
@@ -88,12 +90,12 @@ class EnsembleFilter:
 
     Attributes:
         spec: the robot, from its file.
-        members: one row per member.
+        members: states, one row per member.
         columns: columns by name: x, y, heading, motion (forward, lateral, yaw rate, bend rates), bend,
             pressure, disturbance, gain, bias.
-        rates: learnt rates of the pressures.
-        odometry: motion by the bends.
-        placed: whether motion capture has shown the position.
+        rates: learnt corrections of the pressure rates.
+        odometry: motion of the body due to the change of its bends.
+        placed: whether motion capture has determined the position.
     """
 
     placed: bool
@@ -102,7 +104,7 @@ class EnsembleFilter:
         self, spec: RobotSpec, *, members: int = 32, seed: int = 0, error: ModelError = ModelError(),
         noise: MeasurementNoise = MeasurementNoise(),
     ) -> None:  # fmt: skip
-        """Begin at rest, straight, with empty chambers, at an unknown position.
+        """Create members at rest, with empty chambers, at an unknown position.
 
         Args:
             spec: the robot.
@@ -147,11 +149,11 @@ class EnsembleFilter:
 
     @property
     def heading_noise_scale(self) -> float:
-        """Noise of the headings of motion capture over the usual one."""
+        """Ratio of the estimated heading noise of motion capture to the assumed one."""
         return self._frame_noise["heading"] / self.noise.heading
 
     def set_modules(self, mean: np.ndarray, sd: np.ndarray) -> None:
-        """Draw the members' modules from an estimate; their deviations keep their signs.
+        """Set gains and biases from an estimate; each member keeps its normalised deviations.
 
         Args:
             mean: g⁺, g⁻ and bias (rad), shape (segments, 3).
@@ -180,7 +182,7 @@ class EnsembleFilter:
         self.members[:, _POSE] += error.position * math.sqrt(dt) * walk
 
     def update_bends(self, readings: np.ndarray) -> np.ndarray:
-        """Update with bend readings, shape (segments,), rad, NaN where they are missing.
+        """Correct the members by bend readings, shape (segments,), rad, NaN where they are missing.
 
         Returns:
             Innovations over their standard deviations, NaN where readings are missing.
@@ -189,16 +191,16 @@ class EnsembleFilter:
         return self._correct(self._of("bend").copy(), readings, variances, self._masks["bend"])
 
     def update_pressures(self, pressure: np.ndarray) -> np.ndarray:
-        """Update with pressures, gauge, shape (segments, 2), Pa; return innovations as `update_bends`."""
+        """Correct by gauge pressures, shape (segments, 2), Pa; return innovations like `update_bends`."""
         predicted = self._of("pressure").copy()
         self.rates.update(pressure - predicted.mean(axis=0).reshape(-1, 2), self.noise.pressure)
         variances = np.full(predicted.shape[1], self.noise.pressure**2)
         return self._correct(predicted, pressure.ravel(), variances, self._masks["pressure"])
 
     def update_poses(self, poses: np.ndarray) -> np.ndarray:
-        """Update with poses of connectors: x, y (m), heading (rad), shape (connectors, 3), NaN if unseen.
+        """Correct by poses of connectors: x, y (m), heading (rad), shape (connectors, 3), NaN if unseen.
 
-        The first frame, and the first one after the robot was moved, place the members.
+        The first frame, and the first one after someone moved the robot, initialise the poses of the members.
 
         Returns:
             Innovations over their standard deviations, shape (3 connectors,).
@@ -250,30 +252,30 @@ class EnsembleFilter:
         )
 
     def mean(self, name: str) -> np.ndarray:
-        """Return the mean of some columns."""
+        """Return the ensemble mean of the columns `name`."""
         return np.asarray(self._of(name).mean(axis=0))
 
     def sd(self, name: str) -> np.ndarray:
-        """Return the standard deviation of some columns."""
+        """Return the ensemble standard deviation of the columns `name`."""
         return np.asarray(self._of(name).std(axis=0, ddof=1))
 
     def copy(self, members: int | None = None) -> EnsembleFilter:
-        """Return a filter with some or all members, for predictions."""
+        """Return a filter with the first or all members, for predictions."""
         other = copy.copy(self)
-        some = self.members[:members]
-        other.members = some.copy()
-        if len(some) < len(self.members):  # with the mean and the standard deviation of all
-            share = self.members.std(axis=0) / np.maximum(some.std(axis=0), 1e-300)
-            other.members[:] = self.members.mean(axis=0) + share * (some - some.mean(axis=0))
+        kept = self.members[:members]
+        other.members = kept.copy()
+        if len(kept) < len(self.members):  # a small sample: restore mean and standard deviation of all
+            scale = self.members.std(axis=0) / np.maximum(kept.std(axis=0), 1e-300)
+            other.members[:] = self.members.mean(axis=0) + scale * (kept - kept.mean(axis=0))
         other._draws = {name: draws[:members] for name, draws in self._draws.items()}
         other.rates = copy.deepcopy(self.rates)
         bend = self.columns["bend"]
-        other.odometry = self.odometry.forecaster(some[:, bend], other.members[:, bend])
+        other.odometry = self.odometry.forecaster(kept[:, bend], other.members[:, bend])
         other._rng = np.random.default_rng(0)
         return other
 
     def forecaster(self, members: int) -> Callable[[Iterable[ValveInput], float], np.ndarray]:
-        """Return a function that predicts the poses of some members, on any thread.
+        """Return a function that predicts the poses of the first members and may run on any thread.
 
         Args:
             members: number of members.
@@ -306,7 +308,7 @@ class EnsembleFilter:
         return self.members[:, self.columns[name]]
 
     def _random(self, name: str) -> np.ndarray:
-        """Return standard normal numbers for some columns, with mean 0 over the members."""
+        """Return standard normal numbers for the columns `name`, with mean 0 over the members."""
         numbers = self._rng.normal(size=self._of(name).shape)
         return np.asarray(numbers - numbers.mean(axis=0))
 
@@ -316,7 +318,7 @@ class EnsembleFilter:
         bend, pressure = np.zeros((n, width)), np.zeros((2 * n, width))
         first = {name: columns.start for name, columns in self.columns.items()}
         for j in range(n):
-            # An error of a pressure since the last message has also changed the bend.
+            # A pressure error since the last message has also changed the bend, so both are corrected.
             own = [first["bend"] + j, first["disturbance"] + j, first["motion"] + 3 + j]
             bend[j, own] = pressure[np.ix_([2 * j, 2 * j + 1], own)] = 1.0
             for k in (2 * j, 2 * j + 1):
@@ -346,7 +348,7 @@ class EnsembleFilter:
         self._frame_noise[name] = min(max(estimate, _LEAST_NOISE[name] * usual), _LARGEST_NOISE * usual)
 
     def _place(self, poses: np.ndarray) -> None:
-        """Place the members at the seen connectors."""
+        """Initialise the poses of the members from the visible connectors, with random deviations."""
         seen = ~np.isnan(poses).any(axis=1)
         if not seen.any():
             return
@@ -374,7 +376,7 @@ class EnsembleFilter:
             self._restart()
             self.odometry.restart(self._of("bend"))
         elif not valid.all():
-            # A member that diverged becomes a copy of another one.
+            # Replace members that diverged by copies of valid ones.
             others = self._rng.choice(np.flatnonzero(valid), size=int((~valid).sum()))
             self.members[~valid] = self.members[others]
 

@@ -17,12 +17,13 @@ class Estimate:
     """Estimated state of a robot, with standard deviations.
 
     Attributes:
-        time: of the estimate, our clock, s. The state is predicted to it from the last used message.
-        bend: of each segment, rad.
+        time: time of the estimate, our clock, s. The state is predicted from the last used message to this
+            time.
+        bend: bend of each segment, rad.
         bend_sd: standard deviation of the bends, rad.
         pose: x, y (m) of the centre of mass, mean heading (rad).
         pose_sd: standard deviation of the pose.
-        velocity: of the centre of mass in the world frame, m/s, and yaw rate, rad/s.
+        velocity: velocity of the centre of mass in the world frame, m/s, and yaw rate, rad/s.
         connectors: x, y (m), heading (rad), shape (connectors, 3).
         parameters: values and standard deviations of "gain", of each chamber as a multiple of that in the
             robot file, and "bias_rad", the bend of each module without pressure.
@@ -47,8 +48,8 @@ class Estimate:
         """Return the state for a controller.
 
         Args:
-            time: on the controller's clock, s.
-            pressure: of the chambers, shape (segments, 2), Pa.
+            time: time on the controller's clock, s.
+            pressure: pressures of the chambers, shape (segments, 2), Pa.
         """
         n, still = len(self.connectors), np.zeros_like(self.bend)
         return SnakeState(

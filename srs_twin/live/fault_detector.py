@@ -58,15 +58,16 @@ from srs_twin.pneumatics.lag import followed, relaxation_of, relaxed
 from srs_twin.robot.spec import RobotSpec
 
 _FAILED_BELOW = 0.85
-"""Share of the expected pressures below which several suspected leaks are a failure of the supply."""
+"""Ratio of measured to expected pressures below which several suspected leaks are one failure of the
+supply."""
 _SETTLED_S = 0.1
 """Time after which the pressure of a filling chamber shows the supply pressure."""
 _BALANCED_STROKES = 3
-"""Strokes after which the balance of air of a chamber is used for leaks."""
+"""Number of strokes after which leaks of a chamber are judged by its balance of air."""
 _WEAK_THRESHOLD = 0.1
-"""Probability from which a segment is possibly weak."""
+"""Probability above which a segment is possibly weak."""
 _SINGLE_WEAK_FACTOR = 0.8
-"""Factor per measurement of the probability that a single segment is weak."""
+"""Factor, applied at each measurement, on the probability that a single segment is weak."""
 _TAILS = 4.0
 """Degrees of freedom of Student's t distribution."""
 _AT_REST_RAD = 1e-6
@@ -86,9 +87,9 @@ class DetectorSettings:
         naming: thresholds of detection.
         noise: standard deviation of bend readings, rad.
         marker_noise: standard deviation of bends from markers, rad.
-        loss: share of lost readings.
+        loss: fraction of lost readings.
         gain: standard deviation of the modules' gains.
-        bias: standard deviation of the modules' bends without pressure, rad.
+        bias: standard deviation of the modules' rest bends, rad.
         offset: standard deviation of the sensors' offsets, rad.
         scale: standard deviation of the sensors' scale errors.
         pressure: initial standard deviation of pressures, and its minimum, share of the supply pressure.
@@ -168,7 +169,7 @@ class FaultDetector(Stateful):
         self._largest = largest_bend(spec, supply_pa)
         self._load = s.load * self._largest
         self._obeys = np.isin(CHAMBERS, (OBEYS, LEAKS))
-        inflows = [(each.inflow(each.plus), each.inflow(each.minus)) for each in HYPOTHESES]
+        inflows = [(h.inflow(h.plus), h.inflow(h.minus)) for h in HYPOTHESES]
         variants = list(dict.fromkeys(inflow for pair in inflows for inflow in pair))
         self._variant = np.array([[variants.index(inflow) for inflow in pair] for pair in inflows])
         self.leaks = LeakDetector(spec, supply_pa=supply_pa, variants=variants)
@@ -176,7 +177,7 @@ class FaultDetector(Stateful):
         self._covariance = np.tile(np.diag(sd**2), (count, kinds, 1, 1))
         self.probability = np.zeros((count, kinds))
         self.probability[:, 0] = 1.0
-        # Median of filling chambers' pressures over the expected ones; NaN without measured pressures.
+        # Median ratio of measured to expected pressures of filling chambers; NaN without measured pressures.
         self._level = math.nan
         self._last = np.full(count, np.nan)
         self.time = 0.0
@@ -208,7 +209,7 @@ class FaultDetector(Stateful):
         self._covariance[..., _LOAD, _LOAD] += change[:, None] ** 2
 
     def most_likely(self) -> np.ndarray:
-        """Return the hypothesis of each segment that agrees with its detected fault."""
+        """Return the most likely hypothesis of each segment that agrees with its detected fault."""
         return self.naming.most_likely(self.probability)
 
     def modules(self) -> tuple[np.ndarray, np.ndarray]:
@@ -258,7 +259,7 @@ class FaultDetector(Stateful):
             markers: bends from markers, rad, NaN where they are missing; None: no frame.
             pressures: gauge, shape (segments, 2), Pa, NaN where they are missing; None: no message.
             dt: interval since the previous pressures, s.
-            heading_noise_scale: noise of the markers over the usual one.
+            heading_noise_scale: ratio of the heading noise of motion capture to the assumed one.
         """
         if self.time < self._settling_s:
             return
@@ -286,7 +287,7 @@ class FaultDetector(Stateful):
             log_likelihood += self._pressure_log_likelihood(pressures, dt)
             log_likelihood += self._leak_log_likelihood(pressures, rows)
         weight = self.probability * np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
-        # The supply is common: a single weak segment is unlikely.
+        # All segments share one supply, so a single weak segment is unlikely.
         weak = (weight @ HAS_NAME[:, WEAK]) / weight.sum(axis=1)
         single = (weak > 0.5) & ((weak > _WEAK_THRESHOLD).sum() < min(2, len(weak)))
         weight[:, HAS_NAME[:, WEAK] > 0] *= np.where(single, _SINGLE_WEAK_FACTOR, 1.0)[:, None]
@@ -302,7 +303,7 @@ class FaultDetector(Stateful):
         self._judge_supply()
 
     def _advance_chambers(self, duty: np.ndarray, dt: float) -> None:
-        """Advance the pressures of all hypotheses, and these after the lag τ₂."""
+        """Advance the pressures of all hypotheses, and the pressures after the lag τ₂."""
         duty = valve_duty(duty[:, None], CHAMBERS)
         leak = np.where(CHAMBERS == LEAKS, LEAK_RATES[:, None], 0.0)
         supply = self.supply.pressure * SUPPLY_SHARES[:, None]
@@ -311,16 +312,17 @@ class FaultDetector(Stateful):
         self._pressure = relaxed(self._pressure, *relaxation, dt)
 
     def _bend_share(self, drive: np.ndarray) -> np.ndarray:
-        """Return the bend over its linear drive, shape (segments, hypotheses, 1)."""
+        """Return the ratio of the free bend to its linear part, shape (segments, hypotheses, 1)."""
         linear = drive[..., 0] - drive[..., 1]
-        # At rest the share is the slope.
+        # At rest the ratio is the slope of the law.
         linear = np.where(np.abs(linear) < _AT_REST_RAD, _AT_REST_RAD, linear)
         return np.asarray((free_bends(self._spec, linear) / linear)[..., None])
 
     def _mix(self, dt: float) -> None:
         """Mix the hypotheses by their transition probabilities, then predict their states."""
         s = self.settings
-        # Faults do not heal, but one may at first be taken for another.
+        # Faults do not heal. Transitions between faults remain possible, because a fault may first look like
+        # another one.
         transition = np.full((len(HYPOTHESES),) * 2, s.fault_rate * dt)
         transition[1:, 0] = 0.0
         np.fill_diagonal(transition, 0.0)
@@ -344,7 +346,7 @@ class FaultDetector(Stateful):
         self.probability = predicted
 
     def _correct(self, rows: np.ndarray, measured: np.ndarray, noise: float, used: np.ndarray) -> np.ndarray:
-        """Correct by one measurement per segment.
+        """Correct the Kalman filters of all hypotheses by one measurement per segment.
 
         Args:
             rows: measurement matrix, shape (segments, hypotheses, 6).
@@ -355,38 +357,39 @@ class FaultDetector(Stateful):
         Returns:
             Log-likelihoods, 0 without a measurement.
         """
-        there = ~np.isnan(measured)[:, None] & used
+        available = ~np.isnan(measured)[:, None] & used
         gain = np.einsum("smkl,sml->smk", self._covariance, rows)
         variance = np.einsum("smk,smk->sm", rows, gain) + noise**2
         predicted = np.einsum("smk,smk->sm", rows, self.mean)
-        innovation = np.where(there, np.nan_to_num(measured)[:, None] - predicted, 0.0)
-        weight = np.where(there[..., None], gain / variance[..., None], 0.0)
+        innovation = np.where(available, np.nan_to_num(measured)[:, None] - predicted, 0.0)
+        weight = np.where(available[..., None], gain / variance[..., None], 0.0)
         self.mean = self.mean + weight * innovation[..., None]
         self._covariance = self._covariance - weight[..., :, None] * gain[..., None, :]
-        # Model errors have heavy tails under every hypothesis.
+        # Model errors have heavy tails under every hypothesis, so a Gaussian density would detect false
+        # faults.
         log = _log_student(innovation**2 / variance) - np.log(variance * 2 * math.pi) / 2
-        return np.where(there, log, 0.0)
+        return np.where(available, log, 0.0)
 
     def _sensor_log_likelihood(self, readings: np.ndarray) -> np.ndarray:
-        """Return log-likelihoods of missing and of repeated readings."""
-        found, lost = np.zeros(self.probability.shape), np.isnan(readings)[:, None]
+        """Return log-likelihoods of missing readings (silent sensor) and equal ones (frozen sensor)."""
+        log_likelihood, lost = np.zeros(self.probability.shape), np.isnan(readings)[:, None]
         loss = self.settings.loss
         silent, frozen = SENSORS == SILENT, SENSORS == FROZEN
-        found[:, ~silent] = np.where(lost, math.log(loss), math.log(1 - loss))
-        found[:, silent] = np.where(lost, math.log(0.999), math.log(1e-3 / (2 * math.pi)))
+        log_likelihood[:, ~silent] = np.where(lost, math.log(loss), math.log(1 - loss))
+        log_likelihood[:, silent] = np.where(lost, math.log(0.999), math.log(1e-3 / (2 * math.pi)))
         narrow = self.settings.noise * _FROZEN_NOISE
         change = np.nan_to_num(readings - self._last, nan=10.0)[:, None]
         density = -0.5 * (change / narrow) ** 2 - math.log(narrow * math.sqrt(2 * math.pi))
-        found[:, frozen] += np.where(lost, 0.0, np.maximum(density, -50.0))
-        return found
+        log_likelihood[:, frozen] += np.where(lost, 0.0, np.maximum(density, -50.0))
+        return log_likelihood
 
     def _pressure_log_likelihood(self, pressures: np.ndarray, dt: float) -> np.ndarray:
-        """Return log-likelihoods of pressures; residuals are correlated, so each counts for dt only."""
+        """Return log-likelihoods of pressures, reduced for the correlation of successive residuals."""
         first, least = self.settings.pressure
-        usual, sd = self._levels.read()
+        usual, sd = self._levels.read()  # mean and standard deviation of the pressure residuals
         self._update_supply(pressures, usual, sd + least)
         residual = np.nan_to_num((pressures[:, None] - self._pressure) / self.supply.pressure)
-        # Nothing was learnt about valves that do not obey.
+        # Residuals are learnt only from valves that obey commands.
         residual = residual - np.where(self._obeys, usual[:, None], 0.0)
         spread = np.where(self._obeys, sd[:, None] + least, first)
         log = _log_student((residual / spread) ** 2) - np.log(spread)
@@ -404,10 +407,10 @@ class FaultDetector(Stateful):
         obeys[self.naming.faulty] = 0.0
         filled = self._levels.ages.filled_s
         residual = pressures - before * response
-        late = (filled > _SETTLED_S) & ~np.isnan(pressures) & (obeys > 0.5)
-        if late.sum() * 2 >= len(pressures):
-            self._level = float(np.median(pressures[late] / (before * response[late])))
-        if self.supply.follow_sudden_change(residual[late], response[late], before * sd[late]):
+        settled = (filled > _SETTLED_S) & ~np.isnan(pressures) & (obeys > 0.5)
+        if settled.sum() * 2 >= len(pressures):
+            self._level = float(np.median(pressures[settled] / (before * response[settled])))
+        if self.supply.follow_sudden_change(residual[settled], response[settled], before * sd[settled]):
             self.leaks.drop(np.ones(pressures.shape, dtype=bool))
             self._rescale(before)
             return
@@ -432,7 +435,7 @@ class FaultDetector(Stateful):
         weak = SUPPLY_SHARES < 1.0
         kind = np.flatnonzero(weak)[self.probability[:, weak].sum(axis=0).argmax()]
         share = SUPPLY_SHARES[kind] if math.isnan(self._level) else self._level
-        # Several leaks at once are a failure of the supply, if pressures confirm it.
+        # Several leaks at once are a failure of the supply if the pressures are low as well.
         common = weak if math.isnan(self._level) else weak | (LEAK_RATES > 0.0)
         if share < _FAILED_BELOW and (self.probability[:, common].sum(axis=1) > 0.5).mean() > 0.5:
             before = self.supply.pressure
@@ -443,7 +446,8 @@ class FaultDetector(Stateful):
         if self.time < self.settings.naming.start_s:
             return
         if self.naming.starved:
-            # A segment with a low supply seems to leak, and would still do so after the recovery.
+            # A segment with a low supply seems to leak; without this correction the fault would remain after
+            # recovery.
             common = weak | (LEAK_RATES > 0.0)
             self._attribute_to_supply(common, np.where(common, self.probability, 0.0).argmax(axis=1))
         if self.supply.pressure + self.supply.sd < STARVED_BELOW * self.supply.nominal:
@@ -452,7 +456,7 @@ class FaultDetector(Stateful):
             self.naming.clear(0)
 
     def _attribute_to_supply(self, common: np.ndarray, kind: np.ndarray) -> None:
-        """Move the probability of hypotheses to that of no fault.
+        """Move the probability of hypotheses that the supply explains to the hypothesis without a fault.
 
         Args:
             common: whether the supply explains a hypothesis.
@@ -466,16 +470,16 @@ class FaultDetector(Stateful):
         self.probability[:, common] = _LEAST_PROBABILITY
 
     def _leak_log_likelihood(self, pressures: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Return log-likelihoods of the air that filling chambers have taken in."""
+        """Return log-likelihoods of the inflow of filling chambers."""
         bends = np.einsum("smk,smk->sm", rows, self.mean)
         bend = (self.probability * bends).sum(axis=1)
         variance = np.einsum("smk,smkl,sml->sm", rows, self._covariance, rows)
         sd = np.sqrt((self.probability * (variance + (bends - bend[:, None]) ** 2)).sum(axis=1))
-        found = self.leaks.update(
+        log_likelihood = self.leaks.update(
             self.time, pressures, bend, sd, self._levels.ages.filled_s, self.probability[:, 0],
             (self.supply.pressure, self.supply.sd),
         )  # fmt: skip
-        return np.asarray(found[:, np.arange(2), self._variant].sum(axis=-1))
+        return np.asarray(log_likelihood[:, np.arange(2), self._variant].sum(axis=-1))
 
 
 def _log_student(square: np.ndarray) -> np.ndarray:

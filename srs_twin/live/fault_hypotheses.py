@@ -76,9 +76,9 @@ def valve_duty(duty: np.ndarray, chambers: np.ndarray) -> np.ndarray:
 
 
 _DOUBT = 0.5
-"""Probability of no fault below which a segment is in doubt."""
+"""Probability of no fault below which a segment is suspect."""
 _PATIENCE_FACTOR = 3.0
-"""Factor of the required time while another segment is in doubt."""
+"""Factor on the required time while another segment is suspect."""
 
 
 @dataclass(frozen=True)
@@ -86,10 +86,10 @@ class NamingSettings:
     """Thresholds of detection.
 
     Attributes:
-        threshold: probability from which a fault is detected.
-        patience_s: time for which the probability must be above it, s.
+        threshold: probability above which a fault is detected.
+        patience_s: time for which the probability must stay above the threshold, s.
         leak_threshold: threshold for leaks.
-        leak_patience_s: required time for leaks, s; their evidence is that of single messages.
+        leak_patience_s: required time for leaks, s; it may be short, because one message can decide.
         start_s: time after the start in which no fault is detected, s.
     """
 
@@ -115,15 +115,16 @@ class FaultNaming(Stateful):
         """Begin without a fault."""
         self.settings = settings
         self.pairs = np.full((segments + 1, 2), -1, dtype=int)
-        # Times since which a fault, and one of an indistinguishable pair, is above its threshold.
+        # Times since which each fault, and each indistinguishable pair of faults, has been above its
+        # threshold.
         self._since = np.full((segments, len(NAMES)), np.inf)
         self._either_since = np.full((segments, len(INDISTINGUISHABLE)), np.inf)
 
     @property
     def named(self) -> dict[int, str]:
         """Names of the faults by segment, from 1; 0 is the supply."""
-        found = {j: [NAMES[m] for m in pair if m >= 0] for j, pair in enumerate(self.pairs.tolist())}
-        return {j: " or ".join(texts) if j else STARVED for j, texts in found.items() if texts}
+        names = {j: [NAMES[m] for m in pair if m >= 0] for j, pair in enumerate(self.pairs.tolist())}
+        return {j: " or ".join(texts) if j else STARVED for j, texts in names.items() if texts}
 
     @property
     def starved(self) -> bool:
@@ -140,25 +141,25 @@ class FaultNaming(Stateful):
         self.pairs[number] = -1
 
     def most_likely(self, probability: np.ndarray) -> np.ndarray:
-        """Return the most likely hypothesis with a detected name of each segment, 0 without a fault."""
-        found = np.zeros(len(probability), dtype=int)
+        """Return, for each segment, the most likely hypothesis with a detected name; 0 without a fault."""
+        likely = np.zeros(len(probability), dtype=int)
         for j in np.flatnonzero(self.faulty):
             among = HAS_NAME[:, [m for m in self.pairs[j + 1] if m >= 0]].sum(axis=1)
-            found[j] = np.argmax(probability[j] * among)
-        return found
+            likely[j] = np.argmax(probability[j] * among)
+        return likely
 
     def update(self, time: float, probability: np.ndarray) -> None:
         """Detect and clear faults.
 
         Args:
             time: s.
-            probability: of the hypotheses, shape (segments, hypotheses).
+            probability: probabilities of the hypotheses, shape (segments, hypotheses).
         """
         s, pairs = self.settings, self.pairs
         if time < s.start_s:
             return
         likely = probability @ HAS_NAME
-        # Segments seldom fail together: if several are in doubt, the cause may be a common one.
+        # Segments seldom fail together: if several are suspect, they may have a common cause.
         doubted = likely[:, 0] < _DOUBT
         factor = np.where(doubted.sum() - doubted > 0, _PATIENCE_FACTOR, 1.0)[:, None]
         threshold = np.where(LEAK, s.leak_threshold, s.threshold)
@@ -171,7 +172,7 @@ class FaultNaming(Stateful):
         starved = self.starved
         self._since = np.where(likely > threshold, np.minimum(self._since, time), np.inf)
         for j, m in np.argwhere(time - self._since >= patience):
-            # One fault of a detected pair may turn out to be the right one.
+            # Later evidence may decide between the two faults of a detected pair.
             if m and (pairs[j + 1, 0] < 0 or m in pairs[j + 1]) and not (m == WEAK or starved):
                 pairs[j + 1] = m, -1
         for k, pair in enumerate(INDISTINGUISHABLE):

@@ -33,26 +33,26 @@ from srs_twin.live.natnet import is_place
 from srs_twin.recordings.formats.mcap import MAGIC, stream_messages
 
 LONGEST_GAP_S = 60.0
-"""A longer gap in a journal is passed over when it is played."""
+"""Longest pause of a journal that playback reproduces, s; longer ones are skipped."""
 _NOT_IN_ORDER = "a record whose time does not follow that of the one before"
 _MOST_HEAD = 100_000
-"""Frames of motion capture before a robot's first message that are kept while it is looked for."""
+"""Number of motion capture frames that are buffered before the robot's first message."""
 
 
 class Journal:
-    """All received and sent messages as MCAP with JSON, readable up to the point of a kill.
+    """Record of all received and sent messages as MCAP with JSON, readable even if the process was killed.
 
     If the journal cannot be written, it ends with a reason, and the session continues.
 
     Attributes:
-        trouble: path and reason of the error that ended the journal; empty: there was none.
+        trouble: path and reason of the error that ended the journal; empty without an error.
     """
 
     def __init__(self, path: Path) -> None:
-        """Begin a file.
+        """Create the file.
 
         Raises:
-            InputError: it cannot be written, or mcap is not installed.
+            InputError: the file cannot be written, or mcap is not installed.
         """
         try:
             from mcap.writer import CompressionType, Writer
@@ -63,7 +63,7 @@ class Journal:
             self._file = path.open("wb")
         except OSError as error:
             raise InputError(f"{display_path(path)}: cannot be written: {error.strerror}") from error
-        # Small chunks, so that a kill loses about a second.
+        # Small chunks, so that a killed process loses about one second.
         self._writer = Writer(self._file, chunk_size=16_384, compression=CompressionType.NONE)
         self._writer.start(profile="", library="srs_twin")
         self._path, self.trouble = path, ""
@@ -77,16 +77,16 @@ class Journal:
         self._attempt(lambda: self._write(message))
 
     def flush(self) -> None:
-        """Bring what is written so far to the disk."""
+        """Write buffered messages to the disk."""
         self._attempt(self._file.flush)
 
     def close(self) -> None:
-        """End the file."""
+        """Finish the file."""
         self._attempt(self._writer.finish)
         self._attempt(self._file.close)
 
     def _attempt(self, step: Callable[[], object]) -> None:
-        """Do a step; the first error ends the journal and is not raised."""
+        """Call a function of the writer; the first error ends the journal and is not raised."""
         if self.trouble:
             return
         try:
@@ -116,12 +116,12 @@ class Journal:
 
 
 def _nanoseconds(time: float) -> int:
-    """Return a time (s) as MCAP keeps it, ns; the JSON of a message has it unrounded."""
+    """Return a time (s) in ns, as MCAP stores it; the JSON of a message contains the exact time."""
     return round(min(max(time, 0.0), LATEST_S) * 1e9)
 
 
 def _poses(message: Message) -> bytes:
-    rows = [[each if math.isfinite(each) else None for each in row] for row in message.values.tolist()]
+    rows = [[value if math.isfinite(value) else None for value in row] for row in message.values.tolist()]
     return json.dumps({"t": message.sent, "names": message.names, "poses": rows}).encode()
 
 
@@ -132,14 +132,15 @@ def journal_messages(
     """Yield the messages of a robot and of motion capture in the order of arrival, up to a damaged record.
 
     Args:
-        path: of the journal.
-        robot: whose messages.
-        segments: of the robot.
-        refuse: called with the error of each record that is no message of ours; None: they are skipped.
-        others: gets the names of other robots in the journal.
+        path: path of the journal.
+        robot: name of the robot.
+        segments: number of segments of the robot.
+        refuse: called with the error of each record that is not a valid message; None: such records are
+            skipped.
+        others: set to which the names of other robots in the journal are added.
 
     Raises:
-        InputError: no such file, or no MCAP.
+        InputError: the file does not exist or is not MCAP.
     """
     skip = refuse or (lambda _: None)
     with opened_journal(path) as file:
@@ -157,7 +158,7 @@ def journal_messages(
 
 
 def _records(whole: memoryview, skip: Callable[[BadMessageError], None]) -> Iterator[Any]:
-    """Yield the records of a file up to its end, or to where it is damaged."""
+    """Yield the records of a file up to its end or to the first damaged record."""
     try:
         yield from stream_messages(whole)
     except Exception as error:  # a damaged file raises errors of many kinds
@@ -165,10 +166,10 @@ def _records(whole: memoryview, skip: Callable[[BadMessageError], None]) -> Iter
 
 
 def opened_journal(path: Path) -> IO[bytes]:
-    """Return a journal, opened for reading.
+    """Open a journal for reading.
 
     Raises:
-        InputError: no such file, or no MCAP.
+        InputError: the file does not exist or is not MCAP.
     """
     try:
         file = require_file(path, suffix=".mcap").open("rb")
@@ -182,10 +183,10 @@ def opened_journal(path: Path) -> IO[bytes]:
 
 
 def _message(topic: str, log_time: int, data: bytes, robot: str, segments: int) -> Message | None:
-    """Return the message of a record; None where it is another robot's.
+    """Return the message of a record; None for a message of another robot.
 
     Raises:
-        BadMessageError: it is no message of ours.
+        BadMessageError: the record is not a valid message.
     """
     arrived = log_time / 1e9
     try:
@@ -210,8 +211,7 @@ def _message(topic: str, log_time: int, data: bytes, robot: str, segments: int) 
 def in_order(messages: Iterable[Message], refuse: Callable[[BadMessageError], None]) -> Iterator[Message]:
     """Yield messages with increasing times of arrival; refuse all other messages.
 
-    A message that is further from the one before than `LONGEST_GAP_S` counts as a gap only where the next
-    one confirms it.
+    A jump in time by more than `LONGEST_GAP_S` is accepted as a pause only if the next message confirms it.
     """
     last, odd = math.nan, None
     for message in messages:
@@ -233,19 +233,19 @@ def in_order(messages: Iterable[Message], refuse: Callable[[BadMessageError], No
 
 
 class McapLink(Link):
-    """A journal, played at any speed as if it came in now."""
+    """Link that plays a journal at any speed as if its messages arrived now."""
 
     def __init__(self, path: Path, robot: str, segments: int, *, speed: float = 1.0) -> None:
-        """Begin to play.
+        """Start the playback.
 
         Args:
-            path: what `Journal` wrote.
-            robot: whose messages.
-            segments: of the robot.
-            speed: how many times as fast as recorded; infinite: all at once.
+            path: file written by `Journal`.
+            robot: name of the robot.
+            segments: number of segments of the robot.
+            speed: playback speed as a multiple of real time; infinite: without waiting.
 
         Raises:
-            InputError: no such file, no MCAP, or one without a message of the robot.
+            InputError: the file does not exist, is not MCAP, or has no message of the robot.
         """
         super().__init__()
         self._speed, self._over = speed, threading.Event()
@@ -255,14 +255,14 @@ class McapLink(Link):
         self._thread.start()
 
     def clock(self) -> float:
-        """Return when in the recording it is now, s; NaN before the first message."""
+        """Return the current time in the recording, s; NaN before the first message."""
         return self._first + (clock() - self._begun) * self._speed
 
     def _of_the_robot(self, path: Path, robot: str, segments: int) -> Iterator[Message]:
-        """Return a journal's messages; look for the robot's first now, while an error can still be raised.
+        """Return a journal's messages; find the robot's first one now, as errors cannot be raised later.
 
         Raises:
-            InputError: there is none.
+            InputError: the journal has no message of the robot.
         """
         others: set[str] = set()
         messages = in_order(journal_messages(path, robot, segments, self._refuse, others), self._refuse)

@@ -1,7 +1,7 @@
 """Links: connections to brokers, motion capture and journals; MqttLink; keys of the terminal.
 
-Each link receives in its own thread, which notes the time of arrival; `received` returns the messages since
-the last call. A link connects to the given address only, reconnects after a loss, and counts the messages
+Each link receives in its own thread, which records the time of arrival; `received` returns the messages since
+its last call. A link connects to the given address only, reconnects after a loss, and counts the messages
 that it could not read.
 """
 
@@ -46,11 +46,11 @@ from srs_twin.live.messages import (
 LOOPBACK = "127.0.0.1"
 _MOST_WAITING = 100_000
 _MOST_REASONS = 200
-"""Number of reasons that are counted by name, so that hostile messages cannot fill the memory."""
+"""Number of distinct reasons that are counted; a limit, so that hostile messages cannot fill the memory."""
 
 
 def clock() -> float:
-    """Return our clock, s: it is never set."""
+    """Return our monotonic clock, s."""
     return time.monotonic()
 
 
@@ -58,21 +58,21 @@ class Link(ABC):
     """Source of messages.
 
     Attributes:
-        counts: number of messages by kind; those that were refused by "bad: REASON".
+        counts: number of messages by kind; refused ones are counted as "bad: REASON".
     """
 
     def __init__(self) -> None:
-        """Begin without messages."""
+        """Create a link without messages."""
         self.counts: Counter[str] = Counter()
         self._queue: queue.Queue[Message] = queue.Queue(_MOST_WAITING)
 
     def received(self) -> list[Message]:
         """Return the messages since the last call."""
-        found = []
+        messages = []
         with contextlib.suppress(queue.Empty):
             while True:
-                found.append(self._queue.get_nowait())
-        return found
+                messages.append(self._queue.get_nowait())
+        return messages
 
     def clock(self) -> float:
         """Return the time on the clock of the arrival times, s."""
@@ -86,7 +86,7 @@ class Link(ABC):
             self.counts["nobody asked"] += 1
 
     def _refuse(self, error: Exception) -> None:
-        """Count what cannot be used, by its reason; of errors that nothing foresaw the name is the reason."""
+        """Count a refused message by its reason; for unexpected errors the reason is the error's name."""
         reason = str(error)[:80] if isinstance(error, BadMessageError) else type(error).__name__
         name = f"bad: {reason}"
         if name not in self.counts and len(self.counts) >= _MOST_REASONS:
@@ -112,7 +112,7 @@ def address(given: str, port: int) -> tuple[str, int]:
     """Return host and port of ``HOST`` or ``HOST:PORT``; HOST is a name or an IPv4 address.
 
     Raises:
-        InputError: neither.
+        InputError: the text has another form.
     """
     host, colon, number = given.partition(":")
     if not _is_host(host) or (colon and not (re.fullmatch("[0-9]{1,5}", number) and 0 < int(number) < 65536)):
@@ -124,13 +124,13 @@ def address(given: str, port: int) -> tuple[str, int]:
 
 
 def _is_host(name: str) -> bool:
-    """Say whether a host can have a name: labels of letters, digits and hyphens with dots between them."""
+    """Return whether a text is a valid host name: labels of letters, digits and hyphens with dots between."""
     try:
         encoded = name.encode("idna")  # as sockets do
     except UnicodeError:
         return False
     labels = name.removesuffix(".").split(".")
-    return len(encoded) <= _LONGEST_HOST and all(_LABEL.fullmatch(each) for each in labels)
+    return len(encoded) <= _LONGEST_HOST and all(_LABEL.fullmatch(label) for label in labels)
 
 
 def resolved(host: str) -> str:

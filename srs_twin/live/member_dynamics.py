@@ -28,9 +28,10 @@ class ValveInput(NamedTuple):
     """Input of the chambers, including detected faults.
 
     Attributes:
-        duty: share of time in which each valve fills, in equal slots, shape (slots, segments, 2).
+        duty: fraction of time in which each valve fills, in slots of equal duration, shape (slots, segments,
+            2).
         supply: supply pressure of each segment, gauge, Pa.
-        leak: pressure that each chamber loses, share per second, shape (segments, 2).
+        leak: relative rate at which each chamber loses pressure, 1/s, shape (segments, 2).
     """
 
     duty: np.ndarray
@@ -49,7 +50,7 @@ class MemberDynamics:
     `pressure_table`.
 
     Attributes:
-        mass: of each connector with its share of the segments, kg.
+        mass: mass of each connector with its share of the segments, kg.
     """
 
     def __init__(self, spec: RobotSpec) -> None:
@@ -72,7 +73,7 @@ class MemberDynamics:
             dt: duration, s.
             step: longest time step, s.
             pressure: at the start, shape (members, segments, 2), Pa.
-            gain: of the chambers, same shape.
+            gain: gains of the chambers, same shape.
             rates: learnt rates of the pressures.
             noise: standard normal numbers, same shape.
 
@@ -85,7 +86,7 @@ class MemberDynamics:
         h = dt / slots / steps
         stages = (np.arange(steps)[:, None] + [kernels.GAMMA, 1.0]).ravel() * h
         gain = actuator.gain * gain
-        # The random walk of the pressures also acts on the bends while it grows.
+        # Interpolate the random walk of the pressures over the steps, so that it also acts on the bends.
         noise = noise / math.sqrt(dt)
         drives = []
         for duty in valves.duty:
@@ -109,7 +110,7 @@ class MemberDynamics:
             bend: shape (members, segments), rad.
             velocity: forward, lateral (m/s), yaw rate and bend rates (rad/s), in place.
             drive: linear drives as from `drive`.
-            bias: bends without pressure, including disturbances, shape (members, segments), rad.
+            bias: rest bends including disturbances, shape (members, segments), rad.
             h: time step, s.
 
         Returns:

@@ -23,9 +23,9 @@ KINDS = (COMMAND, VALVES, PRESSURES, BENDS, STATUS, CONTROL, SUPPLY)
 PAUSE, GO, STOP, VENT = WORDS = ("pause", "go", "stop", "vent")
 """Texts of a `control` message."""
 PREFIX = "srs"
-"""Of all topics."""
+"""Prefix of all topics."""
 LATEST_S = 9e9
-"""Largest time that a sender's clock may show, s: 2255 in Unix time. Journals have 64 bits for ns."""
+"""Largest accepted time of a sender's clock, s: the year 2255 in Unix time. Journals store ns in 64 bits."""
 _PA_PER_KPA = 1000.0
 _BOUNDS = {COMMAND: (-1.0, 1.0), VALVES: (-1.0, 1.0), PRESSURES: (-100.0, 1000.0),
            SUPPLY: (0.0, 1000.0)}  # fmt: skip
@@ -44,13 +44,13 @@ class Message:
 
     Attributes:
         kind: one of `KINDS`, or `POSES`.
-        source: whose clock `sent` shows: a topic's robot, or a motion capture system.
-        sent: the sender's clock, s.
-        arrived: our monotonic clock, s.
+        source: sender whose clock `sent` is on: the robot of the topic, or a motion capture system.
+        sent: sending time on the sender's clock, s.
+        arrived: arrival time on our monotonic clock, s.
         values: commands and valves (segments, 2); pressures the same, Pa; of the supply (), Pa; bends
             (segments,), rad, NaN where
             none; poses (bodies, 4): x, y, z (m, z up) and heading (rad, NaN where unknown); else empty.
-        names: of the bodies; of a status or a control its text.
+        names: names of the bodies; for `status` and `control` the text.
     """
 
     kind: str
@@ -71,13 +71,13 @@ def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
 
     Args:
         kind: one of `KINDS`.
-        time: of our clock, s.
-        values: as in `Message`; of a status or a control its text.
+        time: time on our clock, s.
+        values: as in `Message`; for `status` and `control` the text.
     """
     if isinstance(values, str):
         return json.dumps({"t": time, "text": values}).encode()
     if kind == BENDS:
-        bends = [None if math.isnan(each) else each for each in np.ravel(values).tolist()]
+        bends = [None if math.isnan(bend) else bend for bend in np.ravel(values).tolist()]
         return json.dumps({"t": time, "rad": bends}).encode()
     if kind == SUPPLY:
         return json.dumps({"t": time, "kpa": round(float(values) / _PA_PER_KPA, 6)}).encode()
@@ -87,21 +87,21 @@ def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
 
 
 def _plain(values: np.ndarray) -> list[float]:
-    return [int(each) if each == int(each) else round(each, 6) for each in values.tolist()]
+    return [int(value) if value == int(value) else round(value, 6) for value in values.tolist()]
 
 
 def decode(kind: str, payload: bytes, *, source: str, arrived: float, segments: int) -> Message:
-    """Return the message that a payload is.
+    """Return the message in a payload.
 
     Args:
-        kind: by its topic.
-        payload: as it arrived.
-        source: of it.
-        arrived: our clock, s.
-        segments: of the robot.
+        kind: kind, from the topic.
+        payload: received bytes.
+        source: sender.
+        arrived: arrival time on our clock, s.
+        segments: number of segments of the robot.
 
     Raises:
-        BadMessageError: it is none, or of another robot.
+        BadMessageError: the payload is invalid, or has another number of segments.
     """
     if kind not in KINDS:
         raise BadMessageError(f"no kind of message is called {kind!r}")
@@ -112,7 +112,7 @@ def decode(kind: str, payload: bytes, *, source: str, arrived: float, segments: 
     try:
         document = json.loads(payload)
     except (ValueError, RecursionError) as error:
-        # Without the position in the text: reasons are counted, and have to be few.
+        # Omit the position in the text: reasons are counted, so there must be few different ones.
         reason = error.msg if isinstance(error, json.JSONDecodeError) else type(error).__name__
         raise BadMessageError(f"no JSON: {reason}") from None
     if not isinstance(document, Mapping):
@@ -150,4 +150,4 @@ def _numbers(
     given = document.get(key)
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != count:
         raise BadMessageError(f"{key}: a list of {count} numbers is needed, one a segment")
-    return [math.nan if gaps and each is None else _number({key: each}, key, low, high) for each in given]
+    return [math.nan if gaps and value is None else _number({key: value}, key, low, high) for value in given]

@@ -1,4 +1,4 @@
-"""NatNet: packets of motion capture as Motive sends them by UDP; reading, and writing for emulators.
+"""NatNet packets of motion capture, as Motive sends them over UDP: reading, and writing for emulators.
 
 Versions 2.6 to 4.2 are supported. Rigid bodies are read; other lists are skipped, from
 version 4.1 on by their stated length. Lengths are in m. The axes are those of Motive; `turned` rotates them
@@ -25,22 +25,22 @@ _MOST = 10_000  # of anything in a frame
 _TRACKED = 0x01
 _NAME = 256
 _FURTHEST_M = 1000.0
-"""No motion capture volume is larger; coordinates beyond it are no place."""
+"""Largest plausible coordinate, m; no motion capture volume is larger."""
 _LENGTH_TOLERANCE = 0.1
-"""Deviation from 1 up to which the length of a quaternion is taken for rounding and averaging."""
+"""Largest deviation of a quaternion's length from 1 that rounding and averaging explain."""
 
 Version = tuple[int, int]
 
 
 @dataclass(frozen=True)
 class RigidBody:
-    """One rigid body.
+    """Rigid body in a frame.
 
     Attributes:
-        place: m, Motive's axes.
-        turn: quaternion x, y, z, w.
-        error: mean of its markers', m.
-        tracked: whether it was seen, with a usable place and rotation.
+        place: position in Motive's axes, m.
+        turn: rotation as a quaternion x, y, z, w.
+        error: mean error of its markers, m.
+        tracked: whether it was visible, with a usable position and rotation.
     """
 
     place: tuple[float, ...]
@@ -51,7 +51,7 @@ class RigidBody:
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame.
+    """Frame of motion capture.
 
     Attributes:
         number: counted by the sender.
@@ -65,43 +65,43 @@ class Frame:
 
 
 class _Reader:
-    """Reader of the rest of a packet."""
+    """Cursor that reads values from a packet."""
 
     def __init__(self, data: bytes) -> None:
         self._data, self.at = memoryview(data), 0
 
     def read(self, form: str) -> tuple[Any, ...]:
-        """Read numbers, by their form in `struct`, little-endian."""
+        """Read little-endian numbers in a format of `struct`."""
         try:
-            found = struct.unpack_from("<" + form, self._data, self.at)
+            values = struct.unpack_from("<" + form, self._data, self.at)
         except struct.error:
             raise BadMessageError("the packet ends too early") from None
         self.at += struct.calcsize("<" + form)
-        return found
+        return values
 
     def count(self) -> int:
         """Read the number of entries."""
-        (found,) = self.read("i")
-        if not 0 <= found <= _MOST:
+        (count,) = self.read("i")
+        if not 0 <= count <= _MOST:
             raise BadMessageError(f"a list with a negative number of entries, or more than {_MOST}")
-        return int(found)
+        return int(count)
 
     def listed(self, version: Version) -> tuple[int, int | None]:
-        """Read how many things follow and where they end, where the version says that."""
+        """Read the number of entries of a list and, from version 4.1 on, the position of its end."""
         count = self.count()
         if version < (4, 1):
             return count, None
         return count, self.end()
 
     def end(self) -> int:
-        """Read how many bytes something takes, and return where it ends."""
+        """Read a size in bytes; return the position of the end."""
         (size,) = self.read("i")
         if not 0 <= size <= len(self._data) - self.at:
             raise BadMessageError("a list is longer than its packet")
         return self.at + int(size)
 
     def text(self) -> str:
-        """Read a text that ends with a zero."""
+        """Read a zero-terminated text."""
         rest = bytes(self._data[self.at : self.at + _NAME + 1])
         end = rest.find(b"\0")
         if end < 0:
@@ -111,10 +111,10 @@ class _Reader:
 
 
 def opened(packet: bytes) -> tuple[int, bytes]:
-    """Return a packet's kind and content.
+    """Return kind and content of a packet.
 
     Raises:
-        BadMessageError: no packet, or cut off.
+        BadMessageError: the packet is invalid or incomplete.
     """
     if len(packet) < 4:
         raise BadMessageError("no packet: fewer than 4 bytes")
@@ -130,16 +130,16 @@ def closed(kind: int, content: bytes = b"") -> bytes:
 
 
 def read_server(content: bytes) -> tuple[Version, tuple[str, int] | None]:
-    """Return the version of a server's frames, and group and port where it says that it multicasts.
+    """Return the NatNet version of a server, and its multicast group and port, if any.
 
     Raises:
-        BadMessageError: no such content.
+        BadMessageError: the content is invalid.
     """
     packet = _Reader(content)
     packet.at = _NAME + 4
     major, minor, _, _ = packet.read("4B")
     if not VERSIONS[0] <= (major, minor) < (VERSIONS[-1][0] + 1, 0):
-        first, last = (".".join(map(str, each)) for each in (VERSIONS[0], VERSIONS[-1]))
+        first, last = (".".join(map(str, version)) for version in (VERSIONS[0], VERSIONS[-1]))
         raise BadMessageError(f"NatNet of another version than {first} to {last}")
     if (major, minor) < (3, 0) or len(content) - packet.at < 15:
         return (major, minor), None
@@ -157,12 +157,12 @@ def write_server(version: Version, *, group: str | None = None, port: int = DATA
 
 
 def read_models(content: bytes, version: Version) -> dict[int, str]:
-    """Return the names of rigid bodies by their id; what follows the first thing that is none is left out.
+    """Return the names of rigid bodies by id, up to the first description of an unknown type.
 
     Raises:
-        BadMessageError: no such content.
+        BadMessageError: the content is invalid.
     """
-    packet, found = _Reader(content), dict[int, str]()
+    packet, names = _Reader(content), dict[int, str]()
     for _ in range(packet.count()):
         (kind,) = packet.read("i")
         end = None
@@ -175,7 +175,7 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
         elif kind == 1:
             name = packet.text()
             number, _, *_ = packet.read("ii3f" + ("4f" if version >= (4, 2) else ""))
-            found[number] = name
+            names[number] = name
             if version >= (3, 0):
                 count = packet.count()
                 packet.read("3f" * count + "i" * count)
@@ -184,7 +184,7 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
         elif end is None:
             break
         packet.at = packet.at if end is None else end
-    return found
+    return names
 
 
 def write_models(names: Mapping[int, str], version: Version) -> bytes:
@@ -200,10 +200,10 @@ def write_models(names: Mapping[int, str], version: Version) -> bytes:
 
 
 def read_frame(content: bytes, version: Version) -> Frame:
-    """Return a frame.
+    """Return the frame in a packet's content.
 
     Raises:
-        BadMessageError: no such content.
+        BadMessageError: the content is invalid.
     """
     packet = _Reader(content)
     (number,) = packet.read("i")
@@ -286,10 +286,10 @@ def write_frame(frame: Frame, version: Version) -> bytes:
 
     none = listed([])
     bodies = [
-        struct.pack("<i7f", key, *each.place, *each.turn)
+        struct.pack("<i7f", key, *rigid_body.place, *rigid_body.turn)
         + (struct.pack("<i", 0) if version < (3, 0) else b"")
-        + struct.pack("<fH", each.error, _TRACKED if each.tracked else 0)
-        for key, each in frame.bodies.items()
+        + struct.pack("<fH", rigid_body.error, _TRACKED if rigid_body.tracked else 0)
+        for key, rigid_body in frame.bodies.items()
     ]
     content = struct.pack("<i", frame.number) + none + none + listed(bodies) + none
     # Assets, labelled markers, force plates and devices.
@@ -304,28 +304,28 @@ def write_frame(frame: Frame, version: Version) -> bytes:
 
 def is_place(place: Sequence[float]) -> bool:
     """Return whether coordinates (m) are finite and within the largest volume of motion capture."""
-    return all(abs(each) <= _FURTHEST_M for each in place)
+    return all(abs(coordinate) <= _FURTHEST_M for coordinate in place)
 
 
 def unit_quaternion(turn: Sequence[float]) -> tuple[float, ...] | None:
-    """Return a quaternion of length 1; None where its length differs from 1 by more than a tenth.
+    """Return a quaternion scaled to length 1; None if its length differs from 1 by more than a tenth.
 
-    Zeros, which some senders use for "no rotation known", and NaN are none.
+    None is also returned for NaN, and for the zeros that some senders use for an unknown rotation.
     """
     length = math.hypot(*turn)
     if not abs(length - 1) <= _LENGTH_TOLERANCE:
         return None
-    return tuple(each / length for each in turn)
+    return tuple(component / length for component in turn)
 
 
 def turned(body: RigidBody, up: str) -> np.ndarray:
-    """Return x, y, z (m, z up) and heading (rad) of a body; its own x axis points ahead.
+    """Return x, y, z (m, z up) and heading (rad) of a body, whose own x axis points forwards.
 
-    All are NaN where the rotation is none (`unit_quaternion`).
+    All are NaN if the rotation is unknown (`unit_quaternion`).
 
     Args:
-        body: in Motive's axes.
-        up: "y" or "z", as Motive streams.
+        body: rigid body in Motive's axes.
+        up: upward axis of the stream, "y" or "z".
     """
     turn = unit_quaternion(body.turn)
     if turn is None:

@@ -162,19 +162,20 @@ _LONGEST_FRAME_INTERVAL_S = 0.2
 
 
 class Odometry:
-    """Moves bodies by the local connection, and fits it to frames of motion capture.
+    """Motion of bodies by the local connection, which is fitted to frames of motion capture.
 
-    All members move by the change of the mean bends, and deviate by the uncertainty of the connection. The
-    deviations of single bends fluctuate, and would turn the bodies at random. So would errors of the model,
-    which readings correct. Therefore the bends are integrated along the line between corrected values.
+    All members move by the change of the mean bends, plus a random displacement from the uncertainty of the
+    connection. The bends of single members fluctuate and would turn the bodies at random; so would model
+    errors between two corrections. Therefore the motion is integrated along a straight line between corrected
+    mean bends.
 
     Attributes:
-        connection: of the robot.
+        connection: local connection of the robot.
         twist: forward and lateral velocity (m/s) and yaw rate (rad/s) of the last step.
     """
 
     def __init__(self, connection: LocalConnection, bends: np.ndarray, rng: np.random.Generator) -> None:
-        """Begin at the members' bends, shape (members, segments), rad."""
+        """Create an odometry at the bends of the members, shape (members, segments), rad."""
         self.connection, self.twist = connection, np.zeros(3)
         self._features = np.zeros(len(connection.weights))
         draws = rng.normal(size=(len(bends), len(self._features), 3))
@@ -185,7 +186,7 @@ class Odometry:
         self._frame_age = math.inf
 
     def advance(self, dt: float) -> None:
-        """Count a time step (s) in which the bends change."""
+        """Add a time step (s) to the elapsed time; `apply` moves the bodies."""
         self._elapsed += dt
         self._frame_age += dt
 
@@ -194,7 +195,7 @@ class Odometry:
 
         Args:
             pose: x, y (m) and heading (rad) of the members, in place.
-            bends: of the members, rad.
+            bends: bends of the members, rad.
         """
         if not self._elapsed:
             return
@@ -214,10 +215,10 @@ class Odometry:
         """Fit the connection to a frame.
 
         Args:
-            pose: mean pose before the frame's correction.
-            bend: mean bends before it.
-            poses: poses of the members after it.
-            bends: bends of the members after it.
+            pose: mean pose before the correction by the frame.
+            bend: mean bends before the correction, rad.
+            poses: poses of the members after the correction.
+            bends: bends of the members after the correction, rad.
         """
         connection, now = self.connection, bends.mean(axis=0)
         if self._frame_age < _LONGEST_FRAME_INTERVAL_S:
@@ -231,11 +232,11 @@ class Odometry:
         self._bends[:] = bends
 
     def interrupt(self) -> None:
-        """Do not fit the connection to the motion since the last frame."""
+        """Exclude the motion since the last frame from the fit of the connection."""
         self._frame_age = math.inf
 
     def restart(self, bends: np.ndarray) -> None:
-        """Continue at other bends, rad."""
+        """Continue from other bends (rad) without motion."""
         self._bends = bends.copy()
         self.interrupt()
 

@@ -19,26 +19,26 @@ from srs_twin.live.messages import POSES, BadMessageError, Message
 
 _ASKS_EVERY_S = 1.0
 _ASKS_NAMES_EVERY_S = 10.0
-"""A body that is renamed keeps its number, and nothing announces its new name."""
+"""Interval of requests for the names of bodies, s; the server does not announce a changed name."""
 _WINDOW = 1000
 """Largest difference of successive frame numbers; a larger one means that the server restarted."""
 _LISTENS_S = 0.1
 
 
 class _UdpLink(Link):
-    """A thread that listens on a socket."""
+    """Link that listens on UDP sockets, each in its own thread."""
 
     def __init__(self, sockets: Iterable[socket.socket]) -> None:
         super().__init__()
         self._sockets, self._over = list(sockets), threading.Event()
-        for each in self._sockets:
-            each.settimeout(_LISTENS_S)
+        for own in self._sockets:
+            own.settimeout(_LISTENS_S)
         self._threads = [threading.Thread(target=self._listen, args=(s,), daemon=True) for s in self._sockets]
 
     def _start(self) -> None:
-        # A first answer may add a thread during this loop.
-        for each in tuple(self._threads):
-            each.start()
+        # An answer to the first thread may add another thread during this loop.
+        for thread in tuple(self._threads):
+            thread.start()
 
     def _listen(self, own: socket.socket) -> None:
         while not self._over.is_set():
@@ -64,23 +64,23 @@ class _UdpLink(Link):
             self._refuse(error)
 
     def _idle(self) -> None:
-        """Do what is due."""
+        """Send requests that are due; called before each wait for a packet."""
 
     @abstractmethod
     def _packet(self, kind: int, content: bytes, sender: tuple[str, int], arrived: float) -> None:
-        """Take a packet."""
+        """Process a packet."""
 
     def close(self) -> None:
         """See `Link.close`."""
         self._over.set()
-        for each in self._threads:
-            each.join(timeout=2 * _LISTENS_S + 1)
+        for thread in self._threads:
+            thread.join(timeout=2 * _LISTENS_S + 1)
         for own in self._sockets:
             own.close()
 
 
 class FrameNumbers:
-    """Numbers of the frames that arrived, and the gaps among them; a late frame fills its gap.
+    """Count of lost, late and repeated frames, from their frame numbers.
 
     Attributes:
         lost: number of frames that have not arrived.
@@ -89,13 +89,13 @@ class FrameNumbers:
     """
 
     def __init__(self) -> None:
-        """Wait for the first frame."""
+        """Create the counts before the first frame."""
         self.lost = self.reordered = self.repeated = 0
         self._newest: int | None = None
         self._missing: set[int] = set()
 
     def take(self, number: int) -> None:
-        """Take the number of a frame."""
+        """Count a frame by its number; a late frame is no longer lost."""
         newest = self._newest
         if newest is None or not -_WINDOW < number - newest < _WINDOW:
             self._newest, self._missing = number, set()
@@ -103,7 +103,7 @@ class FrameNumbers:
             self._missing.update(range(newest + 1, number))
             self.lost += number - newest - 1
             self._newest = number
-            self._missing = {each for each in self._missing if each > number - _WINDOW}
+            self._missing = {missing for missing in self._missing if missing > number - _WINDOW}
         elif number in self._missing:
             self._missing.remove(number)
             self.lost -= 1
@@ -113,28 +113,28 @@ class FrameNumbers:
 
 
 class NatNetLink(_UdpLink):
-    """Bodies that a motion capture system sees, as messages of kind `POSES`.
+    """Link to a motion capture system, which delivers the tracked bodies as messages of kind `POSES`.
 
     Attributes:
-        version: of the server's frames; None before its first answer.
-        names: of its bodies.
+        version: NatNet version of the server; None before its first answer.
+        names: names of the bodies by id.
     """
 
     def __init__(
         self, host: str = LOOPBACK, port: int = natnet.COMMAND_PORT, *, local: str = LOOPBACK, up: str = "y"
     ) -> None:
-        """Ask a server for its frames, now and until it answers.
+        """Request frames from a server, repeatedly until it answers.
 
         Args:
-            host: of the server.
-            port: its command port.
-            local: address of ours on which frames arrive.
-            up: axis that is up in the frames, "y" or "z".
+            host: host of the server.
+            port: command port of the server.
+            local: address of this machine on which frames arrive.
+            up: upward axis of the frames, "y" or "z".
 
         Raises:
-            InputError: the server's name is unknown, or we have no such address.
+            InputError: the server's name is unknown, or this machine does not have the address.
         """
-        # Packets name their sender by its number.
+        # Packets carry the sender's numeric address.
         host, local = resolved(host), resolved(local)
         own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -169,7 +169,7 @@ class NatNetLink(_UdpLink):
                 self._sockets[0].sendto(natnet.closed(kind, text), self._server)
 
     def _packet(self, kind: int, content: bytes, sender: tuple[str, int], arrived: float) -> None:
-        # Frames come from another port of the server than answers.
+        # The server sends frames and answers from different ports.
         if sender[0] != self._server[0] or (kind != natnet.FRAME and sender != self._server):
             raise BadMessageError("a packet from elsewhere")
         if kind == natnet.SERVER_INFO:
@@ -191,15 +191,15 @@ class NatNetLink(_UdpLink):
             frame = natnet.read_frame(content, self.version)
             self._last = arrived
             self._count(frame)
-            seen = {key: each for key, each in frame.bodies.items() if each.tracked}
-            values = [natnet.turned(each, self._up) for each in seen.values()]
+            seen = {key: body for key, body in frame.bodies.items() if body.tracked}
+            values = [natnet.turned(body, self._up) for body in seen.values()]
             names = tuple(self.names.get(key, str(key)) for key in seen)
             self._take(Message(POSES, "natnet", frame.time, arrived, np.array(values).reshape(-1, 4), names))
         else:
             raise BadMessageError("a packet of a kind that is not used here")
 
     def _count(self, frame: natnet.Frame) -> None:
-        """Count a frame and what cannot be used of it; notice bodies without a name."""
+        """Count a frame and its unusable bodies; note whether a body has no name."""
         self._unknown |= bool(self.names) and not frame.bodies.keys() <= self.names.keys()
         numbers = self._numbers
         numbers.take(frame.number)
@@ -210,18 +210,18 @@ class NatNetLink(_UdpLink):
             if number or name in self.counts:
                 self.counts[name] = number
         useless = sum(
-            natnet.unit_quaternion(each.turn) is None or not natnet.is_place(each.place)
-            for each in frame.bodies.values()
+            natnet.unit_quaternion(body.turn) is None or not natnet.is_place(body.place)
+            for body in frame.bodies.values()
         )
         if useless:
             self.counts["bodies without a usable pose"] += useless
 
     def _join(self, group: str, port: int) -> None:
-        """Listen to a multicast group as well, and no longer to an earlier one.
+        """Join a multicast group, and leave the previous one.
 
         Raises:
-            OSError: there is no such group.
-            OverflowError: there is no such port.
+            OSError: the group does not exist.
+            OverflowError: the port does not exist.
         """
         own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -253,18 +253,18 @@ class NatNetServer(_UdpLink):
         self, names: Mapping[int, str], *, host: str = LOOPBACK, port: int = 0,
         version: natnet.Version = (4, 1), group: str | None = None, data_port: int = natnet.DATA_PORT,
     ) -> None:  # fmt: skip
-        """Listen.
+        """Start to listen.
 
         Args:
-            names: of the bodies, by id.
-            host: address of ours.
-            port: command port; 0: one that is free.
-            version: of the frames.
-            group: to which frames are multicast; None: to each who asked.
-            data_port: of the group.
+            names: names of the bodies by id.
+            host: address of this machine.
+            port: command port; 0: any free port.
+            version: NatNet version of the frames.
+            group: multicast group for the frames; None: frames go to each client.
+            data_port: port of the multicast group.
 
         Raises:
-            InputError: the address is taken, or none of ours.
+            InputError: the address is in use, or does not belong to this machine.
         """
         own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -286,11 +286,11 @@ class NatNetServer(_UdpLink):
         packet = natnet.write_frame(natnet.Frame(self._number, time, bodies), self._version)
         self._number += 1
         now = clock()
-        alive = [each for each, heard in list(self._clients.items()) if now - heard < 10 * _ASKS_EVERY_S]
+        alive = [client for client, heard in list(self._clients.items()) if now - heard < 10 * _ASKS_EVERY_S]
         to = [(self._group, self._data_port)] if self._group else alive
-        for each in to:
+        for client in to:
             with contextlib.suppress(OSError):
-                self._sockets[0].sendto(packet, each)
+                self._sockets[0].sendto(packet, client)
 
     def _packet(self, kind: int, content: bytes, sender: tuple[str, int], arrived: float) -> None:
         self._clients[sender] = arrived

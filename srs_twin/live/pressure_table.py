@@ -51,19 +51,19 @@ class ValveAges(Stateful):
 
 
 class PressureRates:
-    """Rates by which pressures change faster than in their first-order model.
+    """Learnt differences between the pressure rates of the chambers and of their first-order model.
 
     Attributes:
         rate: shape (segments, 2, states, bins), Pa/s.
-        wander: variance that the pressures gain in addition, same shape, Pa²/s.
+        wander: additional variance of the pressures per time, same shape, Pa²/s.
     """
 
     _BINS, _WIDTH_S = 50, 0.01
     """Bins of half the robot's tick, because pressures arrive once per tick."""
     _GAIN = 0.2
-    """Share of an innovation by which the rates of its bins are corrected."""
+    """Fraction of an innovation that is added to the rates of its bins."""
     _MEMORY = 8.0
-    """Number of innovations that the variance is a mean of."""
+    """Number of innovations over which the variance is averaged."""
     _LEAST_WANDER = 0.03
     """Lower limit of the wander, share of the nominal supply pressure per square root of a second."""
     _LONGEST_S = 0.1
@@ -101,7 +101,7 @@ class PressureRates:
         measured = ~np.isnan(innovation)[..., None, None]
         share = np.where(measured & (since < self._LONGEST_S), times / np.maximum(since, 1e-9), 0.0)
         known = np.nan_to_num(innovation)[..., None, None]
-        # The previous pressure has the same noise as this one.
+        # The difference of two pressures contains the noise of both.
         variance = np.maximum(known**2 - 2 * noise**2, 0.0) / np.maximum(since, 1e-9)
         self.wander = np.maximum(self.wander + share / self._MEMORY * (variance - self.wander), self._least)
         squares = np.maximum((times**2).sum(axis=(2, 3), keepdims=True), 1e-12)
@@ -110,16 +110,16 @@ class PressureRates:
 
 
 class PressureLevels(Stateful):
-    """Means and variances of pressures less those of the first-order model, over the supply pressure.
+    """Means and variances of pressure residuals relative to the supply pressure.
 
     Attributes:
-        ages: of the valves.
+        ages: time since switching of the valves.
     """
 
     state_attributes = ("ages", "_count", "_mean", "_variance")
     _BINS, _WIDTH_S = 25, 0.02
     _MOST_COUNTED = 40
-    """Number of pressures that a mean is taken over."""
+    """Number of pressures over which a mean is taken."""
 
     def __init__(self, segments: int, sd: float) -> None:
         """Begin with means of 0 and an initial standard deviation."""
@@ -137,7 +137,7 @@ class PressureLevels(Stateful):
 
         Args:
             residual: share of the supply pressure, shape (segments, 2).
-            learns: whether a chamber is learnt from, shape (segments, 2).
+            learns: whether a chamber is used for learning, shape (segments, 2).
         """
         index = self.ages.index()
         count = np.minimum(self._count[index] + 1, self._MOST_COUNTED)

@@ -151,9 +151,9 @@ _WATCHED_S = 1.0
 _MOST_OVERRUNS = 0.5
 """Share of slow ticks above which the session warns."""
 _RESTART_S = 1.0
-"""Delay of the ticks above which missed ticks are skipped, s."""
+"""Delay above which missed ticks are skipped, s."""
 _KEPT = 1_000_000
-"""Number of ticks with durations that are kept."""
+"""Number of ticks whose durations are kept."""
 _MOST_PROBLEMS = 100
 _GOODBYE_S = 1.0
 """Longest wait for the broker to accept the last message."""
@@ -208,7 +208,7 @@ class Session:
             shadow: a new live twin.
             links: sources of messages.
             out: folder of journal and results; None: no files.
-            steering: steers the robot; None: the session only listens.
+            steering: steering of the robot; None: the session only listens.
             commands: link for commands and control messages.
             views: get estimates and predictions about eight times per second.
             keys: returns the control words typed since the last call, of `WORDS`.
@@ -275,7 +275,7 @@ class Session:
                 start = time.monotonic() - done * TICK_S
 
     def _submit(self, done: int) -> None:
-        """Start the work of other threads after a number of ticks."""
+        """Start periodic work on other threads."""
         if (
             self.estimate is not None
             and self._predicting is None
@@ -335,7 +335,7 @@ class Session:
         """Use the messages that arrived, and send a command.
 
         Args:
-            now: on the clock of the links, s; NaN while a journal waits.
+            now: time on the clock of the links, s; NaN while a journal waits.
             since: time from the start of the session, s.
         """
         messages = [message for link in self._links for message in link.received()]
@@ -404,7 +404,7 @@ class Session:
             self._journal.close()
 
     def _summarise(self, seconds: float, error: BaseException | None) -> None:
-        found = summary(self.shadow, self._links, self.estimate) | {
+        document = summary(self.shadow, self._links, self.estimate) | {
             "seconds": seconds, "resumed": self.resumed,
             "error": None if error is None else f"{type(error).__name__}: {error}", "problems": [],
             "faults": [{"part": p, "fault": f, "time_s": at} for (p, f), at in self.faults.items()],
@@ -412,8 +412,8 @@ class Session:
             "view_share": self.view_s / max(seconds, 1e-9),
         }  # fmt: skip
         if self._steering is not None:
-            found["following"] = self._steering.summary()
-        self._summary = finite(found)
+            document["following"] = self._steering.summary()
+        self._summary = finite(document)
 
     def _write(self) -> None:
         """Write the summary and the estimates."""

@@ -91,7 +91,7 @@ class SetupFile(Section):
     def options(self) -> dict[str, Any]:
         """Return the file's values by the names of the options of `srs-twin shadow`; without absent ones."""
         broker, capture = self.broker, self.motion_capture
-        found = {
+        values = {
             "robot": self.robot,
             "name": self.name,
             "pressure": self.supply_kpa,
@@ -105,14 +105,14 @@ class SetupFile(Section):
             "duration": self.limits.duration_s,
             "press_on": self.limits.press_on,
         }
-        return {name: value for name, value in found.items() if value is not None}
+        return {name: value for name, value in values.items() if value is not None}
 
 
 def load_setup(path: Path) -> SetupFile:
     """Load and check a set-up file.
 
     Raises:
-        InputError: not readable.
+        InputError: the file cannot be read.
         InputFileError: everything that is wrong with it, with line and column.
     """
     return load_model(SetupFile, require_file(path))

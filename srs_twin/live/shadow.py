@@ -44,7 +44,7 @@ from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, SUPPLY, VAL
 from srs_twin.robot.spec import RobotSpec
 
 TRANSPORT_DELAY_S = 0.002
-"""Assumed error of the bends' times, because the minimum transport delay cannot be observed."""
+"""Assumed transport delay of the bends, because the minimum delay cannot be observed."""
 LOST_AFTER_S = 1.0
 """Time without a message after which the state is unknown."""
 LARGEST_SD_M = 0.05
@@ -62,7 +62,7 @@ _SUBSLOTS = 2
 _EXTRAPOLATE_AFTER_S = 0.05
 """Time without a message after which the filter advances without one."""
 _LEAST_STEP_S = 5e-4
-"""Shorter steps are skipped."""
+"""Shortest step of the filters, s; shorter ones are skipped."""
 _LEAST_INTERVAL_S = 0.018
 """Shortest interval between used measurements of one sender; rates above 50 Hz add little."""
 _PRESENT_STEP_S = 0.005
@@ -83,7 +83,7 @@ class Shadow:
         command_period: period of the commands.
         prediction_calibration: errors of earlier predictions.
         buffer: messages that wait for earlier ones.
-        time: of the filter, our clock, s; NaN before the first message.
+        time: time of the filter, our clock, s; NaN before the first message.
     """
 
     def __init__(
@@ -132,7 +132,7 @@ class Shadow:
             self._use(time, [message for _, message in simultaneous])
         if math.isnan(self.time):
             return None
-        # A message that is expected soon will correct this time.
+        # Do not advance the filter yet: a message for this time is expected soon.
         if now - self.buffer.hold - self.time > _EXTRAPOLATE_AFTER_S:
             self._advance(now - self.buffer.hold)
         estimate = self._estimate(now)
@@ -140,7 +140,7 @@ class Shadow:
         return estimate
 
     def predict(self) -> Prediction:
-        """Return the predicted path of the next second, if the commands repeat."""
+        """Return the predicted path of the next second, assuming that the commands repeat."""
         return self.prediction_calibration.widened(self.prediction_task()())
 
     def prediction_task(self) -> Callable[[], Prediction]:
@@ -170,7 +170,7 @@ class Shadow:
         """Restore learnt values and detected faults.
 
         Raises:
-            InputError: a state of another robot.
+            InputError: the state belongs to another robot.
         """
         state.check("shadow", self._identity())
         for name, part in zip(_SAVED, self._saved_parts(), strict=True):
@@ -275,7 +275,7 @@ class Shadow:
         self._commands.forget(self.time - KEPT_S)
 
     def _present(self, now: float) -> EnsembleFilter:
-        """Return the ensemble at the present, predicted with all commands that arrived."""
+        """Return the ensemble predicted to the present with all commands that arrived."""
         dt = min(now - self.time, LOST_AFTER_S)
         if dt < _LEAST_STEP_S:
             return self.ensemble
@@ -356,14 +356,14 @@ def frames_of(pairs: Sequence[str], connectors: int) -> dict[str, int]:
     """Return the connector of each body, from ``BODY=CONNECTOR`` pairs.
 
     Raises:
-        InputError: a malformed pair, or an unknown connector.
+        InputError: a pair is malformed, or a connector is unknown.
     """
-    found = {}
+    frames = {}
     for pair in pairs:
         name, _, number = pair.rpartition("=")
         if not name or not number.isdigit() or not 1 <= int(number) <= connectors:
             raise InputError(
                 f"{pair!r} names no body; BODY=CONNECTOR does, with a connector from 1 to {connectors}"
             )
-        found[name] = int(number)
-    return found
+        frames[name] = int(number)
+    return frames

@@ -51,12 +51,12 @@ def shadow(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a live twin of a robot: state, next second, faults.
+    """Run a live twin: estimate, predict and detect faults.
 
     Receives commands, bends and pressures over MQTT and frames of motion capture over NatNet, or reads all of
     them from a journal. With --follow it steers the robot by its estimate; the keys p, g, v and s, or the
     words pause, go, vent and stop on the topic srs/NAME/control, control it. docs/live.md describes the
-    messages. The environment variable SRS_TWIN_MQTT_PASSWORD has the password of --user.
+    messages. The environment variable SRS_TWIN_MQTT_PASSWORD contains the password of --user.
 
     Options:
         robot: Shipped robot or robot file. [default: that of --setup]
@@ -70,8 +70,8 @@ def shadow(
         name: Robot's name in topics. [default: ROBOT]
         body: Body of the motion capture and its connector, repeatable. [default: connector_1=1 …]
         local: Address of this machine on which frames arrive.
-        up: Axis that points up in the frames, y or z.
-        speed: Playing speed of a journal.
+        up: Upward axis of the frames, y or z.
+        speed: Playback speed of a journal; 2: twice as fast.
         members: Ensemble size.
         seed: Random seed.
         window: Show the live view in Rerun's window.
@@ -146,7 +146,7 @@ def _is_given(context: typer.Context, name: str) -> bool:
 def _twin(
     lab: dict[str, Any], follow: str | None, members: int, seed: int
 ) -> tuple[Shadow, EstimateSteering | None]:
-    """Return the shadow of the robot, and the steering that steers it; all of both is compiled.
+    """Return the live twin of the robot and its steering, both with compiled kernels.
 
     Args:
         lab: values of the options that a set-up file may have.
@@ -175,15 +175,15 @@ def _session(
     stack: ExitStack, lab: dict[str, Any], known: str, play: tuple[Path, float] | None, twin: Shadow,
     steering: EstimateSteering | None, out: Path | None, shows: tuple[bool, bool],
 ) -> tuple[Session, str]:  # fmt: skip
-    """Return a session and the address of the live view's page; the stack closes all that it opens.
+    """Return a session and the address of the live view's page; the stack closes what is opened here.
 
     Args:
-        stack: gets what has to be closed.
+        stack: receives all links, files and views that must be closed.
         lab: values of the options that a set-up file may have.
         known: name of the robot in topics.
-        play: journal and speed; None: a running robot.
+        play: journal and playback speed; None: a running robot.
         twin: shadow of the robot.
-        steering: steers the robot; None: nothing does.
+        steering: steering of the robot; None: the session only listens.
         out: folder of the files.
         shows: whether the live view is shown in a window, and on a page.
     """
@@ -232,10 +232,10 @@ def _print_result(result: dict[str, Any]) -> None:
         return
     estimate = result["estimate"]
     x, y, heading = estimate["pose"]
-    a, b, c = (1.96 * each for each in estimate["pose_sd"])
+    a, b, c = (1.96 * sd for sd in estimate["pose_sd"])
     say(f"at x {x:.3f} ± {a:.3f} m, y {y:.3f} ± {b:.3f} m, heading {heading:.2f} ± {c:.2f} rad"
         f"{', but ' + estimate['lost'] if estimate['lost'] else ''}")  # fmt: skip
-    for each in result["faults"]:
-        say(f"{each['time_s']:.1f} s: {each['part']}: {each['fault']}")
+    for fault in result["faults"]:
+        say(f"{fault['time_s']:.1f} s: {fault['part']}: {fault['fault']}")
     if "following" in result:
         say(f"following ended: {result['following']['ending']}")

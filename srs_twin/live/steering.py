@@ -1,4 +1,4 @@
-"""EstimateSteering: steers a robot by the estimate of its live twin."""
+"""EstimateSteering: steering of a robot by the estimate of its live twin."""
 
 from __future__ import annotations
 
@@ -39,30 +39,31 @@ _SETTLING_S = 1.0
 _NEAR_M, _NEAR_RAD = 0.03, 0.05
 """Deviation from the scenario's initial pose above which a new plan is made."""
 _EMPTY_BELOW = 0.3
-"""Share of the nominal supply pressure below which steering is impossible; half of it is enough."""
+"""Fraction of the nominal supply pressure below which steering is impossible; half of the pressure still
+suffices."""
 _MODEL_FIELDS = {("actuator", "bend_limit"), ("supply", "limit_source")}
-"""Fields that scenarios set for their models, and texts; robots may differ in them."""
+"""Fields in which a scenario's robot and the real one may differ: model settings and texts."""
 
 
 def differences(one: RobotSpec, other: RobotSpec) -> list[str]:
     """Return the fields in which two robots differ, with both values.
 
     Names, titles and the values of single modules do not count, because the live twin estimates the latter.
-    The limit of the bends does not count either, because scenarios set it for the models.
+    The bend limit does not count either, because scenarios set it for the models.
     """
-    found = []
+    texts = []
     for field in fields(RobotSpec):
         first, second = getattr(one, field.name), getattr(other, field.name)
         if field.name in ("name", "title", "variation") or first == second:
             continue
         if not (is_dataclass(first) and type(first) is type(second)):
-            found.append(f"{field.name} ({_short(first)} and {_short(second)})")
+            texts.append(f"{field.name} ({_short(first)} and {_short(second)})")
             continue
         for name in (inner.name for inner in fields(first)):
             a, b = getattr(first, name), getattr(second, name)
             if a != b and (field.name, name) not in _MODEL_FIELDS:
-                found.append(f"{field.name}.{name} ({_short(a)} and {_short(b)})")
-    return found
+                texts.append(f"{field.name}.{name} ({_short(a)} and {_short(b)})")
+    return texts
 
 
 def _short(value: Any) -> str:
@@ -76,7 +77,7 @@ class EstimateSteering:
     made. The chambers are vented while the estimate is lost, and at the end after a loss of the supply.
 
     Attributes:
-        follower: of the scenario.
+        follower: follower of the scenario.
     """
 
     def __init__(self, scenario: Scenario, shadow: Shadow, tick: float, *, press_on: bool = False) -> None:
@@ -178,7 +179,7 @@ class EstimateSteering:
         if self._empty_s > PATIENCE_S:
             self.give_up(EMPTY)
             return self.vented()
-        # Segments with a leak still bend; they are steered as before.
+        # Segments with a leak still bend, so they take part in the gait as before.
         chambers = CHAMBERS[shadow.faults.most_likely()]
         stuck = np.where((chambers == FILLS).any(axis=1), FILLS, 0)
         stuck = np.where((chambers == VENTS).any(axis=1), VENTS, stuck)
@@ -194,7 +195,8 @@ class EstimateSteering:
 
     def _begin(self, estimate: Estimate, shadow: Shadow) -> None:
         """Prepare the follower; make a new plan if the robot is not at the scenario's initial pose."""
-        # The robot has its own noise and delays. The estimate is for now; commands take effect a tick later.
+        # The robot itself adds noise and delays, so the follower must not simulate them. Commands take effect
+        # one tick after the estimate.
         follower, lag = self.follower, DELAY_S + self._tick
         camera = Camera(follower.conditions.camera.rate_hz)
         follower.conditions = replace(follower.conditions, camera=camera, delay=0.0, lag=lag)

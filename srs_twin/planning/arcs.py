@@ -57,7 +57,7 @@ def arc_collides(x, y, heading, curvature, length, ahead, behind, left, right, g
 
     Args:
         x, y, heading: pose of the centre of mass at the start, m and rad.
-        curvature, length: of the arc, 1/m and m.
+        curvature, length: curvature and length of the arc, 1/m and m.
         ahead, behind: extent of the body along the arc from the centre of mass, m.
         left, right: distances of the footprint's edges from the path, m.
         grid: obstacles and bounds, see `collision.ObstacleGrid`.
@@ -106,12 +106,12 @@ def _region_collides(middle, region, grid):  # type: ignore[no-untyped-def]
 
 @compiled
 def _item_collides(k, circles, sides, middle, region):  # type: ignore[no-untyped-def]
-    """Return whether item k touches a region: a circle, or, with numbers after all circles, a side."""
+    """Return whether item k touches a region; the items are first all circles, then all polygon sides."""
     x, y, c, s = middle
     reach = region[1] + max(region[2], region[3])
     if k < circles.shape[0]:
         dx, dy, radius = circles[k, 0] - x, circles[k, 1] - y, circles[k, 2] + ROUNDING_MARGIN
-        # Test bounding circles first.
+        # Test bounding circles first: they are cheap and exclude most items.
         if dx * dx + dy * dy >= (reach + radius) * (reach + radius):
             return False
         # The region is symmetric about the line across its middle, so u can be taken as positive.
@@ -125,7 +125,7 @@ def _item_collides(k, circles, sides, middle, region):  # type: ignore[no-untype
 
 @compiled
 def _cell_range(position, reach, cell, count):  # type: ignore[no-untyped-def]
-    """Return the first cell of a row within `reach` of a position, and one past the last."""
+    """Return the range of cells (end exclusive) along an axis within `reach` of a position."""
     first, last = np.floor((position - reach) / cell), np.floor((position + reach) / cell)
     return np.int64(min(max(first, 0), count)), np.int64(min(max(last + 1, 0), count))
 
@@ -200,7 +200,7 @@ def _roots(a, b, c):  # type: ignore[no-untyped-def]
     square = b * b - a * c
     if square < 0:
         return 0.0, 0.0
-    # Both roots from the sum of terms of equal sign: no cancellation.
+    # Add terms of equal sign, which avoids cancellation, and get the other root from the product of both.
     q = -(b + np.sqrt(square)) if b >= 0 else -(b - np.sqrt(square))
     return _fraction(q, a), _fraction(c, q)
 

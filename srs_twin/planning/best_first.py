@@ -54,22 +54,25 @@ _CURVATURES = 5
 _COARSEST_TURN = 0.5
 """Largest turn of an arc at the coarsest level, rad."""
 _CELL_SHARE = 0.35
-"""Side of a cell relative to an arc: the children of a node lie in different cells."""
+"""Side of a cell divided by the length of an arc; small enough that the children of a node lie in different
+cells."""
 _SECTORS = 48
-"""Heading sectors at the coarsest level: half of the smallest change of heading."""
+"""Number of heading sectors at the coarsest level; a sector is half of the smallest heading change of an
+arc."""
 _GUIDED_WEIGHT = 1.5
-"""Weight of the cost-to-go with guidance: some path quickly, even if it is longer."""
+"""Weight of the cost-to-go with guidance; large, to find some path quickly even if it is longer."""
 _FIRST_TURN_NODES = 1000
-"""Nodes of each tree in its first turn; the number doubles with every turn."""
+"""Number of nodes that each tree expands in its first turn; it doubles with every turn."""
 _MAX_TURN_NODES = 16_000
 """Largest number of nodes in a turn, so that time limits are checked often enough."""
 
 _SHORTENING_ROUNDS = 4
 """Largest number of shortening rounds."""
 _MIN_SAVING = 1e-4
-"""Share of the path length; a round that saves less is the last."""
+"""Saved fraction of the path length below which shortening ends."""
 _RETREAT = 0.97
-"""Factor between the distances of successive tries, so that their number grows with the logarithm."""
+"""Ratio of the distances of successive tries; their number then grows only with the logarithm of the
+distance."""
 
 
 @dataclass
@@ -92,7 +95,7 @@ class _LevelResult:
 
     Attributes:
         path: collision-free path, if found.
-        reason: why there is no path; empty if the budget is spent.
+        reason: reason why there is no path; empty if the budget is spent.
         final: whether no finer resolution can find a path.
     """
 
@@ -118,7 +121,7 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
     if best is not None:
         return Plan(Outcome.FOUND, "a free path", best, expanded, cell, trees=kept_trees)
     if result.final:
-        # Without a cell: the proof does not depend on the resolution.
+        # The result has no cell, because the proof does not depend on the resolution.
         return Plan(outcome, result.reason, expanded=expanded, trees=kept_trees)
     if result.reason:
         reason = f"{result.reason}, {resolution}; finer cells (more levels) may find a path"
@@ -149,9 +152,9 @@ def _search_level(
 ) -> _LevelResult:
     """Search at one resolution.
 
-    The trees take turns with growing numbers of nodes. The tree from the goal rarely finds a path first, but
-    it is exhausted at once if no arc leads to the goal, which the other tree notices only after all its
-    cells. After the first turn, a guided tree joins; its path may be longer than necessary.
+    The trees take turns with growing numbers of nodes. The tree from the goal rarely finds a path first. But
+    if no arc leads to the goal, it is exhausted at once, while the other tree must first fill all its cells.
+    After the first turn, a guided tree joins; its path may be longer than necessary.
 
     Args:
         trees: trees of the level; the guided tree is appended.
@@ -164,7 +167,7 @@ def _search_level(
     for turn in count():
         if budget.spent:
             break
-        # A proof takes longer than an easy problem: proofs follow the first and second turn.
+        # Proofs take longer than an easy search, so they are tried only after the first and the second turn.
         nodes = min(_FIRST_TURN_NODES * 2 ** max(turn - 1, 0), _MAX_TURN_NODES)
         for tree in trees:
             before = tree.expanded
@@ -186,7 +189,7 @@ def _search_level(
 
 
 def _infeasible(problem: Problem, grid: ObstacleGrid, resolution: Resolution) -> str:
-    """Return why no path exists; empty without a proof at this resolution."""
+    """Return the reason why no path exists; empty without a proof at this resolution."""
     start, goal, body = problem.start, problem.goal, problem.footprint
     if resolution is COARSE and is_disconnected(start, goal, problem.world, body.narrowest):
         return (
@@ -267,7 +270,7 @@ def shorten_path(
     lengths = np.array([length for _, length in arcs])
     for turn in range(_SHORTENING_ROUNDS):
         before = math.fsum(lengths)
-        # A finer division each round, so that short cuts begin and end elsewhere.
+        # Divide the path more finely in each round, so that short cuts can begin and end at other poses.
         counts = np.ceil(lengths * (2 + turn) / radius).astype(np.int64)
         pieces = np.repeat(indices, counts), np.repeat(lengths / counts, counts)
         indices, lengths = _cut_corners(*start, *pieces, moves, grid, radius)
@@ -288,7 +291,7 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
     """
     count = len(indices)
     state, distances = initial_state(x, y, heading, moves), np.zeros(count + 1)
-    states = [state]  # arc states of the original path at the ends of its pieces
+    states = [state]  # arc states of the original path, at the ends of its pieces
     for k in range(count):
         _, state = follow_arc(state, indices[k], lengths[k], moves, grid)
         states.append(state)
@@ -332,7 +335,7 @@ def _append_arc(indices, lengths, size, move, length):  # type: ignore[no-untype
 
 @allocating
 def _stays_free(state, k, indices, lengths, states, moves, grid):  # type: ignore[no-untyped-def]
-    """Return whether the path from piece k on stays free if it is entered in another arc state."""
+    """Return whether the path from piece k on stays free if it begins with another arc state."""
     while k < len(indices):
         before, left, right, lasting = state[3], state[4], state[5], state[6]
         original = states[k]

@@ -142,8 +142,8 @@ class Checker:
         return True
 
     def clearance(self, segments: Sequence[Segment]) -> float:
-        """Return the width that both edges of a free path could gain, m, at most `MAX_CLEARANCE_M`."""
-        free, touching = 0.0, MAX_CLEARANCE_M  # bisection between a free and a touching width
+        """Return the largest width (m) by which both edges may grow, at most `MAX_CLEARANCE_M`."""
+        free, touching = 0.0, MAX_CLEARANCE_M  # bisection between a free and a colliding width
         while touching - free > CLEARANCE_ERROR_M:
             middle = (free + touching) / 2
             if Checker(self.world, self.footprint.reduced(margin=middle)).is_path_free(segments):
@@ -153,7 +153,7 @@ class Checker:
         return free
 
     def first_collision(self, pose: Pose, length: float = 0.0, wider: float = 0.0) -> str:
-        """Return a description of an obstacle or bound in the way of a straight body, or an empty string.
+        """Describe an obstacle or bound that a straight path touches; return an empty string without one.
 
         Args:
             pose: pose of the centre of mass at the start.

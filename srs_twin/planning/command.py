@@ -119,7 +119,7 @@ def _counted(count: int, noun: str) -> str:
 
 
 def _quality_words(quality: Mapping[str, float | None]) -> str:
-    """Return the result of `_quality` as a sentence."""
+    """Return the values of `_quality` as a sentence."""
     from srs_twin.planning.collision import CLEARANCE_ERROR_M, MAX_CLEARANCE_M
 
     ratio, clearance = quality["length_over_least"], quality["clearance_m"] or 0.0
@@ -128,7 +128,7 @@ def _quality_words(quality: Mapping[str, float | None]) -> str:
         length = f"{ratio:.2f} times the least length around the obstacles"
     more = (
         "at least " if clearance > MAX_CLEARANCE_M - CLEARANCE_ERROR_M else ""
-    )  # larger ones are not measured
+    )  # clearances above this are not measured
     return f"{length}, {more}{1000 * clearance:.0f} mm of clearance beyond the footprint and margin"
 
 

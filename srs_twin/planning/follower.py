@@ -46,13 +46,13 @@ ENDINGS = {
 """Endings of a run and their explanations; the first one is success."""
 
 STUCK_SHARE = 0.1
-"""Share of the footprint's speed; a snake that is slower for `STUCK_PERIODS` is stuck."""
+"""Fraction of the footprint's speed; a snake that is slower than this for `STUCK_PERIODS` is stuck."""
 STUCK_PERIODS = 6
-"""Gait periods, see `STUCK_SHARE`."""
+"""Duration of slow motion after which a snake is stuck, in gait periods; see `STUCK_SHARE`."""
 RETRY_PERIODS = 2
 """Smallest time between requests for a new plan, in gait periods."""
 _MIN_CHANGE = 1e-3
-"""Changes of the offset below this are not sent."""
+"""Smallest change of the offset that is sent."""
 _WINDOW_M = 0.3
 """Distance along the path within which the next nearest point is searched, m, because paths may cross."""
 
@@ -68,8 +68,8 @@ class Renewal(NamedTuple):
 
     Attributes:
         plan: new plan; None: not found.
-        reason: why there is no plan with the whole margin.
-        share: share of the margin in the new plan.
+        reason: reason why there is no plan with the full margin.
+        share: fraction of the margin in the new plan.
     """
 
     plan: Plan | None
@@ -82,16 +82,16 @@ _HORIZON_M = 0.6
 _CHECKED_PIECES = 8
 """Pieces into which this distance is divided."""
 _RESERVE_SHARE = 0.3
-"""Share of the margin; a smaller clearance calls for a new plan."""
+"""Clearance, as a fraction of the margin, below which a new plan is requested."""
 _MARGIN_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
-"""Shares of the margin that are tried in turn for a new plan."""
+"""Fractions of the margin that are tried in turn for a new plan."""
 _OPTIONAL = ("close", "run_up", "fault", "start")
-"""Reasons for a new plan with which the snake continues along the old plan if there is no new one."""
+"""Optional reasons for a new plan: if none is found, the snake continues along the old one."""
 _UNCOUNTED = ("run_up", "fault", "start")
-"""Reasons for a new plan that do not count against `Conditions.replans`."""
+"""Reasons for new plans that are not counted by `Conditions.replans`."""
 
 _PLANNED_IN = ("obstacles", "bounds", "goal", "polygons")
-"""Fields of a world that matter for plans; the floor concerns the plants only."""
+"""Fields of a world that affect plans; the floor affects the plants only."""
 
 
 @dataclass(frozen=True)
@@ -102,11 +102,12 @@ class Conditions:
         camera: camera.
         delay: command delay, s.
         settle: response length ℓ, m.
-        stray: cross-track error that calls for a new plan, m; None: never.
+        stray: cross-track error at which a new plan is requested, m; None: never.
         replans: largest number of new plans.
         run_up: length of the straight run-up of the first path, m; at its end, the rest is planned again from
             the actual pose if new plans are possible.
-        lag: additional delay until a command shows in the frames, s, for robots with transport delay.
+        lag: additional delay until the frames show the effect of a command, s, for robots with transport
+            delay.
     """
 
     camera: Camera
@@ -133,8 +134,8 @@ class Follower(Controller):
         world: world, recorded with the run.
         replan: planner for new plans; None: no new plans.
         submit: runs the planner in another thread while the snake moves; None: the snake waits.
-        least_margin: smallest share of the margin in a new plan. Above 0, the run ends (`no_room`) if no such
-            plan exists, or if the body approaches an obstacle and no new plan is left.
+        least_margin: smallest fraction of the margin in a new plan. Above 0, the run ends (`no_room`) if no
+            such plan exists, or if the body approaches an obstacle and no new plan is left.
         finished: whether the run has ended.
         ending: key of `ENDINGS`; None before the end.
         plans: time (s) and plan of each plan, the first at 0.
@@ -218,7 +219,7 @@ class Follower(Controller):
         return valves
 
     def renew(self, reason: str) -> None:
-        """Request a new plan at the next frame; without one, the old plan remains in force."""
+        """Request a new plan at the next frame; if none is found, the old plan remains in force."""
         self._requested = reason
 
     def load_state_dict(self, memory: Mapping[str, Any]) -> None:
@@ -274,13 +275,13 @@ class Follower(Controller):
         if self.finished:
             return
         law, later = self.law, time + self.conditions.delay
-        # Predict to the time at which the command shows in the frames.
+        # Predict to the time at which the frames show the effect of the command.
         shows = later + self.conditions.lag
         pose = predictor.predict(mean.time, mean.pose, shows) if law.predicts else mean.pose
         turning = predictor.turning, predictor.disturbance, predictor.gain
         offset = law.offset(SteeringInput(pose, self._locate(pose), *turning))
         offset = min(max(offset, self._low), self._high)
-        # The limits themselves are always sent.
+        # Send the limits themselves even after a small change.
         if abs(offset - self._commanded) >= _MIN_CHANGE or offset in (self._low, self._high):
             if offset != self._commanded:
                 self._pending.append((later, offset))
@@ -362,7 +363,7 @@ class Follower(Controller):
             self._coming = reason, self.submit(job)
 
     def _receive_plan(self, time: float, reason: str, renewal: Renewal) -> None:
-        """Start on a new plan; without one, continue on the old plan if the reason allows it."""
+        """Start on a new plan; if none was found, continue on the old plan if the reason allows it."""
         plan = renewal.plan
         if plan is not None:
             margin = "" if renewal.share == 1 else f", {renewal.share:.0%} of the margin"
@@ -400,7 +401,7 @@ class Follower(Controller):
 
 
 def _new_plan(replan: Replan, pose: Pose, least: float) -> Renewal:
-    """Return a plan from a pose with the largest share of the margin, at least `least`, that has a path."""
+    """Return the plan from a pose with the largest fraction of the margin, at least `least`."""
     reasons = []
     for share in [share for share in _MARGIN_SHARES if share >= least]:
         try:
@@ -415,7 +416,7 @@ def _new_plan(replan: Replan, pose: Pose, least: float) -> Renewal:
 
 
 def _recorded(time: float, plan: Plan) -> dict[str, Any]:
-    """Return a plan as JSON values, as `planning.metrics` reads them."""
+    """Return a plan as JSON values for `planning.metrics`."""
     return {
         "time": time,
         "outcome": plan.outcome.value,

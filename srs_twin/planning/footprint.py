@@ -161,7 +161,7 @@ class Footprint:
         allows for the remaining errors.
 
         Args:
-            turn_share: share of the tightest curvatures, at most 1.
+            turn_share: fraction of the tightest curvatures, at most 1.
             margin: width added to both edges, m.
         """
         low, high = turn_share * self.curvatures[0], turn_share * self.curvatures[-1]
@@ -194,8 +194,9 @@ class Footprint:
     def transient(self, before: float, after: float) -> tuple[float, float, float]:
         """Return extra left and right width and length (m) of the transient after a change of offset.
 
-        The widths are interpolated by the size of the change. Changes larger than all measured ones in that
-        direction have the widths of the largest; of several measured changes of equal size the widest counts.
+        The widths are interpolated by the size of the change. A change larger than all measured ones in its
+        direction has the widths of the largest measured change. Of several measured changes of equal size the
+        widest one is used.
         """
         change = after - before
         same = [t for t in self.transients if (t.after - t.before) * change > 0]
@@ -203,14 +204,15 @@ class Footprint:
             return 0.0, 0.0, 0.0
         widest: dict[float, tuple[float, float]] = {0.0: (0.0, 0.0)}
         for t in same:
-            # Rounded, because 0.3 − 0.2 is not exactly 0.1.
+            # Compare rounded sizes, because 0.3 − 0.2 is not exactly 0.1.
             size = round(abs(t.after - t.before), 9)
             old = widest.get(size, (0.0, 0.0))
             widest[size] = max(old[0], t.left), max(old[1], t.right)
         sizes = sorted(widest)
         edges = zip(*(widest[size] for size in sizes), strict=True)
         left, right = (float(np.interp(abs(change), sizes, edge)) for edge in edges)
-        # The length does not shrink with the change: the response is that of a linear system.
+        # The length does not depend on the size of the change, because the response is that of a linear
+        # system.
         return left, right, max(t.length for t in same)
 
     @property
@@ -251,7 +253,7 @@ class Footprint:
 
 
 def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
-    """Return field and message of everything that is wrong with a footprint."""
+    """Return the errors of a footprint as pairs of field and message."""
     problems = []
     rows = len(footprint.offsets)
     for name in ("curvatures", "speeds", "left", "right"):
@@ -269,7 +271,7 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
     for side, name in enumerate(("left", "right")):
         # An edge on the inner side must not reach the centre of curvature, where κ n = 1.
         turn = (1 if name == "left" else -1) * np.array(footprint.curvatures)
-        # With the largest transient after any change to this offset.
+        # Include the largest transient after any change to this offset.
         extra = [
             max(footprint.transient(before, after)[side] for before in footprint.offsets)
             for after in footprint.offsets
@@ -346,7 +348,7 @@ class TransientsFile(StrictModel):
 
 
 class SpreadFile(StrictModel):
-    """Spread of repeated measurements of the columns, one number per offset."""
+    """Standard deviations of repeated measurements of the columns, one per offset."""
 
     source: str = Field(
         min_length=1, max_length=1000, description="Repeated measurement and definition of the spread."

@@ -3,7 +3,7 @@
 The first search uses the Dubins length as heuristic, which ignores obstacles. If it does not succeed at once,
 a second tree uses in addition
 
-- the distance to the goal on a grid around obstacles. It is an estimate and no lower bound: grid paths are up
+- the distance to the goal on a grid around obstacles. It is an estimate, not a lower bound: grid paths are up
   to 8 % longer than straight lines, and passages narrower than a cell may be missing or too wide. The tree
   finds some path quickly, not necessarily the shortest.
 - entry poses of narrow passages. Poses on arcs of fixed length rarely hit a passage that is hardly wider than
@@ -30,7 +30,8 @@ NO_PASSAGES = np.empty((0, 4))
 """Empty result of `find_passages`."""
 
 _MAX_WIDTH = 2.0
-"""Widths of the straight body; wider passages are found without help."""
+"""Largest width of a narrow passage, in widths of the straight body; the search finds wider ones without
+guidance."""
 
 _ENTRY_CLEARANCE_M = 1e-3
 """Distance of the straight body's head from the narrowest point when the straight path begins, m."""
@@ -42,7 +43,7 @@ _DISTANCE_TOLERANCE_M = 1e-6
 """Distances closer than this count as equal, m."""
 
 _MIN_SPACING = 0.1
-"""Body widths; passages closer to each other than this are one."""
+"""Distance, in body widths, below which two passages count as one."""
 
 
 class GridHeuristic(NamedTuple):
@@ -112,7 +113,7 @@ def _bounding_box(goal: Goal, start: Pose, world: World, margin: float) -> Bound
 
 
 def _free_cells(x: np.ndarray, y: np.ndarray, cell: float, world: World, clearance: float) -> np.ndarray:
-    """Return which cells have a free centre, shape (columns, rows)."""
+    """Return a mask of the cells whose centres are free, shape (columns, rows)."""
     import shapely
 
     free = np.ones((len(x), len(y)), dtype=bool)
@@ -176,7 +177,7 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
     lines = np.concatenate([shapely.points(ends[:circles, 0]), shapely.linestrings(ends[circles:])])
     tree, largest = shapely.STRtree(lines), float(radii.max(initial=0.0))
     one, other = tree.query(lines, predicate="dwithin", distance=_MAX_WIDTH * width + radii + largest)
-    # Each pair once.
+    # Keep each pair of obstacles once.
     one, other = one[one < other], other[one < other]
     near = shapely.get_coordinates(shapely.shortest_line(lines[one], lines[other])).reshape(-1, 2, 2)
     across = near[:, 1] - near[:, 0]
@@ -194,7 +195,7 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
     )
     solid = shapely.union_all([shapely.Polygon(p.corners) for p in world.polygons])
     is_open = ~(np.isin(np.arange(len(gap)), at[nearer]) | shapely.contains(solid, points))
-    # Narrowest first: of close passages the narrowest is kept.
+    # Sort by width, so that of several close passages the narrowest is kept.
     ordered = sorted(zip(gap[is_open], centre[is_open].tolist(), normal[is_open].tolist(), strict=True))
     return _entry_poses([(point, direction) for _, point, direction in ordered], body, _MIN_SPACING * width)
 

@@ -4,13 +4,13 @@ Proof by connectivity, independent of curvature. Consider a point o of an obstac
 smooth path is below the clearance w, the smallest distance of an edge from the path. If the nearest point of
 the path is not an end of it, o is straight across from that point and within the edges: a collision. So the
 nearest point is an end, at most w from o, and all other points of the path within w of o are within 2 w of
-that end. Hence a collision-free path is contained in the free space: the complement of obstacles grown by w
-in bounds reduced by w, together with discs of radius 2 w around both ends. If start and goal are in different
-connected components, no path exists; otherwise the shortest line in the component is a lower bound on the
-path length.
+that end. Hence a collision-free path is contained in the free space. This is the complement of the obstacles
+grown by w, within the bounds reduced by w, together with discs of radius 2 w around both ends. If start and
+goal are in different connected components, no path exists; otherwise the shortest line in the component is a
+lower bound on the path length.
 
 Proof by curvature. All poses reachable from a start or goal by paths of curvature at most K are covered by
-cells of x, y and heading. From a cell, a path of length L with turn Δ has headings between those of the two
+cells in x, y and heading. From a cell, a path of length L with turn Δ has headings between those of the two
 paths that turn first to one side and then to the other at curvature K,
 
 $$ θ_{lo}(s) = \max(-Ks,\ Δ - K(L - s)) \le θ(s) \le \min(Ks,\ Δ + K(L - s)) = θ_{hi}(s), $$
@@ -62,7 +62,7 @@ class Resolution(NamedTuple):
     Attributes:
         sectors: heading cells per turn of a step.
         cells: position cells per length of a step.
-        exit_radii: distance at which the surroundings count as left, in turning radii.
+        exit_radii: distance from the end at which a path has left its surroundings, in turning radii.
         max_cells: largest number of cells.
     """
 
@@ -179,7 +179,7 @@ def _reduced_bounds(
 def prove_unreachable(
     start: Pose, goal: Goal, body: Footprint, grid: ObstacleGrid, resolution: Resolution
 ) -> str:
-    """Return the end that no path of the body's turns leaves, "start" or "goal"; "" without a proof.
+    """Return "start" or "goal" if no path with the body's turns leaves that end; "" without a proof.
 
     Args:
         start: start of the path.
@@ -189,7 +189,7 @@ def prove_unreachable(
         resolution: size of cells; a finer one may find a proof where a coarse one does not.
     """
     curvature, clearance = max(body.tightest), body.narrowest
-    # Steps longer than the clearance would pass obstacles between the checked points.
+    # Limit the step: longer ones could pass obstacles between the checked points.
     step = min(_MAX_TURN / curvature, 2 * clearance)
     sectors = math.ceil(2 * math.pi / (curvature * step / resolution.sectors))
     boxes, cell = _step_boxes(curvature, step, 2 * math.pi / sectors), step / resolution.cells
@@ -203,7 +203,7 @@ def prove_unreachable(
     last = np.array([goal.x, goal.y, heading, goal.radius, tolerance, body.ahead])
     for name, end, other in (("goal", last, first), ("start", first, last)):
         side = math.ceil((resolution.exit_radii / curvature + end[3] + end[5]) / cell)
-        # Few of these pages are ever touched, and the operating system allocates only those.
+        # A large array, of which the operating system allocates only the few pages that are used.
         marked = np.zeros((2 * side + 1, 2 * side + 1, sectors), dtype=np.bool_)
         if _exhausts_cells(
             end, other, curvature, clearance, step, cell, marked, boxes, resolution.max_cells, grid
@@ -307,7 +307,7 @@ def _exhausts_cells(end, other, curvature, clearance, step, cell, marked, boxes,
             low_j, high_j = np.round((to_y - wide_y - south) / cell), np.round((to_y + wide_y - south) / cell)
             for to_i in range(int(low_i), int(high_i) + 1):
                 for to_j in range(int(low_j), int(high_j) + 1):
-                    # Beyond the grid the surroundings count as left: no proof.
+                    # A cell beyond the grid has left the surroundings, so there is no proof.
                     if not (0 <= to_i <= 2 * side and 0 <= to_j <= 2 * side):
                         return False
                     if marked[to_i, to_j, to_k]:

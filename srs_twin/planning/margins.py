@@ -63,9 +63,10 @@ class ConditionsFile(StrictModel):
         return self
 
     def covers(self, other: ConditionsFile) -> bool:
-        """Return whether results under these conditions also bound results under other conditions.
+        """Return whether results under these conditions are also bounds for other conditions.
 
-        The other conditions must be equal in kind and no more difficult in any number.
+        The other conditions must agree in plant, contact, chambers, follower and run-up, and must not be more
+        difficult in any other number.
         """
         same = ("plant", "contact", "chambers", "follower", "run_up_m")
         return all(getattr(self, name) == getattr(other, name) for name in same) and all(
@@ -79,7 +80,7 @@ class ConditionsFile(StrictModel):
 
 
 SPREADS = ("gain_spread", "tau_spread", "bias_spread_rad")
-"""Keys of the spreads of module parameters, which a robot file has as well."""
+"""Keys of the standard deviations of module parameters, as in a robot file."""
 _DIFFICULTIES = (*SPREADS, "turn_share", "delay_s", "position_noise_m", "heading_noise_rad")
 """Keys that make following more difficult as they increase."""
 
@@ -148,7 +149,8 @@ def margin_for(
             raise InputError(
                 f"no excursions are measured for {text}; `srs-twin calibrate margin` measures them"
             )
-        # The smallest quantile of several blocks would be too small more often than stated.
+        # Use one block only: the smallest quantile of several blocks would be exceeded more often than
+        # stated.
         block = min(covering, key=lambda block: block.conditions.excess_difficulty(condition))
         paths.append(excursion_quantile(block.path_m, probability))
         run_ups.append(excursion_quantile(block.run_up_m or [0.0] * len(block.path_m), probability))

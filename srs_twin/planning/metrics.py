@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from srs_twin.planning.path import Segment
 
 PLAN_UNITS = units_of("plan_found plan_length_m plan_nodes plan_kink_rad")
-"""Metrics of a plan alone."""
+"""Metrics of a plan without a run."""
 
 PLANNING_UNITS = PLAN_UNITS | units_of("plan_s")
 """Metrics of planning without a run: those of the plan, and its wall time."""
@@ -99,7 +99,7 @@ def following_metrics(trajectory: Trajectory) -> dict[str, Any]:
     Relative to the plan in force at each sample:
 
     - ``cross_track_rms_m``, ``cross_track_max_m``: distance of the centre of mass from the path.
-    - ``inside_share``: share of samples at which the whole body is between the edges of the planned
+    - ``inside_share``: fraction of samples at which the whole body is between the edges of the planned
       footprint. The body is represented by connectors and middles of segments, with half the width to both
       sides. Beyond both ends of the path, where head or tail may be, the path is straight.
     - ``inside_50mm_share``: the same for the box of 50 mm of the dissertation.
@@ -191,7 +191,7 @@ def _deviation(trajectory: Trajectory, metadata: Mapping[str, Any]) -> dict[str,
 
 
 def beyond(trajectory: Trajectory) -> np.ndarray:
-    """Return how far the body reaches beyond the planned footprint's edges, shape (samples,), m.
+    """Return the distance of the body beyond the planned footprint's edges, shape (samples,), m.
 
     Negative inside the edges. The edges are those of the recorded footprint, as for `inside_share`.
     """
@@ -292,12 +292,12 @@ def _clearance(trajectory: Trajectory, world: Mapping[str, Any]) -> float | None
     if distances is None:
         return None
     least = float(distances.min())
-    # A contact between two samples is visible in the force only.
+    # Only the force shows a contact between two samples.
     return min(least, 0.0) if touches(trajectory) else least
 
 
 def _why_undefined(metric: str, trajectory: Trajectory) -> str:
-    """Return why a metric of following is undefined; empty if None is the outcome of the run."""
+    """Return the reason why a metric is undefined; empty if None describes the outcome of the run."""
     if following(trajectory) is None:
         return "the run follows no plan"
     if metric == "arrival_heading_error_rad":

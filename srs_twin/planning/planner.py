@@ -43,7 +43,7 @@ _MAX_COORDINATE_M = 2000.0
 """Largest coordinate of start and goal, m; cell indices of the search are limited."""
 
 _WIDTH_STEPS = (0.1, 0.2, 0.4, 0.8, 1.6)
-"""Widths added to both edges in search of a path with more clearance, in widths of the straight body."""
+"""Widths added to both edges to find paths with more clearance, in widths of the straight body."""
 _MAX_WIDER_NODES = 4000
 """Largest number of nodes of the search for a wider body."""
 _COST_SPACING_M = 0.02
@@ -66,7 +66,7 @@ def plan(problem: Problem, settings: Settings | None = None, *, planner: str = "
 
     Raises:
         InputError: start or goal is in an obstacle or outside the bounds, or a number is not allowed.
-        UnknownNameError: unknown planner.
+        UnknownNameError: the planner is unknown.
     """
     if planner not in PLANNERS:
         raise UnknownNameError("planner", planner, PLANNERS)
@@ -120,7 +120,7 @@ def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
         distance = np.minimum(distance, shapely.distance(points, centre) - circle.radius)
     for polygon in world.polygons:
         distance = np.minimum(distance, shapely.distance(points, shapely.Polygon(polygon.corners)))
-    # Distance of the wider edge, as if it were on both sides: a simple bound.
+    # Use the distance of the wider edge on both sides: a simple bound.
     clearance = np.maximum(distance - edges, 0.0)
     return float(np.dot(steps, 1 + weight * np.exp(-clearance / width)))
 
@@ -128,7 +128,8 @@ def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
 @functools.cache
 def _compile() -> None:
     """Compile the kernels or load them from the cache, so that neither counts against a time limit."""
-    # Obstacles on the line and a transient: a straight path would not compile all kernels.
+    # A problem with obstacles in the way and a transient, because a straight path would not compile all
+    # kernels.
     circles = (Circle(0.6, 0.05, 0.1), Circle(1.7, 0.1, 0.1))
     square = Polygon(((1.1, -0.3), (1.2, -0.3), (1.2, 0.05), (1.1, 0.05)))
     world = World(circles, Bounds((-1.0, 4.0), (-2.0, 2.0)), polygons=(square,))
@@ -188,7 +189,7 @@ def _check_world(world: World) -> None:
 
 
 def with_transitions(segments: Sequence[Segment], footprint: Footprint) -> tuple[Segment, ...]:
-    """Return a path with transition arcs; a change stays a jump if its segments are too short for an arc.
+    """Return a path with transition arcs; without room for an arc, a change remains a jump.
 
     Args:
         segments: arcs of the path.

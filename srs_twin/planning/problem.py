@@ -20,10 +20,10 @@ from srs_twin.robot.world import Goal, Pose, World
 from srs_twin.trajectory import HtmlResult
 
 _MAX_LEVELS = 5
-"""Arcs of the fifth level are 16 times shorter than those of the first."""
+"""Largest number of levels; arcs of the fifth level are 16 times shorter than those of the first."""
 
 _KINK_ROUNDING = 1e-6
-"""Heading jumps below this are rounding errors, rad."""
+"""Largest heading jump that is a rounding error, rad."""
 
 
 @dataclass(frozen=True)

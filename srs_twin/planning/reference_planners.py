@@ -5,8 +5,9 @@ node of each side in turn, start first, all N arcs are scored and the one with t
 taken. There is no open list and no backtracking.
 
 - g favours straight arcs: g = |i - (N+1)/2| (E8: the printed formula contradicts its sentence). The
-  dissertation gives g and h no common unit. Here a step of g counts as a millimetre, the unit of its figures,
-  so that g decides between arcs that come equally close, as in its example with distances alone.
+  dissertation gives g and h no common unit. Here a step of g counts as a millimetre, the unit of the
+  dissertation's figures. Then g decides only between arcs that come equally close, as in the dissertation's
+  example.
 - h is the arc distance to the newest node of the other side: the length d β / sin β of the arc that begins
   along the node's heading and passes through the other node, at distance d and bearing β. It ignores the
   other node's heading. In the dissertation, blocked arcs have a score of 10000; here they are excluded, and

@@ -64,7 +64,7 @@ class _PlannerFile(ExtensionSection):
     footprint: PathOrName
     """Footprint of the body: a shipped name or the path of a footprint file."""
     turn_share: float = quantity(0.05, 1.0, 1.0)
-    """Share of the tightest curvature in plans; the follower needs the rest for corrections."""
+    """Fraction of the tightest curvature that plans use; the follower needs the rest for corrections."""
     margin_m: float | None = quantity(0.0, 10.0, None)
     """Margin added to both edges of the footprint (default 0)."""
     margin_probability: float | None = quantity(0.5, 0.999, None)
@@ -314,7 +314,7 @@ class ScenarioPlanner:
         return file.find(self.problem, max(self.margin.run_up - self.margin.path, 0.0))
 
     def plan_from(self, pose: Pose, share: float = 1.0) -> Plan:
-        """Return a plan from another pose, with a share of the margin and no run-up; raises as `plan`."""
+        """Return a plan from another pose, with a fraction of the margin and no run-up; raises as `plan`."""
         file = self.file.model_copy(update={"run_up_m": 0.0})
         body = validate_footprint(self.footprint.reduced(file.turn_share, share * self.margin.path))
         return _plan(replace(self, file=file, problem=replace(self.problem, start=pose, footprint=body)))
@@ -370,7 +370,7 @@ class FollowFile(ControllerSection):
     """Response length of the curvature to a change of offset (path; default: from the transients of the
     footprint, {default:g} without any)."""
     replan_beyond_m: float | None = quantity(0.001, 100.0, None)
-    """Cross-track error that calls for a new plan (default: no new plans)."""
+    """Cross-track error at which a new plan is requested (default: no new plans)."""
     replans: int = quantity(0, 1000)
     """Largest number of new plans."""
 

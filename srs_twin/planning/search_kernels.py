@@ -47,12 +47,12 @@ FULL = 4
 _INDEX_BITS = 26
 """Bits of the row and of the column in a cell's key; the remaining 11 bits are for the heading sector."""
 _INDEX_OFFSET = 1 << (_INDEX_BITS - 1)
-"""Added to rows and columns to make them positive."""
+"""Offset that makes rows and columns positive."""
 
 _COST_TOLERANCE = 1e-9
 """Smallest improvement of a path length that replaces a node, m; above rounding errors."""
 _PASSAGE_INTERVAL = 4
-"""Narrow passages are tried at every fourth expanded node: each costs far more than an arc."""
+"""Interval, in expanded nodes, at which narrow passages are tried; a passage costs far more than an arc."""
 _PASSAGE_REACH = 6.0
 """Distance beyond which a narrow passage is not tried, in turning radii."""
 
@@ -277,7 +277,7 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
     Args:
         frontier: state of the search, modified in place.
         spec: parameters of the search.
-        best: length of the best plan so far, m; nodes that cannot improve it are dropped.
+        best: length of the best plan so far, m; nodes that cannot lead to a shorter one are dropped.
         count: largest number of nodes to expand.
     """
     moves, cell, sector = spec.moves, spec.cell, spec.sector

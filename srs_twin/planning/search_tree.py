@@ -34,17 +34,19 @@ from srs_twin.planning.search_kernels import (
 from srs_twin.robot.world import Goal, Pose, World
 
 _INITIAL_CAPACITY = 4096
-"""Nodes; enough for easy problems, and enlarged when needed."""
+"""Initial capacity, nodes: enough for easy problems; it is enlarged when needed."""
 
 _BOUND_SLACK = 1e-6
 """Relative reduction of the turning radius for the lower bound. At the end of a tightest turn, rounding may
 put the goal inside the turning circle, where the Dubins length is larger by a full turn."""
 
 _GOAL_SPREAD = (0.0, -0.7, 0.7)
-"""Positions of backward start poses in units of the goal's radius; the corners are within it."""
+"""Coordinates of backward start positions in units of the goal's radius, so small that corners are within
+it."""
 
 _RADIUS_FACTORS = (1.0, 2.0, 5.0)
-"""Turning radii into narrow passages relative to the smallest: wide turns have small transients."""
+"""Turning radii for the approach to narrow passages, relative to the smallest; wide turns have small
+transients."""
 
 _ARC_POINTS = 5
 """Points of an arc in a trace."""

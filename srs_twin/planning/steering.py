@@ -59,7 +59,7 @@ _HISTORY_PERIODS = 2.5
 """Length of the stored history of the model in gait periods."""
 
 _Sample = tuple[float, ...]
-"""Time (s), x, y (m), heading (rad); in the model also the turn of the footprint alone (rad)."""
+"""Time (s), x, y (m), heading (rad); in the model also the heading change of the footprint alone (rad)."""
 _time = itemgetter(0)
 
 
@@ -218,7 +218,7 @@ class Predictor(Stateful):
 
 
 def _drop_before(samples: list[_Sample], before: float) -> None:
-    """Delete samples older than a time (s), except the last of them, once they are more than half of all."""
+    """Delete samples before a time (s) except the last one, if they are more than half of all samples."""
     old = bisect_right(samples, before, key=_time) - 1
     if 2 * old > len(samples):
         del samples[:old]
@@ -254,7 +254,8 @@ class Steering(Stateful, ABC):
 
     Attributes:
         predicts: whether the input contains the predicted pose instead of the mean pose.
-        node: index of the next node, or number of segments that the snake has passed.
+        node: index of the next node (`BearingLaw`), or number of segments of the plan that the snake has
+            passed.
     """
 
     state_attributes = ("node",)

@@ -1,8 +1,8 @@
 """Plant, the interface of all simulated snakes, and SnakeState, the observable state of a snake.
 
 `check_plausible`, `check_before_step` and `check_commands` detect divergence that the integrators do not
-detect, within one tick. A wrong number before a step does not necessarily spoil the step: examples are a
-position of 1e15 m, an infinite pressure, which the engine takes as 0, or a valve state of NaN.
+detect, within one tick. The state before a step is checked as well, because a step may hide a wrong number: a
+position of 1e15 m, an infinite pressure, which the engine replaces by 0, or a valve state of NaN.
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ class SnakeState:
         valves: valve states during the preceding interval, shape (segments, 2).
         sensed: sensor readings of `bend`, shape (segments,), rad.
         contact_force: horizontal force of the floor on each connector, shape (N, 2), N. In the analytical
-            model it is the momentary force, in the twin the mean since the previous sample, because contacts
-            ripple.
+            model it is the momentary force, in the twin the mean since the previous sample, because contact
+            forces fluctuate between steps.
         obstacle_force: horizontal force of all obstacles on each connector and the adjoining halves of its
             segments, mean since the previous sample, shape (N, 2), N; 0 on plants without obstacles.
         torque: net moment of each segment on the connectors that it joins, from air, spring and damper, shape
             (segments,), N·m.
         work: work of the torques since the start, ∫ Σ T_j q̇_j dt, J.
-        internal_loss: share of the work that segments have dissipated without bending as a whole, J; 0 in the
+        internal_loss: part of the work that segments have dissipated without bending as a whole, J; 0 in the
             analytical models, whose segments have one bend each.
         air: pneumatic energy drawn from the supply since the start, J, see `Pneumatics.air`.
         qpos: generalised positions of the twin; empty on other plants.
@@ -110,9 +110,9 @@ class Plant(Stateful, ABC):
         name: "analytical" or "twin".
         spec: the robot.
         tick: control tick, s; a multiple of the plant's time step.
-        max_chunk_s: longest interval of a script that `play` should get in one call, s.
+        max_chunk_s: longest schedule that callers should pass to `play` in one call, s.
         layout: valve layout, one of `pneumatics.valves.LAYOUTS`.
-        state: the latest state that was returned; only on plants that can be saved.
+        state: last returned state; only on plants that can be saved.
     """
 
     name: str
@@ -122,7 +122,7 @@ class Plant(Stateful, ABC):
     layout: str = "3/2"
     state: SnakeState
     touches: bool = False
-    """Whether there are obstacles."""
+    """Whether the world has obstacles, whose forces are then recorded."""
     metered: bool = True
     """Whether pneumatic energy and valve openings are known; otherwise trajectories omit them."""
     has_internal_loss: bool = False
@@ -180,7 +180,7 @@ class Plant(Stateful, ABC):
 
         Args:
             snake: its fields `com`, `com_velocity`, `heading`, `bend`, `bend_rate` and `pressure` are used.
-                Where bends follow the pressures (`complete`, `simplified`), so do the bend rates.
+                If the bends follow the pressures (`complete`, `simplified`), the bend rates do as well.
             yaw_rate: rate of the mean heading, rad/s.
             seed: as in `reset`.
 
@@ -363,9 +363,10 @@ def check_plausible(plant: str, state: SnakeState) -> SnakeState:
         state: state or history.
 
     Raises:
-        DivergedError: it is not plausible; the error's `history` holds the samples before.
+        DivergedError: the state is not plausible; the error's `history` holds the earlier samples.
     """
-    # The other fields follow from these. Scalars are compared in Python: NumPy takes as long as for an array.
+    # The other fields follow from these. Scalars are compared in Python, because a NumPy call on a scalar
+    # takes as long as on an array.
     scalars: tuple[Any, ...] = (state.heading, state.work, state.air)
     single = not isinstance(state.time, np.ndarray)
     scalars_plausible = (
@@ -402,7 +403,7 @@ def check_before_step(plant: str, time: float, *state: Any) -> None:
 
 
 def check_commands(source: str, time: float, valves: Any) -> None:
-    """Check for diverged valve commands; the chambers report commands that are merely wrong.
+    """Check that valve commands have not diverged; the chambers report invalid finite commands.
 
     Args:
         source: name of the controller or policy.

@@ -53,7 +53,7 @@ class Trace(NamedTuple):
 class Pneumatics(Stateful, ABC):
     """Valves and chambers of a robot, and the free bends of its segments.
 
-    A subclass implements the physics in `_simulate`, to which valve commands arrive after the valve delay.
+    A subclass implements the physics in `_simulate`, which gets the valve states after the valve delay.
 
     Attributes:
         kind: short name.
@@ -70,7 +70,7 @@ class Pneumatics(Stateful, ABC):
         metered: whether `air` and `openings` are known; otherwise they stay 0.
         openings: number of times that each chamber's inlet has opened since `reset`, shape (segments, 2).
         valves: latest valve states, shape (segments, 2).
-        stuck: valves with a fault; none at first.
+        stuck: valves with a fault; initially none.
         rest_bend: rest bends, shape (segments,), rad.
     """
 
@@ -161,7 +161,7 @@ class Pneumatics(Stateful, ABC):
         """Check that the valve layout has all of the given states.
 
         Raises:
-            InputError: it does not have one of them.
+            InputError: the layout lacks one of the states.
         """
         allowed = LAYOUTS[self.layout]
         possible = states == allowed[0]
@@ -199,8 +199,8 @@ class Pneumatics(Stateful, ABC):
             times: ascending, within [0, span], from the start of the schedule, s.
             bend: actual bends at the start, shape (segments,), rad, for chambers that depend on them; None
                 for bends that follow the free bends.
-            bend_rate: rates of the actual bends, shape (segments,), rad/s; they are taken as constant over
-                the schedule.
+            bend_rate: rates of the actual bends, shape (segments,), rad/s, assumed to be constant over the
+                schedule.
 
         Raises:
             DivergedError: pressures, free bends or the energy drawn are not finite and plausible.

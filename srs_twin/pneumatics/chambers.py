@@ -4,8 +4,9 @@ r"""Volume of a chamber, and the bend law φ that maps pressures to free bends.
 
 $$ V^\pm(q) = V_0 + A\,\max(0, \pm q). $$
 
-A is the air volume that the dissertation gives for 90° (Sections 2.1.1–2.1.3: 15, 45, 70 ml) over π/2. Air is
-an ideal gas at constant temperature. Its amount is measured as n = P V in J, with the absolute pressure P.
+A is the air volume that the dissertation gives for 90° (Sections 2.1.1–2.1.3: 15, 45, 70 ml), divided by π/2.
+Air is an ideal gas at constant temperature. Its amount is measured as n = P V in J, with the absolute
+pressure P.
 
 **Bend law.** With the nominal gain G, the gains g of the two chambers relative to G, and the rest bend b,
 
@@ -19,9 +20,10 @@ pressures with the mode time constant τ₂.
 
 - *Saturation.* Strips that do not stretch and chambers that touch each other limit the bend to q_m. φ
   deviates from the linear law by at most 1.5 % up to q_m/2, and its slope is one third at 0.87 q_m.
-- *Dead zone.* A module whose walls must swell before they bend loses the share s of the slope for |x| < d,
-  and s d of the bend beyond. The width of the transition is w, and the slope at rest is 1 − s tanh(d/w). For
-  w ≪ d the transition is sharp; for w ≈ d the curve is convex from the start, like powers of the pressure.
+- *Dead zone.* A module whose walls must swell before they bend loses the fraction s of the slope for |x| < d,
+  and s d of the bend for larger |x|. The width of the transition is w, and the slope at rest is 1 − s
+  tanh(d/w). For w ≪ d the transition is sharp; for w ≈ d the curve is convex from the start, like powers of
+  the pressure.
 """
 
 from __future__ import annotations
@@ -41,7 +43,7 @@ AMBIENT_PA = 101_325.0
 
 @compiled
 def volume(dead, displacement, bend, side):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the volume of a chamber (m³) and its derivative by the bend (m³/rad).
+    """Return the volume of a chamber (m³) and its derivative with respect to the bend (m³/rad).
 
     Args:
         dead: dead volume V₀, m³.
@@ -77,7 +79,7 @@ def bend_law(spec: RobotSpec) -> BendLaw:
 
 @compiled
 def _log_cosh(z):  # type: ignore[no-untyped-def]
-    # Without the constant −ln 2, which cancels in the difference of two of them.
+    # Omit the constant −ln 2, which cancels in the difference of two such terms.
     return abs(z) + np.log(1.0 + np.exp(-2.0 * abs(z)))
 
 
@@ -127,10 +129,10 @@ def invert_bend_law(bends: np.ndarray, law: BendLaw) -> np.ndarray:
 
 
 def check_pressure(pressure: np.ndarray, largest: float) -> np.ndarray:
-    """Return gauge pressures (Pa) after a check that chambers can have them.
+    """Return gauge pressures (Pa) after checking that chambers can have them.
 
     Raises:
-        InputError: a pressure is negative or above the largest.
+        InputError: a pressure is negative or above the largest allowed one.
     """
     pressure = np.array(pressure, dtype=float)
     outside = ~((pressure >= -1e-6) & (pressure <= largest * (1 + 1e-9)))

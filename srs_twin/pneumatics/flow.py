@@ -26,7 +26,7 @@ LAMINAR = 0.999
 """Pressure ratio r_l above which the flow is linear, 1."""
 
 REMAINING = math.exp(-2)
-"""Share of a pressure change that remains at the working point, 1: that after two time constants."""
+"""Fraction of a pressure change that remains at the working point, 1: its value after two time constants."""
 
 
 @compiled
@@ -111,7 +111,8 @@ def _conductance(passed: Callable[[float], float], p: float, tau: float, spec: R
         expansion = growth * (at + AMBIENT_PA) * (1 - lag * slope(rate_without_lag, at))
         return REFERENCE_PA * c * passed(at) / (chamber_volume + expansion)
 
-    # The rate is linear in C without the lag, nearly so with it: a few fixed-point iterations suffice.
+    # The rate is linear in C without the lag τ₂ and nearly linear with it, so a few fixed-point iterations
+    # suffice.
     c = 1.0
     c = -1 / (tau * slope(rate_without_lag, p))
     for _ in range(8):

@@ -14,9 +14,9 @@ with φ, b and the gains of `chambers`. Nominal modules with τ_fill = τ_vent =
 by E1 and E2: q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀ u/(τ₁τ₂). The switching time of a valve, 3 ms, is part of
 τ₂; a further valve delay is 0 by default.
 
-A valve that fills for the share o of the time and vents for the rest relaxes the chamber at the rate
-a = o/τ_fill + (1 − o)/τ_vent + λ towards P = (o S/τ_fill + r)/a, with the supply pressure S and other causes
-of change r (`relaxation_of`, which takes arrays of any shape).
+A valve that fills for the fraction o of the time and vents for the rest relaxes the chamber at the rate
+a = o/τ_fill + (1 − o)/τ_vent + λ towards P = (o S/τ_fill + r)/a, with the supply pressure S and an additional
+rate of change r (`relaxation_of`, which takes arrays of any shape).
 
 **Pneumatic energy.** The content n = P V(q) of a filling chamber increases by the inflow less the leak, so
 that a fill draws Δn + λ ∫ p V dt. Δn is exact, with V at the free bend; the integral of the leak is evaluated
@@ -51,7 +51,7 @@ def relaxation_of(
     fill: np.ndarray, vent: np.ndarray, supply: np.ndarray | float, leak: np.ndarray | float = 0.0,
     other: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Return the rate a (1/s) at which pressures relax, and the pressure P (Pa) that they relax to.
+    """Return the relaxation rate a (1/s) of pressures, and their asymptote P (Pa).
 
     Args:
         fill: o/τ_fill, any shape, 1/s.
@@ -73,12 +73,12 @@ def followed(
     lagged: np.ndarray, pressure: np.ndarray, relaxation: tuple[np.ndarray, np.ndarray], tau: float,
     time: float,
 ) -> np.ndarray:  # fmt: skip
-    """Return after a time (s) what lags behind pressures by τ₂.
+    """Return the state of a lag τ₂ behind pressures after a time (s).
 
     Args:
-        lagged: at first, Pa.
-        pressure: at first, Pa.
-        relaxation: rates and pressures as `relaxation_of` returns them.
+        lagged: initial state of the lag, Pa.
+        pressure: initial pressures, Pa.
+        relaxation: rates and asymptotes, as returned by `relaxation_of`.
         tau: τ₂, s.
         time: s.
     """
@@ -120,7 +120,7 @@ class Relaxation(NamedTuple):
 
 
 _SAME = 1e-6
-"""1 − a τ₂ below which the two lags count as one."""
+"""Value of 1 − a τ₂ below which the two time constants count as equal."""
 
 
 class LagPneumatics(Pneumatics):
@@ -194,7 +194,7 @@ class LagPneumatics(Pneumatics):
         return super().describe() | {"leak_per_s": self._leak}
 
     def relaxation(self, time: float) -> Relaxation:
-        """Return the propagation over a time (s), with one kind per chamber."""
+        """Return the propagation over a time (s), in which each chamber is a kind of its own."""
         rate, asymptote = self._rate[self._kind.ravel()], self._asymptote[self._kind.ravel()]
         decay, lag = np.empty_like(rate), np.empty_like(rate)
         mode = _decay_factors(time, rate, self._tau_mode, decay, lag)
@@ -260,7 +260,7 @@ def _fill_trace(pressure, linear, bend, schedule, times, relaxation, bending, sp
     for run in range(starts.shape[0]):
         state, start = states[run], starts[run]
         stop = starts[run + 1] if run + 1 < starts.shape[0] else span
-        # Filling chambers draw what their content gains and leaks; other chambers draw nothing.
+        # Filling chambers draw the increase of their content plus their leak; other chambers draw nothing.
         content_before, leaked, last = 0.0, 0.0, 0.0
         for j in range(bend.shape[0]):
             free = bias[j] + apply_bend_law(linear[j], law)[0]

@@ -12,7 +12,7 @@ its pressure at the rate `leak_per_s` at the working point.
 
 Without a flow limit the line has the pressure of the supply. With one, a compressor with a regulator feeds
 the line. Its flow is at most the limit, measured at ambient pressure, and decreases to 0 over the last
-hundredth of the supply pressure. All inlets share the line, so that a limited flow slows all segments.
+hundredth of the supply pressure. All inlets share the line, so a limited flow slows down all segments.
 
 **Integration.** SDIRK2 (two stages, second order, L-stable) with Newton's method over all chambers. Its
 sub-steps end on valve events; between their ends, states are cubic Hermite polynomials.
@@ -67,7 +67,7 @@ class OrificePneumatics(Pneumatics):
     kind = "orifice"
     state_attributes = ("_state", "_amounts", "_plumbing", "_energy_per_amount")
     depends_on_bend = True
-    # The opposite chamber compresses a full chamber: gen 3 reaches a ratio of 1.6.
+    # A segment that bends away compresses the air in a closed chamber: gen 3 reaches a ratio of 1.6.
     max_pressure_ratio = 4.0
 
     def __init__(
@@ -92,7 +92,8 @@ class OrificePneumatics(Pneumatics):
             layout: valve layout, one of `LAYOUTS`.
             critical_ratio: critical pressure ratio b of all valves, 1.
             flow_limit: largest flow of the supply, measured at ambient pressure, m³/s; None for no limit.
-            line_volume: volume of the line between supply and inlets, m³; it matters with a flow limit only.
+            line_volume: volume of the line between supply and inlets, m³; it has an effect only with a flow
+                limit.
             line_begins: initial gauge pressure in the line, Pa; default that of the supply.
             leak_per_s: relative rate at which a held pressure falls, 1/s.
             valve_delay_s: time from a command until the valve switches, s.
@@ -195,7 +196,7 @@ class OrificePneumatics(Pneumatics):
         """Give one chamber a leak from now on.
 
         Args:
-            segment: from 1, at the head.
+            segment: segment, from 1 at the head.
             side: 0 for the + chamber, 1 for the − chamber.
             per_s: relative rate at which its pressure falls while it is held, 1/s.
         """

@@ -131,8 +131,8 @@ def _newton(y, amounts, base, line_base, weight, state, coupled, bend, air, line
 
     Args:
         y: state, shape (segments, 3).
-        amounts: of the whole robot, shape (3,).
-        base, line_base: known parts of y, and of the amount in the line.
+        amounts: amounts of air of the whole robot, shape (3,).
+        base, line_base: known parts of y and of the amount of air in the line.
         weight: γ h, s.
         state: valve states, shape (segments, 2).
         coupled: see module docstring.
@@ -147,7 +147,7 @@ def _newton(y, amounts, base, line_base, weight, state, coupled, bend, air, line
     line_residual = amounts[0] - line_base - weight * supply
     line_slope = air.line_volume - weight * closing
     for j in range(y.shape[0]):
-        # Derivative of the bend by x: 0 if the plant prescribes the bend.
+        # Derivative of the bend with respect to x: 0 if the plant prescribes the bend.
         q, bend_rate, _ = apply_bend_law(y[j, 2], air.law)
         q, bend_rate = (bend[j], 0.0) if coupled else (air.bias[j] + q, bend_rate)
         bend_slope, bend_by_line = 1.0 + weight / air.tau, 0.0
@@ -191,7 +191,7 @@ def _apply_correction(y, amounts, linear, change, air):  # type: ignore[no-untyp
     for j in range(y.shape[0]):
         for k in range(3):
             step = linear[j, k, 0] + linear[j, k, 1] * change
-            # An amount of air stays positive.
+            # Amounts of air remain positive, so limit their decrease.
             y[j, k] = y[j, k] + step if k == 2 else max(y[j, k] + step, 0.1 * y[j, k])
             largest = max(largest, abs(step))
     return largest

@@ -1,4 +1,4 @@
-r"""Chambers with recorded pressures, which drive a plant as they drove the robot.
+r"""Chambers with recorded pressures, which drive a plant in the same way as the robot.
 
 Between the samples of the log the pressures are linear in time; before and after it they are constant. The
 linear bend x follows them with the mode time constant τ₂ as in `lag`. While the drive u = G (g⁺p⁺ − g⁻p⁻)

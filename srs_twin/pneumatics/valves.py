@@ -88,7 +88,7 @@ class Schedule(NamedTuple):
         """Return the schedule with one valve in one state from `begin` on.
 
         Args:
-            begin: s; may lie before the schedule. A time after its end changes nothing.
+            begin: s; may be before the schedule. A time after its end changes nothing.
             segment: from 0.
             side: 0 for the valve of the + chamber, 1 for that of the − chamber.
             state: valve state in which it stays.
@@ -106,7 +106,7 @@ class Schedule(NamedTuple):
 
     def followed_by(self, other: Schedule) -> Schedule:
         """Return the concatenation of this schedule and another one."""
-        # Equal states at the joint are one run.
+        # Merge the two runs at the joint if their states are equal.
         merged = int((self.states[-1] == other.states[0]).all())
         starts = np.concatenate([self.starts, self.span + other.starts[merged:]])
         return Schedule(self.span + other.span, starts, np.concatenate([self.states, other.states[merged:]]))

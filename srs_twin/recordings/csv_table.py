@@ -197,7 +197,7 @@ class RecordedFile:
             section: whether the rows end at an empty line instead of the end of the file.
 
         Returns:
-            Shape (rows, columns), NaN for cells that are blank or not finite; notes.
+            Numbers, shape (rows, columns), NaN for cells that are blank or not finite; and notes.
 
         Raises:
             InputError: there are no rows or too many values, a row has more or fewer cells, or a cell is not
@@ -241,7 +241,7 @@ class RecordedFile:
             unit: unit of numbers; empty means s, or the unit in which they are times since 1970.
 
         Returns:
-            Shape (rows,), s; notes; value subtracted from times since 1970, ns, or None.
+            Times, shape (rows,), s; notes; and the value subtracted from times since 1970, ns, or None.
 
         Raises:
             InputError: as `rows`, or a row has no time.
@@ -266,7 +266,7 @@ class RecordedFile:
             if not since_1970:
                 with np.errstate(over="ignore"):
                     return time * TIMES[unit or "s"], notes, None
-            # Exact numbers are needed: the resolution of a double for times since 1970 in ns is 256 ns.
+            # Use exact numbers: a double resolves times since 1970 only to 256 ns.
             (texts,), unit = self._parsed(cut, top, [clock], width, pa.string()), since_1970
             exact = [Decimal(text.replace(self.decimal, ".")) for text in texts.to_pylist()]
         origin = min(exact)
@@ -290,7 +290,7 @@ class RecordedFile:
             uneven.append(row)
             return "error"
 
-        # Arrow knows the row of an error only with a single thread.
+        # Arrow reports the row of an error only with a single thread.
         reading = ReadOptions(column_names=names, use_threads=False, block_size=_BLOCK)
         parsing = ParseOptions(delimiter=self.separator, invalid_row_handler=refuse, newlines_in_values=False)
         converting = ConvertOptions(
@@ -619,7 +619,7 @@ def read_table(
         names: column → meaning, for other names.
 
     Raises:
-        UnknownNameError: one of these columns does not exist.
+        UnknownNameError: a column in `names` does not exist.
         InputError: there is no header, a name occurs twice, or a unit is unknown.
     """
     file = laid_out(file)

@@ -32,7 +32,7 @@ def export(
         run: Folder of a run, or its name in ./runs.
         mcap: ROS 2 messages, for Foxglove, PlotJuggler and ros2 bag.
         csv: Columns of the trajectory in SI units.
-        npz: The same columns as a NumPy archive.
+        npz: Columns of the trajectory as a NumPy archive.
         plant: analytical, twin or measured. [default: all in MCAP, else the twin]
         out: File to write. [default: RUN/twin.csv, RUN/run.mcap]
     """

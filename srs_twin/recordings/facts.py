@@ -95,7 +95,7 @@ class SignalFacts(_Facts):
 
 
 class RobotFacts(_Facts):
-    """Result of reading the file as a recording of the robot given with `--robot`."""
+    """Result of reading the file as a recording of the robot in `--robot`."""
 
     name: str
     """Name of the robot."""

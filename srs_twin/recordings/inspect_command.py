@@ -1,4 +1,4 @@
-"""`srs-twin inspect`: what is in recordings, before a robot or a log is needed."""
+"""`srs-twin inspect`: description of recordings, without a robot or a log."""
 
 from __future__ import annotations
 
@@ -27,17 +27,19 @@ def inspect(
 ) -> None:
     """Describe recordings and propose a map.
 
-    Needs no robot and no log. With a robot, also reports whether the files read as its recording.
+    A robot or a log is not needed. With a robot, the output also states whether the files can be read as its
+    recording.
 
     Options:
-        robot: Shipped robot or a file, to check the recording against.
-        map: Recording map with what is known already (docs/logs.md).
+        robot: Shipped robot or robot file with which the recording is checked.
+        map: Recording map with the known columns and markers (docs/logs.md).
         units: Unit of lengths if the file states none: m, cm, mm, in, ft.
         rate: Frames per second if the file has no time.
-        columns: Column names of a plain file without a header, as time,x_1,y_1.
+        columns: Column names of a plain file without a header, e.g. time,x_1,y_1.
         separator: Cell separator of a plain file: , ; | tab or space. [default: detected]
         decimal: Decimal mark of a plain file. [default: detected]
-        picture: Picture of the markers from above; for several files NAME is prefixed.
+        picture: Output picture of the markers from above; with several files, the name of each is put in
+            front.
         write_map: File for the proposed map.
     """
     from srs_twin.io.files import check_output_folder, escape_unprintable, write_text

@@ -209,8 +209,8 @@ def _body_facts(
     closest = np.nanmin(median, axis=0)
     constant = spread < _RIGID_NOISE_RATIO * np.sqrt(2) * noise
     rigid = constant & (median <= 1.5 * np.minimum.outer(closest, closest))
-    # Many distances on a body that bends little are nearly constant, but a marker has only one partner on a
-    # rigid part.
+    # On a body that bends little, many distances are nearly constant. Only one of them can belong to a rigid
+    # part, because a marker has only one partner there.
     single = rigid.sum(axis=0) == 1
     pairs = tuple((int(a), int(b)) for a, b in np.argwhere(np.triu(rigid & single & single[:, None])))
     try:

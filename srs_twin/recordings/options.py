@@ -10,7 +10,7 @@ from srs_twin.cli.options import option
 if TYPE_CHECKING:
     from srs_twin.recordings.takes import RecordingReader
 
-_LOGS = "Log of each recording, FILE... first, then --validate. [default: NAME.valves.csv in the same folder]"
+_LOGS = "Logs: one for each FILE, then one for each --validate. [default: NAME.valves.csv in the same folder]"
 
 
 ValvesOption = Annotated[list[str] | None, option("--valves LOG", _LOGS)]
@@ -22,7 +22,9 @@ _OFFSET = "Clock offset added to the times of the logs, s. [default: estimated]"
 OffsetOption = Annotated[float | None, option("--offset S", _OFFSET)]
 
 
-FrequencyOption = Annotated[float | None, option("--frequency HZ", "Gait frequency. [default: the valves']")]
+FrequencyOption = Annotated[
+    float | None, option("--frequency HZ", "Gait frequency, Hz. [default: that of the valve pattern]")
+]
 
 
 @dataclass(frozen=True)
@@ -32,15 +34,15 @@ class ReadingOptions:
     Options:
         up: Upward axis of the files: x, y, z, -x, -y, -z or auto.
         layout: Markers: auto, single, head, pair, middles or head_middles.
-        head: Marker at the head. [default: where it crawls to]
-        longest_gap: Longest gap that is filled. [default: 0.2]
+        head: Name of the marker at the head. [default: the end in the direction of motion]
+        longest_gap: Longest gap that is interpolated, s. [default: 0.2]
         map: Recording map: quantities of markers and columns (docs/logs.md).
         units: Unit of lengths if the file states none: m, cm, mm, in, ft.
         rate: Frames per second if the file has no time.
-        columns: Column names of a plain file without a header, as time,x_1,y_1.
+        columns: Column names of a plain file without a header, e.g. time,x_1,y_1.
         separator: Cell separator of a plain file: , ; | tab or space. [default: detected]
         decimal: Decimal mark of a plain file. [default: detected]
-        marker: Position of a marker, as tip=connector 3 or m1=middle 1; repeatable.
+        marker: Position of a marker, e.g. "tip=connector 3" or "m1=middle 1" (repeatable).
     """
 
     up: Annotated[str, option("--up AXIS")] = "auto"
@@ -56,7 +58,7 @@ class ReadingOptions:
     marker: Annotated[list[str] | None, option("--marker NAME=PLACE")] = None
 
     def given(self) -> dict[str, Any]:
-        """Return what was given, by the names of `RecordingReader`; a map as plain data."""
+        """Return the given options by the names of `RecordingReader`'s attributes; a map is plain data."""
         from srs_twin.recordings.recording_map import given_map
 
         options = {
@@ -70,10 +72,10 @@ class ReadingOptions:
         return {name: value for name, value in values.items() if value is not None}
 
     def reader(self, **more: Any) -> RecordingReader:
-        """Return a reader with what was given.
+        """Return a reader with these options.
 
         Raises:
-            InputFileError: what is wrong with a map.
+            InputFileError: the map is invalid.
         """
         from srs_twin.recordings.recording_map import read_map
         from srs_twin.recordings.takes import RecordingReader

@@ -1,4 +1,4 @@
-"""Pictures of what `inspect` finds in a recording."""
+"""Picture of a recording for `inspect`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def markers_view(scene: Scene) -> Figure:
-    """Return markers from above: their ways, the chain at three moments, rigid pairs, where it crawled."""
+    """Plot the markers from above: paths, the chain at three times, rigid pairs, direction of motion."""
     places = scene.places
     low, high = np.nanmin(places, axis=(0, 1)), np.nanmax(places, axis=(0, 1))
     wide, deep = np.maximum(high - low, 1e-3)

@@ -221,7 +221,7 @@ def _counts(
 def without_foreign_tracks(
     tracks: np.ndarray, columns: np.ndarray, table: MarkerTable
 ) -> tuple[np.ndarray, np.ndarray, int, list[str]]:
-    """Remove the tracks that do not belong to the robot, and the heights.
+    """Remove the tracks that do not belong to the robot, and all height coordinates.
 
     Args:
         tracks: in floor coordinates, shape (frames, tracks, 3), m.

@@ -34,15 +34,15 @@ from srs_twin.scenario.sections import ExtensionSection, Loading, SectionEntry
 from srs_twin.trajectory import Trajectory
 
 _ROUNDING_S = 1e-6
-"""A run may be longer than its recording by rounding."""
+"""Largest excess of a run's duration over its recording, due to rounding, s."""
 Result = TypeVar("Result")
 
 
 class ReplayFile(ControllerSection):
-    """Valves that were recorded, or chambers that hold recorded pressures; the scenario needs a recording."""
+    """Controller that replays recorded valve states or pressures; requires a recording."""
 
     kind: Literal["replay"]
-    """Which controller."""
+    """Kind of controller."""
 
     def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
         """See `ControllerSection.contradictions_with`."""
@@ -67,29 +67,29 @@ class ReplayFile(ControllerSection):
 
 
 class RecordingFile(ExtensionSection):
-    """What was measured of a robot and the log of its air (docs/logs.md); paths from the current folder."""
+    """Recorded motion of a robot with its log (docs/logs.md); paths are relative to the current folder."""
 
     constructors = (RecordingReader,)
     measures = True
 
     motion: FilePath
-    """What cameras saw (docs/logs.md#file-formats); on a bench also a CSV file of time,bend_1,…."""
+    """Motion capture file (docs/logs.md#file-formats), or for a bench a CSV file with time,bend_1,…."""
     valves: FilePath | None = None
-    """Log of valves or pressures; a plain CSV or MCAP file (default: NAME.valves.csv in the same folder)."""
+    """Log of valves or pressures, a plain CSV or MCAP file (default: NAME.valves.csv in the same folder)."""
     offset_s: float | None = quantity(-1e9, 1e9)
-    """What to add to the log's times (default: estimated)."""
+    """Clock offset added to the times of the log (default: estimated)."""
     gait_frequency_hz: float | None = quantity(0.01, 50.0)
-    """Gait frequency (default: as the valves repeat themselves)."""
+    """Gait frequency (default: the frequency of the valve pattern)."""
     up: Literal["auto", "x", "y", "z", "-x", "-y", "-z"] = constructor_default()
-    """Axis of the file that points up."""
+    """Upward axis of the file."""
     layout: Literal["auto", "single", "head", "pair", "middles", "head_middles"] = constructor_default()
-    """Where the markers are."""
+    """Marker layout."""
     map: RecordingMap = constructor_default()
-    """Which marker, rigid body or column is what (docs/logs.md#recording-map)."""
+    """Recording map: quantities of markers, rigid bodies and columns (docs/logs.md#recording-map)."""
     head: Line | None = constructor_default()
-    """Column of the marker at the head; the end towards which it crawls where there is none."""
+    """Column of the marker at the head (default: the end in the direction of motion)."""
     longest_gap_s: float = quantity(0.0, 10.0)
-    """Longest gap that is filled."""
+    """Longest gap that is interpolated."""
 
     def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
         """See `ExtensionSection.contradictions_with`."""
@@ -107,7 +107,7 @@ class RecordingFile(ExtensionSection):
         """See `ExtensionSection.resolve`."""
         if product is None:
             return
-        # A run's folder can be read from any other folder.
+        # Store absolute paths, so that the run can be read from any folder.
         for key in document["recording"].keys() & {"motion", "valves"}:
             document["recording"][key] = str(Path(document["recording"][key]).resolve())
         if pressures(product) is not None:
@@ -128,7 +128,7 @@ class RecordingFile(ExtensionSection):
         return product.trajectory
 
     def _recording(self, loading: Loading) -> Recording | None:
-        """Return the recording joined with its log; report at its key why it cannot be read."""
+        """Return the recording joined with its log; report errors at the key of the file."""
         document, file = loading.document, loading.file
         reader, spec = self.build(), loading.robot.spec(file.seed)
         (path,) = logs_of([self.motion], [self.valves] if self.valves else [])
@@ -147,7 +147,7 @@ class RecordingFile(ExtensionSection):
         return _read(document, "motion", lambda: on_bench(joined, spec))
 
     def _check(self, document: Document, file: FileSections, recording: Recording) -> list[str]:
-        """Report what of a scenario the recording does not allow; return warnings."""
+        """Report settings of a scenario that contradict the recording; return warnings."""
         time = recording.trajectory.time
         span = float(time[-1] - time[0])
         if file.duration_s > span + _ROUNDING_S:
@@ -162,11 +162,11 @@ class RecordingFile(ExtensionSection):
 
 
 def _read(document: Document, key: str, read: Callable[[], Result]) -> Result | None:
-    """Return what a key of the recording leads to; report why there is nothing."""
+    """Call a function that reads the file of a key; report its errors at this key."""
     try:
         return read()
     except UnknownNameError as error:
-        # The file itself was read: it is the marker, or the column, that is not in it.
+        # The file exists, so report the missing marker or column instead.
         document.report(("recording", "head" if document.get("recording", "head") else "map"), str(error))
     except InputError as error:
         document.report(("recording", key), str(error))

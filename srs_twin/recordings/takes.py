@@ -29,22 +29,22 @@ _WITH_LOGS = (".mcap", ".bag", ".db3")
 NO_MARKERS = "bends alone do not tell where a robot crawled; markers are wanted"
 _LEAST_OPENINGS = 4
 _EVEN = 0.05  # largest deviation of an opening from a periodic one, in periods
-_CARRIER = 0.07  # s: smallest time between two openings of a gait; a carrier has shorter ones
+_CARRIER = 0.07  # s: shortest interval between two openings of a gait; those of a carrier are shorter
 _STILL = 1e-9  # s
 
 
 @dataclass(frozen=True)
 class RecordingReader:
-    """Reads recordings and their logs, with settings for all of them.
+    """Reader of recordings and their logs, with common settings.
 
     Attributes:
         up: axis of the file that points up, one of `floor.UPS`.
-        layout: of the markers, one of `body.LAYOUTS`.
+        layout: marker layout, one of `body.LAYOUTS`.
         head: name of the column of the marker at the head; None: the end towards which the robot crawls.
-        map: which marker or column is what.
+        map: recording map: quantities of markers and columns.
         longest_gap_s: longest gap that is filled, s.
-        offset_s: what to add to the log's times, s; None: estimated.
-        gait_frequency_hz: Hz; None: as the valves repeat themselves.
+        offset_s: clock offset added to the times of the log, s; None: estimated.
+        gait_frequency_hz: gait frequency, Hz; None: the frequency of the valve pattern.
     """
 
     up: str = "auto"
@@ -59,9 +59,9 @@ class RecordingReader:
         """Read a captured motion; see `read_motion`.
 
         Args:
-            path: of the file.
-            spec: the robot on it.
-            frequency: of the gait where none was given, Hz.
+            path: recording.
+            spec: the robot.
+            frequency: gait frequency if the reader has none, Hz.
         """
         given: dict[str, Any] = {"up": self.up, "layout": self.layout, "head": self.head, "map": self.map}
         return read_motion(path, spec, **given, **self._stretch(frequency))
@@ -78,7 +78,7 @@ class RecordingReader:
         return {"longest_gap_s": self.longest_gap_s, "gait_frequency_hz": frequency}
 
     def joined(self, body: Recording, log: ValveLog, spec: RobotSpec, *, one_file: bool) -> Recording:
-        """Put what was measured and a log on one clock, which they share where both are columns of one file.
+        """Join a motion with a log on one clock; columns of the same file already share it.
 
         Raises:
             InputError: as `join`.
@@ -95,7 +95,7 @@ class RecordingReader:
         try:
             log = read_valves(valves, spec, self.map)
         except InputError:
-            self.body(path, spec)  # what is wrong with the recording is said first: the log is named after it
+            self.body(path, spec)  # read first, so its errors come first: the default log is named after it
             raise
         return self.joined(self.body(path, spec, repeats(log)), log, spec, one_file=path == valves)
 
@@ -122,17 +122,17 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
 def _log_of(take: Path) -> str:
     """Return the default log of a recording, or the recording if it may contain its own log."""
     if not take.name:
-        return str(take)  # the current folder, which is no recording
+        return str(take)  # the current folder, which is not a recording
     beside = take.with_name(take.stem + _LOG)
     own = take.suffix.lower() in _WITH_LOGS or take.is_dir()
     return str(take if own and not os.path.lexists(beside) else beside)
 
 
 def repeats(log: ValveLog) -> float | None:
-    """Return the frequency at which all chambers open evenly, Hz; None where they do not.
+    """Return the frequency at which all chambers open periodically, Hz; None if they do not.
 
-    The first opening is left out: a gait may begin with a part of a period. Openings of a carrier, which come
-    sooner than any gait's, count as one.
+    The first opening is ignored, because a gait may begin within a period. Successive openings of a carrier,
+    which are shorter than those of any gait, count as one.
     """
     if log.kind != "valve":
         return None
@@ -153,12 +153,12 @@ def repeats(log: ValveLog) -> float | None:
 
 
 def only_bends(trajectory: Trajectory) -> bool:
-    """Return whether only the bends of a body were measured."""
+    """Return whether a recording contains only bends."""
     return bool(trajectory.metadata.get("bends_only"))
 
 
 def pressures(recording: Recording) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return recorded pressures, None where valves were recorded.
+    """Return recorded pressures; None if valve states were recorded.
 
     Returns:
         Times from the recording's first sample on (rows,), s, and gauge pressures (rows, segments, 2), Pa.
@@ -171,7 +171,7 @@ def pressures(recording: Recording) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def commands(recording: Recording, name: str) -> Schedule:
-    """Return the valves from the recording's first sample on; all venting where pressures were recorded.
+    """Return the valve states from the first sample on; all vent if pressures were recorded.
 
     Raises:
         InputError: there is no log.
@@ -189,7 +189,7 @@ def commands(recording: Recording, name: str) -> Schedule:
 
 
 def starts_at_rest(recording: Recording) -> bool:
-    """Return whether the chambers are empty at the start of a recording, as those of a plant."""
+    """Return whether the chambers are empty at the start of a recording, like those of a plant."""
     log = recording.valves
     if log is None:
         return True

@@ -63,7 +63,7 @@ def _check_answer(text: str) -> str:
 
 
 Falsifiability = Annotated[str, Field(max_length=500), AfterValidator(_check_answer)]
-"""Whether a row could have been missed, in one sentence."""
+"""Statement whether a row could have been missed, in one sentence."""
 
 _BOUND = 1e9
 """Largest magnitude of a published value."""
@@ -168,7 +168,8 @@ class TableRows(Section):
     columns: dict[Name, Name]
     """Key in a row of the table → metric."""
     signed: list[Name] = []
-    """Columns printed without a sign, which is that of `at`; at 0 magnitudes are compared."""
+    """Columns that are printed without a sign; they have the sign of `at`, and at 0 magnitudes are
+    compared."""
     fit: list[Name] = []
     """Columns that may be used to calibrate."""
     fit_at: list[float] = []
@@ -210,11 +211,12 @@ class Claim(Section):
     use: Use
     """fit, holdout, law or shape."""
     could_fail: Falsifiability | None = None
-    """Outcome that misses and origin of the tolerance ("Yes: …"), or why no outcome can miss ("No: …")."""
+    """Outcome that would be a miss, with the origin of the tolerance ("Yes: …"), or reason why a miss is
+    impossible ("No: …")."""
     tolerance: Tolerance | None = None
     """Origin of a prediction's tolerance: the dissertation's statement, its measurement error, or ours."""
     limitation: Limitation | None = None
-    """Reason why a prediction is no headline, whatever its tolerance."""
+    """Reason why a prediction is not a headline, regardless of its tolerance."""
     value: float | None = quantity(-_BOUND, _BOUND, None, unit="the unit")
     """Published value."""
     unit: Name = "1"
@@ -226,7 +228,7 @@ class Claim(Section):
     rule: Rule | None = None
     """near, below, above, or ordering: each measure larger than the next."""
     measure: Measure | None = None
-    """Measure compared with the value."""
+    """Measure that is compared with the value."""
     measures: list[Measure] = []
     """Measures that are combined or ordered."""
     combine: Combine = "value"

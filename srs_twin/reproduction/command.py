@@ -44,19 +44,19 @@ def reproduce(
     The command runs what the claims need, judges every row, and compares the verdicts with the baseline.
 
     Options:
-        only: Row, or rows whose names start with it (repeatable).
+        only: Name of a row, or a prefix of several names, e.g. gen3 (repeatable).
         quick: Judge only the quick rows: laws first, short runs.
         out: Output folder, which also stores finished runs.
         no_figures: Omit the figures and their runs.
         write_baseline: Write the verdicts as the new baseline.
-        scorecard: Print only the grades after NASA-STD-7009, without any run.
+        scorecard: Print only the credibility grades according to NASA-STD-7009, without any run.
     """
     if scorecard:
         _print_scorecard(as_json=as_json)
         return
     from srs_twin.compute.workers import start_server
 
-    # Started first: it imports what workers need while this process imports its own modules.
+    # Start it first: it imports the modules of the workers while this process imports its own.
     start_server("srs_twin.studies.sweep.warm")
     from srs_twin.errors import InputError
     from srs_twin.io.files import display_path

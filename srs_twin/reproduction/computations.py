@@ -22,8 +22,8 @@ _PULL_S = 1.0
 """Duration of a pull."""
 
 _MIN_GAIN_M_S = 1e-3
-"""Gain of speed in the second half of a pull by which a sliding robot is recognised. Axles that hold only
-creep, at a constant speed proportional to the pull (13 mm/s at most in generation 1)."""
+"""Gain of speed in the second half of a pull above which the robot slides. Below the friction limit, axles
+only creep at a constant speed proportional to the pull (at most 13 mm/s in generation 1)."""
 
 _BISECTIONS = 12
 """Number of bisections of the pull."""
@@ -171,8 +171,8 @@ def planner_success(planner: str, draws: int) -> Numbers:
         draws: number of random fields for each number of obstacles.
 
     Returns:
-        ``count_1`` … ``count_18``: share of fields with a path. ``trend``: rank correlation of the share with
-        the number of obstacles, −1 if the share decreases at every step.
+        ``count_1`` … ``count_18``: success rates, the fraction of fields with a path. ``trend``: rank
+        correlation of the success rate with the number of obstacles, −1 if the rate decreases at every step.
     """
     from scipy.stats import spearmanr
 

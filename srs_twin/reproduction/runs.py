@@ -114,7 +114,7 @@ def open_store(folder: Path, change: DocumentChange | None = None) -> Iterator[R
         change: change of every scenario document before it is run, for tests.
 
     Raises:
-        InputError: the folder cannot be written, is locked, or contains something else.
+        InputError: the folder cannot be written, is locked, or contains other results.
     """
     check_output_folder(folder, (HTML, JSON, JUNIT))
     with RowStore(folder) as store:
@@ -141,7 +141,7 @@ class RunStore:
         if text not in self._keys:
             jobs = list(self._make_jobs(request))
             for job in jobs:
-                # A job that stores trajectories replaces an equal one that does not.
+                # A job that stores trajectories replaces an equal job that does not store them.
                 if job.key not in self._jobs or job.stores_trajectories:
                     self._jobs[job.key] = job
             self._keys[text] = tuple(job.key for job in jobs)

@@ -9,7 +9,7 @@ intervals of `srs-twin uncertainty`, and sources of the robots' parameters.
 other
   groups (own tolerance, fitted robot, …) are listed but not counted. More than 2 needs own measurements;
   nothing here was validated against hardware.
-- input pedigree: share of measured robot parameters: 3 for three quarters, 2 for two fifths, 1 for fewer.
+- input pedigree: fraction of measured robot parameters: 3 for three quarters, 2 for two fifths, 1 for fewer.
 - uncertainty: 2 if intervals were propagated from the inputs, otherwise 0.
 - robustness: 2 if sensitivities are known, 1 if only trends that could have failed were checked, otherwise 0.
 """
@@ -52,10 +52,10 @@ _OTHER_GROUPS: dict[Category, str] = {
 """Category of a prediction that is not a headline → its label."""
 
 _MOST = 0.75
-"""Share that counts as most."""
+"""Smallest fraction that counts as "most"."""
 
 _MANY = 0.4
-"""Share that counts as many."""
+"""Smallest fraction that counts as "many"."""
 
 _SMALL_NUMERICAL_ERROR = 0.2
 """Numerical error relative to the input uncertainty that counts as small."""

@@ -180,7 +180,7 @@ def target_right(run: Trajectory) -> float:
 
 
 def smallest_amplitude(run: Trajectory) -> float:
-    """Return the target over the smallest amplitude of the recorded (third) period (Section 5.1)."""
+    """Return the ratio of the target to the smallest amplitude of the recorded third period (Section 5.1)."""
     periods = PeriodAmplitudes.from_trajectory(run)
     return float(np.nanmean(periods.target[-1]) / periods.amplitude[2].min())
 

@@ -24,7 +24,7 @@ EXPLAINED: Final = "explained"
 MISSED: Final = "missed"
 
 _NOTHING = 1e-12
-"""Magnitude below which a number is not used as a divisor."""
+"""Magnitude below which a number is not a valid divisor."""
 
 
 def _json(value: float, info: SerializationInfo) -> float | None:
@@ -49,7 +49,7 @@ class Outcome:
         values: values of the measures in the claim's unit; NaN if missing.
         value: number that is compared with the published one; NaN for an ordering or if missing.
         error: (value − published)/|published|; NaN if undefined.
-        why: cause, or reason why there is no value; empty if unknown.
+        why: cause of a miss, or reason why there is no value; empty if unknown.
     """
 
     verdict: Literal["met", "explained", "missed"]
@@ -234,7 +234,7 @@ def judge(
     workers: int | None = None,
     progress: ProgressFactory | None = None,
 ) -> tuple[JudgedClaim, ...]:
-    """Run and judge claims, then run the switched assumptions that may explain missed ones.
+    """Run and judge claims; then run variants with switched assumptions that may explain missed claims.
 
     Args:
         claims: claims.

@@ -50,7 +50,7 @@ _MAX_DEVIATIONS = 3.0
 """Limit of random draws, in standard deviations."""
 
 _SUSPICIOUS_RATIO = 300.0
-"""Ratio of an override to the number of its base from which a wrong unit (mm, Pa) is likely."""
+"""Ratio of an override to the base's number above which a wrong unit (mm, Pa) is likely."""
 
 # Quantity → key of its standard deviation. The position is the number of the random stream: append new ones.
 SPREAD_KEYS = {
@@ -78,7 +78,7 @@ class ModulesFile(Records):
     bias_rad: BendList | None = None
     """Rest bend, rad, -1 to 1 for each segment, head first."""
     sensor_gain: SegmentFactors | None = None
-    """Sensor reading over actual bend, 0.1 to 10 for each segment, head first."""
+    """Ratio of sensor reading to actual bend, 0.1 to 10 for each segment, head first."""
     sensor_bias_rad: BendList | None = None
     """Sensor reading of a straight segment, rad, -1 to 1 for each segment, head first."""
     gain_spread: RelativeStd | None = None
@@ -211,7 +211,7 @@ class ActuatorFile(Records):
     bend_rad: Number = number_field(1e-3, 6.3)
     """Static bend of a free module under at_pressure_kpa."""
     at_pressure_kpa: Number = number_field(0.1, 2000.0)
-    """Pressure in one chamber that gives bend_rad."""
+    """Pressure in one chamber that causes bend_rad."""
     bend_limit_rad: Number | None = number_field(0.1, 6.3, optional=True)
     """Limit of the free bend at high pressure (default: none, the gain is linear)."""
     onset_share: Number | None = number_field(0.0, 1.0, optional=True)
@@ -237,7 +237,7 @@ class SupplyFile(Records):
     """Gauge pressures of the supply and their limits."""
 
     nominal_kpa: Number = number_field(0.1, 2000.0)
-    """Supply pressure of scenarios that give none."""
+    """Supply pressure of scenarios that do not specify one."""
     continuous_limit_kpa: Number = number_field(0.1, 2000.0)
     """Highest pressure that a chamber may hold."""
     pulsed_limit_kpa: Number = number_field(0.1, 2000.0)
@@ -494,7 +494,7 @@ def _merge_override(
             continue
         section = base.get(name)
         if section is None and name in base and isinstance(value, Mapping):
-            section = {}  # an optional section that the base does not have
+            section = {}  # optional section that the base lacks
         if not (isinstance(section, Mapping) and isinstance(value, Mapping)):
             merged[name] = value
             continue

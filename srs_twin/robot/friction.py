@@ -12,7 +12,7 @@ elementwise, for arrays of any shape, and the kernels compile them.
   remainder of the cone acts across.
 - `ellipse`: sliding skid with maximum dissipation. Of all forces in the ellipse (f_t/μ_t)² + (f_n/μ_n)² ≤ N²,
   it is the one with the largest dissipated power: f = −N (μ_t² v_t, μ_n² v_n)/√(μ_t² v_t² + μ_n² v_n²). Both
-  directions have one root and thus one slip speed; with μ² ε² under the root, it is ε for the direction of
+  directions share one root, and thus one slip speed; with μ² ε² under the root, it is ε for the direction of
   the larger coefficient μ.
 - `viscous`: linear drag f = −N (μ_t v_t, μ_n v_n)/v₁ with v₁ = 1 m/s, a law for tests.
 """
@@ -28,10 +28,10 @@ LAWS: tuple[Law, ...] = get_args(Law)
 """Names of the laws, which are the functions below; kernels and files use this list."""
 
 TWO_POINT_LAWS = ("wheel", "ellipse")
-"""Laws with two contact points per connector, at ± half the track; the rest have one at the centre."""
+"""Laws with two contact points per connector, at ± half the track; the other laws have one at the centre."""
 
 _MIN_COEFFICIENT = 1e-12
-"""Lower bound in the root of `ellipse`, so that a contact without friction does not divide 0 by 0."""
+"""Lower bound in the root of `ellipse`, which avoids 0/0 for a contact without friction."""
 
 
 def axis(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417

@@ -19,7 +19,8 @@ import numpy as np
 def half_angle_terms(bend):  # type: ignore[no-untyped-def]  # noqa: D417
     r"""Return cos x, sin x, A = sin x/x, dA/dq and d²A/dq² for x = q/2, smooth through q = 0.
 
-    With a = (1 − A)/x² and b = (1 − cos x)/x², two even functions without a pole or cancellation,
+    It uses a = (1 − A)/x² and b = (1 − cos x)/x², two even functions without a pole or cancellation, which
+    satisfy
 
     $$ a(2x) = \tfrac14\,(a + A b), \qquad b(2x) = \tfrac12\,A^2, \qquad
        \tfrac{dA}{dx} = x\,(a - b), \qquad \tfrac{d^2A}{dx^2} = -A - 2\,(a - b). $$

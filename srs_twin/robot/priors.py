@@ -93,7 +93,7 @@ class Priors:
 
         Args:
             robot: the robot file.
-            without: paths of parameters to take as exact.
+            without: paths of parameters to treat as exact.
 
         Raises:
             UnknownNameError: a path is not that of an uncertain parameter.

@@ -26,7 +26,7 @@ FIG54_SITES = tuple(
 """18 sites of circles with a diameter of 200 mm between start and goal; assumed, as Fig. 54 is lost."""
 
 _MAX_TRIES = 200
-"""Largest mean number of tries per circle before the circles are said not to fit."""
+"""Largest mean number of tries per circle; with more, the circles count as not fitting."""
 
 
 def fig54_world(count: int, seed: int) -> World:
@@ -34,7 +34,7 @@ def fig54_world(count: int, seed: int) -> World:
 
     Args:
         count: number of circles, 0 to 18.
-        seed: random seed; each pair of count and seed has an independent draw.
+        seed: random seed; each pair of count and seed gives an independent draw.
 
     Raises:
         InputError: the count is not 0 to 18.

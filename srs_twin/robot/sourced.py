@@ -100,7 +100,8 @@ class Uncertain(StrictModel):
     sd: float | None = Field(None, gt=0.0, le=1e9)
     """Standard deviation of a normal distribution, in the number's unit."""
     factor: float | None = Field(None, gt=1.0, le=100.0)
-    """Geometric standard deviation: two thirds are between the number divided by and times this factor."""
+    """Geometric standard deviation: two thirds of the values are between the number divided by this factor
+    and the number times it."""
     low: float | None = Field(None, ge=-1e9, le=1e9)
     """Lower end of the range, in the number's unit."""
     high: float | None = Field(None, ge=-1e9, le=1e9)
@@ -137,7 +138,7 @@ class Record(StrictModel, Generic[Value, Unit]):
     source: str = Field(min_length=1, max_length=1000)
     """Section, table, or method of the estimate."""
     uncertain: Uncertain | None = None
-    """Prior distribution (default: none, the number is taken as exact)."""
+    """Prior distribution (default: none, the number is treated as exact)."""
 
     @model_serializer(mode="wrap")
     def _without_missing(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:

@@ -34,7 +34,7 @@ class Modules:
         bias: rest bend of each segment, shape (segments,), rad.
         tau_fill: fill time constant τ₁ as a multiple of the nominal one, shape (segments, 2).
         tau_vent: vent time constant τ₁ as a multiple of the nominal one, shape (segments, 2).
-        sensor_gain: sensor reading over actual bend, shape (segments,).
+        sensor_gain: ratio of sensor reading to actual bend, shape (segments,).
         sensor_bias: sensor reading of a straight segment, shape (segments,), rad.
     """
 
@@ -261,8 +261,7 @@ class Chamber:
 
     Attributes:
         dead_volume: volume of the chamber of a straight segment with its tube, m³; also the smallest volume.
-        displacement: increase of the volume per bend in the direction that pressure in the chamber causes,
-            m³/rad.
+        displacement: increase of the volume per bend towards the side of the chamber, m³/rad.
     """
 
     dead_volume: float
@@ -277,7 +276,7 @@ class Supply:
     """Gauge pressures of the supply and their limits.
 
     Attributes:
-        nominal: supply pressure of a scenario that gives none, Pa.
+        nominal: supply pressure of a scenario that does not specify one, Pa.
         continuous_limit: highest pressure that a chamber may hold, Pa.
         pulsed_limit: highest supply pressure while chambers alternate (gait, PWM), Pa.
         limit_source: source of the limits, for messages.
@@ -384,7 +383,8 @@ class RobotSpec:
         """All axles, head first."""
         axles = [Axle(i, 0.0, mass) for i, mass in enumerate(self.mass.connectors, start=1)]
         if self.tail is not None:
-            # Lever rule: each axle carries a share of the mass by its distance from the centre of mass.
+            # Lever rule: each axle carries mass in proportion to the distance of the other axle from the
+            # centre of mass.
             last, share = axles.pop(), self.tail.com / self.tail.axle
             axles.append(last._replace(mass=(1 - share) * last.mass))
             axles.append(last._replace(mass=share * last.mass, behind=self.tail.axle))

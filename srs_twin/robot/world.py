@@ -109,7 +109,7 @@ class Step:
 
     Attributes:
         x: position of the step, m.
-        height: height of the floor beyond x over the floor before it, m; negative for a step down.
+        height: height of the floor beyond x relative to the floor before it, m; negative for a step down.
     """
 
     x: float

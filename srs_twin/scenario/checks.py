@@ -18,7 +18,8 @@ from srs_twin.scenario.file import LEAST_RECORD_HZ, MOST_RECORD_HZ, ScenarioFile
 from srs_twin.scenario.plants import TwinFile
 
 _ROUNDING = 1.001
-"""Tolerance factor of a pressure limit: 7 psi stated with three digits are 48.3 kPa, above 48.26 kPa."""
+"""Tolerance factor of a pressure limit: 7 psi, rounded to three digits, are 48.3 kPa, which exceeds 48.26
+kPa."""
 
 
 def check(document: Document, file: ScenarioFile) -> None:
@@ -167,7 +168,7 @@ def _rate_remedy(file: ScenarioFile) -> str:
 
 
 def _check_bench(document: Document, file: ScenarioFile) -> None:
-    """Report keys that have no meaning on a bench, where the module hangs from its head."""
+    """Report keys that have no meaning on a bench, where the module is clamped at its head."""
     if "start" in file.model_fields_set:
         text = "a module on a bench starts at its clamp; remove start or bench"
         document.report(("start",), text, at_key=True)
@@ -201,7 +202,7 @@ def _check_expectations(document: Document, file: ScenarioFile) -> None:
 
 
 def _check_gap_factor(document: Document, file: ScenarioFile) -> None:
-    """Report a gap factor without both plants, or for an analytical model that has the gaps itself."""
+    """Report a gap factor without both plants, or for an analytical model that already has rigid gaps."""
     analytical, twin, key = file.plants.analytical, file.plants.twin, ("comparison", "gap_factor")
     if not file.comparison.gap_factor:
         return

@@ -76,7 +76,7 @@ class ControllerContext:
 
 
 class ControllerSection(Section):
-    """Base class of the controller sections; the first of `constructors` is the class of the controller.
+    """Base class of the controller sections; `constructors` begins with the class of the controller.
 
     Attributes:
         tick: preferred control tick, s; None: that of the plants.
@@ -117,11 +117,11 @@ class ControllerSection(Section):
         """Check the controller for a robot and a control tick (s).
 
         Raises:
-            InputError: the controller does not support them.
+            InputError: the controller does not support this robot or tick.
         """
 
     def warnings(self, limit: float) -> Iterator[str]:
-        """Yield warnings for segments that bend by at most `limit` (rad).
+        """Yield warnings if segments can bend by at most `limit` (rad).
 
         Raises:
             InputError: the reference exceeds the limit, and `beyond_range` is refuse.
@@ -147,7 +147,7 @@ class GaitFile(ControllerSection):
     phases_rad: _Phases | None = constructor_default()
     """Additional lag of each segment, one value per segment (default: none)."""
     rest_share: float | None = quantity(0.0, 0.95)
-    """Share of the time in which both chambers of a segment vent, around sign changes of the wave
+    """Fraction of the time in which both chambers of a segment vent, around sign changes of the wave
     (default: none)."""
 
 
@@ -155,7 +155,7 @@ class LearningFile(ControllerSection):
     """Iterative learning control of a gait: the duty of each chamber is updated once per period (Eq. 32)."""
 
     constructors = (ILC,)
-    tick = 0.005  # s; a carrier of 17 ms must be resolved to measure amplitudes
+    tick = 0.005  # control tick, s; it must resolve a carrier period of 17 ms to measure amplitudes
 
     kind: Literal["ilc"]
     """Controller."""
@@ -164,9 +164,10 @@ class LearningFile(ControllerSection):
     offset: float = quantity(-MAX_OFFSET, MAX_OFFSET)
     """Steering offset, positive to the left, by unequal targets."""
     target: Literal["smallest"] | None = None
-    """Target of the larger side: the smallest recorded amplitude (default without target_rad)."""
+    """Target of the side with the larger amplitude: the smallest recorded amplitude (default without
+    target_rad)."""
     target_rad: float | None = quantity(0.01, _RIGHT_ANGLE, None)
-    """Target of the larger side."""
+    """Target of the side with the larger amplitude."""
     k_per_rad: float = quantity(1e-4, 100.0)
     """k, change of duty per amplitude error."""
     free_periods: int = quantity(1, 1000)

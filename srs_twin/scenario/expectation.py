@@ -25,11 +25,12 @@ COMPARISON = "comparison"
 _BOUND = 1e9
 """Largest absolute value in an expectation; all metrics are far below."""
 _INTERVAL_TOLERANCE = 0.01
-"""Share of the width of an interval; larger differences come from other laws or another duration."""
+"""Largest difference between run and stored interval, as a fraction of the width; larger ones indicate other
+laws or another duration."""
 _STORAGE_TOLERANCE = 1e-5
 """Relative tolerance of stored values, which have six digits."""
 _PUBLISHED_STD = 0.01
-"""Default standard uncertainty of a published value, relative: it has two or three digits."""
+"""Default relative standard uncertainty of a published value, which has two or three digits."""
 _UNIT = "the metric's unit"
 _TALLY = {
     "met": "met",
@@ -54,7 +55,7 @@ _PARAMETERS = {
     "actuator.tau_vent_s": "venting time of the chambers",
     "mass.connectors_kg": "mass of the connectors",
 }
-"""Names of robot parameters in texts, where the key is not clear by itself."""
+"""Names of robot parameters in texts, for keys that are not self-explanatory."""
 
 Words = Annotated[str, Field(min_length=1, max_length=1000)]
 
@@ -197,7 +198,7 @@ class Expectation(Section):
             missing = f"the stored intervals have no {self.metric} of the {self.subject} plant"
             return {"reason": stored.get("stale") or missing}
         low, high = spread[self.within]
-        # Differences in the last digits between processors must not change the verdict.
+        # Allow for differences in the last digits between processors.
         if not abs(value - spread["value"]) <= max(
             _INTERVAL_TOLERANCE * (high - low), _STORAGE_TOLERANCE * abs(spread["value"])
         ):
@@ -230,7 +231,7 @@ class Expectation(Section):
         }
 
     def _undecided_reason(self, interval: Sequence[float], errors: Sequence[float]) -> str:
-        """Return why the verdict on an interval is undecided."""
+        """Return the reason why the verdict on an interval is undecided."""
         assert self.published is not None, "only published values are compared with intervals"
         distance, error, end = min(
             (abs(self.published - end) / error if error else math.inf, error, end)
@@ -314,6 +315,6 @@ def result_text(checked: Mapping[str, Any]) -> str:
 
 
 def tally(verdicts: Mapping[str, int]) -> str:
-    """Return the text of the numbers of expectations by verdict."""
+    """Return how many expectations have each verdict, as text."""
     counted = [f"{verdicts[name]} {text}" for name, text in _TALLY.items() if verdicts.get(name)]
     return ", ".join(counted) or "none"

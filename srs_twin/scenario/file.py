@@ -26,7 +26,7 @@ from srs_twin.scenario.world import WorldFile
 from srs_twin.sensing import DeadSensor, HallSensor, Sensor, Strip, make_sensor
 
 LEAST_RECORD_HZ = 0.1
-"""Smallest recording rate, Hz."""
+"""Smallest allowed recording rate, Hz."""
 MOST_RECORD_HZ = 10_000.0
 """Largest recording rate, Hz."""
 
@@ -35,7 +35,7 @@ class SensorFile(Section):
     """Curvature sensors."""
 
     constructors = (make_sensor, Strip, HallSensor)
-    only = {}  # set below: all other keys require kind: hall
+    only = {}  # set below the class: all other keys require kind: hall
 
     kind: Literal["ideal", "hall"] = "ideal"
     """ideal: the exact bend; hall: magnet and Hall element on a strip, amplifier, converter and linear
@@ -137,7 +137,7 @@ class PneumaticsFile(Section):
     """Model of the chambers; lag: exponential with tau_1; orifice: compressible flow (ISO 6358) from one
     supply into chambers whose volume depends on the bend."""
     leak_per_s: float = quantity(0.0, 100.0)
-    """Share of its pressure that a held chamber loses per second."""
+    """Relative rate at which a held chamber loses pressure."""
     valve_delay_s: float = quantity(0.0, 1.0)
     """Switching delay of the valves, in addition to tau_2."""
     critical_ratio: float | None = quantity(0.0, 0.8, None)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from enum import Enum
 
 UNDECIDED_ERRORS = 2.0
-"""Distance from an end, in its standard errors, below which the side of the end is undecided (95 %)."""
+"""Distance from an end, in standard errors of the end, below which the verdict is undecided (95 %)."""
 
 
 class IntervalVerdict(Enum):

@@ -1,7 +1,7 @@
 """Loading of scenario files; all problems of a file are reported together.
 
-The file is validated twice. The first validation checks what the user wrote. The second one reads the
-resolved document, with all defaults and the robot written out: it ensures that a run can be repeated from its
+The file is validated twice. The first validation checks what the user wrote. The second validation reads the
+resolved document, with all defaults and the robot written out. It ensures that a run can be repeated from its
 folder, and it returns the sections of that document.
 """
 
@@ -146,7 +146,7 @@ def _build_components(loading: Loading, file: ScenarioFile) -> _Components:
     """Return the components of a scenario and check them; problems are reported to the document."""
     document, robot, products = loading.document, loading.robot, loading.products
     components = _Components(products=products)
-    # The controller's check needs the products of all sections.
+    # Check the controller last, because it needs the products of all sections.
     products |= {key: section.read(loading) for key, section in file.sections().items()}
     if file.controller.is_ready(products):
         components.supply_pa = supply_kpa(file, robot) * PA_PER_KPA
@@ -165,7 +165,7 @@ def _set(document: Document, change: Override) -> None:
     """Set a changed value in the document."""
     _check_field(change)
     before = document.get(*change.loc)
-    # A plain number for a record keeps the unit of the record.
+    # If a plain number replaces a record, keep the unit of the record.
     if isinstance(before, Mapping) and "unit" in before and not isinstance(change.value, Mapping):
         change = replace(change, value=replace_value(before, change.value, None, f"set by {change.label}"))
     if change.loc == PRESET and isinstance(twin := document.get(*PRESET[:-1]), Mapping):
@@ -174,7 +174,7 @@ def _set(document: Document, change: Override) -> None:
 
 
 def _resolved_or_raw(data: Any, products: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the resolved data of an unmodified scenario, or the data themselves if they are not valid.
+    """Return the resolved data of an unmodified scenario, or the data unchanged if they are not valid.
 
     Args:
         data: plain data before the changes.
@@ -190,7 +190,7 @@ def _resolved_or_raw(data: Any, products: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _check_field(change: Override) -> None:
-    """Raise an error with similar names for a changed field that no scenario has."""
+    """Check that a changed field exists in scenarios; the error suggests similar names."""
     first, *more = change.loc
     if first == "changes":
         raise InputError(f"{change.label}: this list is written by srs_twin; set the fields themselves")
@@ -229,7 +229,7 @@ def _resolved(
         "sensor": file.sensor.resolved().model_dump(exclude_none=True),
         "allow_overpressure": file.allow_overpressure or file.supply.allow_overpressure,
     }
-    # Absolute paths: the folder of a run is read from other folders.
+    # Store absolute paths, because the run may be read from another working folder.
     for key in document["world"].keys() & {"map", "circles"}:
         document["world"][key] = str(Path(document["world"][key]).resolve())
     if "from" in document.get("start", {}):
@@ -250,7 +250,7 @@ def supply_kpa(file: ScenarioFile, robot: RobotFile) -> float:
 
 
 def _robot(document: Document) -> tuple[RobotFile | None, tuple[str, ...]]:
-    """Return the robot of a scenario and the problems of a separate robot file."""
+    """Return the robot of a scenario, with the problems of its robot file if that is a separate file."""
     robot = document.get("robot")
     if robot is None and document.existing_prefix(("robot",)) == ():
         return None, ()

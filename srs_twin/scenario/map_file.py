@@ -9,7 +9,7 @@ file), the occupancy of a pixel is (w − c)/w, or c/w with `negate`. A cell is 
 - in mode ``scale`` if 100 (occupancy − `free_thresh`)/(`occupied_thresh` − `free_thresh`) rounds to 0 or less
   and the pixel is opaque.
 
-All other cells are obstacles, including unknown ones: the snake must not be sent there.
+All other cells are obstacles, including unknown ones, which the snake must not enter.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ CIRCLE_COLUMNS = ("x_m", "y_m", "radius_m")
 MAX_PIXELS = 25_000_000
 """Largest number of pixels: 250 m by 250 m at 0.05 m."""
 MAX_RECTANGLES = 20_000
-"""Largest number of obstacles: each takes a plan 1 ms, and a run of the twin 2 ms and 40 kB."""
+"""Largest number of obstacles: each one costs a plan 1 ms, and a run of the twin 2 ms and 40 kB."""
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 """Signature of PNG files."""
@@ -91,7 +91,7 @@ class MapFile(StrictModel):
             yield ("free_thresh",), f"must be below occupied_thresh, {self.occupied_thresh:g}"
 
     def blocked(self, colour: np.ndarray, alpha: np.ndarray | None, white: int) -> np.ndarray:
-        """Return which cells are occupied or unknown; arguments as `_picture` returns them."""
+        """Return a mask of occupied and unknown cells; the arguments are the results of `_picture`."""
         whole = 3 * white
         if self.mode == "trinary" and alpha is not None:
             colour, whole = colour + alpha, 4 * white
@@ -192,7 +192,7 @@ def _picture(path: Path) -> tuple[np.ndarray, np.ndarray | None, int]:
         raise InputError(f"{name}: cannot be read ({error.strerror})") from error
     try:
         values, white = _decoded_pgm(raw, header) if header else _decoded_png(raw, (width, height))
-    except Exception as error:  # decoders raise errors of many kinds for damaged files
+    except Exception as error:  # decoders may raise any exception for a damaged file
         reason = re.sub(" <.*", "", str(error))  # without the stream that Pillow names
         raise InputError(f"{name}: damaged ({reason}); save it again as PNG or PGM") from error
     channels = values.shape[2]

@@ -24,7 +24,7 @@ Changes = Sequence[Mapping[str, Any]]
 """Changed fields as plain data, ``{"field", "from", "to"}``."""
 
 PLANTS = "plants"
-"""Name of the changed field if a run uses other plants than the file names."""
+"""Name of the changed field if a run uses other plants than those in the file."""
 
 STEADY = frozenset(
     f"""
@@ -42,7 +42,7 @@ _NO_CONDITION = (
     *(*_NAMES, "expect", "seed", "record_hz", PLANTS),
     *("allow_overpressure", "supply.allow_overpressure"),
 )
-"""Fields that are no condition of the experiment: names, random seed, recording, expectations and
+"""Fields that are not conditions of the experiment: names, random seed, recording, expectations and
 permissions."""
 _MAX_TITLE_LENGTH = 64
 """Largest number of characters of the changes in a title."""
@@ -56,7 +56,7 @@ class ChangedField(Section):
     """Field that was changed after the scenario was read from its file."""
 
     field: Line
-    """Path of the field, as --set takes it."""
+    """Path of the field, in the format of --set."""
     before: Any = Field(
         default=None, alias="from", title="From", description="Value in the file, or the default."
     )
@@ -160,7 +160,7 @@ def affects(field: str, metric: str, subject: str) -> bool:
 
 
 def left_out_line(left_out: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a line with the expectations that changed fields invalidate; an empty list without any.
+    """Return the line on the expectations that changed fields invalidate; an empty list without any.
 
     Args:
         left_out: see `Scenario.left_out`.

@@ -1,7 +1,7 @@
 """Provenance of a run: everything that determines its numbers.
 
 That is the scenario, its files, the source code, package versions and the arithmetic of the processor. Their
-SHA-256 is the key under which a result is stored. Names, displays and expectations do not count.
+SHA-256 is the key under which a result is stored. Names, displays and expectations are not included.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def run_sources(document: Mapping[str, Any], runner: str) -> dict[str, str]:
 def judged_digest(document: Mapping[str, Any]) -> str:
     """Return a digest of a scenario with its robot and input files, to check stored intervals.
 
-    Code, duration and seed do not count: their effect on a result is visible in its value.
+    Code, duration and seed are not included: their effect on a result is visible in its value.
     """
     skipped = (*NOT_PHYSICS, "duration_s", "seed")
     return digest_of(

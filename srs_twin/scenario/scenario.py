@@ -165,7 +165,7 @@ class Scenario:
             changes: arguments of the plant, and `gaps`, instead of those of the scenario.
 
         Raises:
-            UnknownNameError: unknown kind.
+            UnknownNameError: the kind is unknown.
         """
         if kind not in PLANTS:
             raise UnknownNameError("plant", kind, PLANTS)

@@ -14,7 +14,7 @@ def scenario_json_schema() -> dict[str, Any]:
     """Return a schema (draft 2020-12) with title, description, unit and range of every key."""
     schema = ScenarioFile.model_json_schema()
     robot_schema = RobotFile.model_json_schema()
-    # The generated names of records contain their bounds; numbered names are shorter.
+    # Use numbered names, because the generated names of records contain their bounds and are long.
     names = {
         name: f"Robot{i}_{name.partition('_')[0]}" for i, name in enumerate(robot_schema["$defs"], start=1)
     }

@@ -58,7 +58,7 @@ class ExtensionSection(Section):
         return iter(())
 
     def read(self, loading: Loading) -> Any:
-        """Return the product; called before the controller is checked. Problems go to the document."""
+        """Return the product; called before the controller is checked. Report problems to the document."""
         return None
 
     def prepare(self, loading: Loading) -> Any:

@@ -48,7 +48,7 @@ class StartFile(Section):
     bend_rad: Annotated[tuple[Bend, ...], Field(max_length=_MAX_SEGMENTS)] | None = None
     """Bend of each segment from the head, positive to the left, rad, -3.2 to 3.2."""
     bend_rate_rad_s: Annotated[tuple[BendRate, ...], Field(max_length=_MAX_SEGMENTS)] | None = None
-    """Bend rate of each segment, rad/s, -100 to 100; ignored where bends follow the pressures."""
+    """Bend rate of each segment, rad/s, -100 to 100; ignored if the bends follow the pressures."""
     pressure_kpa: (
         Annotated[
             tuple[Annotated[tuple[Gauge, ...], Field(min_length=2, max_length=2)], ...],
@@ -79,7 +79,7 @@ class StartFile(Section):
 
     @property
     def moves(self) -> bool:
-        """Whether the initial state is other than straight and at rest."""
+        """Whether the initial state differs from straight and at rest."""
         return self.run is not None or any(getattr(self, name) is not None for name in _AT_REST)
 
     def initial_state(
@@ -174,7 +174,7 @@ class InitialState:
 
 
 def _state_at(folder: Path, plant: str, time: float, segments: int) -> _MotionState:
-    """Return the state of a plant at a time (s) of its trajectory, with rates from an interpolant."""
+    """Return the state of a plant at a time (s) of its trajectory, with rates from interpolation."""
     path = folder / f"{plant}.parquet"
     if not os.path.isfile(path):
         raise InputError(f"{display_path(folder)} has no trajectory of the {plant} plant ({path.name})")

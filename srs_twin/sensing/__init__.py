@@ -44,14 +44,14 @@ def make_sensor(kind: str | Sensor, spec: RobotSpec, *, span: float = SPAN, **op
 
     Args:
         kind: a name in `KINDS`, or an existing `Sensor`, which is returned unchanged.
-        spec: the robot; it gives the length of the strips, and the drift of each module's sensor.
+        spec: the robot, which determines the length of the strips and the drift of each module's sensor.
         span: largest bend to both sides for which a Hall sensor is trimmed (unless `gain` is given) and
             calibrated, rad; other sensors ignore it.
         **options: attributes of `Strip` and `HallSensor`.
 
     Raises:
         UnknownNameError: the kind is unknown, or does not have an option.
-        InputError: options for a sensor without any, or as raised by the class.
+        InputError: options were given for a sensor that has none, or as raised by the class.
     """
     if options and (isinstance(kind, Sensor) or kind == IdealSensor.kind):
         raise InputError(f"this sensor has no options; leave out {', '.join(options)}")

@@ -24,7 +24,7 @@ ANGLES = 181
 """Number of angles in a calibration: one per degree over ±90°."""
 
 LEAST_R_SQUARED = 0.5
-"""Smallest share of the variance that a line must explain, 1; less is useless for control."""
+"""Smallest fraction of the variance that a line must explain, 1; a worse sensor is useless for control."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Calibration:
     Attributes:
         slope: a, rad/V.
         intercept: b, rad.
-        r_squared: share of the variance that the line explains, 1.
+        r_squared: fraction of the variance that the line explains, 1.
         span: largest angle to both sides, rad.
         voltage_range: lowest and highest voltage, V.
         worst_error: largest difference between line and angle, rad.
@@ -96,7 +96,7 @@ def calibrate(sensor: HallSensor, span: float = SPAN) -> Calibration:
     """Calibrate a sensor in its state before it drifted (module docstring).
 
     Args:
-        sensor: its `bias` and `gain_error` arise later and are ignored.
+        sensor: sensor; its `bias` and `gain_error`, which arise after the calibration, are ignored.
         span: largest angle to both sides, rad.
 
     Raises:

@@ -13,13 +13,13 @@ The magnet is a point dipole with moment m along y (`up`) or x (`side`). With r 
 
 $$ B = \frac{\mu_0}{4\pi}\left(\frac{3\,(m\cdot r)\,r}{|r|^5} - \frac{m}{|r|^3}\right), $$
 
-and the element measures its normal component, B_n = B_y cos θ − B_x sin θ (Eq. 1). θ in Eq. 1 is taken as the
-local angle κL: with the whole bend in its place, the reading over ±90° would be neither linear nor monotonic
-(docs/sensor.md).
+and the element measures its normal component, B_n = B_y cos θ − B_x sin θ (Eq. 1). θ in Eq. 1 is interpreted
+as the local angle κL. With the whole bend q instead, the reading over ±90° would be neither linear nor
+monotonic (docs/sensor.md).
 
 **Chambers.** A rectangular chamber becomes round when it is filled and presses on the adjacent strip (Section
-2.2.2, Fig. 14a, c). The filled chamber is on the outside of the bend, so that it bows the strip against the
-bend; a round chamber presses no further. The bend of the strip is
+2.2.2, Fig. 14a, c). The filled chamber is on the outside of the bend, so it bows the strip against the bend.
+Once the chamber is round, it presses no further. The bend of the strip is
 
 $$ q_s = q - b\,q_c \tanh(q / q_c) . $$
 
@@ -33,8 +33,8 @@ estimates. The effect depends on the bend, not on the momentary pressure.
     amplifier    V = V₀ + bias + G (1 + e) (s (B_n − B_n(0)) + n), limited to the rails
     converter    centre of the quantisation step of V, with 2^bits steps over the converter's range
 
-The amplifier is balanced on the straight strip, as after assembly: otherwise G times the field at rest (54 G)
-would exceed the rails by far. `bias` and the gain error e are changes since the calibration (temperature,
+The amplifier is balanced on the straight strip, as after assembly: otherwise the amplified field at rest (54
+gauss) would far exceed the rails. `bias` and the gain error e are changes since the calibration (temperature,
 supply, a magnet that slipped).
 """
 

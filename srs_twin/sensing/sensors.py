@@ -7,10 +7,10 @@ calibration. `DriftedSensor` and `FaultySensor` add drift and faults of single m
 reads once per tick and a recorder that reads a whole run at once therefore get the same values, on any number
 of threads. The numbers of a segment are the outputs 2n and 2n + 1 of a SplitMix64 sequence (Steele, Lea,
 Flood, 2014), where n is the time in slots of 0.1 ms, transformed to a normal distribution by Box and Muller.
-Each pair of seed and segment starts at another place of the sequence.
+Each pair of seed and segment starts at a different position in the sequence.
 
-A single number takes as long to compute as a thousand at once, and a controller requests one time after
-another. Numbers are therefore computed in blocks of slots and cached.
+Computing a single number takes as long as computing a thousand at once, and a controller requests one time
+after another. Numbers are therefore computed in blocks of slots and cached.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
 
-_MAX_TIME = 2.0**53 * SLOT  # up to which slots are exact integers, s
+_MAX_TIME = 2.0**53 * SLOT  # largest time at which slots are exact integers, s
 _BLOCK = 1024  # slots per cached block
 
 
@@ -111,7 +111,7 @@ def _block(seed: int, number: int, segments: int) -> np.ndarray:
 
 def _normal_numbers(seed: int, slot: np.ndarray, segments: int) -> np.ndarray:
     """Return the numbers for slots, int64 of shape (…,), with shape (…, segments)."""
-    # Arrays, not scalars: NumPy warns of the overflow of a scalar, which is intended here.
+    # Use arrays: NumPy would warn of the overflow of a scalar, which is intended here.
     start = _splitmix(np.full(segments, seed, dtype=np.uint64) + _GOLDEN)
     start = _splitmix(start ^ (np.arange(1, segments + 1, dtype=np.uint64) * _GOLDEN))
     place = start + (slot.view(np.uint64)[..., None] << np.uint64(1)) * _GOLDEN
@@ -121,7 +121,7 @@ def _normal_numbers(seed: int, slot: np.ndarray, segments: int) -> np.ndarray:
 
 
 def _splitmix(word: np.ndarray) -> np.ndarray:
-    """Return the output of SplitMix64 for a state: each of its bits depends on each bit of the state."""
+    """Return the output of SplitMix64 for a state; each output bit depends on every bit of the state."""
     word = (word ^ (word >> np.uint64(30))) * _FIRST
     word = (word ^ (word >> np.uint64(27))) * _SECOND
     return word ^ (word >> np.uint64(31))

@@ -33,7 +33,7 @@ class FloorLine(NamedTuple):
 
 
 class FollowedSignal(NamedTuple):
-    """Recorded signal with a separate plot.
+    """Recorded signal that gets its own plot.
 
     Attributes:
         column: column of the trajectory.

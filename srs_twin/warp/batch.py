@@ -46,7 +46,8 @@ _MAX_ITERATIONS = 50
 """Iterations of the engine's solver."""
 
 _INITIAL_LIFT = 1e-8
-"""Lift of the snakes at the start, m: at rest they just touch the floor, and rounding would decide."""
+"""Lift of the snakes at the start, m: at rest they just touch the floor, so rounding would decide on
+contact."""
 
 _MAX_START_DISTANCE = 16.0
 """Largest distance of a start from the origin of the device coordinates, m.
@@ -191,7 +192,7 @@ class WarpBatch:
             names = "contacts", "sparsity", "contact_state", "work"
             records |= {name: [solve[name] for solve in solves] for name in names}
         structs = {name: warp_struct(values[0]) for name, values in records.items()}
-        # A record is one for all robots, or one per robot.
+        # There is one record for all robots, or one per robot.
         self._structs = {
             name: stack_records(
                 structs[name], [v[k] if len(v) > 1 else v[0] for k in self._robot_of_run], self.device
@@ -209,7 +210,8 @@ class WarpBatch:
             engine = solves[0]["engine"]
             structs["engine"] = warp_struct(engine, without=("model", "data"))
             self._structs["engine"] = self._views(structs["engine"], engine._fields[2:])
-            # The solve needs c(v₋) and c(v̄): the engine's array receives the second.
+            # The solve needs c(v₋) and c(v̄), so copy the first: the engine overwrites its array with the
+            # second.
             self._structs["engine"].qfrc_bias = wp.zeros_like(self._data.qfrc_bias)
             self._structs["work"].residual = self._data.qfrc_bias
         # Columns of an observation (kernel `observe`).
@@ -285,7 +287,7 @@ class WarpBatch:
                     self._launch(gait)
                 return
             if steps and gait not in self._graphs:
-                self._launch(gait)  # compiles the kernels; it is one of the steps
+                self._launch(gait)  # the first step compiles the kernels
                 steps -= 1
                 with wp.ScopedCapture() as capture:
                     self._launch(gait)
@@ -294,7 +296,7 @@ class WarpBatch:
                 wp.capture_launch(self._graphs[gait])
 
     def set_gaits(self, gaits: Sequence[Any]) -> None:
-        """Give each run a `control.gait.Gait`, which the device follows in `run` and `follow`.
+        """Set the `control.gait.Gait` of each run, which the device follows in `run` and `follow`.
 
         Raises:
             InputError: the number of gaits differs from the number of runs.
@@ -388,7 +390,7 @@ class WarpBatch:
         return np.where(far[:, None], places[:, :2], 0.0)
 
     def _set(self, array: Any, chosen: np.ndarray, value: Any) -> None:
-        """Set the rows of some worlds in an array on the device."""
+        """Set the rows of the given worlds in an array on the device."""
         if len(chosen) == len(self):
             full = np.broadcast_to(np.asarray(value), (len(self), *array.shape[1:]))
             array.assign(np.ascontiguousarray(full))
@@ -660,7 +662,7 @@ def _set_individual_parameters(model: Any, models: list[mujoco.MjModel]) -> None
         models: the model of each world.
 
     Raises:
-        InputError: they differ in a field that the engine has only once.
+        InputError: the models differ in a field that the engine shares between worlds.
     """
     distinct = {id(world_model): world_model for world_model in models}
     if len(distinct) == 1:

@@ -39,7 +39,7 @@ _FRICTION_SOLVE = (
     "solve_friction",
     "store_friction",
 )
-"""Functions of `friction_solve`; each comes before those that call it."""
+"""Functions of `friction_solve`, ordered so that callees come before their callers."""
 
 _MIN_LINEAR_RAD = 1e-5
 """Linear bend below which φ(x)/x is replaced by its limit, rad; single precision."""
@@ -87,7 +87,7 @@ class GaitWave(NamedTuple):
     Attributes:
         frequency: f, Hz.
         offset: φ, 1.
-        rest: sin(r π/2) of the rest share r, 1.
+        rest: sin(r π/2), with the rest share r, 1.
         lag: phase lag of each segment, shape (segments,), rad.
     """
 

@@ -28,7 +28,7 @@ def as_warp_functions(functions: Sequence[Callable[..., Any]], **translated: Any
     """Return the Warp versions of functions by name, with those given as `translated`.
 
     Args:
-        functions: compiled by numba; a function comes before those that call it.
+        functions: functions compiled by numba, callees before their callers.
         **translated: Warp functions that the functions call, by name.
     """
     namespace: dict[str, Any] = _TOLERANCES | translated
@@ -45,7 +45,7 @@ class WarpStruct(NamedTuple):
     """Warp versions of a record.
 
     Attributes:
-        single: struct of one world, as the translated functions take it.
+        single: struct of one world, the argument of translated functions.
         batched: struct of all worlds; its fields have a leading axis of worlds.
         select: Warp function that maps a batched struct and an index to the struct of that world.
     """

@@ -35,8 +35,10 @@ PLACES = {
 }  # fmt: skip
 PHRASES = {
     "all but studies", "one per processor", "those of the scenario", "the scenario's", "the sweep's",
-    "the twin's", "NAME.valves.csv in the same folder", "detected", "the robot's", "the valves'", "estimated",
-    "where it crawls to", "free", "none", "no motion capture", "run until Ctrl-C", "this machine's",
+    "the twin's", "NAME.valves.csv in the same folder", "detected", "the robot's", "estimated",
+    "that of the valve pattern",
+    "the end in the direction of motion",
+    "free", "none", "no motion capture", "run until Ctrl-C", "this machine's",
     "the run's folder", "ROBOT_WHAT", "ROBOT_CONTROLLER", "3; 1 with the twin's shapes", "local",
     "generation 2", "scaled from generation 2", "NAME.yaml, NAME.py",
     "all in MCAP, else the twin", "RUN/twin.csv, RUN/run.mcap",
@@ -75,7 +77,7 @@ def values() -> dict[tuple[str, str], str]:
         ("calibrate locomotion", "law"): fitted["friction"],
         ("calibrate locomotion", "model"): fitted["model"],
         ("calibrate footprint", "frequency"): "{gait:g}, ilc {ilc:g}".format(**_FREQUENCY_HZ),
-        ("calibrate footprint", "offsets"): "to +-{gait:g}; ilc: to +-{ilc:g}".format(**most),
+        ("calibrate footprint", "offsets"): "-{gait:g} to {gait:g}; ilc: -{ilc:g} to {ilc:g}".format(**most),
         **{
             (name, "longest_gap"): gap
             for name in ("replay", "calibrate friction", "calibrate actuator", "calibrate locomotion")

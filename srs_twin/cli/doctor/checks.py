@@ -1,6 +1,6 @@
 """Checks that need no child process: Python, packages, extras, processors, memory and disk space.
 
-The limits of a container count where they are lower than those of the machine.
+The lower of the limits of the container and of the machine is used.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class ProbeResult:
 
 def result_of_exit(code: int) -> ProbeResult:
     """Return the result of a process that exited without reporting one; a negative code is a signal."""
-    if code in (-signal.SIGALRM, -signal.SIGKILL):  # SIGKILL: sent by a system that is short of memory
+    if code in (-signal.SIGALRM, -signal.SIGKILL):  # SIGKILL: sent by the system if memory is short
         remedy = "this machine is busy or very slow: run `srs-twin doctor` again later"
         return ProbeResult("undecided", "slow: no result in time", remedy)
     return ProbeResult("broken", describe_exit(code))

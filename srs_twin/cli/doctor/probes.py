@@ -1,7 +1,7 @@
 """Probes: tests that run in child processes of `examination.run_probes`.
 
-A probe returns a description of what works, returns a `ProbeResult` if something is wrong, or raises. Each
-probe runs in a separate process, forked from the one that imported the modules.
+A probe returns a description of the working component, returns a `ProbeResult` for a fault, or raises an
+exception. Each probe runs in a separate process, forked from the one that imported the modules.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _REPORTED = 3
 
 
 def imports(modules: Sequence[str]) -> str | ProbeResult:
-    """Import modules; each is announced first, because its import may end the process."""
+    """Import modules; each name is printed first, because the import may end the process."""
     faults = []
     for module in modules:
         _send(importing=module)
@@ -166,7 +166,7 @@ def web_viewer() -> str | ProbeResult:
     from srs_twin.viewing.rerun.viewer import HOST, free_port
 
     port = free_port()
-    # Otherwise the child would inherit a handler that ignores interrupts.
+    # Reset the handler: otherwise the child would inherit one that ignores interrupts.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     # Not `running_rerun`: in another process group Rerun would survive the kill of the probe's group.
     command = [*_rerun_command(), "--serve-web", "--web-viewer-port", str(port)]
@@ -224,7 +224,7 @@ def main(modules: Sequence[str], names: Sequence[str], time_limit_s: float) -> N
     _run("imports", partial(imports, modules), time_limit_s)
     signal.setitimer(signal.ITIMER_REAL, 0.0)
     passed = set()
-    for name in names:  # sequential: parallel probes would only compete for the processor's caches
+    for name in names:  # one after the other: parallel probes would only compete for the processor's caches
         if name == "osmesa" and "egl" in passed:
             _send(name=name, **vars(SKIPPED_OSMESA))
             continue

@@ -5,7 +5,8 @@ The mechanics are those of a `Body`: `PrescribedBends` follow the chambers regar
 stiffness and damping (model `compliant`).
 
 The bends of a clamped chain are the free bends of Eq. 14, as on a test bench. Only the clamp touches the
-chain, so that its motion is pure geometry. The moments of its segments follow from the recursive Newton–Euler
+chain, so its motion follows from the bends alone. The moments of its segments follow from the recursive
+Newton–Euler
 algorithm: accelerations from the head to the tail,
 
 $$ a_{j+1} = a_j - (\ddot L - L\dot\psi^2)\,e(\psi) - (L\ddot\psi + 2\dot L\dot\psi)\,e_\perp(\psi), $$
@@ -72,8 +73,8 @@ class Body(Stateful, ABC):
     """Abstract mechanics of an analytical model, driven by the chambers.
 
     Attributes:
-        state: current state, with the indices of `kernels` and, for compliant bends, more.
-        velocity: current velocities, as in `Motion.velocities`.
+        state: current state. `kernels` names its indices; compliant bends append further entries.
+        velocity: current velocities, in the format of `Motion.velocities`.
         solid: constants of the body for the kernels.
         floor: floor for the kernels.
     """
@@ -133,7 +134,8 @@ class Body(Stateful, ABC):
 
         Args:
             steps: lengths of the steps, shape (steps,), s.
-            trace: of the chambers, at the start and the two stages of each step, 1 + 2 steps rows.
+            trace: pressures and free bends of the chambers at the start and the two stages of each step, 1 +
+                2 steps rows.
             sample_steps: number of steps before each sample, ascending, shape (samples,).
 
         Returns:
@@ -218,7 +220,7 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
     """Fill states, velocities and moments of a chain that is held at its head.
 
     Args:
-        trace: of the chambers, whose free bends are the bends.
+        trace: trace of the chambers; their free bends are the bends of the chain.
         solid: the chain.
         head: pose of the head: x, y (m), heading (rad).
         states: out, pose and velocity of the centre of mass in the world frame, indices as in `kernels`.
@@ -255,8 +257,8 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
             )
             acceleration[j + 1, 0] = acceleration[j, 0] - inward * c + aside * s
             acceleration[j + 1, 1] = acceleration[j, 1] - inward * s - aside * c
-            # Velocity of everything behind per bend rate: the chord shortens, and rotates by half of the
-            # bend.
+            # Velocity of all connectors behind segment j per bend rate: the chord shortens, and rotates by
+            # half of the bend.
             lever[j, 0], lever[j, 1] = -slope * c - span / 2 * s, -slope * s + span / 2 * c
             share = solid.mass[j + 1] / total
             com_x, com_y = com_x + share * position[j + 1, 0], com_y + share * position[j + 1, 1]
@@ -270,7 +272,8 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
         velocities[k, 2] = mean_spin
         force_x = force_y = moment = 0.0
         for j in range(n - 2, -1, -1):
-            # Net force on everything behind segment j, and its moment about the connector at its rear end.
+            # Net force on all connectors behind segment j, and its moment about the connector at the rear
+            # end.
             if j < n - 2:
                 arm_x, arm_y = (
                     position[j + 2, 0] - position[j + 1, 0],
@@ -286,9 +289,9 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
 class CompliantBends(Body):
     """Body of `compliant`: masses on springs with dampers.
 
-    The air exerts the moment k φ(x) + k b on a segment (`pneumatics.chambers`), k G (p⁺ − p⁻) for a nominal
-    linear one, against its stiffness k and damping c = k · damping_time. A massless segment without load
-    obeys Eq. 14; masses and floor deflect it.
+    The air exerts the moment k φ(x) + k b on a segment (`pneumatics.chambers`); for a nominal linear segment
+    this is k G (p⁺ − p⁻). The stiffness k and the damping c = k · damping_time act against it. A massless
+    segment without load obeys Eq. 14; inertia and friction deflect it.
     """
 
     compliant = True
@@ -530,7 +533,7 @@ class AnalyticalSnake(PneumaticPlant):
         return check_plausible(self.name, history)
 
     def _advance(self, schedule: Schedule, steps: Steps) -> tuple[int, Motion, Trace]:
-        """Advance chambers and body; return the number of completed steps and the samples up to there.
+        """Advance chambers and body; return the number of completed steps, and the samples they reached.
 
         Chambers whose pressures depend on compliant bends alternate with the body, every step or two.
         """

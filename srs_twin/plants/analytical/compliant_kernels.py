@@ -25,8 +25,8 @@ $$ z_{j+1} = z_j + \tau_j\,\omega_j + t_j\,\dot q_j, $$
 
 and Newton's matrix is the sum of Zᵀ B Z over the connectors, where B contains mass, friction slopes and,
 between velocities and rates, ± a m. It is solved like an articulated body: from tail to head each bend is
-eliminated from the matrix of everything behind it, and from head to tail the bends are substituted. The z of
-the head is then unknown. Rates must be relative to the centre of mass, Σ m ż = 0; the two Lagrange
+eliminated from the matrix of the body part behind it, and from head to tail the bends are substituted. The z
+of the head is then unknown. Rates must be relative to the centre of mass, Σ m ż = 0; the two Lagrange
 multipliers of this constraint are propagated with z and turn out to be v_c.
 """
 
@@ -58,8 +58,8 @@ BENDS = STATES
 """Index of the first bend in the state: those of `kernels`, then the bends, then their momenta."""
 
 _NEWTON_STEPS = 1000  # largest number of iterations; many are needed at rest on a slope, at a kink of the law
-_NEWTON_TOLERANCE = 1e-9  # of the velocities, m/s; a tenth of the rates (rad/s) counts
-_OVERSHOOT = 0.1  # slope after a Newton step over that before it, above which the step was too long, 1
+_NEWTON_TOLERANCE = 1e-9  # tolerance of the velocities, m/s; rates (rad/s) are multiplied by 0.1
+_OVERSHOOT = 0.1  # ratio of the slopes after and before a Newton step above which the step was too long, 1
 
 
 @compiled
@@ -166,7 +166,7 @@ def balance(q, u, moment, a, model, momentum, force, work):  # type: ignore[no-u
 
 @compiled
 def _add_connector(matrix, load, mass, weight, share, a, residual):  # type: ignore[no-untyped-def]
-    """Add B of a connector, the multipliers, and its share of the residual of the whole body's momentum."""
+    """Add B of a connector, the multipliers, and its contribution to the momentum residual of the body."""
     matrix[0, 0] += load[6]
     matrix[0, 1] += load[7]
     matrix[1, 0] += load[7]
@@ -205,7 +205,8 @@ def solve(a, model, residual, step, work):  # type: ignore[no-untyped-def]
     for j in range(n - 2, -1, -1):
         link, pivot = links[j], pivots[j]
         _add_connector(matrix, loads[j + 1], solid.mass[j + 1], weight, 1 / n, a, residual)
-        # Eliminate the bend from everything behind it, then move the matrix to the connector in front.
+        # Eliminate the bend from the matrix of the body part behind it, then transform this matrix to the
+        # connector in front.
         for k in range(8):
             pivot[k] = link[4] * matrix[0, k] + link[5] * matrix[1, k] - matrix[2, k]
             pivot[k] += link[6] * matrix[3, k] + link[7] * matrix[4, k]
@@ -266,8 +267,8 @@ class WorkArrays(NamedTuple):
         links: coefficients of the propagation (`_fill_propagation`), shape (segments, 8).
         loads: momenta, friction and mass matrices of the connectors (`_fill_loads`), shape (N, 12).
         pivots: eliminated rows of the bends, with the right side last, shape (segments, 8).
-        matrix: Newton's matrix of everything behind a connector for velocity (2), spin, rate of the velocity
-            (2) and the multipliers (2), with the right side last, shape (7, 8).
+        matrix: Newton's matrix of the body part behind a connector, for velocity (2), spin, rate of the
+            velocity (2) and the multipliers (2), with the right side last, shape (7, 8).
     """
 
     body: np.ndarray
@@ -294,7 +295,7 @@ def _residual(known, a, u, weight, floor, momentum, force, out):  # type: ignore
     """Fill the residual p(u) − p_known − a dp/dt in the frame of the mean heading.
 
     Args:
-        known: known part of the state, shape (STATES + 2 segments,).
+        known: known part of the stage equation, shape (STATES + 2 segments,).
         a: γ h, s.
         u: velocities, shape (3 + segments,).
         weight: total mass, kg.

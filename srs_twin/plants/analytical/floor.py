@@ -5,11 +5,10 @@ connectors move equally, so that the mass cancels:
 
 $$ \dot v = f(v; \mu_t/(1 + s), \mu_n), \qquad s = \sum_w \frac{I_w}{M R^2}, $$
 
-with the law f for a load of g per unit mass. s is the inertia of the spinning wheels; 0 without it. Wheels
-that must stop spinning lengthen the distance along the heading by 1 + s, because the floor brakes them less
-than their axles do. No other force acts, so neither velocity component changes its sign: each is integrated
-by the midpoint rule until it is 0, and stays 0. Positions are smooth in the velocities and coefficients, as a
-fit requires.
+with the law f for a load of g per unit mass. s is the inertia of the spinning wheels; 0 without it. The spin
+of the wheels adds inertia along the heading, which lengthens the stopping distance by the factor 1 + s. No
+other force acts, so neither velocity component changes its sign: each is integrated by the midpoint rule
+until it is 0, and stays 0. Positions are smooth in the velocities and coefficients, as a fit requires.
 
 **Momentary loads.** A connector has two wheels at ± a, and its centre of mass is at the height h. A lateral
 force increases the load of the outer wheel. The connector does not tip over, so that with the law's force φ
@@ -18,8 +17,8 @@ per unit load, left and right,
 $$ N_{L,R} = \tfrac W2 \mp k F_n, \qquad F_n = N_L φ_L + N_R φ_R
    = \frac W2\,\frac{φ_L + φ_R}{1 - k (φ_R - φ_L)}, \qquad k = \frac h{2a}. $$
 
-Loads are not negative. Slopes are computed at constant loads, which keeps them symmetric; Newton's method
-then takes a few more iterations to the same solution.
+Loads are not negative. Slopes are computed at constant loads, which keeps them symmetric. The solution is the
+same; Newton's method needs a few more iterations.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 
 class FloorFriction(NamedTuple):
-    """Floor of the analytical models for the kernels.
+    """Friction parameters and slope of the floor, for the kernels.
 
     Attributes:
         case: tuple of None whose length is the index into `_CASES`. The length is part of the type in numba,
@@ -220,8 +219,8 @@ def floor_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyp
         floor: the floor.
 
     Returns:
-        Net force (x, y) and moment about the centre of mass (z) in the body frame; their slopes by the three
-        velocities, which are symmetric: xx, xy, xz, yy, yz, zz; the dissipated power, W.
+        Net force (x, y) and moment about the centre of mass (z) in the body frame; their symmetric slopes
+        with respect to the three velocities: xx, xy, xz, yy, yz, zz; the dissipated power, W.
     """
     cosine, sine, spins = body[COS], body[SIN], body[SPIN]
     place_x, place_y, rate_x, rate_y = body[X], body[Y], body[VX], body[VY]
@@ -273,16 +272,17 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
         force[i, 0], force[i, 1], force[i, 2] = terms[0], terms[1], terms[2]
 
 
-# Speed over slip speed at which a law has all but 1e-4 of its force, 1; also for an ellipse of 1:14.
+# Ratio of speed to slip speed at which a law has reached its full force within 1e-4, also for an ellipse of
+# 1:14, 1.
 _SLIDING_RATIO = 1000.0
 
 _MIN_SLIP_SPEED = 1e-7  # on a slope, m/s
 _COASTING_STEP = 5e-4  # longest time step of `slide`, s
-_COASTING_SLIP_SPEED = 1e-9  # of `slide`, m/s: it only avoids 0/0
+_COASTING_SLIP_SPEED = 1e-9  # slip speed of `slide`, m/s; small, because it only avoids 0/0
 
 
 def spin_share(spec: RobotSpec) -> float:
-    """Return s, the inertia of wheels that are solid discs over the mass of the whole robot, 1."""
+    """Return s: inertia of the wheels, as solid discs, divided by the mass of the robot, 1."""
     return 2 * spec.geometry.connectors * (spec.mass.wheel / 2) / spec.mass.total
 
 
@@ -318,7 +318,7 @@ def slide(
 
 @compiled
 def _fill_positions(along, across, times, floor, position):  # type: ignore[no-untyped-def]
-    """Fill the positions at `times`, shape (times, 2), m."""
+    """Integrate the coasting motion and fill its positions at `times`, shape (times, 2), m."""
     x, y, now = 0.0, 0.0, 0.0
     for k in range(times.shape[0]):
         steps = int(np.ceil((times[k] - now) / _COASTING_STEP))

@@ -8,9 +8,9 @@ $$ M \dot v = \sum f_i, \qquad \dot L = \sum \bigl(r_i - r_c\bigr) \times f_i + 
    L = I(q)\,\dot\theta + h(q, \dot q), $$
 
 with I = Σ m_i |ρ_i|² + J_i, h = Σ m_i ρ_i × ρ̇_i + J_i φ̇_i, the moment of inertia J_i of a connector (0 for
-point masses), the friction force f_i, and the yaw moment n_i of its wheels. This is Eq. 11 contracted with
-eᵀ, in which the segment torques cancel. With the moment of momentum L as a state, the scheme needs no q̈, so
-that jumps of q̈ at valve events do not reduce its order.
+point masses), the friction force f_i, and the yaw moment n_i of its wheels. This is Eq. 11 multiplied by eᵀ,
+which cancels the segment torques. With the angular momentum L as a state, the scheme does not need q̈. Jumps
+of q̈ at valve events therefore do not reduce its order.
 
 Friction is stiff. The three velocities are therefore solved implicitly by the two-stage, second-order,
 L-stable SDIRK method of Alexander (1977), with Newton's method in each stage. Friction has a convex
@@ -57,7 +57,7 @@ def inverse_dynamics(velocities, trace, model, torque):  # type: ignore[no-untyp
     Args:
         velocities: velocity of the centre of mass in the mean-heading frame (m/s) and yaw rate (rad/s), shape
             (samples, 3).
-        trace: of the chambers, whose free bends are the bends.
+        trace: trace of the chambers, whose free bends are the bends.
         model: body, floor, and whether the friction moment acts.
         torque: out, shape (samples, segments), N·m.
     """
@@ -153,8 +153,8 @@ def _sum_moments(chords, load, remainder, torque):  # type: ignore[no-untyped-de
     Args:
         chords: as filled by `_fill_accelerations`.
         load: load on each connector, as filled by `_balance_loads`.
-        remainder: moment of the loads about the centre of mass, N·m. A bend rotates the head so that the mean
-            heading stays, and with it the whole body.
+        remainder: moment of the loads about the centre of mass, N·m. A bend rotates the head, and with it the
+            whole body, so that the mean heading stays constant.
         torque: out, shape (segments,), N·m.
     """
     n = load.shape[0]
@@ -176,7 +176,7 @@ STATE_Y = 1
 HEADING = 2  # mean heading, rad
 STATE_VX = 3  # velocity of the centre of mass, world frame, m/s
 STATE_VY = 4
-MOMENT = 5  # moment of momentum L, kg·m²/s
+MOMENT = 5  # angular momentum L, kg·m²/s
 ENERGY_LOSS = 6  # energy lost to friction, and potential energy gained, J
 STATES = 7
 
@@ -184,8 +184,8 @@ SPEED_LIMIT = 100.0
 """Speed above which a state is not plausible, m/s."""
 
 _NEWTON_STEPS = 100  # largest number of iterations of a stage
-_NEWTON_TOLERANCE = 1e-8  # of the velocities, m/s; a tenth of the yaw rate (rad/s) counts
-_OVERSHOOT = 0.1  # slope after a Newton step over that before it, above which the step was too long, 1
+_NEWTON_TOLERANCE = 1e-8  # tolerance of the velocities, m/s; the yaw rate (rad/s) is multiplied by 0.1
+_OVERSHOOT = 0.1  # ratio of the slopes after and before a Newton step above which the step was too long, 1
 
 
 @compiled

@@ -1,8 +1,8 @@
 r"""Time steps of the analytical models, and the adaptive substeps of `complete` and `simplified`.
 
 Steps end on valve events (`Steps`). Where the slip of a connector changes its sign, its friction reverses
-within a few times the slip speed ε, in a time mostly far shorter than a step. A step that misjudges the time
-of such a reversal has the error of an impulse. `complete` and `simplified` divide steps where friction
+within a few times the slip speed ε, in a time mostly far shorter than a step. A step that misses the time of
+such a reversal makes the error of a whole impulse. `complete` and `simplified` divide steps where friction
 reverses.
 
 **Error estimate.** A step knows three rates of momentum: k₀ at its start, which is the last stage of the
@@ -12,10 +12,10 @@ Its deviation, as a velocity change over the step,
 $$ \eta = \frac{h}{M}\,\bigl|\,k_1 - (1-\gamma)\,k_0 - \gamma\,k_2\,\bigr|, $$
 
 is at least 0.7 times the error of a reversal anywhere in the step, and of third order in h where friction is
-smooth. The moment of momentum is scaled by the radius of gyration of a straight body. A step with η above the
-tolerance is repeated in halves, which may be divided again; substeps well below the tolerance are doubled.
-Bends within a step are cubic Hermite polynomials through the bends and rates that the chambers give at its
-stages.
+smooth. The rate of the angular momentum is divided by the radius of gyration of the straight body. A step
+with η above the tolerance is repeated in halves, which may be divided again; substeps well below the
+tolerance are doubled. Bends within a step are cubic Hermite polynomials through the bends and rates that the
+chambers give at its stages.
 """
 
 from __future__ import annotations
@@ -113,8 +113,8 @@ def _even(span: float, samples: int, per_sample: int) -> Steps:
 MAX_SUBSTEPS = 64
 """Largest number of substeps of a step, a power of 2."""
 
-# Ratios of error and tolerance, 1: above the first, a step is quartered, because halves would fail again;
-# below the second, the next substep is doubled.
+# Ratios of error to tolerance, 1. Above the first one a step is quartered, because halves would fail again;
+# below the second one the next substep is doubled.
 _QUARTER_ABOVE = 4.0
 _DOUBLE_BELOW = 0.5
 
@@ -175,10 +175,10 @@ def advance(now, steps, trace, marks, model, tolerance, samples):  # type: ignor
         now: state (indices in `kernels`) and its rates, shape (STATES,) each; velocity in the body frame and
             yaw rate, shape (3,). The latter two are kept between calls as first guesses.
         steps: lengths of the steps, shape (steps,), s.
-        trace: of the chambers, at the start and the two stages of each step, 1 + 2 steps rows.
+        trace: trace of the chambers at the start and the two stages of each step, 1 + 2 steps rows.
         marks: number of steps before each sample, ascending, shape (samples,).
         model: a `BodyParameters`, a `FloorFriction`, and whether the friction moment acts.
-        tolerance: of η, m/s.
+        tolerance: largest allowed η, m/s.
         seen: out, states and velocities at the samples, shapes (samples, STATES) and (samples, 3).
 
     Returns:

@@ -10,9 +10,9 @@ solves it with the friction forces f̂ of the previous step, which gives v̂:
 $$ (M + h D)(\hat v - v_-) = h\,\bigl(Q - c(v_-)\bigr) + h J_n^T \hat N + h \sum_w J_w^T \hat f_w , $$
 
 with the inertia M, the dampers h D that MuJoCo takes implicitly (together with the springs,
-`_damping_matrices`), the applied forces Q, the Coriolis and centrifugal forces c, the normal forces N̂ and
-the friction forces on the contacts w. The desired step has dampers C of second order instead of h D, Coriolis
-forces at mid-step, and its own friction f:
+see `_damping_matrices`), the applied forces Q, the Coriolis and centrifugal forces c, the normal forces N̂
+and the friction forces on the contacts w. The desired step has damping C, which is of second order, instead
+of h D, Coriolis forces at mid-step, and its own friction f:
 
 $$ (M + C)(v - v_-) = h\,\bigl(Q - c(\bar v)\bigr) + h J_n^T N + h \sum_w J_w^T f_w , \qquad
    \bar v = (v_- + v)/2 . $$
@@ -26,13 +26,14 @@ The change of the normal forces, N − N̂ = −J_n δ/(h R), has moved to the l
 wheels that press on the floor and R is MuJoCo's regularisation, so that friction does not push wheels into
 the floor. c(v̄) is evaluated with v̂ in place of v.
 
-**Obstacles** press on the hulls of the body without friction, too. Friction acts on a hull where the force of
-the obstacle acts (`stick_slip`). There is no such row in J_n: the normal force of an obstacle stays N̂.
+**Obstacles** also press on the hulls of the body without friction in the engine. Friction acts on a hull
+where the force of the obstacle acts (`stick_slip`). There is no such row in J_n: the normal force of an
+obstacle stays N̂.
 
 **Time levels.** Positions are those at mid-step, so that springs, friction and Coriolis forces are of second
-order. MuJoCo's contacts act with their state at the end of the step: their time constant is only two steps.
-The friction of a wheel acts where it touches the floor, except for the part that spins the wheel, which acts
-at the hub.
+order. MuJoCo's normal contacts act with their state at the end of the step, because their time constant is
+only two steps. The friction of a wheel acts where it touches the floor, except for the part that spins the
+wheel, which acts at the hub.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ from srs_twin.robot.spec import RobotSpec
 
 _SKIP_TO_FORCES = int(mujoco.mjtStage.mjSTAGE_VEL)  # positions and velocities are already evaluated
 _SINKING_TIME = 0.05  # s, after which a snake at rest has sunk into the floor to its equilibrium
-_MIN_DECAY = 1e-9  # of a mode over one step, 1; less is rounding of an undamped motion
+_MIN_DECAY = 1e-9  # of a mode over one step, 1; smaller values are rounding errors of undamped motions
 
 mj_step1, mj_comVel = c_function("mj_step1"), c_function("mj_comVel")
 mj_forwardSkip = c_function("mj_forwardSkip", types.int32, types.int32)
@@ -118,7 +119,7 @@ class LoadedStepper(Stateful):
         views = (getattr(data, name) for name in EngineData._fields[2:])
         self._engine = EngineData(model._address, data._address, *views)
         self._inputs = StepInputs(data.ctrl, data.qacc_warmstart)
-        self._model, self._data = model, data  # the kernels hold addresses, which keep nothing alive
+        self._model, self._data = model, data  # keep references: the kernels hold only addresses
         self._h, nv = settings.timestep, model.nv
         count, entries = len(self._contacts.body), len(data.M)
         # In the order of the fields of `Workspace`.
@@ -179,7 +180,7 @@ class LoadedStepper(Stateful):
         self.contact_state = ContactState(np.zeros((len(load), 3)), zeros, load.copy(), zeros.copy())
 
     def roll(self) -> None:
-        """Set the rim speeds of wheels that roll at their current velocity along the heading."""
+        """Set the rim speed of each wheel to rolling without slip at its current velocity."""
         contacts, velocity = self._contacts, np.empty(6)
         for w in range(contacts.wheels):
             body = int(contacts.body[w])
@@ -229,7 +230,7 @@ def _constants(
         damping, excess = _damping_matrices(model, mass, h, no_air if air is None else air)
         admittance = np.einsum("wi,ij,wj->w", jacobian, np.linalg.inv(mass + damping), jacobian)
     triangle = np.repeat(np.arange(nv), model.M_rownnz), model.M_colind
-    # A solid disc rolling adds half of its mass to the motion along.
+    # The spin of a rolling solid disc adds half of its mass to the inertia along the heading.
     spin_mass = 0.0 if contact.law == "ellipse" else settings.numerics.wheel_spin * spec.mass.wheel / 2
     zeros = np.zeros(len(hulls))
     sensors = [model.sensor(f"floor_force_{wheel}").adr[0] + 2 for wheel in wheels]
@@ -264,7 +265,7 @@ def _reference_dynamics(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return M and the contact Jacobian of the straight snake, shapes (nv, nv) and (C, nv).
 
-    The rows of wheels give their velocity across, those of hulls their velocity along the body.
+    The rows of the wheels give their velocity across the heading, those of the hulls their velocity along it.
     """
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -284,25 +285,25 @@ def _damping_matrices(
 ) -> tuple[np.ndarray, np.ndarray]:
     r"""Return C of second order in time, and (h D + h² K) − C, shapes (nv, nv).
 
-    MuJoCo's dampers and springs act with their state at the end of a step, which is first order. The matrix
+    MuJoCo evaluates dampers and springs at the end of a step, which is of first order. The matrix
 
     $$ C = M\,\varphi(h M^{-1} D) - M, \qquad \varphi(x) = x/(1 - e^{-x}) = 1 + x/2 + \dots $$
 
     makes the step (M + C)(v − v₋) = h (f − D v₋) decay as the exact exponential does: with second order, and
-    without ringing of fast modes. M is the inertia of the straight snake; the order does not depend on the
-    choice.
+    without ringing of fast modes. M is the inertia of the straight snake; other shapes would give the same
+    order.
 
-    Air that the bends compress is a further spring K_a, whose force is evaluated at mid-step. The term h²
-    K_a/4 in A makes the step stable for its fastest oscillation, that of a connector between two closed
-    chambers. It changes results in the second order.
+    The air that the bends compress acts as a further spring K_a, whose force is evaluated at mid-step. The
+    term h² K_a/4 in A makes the step stable for its fastest oscillation, that of a connector between two
+    closed chambers. It changes the results only by terms of second order.
     """
     hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
     rates = h * model.dof_damping
     rates[model.jnt_dofadr[hinges]] += h**2 * model.jnt_stiffness.reshape(model.njnt, -1)[hinges, 0]
     decays, modes = scipy.linalg.eigh(np.diag(rates), mass)
     shapes = mass @ modes
-    # Rigid motions are undamped. A rounding error in their rates would add mass that does not rotate with
-    # the snake.
+    # Rigid motions are undamped. Rounding errors of their rates would add a mass matrix that is fixed in the
+    # world, although it should rotate with the snake.
     damped = decays > _MIN_DECAY
     decays[~damped] = 1.0
     damping: np.ndarray = (shapes * np.where(damped, decays / -np.expm1(-decays) - 1, 0.0)) @ shapes.T

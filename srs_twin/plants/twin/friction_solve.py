@@ -10,8 +10,9 @@ $$ r(\delta) = (A + J_n^T R^{-1} J_n)\,\delta - h \sum_w J_w^T \bigl(f_w(u_w) - 
 - w counts the contacts: the wheels first, then the hulls that may touch an obstacle.
 - J_w maps velocities to the velocity of contact w along and across, J_n to the normal velocities of the
   wheels that press on the floor, and R is MuJoCo's regularisation of their normal forces.
-- u_w is the velocity of a contact within the step, u_w = J_w (v₋ + θ (v − v₋)). The fraction θ is 1/2 for a
-  contact that slides (second order) and tends to 1 for one that sticks (`_evaluation_fraction`).
+- u_w is the velocity of a contact at which its friction is evaluated, u_w = J_w (v₋ + θ (v − v₋)). The
+  fraction θ is 1/2 for a contact that slides (second order) and tends to 1 for one that sticks
+  (`_evaluation_fraction`).
 
 The part of a wheel's friction that spins the wheel acts at the hub, not at the contact point
 (`_SPIN_FORCE`).
@@ -53,11 +54,11 @@ _MAX_ITERATIONS = 30  # Newton steps under the final loads
 _MAX_TRIALS = 12  # evaluations of one line search
 
 # Tolerances of the squared residual, all relative but the last.
-_RELATIVE_TOLERANCE = 1e-14  # of the squared friction impulse: friction is then exact to 1e-7
-_ROUNDING_TOLERANCE = 1e-24  # of the largest first residual: below it there is only rounding
+_RELATIVE_TOLERANCE = 1e-14  # relative to the squared friction impulse: friction is then exact to 1e-7
+_ROUNDING_TOLERANCE = 1e-24  # relative to the largest first residual: below it there are only rounding errors
 _ABSOLUTE_TOLERANCE = 0.0  # (kg·m/s)²; Warp, in single precision, replaces it (`warp.translation`)
 
-# A line search ends where the slope has fallen below this fraction of the slope at its start, 1.
+# A line search ends when the slope has fallen below this fraction of the initial slope, 1.
 _MAX_SLOPE_RATIO = 0.5
 
 # Rows of `Workspace.jacobian`.
@@ -69,11 +70,11 @@ _HUB = 3
 # Columns of `Workspace.response`.
 _FORCE_ALONG = 0  # N
 _FORCE_ACROSS = 1  # N
-_SLOPE_ALONG = 2  # of the force along, by the velocity along, N·s/m
-_SLOPE_MIXED = 3  # of the force along, by the velocity across, N·s/m
-_SLOPE_ACROSS = 4  # of the force across, by the velocity across, N·s/m
-_RIM_SPEED = 5  # of a wheel, where friction is evaluated, m/s
-_UNLOADING = 6  # decrease of the normal force that δ makes, N
+_SLOPE_ALONG = 2  # ∂f_t/∂v_t: force along, velocity along, N·s/m
+_SLOPE_MIXED = 3  # ∂f_t/∂v_n = ∂f_n/∂v_t, N·s/m
+_SLOPE_ACROSS = 4  # ∂f_n/∂v_n: force across, velocity across, N·s/m
+_RIM_SPEED = 5  # rim speed of a wheel when its friction is evaluated, m/s
+_UNLOADING = 6  # decrease of the normal force due to δ, N
 _SPIN_FORCE = 7  # part of the force along that spins the wheel, N
 
 # Columns of `ContactState.force`; the first two are those of the response.
@@ -145,12 +146,12 @@ class Contacts(NamedTuple):
         admittance: change of velocity per impulse, across for a wheel and along the body for a hull, shape
             (C,), 1/kg.
         static_load: shape (C,), N.
-        load_kind: load that friction takes, an index into `numerics.LOADS`.
-        sensor: index into `sensordata` of a wheel's normal force, or of the force on a hull, which its place
-            follows, shape (C,).
+        load_kind: load in the friction law, an index into `numerics.LOADS`.
+        sensor: index into `sensordata` of a wheel's normal force, or of the force on a hull and its point of
+            application, shape (C,).
         wheel_radius: m.
         law: friction law of the wheels, an index into `numerics.LAWS_ON_LOADS`.
-        coefficients: μ_t, μ_n, slip speed ε (m/s), and the mass that the spin of a wheel adds (kg).
+        coefficients: μ_t, μ_n, slip speed ε (m/s), and the added mass of a spinning wheel (kg).
     """
 
     wheels: int
@@ -168,12 +169,12 @@ class Contacts(NamedTuple):
 
 
 class ContactState(NamedTuple):
-    """State that the contacts keep from step to step.
+    """State of the contacts that persists from step to step.
 
     Attributes:
         force: friction along and across the heading, and its part that spins the wheel, shape (C, 3), N.
         rim_speed: shape (C,), m/s.
-        load: normal force that friction takes, shape (C,), N.
+        load: normal force in the friction law, shape (C,), N.
         slip_speed: shape (C,), m/s.
     """
 
@@ -190,7 +191,7 @@ class Workspace(NamedTuple):
 
     Attributes:
         jacobian: spatial vectors that give a contact's velocity along, across and up, and its hub's velocity
-            along, shape (C, 4, 6). For an obstacle, along is along its face, and across is up.
+            along, shape (C, 4, 6). At an obstacle, "along" is horizontal along its face, and "across" is up.
         heading: cosine and sine of the direction along, shape (C, 2).
         response: forces and slopes of the friction law, shape (C, 8); columns `_FORCE_ALONG` and so on.
         normal_force: under v̂, shape (C,), N.
@@ -234,7 +235,7 @@ class Workspace(NamedTuple):
 
 @kernel_only
 def apply_stored_friction(engine, contacts, sparsity, state, work):  # type: ignore[no-untyped-def]
-    """Locate the wheels and apply the friction of the previous step as `qfrc_applied`."""
+    """Locate the wheels and write the friction of the previous step to `qfrc_applied`."""
     _locate_wheels(engine, contacts, work)
     _generalised_forces(engine.cdof, contacts, sparsity, state.force, work, engine.qfrc_applied)
 
@@ -263,7 +264,8 @@ def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[
     _read_normal_forces(engine, contacts, work)
     for w in range(contacts.body.shape[0]):
         mu = contacts.coefficients[1] if w < contacts.wheels else _OBSTACLE_FRICTION
-        # Secant slope of the friction force over the slip speed of the previous step, N·s/m.
+        # Friction force per slip speed of the previous step (secant slope), N·s/m. It decides whether the
+        # contact slides (θ near 1/2) or sticks (θ near 1).
         grip = mu * work.normal_force[w] / max(state.slip_speed[w], contacts.coefficients[2])
         work.theta[w] = _evaluation_fraction(h * grip * contacts.admittance[w])
     _newton(engine, contacts, sparsity, state, work, h)
@@ -334,7 +336,7 @@ def dot(a, b):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
-    """Fill Jacobian and heading of each wheel's contact, which is straight below the wheel's centre."""
+    """Fill Jacobian and heading of each wheel's contact, vertically below the wheel's centre."""
     com = engine.subtree_com[1]
     for w in range(contacts.wheels):
         body, centre = contacts.body[w], contacts.centre[w]
@@ -350,7 +352,7 @@ def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
         point_jacobian(work.jacobian[w, _ALONG], x, y, z, c, s, 0.0)
         point_jacobian(work.jacobian[w, _ACROSS], x, y, z, -s, c, 0.0)
         point_jacobian(work.jacobian[w, _UP], x, y, z, 0.0, 0.0, 1.0)
-        # The hub is one radius above the contact: only the moments of its row differ.
+        # The hub is one radius above the contact, so only the moments differ between the two rows.
         hub, along = work.jacobian[w, _HUB], work.jacobian[w, _ALONG]
         for k in range(6):
             hub[k] = along[k]
@@ -371,7 +373,7 @@ def point_jacobian(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _read_normal_forces(engine, contacts, work):  # type: ignore[no-untyped-def]
-    """Read the normal forces from the sensors; locate contacts with obstacles, which have upright faces."""
+    """Read the normal forces from the sensors; locate the contacts with the vertical faces of obstacles."""
     com, sensors = engine.subtree_com[1], engine.sensordata
     for w in range(contacts.body.shape[0]):
         k = contacts.sensor[w]
@@ -430,21 +432,21 @@ def _contact_velocity(contacts, work, w, theta):  # type: ignore[no-untyped-def]
     last = contacts.last_dof[w]
     middle, step, change = work.mid_motion[last], work.step_motion[last], work.motion[last]
     # v₋ + θ (v − v₋) = (v₋ + v̂)/2 + (θ − 1/2)(v̂ − v₋) + θ δ
-    ahead, aside, more = work.jacobian[w, _ALONG], work.jacobian[w, _ACROSS], theta - 0.5
+    along, across, shift = work.jacobian[w, _ALONG], work.jacobian[w, _ACROSS], theta - 0.5
     return (
-        dot(ahead, middle) + more * dot(ahead, step) + theta * dot(ahead, change),
-        dot(aside, middle) + more * dot(aside, step) + theta * dot(aside, change),
+        dot(along, middle) + shift * dot(along, step) + theta * dot(along, change),
+        dot(across, middle) + shift * dot(across, step) + theta * dot(across, change),
     )
 
 
 @kernel_only
 def _friction_load(contacts, work, w):  # type: ignore[no-untyped-def]
-    """Return the load that the friction of a contact takes (`numerics.LOADS`), N."""
+    """Return the load in the friction law of a contact (`numerics.LOADS`), N."""
     normal = max(work.normal_force[w] - work.response[w, _UNLOADING], 0.0)
     static = contacts.static_load[w]
     if contacts.load_kind == _MOMENTARY or w >= contacts.wheels:
         return normal
-    # The wheels 2k and 2k + 1 share an axle.
+    # The wheels 2k and 2k + 1 share an axle, and w ^ 1 is the other one.
     opposite = max(work.normal_force[w ^ 1] - work.response[w ^ 1, _UNLOADING], 0.0)
     if contacts.load_kind == _ACROSS_ONLY and normal > 0.0:
         return 2.0 * static * normal / (normal + opposite)
@@ -453,9 +455,9 @@ def _friction_load(contacts, work, w):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _evaluation_fraction(x):  # type: ignore[no-untyped-def]
-    """Return the fraction θ of a step at which friction is evaluated, for slip that decays by e^(−x).
+    """Return the fraction θ of a step at which friction is evaluated if slip decays by e^(−x) per step.
 
-    With it the implicit step reproduces the exponential decay. θ is 1/2 for slow decay, 1 for fast decay.
+    With this θ the implicit step reproduces the exponential decay. θ is 1/2 for slow decay, 1 for fast decay.
     """
     if x > 0.1:
         return 1.0 / (1.0 - np.exp(-x)) - 1.0 / x
@@ -505,7 +507,8 @@ def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-unty
         change[i] = 0.0
     _clear(work.response)
     first = float(0.0)
-    # The first pass uses the loads of v̂ and need not converge; the second uses the loads that it leaves.
+    # The first pass uses the loads of v̂ and need not converge; the second pass uses the loads after the
+    # first.
     for iteration in range(2):
         max_iterations = 1 if iteration == 0 else _MAX_ITERATIONS
         friction_impulse = float(0.0)
@@ -534,24 +537,26 @@ def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no
     """Move along Newton's direction until the residual is nearly normal to it; return its square.
 
     Under given loads friction maximises dissipation, so the residual is the gradient of a convex function,
-    which decreases at each such step. The squared residual may increase where a contact changes between
-    sticking and sliding, so that a search that requires its decrease stalls when the robot stops.
+    which decreases along Newton's direction. The squared residual may increase where a contact changes
+    between sticking and sliding: a search that requires it to decrease would stall when the robot stops.
     """
     change, direction = work.v_change, work.direction
-    start = float(0.0)
+    slope_start = float(0.0)
     for i in range(direction.shape[0]):
-        start += work.residual[i] * direction[i]
-    low, high, scale, done = float(0.0), float(1.0), float(1.0), float(0.0)
-    slope_low, slope_high, square = start, float(0.0), float(0.0)
+        slope_start += work.residual[i] * direction[i]
+    low, high, scale, applied = float(0.0), float(1.0), float(1.0), float(0.0)
+    slope_low, slope_high, square = slope_start, float(0.0), float(0.0)
     for _ in range(_MAX_TRIALS):
         for i in range(direction.shape[0]):
-            change[i] -= (scale - done) * direction[i]
-        done = scale
+            change[i] -= (scale - applied) * direction[i]
+        applied = scale
         square = _evaluate_residual(engine, contacts, sparsity, state, work, h, work.trial_residual)
         slope = float(0.0)
         for i in range(direction.shape[0]):
             slope += work.trial_residual[i] * direction[i]
-        if slope >= -_MAX_SLOPE_RATIO * start and (scale == 1.0 or slope <= _MAX_SLOPE_RATIO * start):
+        limit = _MAX_SLOPE_RATIO * slope_start
+        # A full step may end early (slope > 0): Newton's next step continues from there.
+        if slope >= -limit and (scale == 1.0 or slope <= limit):
             break
         if slope < 0.0:
             high = scale
@@ -585,9 +590,9 @@ def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type
         response[w, _SPIN_FORCE] = (
             -contacts.coefficients[3] / (h * work.theta[w]) * (rim - state.rim_speed[w])
         )
-        rise = dot(jacobian[w, _UP], motion[contacts.last_dof[w]])
+        upward = dot(jacobian[w, _UP], motion[contacts.last_dof[w]])
         response[w, _UNLOADING] = (
-            rise / (h * contacts.regularisation[w]) if work.normal_force[w] > 0.0 else 0.0
+            upward / (h * contacts.regularisation[w]) if work.normal_force[w] > 0.0 else 0.0
         )
     impulse = work.impulse
     _clear(impulse)
@@ -595,13 +600,13 @@ def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type
         f_t, f_n = h * (response[w, 0] - state.force[w, 0]), h * (response[w, 1] - state.force[w, 1])
         spin = h * (response[w, _SPIN_FORCE] - state.force[w, _STORED_SPIN])
         for k in range(6):
-            less = h * response[w, _UNLOADING] * jacobian[w, _UP, k]
-            more = (
+            normal = h * response[w, _UNLOADING] * jacobian[w, _UP, k]
+            tangential = (
                 (f_t - spin) * jacobian[w, _ALONG, k]
                 + spin * jacobian[w, _HUB, k]
                 + f_n * jacobian[w, _ACROSS, k]
             )
-            impulse[contacts.last_dof[w], k] += less - more
+            impulse[contacts.last_dof[w], k] += normal - tangential
     _project(engine.cdof, sparsity, impulse, out)
     for i in range(change.shape[0]):
         out[i] -= work.bias[i]
@@ -619,12 +624,12 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
     for i in range(slope.shape[0]):
         _clear(slope[i])
     for w in range(contacts.body.shape[0]):
-        weight = -work.theta[w] * h
+        weight = -work.theta[w] * h  # ∂u/∂δ = θ, and friction enters r with −h
         tt = weight * response[w, _SLOPE_ALONG]
         tn = weight * response[w, _SLOPE_MIXED]
         nn = weight * response[w, _SLOPE_ACROSS]
         up = 1.0 / contacts.regularisation[w] if work.normal_force[w] > 0.0 else 0.0
-        # While a wheel turns, its force along acts on the connector at the hub.
+        # While a wheel rolls, the force along spins it, so its slope acts on the connector at the hub.
         ahead = jacobian[w, _HUB if response[w, _RIM_SPEED] != 0.0 else _ALONG]
         aside, above, composite = jacobian[w, _ACROSS], jacobian[w, _UP], slope[contacts.last_dof[w]]
         for a in range(6):
@@ -633,7 +638,7 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
                 composite[a, b] += t * ahead[b] + n * aside[b] + z * above[b]
     for k in range(matrix.shape[0]):
         matrix[k] = work.inertia[k]
-    # Sum the slopes toward the root; project those beyond each degree of freedom on its ancestors.
+    # From the ends to the root: project the summed slopes beyond each degree of freedom on its ancestors.
     for i in range(sparsity.row_length.shape[0] - 1, -1, -1):
         d, composite, p, row = engine.cdof[i], slope[i], sparsity.parent[i], sparsity.row_start[i]
         reaction = work.impulse[i]
@@ -666,13 +671,14 @@ def solve_direction_portably(engine, sparsity, work):  # type: ignore[no-untyped
 @kernel_only
 def _factor(matrix, sparsity):  # type: ignore[no-untyped-def]
     """Factor a matrix with the pattern of M into LᵀDL, in place and without fill-in."""
+    # From the ends of the chain to the root: eliminating a row changes only rows of its ancestors.
     for k in range(sparsity.row_length.shape[0] - 1, -1, -1):
         row, last = sparsity.row_start[k], sparsity.row_length[k] - 1
-        over = 1.0 / matrix[row + last]
+        inverse_pivot = 1.0 / matrix[row + last]
         for a in range(last - 1, -1, -1):
-            factor, to = matrix[row + a] * over, sparsity.row_start[sparsity.column[row + a]]
+            factor, ancestor = matrix[row + a] * inverse_pivot, sparsity.row_start[sparsity.column[row + a]]
             for b in range(a + 1):
-                matrix[to + b] -= factor * matrix[row + b]
+                matrix[ancestor + b] -= factor * matrix[row + b]
             matrix[row + a] = factor
 
 

@@ -283,7 +283,7 @@ class TwinSnake(PneumaticPlant):
         Args:
             times: shape (samples,), s.
             states: shape (samples, 1 + nq + nv), see `StepBatch`.
-            trace: of the chambers.
+            trace: trace of the chambers.
             *loads: forces of the floor, shape (samples, axles, 2, 2), and of obstacles, shape (samples, N,
                 2), N; energy of body, floor and obstacles, shape (samples,), J; energy that joints dissipated
                 inside segments, shape (samples,), J.

@@ -5,7 +5,7 @@ Candidate normals n are cross products d₁ × d₂. The one with the smallest m
 components of the displacements close to its plane. A recording without motion has only the positions of the
 markers, and markers of unequal height tilt a plane through them.
 
-The axis of the file closest to the normal points up. Each map is a rotation, so left stays left:
+The axis of the file closest to the normal points up. Each map is a rotation, so left and right are preserved:
 
 | up | x    | y    |
 |----|------|------|
@@ -59,13 +59,13 @@ _MAX_AXIS_TILT = np.radians(30.0)
 
 @dataclass(frozen=True)
 class FloorPlane:
-    """Markers in floor coordinates.
+    """Markers in floor coordinates, with the detected vertical axis.
 
     Attributes:
         up: vertical axis of the file.
         points: x and y on the floor, and height above the origin of the file (0 if the file has no heights),
             shape (frames, columns, 3), m.
-        corrections: texts on results and changes.
+        corrections: notes on results and changes, for the summary.
     """
 
     up: str
@@ -79,7 +79,8 @@ def map_to_floor(points: np.ndarray, up: str, usual: str) -> FloorPlane:
     Args:
         points: shape (frames, columns, 3) or (…, 2), m.
         up: one of `UPS`.
-        usual: vertical axis that is usual for the file format, used if the markers do not determine it.
+        usual: vertical axis that is usual for the file format; the fallback if the markers do not determine
+            it.
 
     Raises:
         InputError: a plane file does not have the axis, or the vertical axis cannot be determined.
@@ -142,7 +143,7 @@ def _range(values: np.ndarray) -> float:
 
 
 def _move_together(pair: np.ndarray) -> bool:
-    """Return whether the first of two tracks moves as the second one does; shape (frames, 2, 2), m."""
+    """Return whether two tracks move together, given their positions, shape (frames, 2, 2), m."""
     pair = pair[np.isfinite(pair).all(axis=(1, 2))]
     if len(pair) < 2:
         return False

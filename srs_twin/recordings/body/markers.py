@@ -63,15 +63,15 @@ Places = dict[int, tuple[int, str]]
 MIN_COVERAGE = 0.2
 """Smallest fraction of the frames on which a marker of the robot is visible, 1."""
 _MAX_NEIGHBOUR_PITCH = 2.0
-"""Distance to the nearest marker, in lengths of a segment, above which a marker is not on the robot."""
+"""Distance to the nearest marker, in segment lengths, above which a marker is not on the robot."""
 _MIN_EXTENT = 0.1
 """Smallest extent of all markers, in lengths of the straight body: no body bends into a smaller space."""
 _MAX_NEAREST_PITCH = 2.5
-"""Largest distance of the two nearest markers, in lengths of a segment."""
+"""Largest distance of the two nearest markers, in segment lengths."""
 _DISTANCE_FRAMES = 2000
-"""Number of frames from which distances are computed."""
+"""Number of sampled frames from which distances are computed."""
 _NEIGHBOUR_FRAMES = 300
-"""Number of frames on which neighbours are searched."""
+"""Number of sampled frames on which neighbours are searched."""
 _MIN_CRAWLED = 0.1
 """Smallest forward distance that determines which end is the head, in body lengths."""
 _NOTED_LENGTH = 0.02
@@ -203,7 +203,7 @@ def distance_statistics(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     The standard deviations are computed from quartiles; a few wrong frames have no effect.
     """
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
-    # A marker and itself, or two markers that are never visible on the same frame.
+    # NaN for a marker and itself, and for two markers that are never visible on the same frame.
     distance[:, np.isnan(distance).all(axis=0)] = np.inf
     with np.errstate(invalid="ignore"):
         low, median, high = np.nanquantile(distance, [0.25, 0.5, 0.75], axis=0)
@@ -272,7 +272,7 @@ class CapturedMarkers:
         time: shape (frames,), s.
         points: interpolated where a marker is hidden, shape (frames, markers, 2), m.
         columns: column of the file from which each sample came, −1 where it is hidden, (frames, markers).
-        rejected: number of their samples that were outliers.
+        rejected: number of samples of these markers that were outliers.
         other: number of samples in the file that do not belong to the robot.
     """
 
@@ -295,7 +295,7 @@ class CapturedMarkers:
         return [int(np.bincount(column[column >= 0]).argmax()) for column in self.columns.T]
 
     def thinned(self) -> CapturedMarkers:
-        """Return a sample of the frames."""
+        """Return the markers on a sample of the frames."""
         frames = sample_frames(len(self.time), _COMPARED_FRAMES)
         return replace(self, time=self.time[frames], points=self.points[frames], columns=self.columns[frames])
 
@@ -354,7 +354,7 @@ def tracked_body(markers: CapturedMarkers, spec: RobotSpec, head: str | None) ->
     places, head_note = _places_from_head(markers, spec, head)
     shape, station, notes = _fit_body(markers, spec, places)
     spacing = np.quantile(np.abs(np.diff(shape.connector, axis=1)), 0.98, axis=0)
-    # A hidden marker at the middle of a segment counts for both connectors of the segment.
+    # A hidden marker at the middle of a segment makes both connectors of the segment uncertain.
     missing = np.zeros(shape.theta.shape, dtype=bool)
     for k, number in enumerate(station):
         for connector in {int(number) // 2, (int(number) + 1) // 2}:

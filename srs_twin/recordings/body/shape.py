@@ -5,8 +5,9 @@ the middles of the segments between them. A marker m at station k has the positi
 
 $$ p_m = P_k + a_m\,e^{i\theta_k}, $$
 
-where a_m is its offset in the frame of the station and points are complex numbers. Adjacent connectors are
-joined by an arc of length ℓ_j and bend q_j, with half of the rigid gap g at both ends,
+where a_m is its offset in the frame of the station. Points are complex numbers, which makes a rotation a
+multiplication. Adjacent connectors are joined by an arc of length ℓ_j and bend q_j, with half of the rigid
+gap g at both ends,
 
 $$ P_{j+1} = P_j - e^{i\theta_j}\Bigl(\tfrac g2 + \ell_j E(q_j) + \tfrac g2 e^{-iq_j}\Bigr),
    \qquad E(\varphi) = \int_0^1 e^{-i\varphi u}\,du, \qquad \theta_{j+1} = \theta_j - q_j. $$
@@ -17,14 +18,14 @@ $$ \sum_m \frac{|p_m - \hat p_m|^2}{\sigma^2} + \sum_j \frac{(\ell_j - \bar\ell_
    + \frac{\varepsilon^2}{\sigma_\varepsilon^2} + \sum_j \frac{(q_j - \hat q_j)^2}{\sigma_q^2}. $$
 
 The Gauss-Newton method solves it, and the inverse of its matrix gives the standard errors. The last term
-applies only to frames with hidden markers. It keeps their bends close to a spline through the bends of the
-other frames.
+applies only to frames with hidden markers. It keeps the bends of these frames close to a spline through the
+bends of the other frames.
 
 **Lengths.** If the markers alone determine the bends, the lengths are free, with means and σ_ℓ estimated from
-the recording by expectation-maximisation. With one marker per connector, one number ε per frame is not
+the recording by expectation-maximisation. With one marker per connector, one quantity ε per frame is not
 observable: adjacent headings may turn in opposite directions, q_j = q_j⁰ + 2(−1)^{j−1} ε. Only constant
-segment lengths determine ε, and near a straight body they do so poorly. A body that stretches is refused in
-this case.
+segment lengths determine ε, and near a straight body they determine it poorly. In this case, recordings of a
+body that stretches are rejected.
 
 **Noise.** σ is estimated from differences of high order of the marker positions, in which the motion
 vanishes. With redundant markers it is the residual of the fit instead, which includes deviations of the
@@ -49,7 +50,7 @@ from srs_twin.robot.geometry import half_angle_terms
 from srs_twin.robot.spec import Geometry
 
 SIDE_DIRECTIONS = {"": 0, "ahead": 1, "behind": -1, "left": 1j, "right": -1j}
-"""Side of a station on which a marker is → direction in the frame of the station."""
+"""Side of a station → direction from the station to the marker, in the frame of the station."""
 
 _BEND_STD = 0.15
 """σ_q, deviation of the bends in frames with hidden markers from the spline, rad."""
@@ -65,12 +66,13 @@ _MAX_DIFFERENCE_ORDER = 8
 _NOISE_FRAMES = 20_000
 """Number of frames from which the noise is estimated."""
 _MIN_REDUNDANCY = 0.3
-"""Degrees of freedom per frame from which on the residual of the fit determines the noise."""
+"""Redundant coordinates per frame above which the residual of the fit determines the noise."""
 _MIN_MOTION_RATIO = 0.5
-"""Residual of the fit, divided by the noise from differences, below which they contain motion, 1."""
+"""Ratio of the residual of the fit to the noise from differences below which the differences contain motion,
+1."""
 
 _FLAT_PRIOR_STD = 1e3
-"""Prior standard deviation of headings and bends, rad: no information, but no singular matrix."""
+"""Prior standard deviation of headings and bends, rad: so large that it only prevents singular matrices."""
 _INITIAL_LENGTH_STD = 0.1
 """σ_ℓ before expectation-maximisation, relative to the segment length."""
 _INITIAL_ALTERNATING_STD = 0.3
@@ -81,9 +83,9 @@ _EM_ITERATIONS = 12
 """Iterations of the expectation-maximisation."""
 
 _MAX_BEND_STD = 0.15
-"""Standard error of a bend, rad, at a noise of 0.2 mm, below which the markers determine the bends."""
+"""Largest standard error of a bend, rad, at which the markers determine the bends; for `_TEST_NOISE`."""
 _TEST_NOISE = 2e-4
-"""Noise that is assumed in that test, m."""
+"""Noise that is assumed in the test of `length_model`, m."""
 _FREE_LENGTH_STD = 0.3
 """σ_ℓ of free lengths in that test, relative to the segment length."""
 _FIXED_LENGTH_STD = 0.01
@@ -94,37 +96,39 @@ _MAX_ANGLE_STEP = 0.3
 _MAX_STEPS = 15
 """Largest number of Gauss-Newton steps."""
 _CONVERGED_STEP = 1e-5
-"""Size of a step after which the iteration stops, rad and m: convergence makes the next one far smaller."""
+"""Size of a step after which the iteration stops, rad and m: convergence is quadratic, so the next step would
+be negligible."""
 _MAX_LENGTH = 1e3
-"""Bound of the segment lengths, m: wrong marker assignments may diverge."""
+"""Bound of the segment lengths, m, because fits of wrong marker assignments may diverge."""
 _CHUNK_FRAMES = 2048
 """Number of frames that are fitted at once."""
 _ALTERNATING_STARTS = np.linspace(-0.6, 0.6, 13)
 """Initial values of ε, rad."""
 
 _OUTLIER_NOISE = 8.0
-"""Distance from the body, divided by the noise, above which a sample is an outlier, if outliers are rare."""
+"""Distance from the body, divided by the noise, above which a sample is an outlier."""
 _MAX_OUTLIERS = 0.01
-"""Largest fraction of the samples that are outliers; more of them mean that the model does not fit."""
+"""Largest fraction of outliers among the samples; a larger one means that the model does not fit."""
 _MIN_OUTLIER_DISTANCE = 1e-4
-"""Distance from the body up to which no sample is an outlier, m."""
+"""Distance from the body below which samples are never outliers, m."""
 _SWAP_NOISE = 4.0
-"""Distance from the body, divided by the noise, above which the other marker of a pair is tried."""
+"""Distance from the body, divided by the noise, above which a sample is tried as the other marker of its
+pair."""
 _MAX_PAIR_ANGLE = np.radians(25.0)
 """Largest angle of a pair of markers to the direction along or across the body."""
 
 
 class LengthModel(Enum):
-    """Assumption on the segment lengths with which the markers determine the bends."""
+    """Assumption on the segment lengths under which the markers determine the bends."""
 
     FREE = "free"
     """Lengths may vary: the markers determine the bends for any lengths."""
     FIXED = "fixed"
-    """Lengths are constant: the markers determine the bends only together with them."""
+    """Lengths are constant: only with this assumption do the markers determine the bends."""
 
 
 class _Kinematics(NamedTuple):
-    """Positions for given states.
+    """Positions of markers and connectors for given states.
 
     Attributes:
         marker: positions of the markers, shape (frames, markers), complex, m.
@@ -174,8 +178,8 @@ class MarkerPlacement:
         marker = station[:, self.station] + self.offset * direction[:, self.station]
         jacobian = np.empty((*marker.shape, state.shape[1]), dtype=complex)
         jacobian[..., 0], jacobian[..., 1], jacobian[..., 2] = 1, 1j, 1j * (marker - station[:, :1])
-        # A half segment moves the stations behind it: its turn rotates them about its rear end and changes
-        # its own chord, and its length displaces them.
+        # A half segment moves all stations behind it: its bend rotates them about its rear end and changes
+        # its chord, and its length displaces them.
         moved = self.station[:, None] > np.arange(2 * count)
         chord_slope = front_direction * (length * arc_slope - 1j * after * rotation)
         by_turn = -chord_slope[:, None] - 1j * (marker[..., None] - station[:, None, 1:])
@@ -188,7 +192,7 @@ class MarkerPlacement:
 
 
 def _mean_direction(turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return E and dE/dφ of an arc that turns by φ, rad."""
+    """Return E(φ) and dE/dφ for an arc with the bend φ, rad."""
     cosine, sine, arc, slope, _ = half_angle_terms(turn)
     rotation = cosine - 1j * sine
     return arc * rotation, (slope - 0.5j * arc) * rotation
@@ -237,7 +241,7 @@ class _Prior:
 
     @property
     def alternating_weights(self) -> np.ndarray:
-        """Derivatives of ε with respect to the bends, shape (segments,)."""
+        """Derivatives of ε with respect to the bends q, shape (segments,)."""
         count = len(self.length_mean)
         return np.asarray((-1.0) ** np.arange(count) / (2 * count))
 
@@ -252,7 +256,7 @@ class _Prior:
 
 
 def length_model(station: np.ndarray, offset: np.ndarray, geometry: Geometry) -> LengthModel | None:
-    """Return the weakest assumption on the lengths with which markers determine the bends, or None.
+    """Return the weakest assumption on the lengths under which markers determine the bends, or None.
 
     The standard errors of the bends are computed for one typical shape.
 
@@ -273,7 +277,7 @@ def length_model(station: np.ndarray, offset: np.ndarray, geometry: Geometry) ->
         if np.linalg.matrix_rank(matrix, tol=1e-3, hermitian=True) < len(data):
             continue
         error = np.sqrt(np.diag(np.linalg.inv(matrix))[3 : 3 + count])
-        # Lengths alone leave the sign of ε open in one segment; several segments together determine it.
+        # The length of one segment leaves the sign of ε open; the lengths of several segments determine it.
         one_per_connector = count > 2 and sorted(station) == list(range(0, 2 * count + 1, 2))
         if error.max() < _MAX_BEND_STD and (model is LengthModel.FREE or one_per_connector):
             return model
@@ -284,8 +288,8 @@ def marker_noise(points: np.ndarray) -> float:
     """Return the standard deviation of the noise of a coordinate, m.
 
     It is the smallest estimate from differences of several orders. White noise of variance σ² gives
-    differences of order n with the variance σ² (2n over n). Motion adds to them, and less so at higher
-    orders. The median ignores outliers.
+    differences of order n with the variance σ² (2n over n). Motion increases the estimates, at higher orders
+    less so. The median ignores outliers.
 
     Args:
         points: NaN where a marker is hidden, shape (frames, markers, 2), m.
@@ -319,6 +323,7 @@ def fit_shape(
     prior = _initial_prior(noise, placement.geometry, model)
     complete = np.flatnonzero(~missing.any(axis=1))
     if len(complete) < 4:
+        # A spline needs complete frames: use the interpolated positions of hidden markers on all frames.
         complete, missing = np.arange(len(time)), np.zeros_like(missing)
     _estimate_prior(measured[complete[sample_frames(len(complete), _EM_FRAMES)]], placement, prior)
     fits = _FrameFits(len(time), segments, measured.shape[1])
@@ -329,6 +334,7 @@ def fit_shape(
     chi2, freedom = fits.update(complete, fit_complete)
     scale = float(np.sqrt(chi2 / freedom)) if freedom > _MIN_REDUNDANCY * len(complete) else 1.0
     if prior.alternating_std is not None:
+        # With fixed lengths the fit has little redundancy: its residual may only increase the errors.
         scale = max(scale, 1.0)
     outlier = fits.distance[complete] > max(_OUTLIER_NOISE * prior.noise * scale, _MIN_OUTLIER_DISTANCE)
     if outlier.mean() < _MAX_OUTLIERS:
@@ -364,7 +370,7 @@ def _interpolate_states(time: np.ndarray, state: np.ndarray, incomplete: np.ndar
 def _body_shape(
     fits: _FrameFits, missing: np.ndarray, geometry: Geometry, prior: _Prior, scale: float
 ) -> BodyShape:
-    """Return the shape from the fits of all frames; `scale` converts assumed to estimated standard errors."""
+    """Return the shape; `scale` corrects the standard errors from the assumed to the estimated noise."""
     fits.state[:, 2] = np.unwrap(fits.state[:, 2])
     body = MarkerPlacement(np.zeros(0, dtype=int), np.zeros(0), geometry).kinematics(fits.state)
     residual = np.sqrt(np.ma.masked_array(fits.distance**2, missing).mean(axis=1).filled(0.0))
@@ -389,7 +395,7 @@ class _Fit:
         covariance: inverse of the Gauss-Newton matrix, shape (frames, 3 + 2 segments, 3 + 2 segments).
         distance: distances of the markers from their fitted positions, shape (frames, markers), m.
         cost: minimised sum, shape (frames,).
-        chi_square: over all these frames.
+        chi_square: χ² of all these frames.
     """
 
     state: np.ndarray
@@ -461,6 +467,7 @@ def _fit(
         bends = np.arange(3, 3 + count)
         information[bends, bends] += _BEND_STD**-2
         prior_mean[:, bends] = state[:, bends]
+    # `active` are the frames that have not converged; finished frames need no further steps.
     state, active = state.copy(), np.arange(len(state))
     max_step = np.repeat([np.inf, _MAX_ANGLE_STEP, np.inf], [2, 1 + count, count])
     bound = np.repeat([np.inf, 2 * np.pi, _MAX_LENGTH], [3, count, count])
@@ -481,7 +488,7 @@ def _fit(
         if not active.size:
             break
     covariance = np.linalg.inv(data + information)
-    # Effective number of parameters that the markers determine, as opposed to the prior.
+    # Effective number of parameters that the markers determine; the prior determines the remaining ones.
     parameters = np.einsum("fuv,fvu->", covariance, data)
     squares = weight * np.abs(residual) ** 2
     deviation = prior_mean - state
@@ -495,7 +502,7 @@ def _fit_incomplete(
 ) -> _Fit:
     """Fit the states of frames with hidden markers; the arguments are those of `_fit`.
 
-    If only one marker of a pair is visible, tracking may have confused it with the other one. The assignment
+    If only one marker of a pair is visible, tracking may have mistaken it for the other one. The assignment
     with the smaller cost is used.
     """
     best = _fit(state, measured, placement, prior, missing)
@@ -537,7 +544,7 @@ def _initial_states(measured: np.ndarray, placement: MarkerPlacement, prior: _Pr
     between = (stations[1:] + stations[:-1]) / 2
     directions += zip(between.tolist(), np.angle(-np.diff(centre).T), strict=True)
     positions, angles = zip(*sorted(directions, key=lambda item: item[0]), strict=True)
-    # The linear spline is extrapolated beyond the first and the last direction.
+    # Beyond the first and the last direction, the linear spline is extrapolated.
     heading = make_interp_spline(positions, np.unwrap(angles, axis=0), k=1)
     theta = heading(2 * np.arange(len(prior.length_mean) + 1)).T
     origin = np.zeros((len(measured), 2))
@@ -567,19 +574,20 @@ def _estimate_prior(measured: np.ndarray, placement: MarkerPlacement, prior: _Pr
         chi2, freedom = fit.chi_square
         if freedom > _MIN_REDUNDANCY * len(measured):
             scale = float(np.sqrt(chi2 / freedom))
-            # With fixed lengths, noise and variable lengths can hardly be distinguished. The noise is then
-            # changed only if the residual shows that the differences contain motion, and after the lengths
-            # have settled.
+            # With fixed lengths, noise and length variation have nearly the same effect on the residual. The
+            # noise is therefore updated only if the residual shows that the differences contain motion, and
+            # only after the first iterations of the lengths.
             if not fixed or (scale < _MIN_MOTION_RATIO and 2 * iteration >= _EM_ITERATIONS):
                 prior.noise = max(prior.noise * scale, _MIN_NOISE)
+        # With fixed lengths a new prior may change which ε fits best, so start again from the coarse grid.
         start = _initial_states(measured, placement, prior) if fixed else fit.state
 
 
 def _initial_states_fixed(measured: np.ndarray, placement: MarkerPlacement, prior: _Prior) -> np.ndarray:
-    """Return approximate states with the ε of a coarse grid for which the lengths fit best.
+    """Return approximate states, with ε from a coarse grid chosen by the fit of the lengths.
 
     Each connector has one marker. By symmetry, the direction α_j from one connector to the next is the mean
-    of their headings, so each heading is the previous one mirrored at that line: θ_{j+1} = 2α_j − θ_j.
+    of their headings, so each heading is the mirror image of the previous one: θ_{j+1} = 2α_j − θ_j.
     """
     count, order = len(prior.length_mean), np.argsort(placement.station)
     sign, span = (-1.0) ** np.arange(count + 1), -np.diff(measured[:, order], axis=1)
@@ -588,6 +596,7 @@ def _initial_states_fixed(measured: np.ndarray, placement: MarkerPlacement, prio
     # (−1)^j θ_j changes by −2 (−1)^j α_j from connector to connector.
     alternating = np.cumsum(np.column_stack([alpha[:, 0], -2 * sign[:-1] * alpha]), axis=1)
     bend = -np.diff(sign * alternating)
+    # Mean alternating bend, 2 ε: replace it by each value of the grid.
     mean = (bend * sign[:-1]).mean(axis=1, keepdims=True)
     costs = []
     bends = [bend - sign[:-1] * (mean - 2 * epsilon) for epsilon in _ALTERNATING_STARTS]
@@ -610,8 +619,8 @@ def marker_offsets(
     """Return the offsets of markers from their stations, shape (markers,), complex, m.
 
     A single marker at a station has the offset 0. Two markers without a side are on both sides of the
-    station, along or across the body. Two markers with the same name, as of a rigid body with a rotation, may
-    have any direction.
+    station, along or across the body. Two markers with the same name, which replace a rigid body, may have
+    any direction.
 
     Args:
         points: interpolated where a marker is hidden, shape (frames, markers, 2), m.

@@ -1,20 +1,22 @@
 r"""Tracking of markers through swaps and gaps.
 
-1. *Slots*: if markers disappear and come back, a file has a column for each appearance. Columns that never
+1. *Slots*: if markers disappear and come back, some formats start a new column at each appearance. Columns
+  that never
    contain markers on the same frame are joined into one slot.
 2. *Tracklets*: intervals of one slot in which only one marker can have been visible. The expected position of
    a marker on the next frame is
 
    $$ \hat p_k = p_a + (k - a)(p_a - p_{a-1}), $$
 
-   and a link is certain if the sample is within the gate of it, and twice as close to it as any other sample.
+   and a link is certain if the sample is within the gate around it and at most half as far from it as any
+   other sample.
 3. *Tracks*: in the order of time, the new tracklets on a frame are assigned to the markers that were lost
    before it, such that the sum of the distances to their expected positions is smallest (Hungarian method).
    Over a few frames, a marker is expected to continue at its velocity. Over more frames, it is expected to be
    either at its last position or to have moved with the markers around it, whichever is closer.
 
 Tracking is necessary: of 65 synthetic recordings with swaps, gaps and markers that come back in new columns,
-16 can be read if each column is taken as a marker, and all 65 if markers are tracked.
+16 can be read if each column is treated as a marker, and all 65 if markers are tracked.
 
 Errors raised here do not name the file; `read_motion` adds its name.
 """
@@ -115,7 +117,7 @@ def pairwise_distances(points: np.ndarray, frames: int) -> np.ndarray:
 
 
 def _certain_links(points: np.ndarray, gate: float) -> np.ndarray:
-    """Return which samples certainly belong to the same marker as the previous one in their slot.
+    """Return a mask of samples that certainly belong to the marker of the slot's previous sample.
 
     Args:
         points: shape (frames, slots, 2 or 3), m.
@@ -125,7 +127,7 @@ def _certain_links(points: np.ndarray, gate: float) -> np.ndarray:
         Shape (frames, slots).
     """
     step = np.diff(points, axis=0, prepend=np.nan)
-    # A jump is not a velocity: the next position would be extrapolated far away.
+    # Do not extrapolate a jump: the next expected position would be far away.
     step[np.isnan(step).any(axis=-1) | (np.linalg.norm(step, axis=-1) > 2 * gate)] = 0.0
     expected = np.full_like(points, np.nan)
     expected[1:] = points[:-1] + step[:-1]
@@ -250,8 +252,8 @@ class _Tracker:
     def _costs(self, tracks: np.ndarray, frame: int, starts: np.ndarray, near: float) -> np.ndarray:
         """Return the cost of assigning tracklets to tracks, shape (tracklets, tracks), m.
 
-        The reach increases with the duration of a gap. It is limited, because the trajectory is cut at gaps
-        that are too long to be filled, so that the identity of a marker does not matter there.
+        The reach increases with the duration of a gap. It is limited: at gaps too long to be filled the
+        trajectory is cut, so the identity of a marker does not matter there.
 
         Args:
             tracks: tracks that have ended.

@@ -44,7 +44,7 @@ class MarkerCounts:
             tracks.
         samples_rejected: number of these that are outliers.
         longest_filled_s: longest gap that was filled, between the samples around it, s.
-        moves: number of times that a marker continues in another column.
+        moves: number of changes of a marker to another column.
         spacing_m: largest distance of adjacent connectors, head first, m.
         residual_m: root mean square distance of the markers from the fitted body, m.
         noise_m: standard deviation of a marker coordinate, m.

@@ -51,8 +51,8 @@ class Unstated(NamedTuple):
 def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, tuple[int, str]]]:
     """Return marker → axis → column and unit, for a header whose names end or begin with x, y or z.
 
-    Examples are ``base_x,base_y``, ``Tip X (mm)`` and ``x_LED1``. Left out are markers without x and y,
-    rotations, velocities, accelerations and forces (``c1_rot_x``), and columns in a unit that is not a
+    Examples are ``base_x,base_y``, ``Tip X (mm)`` and ``x_LED1``. Markers without x and y are left out. So
+    are rotations, velocities, accelerations and forces (``c1_rot_x``), and columns whose unit is not a
     length.
     """
     markers: dict[str, dict[str, tuple[int, str]]] = {}
@@ -76,8 +76,8 @@ def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, tuple[int, str]]]:
 def counted_times(frame: np.ndarray, time: np.ndarray, rate: float) -> np.ndarray:
     """Return times computed from frame numbers, because printed times are rounded, shape (frames,), s.
 
-    The frame numbers or the times of an exported part of a recording may start elsewhere. If the two differ
-    by more than the rounding of half a frame, the printed times are used.
+    In a partly exported recording, frame numbers or times may not start at 0. If the computed and the printed
+    times differ by more than half a frame, the printed times are used.
     """
     if not np.isfinite(frame).all():
         return time

@@ -79,10 +79,10 @@ def read(file: RecordedFile, unstated: Unstated) -> MarkerTable:
 def _samples(file: RecordedFile, reader: Any) -> tuple[np.ndarray, int, int]:
     """Return samples (x, y, z, residual), shape (frames, points, 4), first frame and stated frame count.
 
-    The header counts to 65,535. Longer recordings state their frames in TRIAL:ACTUAL_START_FIELD and
-    ACTUAL_END_FIELD (two 16-bit words each) or in POINT:LONG_FRAMES, but some of these may be wrong. The
-    largest number that fits into the file is used. If all of them are 65,535 at most, the file is read to its
-    end.
+    The frame numbers of the header have 16 bits. Longer recordings state their frames in
+    TRIAL:ACTUAL_START_FIELD and ACTUAL_END_FIELD (two 16-bit words each) or in POINT:LONG_FRAMES, but some of
+    these may be wrong. The largest number that fits into the file is used. If all of them are at most 65,535,
+    the file is read to its end.
     """
     from c3d.c3d import DEC_to_IEEE_BYTES
 

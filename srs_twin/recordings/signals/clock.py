@@ -137,11 +137,11 @@ def _losses(
     bb = correlate(bends**2, other_ones) - sb**2 / n
     mm = correlate(ones, model**2) - sm**2 / n
     bm = correlate(bends, model) - sb * sm / n
-    # A modelled segment that does not move explains nothing, and a gain cannot be negative.
+    # A modelled segment without motion explains nothing, and gains are not negative.
     moving = mm > 1e-9 * np.maximum(mm.max(axis=0), 1e-30)
     explained = np.where(moving & (bm > 0), bm**2 / np.where(moving, mm, 1.0), 0.0)
     energy = bb.sum(axis=1)
-    # Intervals in which the robot hardly moves would fit any model.
+    # Exclude intervals in which the robot hardly moves, because any model would fit them.
     quiet = energy < 1e-3 * energy[enough].max() * n[:, 0] / n.max()
     loss = np.where(enough & ~quiet, 1 - explained.sum(axis=1) / np.where(quiet, 1.0, energy), np.inf)
     lags = np.arange(-len(model) + 1, len(bends))
@@ -151,11 +151,11 @@ def _losses(
 def _check_unambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None:
     """Raise an error if another minimum of S is nearly as low."""
     low = (loss[1:-1] <= loss[:-2]) & (loss[1:-1] <= loss[2:]) & np.isfinite(loss[1:-1])
-    # The constant accounts for noise and the step of the delays if S is close to 0.
+    # The added constant accounts for noise and for the step of the delays if S is close to 0.
     limit = MIN_RIVAL_RATIO * loss[best] + 1e-6
 
     others = [int(k) for k in np.flatnonzero(low) + 1 if loss[k] < limit and k != best]
-    # Minima without a ridge between them are the same one.
+    # Minima without a higher value between them count as one.
     rivals = [k for k in others if loss[min(k, best) : max(k, best) + 1].max() > limit]
     if rivals:
         nearest = sorted(offsets[[best, *rivals]], key=lambda offset: abs(offset - offsets[best]))[:5]
@@ -269,7 +269,7 @@ def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray
     """Return times (times,), s, and the modelled free bends, (times, segments), rad.
 
     If a log of valves begins while chambers fill, their initial pressures are unknown. The modelled bends
-    then begin when these have no effect any more.
+    then begin when this effect has decayed.
     """
     span = float(log.time[-1] - log.time[0])
     step = max(_MODEL_STEP, span / 1e6)

@@ -115,7 +115,7 @@ _STD_PER_MAD = 1.4826
 
 
 def outliers(points: np.ndarray, min_jump: float) -> np.ndarray:
-    """Return which samples jump out of their track and back.
+    """Return a mask of the samples that jump away from their track and back.
 
     Args:
         points: shape (frames, tracks, 2), m.

@@ -66,7 +66,7 @@ _MAX_BEND = 2 * np.pi
 _MAX_PRESSURE = 2e6
 """Largest gauge pressure of a chamber, Pa."""
 _MIN_PRESSURE = -1.1e5
-"""Smallest gauge pressure, Pa: below the one of a vacuum."""
+"""Smallest gauge pressure, Pa: slightly below that of a vacuum."""
 _ALLOWED = f"it must be a gauge pressure from {_MIN_PRESSURE:g} to {_MAX_PRESSURE:g} Pa"
 _BEND = re.compile(r"bend_(?:[a-z]+_)?1(?!\d)")
 _MAX_TIME = 1e9
@@ -182,7 +182,7 @@ def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap
     Args:
         path: plain CSV file or bag.
         spec: the robot.
-        map: meanings of columns, or of signals of topics; carrier frequency of duties.
+        map: meanings of columns or topic signals, and the carrier frequency of duties.
 
     Raises:
         InputError: the file or columns are missing, or values are impossible; the message names the place.
@@ -290,7 +290,7 @@ def _log(
         if np.abs(time).max() > _MAX_TIME:
             raise InputError(f"times up to {np.abs(time).max():.3g} s; is the unit right?")
         order, moved = time_order(time)
-        # The last of several rows with the same time counts, as it would at the valve.
+        # Of several rows with the same time the last one counts, as at the valve itself.
         kept = np.append(np.diff(time[order]) > 0, True)
         notes += moved
         if not kept.all():
@@ -344,7 +344,7 @@ def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
     """
     trajectory = recording.trajectory
     head, head_heading = trajectory.position[:, 0], trajectory["theta_1"]
-    # Medians ignore a few wrong frames.
+    # Medians, because a few frames may be wrong.
     clamp, heading = np.median(head, axis=0), float(np.median(head_heading))
     shift = float(np.quantile(np.linalg.norm(head - clamp, axis=1), 0.95))
     turn = float(np.quantile(np.abs(head_heading - heading), 0.95))

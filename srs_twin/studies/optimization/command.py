@@ -42,14 +42,14 @@ def optimize(
 ) -> None:
     """Find the best robot or gait of a study file.
 
-    The search uses the analytical model compliant and corrects it by a few runs of the twin; all results are
-    the twin's. An interrupted search resumes in the same folder.
+    The search uses many runs of the analytical model `compliant` and corrects them by a few runs of the twin.
+    All reported results are from the twin. An interrupted search resumes in the same folder.
 
     Options:
         name: Shipped study or study file.
         out: Output folder. [default: runs/studies/STUDY]
         engine: Engine for the runs: local, ray or warp.
-        address: Address of a Ray cluster, or device of warp, as cuda:0. [default: local]
+        address: Address of a Ray cluster, or Warp device, e.g. cuda:0. [default: local]
         changed: Resume in a folder of another version; keep the runs that still apply.
     """
     from srs_twin.studies.sweep.command import make_engine
@@ -64,7 +64,8 @@ def optimize(
     folder = Path(out) if out else STUDIES / study.name
     budget = study.file.budget
     total = budget.twin + (budget.compliant if "compliant" in study.experiments else 0)
-    # After the search: the initial scenario, and per design two refinements and the draws of the robot.
+    # Runs after the search: the initial scenario, and for each design two refinements and the draws of the
+    # robot.
     total += 1 + MAX_REPORTED * (2 + budget.uncertain) + budget.uncertain
     best = _BestSoFar(study)
     with RunCounter(study.name, total, quiet=quiet, status=best.text) as counting:

@@ -75,7 +75,7 @@ def draw_parallel(
     """Draw designs as parallel coordinates, the better ones more prominently.
 
     Args:
-        shares: variables as shares of their ranges, shape (runs, d).
+        shares: variables as fractions of their ranges, shape (runs, d).
         ranks: rank of each run, shape (runs,).
         labels: labels of the variables.
         ends: (low, high) of each variable.

@@ -24,7 +24,7 @@ PICTURES = ("convergence.png", "front.png", "parallel.png")
 PRODUCTS = (RESULT, EVALUATIONS, REPORT, *PICTURES, "best/[0-9]*.yaml")
 
 _MAX_REFINEMENT_CHANGE = 0.01
-"""Largest relative change by a refinement of the twin with which a result counts as converged."""
+"""Largest relative change due to a refinement of the twin at which a result counts as converged."""
 
 _MIN_RANKED = 4
 """Smallest number of runs for a rank correlation."""
@@ -51,7 +51,7 @@ class StudyResult:
 
     @classmethod
     def evaluate(cls, study: OptimizationStudy, optimum: Optimum, runs: StudyRuns) -> StudyResult:
-        """Run what a result needs in addition to its optimum.
+        """Run the initial scenario, refinements and samples of the best designs.
 
         Raises:
             InputError: a row cannot be written.
@@ -171,7 +171,7 @@ class StudyResult:
         return gain
 
     def fidelity_correlation(self, name: str) -> dict[str, float | None] | None:
-        """Return the rank correlation of a metric between the fidelities, over all and over the better half.
+        """Return the rank correlations of a metric between the fidelities, for all and the better designs.
 
         It is None if too few designs were run at both fidelities.
         """

@@ -1,4 +1,4 @@
-"""Runs of designs: each is stored as soon as it is finished, and none is run twice.
+"""Runs of designs, each stored as soon as it is finished and never repeated.
 
 The order of the designs in a search depends only on the seed and on results. An interrupted search is
 therefore restarted from the beginning: it requests the same designs, and finished runs are read from the
@@ -37,7 +37,7 @@ class Run:
 
     Attributes:
         part: fidelity, "compliant" or "twin".
-        shares: design as shares of the ranges, shape (d,).
+        shares: design as fractions of the ranges, shape (d,).
         row: result.
     """
 
@@ -79,7 +79,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
             folder: folder of the runs; created if missing.
             engine: engine for new runs.
             on_row: called with each newly finished run.
-            changed: continue in the folder of another study; the runs that still apply are kept.
+            changed: continue in the folder of another study, and keep the runs that are still valid.
 
         Raises:
             InputError: the folder cannot be written, is locked, or belongs to another study.
@@ -112,7 +112,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         return runs
 
     def rows(self, part: str, changes: Sequence[Changes]) -> list[Row]:
-        """Return the results of changes to the scenario at one fidelity; run those that are missing.
+        """Return the rows of changed scenarios at one fidelity; run the missing ones.
 
         Raises:
             InputError: a row cannot be written.

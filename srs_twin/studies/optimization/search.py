@@ -11,10 +11,10 @@ that the low-fidelity model has run, and in every round new random neighbours of
 
 **Two objectives.** The low-fidelity model is searched with several weights of a Tchebycheff scalarisation
 (Knowles 2006). New designs maximise the expected growth of the area dominated by the Pareto front (Emmerich
-et al. 2006). Every other round instead improves one end of the front, since an end can move far with little
-gain in area, and would otherwise be neglected.
+et al. 2006). Every other round improves one end of the front instead: an end can move far with little gain in
+area, so the area alone would neglect it.
 
-If `compliant` cannot run a scenario, the twin alone is searched.
+If `compliant` cannot run a scenario, the search uses only the twin.
 """
 
 from __future__ import annotations
@@ -37,16 +37,17 @@ _BATCH_SIZE = 2
 """Designs that the twin runs per round."""
 
 _NEIGHBOUR_STD = 0.08
-"""Largest standard deviation of new candidates about the best designs, as a share of the ranges."""
+"""Largest standard deviation of new candidates about the best designs, as a fraction of the ranges."""
 
 _NEIGHBOURS = {1: 8, 2: 16}
-"""Number of objectives → new candidates per round."""
+"""Number of new candidates per round, by number of objectives."""
 
 _INITIAL_SHARE = 0.3
-"""Share of the twin's budget for the initial designs, which the low-fidelity model selects."""
+"""Fraction of the twin's budget for the initial designs, which the low-fidelity model selects."""
 
 _EDGE_OVERDRAW = 0.2
-"""Excess of samples beyond the ranges; clipping puts some on the bounds, where optima often are."""
+"""Width by which samples are drawn beyond the ranges, as a fraction; clipping puts some of them on the
+bounds, where optima often are."""
 
 _MIN_DISTANCE = 1e-3
 """Distance below which two designs are the same."""
@@ -58,16 +59,17 @@ _OPTIMUM_DISTANCE = 0.1
 """Smallest distance between two reported designs."""
 
 _CMA_SHARE = 0.6
-"""Share of the low-fidelity budget for CMA-ES; the rest is for candidates."""
+"""Fraction of the low-fidelity budget for CMA-ES; the rest is for candidates."""
 
 _POPULATION = 12
 """Population size of CMA-ES."""
 
 _IMPROVEMENT_DRAWS = 64
-"""Draws of a candidate's results for the expected gain in area."""
+"""Number of draws of a candidate's results for the expected gain in area."""
 
 _FAILURE_PENALTY_SD = 10.0
-"""Cost of a failed run or of missing a constraint by one standard deviation, in standard deviations."""
+"""Cost of a failed run, or of violating a constraint by one standard deviation, in standard deviations of the
+objective."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,7 @@ def excesses(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
 
 
 def front(costs: np.ndarray) -> np.ndarray:
-    """Return which rows are not dominated by another row, shape (rows,)."""
+    """Return a mask of the rows that no other row dominates, shape (rows,)."""
     dominated: np.ndarray = np.all(costs[None] <= costs[:, None], axis=2)
     dominated &= np.any(costs[None] < costs[:, None], axis=2)
     return np.asarray(~dominated.any(axis=1) & ~np.isnan(costs).any(axis=1))
@@ -186,7 +188,7 @@ class _Search:
                 share -= max(len(self._compliant_runs) - before, 1)
 
     def run_initial_designs(self) -> None:
-        """Run the twin at the best designs of the low-fidelity model, and at some random designs."""
+        """Run the twin at the best designs of the low-fidelity model and at some random designs."""
         count = max(int(_INITIAL_SHARE * self._study.file.budget.twin), min(4, self._study.file.budget.twin))
         if not self._compliant_runs:
             self._run("twin", self._sample_space(max(count, 2 * self._size)))
@@ -213,14 +215,14 @@ class _Search:
         return self._study.file.budget.twin - len(self._twin_runs)
 
     def iterate(self) -> bool:
-        """Run the twin where the expected improvement is largest; return whether any design was left."""
+        """Run the twin where the expected improvement is largest; return False if no design is left."""
         candidates = self._candidates()
         if not candidates:
             return False
         chosen: list[np.ndarray] = []
         assumed_costs = self._outputs(self._twin_runs)
         for k_batch in range(min(_BATCH_SIZE, self.budget_left())):
-            # With two objectives, the first run of a round is always for the area.
+            # With two objectives, the first run of a round always maximises the area.
             objective = self._improved_objective if k_batch or self._objectives == 1 else None
             if k_batch == 0 or self._objectives == 2:
                 mean, sd = self._predict(self._twin_runs, candidates, objective)
@@ -323,7 +325,7 @@ class _Search:
         centres = np.array([run.shares for run in parents])
         std = _NEIGHBOUR_STD * 0.5 ** (self._rng.integers(0, 4, size=count))[:, None]
         new = np.clip(centres + std * self._rng.normal(size=centres.shape), 0.0, 1.0)
-        # In a third of them one variable is random, half of the time on a bound, to reach other optima.
+        # Redraw one variable of every third candidate, half of the time on a bound, to reach other optima.
         third = np.arange(0, count, 3)
         new[third, self._rng.integers(self._size, size=len(third))] = np.clip(
             self._rng.uniform(-0.5, 1.5, size=len(third)), 0.0, 1.0
@@ -356,7 +358,8 @@ class _Search:
                 x = np.column_stack([shares, low_fidelity[:, column]])
             rows = np.flatnonzero(np.isfinite(y))
             if column == objective:
-                # Leave out the worst third: results far from the optimum would distort the process.
+                # Leave out the worst third, because results far from the optimum would distort the fit near
+                # it.
                 order = rows[np.argsort(y[rows])]
                 rows = order[: max(2 * len(order) // 3, 2 * self._size + 2)]
             predictions.append(_predict_with_process(x[rows], y[rows], x[len(known) :]))
@@ -409,14 +412,15 @@ class _Search:
 def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the growth of the dominated area by each point, shape (…) of points (…, 2).
 
-    Both columns are costs. The area is bounded by a reference point beyond the front, by the front's
-    extent, so that moving an end of the front is a gain as well.
+    Both columns are costs. A reference point bounds the area. It lies beyond both ends of the front by the
+    extent of the front, so that moving an end is a gain as well.
     """
     members = known[front(known)]
     members = members[np.argsort(members[:, 0])]
     extent = np.maximum(np.ptp(members, axis=0), 1e-9 + 1e-3 * np.abs(members).max(axis=0))
     reference = members.max(axis=0) + extent
-    # Between two neighbours of the front, the second cost to improve on is that of the left one.
+    # The dominated area is a staircase: between two neighbours of the front, its level is the second cost of
+    # the left one.
     edges = np.concatenate([[-np.inf], members[:, 0], [reference[0]]])
     level = np.concatenate([[reference[1]], members[:, 1]])
     width = np.clip(edges[1:] - np.maximum(points[..., :1], edges[:-1]), 0.0, None)

@@ -1,4 +1,4 @@
-"""Design space: designs as shares of the variables' ranges, as values, and as changes of a scenario."""
+"""Design space: conversion between fractions of the variables' ranges, values, and changes of a scenario."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from srs_twin.studies.optimization.file import SEGMENTS, VariableFile
 from srs_twin.studies.sweep.points import Changes, Value
 
 ON_BOUND = 0.01
-"""Distance from an end of a range, as a share of the range, below which a design is on that bound."""
+"""Distance from an end of a range, as a fraction of the range, below which a design is on that bound."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class DesignSpace:
         return len(self.variables)
 
     def values(self, shares: np.ndarray) -> tuple[float | int, ...]:
-        """Return the values of a design, shape (d,), given as shares from 0 to 1."""
+        """Return the values of a design, shape (d,), given as fractions from 0 to 1."""
         values: list[float | int] = []
         for share, variable in zip(np.clip(shares, 0.0, 1.0), self.variables.values(), strict=True):
             low, high = variable.low, variable.high
@@ -43,7 +43,7 @@ class DesignSpace:
         return tuple(values)
 
     def shares(self, values: Mapping[str, float]) -> np.ndarray:
-        """Return a design as shares, shape (d,)."""
+        """Return a design as fractions of the ranges, shape (d,)."""
         shares = []
         for name, variable in self.variables.items():
             low, high, value = variable.low, variable.high, values[name]
@@ -63,7 +63,7 @@ class DesignSpace:
         }
 
     def snapped(self, shares: np.ndarray) -> np.ndarray:
-        """Return the shares of the rounded values of designs, shape (designs, d)."""
+        """Round the values of designs, given and returned as fractions of the ranges, shape (designs, d)."""
         names = list(self.variables)
         return np.array([self.shares(dict(zip(names, self.values(share), strict=True))) for share in shares])
 

@@ -63,7 +63,7 @@ def sweep(
         name: Shipped sweep or sweep file.
         out: Output folder. [default: runs/sweeps/SWEEP]
         engine: Engine for the runs: local, ray, or warp (twins on an accelerator).
-        address: Address of a Ray cluster, or device of warp, as cuda:0. [default: local]
+        address: Address of a Ray cluster, or Warp device, e.g. cuda:0. [default: local]
         retry_failed: Run failed points again.
         changed: Resume in a folder of another version; keep the rows that still apply.
         without: Leave out the points with this value (repeatable).
@@ -139,7 +139,7 @@ def make_engine(name: str, workers: int | None, address: str | None) -> Engine:
     if name == "local":
         from srs_twin.compute.workers import start_server
 
-        # Started first: it imports what workers need while this process imports its own modules.
+        # Start it first: it imports the modules of the workers while this process imports its own.
         start_server("srs_twin.studies.sweep.warm")
     from srs_twin.errors import UnknownNameError
     from srs_twin.studies.sweep import execution

@@ -1,4 +1,4 @@
-"""Execution of sweeps: an engine runs missing points, rows are stored at once, then files are written.
+"""Execution of sweeps: an engine runs the missing points, rows are stored at once, then files are written.
 
 Rows do not depend on the engine that ran them, except that those of `warp` are in single precision.
 """
@@ -42,10 +42,11 @@ if TYPE_CHECKING:
 
 
 _RAY_SETTINGS = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0"}
-"""Environment of Ray: no usage reports, and workers use this environment instead of building a new one."""
+"""Environment variables of Ray: no usage reports, and workers share the Python environment of this
+process."""
 
 _LOOPBACK_ONLY = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
-"""Environment that restricts a Ray started here to the loopback address, on Linux as well."""
+"""Environment variables that restrict a local Ray to the loopback address, on Linux as well."""
 Engine = Callable[[Experiment, Sequence[Point]], Iterator[TaskResult[Row]]]
 
 
@@ -127,7 +128,7 @@ ENGINES = ("local", "ray", "warp")
 SUMMARY, SWEEP, SCENARIO = "sweep.json", "sweep.yaml", "scenario.resolved.yaml"
 PLOTS = "plots"
 
-# The summary comes first, as it marks a complete set of files.
+# The summary comes first, because the first file marks a complete set (`replace_files`).
 _PRODUCTS = (SUMMARY, RESULTS, SWEEP, SCENARIO, REPORT, f"{PLOTS}/[0-9]*_*.png")
 
 

@@ -41,7 +41,7 @@ Varied = Annotated[_OneOf, Discriminator(_values_or_range)]
 
 
 class SamplingFile(Section):
-    """Combination of the values of several fields."""
+    """Method that combines the values of several fields."""
 
     kind: Literal["grid", "list", "latin_hypercube", "sobol"] = "grid"
     """grid: all combinations; list: first with first, second with second; latin_hypercube and sobol:

@@ -70,7 +70,7 @@ def _check_lengths(document: Document, published: Published) -> None:
 
 
 def _check_published_fields(document: Document, file: SweepFile, field: str, values: Sequence[Any]) -> None:
-    """Report texts and truth values that no point has; `unmatched_values` warns about numbers."""
+    """Report published texts and booleans that no point has; `unmatched_values` warns about numbers."""
     varied = file.vary[field]
     has_numbers = isinstance(varied, RangeFile) or any(_is_number(value) for value in varied)
     texts = [] if isinstance(varied, RangeFile) else [value for value in varied if not _is_number(value)]
@@ -202,7 +202,7 @@ class _Loader:
         self._plants = tuple(p for p in PLANTS if p in plants)
         self._scenario = dict(scenario.document)
         settings = self._scenario["plants"]
-        # A scenario that is only planned keeps its plants, as it must stay valid.
+        # A scenario that is only planned keeps its plants, because it must remain valid.
         self._scenario["plants"] = {
             plant: settings.get(plant, {}) for plant in self._plants or scenario.plants
         }

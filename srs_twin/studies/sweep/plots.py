@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 _MAX_LINES = 12
-"""Largest number of values that a legend distinguishes; more have a colour bar."""
+"""Largest number of values in a legend; more values get a colour bar."""
 
 _MAX_ROWS = 6
 """Largest number of rows of contours."""
@@ -58,7 +58,7 @@ _KEY_WIDTH = 1.3
 
 _MARK: dict[str, Any] = {"linestyle": "none", "markersize": 4.5, "markerfacecolor": "none", "zorder": 4}
 
-# Their colours occur neither in plants nor in colour scales.
+# Marks of failed runs; these colours occur neither in plants nor in colour scales.
 _MARKS = {"failed": ("x", "#CC3311"), "no value": ("o", "0.35")}
 
 
@@ -181,7 +181,7 @@ def mark_rows(axes: Axes, x: np.ndarray, y: np.ndarray, label: str, *, relative:
         x: positions, in data coordinates.
         y: positions, in data coordinates.
         label: "failed" or "no value", for the legend.
-        relative: whether y is a share of the height instead.
+        relative: whether y is a fraction of the height of the axes.
     """
     if len(x):
         transform = axes.get_xaxis_transform() if relative else axes.transData
@@ -191,7 +191,7 @@ def mark_rows(axes: Axes, x: np.ndarray, y: np.ndarray, label: str, *, relative:
 
 
 def write_empty_note(axes: Axes, failed: np.ndarray) -> None:
-    """Write into empty axes why there is nothing to draw."""
+    """Write into empty axes the reason why there is nothing to draw."""
     rows, failures = len(failed), int(failed.sum())
     if not rows:
         text = "there are no runs"
@@ -219,7 +219,7 @@ _LEVELS = 14
 """Approximate number of contour levels."""
 
 _MIN_OPPOSITE = 0.1
-"""Extent of the values on the other side of zero, relative to the largest, for a symmetric colour scale."""
+"""Smallest extent on the other side of zero, relative to the largest value, for a symmetric colour scale."""
 
 _MIN_CIRCLE_RATIO = 1e-5
 """Smallest ratio of a triangle's inscribed to its circumscribed circle; flatter triangles are left out."""
@@ -344,7 +344,7 @@ def _triangulate(x: np.ndarray, y: np.ndarray) -> Triangulation | None:
         scaled = Triangulation(u, v)
     except (RuntimeError, ValueError):
         return None  # all points are on a line
-    with np.errstate(invalid="ignore"):  # from triangles without an area
+    with np.errstate(invalid="ignore"):  # triangles without an area
         ratios = np.ma.filled(TriAnalyzer(scaled).circle_ratios(rescale=False), 0.0)
     flat = ~(ratios >= _MIN_CIRCLE_RATIO)
     return None if flat.all() else Triangulation(x, y, scaled.triangles, mask=flat)

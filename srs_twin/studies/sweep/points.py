@@ -92,7 +92,7 @@ class Experiment:
             twin = with_preset(document["plants"].get("twin", {}), value)
             return {**document, "plants": {**document["plants"], "twin": twin}}
         if len(path) == 3 and path[0] == "robot" and not isinstance(content, Mapping):
-            # A parameter that the robot does not have yet needs a new record.
+            # Add a record for a parameter that the robot file does not have.
             unit = section_units(str(path[1])).get(str(path[2]))
             if unit is not None:
                 content = replace_value(None, value, unit, BY_A_SWEEP)
@@ -154,8 +154,7 @@ def _with_planner_keys(document: Any, kind: Any) -> Any:
 def with_value(data: Any, loc: Loc, value: Value | list[Value]) -> Any:
     """Return plain data with one value replaced; containers on its path are copied, others shared.
 
-    If a robot record is replaced by a number, its value changes, the unit stays, and status and source say
-    so.
+    If a number replaces a robot record, the unit stays, and status and source name the sweep.
     """
     if not loc:
         if isinstance(data, Mapping) and {"value", "unit"} <= data.keys() and not isinstance(value, Mapping):
@@ -237,7 +236,7 @@ def _space_filling_points(
 
 
 def _values_at(values: Sequence[Value] | RangeFile, shares: np.ndarray) -> list[Value]:
-    """Return the values of a field at shares of its range or list, from 0 to 1."""
+    """Return the values of a field at fractions (0 to 1) of its range or list."""
     if not isinstance(values, RangeFile):
         return [values[int(share * len(values))] for share in shares]
     if values.scale == "log":

@@ -70,7 +70,7 @@ class _Column:
     numbers: np.ndarray
 
     def text(self, run: int) -> str:
-        """Return a run's number, to the fourth digit of the column's largest."""
+        """Return the number of a run as text, to the fourth digit of the column's largest number."""
         largest = np.abs(self.numbers[np.isfinite(self.numbers)]).max(initial=0)
         places = 3 - int(np.floor(np.log10(largest))) if largest else 0
         number = self.numbers[run]
@@ -90,8 +90,8 @@ def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
     """Return tables with one row per run, ordered by the fields' values, with a few metrics each.
 
     Args:
-        results: results of a sweep; with more than `MAX_RUNS` runs, a note replaces the rows.
-        metrics: shown metrics, of each owner; for a list metric its mean.
+        results: results of a sweep; a table of more than `MAX_RUNS` runs is replaced by a note.
+        metrics: metrics to show for each plant and the comparison; a list metric is shown by its mean.
     """
     if len(results.failed) > MAX_RUNS:
         return [Table((), (), note=f"{len(results.failed)} runs; their rows are in results.parquet.")]
@@ -108,7 +108,7 @@ def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
 def mean_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
     """Return mean ± standard deviation over seeds, with one row per combination of all other fields.
 
-    It is empty if each combination has only one run.
+    The result is empty if each combination has only one run.
 
     Args:
         results: results of a sweep; failed runs are left out.

@@ -60,9 +60,9 @@ class SweepIdentity:
     files: dict[str, str] = field(default_factory=dict)
 
 
-_DAMAGE = (sqlite3.Error, UnicodeDecodeError)  # a message of SQLite may quote damaged text
+_DAMAGE = (sqlite3.Error, UnicodeDecodeError)  # SQLite may quote damaged text in its message
 
-# Exclusive locking comes first: the log then needs no shared memory, so network drives work.
+# Set exclusive locking first: the log then needs no shared memory, so network drives work.
 _OPENING = (
     "PRAGMA locking_mode=EXCLUSIVE",
     "PRAGMA journal_mode=WAL",
@@ -111,7 +111,8 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
 
     def __exit__(self, *error: object) -> None:
         """Unlock the folder; delete a new file without rows."""
-        # Closing writes the log back; if the disk is full this fails, but the rows are safe in the log.
+        # Closing copies the log into the database. On a full disk this fails, but the rows are safe in the
+        # log.
         with contextlib.suppress(sqlite3.Error, OSError):
             is_empty = self._is_new and not self._database.execute("SELECT 1 FROM rows LIMIT 1").fetchall()
             self._database.close()
@@ -138,7 +139,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         Raises:
             InputError: they cannot be written.
         """
-        # The files come first, because the row marks the point as finished.
+        # Write the files first, because the row marks the point as finished.
         for plant, parquet in row.files.items():
             with atomic_write(self.trajectory_file(row.key, plant)) as part:
                 part.write_bytes(parquet)
@@ -201,7 +202,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
 RESULTS = "results.parquet"
 
 _NUMBERS = re.compile(r"(_\d+)?(_period_\d+)?$")
-"""Ending of the column name of an element of a list metric."""
+"""Suffix of the column name for an element of a list metric."""
 
 _SUMMARY_METRICS = (
     "com_speed_m_s",
@@ -318,12 +319,12 @@ def _plotted_columns(sweep: Sweep) -> dict[str, None]:
 
 
 def _stems(metrics: Sequence[str]) -> set[str]:
-    """Return the column names of metrics without numbers, including those of the two chambers."""
+    """Return the column names of metrics without element numbers, including those of the two chambers."""
     return {f"{metric}{side}" for metric in metrics for side in ("", "_plus", "_minus")}
 
 
 def _column(values: Sequence[Any]) -> pa.Array:
-    """Return the values of a field as one column of truth values, integers, floats or texts."""
+    """Return the values of a field as one column of booleans, integers, floats or texts."""
     import pyarrow as pa
 
     types = {type(value) for value in values}

@@ -77,10 +77,10 @@ COMPARISON, PLAN = "comparison", "plan"
 OWNERS = ("analytical", "twin", COMPARISON, PLAN)
 Value = bool | int | float | str
 _EXACT = 1e15
-"""Magnitude up to which whole numbers, such as seeds, are printed with all digits."""
+"""Magnitude below which whole numbers, such as seeds, are printed with all digits."""
 
 _RELATIVE_TOLERANCE = 1e-9
-"""Difference relative to the largest value up to which two numbers are the same value of a field."""
+"""Relative difference up to which two numbers are the same value of a field."""
 
 _ROW_COLUMNS = {"key", "status", "reason", "exit_code", "wall_s"}
 """Columns that are neither varied fields nor metrics."""
@@ -115,7 +115,7 @@ class ColumnValues:
         return float(self.names.index(texts[0])) if texts else math.nan
 
     def rows_with(self, value: Value) -> np.ndarray:
-        """Return which rows have a value of the field, shape (rows,)."""
+        """Return a mask of the rows with a value of the field, shape (rows,)."""
         number = self.number(value)
         largest = float(np.max(np.abs(self.numbers), initial=abs(number), where=np.isfinite(self.numbers)))
         return np.asarray(np.abs(self.numbers - number) <= _RELATIVE_TOLERANCE * largest)
@@ -190,7 +190,7 @@ class SweepTable:
 
     @property
     def repeats(self) -> list[str]:
-        """Varied fields that only repeat a run, which are seeds; means are taken only over these."""
+        """Varied fields that are seeds and thus only repeat a run; means are taken over these fields only."""
         return [name for name in self.fields if name.rpartition(".")[2] == "seed"]
 
     @property

@@ -24,12 +24,12 @@ from srs_twin.trajectory import Trajectory
 DONE, FAILED = "done", "failed"
 
 PLAN = "plan"
-"""Owner of the metrics of a scenario that is only planned."""
+"""Prefix of the metrics of a scenario that is only planned."""
 
 PLAN_TIME = f"{PLAN}.plan_s"
 """Column of the planning time, which differs between equal runs."""
 
-# Wall times of metrics are left out: they differ between equal runs, and the column wall_s has the total.
+# Wall times of metrics are left out, because they differ between equal runs; the column wall_s has the total.
 _TIMES = ("wall_s", "realtime_factor")
 
 _warmed_planners: set[str] = set()
@@ -117,7 +117,7 @@ def _plan_metrics(scenario: Scenario) -> dict[str, Any]:
     if planner is None:
         raise InputError("there is no planner; give planner, and controller.kind: follow")
     if planner.file.kind not in _warmed_planners:
-        # The first plan includes imports and compilation, which the planning time must not.
+        # The first plan includes imports and compilation, which must not count as planning time.
         planner.plan_uncached()
         _warmed_planners.add(planner.file.kind)
     result = planner.plan_uncached()
@@ -150,7 +150,7 @@ def flat_metrics(prefix: str, metrics: Mapping[str, Any]) -> dict[str, float | N
 
 
 def _scalars(value: Any) -> Iterator[tuple[str, float | None]]:
-    """Yield name endings and scalars of a metric: a number, or a list by segment or by period."""
+    """Yield name suffixes and scalars of a metric, which is a number or a list by segment or period."""
     if not isinstance(value, list | tuple):
         yield "", value
         return

@@ -33,7 +33,7 @@ _MAX_MEASUREMENTS = 3
 """Largest number of suggested measurements."""
 
 _NOTHING = 5e-4
-"""Magnitude below which a printed value is 0, in the unit of the metric."""
+"""Magnitude below which a value is printed as 0, in the unit of the metric."""
 
 
 def uncertainty(
@@ -61,11 +61,11 @@ def uncertainty(
         out: Output folder. [default: runs/uncertainty/SCENARIO]
         plants: Plants: analytical, twin or both. [default: the scenario's]
         samples: Number of robots drawn from the distributions.
-        twin: Number of runs of the twin, if compliant runs all samples.
-        without: Parameter that keeps its value, as friction.drag_n (repeatable).
+        twin: Number of runs of the twin, if the model compliant runs all samples.
+        without: Parameter to keep at its value in the robot file, e.g. friction.drag_n (repeatable).
         engine: Engine for the runs: local, ray, or warp (twins on an accelerator).
         changed: Resume in a folder of another version; keep the rows that still apply.
-        form: Equally likely values of a field, as pneumatics.kind=lag,orifice (repeatable).
+        form: Equally likely values of a field, e.g. pneumatics.kind=lag,orifice (repeatable).
         write: Write the intervals to calibration/intervals, for expectations.
     """
     from srs_twin.studies.sweep.command import make_engine
@@ -185,7 +185,7 @@ def _print_plant(result: Propagation, plant: str) -> str:
             continue
         ends = [uncertainty.interval(name) for name in ("interval_50", "interval_95")]
         value = _short(uncertainty.value)
-        # A value that is printed like an end of its interval is not marked as outside.
+        # Do not mark a value as outside if it is printed with the same digits as the end of its interval.
         mark = "" if value in map(_short, ends[0]) else outside_marks(uncertainty)
         marks += mark
         count, verdict = _count_text(uncertainty), uncertainty.verdict

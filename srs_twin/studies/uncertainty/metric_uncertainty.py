@@ -10,9 +10,9 @@ replacement. Points of a Sobol sequence fill the space more evenly than independ
 bound. The second applies to metrics that a surrogate predicts at most samples. It is a delete-a-group
 jackknife over the twin's runs, with random groups, because consecutive Sobol points form a pattern.
 
-The bootstrap cannot represent values beyond the outermost samples. All of n samples are above the quantile of
-probability p with the probability (1 − p)^n. With fewer than `MIN_BOUNDING_SAMPLES` samples this exceeds 2.5
-% for the ends of a 95 % interval, and the samples do not bound the interval.
+The bootstrap cannot represent values beyond the outermost samples. The probability that all n samples lie
+above the quantile of probability p is (1 − p)^n. With fewer than `MIN_BOUNDING_SAMPLES` samples this exceeds
+2.5 % for the ends of a 95 % interval, so the samples may not reach these ends.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class MetricUncertainty:
 
     Attributes:
         value: value with the parameters of the robot file.
-        half_timestep: the same with half the time step.
+        half_timestep: value with half the time step.
         at_medians: value with all uncertain parameters at their medians.
         samples: values at the samples of the priors, shape (samples,); NaN if unknown.
         runs: number of samples that the plant itself ran, without those of a surrogate.
@@ -107,7 +107,7 @@ class MetricUncertainty:
         return interval_verdict(self.published, self.interval("interval_95"), self.errors[2:].tolist())
 
     def ranks(self) -> list[tuple[int, int]]:
-        """Return the best and the worst rank that each parameter can have as a cause.
+        """Return the best and the worst possible rank of each parameter as a cause.
 
         Two total indices differ if their difference exceeds their half widths, added in quadrature.
         """
@@ -173,7 +173,7 @@ def predict_twin(shares: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple
     samples = np.full(len(low), np.nan)
     samples[is_known], hyperparameters = predict_high_fidelity(x, y, runs)
     if np.isfinite(samples).sum() == len(runs):
-        return samples, np.zeros(len(_PROBABILITIES))  # nothing was predicted
+        return samples, np.zeros(len(_PROBABILITIES))  # all samples were run, so nothing is predicted
     group = np.random.default_rng(0).permutation(len(runs)) % _GROUPS
     predicted = np.arange(len(runs), len(y))
     ends = []

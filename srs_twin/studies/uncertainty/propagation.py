@@ -50,10 +50,10 @@ REFERENCE_ROWS = 3
 step."""
 
 _MIN_KNOWN = 0.9
-"""Smallest share of samples with a value for a metric to be included."""
+"""Smallest fraction of samples with a value at which a metric is included."""
 
 _CENTRES = (0.1, 0.3, 0.5, 0.7, 0.9)
-"""Probabilities of the prior at which a measurement is assumed."""
+"""Quantiles of the prior at which a measurement is assumed."""
 
 _MEASUREMENT_ERROR = 0.1
 """Half the 95 % interval of an assumed measurement, relative to the value."""
@@ -168,7 +168,7 @@ class Propagation:
             return []
         chaos = self._chaos(plant, metric)
         shares = self.study.draw(_PREDICTION_SAMPLES, self.study.seed + 1)
-        # Residuals of the surrogate are added, so that the predicted intervals contain its error.
+        # Add residuals of the surrogate, so that the predicted intervals contain its error.
         rng = np.random.default_rng(self.study.seed)
         residuals = rng.choice(chaos.residuals[:, 0], _PREDICTION_SAMPLES)
         entries = []
@@ -237,7 +237,7 @@ class Propagation:
 
     @cached_property
     def limits(self) -> dict[str, Any]:
-        """Warnings about large errors, options that remedy them, and further remarks."""
+        """Warnings about large errors, options that reduce them, and further remarks."""
         shortfalls = [shortfall for remarks in self.remarks.values() for shortfall in remarks.shortfalls()]
         texts = [
             text
@@ -347,7 +347,7 @@ def _varies(samples: np.ndarray) -> bool:
 
 
 def _fill_missing(samples: np.ndarray) -> np.ndarray:
-    """Return samples with missing values replaced by the median; they are few enough not to matter."""
+    """Return samples with missing values replaced by the median; few are missing (`_MIN_KNOWN`)."""
     return np.where(np.isfinite(samples), samples, np.nanmedian(samples))
 
 
@@ -378,7 +378,7 @@ def propagate(
             missing = opened.missing()
             with progress(part, len(missing)) if progress and missing else nullcontext() as finished:
                 opened.run(engine, missing, finished)
-            if missing or changed:  # an earlier result is not valid for these rows
+            if missing or changed:  # an earlier result does not belong to these rows
                 remove_completion_mark(folder / RESULT)
             opened.finish()
         rows[part] = _columns(folder / part / "results.parquet", sweep)

@@ -28,7 +28,7 @@ MAX_SAMPLES = 65536
 """Largest number of samples of a study."""
 
 _MARGIN = 1.5
-"""Factor of the estimated number of samples; standard errors from few samples are too low."""
+"""Safety factor on the estimated number of samples, because standard errors from few samples are too low."""
 
 _DEFAULT_RUNS = 64
 """Default number of runs of the twin."""
@@ -99,7 +99,7 @@ class Remarks:
             f"{100 * (1 - tail) ** count:.0f} % none of them is beyond its true lower end, and likewise "
             f"for the upper end ({MIN_BOUNDING_SAMPLES} samples make that {100 * tail:g} %)"
         )
-        # Twice as many, because with few samples the errors of the ends are underestimated.
+        # Suggest twice as many, because few samples underestimate the errors of the ends.
         return self._sample_shortfall(words, 2 * MIN_BOUNDING_SAMPLES)
 
     def _end_shortfall(self, width: float) -> Shortfall | None:
@@ -239,7 +239,7 @@ def _is_outside(uncertainty: MetricUncertainty, name: str) -> bool:
 
 
 def _growth(errors: np.ndarray, limit: float) -> float:
-    """Return the factor of runs that reduces one of two error parts to half of the allowed variance."""
+    """Return the factor on the number of runs that reduces an error part to half of the allowed variance."""
     return 2 * float((errors[2:].max() / limit) ** 2)
 
 

@@ -41,7 +41,7 @@ _RESAMPLINGS = 20
 """Number of bootstrap samples for the scatter of the indices."""
 
 _MAX_UNEXPLAINED = 0.5
-"""Largest unexplained share of the variance with which a surrogate predicts."""
+"""Largest unexplained fraction of the variance at which a surrogate is used."""
 
 
 def _terms(variables: int, degree: int) -> np.ndarray:
@@ -71,7 +71,7 @@ class PolynomialChaos:
     Attributes:
         terms: exponents, shape (terms, d).
         coefficients: coefficients, shape (terms, results).
-        unexplained: unexplained share of each result's variance, by cross-validation, shape (results,).
+        unexplained: unexplained fraction of each result's variance, by cross-validation, shape (results,).
         residuals: leave-one-out residuals, shape (samples, results).
         index_std: standard deviation of first-order and total indices under resampling, shape (2, d,
             results).

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from srs_twin.comparison.compare import Attribution, Comparison, MeasuredDifference
 
 _ZERO = 5e-6
-"""Absolute value below which a difference is printed as 0; in m, m/s, rad and rad/s alike."""
+"""Absolute value below which a difference is printed as 0; the same for m, m/s, rad and rad/s."""
 
 
 def write_report(
@@ -205,7 +205,7 @@ def _plots(
     *,
     tracked: bool,
 ) -> list[Picture]:
-    """Return the available plots; those of the robot's task come first."""
+    """Return the available plots, beginning with those of the kind of experiment."""
     is_learning_run = all(map(is_learning, runs.values()))
     compared = comparison if comparison is not None and len(comparison.time) else None
     added = next(filter(None, map(added_to, runs.values())), None)

@@ -15,10 +15,11 @@ from srs_twin.viewing.plots.style import unit_rgba
 
 _MAX_GEOMS = 20_000
 _SHADOW_FACTOR = 2
-"""Size of the shadow map per size of the image; MuJoCo's default of 4096 pixels slows small images down."""
+"""Ratio of the size of the shadow map to that of the image; MuJoCo's default of 4096 pixels slows small
+images down."""
 
 _FONT_PIXELS = 180
-"""Image height per 50 % of MuJoCo's font scale, pixels."""
+"""Image height for each 50 % of MuJoCo's font scale, pixels."""
 
 _LABEL_HEIGHT = 0.065
 """Height of the labels relative to the image."""
@@ -33,7 +34,7 @@ class Label(NamedTuple):
     """White text in a coloured box at the lower edge of an image.
 
     Attributes:
-        text: text, ASCII only as MuJoCo's font.
+        text: text, ASCII only, because MuJoCo's font has no other characters.
         color: colour of the box, #rrggbb.
     """
 

@@ -38,10 +38,11 @@ _KEY_STEPS = {
     PAGE_UP: ("pressure", 14),
     PAGE_DOWN: ("pressure", -14),
 }
-"""Key → command and number of steps between its limits: 0.05 for the offset, 0.1 Hz, about 1 kPa."""
+"""Key → command and number of steps between its limits. The steps are 0.05 (offset), 0.1 Hz and about 1
+kPa."""
 
 MAX_LAG_S = 0.25
-"""Largest delay of the simulation that is made up for by faster simulation, s."""
+"""Largest delay of the simulation that is recovered by simulating faster, s."""
 
 
 class LiveSnake:
@@ -147,7 +148,7 @@ def steer(
 ) -> None:
     """Simulate and draw a snake in real time until the window is closed.
 
-    When drawing takes too long, ticks are simulated without drawing until the simulation is on time again.
+    If drawing takes too long, ticks are simulated without drawing until the simulation is in time again.
 
     Args:
         snake: snake to simulate.

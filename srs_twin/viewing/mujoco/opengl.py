@@ -35,8 +35,8 @@ _TIMEOUT_S = 60.0
 def usable_opengl() -> str:
     """Return a working OpenGL backend, and set MUJOCO_GL to it.
 
-    A backend selected by MUJOCO_GL is used if it works; without a selection, the first working one of egl and
-    osmesa.
+    The backend is the one that MUJOCO_GL selects, if it works. Without a selection it is the first working
+    one of egl and osmesa.
 
     Raises:
         InputError: no backend works; the message has the reasons and the packages to install.

@@ -82,7 +82,7 @@ _FORWARD_DEG = 25.0
 """Rotation of the view towards the direction of motion, degrees; 0 looks across the snake."""
 
 _DISTANCE_PER_SEPARATION = 0.7
-"""Additional camera distance per largest distance of the plants from the centre of the view."""
+"""Additional camera distance, relative to the largest distance of the plants from the centre of the view."""
 
 _ELEVATION_DEG = {"bench": -60.0, "floor": -35.0}
 _DISTANCE_LENGTHS = {"bench": 2.6, "floor": 1.7}
@@ -134,7 +134,7 @@ def _smooth_path(run: Trajectory) -> np.ndarray:
     half = min(window, duration) / 2
     if half <= 0:
         return run.com
-    # A mean from the integral of the path also holds for samples that are not equally spaced.
+    # Compute the mean from the integral of the path, because samples may not be equally spaced.
     steps = np.diff(time)[:, None] * (run.com[1:] + run.com[:-1]) / 2
     integral = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     begin, end = np.clip(time - half, time[0], None), np.clip(time + half, None, time[-1])

@@ -32,7 +32,7 @@ _MAX_TRAIL_POINTS = 400
 _OBSTACLE_ALPHA = 0.35
 _TEXT_COLOR = "#30333a"
 _GHOST_ALPHA = 0.13
-"""Opacity of a capsule of the ghost; four or five capsules overlap at each point."""
+"""Opacity of a capsule of the ghost; low, because four or five capsules overlap at each point."""
 
 _GHOST_CHORDS = 6
 """Capsules per segment of the ghost."""
@@ -45,7 +45,7 @@ _LINE_M = 0.001
 class Stage:
     """Scene of a run: robot and world of the scenario at the recorded positions.
 
-    The colour of a segment is that of its pressure difference. The scene contains the trail of the centre of
+    The colour of a segment shows its pressure difference. The scene contains the trail of the centre of
     mass, the lines on the floor that extensions add, and optionally another plant as a ghost.
 
     Attributes:
@@ -235,7 +235,7 @@ class Skins:
 
         Args:
             pressure: pressures, shape (segments, 2), any unit.
-            full_scale: pressure difference with the full colour.
+            full_scale: pressure difference that is drawn in the full colour.
         """
         self.paint(pressure_colors(pressure[:, 0] - pressure[:, 1], full_scale) / np.float32(255))
 

@@ -54,7 +54,7 @@ def strobe_times(trajectories: Mapping[str, Trajectory], geometry: Geometry) -> 
     distance = np.hypot(*(run.com - run.com[0]).T)
     spacing = _MIN_SPACING * geometry.body_length
     count = int(np.interp(end, run.time, distance) / spacing + 1e-6) + 1
-    # A snake that hardly moved is drawn at the start and the end.
+    # Draw a snake that hardly moved only at the start and the end.
     return np.linspace(float(run.time[0]), end, int(np.clip(count, 2, _MAX_BODIES))).tolist()
 
 

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 Runs = Mapping[str, Trajectory]
 
 _MAX_ROWS = 8
-"""Largest number of panels; of more segments, evenly spaced ones are plotted."""
+"""Largest number of panels; of robots with more segments, evenly spaced segments are plotted."""
 
 _PERIODS_SHOWN = 4
 """Number of gait periods in the plots of a long run."""
@@ -211,7 +211,7 @@ def tracking_plot(trajectories: Runs) -> Figure:
             bends.plot(time, run["sensed_1"][window], color=style.color, linewidth=0.4, alpha=0.3)
         bends.plot(time, run["bend_1"][window], **style.line, zorder=style.zorder)
         state = (run["valve_plus_1"] - run["valve_minus_1"])[window] / 2
-        # The valves of a sample were active since the previous sample.
+        # The valve states of a sample hold since the previous sample.
         axes.step(time, state, where="pre", color=style.color, linewidth=0.8)
         axes.set(ylim=(-1.3, 1.3), yticks=[-1, 0, 1])
         finish(axes, f"{plant}\nvalves")
@@ -283,8 +283,8 @@ _BAR_PITCH = 0.23
 def attribution_plot(attribution: Attribution) -> Figure:
     """Plot the contributions of the assumptions as bars, largest first, one panel per measure.
 
-    Thin lines show the minimum and maximum of a contribution over the orders of replacement. The last two
-    bars are the part that is not explained, and the difference, which is the sum of the bars above it.
+    Thin lines show the range of a contribution over the orders in which assumptions are replaced. The last
+    two bars are the part that is not explained, and the difference, which is the sum of the bars above it.
     """
     # Each of shape (measures, assumptions).
     value, low, high = (

@@ -72,7 +72,7 @@ class Style:
 
     @property
     def zorder(self) -> float:
-        """Drawing order: dashed lines above solid ones, so that coincident lines are both visible."""
+        """Drawing order: dashed lines above solid ones, so that both of two coincident lines are visible."""
         return 2.0 if self.dash == "-" else 2.1
 
 
@@ -102,7 +102,7 @@ def pressure_colors(difference: np.ndarray, full_scale: float | None = None) -> 
 
     Args:
         difference: p⁺ − p⁻, any unit; NaN becomes grey.
-        full_scale: magnitude with the full colour; default: the largest one.
+        full_scale: magnitude that is drawn in the full colour; default: the largest one.
     """
     finite = np.nan_to_num(difference)
     full_scale = float(np.max(np.abs(finite), initial=0.0)) if full_scale is None else full_scale

@@ -67,7 +67,7 @@ class LiveEstimate(Protocol):
 
     @property
     def lost(self) -> str | None:
-        """Reason why the estimate is not reliable; empty or None if it is."""
+        """Reason why the estimate is not reliable; empty or None for a reliable estimate."""
 
     @property
     def off(self) -> Mapping[str, float]:

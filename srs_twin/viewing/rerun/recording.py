@@ -101,7 +101,7 @@ def write_recording(
     residuals = {plant: _residuals(difference) for plant, difference in (measured or {}).items()}
     quantities = list(dict.fromkeys(name for errors in residuals.values() for name in errors))
     log = rr.RecordingStream(APPLICATION)
-    # Not `log.save`, which leaves an incomplete recording, sometimes without an error, if the disk is full.
+    # Do not use `log.save`: on a full disk it leaves an incomplete recording, sometimes without an error.
     memory = log.memory_recording()
     send_blueprint(log, run_blueprint(_layout(trajectories, spec, comparison is not None, quantities)))
     log.set_log_time_enabled(False)
@@ -182,7 +182,7 @@ def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
     carrier.set_time("blueprint", sequence=0)
     blueprint._log_to_stream(carrier)
     content = carrier.memory_recording()
-    # Active, not only default, so that the viewer does not reuse the layout of another robot.
+    # Make the layout active, not only the default, so that the viewer does not reuse that of another robot.
     rr.bindings.send_blueprint(content.storage, True, True, recording=log.to_native())
     carrier.disconnect()
 
@@ -207,7 +207,7 @@ def _layout(
 ) -> Layout:
     followed = trajectories.get("twin") or next(iter(trajectories.values()))
     _, coms = _coms(trajectories)
-    # The axis includes zero, because a truncated axis exaggerates differences.
+    # Include zero, because a truncated axis exaggerates differences.
     speeds = np.concatenate([[0.0, 1e-3], *(_speed(run)[1] for run in trajectories.values())])
     return Layout(
         plants=list(trajectories),

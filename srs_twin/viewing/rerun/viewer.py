@@ -1,6 +1,6 @@
 """The Rerun viewer as a child process, and the verification of recordings.
 
-The viewer accepts connections from this machine only and ends with the block that started it.
+The viewer accepts connections from this machine only. It ends when the `with` block that started it ends.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ Rerun = subprocess.Popen[bytes]
 def running_rerun(*arguments: str) -> Iterator[tuple[Rerun, IO[bytes]]]:
     """Run Rerun; yield the process and the file with its output.
 
-    Rerun and its child processes have ended when the block has ended.
+    Rerun and its child processes end with the block.
 
     Args:
         arguments: arguments of Rerun, in addition to its address.

@@ -44,7 +44,7 @@ def serve_recordings(
 ) -> Iterator[tuple[str, Callable[[], None]]]:
     """Serve recordings on 127.0.0.1; yield the URL and a function that serves until it is interrupted.
 
-    All processes have ended when the block has ended.
+    All processes end with the block.
 
     Args:
         recordings: recordings of `write_recording`.
