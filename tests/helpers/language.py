@@ -20,7 +20,10 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 
-_COUNTED = "segment|run|connector|tick|step|second|module|kind|robot|wheel|row|file|chamber|period|sample|frame|plant"
+_COUNTED = (
+    "segment|run|connector|tick|step|second|module|kind|robot|wheel|row|file|chamber|period|"
+    "sample|frame|plant"
+)
 PATTERNS = {
     "clause as subject": r"^What (?!is\?|are\?)",
     "verb + what": r"\b(return|say|take|give|write|show|know|find|yield|hold|read|add)s? what\b",
