@@ -13,6 +13,7 @@ from snakes import robot
 
 import srs_twin as srs
 from srs_twin import InputError, load_scenario
+from srs_twin.cli.catalogue import scenario_groups
 from srs_twin.comparison.metrics import (
     COMPARISON_UNITS,
     LIST_METRIC_UNITS,
@@ -21,6 +22,7 @@ from srs_twin.comparison.metrics import (
     meanings,
 )
 from srs_twin.io.documents import Override, parse_yaml
+from srs_twin.io.files import shipped_names
 from srs_twin.scenario.loading import parse_scenario
 
 SHORT = {"duration_s": 1.0}
@@ -149,6 +151,19 @@ def test_every_metric_is_listed_with_unit_and_meaning(srs_twin, tmp_path):
     assert {"name": "gen2_straight", "title": "Generation 2, straight, 2 Hz, 48.3 kPa"} in found["scenarios"]
     assert {each["name"] for each in found["controllers"]} >= {"gait", "ilc", "follow", "replay"}
     assert all(set(each) == {"name", "title"} and all(each.values()) for each in found["robots"])
+
+
+def test_list_starts_with_six_scenarios_and_groups_all(srs_twin, tmp_path):
+    first, *rest = re.split(r"^Scenarios: .* \(\d+\)$", srs_twin("list", cwd=tmp_path).stdout, flags=re.M)
+    names = shipped_names("scenario")
+    beginning = [line.split()[0] for line in first.splitlines() if re.match("  \\S", line)]
+    assert len(beginning) == 6 and set(beginning) <= set(names)
+    groups = scenario_groups({"name": name} for name in names)
+    assert "other" not in groups and len(groups) == len(rest) == 6
+    assert [len(group) for group in groups.values()] == [len(set(names) & set(text.split())) for text in rest]
+    # One scenario per group to begin with; the studies are listed as well.
+    assert all(len({*beginning} & {row["name"] for row in group}) == 1 for group in groups.values())
+    assert set(shipped_names("study")) <= set(rest[-1].split())
 
 
 @pytest.mark.parametrize("name", ["gen2_turn", "gen2"])
