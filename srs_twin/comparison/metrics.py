@@ -38,6 +38,9 @@ RELATIVE = set(
 ).union(*(group.relative for group in metric_groups()))
 """Metrics whose difference is also shown in per cent of the analytical value."""
 
+_TENTH = 0.05
+"""Smallest relative difference that is shown with one decimal, per cent."""
+
 YES_NO = frozenset[str]().union(*(group.yes_no for group in metric_groups()))
 """Metrics that are 1 or 0, shown as yes or no."""
 
@@ -54,11 +57,11 @@ def relative_difference(reference: float, value: float) -> str:
 
 
 def _per_cent(reference: float, value: float) -> str:
-    """Return value − reference in per cent of the reference, with one decimal; empty if signs differ."""
+    """Return value − reference in per cent of the reference as text, empty if the signs differ."""
     if reference * value <= 0:
         return ""
-    text = f"{100 * (value - reference) / reference:+.1f}"
-    return "0" if float(text) == 0 else text
+    per_cent = 100 * (value - reference) / reference
+    return "0" if value == reference else f"{per_cent:{'+.1f' if abs(per_cent) >= _TENTH else '+.1g'}}"
 
 
 def published(expectations: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, str]]:
@@ -398,7 +401,9 @@ def _differences(metrics: Mapping[str, Any], metric: str, text: Callable[[Any], 
         return "", ""
     if metric == "com_speed_m_s":
         model *= (metrics.get("comparison") or {}).get("gap_factor") or 1.0
-    difference = "0" if text(model) == text(twin) else f"{twin - model:+.3g}"
+    if text(model) == text(twin):
+        twin = model
+    difference = f"{twin - model:+.3g}" if twin != model else "0"
     return difference, _per_cent(model, twin) if metric in RELATIVE else ""
 
 
