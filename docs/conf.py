@@ -21,6 +21,7 @@ copyright = "the srs_twin authors"  # noqa: A001
 
 extensions = [
     "myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "generated", "docstrings",
+    "sphinx_copybutton",
 ]  # fmt: skip
 
 # The root of the checkout is the root of the site, so that relative links between Markdown files also work on
@@ -39,7 +40,7 @@ templates_path = ["_templates"]
 
 # Keep quotes and dashes, because readers copy commands from pages.
 smartquotes = False
-myst_enable_extensions = ["dollarmath", "attrs_inline"]
+myst_enable_extensions = ["dollarmath", "attrs_inline", "html_image"]
 myst_dmath_double_inline = True
 myst_heading_anchors = 4
 

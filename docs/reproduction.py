@@ -1,7 +1,7 @@
-"""Write the tables of the reproduction in README.md and docs/reproduction.md from the committed baseline.
+"""Write the tables of docs/reproduction.md from the committed baseline.
 
 uv run srs-twin reproduce --write-baseline   # runs everything, writes calibration/published/baseline.json
-uv run python docs/reproduction.py           # writes both pages from it
+uv run python docs/reproduction.py           # writes the page from it
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from srs_twin.reproduction.verdicts import (
     load_baseline,
 )
 
-ROOT = Path(__file__).parents[1]
+PAGE = Path(__file__).with_name("reproduction.md")
 NAME = "reproduction"
 
 
@@ -61,7 +61,7 @@ def markdown(rows: Sequence[JudgedClaim]) -> str:
 
 
 def table(rows: Sequence[JudgedClaim]) -> str:
-    """Return the table of the README: rows met by category, headline first."""
+    """Return the table of the counts: rows met by category, headline first."""
     columns = {"twin": "twin", "analytical": "analytical model", "alone": "without a plant"}
     lines = [f"{len(rows)} rows in total; the table counts the rows that are met:", ""]
     lines += [f"| rows | {' | '.join(columns.values())} |"]
@@ -125,18 +125,18 @@ def replace_between(page: str, name: str, text: str) -> str:
     return f"{before}{begin}\n{text}\n{end}{after}"
 
 
-def pages(rows: tuple[JudgedClaim, ...]) -> dict[Path, str]:
-    """Return path → new text of both pages."""
-    texts = {ROOT / "README.md": table(rows), ROOT / "docs/reproduction.md": markdown(rows)}
-    return {path: replace_between(path.read_text("utf-8"), NAME, text) for path, text in texts.items()}
+def new_page(rows: tuple[JudgedClaim, ...]) -> str:
+    """Return the new text of the page."""
+    counted = replace_between(PAGE.read_text("utf-8"), "counts", table(rows))
+    return replace_between(counted, NAME, markdown(rows))
 
 
 def main() -> None:
-    """Write both pages."""
+    """Write the page."""
     rows = judged_claims(load_claims(), load_baseline())
-    for path, text in pages(rows).items():
-        with atomic_write(path) as temporary:
-            temporary.write_text(text, "utf-8")
+    text = new_page(rows)
+    with atomic_write(PAGE) as temporary:
+        temporary.write_text(text, "utf-8")
 
 
 if __name__ == "__main__":

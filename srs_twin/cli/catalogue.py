@@ -3,17 +3,42 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+import re
+import textwrap
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, get_args
 
-from srs_twin.cli.console import console, new_table
+from srs_twin.cli.console import console
 from srs_twin.cli.options import JsonOption, argument, print_json
 from srs_twin.errors import UnknownNameError
 from srs_twin.extensions import SCHEMAS, installed, load
 
 _KINDS = ("scenarios", "robots", "sweeps", "controllers", "metrics", "studies")
 _DEFAULT_KINDS = _KINDS[:-1]
-"""Kinds that are listed without an argument. They are the keys of `--json`, part of the public interface."""
+"""Keys of `--json` without an argument, part of the public interface."""
+
+_PRINTED_KINDS = ("scenarios", "robots", "sweeps", "studies", "controllers")
+"""Kinds that are printed without an argument."""
+
+_BEGINNING = {
+    "gen2_straight": "crawl straight ahead; both plants, their difference and its cause",
+    "gen2_turn": "turn, and see where the plants differ",
+    "follow_fig57": "plan a path among obstacles and follow it",
+    "ilc_straight": "learn to crawl straight with unequal modules",
+    "module_step_direct": "control the bend of one module",
+    "sensor_up": "read a curvature sensor",
+}
+"""Scenarios to begin with, one per group, and what they show."""
+
+_GROUPS = {
+    "crawl": r"gen\d_(straight|climb)",
+    "turn": r"gen\d_turn",
+    "plan and follow": "(plan|follow)_.*",
+    "learn": "ilc_.*",
+    "one module": "module_.*",
+    "sensor": "sensor_.*",
+}
+"""Title of a group of scenarios → pattern of their names."""
 
 _FILE_KINDS = {"scenarios": "scenario", "robots": "robot", "sweeps": "sweep", "studies": "study"}
 
@@ -22,24 +47,55 @@ def list_(
     kind: Annotated[str | None, argument("KIND")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List scenarios, robots, sweeps, controllers and metrics.
+    """List scenarios, robots, sweeps, studies, controllers, metrics.
 
     Options:
         kind: Kind: scenarios, robots, sweeps, controllers, metrics or studies. [default: all but
-            studies]
+            metrics]
     """
     if kind is not None and kind not in _KINDS:
         raise UnknownNameError("kind", kind, _KINDS)
-    lists = {name: list(_rows(name)) for name in (_DEFAULT_KINDS if kind is None else (kind,))}
     if as_json:
-        print_json(lists)
+        print_json({name: list(_rows(name)) for name in (_DEFAULT_KINDS if kind is None else (kind,))})
         return
-    for name, rows in lists.items():
-        table = new_table(*(key.replace("name", name) for key in rows[0]), left=range(3))
-        table.columns[-1].no_wrap = False
-        for row in rows:
-            table.add_row(*row.values())
-        console().print(table)
+    for name in _PRINTED_KINDS if kind is None else (kind,):
+        rows = list(_rows(name))
+        if name == "scenarios":
+            _print_scenarios(rows)
+        else:
+            _print_rows(name.capitalize(), rows)
+    if kind is None:
+        print("`srs-twin list metrics` lists the metrics, `srs-twin show NAME` the values of a file.")
+
+
+def _print_scenarios(rows: Sequence[Mapping[str, str]]) -> None:
+    """Print the scenarios to begin with, then all scenarios by group."""
+    beginning = [{"name": name, "title": text} for name, text in _BEGINNING.items()]
+    _print_rows("Scenarios to begin with (srs-twin compare NAME)", beginning)
+    for title, group in scenario_groups(rows).items():
+        _print_rows(f"Scenarios: {title} ({len(group)})", group)
+
+
+def scenario_groups(rows: Iterable[Mapping[str, str]]) -> dict[str, list[Mapping[str, str]]]:
+    """Return title of a group → its scenarios; scenarios that fit no group are in "other"."""
+    groups: dict[str, list[Mapping[str, str]]] = {}
+    for row in rows:
+        titles = (title for title, pattern in _GROUPS.items() if re.fullmatch(pattern, row["name"]))
+        groups.setdefault(next(titles, "other"), []).append(row)
+    return {title: groups[title] for title in (*_GROUPS, "other") if title in groups}
+
+
+def _print_rows(heading: str, rows: Sequence[Mapping[str, str]]) -> None:
+    """Print rows below a heading, the last column wrapped."""
+    cells = [[*row.values()] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)][:-1]
+    print(heading)
+    for row in cells:
+        begin = "  " + "".join(f"{text:<{width}}  " for text, width in zip(row, widths, strict=False))
+        rest = " " * len(begin)
+        for line in textwrap.wrap(begin + row[-1], console().width, subsequent_indent=rest):
+            print(line)
+    print()
 
 
 def _rows(kind: str) -> Iterator[dict[str, str]]:
@@ -80,8 +136,6 @@ def show(
     if as_json:
         print_json(document)
         return
-    import textwrap
-
     from srs_twin.io.documents import format_path
     from srs_twin.io.files import escape_unprintable
 

@@ -61,7 +61,9 @@ def new_table(*headings: str, left: Collection[int] = (0,), title: str | None = 
     from rich import box
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table = Table(
+        title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True
+    )
     for i, heading in enumerate(headings):
         table.add_column(heading, justify="left" if i in left else "right", no_wrap=True)
     return table

@@ -12,13 +12,18 @@ from srs_twin.cli.junit import TestCase, report_path, write_report
 from srs_twin.cli.options import JsonOption, argument, option, print_json
 
 if TYPE_CHECKING:
-    from srs_twin.comparison.diff import Difference, Leaf
+    from rich.table import Table
+
+    from srs_twin.comparison.diff import ChangedValue, Difference, Leaf
 
 EXIT_DIFFERENT = 1
 """Exit code if a value differs by more than its tolerance."""
 
 _MAX_ROWS = 40
-"""Largest number of rows of the printed table."""
+"""Largest number of rows of the printed tables."""
+
+_MAX_REL = 10.0
+"""Largest relative difference that is printed: a larger one has a reference near 0."""
 
 
 def diff(
@@ -70,24 +75,37 @@ def diff(
 
 
 def _show(difference: Difference) -> None:
-    """Print a table of the values that differ, at most `_MAX_ROWS` rows."""
-    table = new_table("where", "metric", "a", "b", "(b − a)/|a|", left=(0, 1))
-    for column in table.columns[:2]:
-        column.no_wrap, column.overflow = False, "fold"
+    """Print one table per run and plant with values that differ, at most `_MAX_ROWS` rows in all."""
+    tables: dict[str, Table] = {}
     for change in difference.moved[:_MAX_ROWS]:
-        rel = "" if change.rel is None else f"{change.rel:+.2g}"
-        table.add_row(change.where, change.metric, _text(change.a), _text(change.b), rel)
-    if difference.moved:
+        plant, dot, metric = change.metric.rpartition(".")
+        title = f"{change.where}{dot and ', '}{plant}"
+        if title not in tables:
+            tables[title] = new_table("metric", "a", "b", "b − a", "%", title=title)
+            tables[title].columns[0].no_wrap, tables[title].columns[0].overflow = False, "fold"
+        tables[title].add_row(metric, *_cells(change))
+    for table in tables.values():
         console().print(table)
     if len(difference.moved) > _MAX_ROWS:
         print(f"and {len(difference.moved) - _MAX_ROWS} more; --json lists all of them")
     print(f"{len(difference.moved)} different, {difference.same} equal")
 
 
-def _text(value: Leaf) -> str:
+def _cells(change: ChangedValue) -> list[str]:
+    """Return both values with enough digits to differ, their difference, and its per cent of a."""
+    a, b = change.a, change.b
+    digits = next((n for n in range(4, 18) if _text(a, n) != _text(b, n)), 17)
+    numbers = isinstance(a, float | int) and isinstance(b, float | int)
+    shift = f"{b - a:+.3g}" if numbers else ""  # type: ignore[operator]
+    meaningless = change.rel is None or abs(change.rel) > _MAX_REL
+    per_cent = "" if meaningless else f"{100 * change.rel:+.3g}"  # type: ignore[operator]
+    return [_text(a, digits), _text(b, digits), shift, per_cent]
+
+
+def _text(value: Leaf, digits: int = 9) -> str:
     if value is None:
         return "–"
-    return f"{value:.9g}" if isinstance(value, float) else str(value)
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
 
 
 def _test_cases(difference: Difference) -> Iterator[TestCase]:

@@ -19,9 +19,10 @@ class MetricGroup:
         units: metric → unit; each metric is one number.
         measure: returns the values of a run by metric, None where a metric is undefined.
         why_undefined: returns the reason why a metric has no value; empty if this is the outcome of the run.
-        relative: metrics whose difference between the plants is given relative to the analytical value.
+        relative: metrics whose difference between the plants is also shown in per cent.
         main: metric that only runs of this topic have; it selects `short_table`.
         short_table: metrics of the short table of such a run.
+        yes_no: metrics that are 1 or 0, shown as yes or no.
     """
 
     units: Mapping[str, str]
@@ -30,6 +31,7 @@ class MetricGroup:
     relative: frozenset[str]
     main: str
     short_table: tuple[str, ...]
+    yes_no: frozenset[str] = frozenset()
 
 
 @cache

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,42 +36,32 @@ RELATIVE = set(
     reading_error_rad reading_backstep_rad reading_range_t
     """.split()
 ).union(*(group.relative for group in metric_groups()))
-"""Metrics whose difference is shown relative to the analytical value; other differences keep their unit."""
+"""Metrics whose difference is also shown in per cent of the analytical value."""
 
-_ROUNDING = 1e-9
-"""Relative difference of two values that are equal except for rounding, 1."""
-_NOT_COMPARED = {"wall_s", "realtime_factor"}
+_TENTH = 0.05
+"""Smallest relative difference that is shown with one decimal, per cent."""
+
+YES_NO = frozenset[str]().union(*(group.yes_no for group in metric_groups()))
+"""Metrics that are 1 or 0, shown as yes or no."""
+
+_NOT_COMPARED = YES_NO | {"wall_s", "realtime_factor"}
 """Metrics whose difference is not shown: computing times are not properties of the plants."""
-
-
-def difference(metrics: Mapping[str, Any], metric: str) -> str:
-    """Return twin − analytical as text, for some metrics relative to the (signed) analytical value.
-
-    Args:
-        metrics: contents of metrics.json.
-        metric: name of the metric.
-
-    Returns:
-        For example "-11.5 %" or "+0.0432"; empty if one of the values is missing.
-    """
-    model, twin = (metrics["plants"].get(plant, {}).get(metric) for plant in ("analytical", "twin"))
-    if metric in _NOT_COMPARED or not isinstance(model, int | float) or not isinstance(twin, int | float):
-        return ""
-    if metric == "com_speed_m_s":
-        model *= (metrics.get("comparison") or {}).get("gap_factor") or 1.0
-    return relative_difference(model, twin) if metric in RELATIVE else _absolute_difference(model, twin)
 
 
 def relative_difference(reference: float, value: float) -> str:
     """Return value − reference in per cent of the reference, as "-11.5 %", or in its unit if signs differ."""
     # A ratio to zero, or between values of opposite sign, has no meaning.
     if reference * value <= 0:
-        return _absolute_difference(reference, value)
-    return f"{100 * (value - reference) / reference:+.1f} %"
+        return "0" if value == reference else f"{value - reference:+.3g}"
+    return f"{_per_cent(reference, value)} %"
 
 
-def _absolute_difference(reference: float, value: float) -> str:
-    return "0" if abs(value - reference) <= _ROUNDING * abs(reference) else f"{value - reference:+.3g}"
+def _per_cent(reference: float, value: float) -> str:
+    """Return value − reference in per cent of the reference as text, empty if the signs differ."""
+    if reference * value <= 0:
+        return ""
+    per_cent = 100 * (value - reference) / reference
+    return "0" if value == reference else f"{per_cent:{'+.1f' if abs(per_cent) >= _TENTH else '+.1g'}}"
 
 
 def published(expectations: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, str]]:
@@ -204,17 +194,6 @@ path_rms_m: RMS distance of the centres of mass at equal times
 bend_rms_rad: RMS difference of the bends
 bend_rms_rel: RMS difference of the bends divided by the RMS bend of the analytical model
 heading_rms_rad: RMS difference of the headings
-wall_s: time that the simulation took
-realtime_factor: simulated time over that
-com_speed_rel: twin's speed less the analytical model's, over the latter
-gap_factor: by which the analytical speed was multiplied for it, 1 unless asked for
-yaw_rate_abs: size of the difference of the yaw rates
-shape_rms_m: RMS distance of like connectors, centre and heading aligned
-shape_rms_body: the same over the body's length
-path_rms_m: RMS distance of the centres of mass at equal times
-bend_rms_rad: RMS difference of the bends
-bend_rms_rel: the same over the analytical model's RMS bend
-heading_rms_rad: RMS difference of the headings
 """
 
 
@@ -236,18 +215,21 @@ _STRAIGHT_RAD_S = 0.05
 _ZERO_RATE = 5e-5
 """Rate that is shown as 0, m/s or rad/s."""
 _PRESET = "The twin ran with preset {}, for searching: cite a run without it (docs/models.md#presets)."
+_COMPLIANCE = "Compliance: the segments of the twin yield to loads, those of the model do not."
+"""Explanation of the cause that headlines name most often."""
 _MIN_CAUSE_RATIO = 0.25
 """Fraction of a difference that a cause must exceed to be mentioned, 1."""
 
 
 def headline(metrics: Mapping[str, Any]) -> str:
-    """Return a one-sentence summary, and a second sentence on a preset other than the default.
+    """Return a one-sentence summary, and sentences on its terms and on a preset other than the default.
 
     Args:
         metrics: contents of metrics.json.
     """
     text, preset = _summary(metrics), metrics.get("preset")
-    return f"{text} {_PRESET.format(preset)}" if preset else text
+    sentences = [text, *[_COMPLIANCE] * ("compliance" in text), *[_PRESET.format(preset)] * bool(preset)]
+    return " ".join(sentences)
 
 
 def _summary(metrics: Mapping[str, Any]) -> str:
@@ -362,29 +344,68 @@ def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
 
 
 def tidy(metric: str, value: Any) -> Any:
-    """Return the value of a metric for display: negligible rates become 0."""
-    rate = isinstance(value, float) and metric.endswith(("_m_s", "_rad_s"))
+    """Return the value of a metric for display: yes or no, and 0 for negligible rates."""
+    if metric in YES_NO and value is not None:
+        return "yes" if value else "no"
+    rate = isinstance(value, float) and metric.endswith(("_m_s", "_rad_s", "_abs"))
     return 0.0 if rate and abs(value) < _ZERO_RATE else value
+
+
+class ResultRow(NamedTuple):
+    """Row of a table of results, as text.
+
+    Attributes:
+        metric: name of the metric.
+        unit: its unit; empty for counts, ratios, and yes or no.
+        values: one cell per plant.
+        difference: twin − analytical in the unit, or the value of a metric of the comparison.
+        per_cent: twin − analytical in per cent of the analytical value, for some metrics.
+    """
+
+    metric: str
+    unit: str
+    values: list[str]
+    difference: str
+    per_cent: str
 
 
 def result_rows(
     metrics: Mapping[str, Any], names: Iterable[str], text: Callable[[Any], str]
-) -> Iterator[tuple[str, str, list[str], str]]:
-    """Yield the rows of a table of results: metric, unit, one cell per plant, difference.
+) -> Iterator[ResultRow]:
+    """Yield the rows of a table of results.
 
     Args:
         metrics: contents of metrics.json.
         names: metrics of plants and of the comparison; those without a value are left out.
         text: function that formats a value.
     """
-    units, plants = METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS, metrics["plants"].values()
+    units, plants = METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS, metrics["plants"]
     for name in names:
-        values = [plant.get(name) for plant in plants]
+        unit = "" if units[name] == "1" else units[name]
+        values = [plant.get(name) for plant in plants.values()]
         between = (metrics.get("comparison") or {}).get(name) if name in COMPARISON_UNITS else None
         if between is not None:
-            yield name, units[name], [""] * len(plants), text(between)
+            yield ResultRow(name, unit, [""] * len(plants), text(tidy(name, between)), "")
         elif any(value is not None for value in values):
-            yield name, units[name], [text(tidy(name, value)) for value in values], difference(metrics, name)
+            texts = [text(tidy(name, value)) for value in values]
+            yield ResultRow(name, unit, texts, *_differences(metrics, name, text))
+
+
+def _differences(metrics: Mapping[str, Any], metric: str, text: Callable[[Any], str]) -> tuple[str, str]:
+    """Return twin − analytical as text, in the unit of the metric and in per cent.
+
+    The difference is 0 if both values have the same text. The per cent are empty for most metrics; both texts
+    are empty if one of the values is missing.
+    """
+    model, twin = (tidy(metric, metrics["plants"].get(p, {}).get(metric)) for p in ("analytical", "twin"))
+    if metric in _NOT_COMPARED or not isinstance(model, int | float) or not isinstance(twin, int | float):
+        return "", ""
+    if metric == "com_speed_m_s":
+        model *= (metrics.get("comparison") or {}).get("gap_factor") or 1.0
+    if text(model) == text(twin):
+        twin = model
+    difference = f"{twin - model:+.3g}" if twin != model else "0"
+    return difference, _per_cent(model, twin) if metric in RELATIVE else ""
 
 
 _GAIT_METRICS = f"""

@@ -61,7 +61,7 @@ def plan(
     from srs_twin.io.file_sets import replace_files
     from srs_twin.io.files import check_output_folder
     from srs_twin.planning.metrics import plan_metrics
-    from srs_twin.scenario.expectation import verdict
+    from srs_twin.scenario.expectation import result_text, verdict
     from srs_twin.scenario.loading import load_scenario
     from srs_twin.scenario.modified import left_out_line
 
@@ -87,7 +87,7 @@ def plan(
     write = say if as_json else print  # stdout is for the JSON document
     missed = [row for row in checked if verdict(row) == "missed"]
     for row in checked if not quiet else missed if check else ():
-        write(f"{STATE_LABELS[verdict(row)]:6} {row['metric']} = {row['value']}, allowed {row['allowed']}")
+        write(f"{STATE_LABELS[verdict(row)]:6} {row['metric']} {result_text(row)}")
     left_out = [row for row in loaded.left_out if row["metric"] in metrics]
     for line in left_out_line(left_out) if not quiet else ():
         write(line)

@@ -311,6 +311,7 @@ METRICS = MetricGroup(
     measure=following_metrics,
     why_undefined=_why_undefined,
     relative=frozenset({"cross_track_rms_m", "cross_track_max_m", "following_time_s"}),
+    yes_no=frozenset({"plan_found", "goal_reached"}),
     main="plan_found",
     short_table=(
         *("plan_found", "plan_length_m", "goal_reached", "arrival_error_m", "arrival_heading_error_rad"),

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from srs_twin.comparison.metrics import COMPARISON_UNITS, METRIC_UNITS, METRICS_LISTED
+from srs_twin.comparison.metrics import COMPARISON_UNITS, METRIC_UNITS, METRICS_LISTED, YES_NO, tidy
 from srs_twin.comparison.undefined import Undefined
 from srs_twin.errors import UnknownNameError
 from srs_twin.robot.sourced import split_unit
@@ -277,6 +277,8 @@ def _ends(low: float, high: float, inside: float) -> str:
 
 def _range_text(low: float, high: float) -> str:
     """Return the text of a range of allowed values."""
+    if low == high:
+        return f"{low:.4g}"
     if math.isinf(low):
         return f"at most {high:.4g}"
     return f"at least {low:.4g}" if math.isinf(high) else f"{low:.4g} to {high:.4g}"
@@ -306,9 +308,12 @@ def verdict(checked: Mapping[str, Any]) -> str:
 
 def result_text(checked: Mapping[str, Any]) -> str:
     """Return the text of a value and its allowed values, such as "= 0.15, allowed 0.18 to 0.25"."""
-    value, metric = checked["value"], checked["metric"]
+    metric, allowed = checked["metric"], checked["allowed"]
+    value = tidy(metric, checked["value"])
+    if metric in YES_NO and allowed in ("0", "1"):
+        return f"= {value or 'none'}, required {tidy(metric, int(allowed))}"
     if not checked.get("within"):
-        return f"= {'none' if value is None else f'{value:.4g}'}, allowed {checked['allowed']}"
+        return f"= {'none' if value is None else f'{value:.4g}'}, allowed {allowed}"
     unit = (METRIC_UNITS | COMPARISON_UNITS).get(metric, "1")
     text = "none" if value is None else f"{value:.3g}" + (f" {unit}" if unit != "1" else "")
     return f"= {text}; {checked['allowed']}"

@@ -13,6 +13,7 @@ from snakes import robot
 
 import srs_twin as srs
 from srs_twin import InputError, load_scenario
+from srs_twin.cli.catalogue import scenario_groups
 from srs_twin.comparison.metrics import (
     COMPARISON_UNITS,
     LIST_METRIC_UNITS,
@@ -21,6 +22,7 @@ from srs_twin.comparison.metrics import (
     meanings,
 )
 from srs_twin.io.documents import Override, parse_yaml
+from srs_twin.io.files import shipped_names
 from srs_twin.scenario.loading import parse_scenario
 
 SHORT = {"duration_s": 1.0}
@@ -151,6 +153,19 @@ def test_every_metric_is_listed_with_unit_and_meaning(srs_twin, tmp_path):
     assert all(set(each) == {"name", "title"} and all(each.values()) for each in found["robots"])
 
 
+def test_list_starts_with_six_scenarios_and_groups_all(srs_twin, tmp_path):
+    first, *rest = re.split(r"^Scenarios: .* \(\d+\)$", srs_twin("list", cwd=tmp_path).stdout, flags=re.M)
+    names = shipped_names("scenario")
+    beginning = [line.split()[0] for line in first.splitlines() if re.match("  \\S", line)]
+    assert len(beginning) == 6 and set(beginning) <= set(names)
+    groups = scenario_groups({"name": name} for name in names)
+    assert "other" not in groups and len(groups) == len(rest) == 6
+    assert [len(group) for group in groups.values()] == [len(set(names) & set(text.split())) for text in rest]
+    # One scenario per group to begin with; the studies are listed as well.
+    assert all(len({*beginning} & {row["name"] for row in group}) == 1 for group in groups.values())
+    assert set(shipped_names("study")) <= set(rest[-1].split())
+
+
 @pytest.mark.parametrize("name", ["gen2_turn", "gen2"])
 def test_show_prints_every_value_with_its_source(srs_twin, tmp_path, name):
     document = json.loads(srs_twin("show", name, "--json", cwd=tmp_path).stdout)
@@ -178,6 +193,7 @@ def both(speeds, rates=(0.0, 0.0), **more):
     return {"plants": plants, "comparison": {}} | more
 
 
+COMPLIANCE = "Compliance: the segments of the twin yield to loads, those of the model do not."
 CAUSE = {"name": "compliance", "com_speed_m_s": -0.03, "yaw_rate_rad_s": 0.0}
 
 
@@ -190,17 +206,17 @@ CAUSE = {"name": "compliance", "com_speed_m_s": -0.03, "yaw_rate_rad_s": 0.0}
         (
             both((0.2, 0.15), cause=CAUSE),
             "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s; compliance alone would slow "
-            "it by 15 %, other effects by another 10 %).",
+            f"it by 15 %, other effects by another 10 %). {COMPLIANCE}",
         ),
         (
             both((0.2, 0.15), cause=CAUSE | {"com_speed_m_s": -0.062}),
             "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s; compliance alone would slow "
-            "it by 31 %, other effects offset 6 %).",
+            f"it by 31 %, other effects offset 6 %). {COMPLIANCE}",
         ),
         (
             both((0.2, 0.15), cause=CAUSE | {"com_speed_m_s": -0.05}),
             "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s; compliance alone would slow "
-            "it by 25 %).",
+            f"it by 25 %). {COMPLIANCE}",
         ),
         # An assumption with the opposite effect is not a main cause.
         (

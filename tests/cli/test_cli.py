@@ -387,7 +387,7 @@ def test_table_fits_80_columns_and_marks_missed_expectations(start, monkeypatch)
     left = start("compare", "a", a="missed")
     assert all(len(line) <= 80 for line in left.out.splitlines())
     (speed,) = (line.split() for line in left.out.splitlines() if "CoM speed " in line)
-    assert speed == ["CoM", "speed", "m/s", "0.25", "0.2", "-20.0", "%", "0.214"]
+    assert speed == ["CoM", "speed", "m/s", "0.25", "0.2", "-0.05", "-20.0", "0.214"]
     (yaw,) = (line.split() for line in left.out.splitlines() if "yaw rate " in line)
     assert yaw == ["yaw", "rate", "rad/s", "0.001", "-0.002", "-0.003"]
     assert "met    twin com_speed_m_s = 0.2, allowed 0.1819 to 0.2461 (Table 10)" in left.out

@@ -166,7 +166,7 @@ COMMANDED = [page for page in PAGES if any(block.mark == "runnable" for block in
 SCRIPTED = [page for page in PAGES if page.script]
 
 
-README = BY_PATH[ROOT / "README.md"]
+README, QUICKSTART = BY_PATH[ROOT / "README.md"], BY_PATH[ROOT / "docs/quickstart.md"]
 
 
 @pytest.mark.slow
@@ -190,19 +190,23 @@ def test_python_runs_as_a_script(page, tmp_path):
 
 def test_first_readme_command_gives_the_documented_output(tmp_path, srs_twin):
     README.save_files(tmp_path)
-    first, again = README.commands[:2]
+    first = README.commands[0]
     assert first == "pip install uv && uv run srs-twin compare scenarios/gen2_straight.yaml"
     main_job = first.partition("srs-twin ")[2]
-    assert again.endswith(main_job)
     done = srs_twin(*main_job.split(), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    promised = re.findall(r"^\| ((?:`[\w.]+`(?:, )?)+) \|", README.text, re.M)
+    promised = re.findall(r"^\| ((?:`[\w.]+`(?:, )?)+) \|", QUICKSTART.text, re.M)
     run = tmp_path / "runs/gen2_straight"
     files = {name for cell in promised for name in re.findall(r"`([\w.]+)`", cell)}
     assert {path.name for path in run.iterdir()} == files
     metrics = json.loads((run / "metrics.json").read_text("utf-8"))
     speeds = [metrics["plants"][plant]["com_speed_m_s"] for plant in ("analytical", "twin")]
     assert printed("CoM speed") == pytest.approx(speeds, rel=0.01)
+    (output,) = (block.text for block in README.blocks if block.language == "text")
+    shown = [re.sub(r"[\d.]+", "#", line).strip() for line in (done.stdout + done.stderr).splitlines()]
+    assert {re.sub(r"[\d.]+", "#", line).strip() for line in output.splitlines()} - {"…"} <= {*shown}
+    row = next(line.split() for line in output.splitlines() if line.startswith(" CoM speed"))
+    assert [float(cell) for cell in row[3:5]] == pytest.approx(speeds, rel=0.01)
     assert printed("body shape") == pytest.approx([metrics["comparison"]["shape_rms_body"]], abs=0.001)
 
 
@@ -227,7 +231,7 @@ def test_failing_script_is_detected(tmp_path):
 def test_pages_contain_examples():
     assert {page.name for page in COMMANDED} >= {"README.md", "docs/quickstart.md", "docs/add-a-robot.md"}
     assert {page.name for page in SCRIPTED} >= {
-        "README.md", "docs/quickstart.md", "docs/add-a-controller.md", "docs/sweeps.md", "docs/logs.md"
+        "docs/quickstart.md", "docs/add-a-controller.md", "docs/sweeps.md", "docs/logs.md"
     }  # fmt: skip
 
 
@@ -255,6 +259,19 @@ def test_known_misses_name_an_existing_section():
         named = re.search(r"\((docs/[\w-]+\.md)#([\w-]+)\)$", reason)
         assert named, reason
         assert named[2] in BY_PATH[ROOT / named[1]].anchors, reason
+
+
+def test_pages_count_the_shipped_scenarios_and_their_known_misses():
+    numbers = "no one two three four five six seven eight nine ten eleven twelve".split()
+    text = " ".join((ROOT / "docs/ci.md").read_text("utf-8").split())
+    pattern = r"Of the (\d+) shipped scenarios, (\w+) miss a published value and (\w+) miss a bound"
+    (counts,) = re.findall(pattern, text)
+    expected = [load_scenario(name).expect for name in shipped_names("scenario")]
+    missed = [
+        sum(any(each.known and bool(each.source) is sourced for each in expect) for expect in expected)
+        for sourced in (True, False)
+    ]
+    assert counts == (str(len(expected)), *(numbers[count] for count in missed))
 
 
 def test_files_named_on_pages_exist():

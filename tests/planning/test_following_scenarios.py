@@ -83,7 +83,7 @@ def test_no_plan_is_an_outcome_and_fails_under_check(file, srs_twin):
     plain = srs_twin("plan", "walled.yaml", cwd=file)
     assert plain.returncode == 0 and "unreachable" in plain.stdout
     checked = srs_twin("plan", "walled.yaml", "--check", cwd=file)
-    assert checked.returncode == 1 and "MISSED plan_found = 0, allowed 1 to 1" in checked.stdout
+    assert checked.returncode == 1 and "MISSED plan_found = no, required yes" in checked.stdout
     (file / "unjudged.yaml").write_text(text.partition("expect:")[0], "utf-8")
     assert srs_twin("plan", "unjudged.yaml", "--check", "-q", cwd=file).returncode == 1
     run = srs_twin("run", "walled.yaml", "--check", "--out", "run", cwd=file)

@@ -137,9 +137,9 @@ def test_mirror_image_of_a_gait_shifts_the_phase_by_half_a_period():
 
 
 @pytest.mark.parametrize("title", TITLES.values())
-def test_readme_counts_the_rows_of_the_claims_file(title):
-    readme = (ROOT / "README.md").read_text("utf-8")
-    (line,) = re.findall(rf"^\| \**{re.escape(title)}\** \| (.*?) \| (.*?) \|(.*)\|$", readme, re.M)
+def test_page_counts_the_rows_of_the_claims_file(title):
+    page = (ROOT / "docs/reproduction.md").read_text("utf-8")
+    (line,) = re.findall(rf"^\| \**{re.escape(title)}\** \| (.*?) \| (.*?) \|(.*)\|$", page, re.M)
     (category,) = (name for name, value in TITLES.items() if value == title)
     outcomes = load_baseline().outcomes
     for column, cell in zip(("twin", "analytical", "alone"), line, strict=True):

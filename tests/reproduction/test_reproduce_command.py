@@ -15,6 +15,7 @@ from reproduction import judged_claims, markdown, replace_between, table
 from srs_twin.cli import main
 from srs_twin.reproduction.claims import load_claims
 from srs_twin.reproduction.command import _short_text
+from srs_twin.reproduction.report import TITLES, by_category, count_verdicts
 from srs_twin.reproduction.verdicts import MET, Outcome, load_baseline
 
 FEW = ("--only", "table9.limit", "--only", "eq33", "--only", "actuator-90", "--only", "act-step-gen4")
@@ -113,12 +114,24 @@ CLAIMS, BASELINE = load_claims(), load_baseline()
 ROWS = judged_claims(CLAIMS, BASELINE)
 
 
-@pytest.mark.parametrize(("page", "text"), [("README.md", table), ("docs/reproduction.md", markdown)])
-def test_pages_show_the_committed_baseline(page, text):
-    current = (ROOT / page).read_text("utf-8")
-    assert current == replace_between(current, "reproduction", text(ROWS)), (
-        "run docs/reproduction.py to write it"
-    )
+@pytest.mark.parametrize(("part", "text"), [("counts", table), ("reproduction", markdown)])
+def test_page_shows_the_committed_baseline(part, text):
+    current = (ROOT / "docs/reproduction.md").read_text("utf-8")
+    assert current == replace_between(current, part, text(ROWS)), "run docs/reproduction.py to write it"
+
+
+def test_readme_counts_the_met_predictions_of_the_baseline():
+    readme = (ROOT / "README.md").read_text("utf-8")
+    prediction_groups = {
+        "**headline predictions** met": ("headline",),
+        "other predictions met": tuple(TITLES)[1:5],
+    }
+    for title, groups in prediction_groups.items():
+        (line,) = re.findall(rf"^\| {re.escape(title)} \| (.*?) \| (.*?) \|", readme, re.M)
+        for column, cell in zip(("analytical", "twin"), line, strict=True):
+            counts = [count_verdicts(by_category(ROWS)[name], column) for name in groups]
+            met, all_rows = sum(each[MET] for each in counts), sum(each["all"] for each in counts)
+            assert cell == f"{met} of {all_rows}"
 
 
 def test_the_baseline_has_exactly_the_rows_of_the_claims():

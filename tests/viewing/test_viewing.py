@@ -462,8 +462,8 @@ def test_report_escapes_user_text(report):
 
 def test_report_contains_results_and_expectations(report, parsed):
     rows = {row[0]: row for row in parsed.rows if row}
-    assert rows["metric"] == ["metric", "unit", "analytical", "twin", "difference", "published"]
-    assert rows["CoM speed"][1:] == ["m/s", "0.22", "0.2002", "-9.0 %", "0.214 (Table 10)"]
+    assert rows["metric"] == ["metric", "unit", "analytical", "twin", "difference", "%", "published"]
+    assert rows["CoM speed"][1:] == ["m/s", "0.22", "0.2002", "-0.0198", "-9.0", "0.214 (Table 10)"]
     assert rows["turning radius"][2] == "–"
     assert rows["bend amplitude"][2].startswith("1.2, 1.2")
     assert rows["shape RMS"][1] == "m" and float(rows["shape RMS"][4]) > 0

@@ -133,16 +133,17 @@ def page_of_comparison(comparison: Comparison) -> str:
 
 
 def _results(metrics: Mapping[str, Any], names: Iterable[str]) -> Table:
-    """Return a table of metrics: one column per plant, the difference, and the published value."""
+    """Return a table of metrics: one column per plant, differences, and the published value."""
     plants, published_values = metrics["plants"], published(metrics.get("expectations") or ())
     both = {"analytical", "twin"} <= plants.keys()
-    headings = ["metric", "unit", *plants, *["difference"] * both, *["published"] * bool(published_values)]
+    headings = ["metric", "unit", *plants, *["difference", "%"] * both]
+    headings += ["published"] * bool(published_values)
     rows = []
-    for name, unit, values, difference in result_rows(metrics, names, cell):
-        row = [metric_title(name), unit, *values, *[difference] * both]
+    for name, unit, values, *differences in result_rows(metrics, names, cell):
+        row = [metric_title(name), unit, *values, *differences * both]
         if published_values:
             value, source = published_values.get(name, (None, ""))
-            row.append(f"{cell(value)} ({source})" if name in published_values else "")
+            row.append(f"{cell(tidy(name, value))} ({source})" if name in published_values else "")
         rows.append(row)
     return Table(headings, rows, range(2, len(headings)))
 

@@ -18,6 +18,34 @@ _SUFFIXES = {
     "_abs": ", size of difference",
     "_body": " over body length",
 }
+_TITLES = {
+    "amplitude_error_end_rel": "amplitude error, end",
+    "amplitude_error_end_rad": "amplitude error, end",
+    "path_speed_m_s": "speed at the end",
+    "path_curvature_before_per_m": "curvature before",
+    "path_curvature_per_m": "curvature at the end",
+    "rise_time_s": "rise, 10 to 90 %",
+    "settling_5_s": "settled within 5 %",
+    "settling_2_s": "settled within 2 %",
+    "steady_error_rad": "mean error at rest",
+    "steady_rms_rad": "RMS error at rest",
+    "ripple_pp_rad": "ripple, peak-peak",
+    "fit_residual_rad": "from a sine, RMS",
+    "reading_r_squared": "reading: R² of a line",
+    "reading_backstep_rad": "reading: backstep",
+    "reading_range_t": "reading: field range",
+    "cross_track_rms_m": "cross-track, RMS",
+    "cross_track_max_m": "cross-track, largest",
+    "inside_share": "inside the footprint, share of time",
+    "inside_50mm_share": "inside the 50 mm box, share of time",
+    "clearance_m": "smallest clearance",
+    "following_time_s": "time of following",
+    "replans": "new plans",
+    "wall_s": "time to compute",
+    "plan_s": "time to plan",
+}
+"""Labels of metrics whose names do not describe them well."""
+
 _SENTENCE_STARTS = ("What ", "Which ", "How ")
 """First words of titles in the schema that are sentences, not labels."""
 
@@ -56,13 +84,14 @@ def metric_label(metric: str) -> str:
 
 def metric_title(metric: str) -> str:
     """Return the label of a metric without its unit, e.g. 'CoM speed' for `com_speed_m_s`."""
+    if metric in _TITLES:
+        return _TITLES[metric]
     name, _ = split_metric(metric)
     for suffix, text in _SUFFIXES.items():
         if name.endswith(suffix):
             text = ", relative" if suffix == "_rel" and metric not in COMPARISON_UNITS else text
             name = name.removesuffix(suffix) + text
-    title = _spaced(name.replace("com_", "CoM ").replace("_rms", " RMS"))
-    return {"wall": "time to compute", "plan": "time to plan"}.get(title, title)
+    return _spaced(name.replace("com_", "CoM ").replace("_rms", " RMS"))
 
 
 def _with_unit(title: str, unit: str) -> str:
