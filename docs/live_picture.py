@@ -19,9 +19,9 @@ from PIL import Image
 from shapely import LineString
 
 from srs_twin.comparison.centre_line import centre_lines
-from srs_twin.live.estimate import Estimate
-from srs_twin.live.estimate import Prediction
-from srs_twin.robot.spec import Geometry
+from srs_twin.live.estimate import Estimate, Prediction
+from srs_twin.robot.geometry import body_shape, relative_headings
+from srs_twin.robot.spec import Geometry, RobotSpec
 from srs_twin.trajectory import Trajectory
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests/helpers"))

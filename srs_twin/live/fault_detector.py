@@ -419,7 +419,7 @@ class FaultDetector(Stateful):
         excess, slope, variance = self.leaks.residuals(self.time, pressures, filled)
         self.supply.update(
             np.where(balanced, excess, residual), np.where(balanced, slope, response),
-            np.where(balanced, np.sqrt(variance), before * sd), np.where(balanced | late, obeys, 0.0),
+            np.where(balanced, np.sqrt(variance), before * sd), np.where(balanced | settled, obeys, 0.0),
             MESSAGES_PER_INDEPENDENT,
         )  # fmt: skip
         self._rescale(before)
