@@ -450,9 +450,11 @@ class FaultDetector(Stateful):
             # recovery.
             common = weak | (LEAK_RATES > 0.0)
             self._attribute_to_supply(common, np.where(common, self.probability, 0.0).argmax(axis=1))
-        if self.supply.pressure + self.supply.sd < STARVED_BELOW * self.supply.nominal:
+        # Without pressures only the hypotheses of a weak supply change the estimate, so its sd never falls.
+        sd = 0.0 if math.isnan(self._level) else self.supply.sd
+        if self.supply.pressure + sd < STARVED_BELOW * self.supply.nominal:
             self.naming.pairs[0, 0] = WEAK
-        elif self.supply.pressure - self.supply.sd > RECOVERED_ABOVE * self.supply.nominal:
+        elif self.supply.pressure - sd > RECOVERED_ABOVE * self.supply.nominal:
             self.naming.clear(0)
 
     def _attribute_to_supply(self, common: np.ndarray, kind: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""Errors of bend sensors that are no faults are estimated and removed."""
+"""Errors of bend sensors, and a weak supply, of a robot that publishes no pressures."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ OFFSET, SCALE, DRIFT = np.array(
 )
 
 
-def walked(seconds, fault=lambda time, readings: readings):
-    """Return a detector after a walk with poor sensors, the last readings and the true bends."""
+def walked(seconds, fault=lambda time, readings: readings, supply=lambda time: 1.0):
+    """Return a detector after a walk without pressures, the last readings of poor sensors and the bends."""
     spec, rng = robot("gen4"), np.random.default_rng(2)
     chambers = LagPneumatics(spec, supply_pa=spec.supply.nominal)
     detector = FaultDetector(spec, supply_pa=spec.supply.nominal)
     for k in range(round(seconds / TICK)):
         way = 1 if k // HALF % 2 == 0 else -1
         states = np.tile([way, -way], (spec.segments, 1))
+        chambers.set_supply_pressure(supply(k * TICK) * spec.supply.nominal)
         bend = chambers.advance(chambers.schedule(states, TICK), np.array([TICK])).bend[-1]
         detector.predict((states + 1) / 2, TICK)
         error = OFFSET + DRIFT * k * TICK + NOISE * rng.normal(size=bend.shape)
@@ -50,3 +51,8 @@ def test_drift_of_a_poor_sensor_is_a_fault():
 
     detector, *_ = walked(8.5, drifting)
     assert detector.named == {2: "drifting_sensor"}
+
+
+def test_half_of_the_supply_is_reported_without_pressures():
+    detector, *_ = walked(8.5, supply=lambda time: 1.0 if time < 6.0 else 0.5)
+    assert detector.named == {0: "starved"}
