@@ -160,6 +160,7 @@ class LeakDetector(Stateful):
     def drop(self, chambers: np.ndarray) -> None:
         """End the strokes of a mask of chambers, shape (segments, 2), as valves may have switched unseen."""
         self.strokes.time[chambers] = np.nan
+        # What was learnt in complete strokes remains valid.
         for values in (self.strokes.pending, self.strokes.sums, self.strokes.log_likelihood):
             values[chambers] = 0.0
 
@@ -233,6 +234,7 @@ def _update(time, pressure, bend, bend_sd, filled, sound, supply, strokes, const
                     for k in range(len(added[j, side])):
                         log_likelihood = _log_likelihood(j, side, k, constants, strokes)
                         added[j, side, k] = log_likelihood - strokes.log_likelihood[j, side, k]
+                        # The sums grow over the whole stroke, so its new likelihood replaces the one before.
                         strokes.log_likelihood[j, side, k] = log_likelihood
             else:
                 if pending[0] > 0.0 and sound[j] > SOUND:
@@ -267,6 +269,7 @@ def _update(time, pressure, bend, bend_sd, filled, sound, supply, strokes, const
                             less, _, _ = flow(line - sd + AMBIENT_PA, inside, CRITICAL_RATIO)
                             slope = constants.conductance * (more - less) / (2 * sd) / constants.unit
                 if continues:
+                    # The trapezoidal rule suffices: pressures arrive many times per stroke.
                     sums[k] += since * (rates[k] + now) / 2
                 rates[k] = now
             strokes.time[j, side] = time
@@ -316,6 +319,7 @@ def _log_likelihood(j, side, variant, constants, strokes):  # type: ignore[no-un
     variance += (LEAK_RATE_SD * leak * strokes.sums[j, side, 0]) ** 2
     if constants.shares[variant] < 1.0:
         variance += (WEAK_INFLOW_SD * inflow) ** 2
+    # Student's t distribution: a single outlier must not decide for a fault.
     return -math.log1p(residual * residual / variance / TAILS) * (TAILS + 1) / 2 - math.log(variance) / 2
 
 
@@ -342,6 +346,7 @@ def _learn(j, side, strokes):  # type: ignore[no-untyped-def]
     share = 1 / (strokes.learnt[j, side] + SCATTER_STROKES)
     scatter = strokes.scatter[j, side] + share * pending[5]
     strokes.scatter[j, side] = max(scatter, LEAST_SCATTER**2)
+    # Old strokes lose weight, so that the fit follows slow changes of the chambers.
     information[0] = FORGETTING * information[0] + (1 - FORGETTING) / FLOW_SD**2 + pending[0]
     information[1] = FORGETTING * information[1] + pending[1]
     information[2] = FORGETTING * information[2] + (1 - FORGETTING) / LOSS_SD**2 + pending[2]
