@@ -147,7 +147,7 @@ for _command in (robot, scenario, controller, study):
 
 
 def _answer(question: str, value: float | None, default: float) -> float:
-    """Return the value of an option, else the user's answer, else the default without a terminal."""
+    """Return a given option, otherwise the user's answer, or the default without a terminal."""
     if value is not None or not sys.stdin.isatty():
         return default if value is None else value
     return float(typer.prompt(question, default=default, err=True))

@@ -63,19 +63,20 @@ class SenderClock:
         self._least.append((arrived, delay))
         while self._least[0][0] < self._seen[0][0]:
             self._least.popleft()
+        # The smallest delay in the window is closest to the true offset, as transport only adds delay.
         self.offset = self._least[0][1]
         return sent + self.offset
 
     def delay_quantile(self, share: float) -> float:
         """Return a quantile of the jitter, s."""
-        late = np.array([delay for _, delay in self._seen]) - self.offset
-        return float(np.quantile(late, share)) if len(late) else 0.0
+        excess = np.array([delay for _, delay in self._seen]) - self.offset
+        return float(np.quantile(excess, share)) if len(excess) else 0.0
 
     @property
     def jitter(self) -> float:
         """RMS of the excess delay, s."""
-        late = np.array([delay for _, delay in self._seen]) - self.offset
-        return float(np.sqrt(np.mean(late**2))) if len(late) else math.nan
+        excess = np.array([delay for _, delay in self._seen]) - self.offset
+        return float(np.sqrt(np.mean(excess**2))) if len(excess) else math.nan
 
 
 class ReorderBuffer:
@@ -105,6 +106,7 @@ class ReorderBuffer:
         if message.sent in known:
             self.counts[message.source, message.kind, "duplicate"] += 1
             return
+        # A broker may deliver a message more than once.
         known.append(message.sent)
         sender = f"{message.source}, {message.kind}" if message.kind == COMMAND else message.source
         clock = self.clocks.setdefault(sender, SenderClock())
@@ -137,8 +139,8 @@ class ReorderBuffer:
         """Return the messages that are due at `now` (our clock, s), with their times on our clock."""
         self._calls += 1
         if self._calls % _HOLD_UPDATES == 0 and self.clocks:
-            late = max(clock.delay_quantile(_IN_TIME) for clock in self.clocks.values())
-            self.hold = min(max(self._least, late), max(self._least, MOST_HOLD_S))
+            longest = max(clock.delay_quantile(_IN_TIME) for clock in self.clocks.values())
+            self.hold = min(max(self._least, longest), max(self._least, MOST_HOLD_S))
         until, due = now - self.hold, []
         while self._waiting and self._waiting[0][0] <= until:
             time, _, _, message = heapq.heappop(self._waiting)

@@ -53,6 +53,7 @@ class CommandHistory:
         elif self._carrier:  # the states at one time do not determine the duty of a carrier
             return None
         if message.kind == VALVES:
+            # The shortest interval between reports is the robot's tick; longer ones are due to losses.
             if _LEAST_INTERVAL_S < message.sent - self._reported < self._report_s:
                 self._report_s = message.sent - self._reported
             self._reported = message.sent

@@ -222,6 +222,7 @@ class EmulatedRobot:
         for i, (x, y) in enumerate(self.state.position):
             dx, dy, dz = noise[i].tolist()
             turn = float(self.state.theta[i]) + dz / 0.02  # markers 20 mm from the centre
+            # Motive's y axis points up, so our y axis is its −z axis.
             place = float(x) + dx, _HEIGHT_M, -(float(y) + dy)
             body = RigidBody(place, (0.0, math.sin(turn / 2), 0.0, math.cos(turn / 2)))
             bodies[i + 1] = RigidBody(body.place, body.turn, tracked=i + 1 not in lost)

@@ -178,6 +178,7 @@ class EnsembleFilter:
         self._run(valves, dt, step)
         self.odometry.advance(dt)
         half = self.spec.geometry.body_length / 2
+        # The heading varies so that the ends of the body move as much as its centre.
         walk = self._rng.normal(size=(len(self.members), 3)) * [1.0, 1.0, 1 / half]
         self.members[:, _POSE] += error.position * math.sqrt(dt) * walk
 
@@ -193,6 +194,7 @@ class EnsembleFilter:
     def update_pressures(self, pressure: np.ndarray) -> np.ndarray:
         """Correct by gauge pressures, shape (segments, 2), Pa; return innovations like `update_bends`."""
         predicted = self._of("pressure").copy()
+        # Learn before the correction, which would hide the error of the predicted rates.
         self.rates.update(pressure - predicted.mean(axis=0).reshape(-1, 2), self.noise.pressure)
         variances = np.full(predicted.shape[1], self.noise.pressure**2)
         return self._correct(predicted, pressure.ravel(), variances, self._masks["pressure"])
@@ -212,6 +214,7 @@ class EnsembleFilter:
         pose, bend = self.members[:, _POSE].mean(axis=0), self.mean("bend")
         predicted = self.poses()
         turn = poses[:, 2] - predicted[:, :, 2].mean(axis=0)
+        # Measured headings may differ from the estimate by whole turns.
         poses = np.column_stack([poses[:, :2], poses[:, 2] - 2 * np.pi * np.round(turn / (2 * np.pi))])
         before = poses - predicted.mean(axis=0)
         noise = self._frame_noise
@@ -228,6 +231,7 @@ class EnsembleFilter:
             self.odometry.interrupt()
         self.odometry.learn(pose, bend, self.members[:, _POSE], self._of("bend"))
         self._moved_frames = self._moved_frames + 1 if moved else 0
+        # A single frame with large residuals may be a tracking error.
         if self._moved_frames >= _MOVED_FRAMES:
             self.placed, self._moved_frames = False, 0
         return innovation
@@ -343,6 +347,8 @@ class EnsembleFilter:
         if np.isnan(before * after).all():
             return
         usual, variance = getattr(self.noise, name), self._frame_noise[name] ** 2
+        # The expected product of the residuals is the noise variance if the filter is consistent. The limits
+        # keep a single frame from changing the estimate by much.
         product = min(max(float(np.nanmean(before * after)), 0.0), 4 * variance)
         estimate = math.sqrt(variance + (product - variance) / _NOISE_FRAMES)
         self._frame_noise[name] = min(max(estimate, _LEAST_NOISE[name] * usual), _LARGEST_NOISE * usual)
@@ -354,6 +360,7 @@ class EnsembleFilter:
             return
         heading, noise = self._of("heading")[:, 0], self.noise
         turn = poses[seen, 2] - self.poses()[:, seen, 2]
+        # The circular mean is correct even if the angles are close to ±π.
         heading += np.arctan2(np.sin(turn).mean(axis=1), np.cos(turn).mean(axis=1))
         self.members[:, :2] += (poses[seen, :2] - self.poses()[:, seen, :2]).mean(axis=1)
         draws = self._rng.normal(size=(len(self.members), 3))

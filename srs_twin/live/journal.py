@@ -98,6 +98,7 @@ class Journal:
     def _write(self, message: Message) -> None:
         key = message.source, message.kind
         if key not in self._channels:
+            # One channel per source and kind, so that other tools can plot them separately.
             self._channels[key] = self._writer.register_channel(
                 topic=topic(message.source, message.kind), message_encoding="json", schema_id=self._schema
             )
@@ -144,6 +145,7 @@ def journal_messages(
     """
     skip = refuse or (lambda _: None)
     with opened_journal(path) as file:
+        # Journals of hours may be larger than the memory.
         whole = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
         for topic, log_time, data in _records(whole, skip):
             try:
@@ -215,6 +217,7 @@ def in_order(messages: Iterable[Message], refuse: Callable[[BadMessageError], No
     """
     last, odd = math.nan, None
     for message in messages:
+        # `odd` is the last message with a jump in time, which waits for its confirmation.
         if odd is not None and abs(message.arrived - odd.arrived) <= LONGEST_GAP_S:
             if math.isnan(last) or odd.arrived > last:
                 yield odd

@@ -125,6 +125,7 @@ class MemberDynamics:
         free = self._spec.bending.stiffness * (bias + free_bends(self._spec, drive))
         moments = np.ascontiguousarray(free.transpose(2, 0, 1, 3))
         complete = _advance(states, velocity, np.full(len(drive), h), moments, self._model)
+        # A diverged member would also distort the ensemble mean, so it is reported as invalid.
         slow = np.abs(velocity[:, :3]).max(axis=1) <= _LARGEST_VELOCITY
         return bends, complete & slow & np.isfinite(states).all(axis=1)
 

@@ -102,6 +102,7 @@ class _Reader:
 
     def text(self) -> str:
         """Read a zero-terminated text."""
+        # A limited length, so that a damaged packet cannot pass as one long name.
         rest = bytes(self._data[self.at : self.at + _NAME + 1])
         end = rest.find(b"\0")
         if end < 0:
@@ -141,6 +142,7 @@ def read_server(content: bytes) -> tuple[Version, tuple[str, int] | None]:
     if not VERSIONS[0] <= (major, minor) < (VERSIONS[-1][0] + 1, 0):
         first, last = (".".join(map(str, version)) for version in (VERSIONS[0], VERSIONS[-1]))
         raise BadMessageError(f"NatNet of another version than {first} to {last}")
+    # Servers before 3.0 do not state their multicast group.
     if (major, minor) < (3, 0) or len(content) - packet.at < 15:
         return (major, minor), None
     _, port, multicast, *group = packet.read("QH?4B")
@@ -181,6 +183,7 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
                 packet.read("3f" * count + "i" * count)
                 for _ in range(count if version >= (4, 0) else 0):
                     packet.text()
+        # Without a stated length, what follows an unknown description cannot be found.
         elif end is None:
             break
         packet.at = packet.at if end is None else end
@@ -219,6 +222,7 @@ def read_frame(content: bytes, version: Version) -> Frame:
     for since in ((2, 9), (2, 11)):  # force plates, devices
         if version >= since:
             _skip(packet, version, _channels)
+    # Time code, which is not used.
     packet.read("II")
     (time,) = packet.read("d" if version >= (2, 7) else "f")
     if not abs(time) <= LATEST_S:
@@ -252,6 +256,7 @@ def _body(packet: _Reader, version: Version) -> tuple[int, RigidBody]:
         packet.read("3f" * count + "i" * count + "f" * count)
     error, params = packet.read("fH")
     place, turn = tuple(rest[:3]), tuple(rest[3:])
+    # The flag alone does not suffice: some senders send zeros for an unknown rotation.
     tracked = bool(params & _TRACKED) and is_place(place) and unit_quaternion(turn) is not None
     return number, RigidBody(place, turn, error, tracked)
 

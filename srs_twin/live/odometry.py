@@ -204,6 +204,7 @@ class Odometry:
         change = bends - self._bends if self._forecasting else after - before
         step = change @ self.connection.matrix((before + after) / 2).T
         step = step + self.connection.sample_model_error(features, self._draws)
+        # The heading in the middle of the step makes the integration second-order accurate.
         heading = pose[:, 2] + step[:, 2] / 2
         c, s, x, y = np.cos(heading), np.sin(heading), step[:, 0], step[:, 1]
         pose += np.column_stack([c * x - s * y, s * x + c * y, step[:, 2]])
@@ -225,6 +226,7 @@ class Odometry:
             x, y, turn = poses.mean(axis=0) - pose
             c, s = math.cos(pose[2]), math.sin(pose[2])
             residual = np.array([c * x + s * y, c * y - s * x, turn])
+            # Add the learnt part again, because the fit concerns the whole motion since the last frame.
             residual += self._features @ connection.weights
             residual -= connection.kinematic_matrix((bend + now) / 2) @ (now - bend)
             connection.learn(self._features + connection.features(bend, now), residual)

@@ -158,6 +158,7 @@ class NatNetLink(_UdpLink):
         self._asked = now
         silent = self.version is None or now - self._last > 2 * _ASKS_EVERY_S
         content = natnet.CONNECT, b"Ping\0"
+        # A restarted server has forgotten its clients and must be asked again.
         asked = [content] if silent else [(natnet.KEEPALIVE, b"\0")]
         if self.version is not None and (
             not self.names or self._unknown or now - self._asked_names > _ASKS_NAMES_EVERY_S
@@ -191,6 +192,7 @@ class NatNetLink(_UdpLink):
             frame = natnet.read_frame(content, self.version)
             self._last = arrived
             self._count(frame)
+            # The pose of a lost body is not a measurement.
             seen = {key: body for key, body in frame.bodies.items() if body.tracked}
             values = [natnet.turned(body, self._up) for body in seen.values()]
             names = tuple(self.names.get(key, str(key)) for key in seen)
@@ -225,6 +227,7 @@ class NatNetLink(_UdpLink):
         """
         own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
+            # Other programs on this machine may listen to the same group.
             own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             own.bind((group, port))
             member = socket.inet_aton(group) + socket.inet_aton(self._local)
@@ -278,6 +281,7 @@ class NatNetServer(_UdpLink):
         self._data_port, self._clients, self._number = data_port, dict[tuple[str, int], float](), 0
         if group is not None:
             own.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(host))
+            # Emulated frames must not leave this machine.
             own.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, struct.pack("b", 0))
         self._start()
 

@@ -46,6 +46,7 @@ class ValveAges(Stateful):
     def advance(self, duty: np.ndarray, dt: float) -> None:
         """Advance by a step (s) with a duty of the valves, share of time in which they fill."""
         filling = (duty > 0.5).astype(int)
+        # The age is that at the start of the step, so it grows by the duration of the step before.
         self.age = np.where(filling == self.filling, self.age + self._dt, 0.0)
         self.filling, self._dt = filling, dt
 
@@ -106,6 +107,7 @@ class PressureRates:
         self.wander = np.maximum(self.wander + share / self._MEMORY * (variance - self.wander), self._least)
         squares = np.maximum((times**2).sum(axis=(2, 3), keepdims=True), 1e-12)
         self.rate = self.rate + np.where(share > 0, self._GAIN * known * times / squares, 0.0)
+        # Without a measurement the time accumulates until the next one.
         self._time_in_bin = np.where(measured, 0.0, times)
 
 

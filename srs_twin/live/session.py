@@ -237,6 +237,7 @@ class Session:
         self._table = EstimateTable(shadow.spec)
         self._prediction: Prediction | None = None
         self._start, self._stopped, self._slow = 0.0, False, False
+        # Two threads, so that one slow task, such as a new plan, does not delay the predictions.
         self._pool = ThreadPoolExecutor(2)
         self._predicting: Future[Prediction] | None = None
         self._saving: Future[None] | None = None
@@ -272,6 +273,7 @@ class Session:
             if left > 0:
                 time.sleep(left)
             elif left < -_RESTART_S:
+                # After a long pause, such as a suspended machine, missed ticks are not made up for.
                 start = time.monotonic() - done * TICK_S
 
     def _submit(self, done: int) -> None:
@@ -285,6 +287,7 @@ class Session:
         if self._journal is not None and done % _every(FLUSH_INTERVAL_S) == 0:
             self._journal.flush()
         if self._out is not None and self._saving is None and done % _every(SAVE_INTERVAL_S) == 0:
+            # The state is collected here; only the file is written on the other thread.
             self._saving = self._pool.submit(self.shadow.save().write, self._out / STATE)
 
     def _watch(self) -> None:
@@ -350,6 +353,7 @@ class Session:
                 self._journal.write(message)
         self.estimate = estimate = self.shadow.update(now, messages)
         hold = self.shadow.buffer.hold
+        # The estimate uses a message only after the buffer has held it.
         self.latency.extend(now - message.arrived + hold for message in messages if message.kind == BENDS)
         if estimate is not None:
             for part, fault, _ in estimate.faults:
@@ -365,6 +369,7 @@ class Session:
         if self._steering is not None and command is not None:
             if lag > TOO_SLOW_S and self._steering.begun:
                 self._steering.give_up(TOO_SLOW)
+            # A command from an old estimate could steer the robot into an obstacle.
             self._commands.send(COMMAND, self._steering.vented() if lag > STALE_S else command)
 
     def _obey(self, word: str) -> None:
@@ -399,6 +404,7 @@ class Session:
 
     def _close_journal(self) -> None:
         if self._journal is not None:
+            # Messages that arrived after the last tick belong to the journal, too.
             for message in (message for link in self._links for message in link.received()):
                 self._journal.write(message)
             self._journal.close()

@@ -128,6 +128,7 @@ class Shadow:
             if message.kind in _KINDS:
                 self.buffer.push(message)
         used = [timed for timed in self.buffer.pop_until(now) if self._needed(timed[1])]
+        # Messages of one time are used together, because the order of their corrections matters.
         for time, simultaneous in itertools.groupby(used, key=operator.itemgetter(0)):
             self._use(time, [message for _, message in simultaneous])
         if math.isnan(self.time):
@@ -145,6 +146,7 @@ class Shadow:
 
     def prediction_task(self) -> Callable[[], Prediction]:
         """Return a function that computes a prediction on any thread, for `prediction_calibration`."""
+        # All inputs are collected here, because the filter changes while another thread predicts.
         per_step, slots = round(_PREDICTION_STEP_S / SLOT_S), round(HORIZON_S / SLOT_S)
         commands = self.command_period.commands(slots)
         fine = np.repeat(commands, _SUBSLOTS, axis=0)
@@ -161,6 +163,7 @@ class Shadow:
 
     def save(self) -> SavedState:
         """Return the learnt values and detected faults for `restore`; the pose is not saved."""
+        # The robot may be moved between two sessions, so a saved pose would mislead.
         content = {"gone": self._lost_markers} | {
             name: part.state_dict() for name, part in zip(_SAVED, self._saved_parts(), strict=True)
         }
@@ -241,6 +244,7 @@ class Shadow:
         poses = np.full((self.spec.segments + 1, 3), np.nan)
         for name, row in zip(message.names, message.values, strict=True):
             if name in self._frames:
+                # The robot moves on a plane, so the height is not used.
                 poses[self._frames[name] - 1] = row[[0, 1, 3]]
         seen = ~np.isnan(poses[:, :2]).any(axis=1)
         if not seen.any():
@@ -248,6 +252,7 @@ class Shadow:
         self._missing = np.where(seen, 0, self._missing + 1)
         self._lost_markers = ~seen & (self._lost_markers | (self._missing >= MISSING_FRAMES))
         bends = -np.diff(poses[:, 2])
+        # Bend angles are far below π, so the wrapped angle is the right one.
         bends = np.remainder(bends + np.pi, 2 * np.pi) - np.pi
         self.faults.update(markers=bends, heading_noise_scale=self.ensemble.heading_noise_scale)
         self._note_innovation(POSES, self.ensemble.update_poses(poses))
@@ -261,6 +266,7 @@ class Shadow:
         if time - self.time < _LEAST_STEP_S:
             return
         if time - self.time > LOST_AFTER_S:
+            # Nobody knows how the robot moved in a long pause; the next frame determines its position again.
             self.ensemble.placed = False
             self.time = time - LOST_AFTER_S
         slots = math.ceil((time - self.time) / SLOT_S - 1e-6)
@@ -268,6 +274,7 @@ class Shadow:
         steps = math.ceil(dt / STEP_S - 1e-6)
         for k in range(1, slots + 1):
             duties = self._commands.at(self.time + (np.arange(steps) + 0.5) * dt / steps)
+            # The period finder needs equidistant samples; one per slot suffices.
             self.command_period.add(self.time + dt / 2, duties[0])
             self.faults.predict(duties.mean(axis=0), dt)
             self.ensemble.predict(self._valve_input(duties), dt)
@@ -282,6 +289,7 @@ class Shadow:
         steps = math.ceil(dt / _PRESENT_STEP_S - 1e-6)
         times = now - dt + (np.arange(steps) + 0.5) * dt / steps
         duties = self._commands.at(times, self.buffer.waiting(COMMAND))
+        # Predict a copy, because messages for this time may still arrive.
         present = self.ensemble.copy(_PREDICTION_MEMBERS)
         present.predict(self._valve_input(duties), dt, _PRESENT_STEP_S)
         present.apply_odometry()

@@ -60,6 +60,7 @@ def differences(one: RobotSpec, other: RobotSpec) -> list[str]:
             texts.append(f"{field.name} ({_short(first)} and {_short(second)})")
             continue
         for name in (inner.name for inner in fields(first)):
+            # Parameters are compared one by one, so that the message can name the one that differs.
             a, b = getattr(first, name), getattr(second, name)
             if a != b and (field.name, name) not in _MODEL_FIELDS:
                 texts.append(f"{field.name}.{name} ({_short(a)} and {_short(b)})")
@@ -158,6 +159,7 @@ class EstimateSteering:
     def _command(self, estimate: Estimate | None, shadow: Shadow) -> np.ndarray:
         if estimate is None or estimate.lost or np.hypot(*estimate.pose_sd[:2]) > _LARGEST_SD_M:
             self._lost_s += self._tick
+            # Before the first step the robot may wait for motion capture without limit.
             if self._steps and self._lost_s > PATIENCE_S:
                 self.give_up(LOST)
             return self.vented()
@@ -189,7 +191,9 @@ class EstimateSteering:
         valves = self.follower.step(estimate.state(self._steps * self._tick, self._pressure))
         self._steps += 1
         self._events += [(event.time, f"{event.kind}: {event.text}") for event in self.follower.events()]
+        # The robot has its own carrier, so it gets duties instead of the states within a tick.
         duty = (valves.mean(axis=0) if valves.ndim == 3 else valves + 0.0) / 2 + 0.5
+        # With equal pressures on both sides, a segment with a stuck valve remains straight.
         duty[stuck == FILLS], duty[stuck == VENTS] = 1.0, 0.0
         return 2 * duty - 1 if np.isin(duty, (0.0, 1.0)).all() else duty
 

@@ -85,8 +85,8 @@ class _Budget:
 
     @property
     def spent(self) -> bool:
-        late = self.seconds is not None and time.perf_counter() - self.begun > self.seconds
-        return late or self.nodes <= 0
+        expired = self.seconds is not None and time.perf_counter() - self.begun > self.seconds
+        return expired or self.nodes <= 0
 
 
 @dataclass(frozen=True)

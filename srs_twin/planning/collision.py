@@ -50,6 +50,7 @@ class ObstacleGrid(NamedTuple):
 def obstacle_grid(world: World) -> ObstacleGrid:
     """Return the arrays of a world."""
     circles = np.array([(c.x, c.y, c.radius) for c in world.obstacles], dtype=float).reshape(-1, 3)
+    # The last side closes the polygon.
     rings = [(*p.corners, p.corners[0]) for p in world.polygons]
     sides = [(*a, *b) for ring in rings for a, b in pairwise(ring)]
     bounds = world.bounds or _UNBOUNDED
@@ -162,6 +163,7 @@ class Checker:
         """
         body, motion = self.footprint, self.footprint.at(0.0)
         edges = body.ahead, body.behind, motion.left + wider, motion.right + wider
+        # Test the whole world first; only a collision needs the name of the obstacle.
         if not arc_collides(*pose, 0.0, length, *edges, self.grid):
             return ""
         for name, world in _named_obstacles(self.world):

@@ -284,6 +284,7 @@ class Follower(Controller):
         # Send the limits themselves even after a small change.
         if abs(offset - self._commanded) >= _MIN_CHANGE or offset in (self._low, self._high):
             if offset != self._commanded:
+                # The command takes effect after the delay.
                 self._pending.append((later, offset))
             self._commanded = offset
 
@@ -292,6 +293,7 @@ class Follower(Controller):
         point = self._locate(here)
         self._s, self._position = max(point.s, 0.0), (here, point)
         moved, goal, stray = self._predictor.moved, self.goal, self.conditions.stray
+        # Distances over whole periods, because a snake moves to and fro within each.
         if moved is None or moved > self._stuck_distance:
             self._moved_at = time
         if time - self._moved_at > STUCK_PERIODS * self._period:
@@ -322,6 +324,7 @@ class Follower(Controller):
         piece = min(_HORIZON_M, max(self._path.length - point.s, 1e-3)) / _CHECKED_PIECES
         for k in range(_CHECKED_PIECES):
             on = self._path.pose(point.s + k * piece)
+            # Each piece of the expected return is approximated by an arc with the curvature of the path.
             first, last = (self.law.predict_cross_track(point.n, slope, (k + i) * piece) for i in (0, 1))
             heading = on.heading + math.atan2(last - first, piece)
             x, y = on.x - first * math.sin(on.heading), on.y + first * math.cos(on.heading)
@@ -355,6 +358,7 @@ class Follower(Controller):
                 self._events.append(Event(time, "no_new_plan", text))
             return
         self._tries += reason not in _UNCOUNTED
+        # A new plan changes the motion only after some gait periods, so an earlier request would be useless.
         self._not_before = time + RETRY_PERIODS * self._period
         job = partial(_new_plan, self.replan, pose, self.least_margin)
         if self.submit is None:

@@ -165,6 +165,7 @@ class Footprint:
             margin: width added to both edges, m.
         """
         low, high = turn_share * self.curvatures[0], turn_share * self.curvatures[-1]
+        # Rows almost at the limits would give intervals of almost no width.
         inner = [k for k in self.curvatures if low + CURVATURE_TOLERANCE < k < high - CURVATURE_TOLERANCE]
         curvatures = (low, *inner, high)
         rows = [self.at(k) for k in curvatures]
@@ -237,16 +238,16 @@ class Footprint:
         for t in self.transients:
             step = self._curvature(t.after) - self._curvature(t.before)
             if (t.after - t.before) * change > 0 and t.dheading * step < 0:
-                late, moment = -t.dheading / step, 2 * t.dy / step
+                delay, moment = -t.dheading / step, 2 * t.dy / step
                 # The arc cannot be shorter than its delay, see the curvature κ_t.
-                lag = late, max(moment / late, late)
+                lag = delay, max(moment / delay, delay)
                 known.setdefault(round(abs(t.after - t.before), 9), []).append(lag)
         if not known:
             return 0.0, 0.0
         sizes = sorted(known)
         means = zip(*(np.mean(known[size], axis=0) for size in sizes), strict=True)
-        late, long = (float(np.interp(abs(change), sizes, mean)) for mean in means)
-        return late, long
+        delay, length = (float(np.interp(abs(change), sizes, mean)) for mean in means)
+        return delay, length
 
     def _curvature(self, offset: float) -> float:
         return float(np.interp(offset, self.offsets, self.curvatures))
@@ -261,6 +262,7 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
             problems.append((name, f"{len(getattr(footprint, name))} values for {rows} offsets"))
     for name in ("offsets", "curvatures"):
         values = getattr(footprint, name)
+        # Interpolation over a column needs increasing values.
         if any(b <= a for a, b in zip(values, values[1:], strict=False)):
             problems.append((name, "must increase from row to row: a larger offset turns more to the left"))
     if problems:

@@ -171,6 +171,7 @@ def _mean_heading(trajectory: Trajectory) -> float:
     if period <= 0:
         return float(heading[-1])
     at = np.linspace(time[-1] - period, time[-1], 201)
+    # The heading oscillates with the gait; its mean over a whole period does not.
     values = np.interp(at, time, heading)
     return float(np.trapezoid(values, at) / period + (values[-1] - values[0]) / 2)
 
@@ -181,6 +182,7 @@ def _deviation(trajectory: Trajectory, metadata: Mapping[str, Any]) -> dict[str,
     if not deviations:
         return dict.fromkeys(("cross_track_rms_m", "cross_track_max_m", "inside_share", "inside_50mm_share"))
     deviation, outline, curvature = (np.concatenate(arrays) for arrays in zip(*deviations, strict=True))
+    # The dissertation shifts its box outward in proportion to the curvature.
     shift = DISSERTATION_SHIFT_M * np.clip(-curvature / DISSERTATION_TIGHTEST, -1, 1)
     return {
         "cross_track_rms_m": rms(deviation),
@@ -223,6 +225,7 @@ def _path_deviations(trajectory: Trajectory) -> Iterator[tuple[np.ndarray, np.nd
         s, n = (values.reshape(points.shape[:2]) for values in path.coordinates(points.reshape(-1, 2)))
         curvature = np.array([a.curvature for a in leg.segments])
         ends = np.cumsum([a.length for a in leg.segments])
+        # Beyond its end the path continues straight, with curvature 0.
         here = np.append(curvature, 0.0)[np.searchsorted(ends, s)]
         yield path.coordinates(trajectory.com[leg.samples])[1], n, np.where(s < 0, 0.0, here)
 

@@ -115,6 +115,7 @@ def search_plot(
         (trace.rejected, _REJECTED_COLOUR, 0.6, rejected),
         (trace.passages, _PASSAGE_COLOUR, 0.7, f"{len(trace.passages)} narrow passages"),
     ):
+        # One collection per kind: a search has too many arcs for separate lines.
         drawn = LineCollection(list(lines), colors=color, linewidths=0.5, zorder=zorder, label=label)
         axes.add_collection(drawn, autolim=False)
     axes.legend(loc="best", fontsize=8, frameon=False)
@@ -128,6 +129,7 @@ def _sheet(
     """Return a plot of the world with the path and footprint of a plan."""
     figure, (axes,) = panels(6.0)
     for segment in segments:
+        # Footprints are drawn first, so that obstacles that they touch remain visible.
         axes.add_patch(
             Polygon(_band(segment, footprint), facecolor=_FOOTPRINT_COLOUR, edgecolor="none", zorder=0)
         )

@@ -201,12 +201,12 @@ def with_transitions(segments: Sequence[Segment], footprint: Footprint) -> tuple
     remaining = segments[0].length
     for here, after in zip(segments, segments[1:], strict=False):
         # δ and T of the module docstring.
-        late, long = footprint.lag(here.offset, after.offset)
-        if long == 0 or late > remaining or long - late > after.length:
-            late, long = 0.0, 0.0
-        between = after.curvature + (here.curvature - after.curvature) * (late / long if long else 0.0)
-        arcs += [(here.curvature, remaining - late), (between, long)]
-        remaining = after.length - (long - late)
+        delay, length = footprint.lag(here.offset, after.offset)
+        if length == 0 or delay > remaining or length - delay > after.length:
+            delay, length = 0.0, 0.0
+        between = after.curvature + (here.curvature - after.curvature) * (delay / length if length else 0.0)
+        arcs += [(here.curvature, remaining - delay), (between, length)]
+        remaining = after.length - (length - delay)
     arcs.append((segments[-1].curvature, remaining))
     return path_from_arcs(segments[0].start, arcs, footprint)
 

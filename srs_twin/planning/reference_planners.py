@@ -179,6 +179,7 @@ def rrt_connect(problem: Problem, settings: Settings) -> Plan:
     info = setup.getSpaceInformation()
     validator = _motion_validator(base)(info, moves, grid, radius)
     info.setMotionValidator(validator)
+    # A state is a motion of length 0.
     setup.setStateValidityChecker(lambda state: validator.is_free(_pose(state), _pose(state)))
     setup.setStartAndGoalStates(
         _state(space, problem.start), _state(space, Pose(goal.x, goal.y, goal.heading))

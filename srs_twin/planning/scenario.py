@@ -161,6 +161,7 @@ class _SearchFile(_PlannerFile):
             raise InputError(
                 f"the straight run-up of {self.run_up_m:g} m touches {hit}; set a shorter run_up_m"
             )
+        # The run-up is fixed, so the search starts at its end.
         return self.search(replace(problem, start=first.end), (first,))
 
     def search(self, problem: Problem, begin: tuple[Segment, ...]) -> Plan:
@@ -230,6 +231,7 @@ class GivenFile(_PlannerFile):
 
     def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
         """Return the end of the path."""
+        # The path is given, so its end replaces the scenario's goal.
         end = self._path(start, footprint)[-1].end
         return Goal(end.x, end.y, end.heading, goal.radius if goal else 0.05)
 
@@ -315,6 +317,7 @@ class ScenarioPlanner:
 
     def plan_from(self, pose: Pose, share: float = 1.0) -> Plan:
         """Return a plan from another pose, with a fraction of the margin and no run-up; raises as `plan`."""
+        # The gait is already steady, so a new plan needs no run-up.
         file = self.file.model_copy(update={"run_up_m": 0.0})
         body = validate_footprint(self.footprint.reduced(file.turn_share, share * self.margin.path))
         return _plan(replace(self, file=file, problem=replace(self.problem, start=pose, footprint=body)))

@@ -113,7 +113,7 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
 
 @compiled
 def supply_flow(line, air):  # type: ignore[no-untyped-def]
-    """Return the flow of the supply into a line at a pressure (J/s), and its derivative by the pressure."""
+    """Return the supply's flow into a line at a pressure (J/s), and its derivative by that pressure."""
     opening = (air.supply - line) / air.band
     if opening <= 0.0:
         return 0.0, 0.0

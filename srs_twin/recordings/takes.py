@@ -64,15 +64,15 @@ class RecordingReader:
             frequency: gait frequency if the reader has none, Hz.
         """
         given: dict[str, Any] = {"up": self.up, "layout": self.layout, "head": self.head, "map": self.map}
-        return read_motion(path, spec, **given, **self._stretch(frequency))
+        return read_motion(path, spec, **given, **self._signal_settings(frequency))
 
     def body(self, path: str, spec: RobotSpec, frequency: float | None = None) -> Recording:
         """Read the measured motion of the body, from markers or a bend log; as `motion`."""
         if is_bend_log(path, self.map):
-            return read_bends(path, spec, map=self.map, **self._stretch(frequency))
+            return read_bends(path, spec, map=self.map, **self._signal_settings(frequency))
         return self.motion(path, spec, frequency)
 
-    def _stretch(self, frequency: float | None) -> dict[str, Any]:
+    def _signal_settings(self, frequency: float | None) -> dict[str, Any]:
         given = self.gait_frequency_hz
         frequency = frequency if given is None else given
         return {"longest_gap_s": self.longest_gap_s, "gait_frequency_hz": frequency}

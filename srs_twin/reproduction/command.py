@@ -45,7 +45,7 @@ def reproduce(
 
     Options:
         only: Name of a row, or a prefix of several names, e.g. gen3 (repeatable).
-        quick: Judge only the quick rows: laws first, short runs.
+        quick: Judge only the rows with short runs, laws first.
         out: Output folder, which also stores finished runs.
         no_figures: Omit the figures and their runs.
         write_baseline: Write the verdicts as the new baseline.

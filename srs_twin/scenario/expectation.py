@@ -247,7 +247,7 @@ class Expectation(Section):
 def largest_parameter(sensitivity: Mapping[str, Mapping[str, float]]) -> str | None:
     """Return the path of the parameter with the largest total Sobol index; None if it is not significant.
 
-    It is not significant if another index is as large within the error of the largest.
+    It is not significant if another index differs from the largest by less than the error of the latter.
 
     Args:
         sensitivity: path → `total` index and `total_error`, half the width of its 95 % interval.

@@ -95,7 +95,8 @@ class SectionEntry:
     Attributes:
         annotation: type of the section in the pydantic model of the file.
         description: description for the reference and the JSON Schema.
-        input_files: function that yields the paths of the files that a section, as plain data, reads.
+        input_files: function of a section as plain data; yields the paths of the files that the section
+            reads.
     """
 
     annotation: Any

@@ -1,7 +1,7 @@
 r"""Compiled friction on the connectors of a moving body, with its slopes.
 
-**Coasting.** A straight body that slides without rotation (`slide`) is a point under the same laws: all
-connectors move equally, so that the mass cancels:
+**Coasting.** A straight body that slides without rotation (`slide`) moves like a point with the same laws.
+All connectors move equally, so the mass cancels:
 
 $$ \dot v = f(v; \mu_t/(1 + s), \mu_n), \qquad s = \sum_w \frac{I_w}{M R^2}, $$
 

@@ -152,7 +152,7 @@ class SweepTable:
         return [name for name in self.columns if name not in _ROW_COLUMNS and not name.startswith(prefixes)]
 
     def owners(self, metric: str) -> list[str]:
-        """Return the owners that have a metric: plants, comparison or plan.
+        """Return the results that contain a metric: plants, comparison or plan.
 
         Raises:
             UnknownNameError: no owner has it.
