@@ -321,7 +321,11 @@ def draw(
     for axes in (left, middle, right):
         axes.grid(True, linewidth=0.4, alpha=0.5)
         axes.title.set_fontsize(9)
-        axes.legend(fontsize=7)
+    for axes in (left, middle):
+        axes.margins(y=0.4)  # room for the legend above the lines
+        axes.set_ylim(bottom=axes.dataLim.y0 - 0.05 * axes.dataLim.height)
+    for axes in (left, middle, right):
+        axes.legend(fontsize=7, loc="upper right" if axes is not right else "lower left")
     return figure
 
 

@@ -76,7 +76,7 @@ def _assumptions(left: Axes, right: Axes, footprint: Footprint) -> None:
         arc = np.array([arc_end(*start, new, s)[:2] for s in np.linspace(begin, SHOWN_M, 60)])
         right.plot(*arc.T, color=color, linewidth=1.0, linestyle=":" if begin else "-", label=words, zorder=3)
     right.plot(0, 0, "k.", markersize=5)
-    right.annotate(f"{math.degrees(jump.dheading):.0f}°, {1e3 * jump.dy:.0f} mm", (0.02, 0.02),
+    right.annotate(f"jump: {math.degrees(jump.dheading):.0f}°, {1e3 * jump.dy:.0f} mm", (0.02, 0.02),
                    xycoords="axes fraction", fontsize=8)  # fmt: skip
 
 

@@ -13,8 +13,10 @@ switched. They are refined instead: the change under a refinement is extrapolate
 from __future__ import annotations
 
 import math
+import time
 from collections import ChainMap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
@@ -24,6 +26,8 @@ import numpy as np
 
 from srs_twin.comparison.compare import MEASURES, AssumptionShare, Attribution, gap_between
 from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.compute.workers import processor_count, run_tasks
+from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.plants.base import Plant
 from srs_twin.plants.twin.mjcf.numerics import LAW_OF, Numerics, PreloadedContact
@@ -317,11 +321,21 @@ def _stiffer_out_of_plane(spec: RobotSpec) -> RobotSpec:
     return replace(spec, bending=stiffer)
 
 
-Progress = Callable[[float], None]
+Progress = Callable[[float, float | None], None]
+"""Function called with the finished fraction, 0 to 1, and an estimate of the remaining time, s."""
+
+_TWIN_COST = 1.4
+"""Mean computing time of a refined twin relative to the twin of the run."""
+_MODEL_COST = 2.5
+"""Mean computing time of a switched model relative to the model of the run; compliant bends take longer."""
 
 
 def explain(
-    scenario: Scenario, trajectories: Mapping[str, Trajectory], *, progress: Progress | None = None
+    scenario: Scenario,
+    trajectories: Mapping[str, Trajectory],
+    *,
+    progress: Progress | None = None,
+    wall_s: Mapping[str, float] | None = None,
 ) -> Attribution:
     """Attribute the difference between the two plants of a run to assumptions.
 
@@ -333,7 +347,8 @@ def explain(
     Args:
         scenario: scenario of the run.
         trajectories: trajectories of both plants, by plant name.
-        progress: function called with the finished fraction, 0 to 1.
+        progress: function called with the finished fraction, 0 to 1, and the remaining time.
+        wall_s: plant → computing time of its run, s, from which the remaining time is estimated.
 
     Raises:
         InputError: only one plant ran, or the runs are too short for gait metrics.
@@ -356,7 +371,7 @@ def explain(
     names = [switch.name for switch in variants.switches]
     sets = [first | subset for subset in subsets(names)]
     all_on = sets[-1]
-    runs = _run_all(scenario, _builders(variants, sets), progress)
+    runs = _run_all(scenario, variants, sets, progress, wall_s or {})
     runs |= {_variant_name(frozenset()): model, _variant_name({}): twin}
 
     differences = {switched: gap_between(runs[_variant_name(switched)], twin) for switched in sets}
@@ -429,18 +444,83 @@ def _variant_name(changes: frozenset[str] | Mapping[str, Any]) -> str:
 
 
 def _run_all(
-    scenario: Scenario, builders: Mapping[str, Callable[[], Plant]], progress: Progress | None
+    scenario: Scenario,
+    variants: PlantVariants,
+    sets: Sequence[frozenset[str]],
+    progress: Progress | None,
+    wall_s: Mapping[str, float],
 ) -> dict[str, Trajectory]:
     """Simulate every plant under the controller of the scenario, on all processors."""
-    jobs = [Job(build, scenario.build_controller, **scenario.timing) for build in builders.values()]
-    report = None if progress is None else lambda done: progress(done / len(jobs))
+    builders = _builders(variants, sets)
+    costs = [_relative_cost(name, wall_s) for name in builders]
+    report = None if progress is None else _reporter(progress, costs, is_measured=bool(wall_s))
+    controller = scenario.build_controller()
+    results: Iterable[Trajectory | DivergedError]
+    if type(controller).script is Controller.script:
+        # A controller that reads the state holds the lock of the interpreter, so threads would not help.
+        tasks = [(scenario, sets, name) for name in builders]
+        results = _in_processes(tasks, report)
+    else:
+        jobs = [Job(build, scenario.build_controller, **scenario.timing) for build in builders.values()]
+        results = run_many(jobs, progress=report)
     trajectories: dict[str, Trajectory] = {}
-    for name, run in zip(builders, run_many(jobs, progress=report), strict=True):
+    for name, run in zip(builders, results, strict=True):
         if isinstance(run, DivergedError):
             run.args = (f"{scenario.name}: attribution: {name}: {run}",)
             raise run
         trajectories[name] = run
     return trajectories
+
+
+_Task = tuple[Scenario, Sequence[frozenset[str]], str]
+"""Scenario, sets of switches, and name of a variant."""
+
+
+def _in_processes(
+    tasks: Sequence[_Task], report: Callable[[int], None] | None
+) -> list[Trajectory | DivergedError]:
+    """Simulate variants in worker processes; return their results in order."""
+    results: dict[int, Trajectory | DivergedError] = {}
+    with closing(run_tasks(_simulate, tasks)) as completed:
+        for done in completed:
+            if done.error is not None and not isinstance(done.error, DivergedError):
+                raise done.error
+            results[done.number] = done.error or done.result
+            if report is not None:
+                report(len(results))
+    return [results[number] for number in range(len(tasks))]
+
+
+def _simulate(task: _Task) -> Trajectory:
+    """Simulate a variant in a worker process."""
+    scenario, sets, name = task
+    plant = _builders(PlantVariants(scenario), sets)[name]()
+    return rollout(plant, scenario.build_controller(), **scenario.timing)
+
+
+def _relative_cost(name: str, wall_s: Mapping[str, float]) -> float:
+    """Return the estimated computing time of a variant, s, or relative to other variants."""
+    if name == "matched" or name.startswith("model "):
+        return _MODEL_COST * wall_s.get("analytical", 0.05)
+    return _TWIN_COST * wall_s.get("twin", 1.0)
+
+
+def _reporter(progress: Progress, costs: Sequence[float], *, is_measured: bool) -> Callable[[int], None]:
+    """Return a function of the number of finished runs that reports progress, and report the start.
+
+    Args:
+        progress: function to call.
+        costs: estimated computing times of the runs.
+        is_measured: whether the computing times are in seconds.
+    """
+    start, total = time.monotonic(), sum(costs)
+    progress(0.0, total / min(processor_count(), len(costs)) if is_measured else None)
+
+    def report(done: int) -> None:
+        fraction = sum(costs[:done]) / total if done < len(costs) else 1.0
+        progress(fraction, (time.monotonic() - start) * (1 / fraction - 1))
+
+    return report
 
 
 def _refinement_shares(

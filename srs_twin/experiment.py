@@ -54,8 +54,8 @@ PRODUCTS = (METRICS, RESOLVED, REPORT, RECORDING, *(f"{plant}.parquet" for plant
 _ALL_PRODUCTS = (*PRODUCTS, f"{MEASURED}.parquet")
 """Files of a run with a recording."""
 
-Progress = Callable[[str, float], None]
-"""Function called with the name of a task and its completed fraction, 0 to 1."""
+Progress = Callable[..., None]
+"""Function called with a task, its completed fraction (0 to 1) and optionally the remaining time, s."""
 Explain = Callable[..., "Attribution"]
 """Function that attributes the difference of the plants (`attribution.explain`)."""
 
@@ -146,7 +146,7 @@ class PreparedRun:
         if explain is not None and not diverged:
             explaining = partial(progress, "attribution") if progress else None
             try:
-                attribution = explain(scenario, trajectories, progress=explaining)
+                attribution = explain(scenario, trajectories, progress=explaining, wall_s=walls)
             except DivergedError as error:
                 failed_attributions.append(error)
         cause = None

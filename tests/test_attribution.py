@@ -11,11 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from srs_twin import Numerics, rollout
-from srs_twin.attribution import PlantVariants, contributions, explain, subsets
+from srs_twin.attribution import PlantVariants, _builders, _in_processes, contributions, explain, subsets
 from srs_twin.comparison.compare import MEASURES, AssumptionShare, Attribution, gap_between
+from srs_twin.compute.workers import processor_count
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.experiment import prepare
-from srs_twin.scenario.loading import parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.viewing.plots.runs import attribution_plot
 
 NAMES = ["a", "b", "c", "d"]
@@ -88,17 +89,35 @@ def both(s):
 @pytest.fixture(scope="module")
 def explained():
     s = scenario()
-    progress: list[float] = []
-    return explain(s, both(s), progress=progress.append), progress
+    progress: list[tuple[float, float | None]] = []
+    walls = {"analytical": 0.01, "twin": 0.5}
+    report = lambda *reported: progress.append(reported)  # noqa: E731
+    return explain(s, both(s), progress=report, wall_s=walls), progress
 
 
 @pytest.mark.slow
+def test_variants_under_a_controller_with_sensors_are_the_same_in_worker_processes():
+    s = load_scenario("ilc_straight", set={"duration_s": 1.0})
+    variants = PlantVariants(s)
+    sets = subsets([switch.name for switch in variants.switches])
+    names = list(_builders(variants, sets))[:2]
+    counts = []
+    runs = _in_processes([(s, sets, name) for name in names], counts.append)
+    assert counts == [1, 2] and [run.metadata["plant"] for run in runs] == ["twin", "analytical"]
+    for name, run in zip(names, runs, strict=True):
+        here = rollout(_builders(variants, sets)[name](), s.build_controller(), **s.timing)
+        assert all((here[column] == run[column]).all() for column in ("com_x", "bend_1", "duty_plus_1"))
+
+
 def test_remainder_is_small_for_speed_and_yaw_rate(explained):
     """The remainder of the difference was 0.03 % of the speed and 4 % of the yaw rate."""
     attribution, progress = explained
     speed, yaw, *_ = np.abs(attribution.remainder) / np.abs(attribution.reference).clip(1e-9)
     assert speed < 0.005 and yaw < 0.06
-    assert progress == sorted(progress) and progress[-1] == 1.0
+    fractions = [fraction for fraction, _ in progress]
+    assert fractions == sorted(fractions) and progress[-1] == (1.0, 0.0)
+    # The estimate at the start: 11 runs of the twin and 17 of the model, on the processors of this machine.
+    assert progress[0] == (0.0, pytest.approx(0.7 * 11 / processor_count(), rel=0.2))
     assert attribution.same == ("rigid gaps", "frozen chords", "damping")
 
 

@@ -155,24 +155,32 @@ def show(
 
 def _resolved(name: str) -> dict[str, Any]:
     """Return the JSON data of a scenario or robot with all defaults."""
-    from srs_twin.io.documents import load_yaml
-    from srs_twin.io.files import require_file, shipped_names
     from srs_twin.robot.file import load_robot_file
     from srs_twin.scenario.loading import load_scenario
 
-    robots, scenarios = shipped_names("robot"), shipped_names("scenario")
-    is_path = "/" in name or name.endswith((".yaml", ".yml"))
-    if is_path:
-        from pathlib import Path
-
-        is_robot = load_yaml(require_file(Path(name))).get("geometry") is not None
-    elif name in (*robots, *scenarios):
-        is_robot = name in robots
-    else:
-        raise UnknownNameError("scenario or robot", name, (*scenarios, *robots), "`srs-twin list`")
-    if is_robot:
+    if is_robot(name):
         return load_robot_file(name).model_dump(mode="json", exclude_none=True)
     return dict(load_scenario(name).document)
+
+
+def is_robot(name: str) -> bool:
+    """Return whether a shipped name or the path of a file refers to a robot, not to a scenario.
+
+    Raises:
+        InputError: there is no such name or file.
+    """
+    from srs_twin.io.documents import load_yaml
+    from srs_twin.io.files import require_file, shipped_names
+
+    if "/" in name or name.endswith((".yaml", ".yml")):
+        from pathlib import Path
+
+        document = load_yaml(require_file(Path(name)))
+        return document.get("geometry") is not None or document.get("base") is not None
+    robots, scenarios = shipped_names("robot"), shipped_names("scenario")
+    if name not in (*robots, *scenarios):
+        raise UnknownNameError("scenario or robot", name, (*scenarios, *robots), "`srs-twin list`")
+    return name in robots
 
 
 def _leaves(data: Any, loc: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:

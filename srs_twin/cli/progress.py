@@ -45,14 +45,14 @@ class Display(ABC):
         """Return the time since the start, s."""
         return time.monotonic() - self._start
 
-    def _show(self) -> None:
-        """Update the bar, or print a line if one is due."""
+    def _show(self, *, now: bool = False) -> None:
+        """Update the bar, or print a line if one is due or wanted `now`."""
         elapsed = self._elapsed()
-        if self._quiet or elapsed < DISPLAY_DELAY_S:
+        if self._quiet or (elapsed < DISPLAY_DELAY_S and not now):
             return
         if sys.stderr.isatty():
             self._draw()
-        elif elapsed >= self._next_line:
+        elif elapsed >= self._next_line or now:
             self._next_line = elapsed + LINE_INTERVAL_S
             say(self._line())
 
@@ -142,6 +142,7 @@ class ScenarioProgress(Display):
     def __init__(self, title: str, *, quiet: bool = False) -> None:
         super().__init__(title, quiet=quiet)
         self._stage, self._fraction = "", 0.0
+        self._remaining_s: float | None = None
 
     def __enter__(self) -> Self:
         from srs_twin.compute.compiled import notify_first_compilation
@@ -150,13 +151,19 @@ class ScenarioProgress(Display):
         notify_first_compilation(lambda: say(text, quiet=self._quiet))
         return super().__enter__()
 
-    def __call__(self, stage: str, fraction: float) -> None:
-        """Update the completed fraction (0 to 1) of a stage."""
-        self._stage, self._fraction = stage, fraction
-        self._show()
+    def __call__(self, stage: str, fraction: float, remaining_s: float | None = None) -> None:
+        """Update the completed fraction of a stage, 0 to 1; show a stage that is estimated to be long."""
+        is_new, self._stage = stage != self._stage, stage
+        self._fraction, self._remaining_s = fraction, remaining_s
+        is_long = is_new and (remaining_s or 0.0) >= DISPLAY_DELAY_S
+        self._show(now=is_long)
+
+    def _status(self) -> str:
+        left = "" if self._remaining_s is None else f", about {self._remaining_s:.0f} s left"
+        return f"{self._fraction:.0%}{left}"
 
     def _line(self) -> str:
-        return f"{self.title}: {self._stage} {self._fraction:.0%}"
+        return f"{self.title}: {self._stage} {self._status()}"
 
     def _bar(self) -> tuple[str, float, str]:
-        return f"{self.title}: {self._stage}", self._fraction, f"{self._fraction:.0%}"
+        return f"{self.title}: {self._stage}", self._fraction, self._status()

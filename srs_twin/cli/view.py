@@ -1,4 +1,4 @@
-"""`srs-twin view` and `play`: finished runs in Rerun, and keyboard control of a twin."""
+"""`srs-twin view` and `play`: finished runs in Rerun, and a twin in MuJoCo's viewer."""
 
 from __future__ import annotations
 
@@ -8,12 +8,18 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli.options import ChangeOptions, RobotArgument, argument, option
+from srs_twin.cli.catalogue import is_robot
+from srs_twin.cli.options import ChangeOptions, argument, option
 from srs_twin.errors import InputError
+
+if TYPE_CHECKING:
+    from srs_twin.io.documents import Override
+    from srs_twin.robot.spec import RobotSpec
+    from srs_twin.scenario.modified import Changes
 
 
 def view(
@@ -98,38 +104,55 @@ def name_recordings(recordings: Sequence[Path]) -> dict[str, Path]:
 
 
 def play(
-    robot: RobotArgument,
+    name: Annotated[str, argument("SCENARIO|ROBOT", shipped=["scenario", "robot"])],
     set_: Annotated[list[str] | None, option("--set FIELD=VALUE")] = None,
 ) -> None:
-    """Control the twin of a robot by keyboard in MuJoCo's viewer.
+    """Play a scenario, or steer a robot by keyboard, in MuJoCo's viewer.
 
-    Keys: arrows, page up and page down.
+    Keys: left and right change the offset, up and down the frequency, page up and page down the supply
+    pressure; home resets the offset, space pauses, backspace restarts. The controller of a scenario acts
+    until one of the first six keys is pressed.
 
     Options:
-        set_: Override a robot field, e.g. robot.friction.mu_t=0.1 (repeatable).
+        name: Shipped scenario or robot, or a scenario or robot file.
+        set_: Override a field, e.g. robot.friction.mu_t=0.1 (repeatable).
     """
-    from srs_twin.io.documents import Document
-    from srs_twin.robot.file import load_robot_file, resolve_robot
-    from srs_twin.scenario.modified import changed_fields, changes_text
+    from srs_twin.scenario.modified import changes_text
 
-    document = Document(robot, {"robot": robot})
     overrides = ChangeOptions(set_).changes()
-    for override in overrides:
-        if override.loc[0] != "robot":
-            raise InputError(f"{override.label}: play has no scenario; set a field of robot")
-        document.apply(override)
-    robot_file = resolve_robot(document, document.get("robot"), prefix=("robot",))
-    document.raise_problems()
-    assert robot_file is not None, "`finish` raises if the robot is invalid"
+    scenario, robot = None, None
+    if is_robot(name):
+        robot, changes = _changed_robot(name, overrides)
+    else:
+        from srs_twin.scenario.loading import load_scenario
+
+        scenario = load_scenario(name, set=overrides)
+        changes = scenario.changes
     from srs_twin.viewing.mujoco.live import MujocoWindow, require_display
 
     require_display()
     from srs_twin.viewing.mujoco.live import LiveSnake, steer
 
-    before = {"robot": load_robot_file(robot).model_dump(mode="json")}
-    after = {"robot": robot_file.model_dump(mode="json")}
-    changes = changed_fields(before, after, [override.loc for override in overrides])
     # The font of MuJoCo contains only ASCII.
-    snake = LiveSnake(robot_file.spec(), modified=changes_text(changes).replace("→", "to"))
+    snake = LiveSnake(robot, scenario=scenario, modified=changes_text(changes).replace("→", "to"))
     with MujocoWindow(snake) as window:
         steer(snake, window)
+
+
+def _changed_robot(name: str, overrides: Sequence[Override]) -> tuple[RobotSpec, Changes]:
+    """Return a robot with overridden fields, and the changes."""
+    from srs_twin.io.documents import Document
+    from srs_twin.robot.file import load_robot_file, resolve_robot
+    from srs_twin.scenario.modified import changed_fields
+
+    document = Document(name, {"robot": name})
+    for override in overrides:
+        if override.loc[0] != "robot":
+            raise InputError(f"{override.label}: a robot has no scenario; set a field of robot")
+        document.apply(override)
+    robot_file = resolve_robot(document, document.get("robot"), prefix=("robot",))
+    document.raise_problems()
+    assert robot_file is not None, "`raise_problems` raises if the robot is invalid"
+    before = {"robot": load_robot_file(name).model_dump(mode="json")}
+    after = {"robot": robot_file.model_dump(mode="json")}
+    return robot_file.spec(), changed_fields(before, after, [override.loc for override in overrides])

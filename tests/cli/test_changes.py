@@ -85,7 +85,7 @@ def test_a_mistake_names_the_option_and_the_remedy(srs_twin, tmp_path, words, sa
     [
         ("srs-twin compare gen2_s", {"gen2_straight"}),
         ("srs-twin sweep fig33", {"fig33", "fig33_simplified"}),
-        ("srs-twin play gen4", {"gen4", "gen4_module"}),
+        ("srs-twin play gen4", {"gen4", "gen4_module", "gen4_straight", "gen4_turn"}),
         ("srs-twin rep", {"replay", "reproduce"}),
         ("srs-twin compare --exp", {"--explain"}),
     ],

@@ -416,6 +416,19 @@ def test_progress_starts_after_two_seconds(monkeypatch, capsys):
     assert capsys.readouterr().err == ""
 
 
+def test_long_stage_is_announced_at_once_with_its_estimated_time(monkeypatch, capsys):
+    now = [100.0]
+    monkeypatch.setattr("srs_twin.cli.progress.time.monotonic", lambda: now[0])
+    with ScenarioProgress("gen2") as progress:
+        progress("attribution", 0.0, 12.3)
+        now[0] += 3
+        progress("attribution", 0.25, 9.0)
+        now[0] += 8
+        progress("attribution", 0.9, 1.2)
+    first = "gen2: attribution 0%, about 12 s left\n"
+    assert capsys.readouterr().err == first + "gen2: attribution 90%, about 1 s left\n"
+
+
 def test_view_looks_in_the_run_folder_and_under_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     recording = tmp_path / "runs/a/recording.rrd"

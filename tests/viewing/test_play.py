@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from snakes import robot
 
-from srs_twin import Gait, TwinSnake, rollout
+from srs_twin import Gait, TwinSnake, load_scenario, rollout
 from srs_twin.viewing.mujoco import live
 from srs_twin.viewing.mujoco.live import LiveSnake, steer
 from srs_twin.viewing.mujoco.stage import Skins
@@ -142,6 +142,42 @@ def test_status_lines_have_units():
     assert status["offset (left, right)"] == "+0.00" and status["speed"] == "0.000 m/s"
 
 
+def test_a_scenario_is_played_as_it_runs():
+    scenario, window, time = load_scenario("gen2_turn"), FakeWindow(60), FakeTime()
+    snake = LiveSnake(scenario=scenario)
+    steer(snake, window, clock=time.clock, sleep=time.sleep)
+    ran = rollout(scenario.build_plant("twin"), scenario.build_controller(), 1.2, seed=scenario.seed)
+    assert snake.state.com == pytest.approx([ran["com_x"][-1], ran["com_y"][-1]], abs=1e-9)
+    assert window.shown[-1][2][0] == ("controller", "gait")
+
+
+def test_first_steering_key_takes_over_until_a_restart():
+    keys = {5: (live.SPACE, live.SPACE), 10: (live.LEFT,), 20: (live.HOME,), 30: (live.BACKSPACE,)}
+    snake, window, time = LiveSnake(scenario=load_scenario("gen2_turn")), FakeWindow(40, keys), FakeTime()
+    window.snake = snake
+    steer(snake, window, clock=time.clock, sleep=time.sleep)
+    by_keys = [dict(lines).get("offset (left, right)") for _, _, lines in window.shown]
+    assert by_keys == [None] * 10 + ["+0.05"] * 10 + ["+0.00"] * 10 + [None] * 10
+    # The air supply of the scenario bounds the pressure.
+    assert snake.limits.pressure[1] == snake.scenario.supply_pa
+    assert [round(shown[0] / 0.02) for shown in window.shown[-10:]] == list(range(1, 11))
+
+
+def test_controller_of_a_bench_cannot_be_replaced():
+    snake = LiveSnake(scenario=load_scenario("module_step_direct"))
+    snake.press(live.LEFT)
+    snake.advance()
+    labels = [label for label, _ in snake.status_lines()]
+    assert labels[0] == "controller" and not any("steer" in label for label in labels)
+
+
+def test_help_and_window_name_all_keys(srs_twin, tmp_path):
+    text = " ".join(srs_twin("play", "--help", cwd=tmp_path).stdout.split())
+    shown = " ".join(label for label, _ in LiveSnake(SPEC).status_lines())
+    for key in ("left", "right", "up", "down", "page up", "page down", "home", "space", "backspace"):
+        assert key in text and key in shown, key
+
+
 @pytest.mark.parametrize(
     ("display", "words"),
     [
@@ -159,7 +195,7 @@ def test_missing_display_is_reported(srs_twin_process, tmp_path, display, words)
 @pytest.mark.slow
 def test_unknown_robot_is_reported_first(srs_twin_process, tmp_path):
     done = srs_twin_process("play", "gen5", cwd=tmp_path, DISPLAY="")
-    assert done.returncode == 2 and "unknown robot 'gen5'; did you mean gen" in done.stderr
+    assert done.returncode == 2 and "unknown scenario or robot 'gen5'; did you mean gen" in done.stderr
 
 
 def test_the_body_has_the_colours_of_its_pressures():

@@ -1,7 +1,8 @@
-"""Keyboard control of a twin in real time, in a window of MuJoCo's viewer.
+"""A twin in real time in a window of MuJoCo's viewer, under the controller of a scenario or the keyboard.
 
 Left and right change the offset, up and down the frequency, page up and page down the supply pressure; home
-resets the offset, space pauses, backspace restarts. Key codes are those of GLFW, which the viewer reports.
+resets the offset, space pauses, backspace restarts. The first of these that steers takes over from the
+controller of a scenario. Key codes are those of GLFW, which the viewer reports.
 """
 
 from __future__ import annotations
@@ -11,13 +12,18 @@ import time as wall
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
 
+from srs_twin.control.base import Controller
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
+from srs_twin.control.gait import Gait
 from srs_twin.errors import InputError
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.spec import RobotSpec
+from srs_twin.scenario.scenario import Scenario
+from srs_twin.viewing.plots.signals import goal_ring
+from srs_twin.viewing.plots.style import GOAL_COLOR
 from srs_twin.viewing.rerun.viewer import lacks_display
 
 SPACE = 32
@@ -46,9 +52,10 @@ MAX_LAG_S = 0.25
 
 
 class LiveSnake:
-    """Twin controlled by keys.
+    """Twin controlled by the controller of a scenario or by keys.
 
     Attributes:
+        scenario: scenario that is played; None: the keys steer a robot on an empty floor.
         twin: plant.
         state: current state of the plant.
         limits: limits of the commands.
@@ -59,26 +66,44 @@ class LiveSnake:
     state: SnakeState
     command: GaitCommand
     paused: bool
-    _gait: CommandedGait
+    _gait: CommandedGait | None
+    _controller: Controller | None
 
-    def __init__(self, spec: RobotSpec, *, modified: str = "") -> None:
-        """Create a twin with a gait in the middle of its limits.
+    def __init__(
+        self, spec: RobotSpec | None = None, *, scenario: Scenario | None = None, modified: str = ""
+    ) -> None:
+        """Create a twin, either of a robot with a gait in the middle of its limits, or of a scenario.
 
         Args:
             spec: robot.
+            scenario: scenario with robot, world, start and controller, instead of a robot.
             modified: overridden fields, shown in the window.
 
         Raises:
-            InputError: the twin does not support this robot.
+            InputError: the twin or its controller cannot be built.
         """
-        self.limits = limits = GaitLimits.for_robot(spec)
-        self._modified = modified
-        self._initial_command = GaitCommand(
-            0.0, *(sum(ends) / 2 for ends in (limits.frequency, limits.pressure))
-        )
-        self.twin = TwinSnake(spec, supply_pa=limits.pressure[1])
+        self.scenario, self._modified, self._controller = scenario, modified, None
+        if scenario is not None:
+            self.twin: Any = scenario.build_plant("twin")
+            limits = GaitLimits.for_robot(self.twin.spec)
+            # The pneumatics of the scenario are made for its supply pressure.
+            highest = min(limits.pressure[1], scenario.supply_pa)
+            limits = replace(limits, pressure=(min(limits.pressure[0], highest), highest))
+            self._steerable = not scenario.file.bench and self.twin.layout in Gait.layouts
+        else:
+            assert spec is not None, "a robot or a scenario"
+            limits = GaitLimits.for_robot(spec)
+            self.twin, self._steerable = TwinSnake(spec, supply_pa=limits.pressure[1]), True
+        self.limits = limits
+        pressure = sum(limits.pressure) / 2 if scenario is None else limits.pressure[1]
+        self._initial_command = GaitCommand(0.0, sum(limits.frequency) / 2, pressure)
         self._keys: deque[int] = deque()
         self._reset()
+
+    @property
+    def finished(self) -> bool:
+        """Whether the controller of the scenario has finished, such as a follower at its goal."""
+        return self._controller is not None and self._controller.finished
 
     def press(self, key: int) -> None:
         """Queue a key, from any thread, for the next control tick. Unknown keys are ignored."""
@@ -92,37 +117,64 @@ class LiveSnake:
         """
         while self._keys:
             self._handle(self._keys.popleft())
-        if not self.paused:
+        if self.paused or self.finished:
+            return self.state
+        if self._controller is not None:
+            self.state = self.twin.step(self._controller.step(self.state))
+        else:
+            assert self._gait is not None, "see _take_over"
             self.state = self.twin.step(self._gait.valves(float(self.state.time), self.command))
         return self.state
 
     def status_lines(self) -> list[tuple[str, str]]:
         """Return label and value of each line in the window."""
         command, speed = self.command, self.state.com_velocity
-        return [
+        by_keys = [
             ("offset (left, right)", f"{command.offset:+.2f}"),
             ("frequency (up, down)", f"{command.frequency:.2f} Hz"),
             ("pressure (page up, page down)", f"{command.pressure / 1e3:.1f} kPa"),
+        ]
+        if self._controller is not None:
+            keys = "arrows, page up, page down: steer by keys" if self._steerable else ""
+            by_keys = [("controller", self._controller.kind), *([(keys, "")] if keys else [])]
+        note = ", paused" if self.paused else ", finished" if self.finished else ""
+        return [
+            *by_keys,
             ("speed", f"{float((speed**2).sum()) ** 0.5:.3f} m/s"),
-            ("time (space: pause)", f"{float(self.state.time):.1f} s{', paused' if self.paused else ''}"),
+            ("time (space: pause)", f"{float(self.state.time):.1f} s{note}"),
             ("home: straight, backspace: restart", ""),
             *([("modified", self._modified)] if self._modified else []),
         ]
 
     def _reset(self) -> None:
-        self.state, self.command, self.paused = self.twin.reset(), self._initial_command, False
-        self._gait = CommandedGait(
-            self.twin.spec, self.twin.tick, self.twin.pneumatics, self._initial_command
-        )
+        self.command, self.paused, scenario = self._initial_command, False, self.scenario
+        if scenario is None:
+            self.state = self.twin.reset()
+            self._take_over()
+            return
+        begin, seed, twin = scenario.begin, scenario.seed, self.twin
+        self.state = twin.reset(pose=scenario.pose, seed=seed) if begin is None else begin(twin, seed)
+        self._gait, self._controller = None, scenario.build_controller()
+        self._controller.reset(twin.spec, twin.tick, seed=seed)
+
+    def _take_over(self) -> None:
+        """Let the keys steer, instead of the controller of the scenario."""
+        twin = self.twin
+        self._gait = CommandedGait(twin.spec, twin.tick, twin.pneumatics, self._initial_command)
+        self._controller = None
 
     def _handle(self, key: int) -> None:
         if key == BACKSPACE:
             self._reset()
         elif key == SPACE:
             self.paused = not self.paused
-        elif key == HOME:
+        elif not self._steerable:
+            return
+        elif key == HOME and self._gait is not None:
             self.command = replace(self.command, offset=0.0)
         elif key in _KEY_STEPS:
+            if self._gait is None:
+                self._take_over()
             name, steps = _KEY_STEPS[key]
             low, high = getattr(self.limits, name)
             value = getattr(self.command, name) + (high - low) / steps
@@ -176,6 +228,9 @@ def steer(
 _DISTANCE_LENGTHS = 4.0
 """Camera distance, body lengths."""
 
+_GOAL_LINE_M = 0.002
+"""Half width of the goal's ring, m."""
+
 _AZIMUTH_DEG = 90.0
 _ELEVATION_DEG = -35.0
 
@@ -225,7 +280,18 @@ class MujocoWindow:
         names, values = ("\n".join(column) for column in zip(*snake.status_lines(), strict=True))
         self._skins.show(snake.state.pressure, snake.twin.spec.supply.nominal)
         self._viewer.set_texts((None, None, names, values))
+        self._draw_goal(snake)
         self._viewer.sync()
+
+    def _draw_goal(self, snake: LiveSnake) -> None:
+        """Draw the goal of the scenario on the floor."""
+        from srs_twin.viewing.mujoco.stage import add_line
+
+        goal, scene = snake.scenario and snake.scenario.world.goal, self._viewer.user_scn
+        if goal is not None and scene is not None:
+            scene.ngeom = 0
+            ring = goal_ring({"x": goal.x, "y": goal.y, "radius": goal.radius})
+            add_line(scene, ring, GOAL_COLOR, _GOAL_LINE_M)
 
 
 def require_display() -> None:

@@ -148,12 +148,18 @@ def _finish_time(figure: Figure, rows: Sequence[Axes], first: float, last: float
 
 
 def _window(trajectories: Runs) -> tuple[float, float, str]:
-    """Return begin and end of the plotted time, s, and a remark for the title."""
+    """Return begin and end of the plotted time, s, and a remark for the title.
+
+    Of a long run these are the last gait periods that all runs have in common.
+    """
     first = min(float(run.time[0]) for run in trajectories.values())
-    last = max(float(run.time[-1]) for run in trajectories.values())
+    ends = [float(run.time[-1]) for run in trajectories.values()]
     period = max((gait_period(run) or 0.0 for run in trajectories.values()), default=0.0)
-    if not period or last - first <= (_PERIODS_SHOWN + 1) * period:
-        return first, last, ""
+    if not period or max(ends) - first <= (_PERIODS_SHOWN + 1) * period:
+        return first, max(ends), ""
+    last = max(min(ends), first + _PERIODS_SHOWN * period)
+    if last < max(ends):
+        return last - _PERIODS_SHOWN * period, last, f" ({_PERIODS_SHOWN} gait periods before the first end)"
     return last - _PERIODS_SHOWN * period, last, f" (last {_PERIODS_SHOWN} gait periods)"
 
 
@@ -278,6 +284,8 @@ _NEGATIVE_COLOR = "#CC79A7"
 _REMAINDER_COLOR = "#8a8f98"
 _BAR_PITCH = 0.23
 """Height of a bar with its gap, inches."""
+_PANEL_GAP = 0.7
+"""Height of the tick labels of a panel and the heading of the next one, inches."""
 
 
 def attribution_plot(attribution: Attribution) -> Figure:
@@ -294,10 +302,10 @@ def attribution_plot(attribution: Attribution) -> Figure:
     order = np.argsort(-(np.abs(value) / np.abs(value).max(axis=1, keepdims=True).clip(1e-12)).sum(axis=0))
     names = [*(attribution.shares[i].name for i in order), "not explained", "twin − analytical"]
     rows = len(MEASURES) // 2
-    height = rows * (_BAR_PITCH * len(names) + 0.55) + 0.3
+    height = rows * (_BAR_PITCH * len(names) + _PANEL_GAP) + 0.3
     left = 0.35 + 0.07 * max(map(len, names))  # inches, for labels of 9.5 pt
     figure, grid = side_by_side(
-        height, 2, rows, left=left, right=0.15, top=0.6, bottom=0.3, space=0.13, sharey=True
+        height, 2, rows, left=left, right=0.15, top=0.6, bottom=0.3, space=0.17, sharey=True
     )
     caption = "Contribution of each assumption; the bars above the line add up to the bar below it"
     figure.suptitle(caption, x=0.01, ha="left", fontsize=11)
