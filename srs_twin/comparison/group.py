@@ -7,29 +7,40 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+from srs_twin.comparison.sampling import units_of
 from srs_twin.extensions import METRICS, objects
 from srs_twin.trajectory import Trajectory
 
 
+def _no_reason(metric: str, trajectory: Trajectory) -> str:
+    return ""
+
+
 @dataclass(frozen=True)
 class MetricGroup:
-    """Metrics of one topic.
+    """Metrics of one topic. Each is one number per run, and its name ends in its unit.
 
     Attributes:
-        units: metric → unit; each metric is one number.
+        meanings: metric → meaning in one line.
         measure: returns the values of a run by metric, None where a metric is undefined.
         why_undefined: returns the reason for a metric without a value, empty where that is the outcome.
         relative: metrics whose difference between the plants is a share of the analytical value.
-        main: metric that only runs of this topic have; it selects `short_table`.
-        short_table: metrics of the short table of such a run.
+        main: metric that only runs of this topic have; `short_table` is then the whole short table of such a
+            run. If empty, `short_table` is appended to the short table of every run.
+        short_table: metrics of the short table.
     """
 
-    units: Mapping[str, str]
+    meanings: Mapping[str, str]
     measure: Callable[[Trajectory], dict[str, Any]]
-    why_undefined: Callable[[str, Trajectory], str]
-    relative: frozenset[str]
-    main: str
-    short_table: tuple[str, ...]
+    why_undefined: Callable[[str, Trajectory], str] = _no_reason
+    relative: frozenset[str] = frozenset()
+    main: str = ""
+    short_table: tuple[str, ...] = ()
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Metric → unit, as its name states."""
+        return units_of(" ".join(self.meanings))
 
 
 @cache
