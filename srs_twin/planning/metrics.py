@@ -37,7 +37,9 @@ _MEANINGS = {
     "cross_track_rms_m": "RMS distance of the centre of mass from the planned path",
     "cross_track_max_m": "largest distance of the centre of mass from the planned path",
     "inside_share": "fraction of the time in which the whole body is inside the planned footprint",
-    "inside_50mm_share": "fraction of the time in which the whole body is inside the 50 mm box of the dissertation",
+    "inside_50mm_share": (
+        "fraction of the time in which the whole body is inside the 50 mm box of the dissertation"
+    ),
     "contacts": "number of contacts between body and obstacles",
     "contact_time_s": "total time of these contacts",
     "clearance_m": "smallest distance of the body from obstacles",

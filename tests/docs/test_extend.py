@@ -116,10 +116,12 @@ def extended(tmp_path_factory):
     return run
 
 
+@pytest.mark.slow
 def test_law_of_the_page_has_its_slopes_and_is_accepted_by_both_plants(extended):
     extended("-c", LAW)
 
 
+@pytest.mark.slow
 def test_metric_of_the_page_is_listed_measured_and_shown(extended):
     code = """
 import json
@@ -140,6 +142,7 @@ assert "heading_range_rad" in known_metrics()
     assert value == 0.5 and row == ["rad", ["0.5"]] and meaning == "range of the heading over the whole run"
 
 
+@pytest.mark.slow
 def test_file_of_the_page_is_inspected(extended, tmp_path):
     time = np.arange(200) / 100
     rows = [[f"{t:.2f}", *(f"{1e3 * (0.1 * t + 0.05 * k):.3f}\t{k}\t20" for k in range(5))] for t in time]
