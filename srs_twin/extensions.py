@@ -39,7 +39,9 @@ SECTIONS = {
 }
 """Additional sections of a scenario (`scenario.sections.SectionEntry`)."""
 
-METRICS = {"following": "srs_twin.planning.metrics:METRICS"}
+METRICS = {
+    "following": "srs_twin.planning.metrics:METRICS",
+}
 """Metrics of runs (`comparison.group.MetricGroup`)."""
 
 PICTURES = {"following": "srs_twin.planning.pictures:PICTURES"}

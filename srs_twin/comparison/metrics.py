@@ -161,22 +161,6 @@ reading_error_rad: largest difference between mean reading and mean bend
 reading_backstep_rad: largest decrease of the reading with increasing bend
 reading_backstep_at_rad: bend in the middle of that decrease
 reading_range_t: range of the magnetic field at the sensor
-plan_found: 1 if a path was found, else 0
-plan_length_m: length of the planned path
-plan_nodes: number of nodes that the search expanded
-plan_kink_rad: largest change of direction between two arcs of the path
-goal_reached: 1 if the snake reached its goal without passing through an obstacle, else 0
-arrival_error_m: distance from the goal at the end
-arrival_heading_error_rad: angle between the heading and the goal heading at the end
-cross_track_rms_m: RMS distance of the centre of mass from the planned path
-cross_track_max_m: largest distance of the centre of mass from the planned path
-inside_share: fraction of the time in which the whole body is inside the planned footprint
-inside_50mm_share: fraction of the time in which the whole body is inside the 50 mm box of the dissertation
-contacts: number of contacts between body and obstacles
-contact_time_s: total time of these contacts
-clearance_m: smallest distance of the body from obstacles
-following_time_s: time from start to end of the path
-replans: number of plans after the first
 measured_com_speed_rel: speed minus that of the recorded robot, divided by the latter
 measured_yaw_rate_abs: magnitude of the difference of the yaw rates
 measured_shape_rms_m: RMS distance of the connectors from the recorded ones, with centre and heading aligned
@@ -199,7 +183,8 @@ heading_rms_rad: RMS difference of the headings
 
 def meanings() -> dict[str, str]:
     """Return metric → meaning in one line, for metrics of plants, lists and comparisons."""
-    return dict(line.split(": ", 1) for line in _MEANINGS.split("\n") if line)
+    core = dict(line.split(": ", 1) for line in _MEANINGS.split("\n") if line)
+    return core | {name: text for group in metric_groups() for name, text in group.meanings.items()}
 
 
 VALIDATION = (
@@ -337,10 +322,12 @@ def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
     def measured(*names: str) -> bool:
         return any(plant.get(name) is not None for plant in plants.values() for name in names)
 
+    additional = [name for group in metric_groups() if not group.main for name in group.short_table]
     for group in metric_groups():
-        if measured(group.main):
-            return [*group.short_table, *_COMPARISON]
-    return [*(_BENCH if measured("error_rms_rad", "final_bend_rad") else _GAIT), *_COMPARISON]
+        if group.main and measured(group.main):
+            return [*group.short_table, *additional, *_COMPARISON]
+    usual = _BENCH if measured("error_rms_rad", "final_bend_rad") else _GAIT
+    return [*usual, *additional, *_COMPARISON]
 
 
 def tidy(metric: str, value: Any) -> Any:

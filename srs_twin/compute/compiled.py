@@ -100,10 +100,11 @@ class _Cache(FunctionCache):
             yield
         except OSError as error:
             _warn(f"{self._cache_path}: {error.strerror}")
-        except ReferenceError:
-            # The index refers to a kernel that was an argument in another process; start a new index.
+        except (ReferenceError, AttributeError, ModuleNotFoundError):
+            # The index refers to a kernel that was an argument in another process, or to a function that has
+            # since been removed; start a new index.
             self._cache_file.flush()
-        except (EOFError, pickle.UnpicklingError, ImportError, AttributeError):
+        except (EOFError, pickle.UnpicklingError, ImportError):
             _warn(f"{self._cache_path}: a damaged file; remove the folder")
 
 

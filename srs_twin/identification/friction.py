@@ -339,7 +339,7 @@ def fit_coasting(
         runs: coasting tests; in both directions to determine both coefficients.
         spec: robot, whose wheels and masses determine the effect of the wheels' rotational inertia.
         validation: coasting tests for validation; only their initial velocities are fitted.
-        law: friction law, "axis", "wheel" or "ellipse".
+        law: friction law, one of `robot.friction.LAWS` except "viscous".
         wheel_inertia: whether the wheels have rotational inertia, as in the robot and the twin; skids and the
             wheels of the analytical plant have none.
         watch: progress callback, see `least_squares`.
@@ -347,8 +347,9 @@ def fit_coasting(
     Raises:
         InputError: there is no run, the law is unknown, or a validation run is also fitted.
     """
-    if law not in LAWS or law == "viscous":
-        raise InputError(f"friction law '{law}' is not allowed here; allowed: axis, wheel, ellipse")
+    allowed = [name for name in LAWS if name != "viscous"]
+    if law not in allowed:
+        raise InputError(f"friction law '{law}' is not allowed here; allowed: {', '.join(allowed)}")
     assign_roles("coasting tests", runs, validation)
     share = spin_share(spec) if wheel_inertia else 0.0
 

@@ -26,11 +26,30 @@ PLAN_UNITS = units_of("plan_found plan_length_m plan_nodes plan_kink_rad")
 PLANNING_UNITS = PLAN_UNITS | units_of("plan_s")
 """Metrics of planning without a run: those of the plan, and its wall time."""
 
-FOLLOWING_UNITS = PLAN_UNITS | units_of("""
-    goal_reached arrival_error_m arrival_heading_error_rad
-    cross_track_rms_m cross_track_max_m inside_share inside_50mm_share
-    contacts contact_time_s clearance_m following_time_s replans
-""")
+_MEANINGS = {
+    "plan_found": "1 if a path was found, else 0",
+    "plan_length_m": "length of the planned path",
+    "plan_nodes": "number of nodes that the search expanded",
+    "plan_kink_rad": "largest change of direction between two arcs of the path",
+    "goal_reached": "1 if the snake reached its goal without passing through an obstacle, else 0",
+    "arrival_error_m": "distance from the goal at the end",
+    "arrival_heading_error_rad": "angle between the heading and the goal heading at the end",
+    "cross_track_rms_m": "RMS distance of the centre of mass from the planned path",
+    "cross_track_max_m": "largest distance of the centre of mass from the planned path",
+    "inside_share": "fraction of the time in which the whole body is inside the planned footprint",
+    "inside_50mm_share": (
+        "fraction of the time in which the whole body is inside the 50 mm box of the dissertation"
+    ),
+    "contacts": "number of contacts between body and obstacles",
+    "contact_time_s": "total time of these contacts",
+    "clearance_m": "smallest distance of the body from obstacles",
+    "following_time_s": "time from start to end of the path",
+    "replans": "number of plans after the first",
+}
+"""Meanings of the metrics of a run that follows a plan."""
+
+FOLLOWING_UNITS = units_of(" ".join(_MEANINGS))
+"""Metrics of a run that follows a plan."""
 
 DISSERTATION_HALF_WIDTH_M = 0.025
 """Half the width of the box of Section 5.2, m."""
@@ -310,7 +329,7 @@ def _why_undefined(metric: str, trajectory: Trajectory) -> str:
 
 
 METRICS = MetricGroup(
-    units=FOLLOWING_UNITS,
+    meanings=_MEANINGS,
     measure=following_metrics,
     why_undefined=_why_undefined,
     relative=frozenset({"cross_track_rms_m", "cross_track_max_m", "following_time_s"}),

@@ -11,7 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic import Snake, backwards, mirrored, moved, sampled, with_columns, with_metadata
 
+from srs_twin.comparison import metrics
 from srs_twin.comparison.gait import GaitWindow
+from srs_twin.comparison.group import metric_groups
 from srs_twin.comparison.learning import LEARNING_LIST_UNITS, LEARNING_UNITS
 from srs_twin.comparison.metrics import LIST_METRIC_UNITS, MEASURED_UNITS, METRIC_UNITS, plant_metrics
 from srs_twin.comparison.reading import READING_UNITS
@@ -267,3 +269,9 @@ def spoiled(name: str, index: int, value: float) -> Trajectory:
 def test_unusable_runs_are_refused(run, words):
     with pytest.raises(InputError, match=re.escape(words)):
         plant_metrics(run)
+
+
+def test_each_metric_has_one_meaning():
+    names = [line.partition(":")[0] for line in metrics._MEANINGS.strip().splitlines()]
+    names += [name for group in metric_groups() for name in group.meanings]
+    assert len(names) == len(set(names))

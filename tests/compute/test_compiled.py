@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import errno
 import os
+import pickle
 import subprocess
 import sys
 import warnings
 from pathlib import Path
 
+import numba
 import pytest
 from numba.core.caching import IndexDataCacheFile
 
@@ -102,6 +104,18 @@ def test_unreadable_index_disables_the_cache(kernel, damage):
     with pytest.warns(CacheWarning, match=WARNING) as warned:
         assert kernel(1, 2) == 3
     assert len(warned) == 1
+
+
+def test_index_that_names_a_removed_function_is_replaced(kernel):
+    """Kernels that took a friction law as an argument name it; the law may be gone after an edit."""
+    index = Path(kernel._cache._cache_file._index_path)
+    index.parent.mkdir(exist_ok=True)
+    index.write_bytes(pickle.dumps(numba.__version__) + b"csrs_twin.robot.friction\nremoved\n.")
+    again = compiled(add)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert (kernel(1, 2), again(1, 2)) == (3, 3)
+    assert again.stats.cache_hits.total() == 1
 
 
 LAW = """

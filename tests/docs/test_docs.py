@@ -92,6 +92,8 @@ def test_documented_commands_parse_and_their_files_exist(page, line):
         if "srs-twin" in words and "build" not in words:
             mention = line not in page.commands
             check_srs_twin(page, words[words.index("srs-twin") + 1 :], mention=mention)
+        elif "pytest" in words:
+            assert all((ROOT / word).exists() for word in words if word.startswith("tests/")), line
         elif any(word.endswith(".py") for word in words):
             check_script(words)
         assert words[0] in OTHERS | {"srs-twin"} or words[0].endswith("/pip") or words[0].endswith("/uv"), (

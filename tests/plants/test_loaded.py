@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -35,7 +36,10 @@ from srs_twin import (
     rollout,
     run_many,
 )
+from srs_twin.plants.twin.friction_solve import _friction_law
+from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS
 from srs_twin.plants.twin.stick_slip import rolling_friction, stick_slip_friction
+from srs_twin.robot import friction
 from srs_twin.robot.friction import ellipse, wheel
 from srs_twin.robot.spec import Friction, Tail
 
@@ -77,6 +81,18 @@ def test_wheel_without_inertia_follows_the_wheel_law(v_t, v_n, mu_n, share):
     slip = 1e-6
     expected = wheel(v_t, v_n, LOAD, share * mu_n, mu_n, slip)[:2]
     actual = rolling_friction(v_t, v_n, LOAD, share * mu_n, mu_n, slip, 0.0, 0.0, 0.0, 1e-12)[:2]
+    assert actual == pytest.approx(expected, abs=1e-4 * LOAD)
+
+
+@pytest.mark.parametrize("law", LAWS_ON_LOADS)
+@given(v_t=SPEED, v_n=SPEED, mu_n=MU, share=st.floats(0.01, 0.9))
+def test_sliding_contact_follows_the_law_of_its_name(law, v_t, v_n, mu_n, share):
+    """A law without a branch of its own in the friction solve would run as another one."""
+    assume(abs(v_n) > 1e-3 and abs(v_t) > 1e-3)
+    slip, mu_t = 1e-6, share * mu_n
+    expected = getattr(friction, law)(v_t, v_n, LOAD, mu_t, mu_n, slip)[:2]
+    contact = SimpleNamespace(wheels=1, law=LAWS_ON_LOADS.index(law), coefficients=(mu_t, mu_n, slip, 1e-12))
+    actual = _friction_law.py_func(contact, 0, v_t, v_n, LOAD, (0.0, 0.0, 0.0), 0.0, 1.0)[:2]
     assert actual == pytest.approx(expected, abs=1e-4 * LOAD)
 
 
