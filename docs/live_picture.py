@@ -20,8 +20,7 @@ from PIL import Image
 from shapely import LineString
 
 from srs_twin.comparison.centre_line import centre_lines
-from srs_twin.live.estimate import Estimate
-from srs_twin.live.estimate import Prediction
+from srs_twin.live.estimate import Estimate, Prediction
 from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 
