@@ -485,7 +485,9 @@ def _in_processes(
         for done in completed:
             if done.error is not None and not isinstance(done.error, DivergedError):
                 raise done.error
-            results[done.number] = done.error or done.result
+            result = done.error or done.result
+            assert result is not None, "a task without an error has a result"
+            results[done.number] = result
             if report is not None:
                 report(len(results))
     return [results[number] for number in range(len(tasks))]

@@ -121,7 +121,6 @@ def test_law_of_the_page_has_its_slopes_and_is_accepted_by_both_plants(extended)
     extended("-c", LAW)
 
 
-@pytest.mark.slow
 def test_metric_of_the_page_is_listed_measured_and_shown(extended):
     code = """
 import json
