@@ -197,12 +197,12 @@ class PlantVariants:
 
     def _contact_refinements(self) -> list[Refinement]:
         """Return the refinements of the floor contact of the twin."""
-        contact = self._twin.build_contact()
+        contact = self._twin.build_contact().for_robot(self._scenario.robot)
         if isinstance(contact, PreloadedContact):
             stiffer = replace(
                 contact,
-                slip_time=contact.slip_time / 2,
-                axle_time=contact.axle_time / 2,
+                slip_time=stated(contact.slip_time) / 2,
+                axle_time=stated(contact.axle_time) / 2,
                 preload=2 * contact.preload_ratio,
             )
             title = "slip of MuJoCo's smoothed friction"

@@ -20,6 +20,7 @@ from srs_twin.errors import InputError, InputFileError, UnknownNameError
 from srs_twin.io.documents import Document, Loc, child
 from srs_twin.io.files import find_file
 from srs_twin.io.validation import StrictModel, load_model, validate
+from srs_twin.robot.scale import Scale
 from srs_twin.robot.sourced import Record, Records, bounded, number_field, replace_value, split_unit
 from srs_twin.robot.spec import (
     PER_CHAMBER,
@@ -304,6 +305,11 @@ class RobotFile(StrictModel):
             for key, record in section
             if isinstance(record, Record)
         }
+
+    @property
+    def scale(self) -> Scale:
+        """Units of the numerical settings."""
+        return Scale.of_pitch(self.geometry.segment_length_m.value + self.geometry.rigid_gap_m.value)
 
     def spec(self, seed: int = 0) -> RobotSpec:
         """Return the robot in SI units.

@@ -58,7 +58,8 @@ BENDS = STATES
 """Index of the first bend in the state: those of `kernels`, then the bends, then their momenta."""
 
 _NEWTON_STEPS = 1000  # largest number of iterations; many are needed at rest on a slope, at a kink of the law
-_NEWTON_TOLERANCE = 1e-9  # of the velocities, m/s; a tenth of the rates (rad/s) counts
+_NEWTON_TOLERANCE = 1e-9  # of the velocities at a time unit of 1, m/s
+_NEWTON_ARM = 0.1  # with which rates count as velocities, at a length unit of 1, m
 _OVERSHOOT = 0.1  # slope after a Newton step over that before it, above which the step was too long, 1
 
 
@@ -325,6 +326,7 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
     slope_before = 0.0  # slope of the potential along that step at its start
     converged = False
     power = 0.0
+    tolerance, arm = _NEWTON_TOLERANCE * floor.unit, _NEWTON_ARM * floor.unit * floor.unit
     for _ in range(_NEWTON_STEPS):
         for j in range(segments):
             q[j] = known[BENDS + j] + a * u[3 + j]
@@ -345,8 +347,8 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
         for j in range(size):
             u[j] -= step[j]
             slope_before += residual[j] * step[j]
-            longest = max(longest, abs(step[j]) * (1.0 if j < 2 else 0.1))
-        if longest < _NEWTON_TOLERANCE:
+            longest = max(longest, abs(step[j]) * (1.0 if j < 2 else arm))
+        if longest < tolerance:
             converged = True
             break
     for j in range(size):

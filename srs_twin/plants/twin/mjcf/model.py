@@ -59,6 +59,7 @@ def robot_mjcf(
             f"time step {settings.timestep:g} s is too long for segments with a damping time c/k of "
             f"{shortest:g} s; it must be shorter"
         )
+    settings = settings.for_robot(spec)
     mj = MjSpec()
     mj.modelname = spec.name
     mj.compiler.degree = False
@@ -111,7 +112,7 @@ def scene_mjcf(
     add_surroundings(mj, spec.geometry.body_length)
     if world.has_obstacles:
         add_obstacles(mj, spec, world)
-    levels = add_steps(mj, world.steps, spec.geometry.body_length)
+    levels = add_steps(mj, world.steps, spec)
     if settings.base == "free":
         add_contacts(mj, spec, settings, levels)
     mj.add_sensor(name="kinetic_energy", type=mujoco.mjtSensor.mjSENS_E_KINETIC)
