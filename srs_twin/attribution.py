@@ -26,7 +26,7 @@ from srs_twin.comparison.compare import MEASURES, AssumptionShare, Attribution, 
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.plants.base import Plant
-from srs_twin.plants.twin.mjcf.numerics import LAW_OF, Numerics, PreloadedContact
+from srs_twin.plants.twin.mjcf.numerics import LAW_OF, Numerics, PreloadedContact, stated
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import Job, rollout, run_many
 from srs_twin.scenario.plants import AnalyticalFile, TwinFile

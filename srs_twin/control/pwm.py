@@ -10,7 +10,7 @@ from srs_twin.compute.arrays import check_positive
 from srs_twin.errors import InputError, count_steps
 from srs_twin.io.saved_state import Stateful
 from srs_twin.pneumatics.valves import valve_slot
-from srs_twin.robot.scale import Scale
+from srs_twin.robot.scale import SHIPPED, Scale
 
 
 class PulseWidthModulator(Stateful):
@@ -43,7 +43,7 @@ class PulseWidthModulator(Stateful):
         *,
         aligned: bool = False,
         allow_long_ticks: bool = False,
-        scale: Scale = Scale(),
+        scale: Scale = SHIPPED,
     ) -> None:
         """Create a modulator at the start of a period.
 

@@ -251,7 +251,7 @@ class CoreScenarioFile(Section):
         return default if section is None or section.tick_s is None else float(section.tick_s)
 
     def scaled_to(self, scale: Scale) -> Self:
-        """Return the scenario with the numerical settings that the file does not set in the units of a robot."""
+        """Return the scenario with numerical defaults in the units of a robot."""
         plants = {
             kind: section.scaled_to(
                 scale, self.tick(kind) * (1.0 if section.tick_s is not None else scale.time)

@@ -358,8 +358,8 @@ TOLERANCE_M_S = 0.0002
 SLIP_SPEED_M_S = 0.00025
 """Default slip speed at a time unit of 1, m/s."""
 
-# Largest interval between exchanges of bends and pressures for point masses at a time unit of 1, s. With 0.25 ms
-# their pressures oscillate below ambient; half of this interval does not change the results.
+# Largest interval between exchanges of bends and pressures for point masses at a time unit of 1, s. With
+# 0.25 ms their pressures oscillate below ambient; half of this interval does not change the results.
 _POINT_MASS_COUPLING_STEP = 0.0001
 
 

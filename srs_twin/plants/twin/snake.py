@@ -96,8 +96,8 @@ class TwinSnake(PneumaticPlant):
             spec: the robot.
             contact: contact with the floor; the names "loaded" and "preloaded" select `LoadedContact()` and
                 `PreloadedContact()`.
-            timestep: time step, s; the tick is a multiple of it. The default is `numerics.TIMESTEP_S` times the
-                time unit of the robot, or the next part of the tick (`robot.scale.divide`).
+            timestep: time step, s; the tick is a multiple of it. The default is `numerics.TIMESTEP_S` times
+                the time unit of the robot, or a near part of the tick (`robot.scale.divide`).
             hinges_per_segment: bending hinges per segment.
             supply_pa: supply pressure, Pa; default the robot's nominal pressure.
             tick: control tick, s; default `TICK_S` times the time unit.

@@ -230,12 +230,13 @@ class ModelSettings:
     def contact_time(self, spec: RobotSpec) -> float:
         """Return the time constant of the normal contact, s.
 
-        Under loaded contact it is two time steps, because the loads oscillate with one.
+        Under loaded contact it is two time steps, because the loads oscillate with one. Under a preload it
+        is a fraction of the damping time of pitch and roll, which distribute the load.
         """
-        return 2 * self.timestep if self.loaded else _PRELOADED_CONTACT_TIME * spec.scale.time
+        return 2 * self.timestep if self.loaded else spec.bending.out_of_plane_damping_time / _CONTACT_RATIO
 
 
-_PRELOADED_CONTACT_TIME = 0.001  # of the normal contact under a preload, at a time unit of 1, s
+_CONTACT_RATIO = 10.0  # damping time of pitch and roll over the contact time under a preload, 1
 
 Preset = Literal["reference", "fast"]
 PRESETS: dict[str, dict[str, Any]] = {"reference": {"timestep": 0.00025}, "fast": {"timestep": 0.002}}
