@@ -9,10 +9,10 @@ $$ u = 2^{\operatorname{round}(\frac12 \log_2 (P / P_0))}, \qquad P_0 = 1/16\ \m
 
 where P is the distance between connectors: times and speeds by u, lengths by u².
 
-u is 1 for 3.1 cm < P < 12.5 cm, which contains all shipped robots. A power of two multiplies without rounding,
-so that a robot scaled by a power of four repeats the motion of the original to the last digits. Between these
-powers the settings stay constant: they are at most √2 times too fine or too coarse, and change by a factor of
-two (lengths by four) where P passes 3.1 cm, 12.5 cm, 50 cm, and so on.
+u is 1 for 3.1 cm < P < 12.5 cm, which contains all shipped robots. A power of two multiplies without
+rounding, so that a robot scaled by a power of four repeats the motion of the original to the last digits.
+Between these powers the settings stay constant: they are at most √2 times too fine or too coarse, and change
+by a factor of two (lengths by four) where P passes 3.1 cm, 12.5 cm, 50 cm, and so on.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ SHIPPED = Scale()
 def divide(interval: float, part: float) -> float:
     """Return the part into which an interval is divided, s.
 
-    It is `part` if the interval is a multiple of it, and the interval if that is shorter. Otherwise the number
-    of parts is 1, 2 or 5 times a power of ten, whichever gives the ratio to `part` closest to 1. The tick of
-    20 ms scaled by any factor is then divided like the original.
+    It is `part` if the interval is a multiple of it, and the interval if that is shorter. Otherwise the
+    number of parts is 1, 2 or 5 times a power of ten, whichever gives the ratio to `part` closest to 1. The
+    tick of 20 ms scaled by any factor is then divided like the original.
 
     Args:
         interval: s.

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import model_validator
 
-from srs_twin.plants.analytical import SLIP_SPEED_M_S, TIMESTEP_S, AnalyticalSnake
+from srs_twin.plants.analytical import SLIP_SPEED_M_S, TIMESTEP_S, AnalyticalSnake, default_timestep
 from srs_twin.plants.twin.mjcf.numerics import (
     LAW_OF,
     PRESETS,
@@ -90,6 +90,13 @@ class AnalyticalFile(_PlantFile):
     slip_speed_m_s: float = quantity(1e-9, 1.0, SLIP_SPEED_M_S)
     """Slip speed below which friction deviates from Coulomb friction (default: 0.00025 times the robot's time
     unit)."""
+
+    def scaled_to(self, scale: Scale, tick: float) -> Self:
+        """See `_PlantFile.scaled_to`; the default time step may divide the tick."""
+        scaled = super().scaled_to(scale, tick)
+        if "timestep_s" not in self.model_fields_set:
+            scaled.__dict__["timestep_s"] = default_timestep(tick, scale)
+        return scaled
 
     @model_validator(mode="after")
     def _options_are_consistent(self) -> AnalyticalFile:

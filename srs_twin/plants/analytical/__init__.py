@@ -45,6 +45,7 @@ from srs_twin.plants.base import (
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.robot.friction import LAWS, TWO_POINT_LAWS
+from srs_twin.robot.scale import SHIPPED, Scale, divide
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor
@@ -351,6 +352,17 @@ MODELS = ("complete", "simplified", "compliant")
 LOADS = ("static", "momentary")
 INERTIAS = ("point", "connector", "lumped")
 
+
+def default_timestep(tick: float, scale: Scale) -> float:
+    """Return the default longest time step, s.
+
+    Args:
+        tick: control tick, s.
+        scale: units of the robot. For those of the shipped robots the step does not depend on the tick.
+    """
+    return TIMESTEP_S if scale == SHIPPED else divide(tick, TIMESTEP_S * scale.time)
+
+
 TIMESTEP_S = 0.002
 """Default longest time step at a time unit of 1 (`robot.scale`), s."""
 TOLERANCE_M_S = 0.0002
@@ -450,7 +462,8 @@ class AnalyticalSnake(PneumaticPlant):
                 the masses of the segments twice (E19).
             supply_pa: supply pressure, Pa; default the robot's nominal pressure.
             tick: control tick, s; default `TICK_S` times the time unit of the robot (`robot.scale`).
-            timestep: longest time step, s; default `TIMESTEP_S` times the time unit.
+            timestep: longest time step, s; default `TIMESTEP_S` times the time unit, or a near part of the
+                tick (`robot.scale.divide`).
             tolerance: largest error of a step where friction reverses, as a velocity, m/s; with prescribed
                 bends, steps are divided until they meet it, see `steps`; default `TOLERANCE_M_S` times the
                 time unit.
@@ -470,7 +483,7 @@ class AnalyticalSnake(PneumaticPlant):
         """
         world, unit = world or World(), spec.scale.time
         tick = TICK_S * unit if tick is None else tick
-        timestep = TIMESTEP_S * unit if timestep is None else timestep
+        timestep = default_timestep(tick, spec.scale) if timestep is None else timestep
         tolerance = TOLERANCE_M_S * unit if tolerance is None else tolerance
         slip_speed = SLIP_SPEED_M_S * unit if slip_speed is None else slip_speed
         _check_options(spec, world, model, friction, load, friction_torque, inertia, base)
