@@ -259,6 +259,7 @@ class CoreScenarioFile(Section):
             for kind, section in self.plants.running.items()
         }
         scaled = self.model_copy()
+        scaled.__dict__["world"] = self.world.scaled_to(scale)
         scaled.__dict__["plants"] = self.plants.model_copy()
         scaled.plants.__dict__.update(plants)
         return scaled

@@ -56,10 +56,8 @@ class _PlantFile(Section):
             scale: units of the robot.
             tick: control tick, s.
         """
-        missing = [key for key in self.scaled_keys if key not in self.model_fields_set]
-        scaled = self.model_copy()
-        # `model_fields_set` still contains the keys of the file only.
-        scaled.__dict__.update({key: getattr(self, key) * scale.time for key in missing} | {"tick_s": tick})
+        scaled = self.with_scaled_defaults(self.scaled_keys, scale.time)
+        scaled.__dict__["tick_s"] = tick
         return scaled
 
 
@@ -187,7 +185,7 @@ def with_preset(twin: Mapping[str, Any], preset: Any) -> dict[str, Any]:
     """Return plain data of a twin with another preset; keys that override the former preset are kept."""
     before = preset_keys(twin.get("preset"))
     explicit = {key: value for key, value in twin.items() if key not in before or before[key] != value}
-    return {**preset_keys(preset), **explicit, "preset": preset}
+    return {**explicit, "preset": preset}
 
 
 PRESET = ("plants", "twin", "preset")
