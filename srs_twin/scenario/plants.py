@@ -35,9 +35,11 @@ class _PlantFile(Section):
 
     Attributes:
         floor_keys: keys that describe the contact with the floor, not allowed on a bench.
+        scaled_keys: keys whose defaults are multiplied by the time unit of the robot.
     """
 
     floor_keys: ClassVar[tuple[str, ...]]
+    scaled_keys: ClassVar[tuple[str, ...]] = ("timestep_s",)
 
     gaps: bool = True
     """Whether the segments have rigid gaps."""
@@ -45,9 +47,6 @@ class _PlantFile(Section):
     tick_s: float | None = quantity(1e-6, 10.0, None)
     """Control tick; on the twin a multiple of timestep_s (default: 0.02, on a bench 0.001, times the robot's
     time unit)."""
-
-    scaled_keys: ClassVar[tuple[str, ...]] = ("timestep_s",)
-    """Keys whose defaults are multiplied by the time unit of the robot."""
 
     def scaled_to(self, scale: Scale, tick: float) -> Self:
         """Return the section with the times and speeds that the file does not set in the units of a robot.
