@@ -16,11 +16,11 @@ from grid import Run, run_all, table
 
 from srs_twin import LoadedContact, PreloadedContact
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.plants.twin.mjcf.numerics import ModelSettings
+from srs_twin.plants.twin.mjcf.numerics import SLIP_SPEED_M_S, ModelSettings
 
 GAITS = ((1.0, 0.0), (2.0, 0.0), (2.0, 0.2))  # Hz, offset
 BASE = ModelSettings()
-HALF_SLIP = {"contact": LoadedContact(slip_speed=LoadedContact.slip_speed / 2)}
+HALF_SLIP = {"contact": LoadedContact(slip_speed=SLIP_SPEED_M_S / 2)}
 
 CASES: dict[str, list[tuple[str, dict[str, Any]]]] = {
     "analytical": [

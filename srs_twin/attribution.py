@@ -30,7 +30,7 @@ from srs_twin.compute.workers import processor_count, run_tasks
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.plants.base import Plant
-from srs_twin.plants.twin.mjcf.numerics import LAW_OF, Numerics, PreloadedContact
+from srs_twin.plants.twin.mjcf.numerics import LAW_OF, Numerics, PreloadedContact, stated
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import Job, rollout, run_many
 from srs_twin.scenario.plants import AnalyticalFile, TwinFile
@@ -201,12 +201,12 @@ class PlantVariants:
 
     def _contact_refinements(self) -> list[Refinement]:
         """Return the refinements of the floor contact of the twin."""
-        contact = self._twin.build_contact()
+        contact = self._twin.build_contact().for_robot(self._scenario.robot)
         if isinstance(contact, PreloadedContact):
             stiffer = replace(
                 contact,
-                slip_time=contact.slip_time / 2,
-                axle_time=contact.axle_time / 2,
+                slip_time=stated(contact.slip_time) / 2,
+                axle_time=stated(contact.axle_time) / 2,
                 preload=2 * contact.preload_ratio,
             )
             title = "slip of MuJoCo's smoothed friction"

@@ -19,6 +19,8 @@ ROOM = Path(srs_twin.scenario.__file__).parent
 
 # Keys whose default intentionally differs from the constructor, with the reason.
 OTHER = {
+    "AnalyticalFile.timestep_s": "the constructor multiplies it by the time unit of the robot",
+    "AnalyticalFile.slip_speed_m_s": "the constructor multiplies it by the time unit of the robot",
     "DeadSensorFile.reading_rad": "nothing is read unless a reading is given",
     "FollowFile.delay_s": "a real snake answers late",
     "OmplFile.seconds": "it has no other end",

@@ -22,9 +22,9 @@ import numpy as np
 
 from srs_twin.compute.arrays import check_positive
 from srs_twin.control.base import Controller
-from srs_twin.errors import InputError, count_steps
+from srs_twin.errors import InputError
 from srs_twin.plants.base import SnakeState
-from srs_twin.pneumatics.valves import SLOT_S, Schedule
+from srs_twin.pneumatics.valves import Schedule, count_slots
 from srs_twin.robot.spec import RobotSpec
 
 
@@ -108,7 +108,7 @@ class Gait(Controller):
         """
         if len(self._phases) not in (0, spec.segments):
             raise InputError(f"{len(self._phases)} phases, but {spec.name} has {spec.segments} segments")
-        slots = count_steps("tick", tick, "valve slot", SLOT_S) if tick > SLOT_S else 1
+        slots = count_slots(tick, spec.scale)
         step = spec.phase_step if self._phase_step is None else self._phase_step
         self.phase_lag = step * np.arange(spec.segments) - self.phase
         if self._phases:

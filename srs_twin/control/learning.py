@@ -153,12 +153,12 @@ class ILC(Controller):
         """See `Controller.reset`.
 
         Raises:
-            InputError: the tick is not a multiple of 0.1 ms, or a gait period has too few ticks.
+            InputError: a gait period has too few ticks.
         """
         self._gait.reset(spec, tick)
         self._gait.offset = 0.0
         self._pulses = PulseWidthModulator(
-            self._carrier_hz, tick, spec.segments, aligned=True, allow_long_ticks=True
+            self._carrier_hz, tick, spec.segments, aligned=True, allow_long_ticks=True, scale=spec.scale
         )
         common = self._clock == "common"
         self._periods = ChamberPeriods(self._gait.phase_lag, self.frequency, tick, common=common)

@@ -9,7 +9,8 @@ import numpy as np
 from srs_twin.compute.arrays import check_positive
 from srs_twin.errors import InputError, count_steps
 from srs_twin.io.saved_state import Stateful
-from srs_twin.pneumatics.valves import SLOT_S
+from srs_twin.pneumatics.valves import valve_slot
+from srs_twin.robot.scale import SHIPPED, Scale
 
 
 class PulseWidthModulator(Stateful):
@@ -42,23 +43,26 @@ class PulseWidthModulator(Stateful):
         *,
         aligned: bool = False,
         allow_long_ticks: bool = False,
+        scale: Scale = SHIPPED,
     ) -> None:
         """Create a modulator at the start of a period.
 
         Args:
             carrier_hz: carrier frequency, Hz.
-            tick: s, a multiple of the slot of 0.1 ms.
+            tick: s.
             segments: number of segments with two chambers each.
             aligned: whether the pulses of both chambers begin at the start of the period.
             allow_long_ticks: whether a tick may be longer than a period, for controllers that do not update
                 the duties in every period.
+            scale: units of the robot, for the length of the slots.
 
         Raises:
-            InputError: the carrier frequency is not above 0, the tick is not a multiple of the slot, or it is
-                longer than a period without `allow_long_ticks`.
+            InputError: the carrier frequency or the tick is not above 0, or the tick is longer than a period
+                without `allow_long_ticks`.
         """
         check_positive("carrier_hz", carrier_hz)
-        self._slots = count_steps("tick", tick, "valve slot", SLOT_S)
+        slot = valve_slot(tick, scale)
+        self._slots = count_steps("tick", tick, "valve slot", slot)
         self.period = 1 / carrier_hz
         if tick > self.period and not allow_long_ticks:
             raise InputError(
@@ -66,7 +70,7 @@ class PulseWidthModulator(Stateful):
                 f"{1 / tick:g} Hz or less, or a shorter tick"
             )
         self._aligned = aligned
-        self._periods_per_slot = carrier_hz * SLOT_S
+        self._periods_per_slot = carrier_hz * slot
         self._ticks = 0
         self._period_number = -1
         self.duty = np.zeros((segments, 2))

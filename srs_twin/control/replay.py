@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from srs_twin.control.base import Controller
-from srs_twin.errors import InputError, UnknownNameError, count_steps
+from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.plants.base import SnakeState
-from srs_twin.pneumatics.valves import LAYOUTS, SLOT_S, Schedule
+from srs_twin.pneumatics.valves import LAYOUTS, Schedule, count_slots
 from srs_twin.robot.spec import RobotSpec
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class Replay(Controller):
             raise InputError(
                 f"the recorded valves belong to {segments} segments, but {spec.name} has {spec.segments}"
             )
-        slots = count_steps("tick", tick, "valve slot", SLOT_S) if tick > SLOT_S else 1
+        slots = count_slots(tick, spec.scale)
         self._slot_centres = tick * (np.arange(slots) + 0.5) / slots
 
     def step(self, state: SnakeState) -> np.ndarray:

@@ -306,7 +306,7 @@ class IterativeSMC(SlidingMode):
             InputError: the tick is not a multiple of 0.1 ms, or it is longer than a carrier period.
         """
         super().reset(spec, tick, seed=seed)
-        self._pulses = PulseWidthModulator(self.carrier_hz, tick, spec.segments)
+        self._pulses = PulseWidthModulator(self.carrier_hz, tick, spec.segments, scale=spec.scale)
         self._mu = np.zeros(spec.segments)
         self._last_error = np.zeros(spec.segments)
         self._error_sum = np.zeros(spec.segments)

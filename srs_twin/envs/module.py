@@ -94,7 +94,9 @@ class ModuleEpisode(Episode):
         """Start with a straight module and empty chambers."""
         state = twin.reset(seed=seed)
         self._levels = levels
-        self._carrier = PulseWidthModulator(CARRIER_HZ, twin.tick, 1, allow_long_ticks=True)
+        self._carrier = PulseWidthModulator(
+            CARRIER_HZ, twin.tick, 1, allow_long_ticks=True, scale=twin.spec.scale
+        )
         self._readings = SensorReadings(1)
         self._duties = [0.0, 0.0]
         super().__init__(task, twin, state)

@@ -53,11 +53,11 @@ _COARSE_STEP = 0.1
 MAX_TWIN_RUNS = 150
 """Largest number of simulations of all recordings with the twin in one search."""
 
-_CLOSE_STEPS = {"tolerance": 2e-5}  # m/s
+_CLOSE_STEPS = {"tolerance": 2e-5}  # m/s at a time unit of 1 (`robot.scale`)
 """Settings of an analytical plant in a fit. The tolerance of the friction is a tenth of the default, because
 with the default the step control dominates the differences between runs."""
 
-_COMPLIANT_STEPS = _CLOSE_STEPS | {"timestep": 0.0005, "slip_speed": 0.001}  # s, m/s
+_COMPLIANT_STEPS = _CLOSE_STEPS | {"timestep": 0.0005, "slip_speed": 0.001}  # s, m/s at a time unit of 1
 """Settings of `compliant` in a fit, which has a fixed time step. With the default (2 ms, 0.25 mm/s) the sum
 of squares has many local minima a few standard errors apart, and derivatives contain this ripple. The slip
 speed is that of the twin."""
@@ -148,6 +148,7 @@ class PlantModel:
         from srs_twin.plants.analytical import AnalyticalSnake
 
         steps = _COMPLIANT_STEPS if settings.get("model") == "compliant" else _CLOSE_STEPS
+        steps = {name: value * spec.scale.time for name, value in steps.items()}
         return AnalyticalSnake(spec, supply_pa=supply_pa, **{**steps, **settings})
 
     def simulate(self, run: GaitRun, spec: RobotSpec) -> Trajectory:

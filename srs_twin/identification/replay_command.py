@@ -122,9 +122,9 @@ def _load_robot(robot: str, fits: Sequence[str]) -> RobotFile:
 
 def _duration(recording: dict[str, Any], robot: RobotFile, quiet: bool) -> float:
     """Return the duration of the recording in whole ticks, s, and print a summary of the recording."""
+    from srs_twin.plants.base import TICK_S
     from srs_twin.recordings.recording_map import read_map
     from srs_twin.recordings.takes import RecordingReader, logs_of
-    from srs_twin.scenario.plants import TICK_S
 
     settings = {key: value for key, value in recording.items() if key not in ("motion", "valves")}
     motion, valves = recording["motion"], recording.get("valves")

@@ -166,7 +166,7 @@ class EmulatedRobot:
             raise InputError(f"chambers of pneumatics {pneumatics!r} do not begin to leak; 'orifice' ones do")
         self._pending = [fault for fault in self.faults if fault.kind in ("leak", "starved")]
         self._pulses = PulseWidthModulator(
-            CARRIER_HZ, tick, spec.segments, aligned=True, allow_long_ticks=True
+            CARRIER_HZ, tick, spec.segments, aligned=True, allow_long_ticks=True, scale=spec.scale
         )
         self._frozen = np.full(spec.segments, np.nan)
         self.valves = np.full((spec.segments, 2), -1, dtype=np.int8)

@@ -19,7 +19,7 @@ from srs_twin.robot.spec import RobotSpec
 STEP_S = 0.0025
 """Longest time step of the members."""
 _SLIP_SPEED = 0.001
-"""Speed below which friction is viscous, m/s."""
+"""Speed below which friction is viscous, at a time unit of 1 (`robot.scale`), m/s."""
 _LARGEST_VELOCITY = 20.0
 """Velocity (m/s or rad/s) above which a member has diverged."""
 
@@ -58,7 +58,10 @@ class MemberDynamics:
         self._spec, g, mu = spec, spec.geometry, spec.friction
         solid = BodyParameters(spec.mass.array(), spec.yaw_inertia(), g.segment_length, g.rigid_gap, 0.0)
         lean, drag = g.com_height / (2 * g.half_track), mu.drag / g.connectors
-        floor = floor_friction("wheel", g.half_track, mu.mu_t, mu.mu_n, _SLIP_SPEED, lean, drag=drag)
+        unit = spec.scale.time
+        floor = floor_friction(
+            "wheel", g.half_track, mu.mu_t, mu.mu_n, _SLIP_SPEED * unit, lean, drag=drag, unit=unit
+        )
         self.mass: np.ndarray = solid.mass
         self._model = solid, (spec.bending.stiffness, spec.bending.damping), floor
 

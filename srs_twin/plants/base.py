@@ -97,6 +97,9 @@ class SnakeState:
         return SnakeState(*(np.asarray(getattr(self, name))[None] for name in _FIELDS))
 
 
+TICK_S = 0.02
+"""Default control tick for gaits at a time unit of 1 (`robot.scale`), s."""
+
 _FIELDS = tuple(field.name for field in fields(SnakeState))  # cached: `fields` is too slow for every tick
 
 

@@ -50,6 +50,8 @@ MAX_CRITICAL_RATIO = 0.8
 LINE_VOLUME = 50e-6
 """Volume between a limited supply and the inlets, m³. Estimate: compressor outlet, tubes and manifold."""
 
+_SUBSTEP_S = 5e-4  # longest step of the integrator at a time unit of 1 (`robot.scale`), s
+
 REGULATOR_BAND = 0.01
 """Fraction of the supply's gauge pressure over which its regulator closes, 1."""
 
@@ -82,7 +84,7 @@ class OrificePneumatics(Pneumatics):
         line_begins: float | None = None,
         leak_per_s: float = 0.0,
         valve_delay_s: float = 0.0,
-        substep: float = 5e-4,
+        substep: float | None = None,
     ) -> None:
         """Construct the chambers.
 
@@ -97,7 +99,8 @@ class OrificePneumatics(Pneumatics):
             line_begins: initial gauge pressure in the line, Pa; default that of the supply.
             leak_per_s: relative rate at which a held pressure falls, 1/s.
             valve_delay_s: time from a command until the valve switches, s.
-            substep: longest step of the integrator, s.
+            substep: longest step of the integrator, s; default 0.5 ms times the time unit of the robot
+                (`robot.scale`).
 
         Raises:
             InputError: the layout is unknown, or a number is out of range.
@@ -106,7 +109,8 @@ class OrificePneumatics(Pneumatics):
         limited = flow_limit is not None
         # A closed chamber is a stiff spring. Without a flow limit the speed of gen 2 differs by 0.5 % between
         # 1 ms and 0.25 ms, and 2 ms diverges. A flow limit couples all chambers, and 1 ms oscillates.
-        self.coupling_step_s = 0.00025 if limited else 0.001
+        self.coupling_step_s = (0.00025 if limited else 0.001) * spec.scale.time
+        substep = _SUBSTEP_S * spec.scale.time if substep is None else substep
         max_flow = 1.0 if flow_limit is None else flow_limit
         positive = {"flow_limit": max_flow, "line_volume": line_volume, "substep": substep}
         for name, value in positive.items():

@@ -11,6 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from srs_twin.errors import count_steps
+from srs_twin.robot.scale import Scale, divide
+
 
 @dataclass(frozen=True)
 class StuckValve:
@@ -33,10 +36,29 @@ LAYOUTS = {"3/2": (-1, 1), "in_out": (-1, 0, 1)}
 """Valve layout → possible valve states: one 3/2 valve per chamber, or an inlet and an outlet valve."""
 
 SLOT_S = 1e-4
-"""Time raster of valve events within a control tick, s."""
+"""Time raster of valve events within a control tick, s, at a time unit of 1 (`robot.scale`)."""
 
 # Smallest time between two valve events, s; closer events are merged, which absorbs rounding.
 _EVENT_TOLERANCE = 1e-9
+
+
+def valve_slot(tick: float, scale: Scale) -> float:
+    """Return the time raster of valve events, which divides a control tick into a whole number of slots, s.
+
+    Args:
+        tick: control tick, s.
+        scale: units of the robot.
+    """
+    return divide(tick, SLOT_S * scale.time)
+
+
+def count_slots(tick: float, scale: Scale) -> int:
+    """Return the number of valve slots of a control tick; arguments as in `valve_slot`.
+
+    Raises:
+        InputError: the tick is not finite or not above 0.
+    """
+    return count_steps("tick", tick, "valve slot", valve_slot(tick, scale))
 
 
 class Schedule(NamedTuple):

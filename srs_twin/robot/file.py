@@ -20,6 +20,7 @@ from srs_twin.errors import InputError, InputFileError, UnknownNameError
 from srs_twin.io.documents import Document, Loc, child
 from srs_twin.io.files import find_file
 from srs_twin.io.validation import StrictModel, load_model, validate
+from srs_twin.robot.scale import Scale
 from srs_twin.robot.sourced import Record, Records, bounded, number_field, replace_value, split_unit
 from srs_twin.robot.spec import (
     PER_CHAMBER,
@@ -48,6 +49,19 @@ AngleStd = Record[Annotated[float, bounded(0.0, 0.5)], Literal["rad"]]
 
 _MAX_DEVIATIONS = 3.0
 """Limit of random draws, in standard deviations."""
+
+# Bounds of files. They admit the shipped robots scaled by 1/40 to 100: lengths by s, masses by s³, and
+# stiffness by s⁴.
+LENGTHS_M = (1e-5, 100.0)
+"""Smallest and largest length of a robot, m."""
+MASSES_KG = (1e-10, 1e6)
+"""Smallest and largest mass of a part, kg."""
+STIFFNESSES_NM_PER_RAD = (1e-10, 1e9)
+"""Smallest and largest stiffness of a segment, N·m/rad."""
+
+# Numbers outside these ranges are taken as wrong units.
+_LENGTH_RATIOS = (1e-3, 100.0)  # of a length and the distance between connectors, 1
+_DENSITIES = (0.1, 1e5)  # of a connector with its part of the body, kg/m³; lead has 11 000
 
 _SUSPICIOUS_RATIO = 300.0
 """Ratio of an override to the base's number above which a wrong unit (mm, Pa) is likely."""
@@ -145,29 +159,29 @@ class GeometryFile(Records):
 
     connectors: Number = number_field(2, 64, int)
     """Number of connectors N ("links" in the dissertation); one more than segments."""
-    segment_length_m: Number = number_field(1e-3, 1.0)
+    segment_length_m: Number = number_field(*LENGTHS_M)
     """Length of the bending part of a segment."""
-    rigid_gap_m: Number = number_field(0.0, 1.0)
+    rigid_gap_m: Number = number_field(0.0, LENGTHS_M[1])
     """Length of the straight part of a segment, half of it at each end."""
-    half_track_m: Number = number_field(1e-4, 1.0)
+    half_track_m: Number = number_field(*LENGTHS_M)
     """Distance of a wheel from the centre line."""
-    wheel_radius_m: Number = number_field(1e-4, 1.0)
+    wheel_radius_m: Number = number_field(*LENGTHS_M)
     """Radius of a wheel."""
-    com_height_m: Number = number_field(1e-4, 1.0)
+    com_height_m: Number = number_field(*LENGTHS_M)
     """Height of the centre of mass above the floor."""
-    width_m: Number = number_field(1e-4, 1.0)
+    width_m: Number = number_field(*LENGTHS_M)
     """Width of the soft body; no effect on the motion."""
 
 
 class MassFile(Records):
     """Masses."""
 
-    connectors_kg: Number = number_field(1e-4, 100.0, shape=_one_or_each)
+    connectors_kg: Number = number_field(*MASSES_KG, shape=_one_or_each)
     """Mass of a connector with its wheels and its part of the body; one number for all, or a list, head
     first."""
-    wheel_kg: Number = number_field(1e-6, 100.0)
+    wheel_kg: Number = number_field(*MASSES_KG)
     """Mass of one wheel, included in that of its connector."""
-    connector_gyration_m: Number | None = number_field(1e-4, 1.0, optional=True)
+    connector_gyration_m: Number | None = number_field(*LENGTHS_M, optional=True)
     """Radius of gyration of a connector without its wheels (default: that of a uniform block with the length
     of the rigid gap and the width of the track)."""
 
@@ -179,7 +193,7 @@ class FrictionFile(Records):
     """Friction coefficient along the heading (drag of a rolling wheel)."""
     mu_n: Number = number_field(0.0, 10.0)
     """Friction coefficient across the heading (a wheel that slides sideways)."""
-    drag_n: Number | None = number_field(0.0, 100.0, optional=True)
+    drag_n: Number | None = number_field(0.0, 1e7, optional=True)
     """Total axial drag of tubes and belly, independent of the load; equal parts act on the connectors
     (default: none)."""
 
@@ -187,13 +201,13 @@ class FrictionFile(Records):
 class BendingFile(Records):
     """Compliance of one segment."""
 
-    stiffness_nm_per_rad: Number = number_field(1e-4, 1e6)
+    stiffness_nm_per_rad: Number = number_field(*STIFFNESSES_NM_PER_RAD)
     """Bending stiffness."""
     damping_time_s: Number = number_field(1e-6, 100.0)
     """Damping over stiffness; with the value of tau_mode_s, a free module obeys Eq. 14 exactly."""
-    pitch_stiffness_nm_per_rad: Number = number_field(1e-4, 1e6)
+    pitch_stiffness_nm_per_rad: Number = number_field(*STIFFNESSES_NM_PER_RAD)
     """Stiffness against bending out of the floor plane."""
-    roll_stiffness_nm_per_rad: Number = number_field(1e-4, 1e6)
+    roll_stiffness_nm_per_rad: Number = number_field(*STIFFNESSES_NM_PER_RAD)
     """Stiffness against twisting."""
     out_of_plane_damping_time_s: Number = number_field(1e-6, 100.0)
     """Damping over stiffness of pitch and roll."""
@@ -227,9 +241,9 @@ class ActuatorFile(Records):
 class ChamberFile(Records):
     """Air space of one chamber."""
 
-    dead_volume_ml: Number = number_field(0.1, 10_000.0)
+    dead_volume_ml: Number = number_field(1e-6, 1e8)
     """Volume of the chamber of a straight segment with its tube."""
-    air_volume_ml: Number = number_field(0.1, 10_000.0)
+    air_volume_ml: Number = number_field(1e-6, 1e8)
     """Increase of the volume at a bend of 90 degrees."""
 
 
@@ -254,13 +268,13 @@ class GaitFile(Records):
 class TailFile(Records):
     """Tail assembly with a second axle behind that of the last connector; not available with preload."""
 
-    axle_m: Number = number_field(1e-3, 1.0)
+    axle_m: Number = number_field(*LENGTHS_M)
     """Distance of the second axle behind the axle of the last connector."""
-    com_m: Number = number_field(0.0, 1.0)
+    com_m: Number = number_field(0.0, LENGTHS_M[1])
     """Distance of the centre of mass behind the axle of the last connector; at most axle_m."""
-    com_height_m: Number = number_field(1e-4, 1.0)
+    com_height_m: Number = number_field(*LENGTHS_M)
     """Height of the centre of mass of the assembly above the floor."""
-    gyration_m: Number = number_field(1e-4, 1.0)
+    gyration_m: Number = number_field(*LENGTHS_M)
     """Radius of gyration of the assembly including its wheels."""
 
 
@@ -304,6 +318,11 @@ class RobotFile(StrictModel):
             for key, record in section
             if isinstance(record, Record)
         }
+
+    @property
+    def scale(self) -> Scale:
+        """Units of the numerical settings."""
+        return Scale.of_pitch(self.geometry.segment_length_m.value + self.geometry.rigid_gap_m.value)
 
     def spec(self, seed: int = 0) -> RobotSpec:
         """Return the robot in SI units.
@@ -354,6 +373,7 @@ class RobotFile(StrictModel):
                 f"two wheels of {wheel:g} kg are too much for the lightest connector, {min(masses):g} kg; "
                 f"{WHEEL_SHARE * min(masses) / 2:g} kg each at most",
             )
+        yield from self._implausible_units()
         if self.modules is not None:
             yield from self.modules.contradictions(connectors - 1)
         if self.tail is not None and (com := self.tail.com_m.value) > (axle := self.tail.axle_m.value):
@@ -366,6 +386,25 @@ class RobotFile(StrictModel):
                 ("supply", "nominal_kpa", "value"),
                 f"{nominal:g} kPa is above pulsed_limit_kpa, {limit:g} kPa",
             )
+
+    def _implausible_units(self) -> Iterator[tuple[Loc, str]]:
+        """Yield path and message of lengths and masses that do not fit the distance between connectors."""
+        g = self.geometry
+        pitch = g.segment_length_m.value + g.rigid_gap_m.value
+        low, high = _LENGTH_RATIOS
+        for key in ("half_track_m", "wheel_radius_m", "com_height_m", "width_m"):
+            value = getattr(g, key).value
+            if not low * pitch <= value <= high * pitch:
+                text = f"{value:g} m does not fit a distance of {pitch:g} m between connectors"
+                yield ("geometry", key, "value"), f"{text}; check the units"
+        lightest, heaviest = _DENSITIES
+        for mass in set(self.masses()):
+            density = mass / (pitch * g.width_m.value**2)
+            if not lightest <= density <= heaviest:
+                text = (
+                    f"{mass:g} kg in {pitch:g} m by {g.width_m.value:g} m is a density of {density:.2g} kg/m³"
+                )
+                yield ("mass", "connectors_kg", "value"), f"{text}; check the units"
 
     def _invalid_priors(self) -> Iterator[tuple[Loc, str]]:
         """Yield path and message of prior distributions that do not fit their numbers."""

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.robot.scale import Scale
 
 PerChamber = tuple[tuple[float, float], ...]
 
@@ -377,6 +378,11 @@ class RobotSpec:
     def modules(self) -> Modules:
         """Individual properties of the modules."""
         return self.variation or Modules.nominal(self.segments)
+
+    @cached_property
+    def scale(self) -> Scale:
+        """Units of the numerical settings."""
+        return Scale.of_pitch(self.geometry.pitch)
 
     @cached_property
     def axles(self) -> tuple[Axle, ...]:

@@ -352,7 +352,7 @@ class IterativeFile(_TrackingFile):
 
     def check(self, spec: RobotSpec, tick: float) -> None:
         """See `ControllerSection.check`: a carrier period must not be shorter than a tick."""
-        PulseWidthModulator(self.carrier_hz, tick, spec.segments)
+        PulseWidthModulator(self.carrier_hz, tick, spec.segments, scale=spec.scale)
 
 
 class HoldFile(ControllerSection):

@@ -10,7 +10,7 @@ default of the constructor.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Annotated, Any, ClassVar, Self
 
@@ -115,6 +115,21 @@ class Section(StrictModel):
     def build(self) -> Any:
         """Return the object that the section describes."""
         return self.constructors[0](**self.arguments())
+
+    def with_scaled_defaults(self, keys: Iterable[str], factor: float) -> Self:
+        """Return the section with some keys that the file does not set multiplied by a factor.
+
+        Args:
+            keys: keys of numbers, or of tuples of numbers.
+            factor: 1.
+        """
+        changed: dict[str, Any] = {}
+        for key in set(keys) - self.model_fields_set:
+            value = getattr(self, key)
+            changed[key] = tuple(factor * x for x in value) if isinstance(value, tuple) else factor * value
+        copied = self.model_copy()
+        copied.__dict__.update(changed)  # `model_fields_set` still contains the keys of the file only
+        return copied
 
     def with_defaults(self, *keys: str) -> Self:
         """Return the section with the constructor's defaults for keys that are None."""

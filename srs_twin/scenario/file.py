@@ -5,21 +5,23 @@ from __future__ import annotations
 import math
 from functools import reduce
 from operator import or_
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, WithJsonSchema, create_model, model_validator
 
 from srs_twin import extensions
 from srs_twin.extensions import objects
+from srs_twin.plants.base import TICK_S
 from srs_twin.pneumatics import OrificePneumatics, Pneumatics, make_pneumatics
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.robot.file import RobotFile
+from srs_twin.robot.scale import Scale
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.controllers import CORE_CONTROLLERS, ControllerSection
 from srs_twin.scenario.expectation import Expectation
 from srs_twin.scenario.fields import Line, Section, quantity
 from srs_twin.scenario.modified import ChangedField
-from srs_twin.scenario.plants import BENCH_TICK_S, TICK_S, AnalyticalFile, PlantsFile, TwinFile
+from srs_twin.scenario.plants import BENCH_TICK_S, AnalyticalFile, PlantsFile, TwinFile
 from srs_twin.scenario.sections import ExtensionSection, section_entries
 from srs_twin.scenario.start import StartFile
 from srs_twin.scenario.world import WorldFile
@@ -247,6 +249,20 @@ class CoreScenarioFile(Section):
         section = getattr(self.plants, plant)
         default = BENCH_TICK_S if self.bench else self.controller.gait_section.tick or TICK_S
         return default if section is None or section.tick_s is None else float(section.tick_s)
+
+    def scaled_to(self, scale: Scale) -> Self:
+        """Return the scenario with numerical defaults in the units of a robot."""
+        plants = {
+            kind: section.scaled_to(
+                scale, self.tick(kind) * (1.0 if section.tick_s is not None else scale.time)
+            )
+            for kind, section in self.plants.running.items()
+        }
+        scaled = self.model_copy()
+        scaled.__dict__["world"] = self.world.scaled_to(scale)
+        scaled.__dict__["plants"] = self.plants.model_copy()
+        scaled.plants.__dict__.update(plants)
+        return scaled
 
     def section(self, name: str) -> Any:
         """Return the section of an extension by its name; None without one."""

@@ -84,6 +84,8 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
             f"robot.{format_path(loc)}: {text}" for loc, text in find_unit_mistakes(document.get("robot"))
         ]
     world = World()
+    if file and robot:
+        file = file.scaled_to(robot.scale)
     if file:
         with document.report_errors("world", "random"):
             world = file.world.build_world(file.start.build(), file.seed)
@@ -184,6 +186,7 @@ def _resolved_or_raw(data: Any, products: Mapping[str, Any]) -> dict[str, Any]:
     file, (robot, _) = validate(ScenarioFile, document, document.data), _robot(document)
     if file is None or robot is None:
         return document.data
+    file = file.scaled_to(robot.scale)
     available = {name: products.get(name) for name in file.sections()}
     layout: str = file.valves.layout or (*file.controller.layouts(available), "")[0]
     return _resolved(file, robot, "", layout, available)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
-from pydantic import field_validator, model_validator
+from pydantic import model_validator
 
-from srs_twin.errors import TimeStepError, count_steps
-from srs_twin.plants.analytical import AnalyticalSnake
+from srs_twin.plants.analytical import SLIP_SPEED_M_S, TIMESTEP_S, AnalyticalSnake, default_timestep
 from srs_twin.plants.twin.mjcf.numerics import (
     LAW_OF,
     PRESETS,
@@ -24,8 +22,8 @@ from srs_twin.plants.twin.mjcf.numerics import (
 from srs_twin.plants.twin.mjcf.numerics import (
     Law as LawOnLoads,
 )
-from srs_twin.pneumatics.valves import SLOT_S
 from srs_twin.robot.friction import TWO_POINT_LAWS, Law
+from srs_twin.robot.scale import Scale, divide
 from srs_twin.scenario.fields import Section, constructor_default, quantity
 
 PLANTS = ("analytical", "twin")
@@ -37,26 +35,29 @@ class _PlantFile(Section):
 
     Attributes:
         floor_keys: keys that describe the contact with the floor, not allowed on a bench.
+        scaled_keys: keys whose defaults are multiplied by the time unit of the robot.
     """
 
     floor_keys: ClassVar[tuple[str, ...]]
+    scaled_keys: ClassVar[tuple[str, ...]] = ("timestep_s",)
 
     gaps: bool = True
     """Whether the segments have rigid gaps."""
     timestep_s: float
-    tick_s: float | None = quantity(1e-5, 1.0, None)
-    """Control tick; above 0.1 ms a multiple of it, on the twin a multiple of timestep_s (default: 0.02, on a
-    bench 0.001)."""
+    tick_s: float | None = quantity(1e-6, 10.0, None)
+    """Control tick; on the twin a multiple of timestep_s (default: 0.02, on a bench 0.001, times the robot's
+    time unit)."""
 
-    @field_validator("tick_s")
-    @classmethod
-    def _whole_slots(cls, tick: float | None) -> float | None:
-        if tick is not None:
-            try:
-                count_steps("tick", tick, "valve slot", min(SLOT_S, tick))
-            except TimeStepError as error:
-                raise ValueError(str(error)) from error
-        return tick
+    def scaled_to(self, scale: Scale, tick: float) -> Self:
+        """Return the section with the times and speeds that the file does not set in the units of a robot.
+
+        Args:
+            scale: units of the robot.
+            tick: control tick, s.
+        """
+        scaled = self.with_scaled_defaults(self.scaled_keys, scale.time)
+        scaled.__dict__["tick_s"] = tick
+        return scaled
 
 
 class AnalyticalFile(_PlantFile):
@@ -65,8 +66,10 @@ class AnalyticalFile(_PlantFile):
     constructors = (AnalyticalSnake,)
     floor_keys = ("friction", "load", "friction_torque", "slip_speed_m_s")
 
-    timestep_s: float = quantity(1e-5, 0.02)
-    """Largest time step of the integrator."""
+    scaled_keys = ("timestep_s", "slip_speed_m_s")
+
+    timestep_s: float = quantity(1e-6, 1.0, TIMESTEP_S)
+    """Largest time step of the integrator (default: 0.002 times the robot's time unit)."""
     model: Literal["complete", "simplified", "compliant"] = constructor_default()
     """complete: prescribed bends; simplified: prescribed bends, and chords of constant length; compliant:
     bends that depend on load and inertia."""
@@ -81,8 +84,16 @@ class AnalyticalFile(_PlantFile):
     load: Literal["static", "momentary"] = constructor_default()
     """Load of a wheel or skid; static: half the weight of its connector, momentary: with load transfer by
     lateral forces (not with axis)."""
-    slip_speed_m_s: float = quantity(1e-6, 0.1)
-    """Slip speed below which friction deviates from Coulomb friction."""
+    slip_speed_m_s: float = quantity(1e-9, 1.0, SLIP_SPEED_M_S)
+    """Slip speed below which friction deviates from Coulomb friction (default: 0.00025 times the robot's time
+    unit)."""
+
+    def scaled_to(self, scale: Scale, tick: float) -> Self:
+        """See `_PlantFile.scaled_to`; the default time step may divide the tick."""
+        scaled = super().scaled_to(scale, tick)
+        if "timestep_s" not in self.model_fields_set:
+            scaled.__dict__["timestep_s"] = default_timestep(tick, scale)
+        return scaled
 
     @model_validator(mode="after")
     def _options_are_consistent(self) -> AnalyticalFile:
@@ -95,10 +106,8 @@ class AnalyticalFile(_PlantFile):
         return self
 
 
-TICK_S: float = inspect.signature(AnalyticalSnake).parameters["tick"].default
-"""Default control tick for gaits, s."""
 BENCH_TICK_S = 0.001
-"""Default control tick on a bench, where controllers track fast references, s."""
+"""Default control tick on a bench, where controllers track fast references, at a time unit of 1, s."""
 
 
 class TwinFile(_PlantFile):
@@ -110,8 +119,8 @@ class TwinFile(_PlantFile):
     preset: Preset | None = None
     """Name of a time step, if timestep_s is not set; fast: 2 ms, for search and learning; reference: 0.25 ms,
     for published results."""
-    timestep_s: float = quantity(1e-5, 0.02)
-    """Time step of the integrator."""
+    timestep_s: float = quantity(1e-6, 1.0)
+    """Time step of the integrator (default: 0.001 times the robot's time unit)."""
     wheels: Wheels = constructor_default()
     """Wheels; rolling: friction law wheel, skid: runners with friction law ellipse."""
     contact: ContactName = LoadedContact.name
@@ -128,6 +137,13 @@ class TwinFile(_PlantFile):
         # The model is frozen; `model_fields_set` still contains the keys of the file only.
         self.__dict__.update({key: settings[key] for key in settings.keys() - self.model_fields_set})
         return self
+
+    def scaled_to(self, scale: Scale, tick: float) -> Self:
+        """See `_PlantFile.scaled_to`; the default time step divides the tick."""
+        scaled = super().scaled_to(scale, tick)
+        if "timestep_s" not in self.model_fields_set:
+            scaled.__dict__["timestep_s"] = divide(tick, scaled.timestep_s)
+        return scaled
 
     @property
     def law(self) -> LawOnLoads:
@@ -168,7 +184,7 @@ def with_preset(twin: Mapping[str, Any], preset: Any) -> dict[str, Any]:
     """Return plain data of a twin with another preset; keys that override the former preset are kept."""
     before = preset_keys(twin.get("preset"))
     explicit = {key: value for key, value in twin.items() if key not in before or before[key] != value}
-    return {**preset_keys(preset), **explicit, "preset": preset}
+    return {**explicit, "preset": preset}
 
 
 PRESET = ("plants", "twin", "preset")

@@ -9,6 +9,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from srs_twin.errors import InputError
 from srs_twin.robot.random_worlds import fig54_world, random_circles
+from srs_twin.robot.scale import Scale
 from srs_twin.robot.world import Bounds, Circle, Floor, Goal, Polygon, Pose, Step, World
 from srs_twin.scenario.fields import FilePath, Section, constructor_default, quantity
 from srs_twin.scenario.map_file import read_circles, read_map
@@ -27,7 +28,7 @@ class ObstacleFile(Section):
     """x of the centre."""
     y_m: float = quantity(-1000.0, 1000.0)
     """y of the centre."""
-    radius_m: float = quantity(0.001, 100.0)
+    radius_m: float = quantity(1e-5, 100.0)
     """Radius."""
 
 
@@ -78,8 +79,8 @@ class GoalFile(Section):
     """y of the goal."""
     heading_rad: float | None = quantity(-6.3, 6.3, None)
     """Heading on arrival (default: any)."""
-    radius_m: float = quantity(0.001, 100.0, 0.05)
-    """Position tolerance."""
+    radius_m: float = quantity(1e-5, 100.0, 0.05)
+    """Position tolerance (default: 0.05 times the robot's length unit)."""
     heading_tolerance_rad: float = quantity(0.0, 3.14)
     """Tolerance of the heading."""
 
@@ -149,7 +150,7 @@ class StepFile(Section):
 
     x_m: float = quantity(-1000.0, 1000.0)
     """x of the line."""
-    height_m: float = quantity(-0.1, 0.1)
+    height_m: float = quantity(-10.0, 10.0)
     """Height of the floor beyond the line relative to the floor before it."""
 
 
@@ -174,6 +175,16 @@ class WorldFile(Section):
     """Rectangle in which the snake must stay."""
     goal: GoalFile | None = None
     """Goal of the centre of mass."""
+
+    def scaled_to(self, scale: Scale) -> WorldFile:
+        """Return the section with the lengths that the file does not set in the units of a robot."""
+        goal, random, unit = self.goal, self.random, scale.length
+        scaled = self.model_copy()
+        if goal is not None:
+            scaled.__dict__["goal"] = goal.with_scaled_defaults(["radius_m"], unit)
+        if random is not None:
+            scaled.__dict__["random"] = random.with_scaled_defaults(["radius_m", "gap_m", "clear_m"], unit)
+        return scaled
 
     @field_validator("circles", "map")
     @classmethod

@@ -25,7 +25,7 @@ from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics import Schedule
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.pneumatics.lag import LagPneumatics
-from srs_twin.pneumatics.valves import SLOT_S
+from srs_twin.pneumatics.valves import valve_slot
 from srs_twin.warp.kernels import (
     Accumulators,
     BodyViews,
@@ -149,7 +149,7 @@ class WarpBatch:
             "nconmax": _CAPACITY_FACTOR * max(data.ncon, 8),
             "njmax": _CAPACITY_FACTOR * max(data.nefc, 8),
         }
-        slot = self._slot = min(SLOT_S, self._h)
+        slot = self._slot = min(valve_slot(self.tick, self.twins[0].spec.scale), self._h)
         self._slots, self._steps = round(self._h / slot), round(self.tick / self._h)
         segments = self.twins[0].spec.segments
         with wp.ScopedDevice(self.device):

@@ -35,6 +35,7 @@ from srs_twin.plants.analytical.kinematics import ROWS, BodyParameters, chord_te
 from srs_twin.plants.analytical.steps import Steps, advance
 from srs_twin.plants.base import (
     BASES,
+    TICK_S,
     PneumaticPlant,
     Pose,
     SnakeState,
@@ -45,6 +46,7 @@ from srs_twin.plants.base import (
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.robot.friction import LAWS, TWO_POINT_LAWS
+from srs_twin.robot.scale import SHIPPED, Scale, divide
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor
@@ -353,8 +355,26 @@ MODELS = ("complete", "simplified", "compliant")
 LOADS = ("static", "momentary")
 INERTIAS = ("point", "connector", "lumped")
 
-# Largest interval between exchanges of bends and pressures for point masses, s. With 0.25 ms their pressures
-# oscillate below ambient; half of this interval does not change the results.
+
+def default_timestep(tick: float, scale: Scale) -> float:
+    """Return the default longest time step, s.
+
+    Args:
+        tick: control tick, s.
+        scale: units of the robot. For those of the shipped robots the step does not depend on the tick.
+    """
+    return TIMESTEP_S if scale == SHIPPED else divide(tick, TIMESTEP_S * scale.time)
+
+
+TIMESTEP_S = 0.002
+"""Default longest time step at a time unit of 1 (`robot.scale`), s."""
+TOLERANCE_M_S = 0.0002
+"""Default tolerance of a step at a time unit of 1, m/s."""
+SLIP_SPEED_M_S = 0.00025
+"""Default slip speed at a time unit of 1, m/s."""
+
+# Largest interval between exchanges of bends and pressures for point masses at a time unit of 1, s. With
+# 0.25 ms their pressures oscillate below ambient; half of this interval does not change the results.
 _POINT_MASS_COUPLING_STEP = 0.0001
 
 
@@ -417,10 +437,10 @@ class AnalyticalSnake(PneumaticPlant):
         friction_torque: bool = True,
         inertia: str = "point",
         supply_pa: float | None = None,
-        tick: float = 0.02,
-        timestep: float = 0.002,
-        tolerance: float = 0.0002,
-        slip_speed: float = 0.00025,
+        tick: float | None = None,
+        timestep: float | None = None,
+        tolerance: float | None = None,
+        slip_speed: float | None = None,
         layout: str = "3/2",
         pneumatics: str | Pneumatics = "lag",
         track: float | None = None,
@@ -444,11 +464,13 @@ class AnalyticalSnake(PneumaticPlant):
                 with two wheels as in the twin, "lumped" for the dissertation's j(i) = Σ m L²/3, which counts
                 the masses of the segments twice (E19).
             supply_pa: supply pressure, Pa; default the robot's nominal pressure.
-            tick: control tick, s.
-            timestep: longest time step, s.
+            tick: control tick, s; default `TICK_S` times the time unit of the robot (`robot.scale`).
+            timestep: longest time step, s; default `TIMESTEP_S` times the time unit, or a near part of the
+                tick (`robot.scale.divide`).
             tolerance: largest error of a step where friction reverses, as a velocity, m/s; with prescribed
-                bends, steps are divided until they meet it, see `steps`.
-            slip_speed: slip speed ε of the friction law, m/s.
+                bends, steps are divided until they meet it, see `steps`; default `TOLERANCE_M_S` times the
+                time unit.
+            slip_speed: slip speed ε of the friction law, m/s; default `SLIP_SPEED_M_S` times the time unit.
             layout: valve layout, "3/2" or "in_out".
             pneumatics: "lag", "orifice", or a `Pneumatics` object.
             track: distance of the two contacts of a connector from the centre line, m; default the robot's
@@ -462,7 +484,11 @@ class AnalyticalSnake(PneumaticPlant):
                 not positive; no friction torque with another model; momentary loads with a law that does not
                 act at the wheels; a floor with steps; or a tail on two axles.
         """
-        world = world or World()
+        world, unit = world or World(), spec.scale.time
+        tick = TICK_S * unit if tick is None else tick
+        timestep = default_timestep(tick, spec.scale) if timestep is None else timestep
+        tolerance = TOLERANCE_M_S * unit if tolerance is None else tolerance
+        slip_speed = SLIP_SPEED_M_S * unit if slip_speed is None else slip_speed
         _check_options(spec, world, model, friction, load, friction_torque, inertia, base)
         check_positive("tick", tick, "s")
         check_positive("time step", timestep, "s")
@@ -482,7 +508,7 @@ class AnalyticalSnake(PneumaticPlant):
         drag = mu.drag / spec.geometry.connectors
         self._floor_plane = world.floor
         self._floor = floor_friction(
-            friction, track, mu.mu_t, mu.mu_n, slip_speed, load_transfer, gravity, drag
+            friction, track, mu.mu_t, mu.mu_n, slip_speed, load_transfer, gravity, drag, unit
         )
         self._body = self._make_body()
         self.reset()
@@ -601,7 +627,7 @@ class AnalyticalSnake(PneumaticPlant):
         """Largest interval between exchanges of bends and pressures, s; point masses need a shorter one."""
         massless = not self._body.solid.inertia.all()
         return (
-            min(self.pneumatics.coupling_step_s, _POINT_MASS_COUPLING_STEP)
+            min(self.pneumatics.coupling_step_s, _POINT_MASS_COUPLING_STEP * self.spec.scale.time)
             if massless
             else self.pneumatics.coupling_step_s
         )

@@ -58,7 +58,8 @@ BENDS = STATES
 """Index of the first bend in the state: those of `kernels`, then the bends, then their momenta."""
 
 _NEWTON_STEPS = 1000  # largest number of iterations; many are needed at rest on a slope, at a kink of the law
-_NEWTON_TOLERANCE = 1e-9  # tolerance of the velocities, m/s; rates (rad/s) are multiplied by 0.1
+_NEWTON_TOLERANCE = 1e-9  # tolerance of the velocities at a time unit of 1, m/s
+_NEWTON_ARM = 0.1  # lever arm that turns rates into velocities, at a length unit of 1, m
 _OVERSHOOT = 0.1  # ratio of the slopes after and before a Newton step above which the step was too long, 1
 
 
@@ -326,6 +327,7 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
     slope_before = 0.0  # slope of the potential along that step at its start
     converged = False
     power = 0.0
+    tolerance, arm = _NEWTON_TOLERANCE * floor.unit, _NEWTON_ARM * floor.unit * floor.unit
     for _ in range(_NEWTON_STEPS):
         for j in range(segments):
             q[j] = known[BENDS + j] + a * u[3 + j]
@@ -346,8 +348,8 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
         for j in range(size):
             u[j] -= step[j]
             slope_before += residual[j] * step[j]
-            longest = max(longest, abs(step[j]) * (1.0 if j < 2 else 0.1))
-        if longest < _NEWTON_TOLERANCE:
+            longest = max(longest, abs(step[j]) * (1.0 if j < 2 else arm))
+        if longest < tolerance:
             converged = True
             break
     for j in range(size):

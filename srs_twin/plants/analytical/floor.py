@@ -50,6 +50,7 @@ class FloorFriction(NamedTuple):
         gravity: component of gravity normal to the floor, m/s².
         pull_x: component of gravity along the floor in world x, m/s².
         pull_y: component of gravity along the floor in world y, m/s².
+        unit: time unit u of the robot (`robot.scale`), for tolerances, 1.
     """
 
     case: tuple[None, ...]
@@ -62,6 +63,7 @@ class FloorFriction(NamedTuple):
     gravity: float
     pull_x: float
     pull_y: float
+    unit: float
 
 
 @compiled
@@ -119,6 +121,7 @@ def floor_friction(
     load_transfer: float = 0.0,
     gravity: tuple[float, float, float] = _LEVEL,
     drag: float = 0.0,
+    unit: float = 1.0,
 ) -> FloorFriction:
     """Return a floor.
 
@@ -131,12 +134,13 @@ def floor_friction(
         load_transfer: see `FloorFriction`.
         gravity: gravity in a frame with z normal to the floor, m/s².
         drag: see `FloorFriction`.
+        unit: see `FloorFriction`.
     """
     contacts = 0 if track == 0.0 else 1 if load_transfer == 0.0 else 2
     case = LAWS.index(law) + len(LAWS) * contacts
     pull_x, pull_y, pull_z = gravity
     return FloorFriction(
-        (None,) * case, track, mu_t, mu_n, slip, drag, load_transfer, -pull_z, pull_x, pull_y
+        (None,) * case, track, mu_t, mu_n, slip, drag, load_transfer, -pull_z, pull_x, pull_y, unit
     )
 
 
@@ -153,7 +157,7 @@ def with_reduced_slip_speed(floor, speed):  # type: ignore[no-untyped-def]
     """
     slip = floor.slip
     if floor.pull_x != 0.0 or floor.pull_y != 0.0:
-        slip = min(slip, max(speed / _SLIDING_RATIO, _MIN_SLIP_SPEED))
+        slip = min(slip, max(speed / _SLIDING_RATIO, _MIN_SLIP_SPEED * floor.unit))
     return FloorFriction(
         floor.case,
         floor.track,
@@ -165,6 +169,7 @@ def with_reduced_slip_speed(floor, speed):  # type: ignore[no-untyped-def]
         floor.gravity,
         floor.pull_x,
         floor.pull_y,
+        floor.unit,
     )
 
 
@@ -276,7 +281,7 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
 # 1:14, 1.
 _SLIDING_RATIO = 1000.0
 
-_MIN_SLIP_SPEED = 1e-7  # on a slope, m/s
+_MIN_SLIP_SPEED = 1e-7  # on a slope at a time unit of 1, m/s
 _COASTING_STEP = 5e-4  # longest time step of `slide`, s
 _COASTING_SLIP_SPEED = 1e-9  # slip speed of `slide`, m/s; small, because it only avoids 0/0
 

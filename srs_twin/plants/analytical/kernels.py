@@ -184,7 +184,8 @@ SPEED_LIMIT = 100.0
 """Speed above which a state is not plausible, m/s."""
 
 _NEWTON_STEPS = 100  # largest number of iterations of a stage
-_NEWTON_TOLERANCE = 1e-8  # tolerance of the velocities, m/s; the yaw rate (rad/s) is multiplied by 0.1
+_NEWTON_TOLERANCE = 1e-8  # tolerance of the velocities at a time unit of 1, m/s
+_NEWTON_ARM = 0.1  # lever arm that turns the yaw rate into a velocity, at a length unit of 1, m
 _OVERSHOOT = 0.1  # ratio of the slopes after and before a Newton step above which the step was too long, 1
 
 
@@ -250,6 +251,7 @@ def _stage(known, a, q, rate, heading, model, u, k, body):  # type: ignore[no-un
     converged = False
     power = 0.0
     c, s = _rotate(heading[0], heading[1], heading[2] + a * z)
+    tolerance, arm = _NEWTON_TOLERANCE * floor.unit, _NEWTON_ARM * floor.unit * floor.unit
     for _ in range(_NEWTON_STEPS):
         bx, by = known_x * c + known_y * s, known_y * c - known_x * s
         force, slope, power = floor_forces(body, solid.mass, x, y, z, floor)
@@ -278,7 +280,7 @@ def _stage(known, a, q, rate, heading, model, u, k, body):  # type: ignore[no-un
         step_share, slope_before = 1.0, residual_x * step_x + residual_y * step_y + residual_z * step_z
         x, y, z = x - step_x, y - step_y, z - step_z
         c, s = _rotate(c, s, -a * step_z)
-        if abs(step_x) + abs(step_y) + 0.1 * abs(step_z) < _NEWTON_TOLERANCE:
+        if abs(step_x) + abs(step_y) + arm * abs(step_z) < tolerance:
             converged = True
             break
     u[0], u[1], u[2] = x, y, z

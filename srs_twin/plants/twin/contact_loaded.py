@@ -65,12 +65,12 @@ from srs_twin.plants.twin.friction_solve import (
     store_friction,
 )
 from srs_twin.plants.twin.mjcf import surroundings
-from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS, LOADS, LoadedContact, ModelSettings
+from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS, LOADS, LoadedContact, ModelSettings, stated
 from srs_twin.plants.twin.mjcf.wheels import contact_regularisation, static_loads, treads
 from srs_twin.robot.spec import RobotSpec
 
 _SKIP_TO_FORCES = int(mujoco.mjtStage.mjSTAGE_VEL)  # positions and velocities are already evaluated
-_SINKING_TIME = 0.05  # s, after which a snake at rest has sunk into the floor to its equilibrium
+_SINKING_TIME = 0.05  # after which a snake at rest has sunk into the floor, at a time unit of 1, s
 _MIN_DECAY = 1e-9  # of a mode over one step, 1; smaller values are rounding errors of undamped motions
 
 mj_step1, mj_comVel = c_function("mj_step1"), c_function("mj_comVel")
@@ -121,6 +121,7 @@ class LoadedStepper(Stateful):
         self._inputs = StepInputs(data.ctrl, data.qacc_warmstart)
         self._model, self._data = model, data  # keep references: the kernels hold only addresses
         self._h, nv = settings.timestep, model.nv
+        self._sinking_time = _SINKING_TIME * spec.scale.time
         count, entries = len(self._contacts.body), len(data.M)
         # In the order of the fields of `Workspace`.
         shapes = [(count, 4, 6), (count, 2), (count, 8), (count,), (count,), *[(nv, 6)] * 4, (nv, 6, 6)]
@@ -169,7 +170,7 @@ class LoadedStepper(Stateful):
         self._contacts = contacts._replace(coefficients=(0.0, 0.0, *contacts.coefficients[2:]))
         model.opt.gravity[:2] = 0.0
         self._reset_contact_state()
-        self.run(np.zeros((math.ceil(_SINKING_TIME / self._h), model.nu)))
+        self.run(np.zeros((math.ceil(self._sinking_time / self._h), model.nu)))
         self._contacts, model.opt.gravity[:] = contacts, gravity
         data.qvel[:], data.time = 0.0, 0.0
         self._reset_contact_state()
@@ -247,7 +248,7 @@ def _constants(
         sensor=np.array(sensors),
         wheel_radius=spec.geometry.wheel_radius,
         law=LAWS_ON_LOADS.index(contact.law),
-        coefficients=(spec.friction.mu_t, spec.friction.mu_n, contact.slip_speed, spin_mass),
+        coefficients=(spec.friction.mu_t, spec.friction.mu_n, stated(contact.slip_speed), spin_mass),
     )
     sparsity = Sparsity(
         row_length=model.M_rownnz.astype(int),

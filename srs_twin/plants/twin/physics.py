@@ -541,4 +541,10 @@ def _compile_scene(
     spec: RobotSpec, settings: ModelSettings, supply_pa: float, world: World | None
 ) -> mujoco.MjModel:
     """Return the compiled scene; the cache makes further twins of a robot ten times as fast to build."""
-    return scene_mjcf(spec, settings, supply_pa=supply_pa, world=world).compile()
+    model = scene_mjcf(spec, settings, supply_pa=supply_pa, world=world).compile()
+    # MuJoCo stops where an iteration improves the cost by less than the tolerance times the mean of the
+    # diagonal of M, which holds masses and moments of inertia. Weigh them as at a length unit of 1.
+    masses = 3 * model.body_subtreemass[0] if settings.base == "free" else 0.0
+    inertias = model.nv * model.stat.meaninertia - masses
+    model.opt.tolerance *= (masses + inertias / spec.scale.length**2) / (masses + inertias)
+    return model

@@ -14,6 +14,7 @@ from srs_twin.errors import DivergedError, InputError, check_choice, count_steps
 from srs_twin.io.saved_state import short_digest
 from srs_twin.plants.base import (
     BASES,
+    TICK_S,
     PneumaticPlant,
     Pose,
     SnakeState,
@@ -23,6 +24,7 @@ from srs_twin.plants.base import (
 )
 from srs_twin.plants.twin.mjcf.numerics import (
     LAW_OF,
+    TIMESTEP_S,
     WHEELS,
     Contact,
     ContactName,
@@ -36,6 +38,7 @@ from srs_twin.plants.twin.mjcf.numerics import (
 from srs_twin.plants.twin.physics import ENGINE_WARNINGS, SnakePhysics, StepBatch
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import air_bend
+from srs_twin.robot.scale import divide
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor
@@ -75,10 +78,10 @@ class TwinSnake(PneumaticPlant):
         spec: RobotSpec,
         *,
         contact: Contact | ContactName = ModelSettings.contact,
-        timestep: float = ModelSettings.timestep,
+        timestep: float | None = None,
         hinges_per_segment: int = ModelSettings.hinges_per_segment,
         supply_pa: float | None = None,
-        tick: float = 0.02,
+        tick: float | None = None,
         layout: str = "3/2",
         pneumatics: str | Pneumatics = "lag",
         sensor: str | Sensor = "ideal",
@@ -93,10 +96,11 @@ class TwinSnake(PneumaticPlant):
             spec: the robot.
             contact: contact with the floor; the names "loaded" and "preloaded" select `LoadedContact()` and
                 `PreloadedContact()`.
-            timestep: time step, s; the tick is a multiple of it.
+            timestep: time step, s; the tick is a multiple of it. The default is `numerics.TIMESTEP_S` times
+                the time unit of the robot, or a near part of the tick (`robot.scale.divide`).
             hinges_per_segment: bending hinges per segment.
             supply_pa: supply pressure, Pa; default the robot's nominal pressure.
-            tick: control tick, s.
+            tick: control tick, s; default `TICK_S` times the time unit.
             layout: valve layout, "3/2" or "in_out".
             pneumatics: "lag", "orifice", or a `Pneumatics` object.
             sensor: curvature sensor: "ideal", "hall" with its defaults, or a `Sensor` object.
@@ -109,9 +113,12 @@ class TwinSnake(PneumaticPlant):
             InputError: the contact or the layout is unknown, the tick is not a multiple of the time step, or
                 the time step is too long for the chambers.
         """
-        contact = as_contact(contact)
+        contact, unit = as_contact(contact), spec.scale.time
         if deprecated:
             contact, numerics = _apply_deprecated(contact, numerics, deprecated)
+        contact = contact.for_robot(spec)
+        tick = TICK_S * unit if tick is None else tick
+        timestep = divide(tick, TIMESTEP_S * unit) if timestep is None else timestep
         check_choice("base", base, BASES)
         if world is not None and world.uneven and isinstance(contact, PreloadedContact):
             raise InputError("a floor that slopes or has steps needs contact 'loaded'")

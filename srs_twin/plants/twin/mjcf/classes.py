@@ -10,7 +10,7 @@ import math
 
 import mujoco
 
-from srs_twin.plants.twin.mjcf.numerics import Contact, ModelSettings, PreloadedContact
+from srs_twin.plants.twin.mjcf.numerics import Contact, ModelSettings, PreloadedContact, stated
 from srs_twin.robot.spec import RobotSpec
 
 ROOT = "snake"
@@ -28,8 +28,8 @@ _HIDDEN_GROUP = 5
 
 _FLANGE_RATIO = 1.08  # radius of a connector's disc over that of the body, 1
 _RUNNER_RATIO = 0.25  # radius of a skid's runner over that of a wheel, 1
-_PLATE_HALF_HEIGHT = 0.003  # of a connector's disc, m
-_DRAWN_CLEARANCE = 0.001  # height of the drawn body above the floor, m
+_PLATE_HALF_HEIGHT = 0.003  # of a connector's disc at a length unit of 1 (`robot.scale`), m
+_DRAWN_CLEARANCE = 0.001  # height of the drawn body above the floor at a length unit of 1, m
 
 
 def add_classes(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, *, limit_pa: float) -> None:
@@ -62,7 +62,7 @@ def add_classes(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, *, 
         drag.biastype, drag.gainprm[0] = mujoco.mjtBias.mjBIAS_AFFINE, 0.0
         # Proportional to the speed up to the slip speed, which the integrator takes implicitly; then
         # constant.
-        drag.biasprm[2] = -limit / settings.contact.slip_speed
+        drag.biasprm[2] = -limit / stated(settings.contact.slip_speed)
         drag.forcelimited, drag.forcerange = True, [-limit, limit]
         drag.ctrllimited, drag.ctrlrange = True, [0, 1]
 
@@ -79,9 +79,9 @@ def drawn_radius(spec: RobotSpec) -> float:
 
 def drawn_height(spec: RobotSpec) -> float:
     """Return the height of the drawn body above the centres of mass, so that it clears the floor, m."""
-    return max(
-        0.0, round(drawn_radius(spec) * _FLANGE_RATIO + _DRAWN_CLEARANCE - spec.geometry.com_height, 6)
-    )
+    unit = spec.scale.length
+    height = drawn_radius(spec) * _FLANGE_RATIO + _DRAWN_CLEARANCE * unit - spec.geometry.com_height
+    return max(0.0, round(height / unit, 6) * unit)
 
 
 def _add_joints(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, settings: ModelSettings) -> None:
@@ -104,7 +104,7 @@ def _add_joints(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, set
     if isinstance(contact, PreloadedContact) and contact.rolling:
         axle = mj.add_default("axle", root).joint
         axle.axis = [0, 1, 0]
-        axle.solref_friction = [contact.axle_time, 1]
+        axle.solref_friction = [stated(contact.axle_time), 1]
 
 
 def _add_geoms(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, settings: ModelSettings) -> None:
@@ -114,7 +114,7 @@ def _add_geoms(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, sett
     skin.type, skin.size = mujoco.mjtGeom.mjGEOM_CAPSULE, [drawn_radius(spec), 0, 0]
     plate.type, plate.size = (
         mujoco.mjtGeom.mjGEOM_CYLINDER,
-        [_FLANGE_RATIO * drawn_radius(spec), _PLATE_HALF_HEIGHT, 0],
+        [_FLANGE_RATIO * drawn_radius(spec), _PLATE_HALF_HEIGHT * spec.scale.length, 0],
     )
     skin.rgba, plate.rgba, plate.quat = _SILICONE, _PLASTIC, upright
     skin.group = plate.group = _VISUAL_GROUP

@@ -50,7 +50,8 @@ def robot_files(spec: RobotSpec) -> dict[str, str]:
     """Return a robot's MJCF files, file name → text."""
     # A single segment cannot crawl: simulate it on a test bench.
     bench = spec.segments == 1
-    settings = ModelSettings(contact=PreloadedContact(), base="clamped" if bench else "free")
+    timestep, base = ModelSettings.timestep * spec.scale.time, "clamped" if bench else "free"
+    settings = ModelSettings(timestep, contact=PreloadedContact(), base=base)
     robot, scene = robot_mjcf(spec, settings), scene_mjcf(spec, settings)
     robot.comment = _comment(
         f"{spec.title}.",

@@ -59,6 +59,8 @@ def robot_mjcf(
             f"time step {settings.timestep:g} s is too long for segments with a damping time c/k of "
             f"{shortest:g} s; it must be shorter"
         )
+    _check_inertia(spec, settings)
+    settings = settings.for_robot(spec)
     mj = MjSpec()
     mj.modelname = spec.name
     mj.compiler.degree = False
@@ -111,7 +113,7 @@ def scene_mjcf(
     add_surroundings(mj, spec.geometry.body_length)
     if world.has_obstacles:
         add_obstacles(mj, spec, world)
-    levels = add_steps(mj, world.steps, spec.geometry.body_length)
+    levels = add_steps(mj, world.steps, spec)
     if settings.base == "free":
         add_contacts(mj, spec, settings, levels)
     mj.add_sensor(name="kinetic_energy", type=mujoco.mjtSensor.mjSENS_E_KINETIC)
@@ -161,6 +163,18 @@ def _set_link_inertia(
     body.ipos = [x, 0, 0]  # the default of MjSpec would be the body's `pos`
     body.inertia = np.full(3, mass * spec.connector_gyration**2) + extra[1]
     body.explicitinertial = True
+
+
+def _check_inertia(spec: RobotSpec, settings: ModelSettings) -> None:
+    """Refuse a robot whose lightest body MuJoCo would take as massless."""
+    moments = [spec.connector_gyration**2 * (_link_mass(spec, settings) or min(spec.mass.connectors))]
+    if isinstance(settings.contact, PreloadedContact) and settings.contact.rolling:
+        moments.append(spec.mass.wheel * spec.geometry.wheel_radius**2 / 4)
+    if not (smallest := min(moments)) > mujoco.mjMINVAL:
+        raise InputError(
+            f"a body of {spec.name} has a moment of inertia of {smallest:.2g} kg·m²; MuJoCo needs more than "
+            f"{mujoco.mjMINVAL:g} kg·m², so the robot is too small for the twin"
+        )
 
 
 def _link_mass(spec: RobotSpec, settings: ModelSettings) -> float:

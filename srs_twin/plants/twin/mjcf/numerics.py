@@ -4,12 +4,25 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
 from srs_twin.errors import InputError, check_choice
+from srs_twin.robot.spec import RobotSpec
+
+TIMESTEP_S = 0.001
+"""Default time step at a time unit of 1 (`robot.scale`), s."""
+
+SLIP_SPEED_M_S = 0.001
+"""Default slip speed at a time unit of 1, m/s."""
+
+SLIP_TIME_S = 0.0003
+"""Default slip time of a preloaded contact at a time unit of 1, s."""
+
+AXLE_TIME_S = 0.002
+"""Default axle time of a preloaded contact at a time unit of 1, s."""
 
 WALL_M = 0.001
 """Radius of the capsules along the sides of a polygon, by which it is larger than drawn, m."""
@@ -50,7 +63,8 @@ class LoadedContact:
         law: friction law, "wheel", "ellipse" or "axis" (docs/models.md).
         load: load of a wheel in the law, one of `LOADS`; those other than "momentary" are for comparison.
         slip_speed: slip speed ε; below the friction limit μN the force changes by μN/ε times the velocity, so
-            that a resting contact does not creep (`stick_slip`), m/s.
+            that a resting contact does not creep (`stick_slip`), m/s; None for `SLIP_SPEED_M_S` times the
+            time unit of the robot (`robot.scale`).
     """
 
     name: ClassVar[Literal["loaded"]] = "loaded"
@@ -58,12 +72,16 @@ class LoadedContact:
 
     law: Law = "wheel"
     load: str = "momentary"
-    slip_speed: float = 0.001
+    slip_speed: float | None = None
 
     def __post_init__(self) -> None:
         check_choice("law", self.law, LAWS_ON_LOADS)
         check_choice("load", self.load, LOADS)
         _check_positive(self, "slip_speed")
+
+    def for_robot(self, spec: RobotSpec) -> LoadedContact:
+        """Return the contact with the settings that are None in the units of a robot."""
+        return replace(self, slip_speed=_scaled(self.slip_speed, SLIP_SPEED_M_S, spec))
 
 
 @dataclass(frozen=True)
@@ -76,24 +94,35 @@ class PreloadedContact:
         wheels: "rolling" (wheels on hinges) or "skid" (runners).
         preload: κ, additional normal force on each wheel as a multiple of its static load; None for
             `PRELOAD`.
-        slip_time: time constant with which contact friction stops a slip (`solreffriction`), s.
-        axle_time: time constant with which the friction of an axle stops its rotation, s.
-        slip_speed: slip speed of the axial drag, m/s.
+        slip_time: time constant with which contact friction stops a slip (`solreffriction`), s; None for
+            `SLIP_TIME_S` times the time unit of the robot (`robot.scale`).
+        axle_time: time constant with which the friction of an axle stops its rotation, s; None for
+            `AXLE_TIME_S` times the time unit.
+        slip_speed: slip speed of the axial drag, m/s; None for `SLIP_SPEED_M_S` times the time unit.
     """
 
     name: ClassVar[Literal["preloaded"]] = "preloaded"
 
     wheels: Wheels = "rolling"
     preload: float | None = None
-    slip_time: float = 0.0003
-    axle_time: float = 0.002
-    slip_speed: float = 0.001
+    slip_time: float | None = None
+    axle_time: float | None = None
+    slip_speed: float | None = None
 
     def __post_init__(self) -> None:
         check_choice("wheels", self.wheels, WHEELS)
         _check_positive(self, "slip_time", "axle_time", "slip_speed")
         if not 0.0 <= self.preload_ratio < math.inf:
             raise InputError(f"preload {self.preload} is not allowed; it must be finite and 0 or more")
+
+    def for_robot(self, spec: RobotSpec) -> PreloadedContact:
+        """Return the contact with the settings that are None in the units of a robot."""
+        return replace(
+            self,
+            slip_time=_scaled(self.slip_time, SLIP_TIME_S, spec),
+            axle_time=_scaled(self.axle_time, AXLE_TIME_S, spec),
+            slip_speed=_scaled(self.slip_speed, SLIP_SPEED_M_S, spec),
+        )
 
     @property
     def rolling(self) -> bool:
@@ -116,8 +145,20 @@ class PreloadedContact:
 
 def _check_positive(contact: LoadedContact | PreloadedContact, *names: str) -> None:
     for name in names:
-        if not 0.0 < (value := getattr(contact, name)) < math.inf:
+        value = getattr(contact, name)
+        if value is not None and not 0.0 < value < math.inf:
             raise InputError(f"{name} {value} is not allowed; it must be finite and above 0")
+
+
+def _scaled(value: float | None, default: float, spec: RobotSpec) -> float:
+    """Return a time or speed, by default that of the robot's time unit."""
+    return default * spec.scale.time if value is None else value
+
+
+def stated(setting: float | None) -> float:
+    """Return a setting of a contact that `for_robot` has completed."""
+    assert setting is not None
+    return setting
 
 
 Contact = LoadedContact | PreloadedContact
@@ -171,7 +212,7 @@ class ModelSettings:
         numerics: switches for studies of the twin.
     """
 
-    timestep: float = 0.001
+    timestep: float = TIMESTEP_S
     hinges_per_segment: int = 2
     contact: Contact = LoadedContact()
     base: str = "free"
@@ -182,16 +223,20 @@ class ModelSettings:
         """Whether there is a floor with loaded contact."""
         return isinstance(self.contact, LoadedContact) and self.base == "free"
 
-    @property
-    def contact_time(self) -> float:
-        """Time constant of the normal contact, s.
+    def for_robot(self, spec: RobotSpec) -> ModelSettings:
+        """Return the settings with those of the contact that are None in the units of a robot."""
+        return replace(self, contact=self.contact.for_robot(spec))
 
-        Under loaded contact it is two time steps, because the loads oscillate with one.
+    def contact_time(self, spec: RobotSpec) -> float:
+        """Return the time constant of the normal contact, s.
+
+        Under loaded contact it is two time steps, because the loads oscillate with one. Under a preload it
+        is a fraction of the damping time of pitch and roll, which distribute the load.
         """
-        return 2 * self.timestep if self.loaded else _PRELOADED_CONTACT_TIME
+        return 2 * self.timestep if self.loaded else spec.bending.out_of_plane_damping_time / _CONTACT_RATIO
 
 
-_PRELOADED_CONTACT_TIME = 0.001  # time constant of the normal contact under a preload, s
+_CONTACT_RATIO = 10.0  # damping time of pitch and roll over the contact time under a preload, 1
 
 Preset = Literal["reference", "fast"]
 PRESETS: dict[str, dict[str, Any]] = {"reference": {"timestep": 0.00025}, "fast": {"timestep": 0.002}}

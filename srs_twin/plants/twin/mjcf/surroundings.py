@@ -25,7 +25,8 @@ FRICTION = 0.5
 _CONTACT_BIT = 2  # contype of obstacles and conaffinity of hulls; floor and wheels have explicit pairs
 _HEIGHT_RATIO = 2.0  # half height of a round obstacle over the body's width, 1
 _MIN_CONTACT_STEPS = 2.0  # contact time over the time step, 1: the smallest value that MuJoCo uses
-_LEVEL_EXTENT = 100.0  # extent of the first and the last level beyond the steps, m
+_LEVEL_EXTENT = 100.0  # of the first and the last level beyond the steps, at a length unit of 1, m
+_TRANSITION_DEPTH = 0.0005  # depth over which a contact reaches its full stiffness, at a length unit of 1, m
 _GREY = [0.45, 0.47, 0.5, 1]  # RGBA
 _HULL_GROUP = 4  # geom group; viewers do not show it
 _GRADIENT, _CHECKER = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, mujoco.mjtBuiltin.mjBUILTIN_CHECKER
@@ -33,12 +34,13 @@ _GRADIENT, _CHECKER = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, mujoco.mjtBuiltin.mj
 
 def add_hull_class(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings) -> None:
     """Add the class ``hull`` of the geoms that touch obstacles."""
+    depth = _TRANSITION_DEPTH * spec.scale.length
     hull = mj.add_default("hull", mj.find_default(ROOT)).geom
     hull.type, hull.size = mjtGeom.mjGEOM_CAPSULE, [spec.geometry.width / 2, 0, 0]
     hull.conaffinity, hull.group, hull.priority = _CONTACT_BIT, _HULL_GROUP, 1
     # Under loaded contact MuJoCo computes normal forces only.
     hull.condim, hull.friction = 1 if settings.loaded else 3, [FRICTION, 0.005, 0.0001]
-    hull.solref, hull.solimp = [_MIN_CONTACT_STEPS * settings.timestep, 1], [0.95, 0.99, 0.0005, 0.5, 2]
+    hull.solref, hull.solimp = [_MIN_CONTACT_STEPS * settings.timestep, 1], [0.95, 0.99, depth, 0.5, 2]
 
 
 def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
@@ -64,7 +66,7 @@ def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
         add_velocity_sensor(mj, f"velocity_{hull}", mjtObj.mjOBJ_GEOM, hull)
 
 
-def add_steps(mj: mujoco.MjSpec, steps: tuple[Step, ...], body_length: float) -> list[str]:
+def add_steps(mj: mujoco.MjSpec, steps: tuple[Step, ...], spec: RobotSpec) -> list[str]:
     """Add boxes for the raised levels of the floor, and lower the floor; return the boxes' names.
 
     Before the first step, at the smallest x, the height of the floor is 0.
@@ -72,13 +74,13 @@ def add_steps(mj: mujoco.MjSpec, steps: tuple[Step, ...], body_length: float) ->
     Args:
         mj: model, in place.
         steps: steps of the floor.
-        body_length: length of the snake, m; cameras use it instead of the extent of the boxes.
+        spec: the robot; cameras use its length instead of the extent of the boxes.
     """
     if not steps:
         return []
-    mj.stat.extent, mj.stat.center = body_length, [0, 0, 0]
+    mj.stat.extent, mj.stat.center = spec.geometry.body_length, [0, 0, 0]
     ordered = sorted(steps, key=lambda step: step.x)
-    far = _LEVEL_EXTENT + max(abs(step.x) for step in ordered)
+    far = _LEVEL_EXTENT * spec.scale.length + max(abs(step.x) for step in ordered)
     edges = [-far, *(step.x for step in ordered), far]
     heights = np.cumsum([0.0, *(step.height for step in ordered)])
     lowest = float(heights.min())

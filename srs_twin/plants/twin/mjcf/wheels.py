@@ -41,8 +41,13 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 _NET_FORCE = 3  # reduction of a contact sensor: sum over all contacts
 _SIDES = {"left": 1, "right": -1}  # sign of y
 _RUNNER_SLOPE = 0.6  # rise of a runner to the front, 1; far above any pitch of a connector
-_RUNNER_DEPTH = 1e-6  # initial depth of a runner in the floor, m, so that the first step detects all of them
-_REFERENCE_DEPTH = 5e-5  # depth of all feet in the floor at which regularisations are evaluated, m
+
+# Lengths at a length unit of 1 (`robot.scale`), m.
+_RUNNER_DEPTH = 1e-6  # initial depth of a runner in the floor, so that the first step detects all of them
+_REFERENCE_DEPTH = 5e-5  # depth of all feet in the floor at which regularisations are evaluated
+_TRANSITION_DEPTH = 0.001  # depth over which a contact reaches its full stiffness, MuJoCo's default
+_SOLIMP = (0.9, 0.95, _TRANSITION_DEPTH, 0.5, 2.0)  # impedance of the contacts, MuJoCo's default
+
 _PRELOAD_SITES = {"rolling": "axle", "skid": "sole"}  # names of the sites on which the preload acts
 
 
@@ -63,17 +68,19 @@ def preload_force(spec: RobotSpec, contact: PreloadedContact) -> np.ndarray:
 
 def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, Any]:
     """Return the attributes of a contact pair of floor and wheel or skid; friction is along, then across."""
-    mu_t, mu_n, contact = spec.friction.mu_t, spec.friction.mu_n, settings.contact
+    mu_t, mu_n, contact = spec.friction.mu_t, spec.friction.mu_n, settings.contact.for_robot(spec)
+    low, high, depth, middle, power = _SOLIMP
+    solimp = [low, high, depth * spec.scale.length, middle, power]
+    normal = {"solref": [settings.contact_time(spec), 1], "solimp": solimp}
     if isinstance(contact, LoadedContact):
-        return {"condim": 1, "solref": [settings.contact_time, 1]}
+        return {"condim": 1} | normal
     across = mu_n / (1 + contact.preload_ratio)
     along = across if contact.rolling else mu_t / (1 + contact.preload_ratio)
     return {
         "condim": 3,
         "friction": [along, across, 0.005, 0.0001, 0.0001],
-        "solref": [settings.contact_time, 1],
         "solreffriction": [contact.slip_time, 1],
-    }
+    } | normal
 
 
 def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> tuple[float, np.ndarray]:
@@ -102,7 +109,11 @@ def add_wheels(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, settings: Mod
             _add_wheel(mj, body, spec, i, side, settings.numerics.wheel_spin)
         else:
             reach, y = spec.geometry.wheel_radius, sign * spec.geometry.half_track
-            z = foot_radius(spec, settings.contact) - spec.geometry.com_height - _RUNNER_DEPTH
+            z = (
+                foot_radius(spec, settings.contact)
+                - spec.geometry.com_height
+                - _RUNNER_DEPTH * spec.scale.length
+            )
             runner = [0, y, z, reach, y, z + _RUNNER_SLOPE * reach]
             body.add_geom(mj.find_default("tread"), name=f"tread_{side}_{i}", fromto=runner)
 
@@ -188,8 +199,10 @@ def add_contacts(mj: MjSpec, spec: RobotSpec, settings: ModelSettings, levels: l
             mj.add_pair(default, name=f"{tread}_{floor}", geomname1=floor, geomname2=tread)
             for tread in treads(spec)
         ]
+    unit = spec.scale.time
     for pair, factor in zip(pairs, itertools.cycle(_contact_time_factors(mj, spec)), strict=False):
-        pair.solref = [round(settings.contact_time * factor, 7), 1]
+        # Rounded to 0.1 µs, so that the file reads well, in units that scale without rounding.
+        pair.solref = [round(settings.contact_time(spec) * factor / unit, 7) * unit, 1]
     for tread in treads(spec):
         source = (mjtObj.mjOBJ_BODY, "world") if levels else (mjtObj.mjOBJ_GEOM, "floor")
         add_force_sensor(mj, f"floor_force_{tread}", *source, on=tread)
@@ -241,7 +254,7 @@ def contact_regularisation(model: mujoco.MjModel, spec: RobotSpec) -> np.ndarray
     """Return MuJoCo's regularisation R of each normal contact, in the order of `treads`, 1/kg."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
-    data.qpos[2] -= _REFERENCE_DEPTH
+    data.qpos[2] -= _REFERENCE_DEPTH * spec.scale.length
     mujoco.mj_forward(model, data)
     by_geom = {max(contact.geom): data.efc_R[contact.efc_address] for contact in data.contact}
     return np.array([by_geom[model.geom(tread).id] for tread in treads(spec)])

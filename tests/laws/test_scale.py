@@ -1,0 +1,113 @@
+"""A robot of another size makes the same motion, with the numerical settings that follow from its size.
+
+The factors of a scale that is a power of four are powers of two, which multiply without rounding. What is
+left there is the tolerance of the iterations: their criteria add forces and moments, which scale differently
+(docs/models.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scaled_robots import PLANTS, deviations, motion, scaled
+
+from srs_twin import AnalyticalSnake, InputError, PreloadedContact, TwinSnake, load_robot
+from srs_twin.pneumatics.valves import count_slots
+from srs_twin.robot.scale import SHIPPED, Scale, divide
+from srs_twin.scenario.loading import parse_scenario
+
+GEN2 = load_robot("gen2")
+SPEC = replace(GEN2, friction=replace(GEN2.friction, drag=0.02))
+
+
+@cache
+def reference(name: str, explicit: bool) -> np.ndarray:
+    return motion(PLANTS[name](SPEC, 1.0, explicit), 1.0)
+
+
+FAR = [1 / 16, 16.0]
+NEAR = [pytest.param(s, marks=pytest.mark.slow) for s in (1 / 4, 4.0)]
+
+
+@pytest.mark.parametrize("s", FAR + NEAR)
+@pytest.mark.parametrize("name", PLANTS)
+def test_default_settings_scale_with_the_robot(name, s):
+    found = deviations(name, SPEC, s, False, reference(name, False))
+    assert np.abs(found).max() < (1e-6 if name.startswith("twin") else 1e-12)
+
+
+@pytest.mark.parametrize("s", [0.05, 20.0])
+@pytest.mark.parametrize("name", PLANTS)
+def test_explicit_settings_admit_every_scale(name, s):
+    assert np.abs(deviations(name, SPEC, s, True, reference(name, True))).max() < 1e-4
+
+
+@pytest.mark.parametrize("s", [0.05, 20.0])
+@pytest.mark.parametrize("name", ["complete, wheel, momentary", "twin, loaded, wheel"])
+def test_default_settings_between_the_powers_are_of_similar_accuracy(name, s):
+    """The settings differ by 12 % from those that scale."""
+    assert np.abs(deviations(name, SPEC, s, False, reference(name, False))).max() < 5e-3
+
+
+@pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4", "gen4_module"])
+def test_shipped_robots_have_the_scale_of_the_declared_settings(name):
+    assert load_robot(name).scale == SHIPPED
+
+
+@pytest.mark.parametrize(
+    ("factor", "time"), [(0.26, 0.5), (0.24, 0.5), (1 / 16, 0.25), (16.0, 4.0), (4.0, 2.0)]
+)
+def test_time_unit_is_the_power_of_two_next_to_the_root_of_the_scale(factor, time):
+    assert scaled(SPEC, factor).scale == Scale(time)
+
+
+@pytest.mark.parametrize(
+    "time", [0.223606797749979, 0.3162277660168379, 0.7071067811865476, 1.0, 4.47213595499958]
+)
+def test_scaled_tick_has_the_slots_of_the_original(time):
+    scale = Scale.of_pitch(SPEC.geometry.pitch * time**2)
+    assert count_slots(0.02 * time, scale) == 200
+    assert divide(0.02 * time, 0.001 * scale.time) == pytest.approx(0.001 * time)
+
+
+@pytest.mark.parametrize(
+    ("interval", "part", "result"),
+    [(0.02, 0.001, 0.001), (0.005, 0.001, 0.001), (0.0005, 0.001, 0.0005), (0.0021, 0.001, 0.00105)],
+)
+def test_interval_is_divided_into_whole_parts(interval, part, result):
+    assert divide(interval, part) == result
+
+
+def test_defaults_of_plants_and_scenarios_are_the_same():
+    geometry = {"segment_length_m": 0.6, "rigid_gap_m": 0.3, "half_track_m": 0.24, "wheel_radius_m": 0.13}
+    geometry |= {"com_height_m": 0.24, "width_m": 0.65}
+    bending = {"stiffness_nm_per_rad": 3e4, "pitch_stiffness_nm_per_rad": 6500.0}
+    bending |= {"roll_stiffness_nm_per_rad": 6500.0}
+    bending |= {"damping_time_s": 0.01, "out_of_plane_damping_time_s": 0.04}
+    document = {
+        "title": "large",
+        "duration_s": 1.6,
+        "record_hz": 12.5,
+        "controller": {"kind": "gait", "frequency_hz": 0.5},
+        "robot": {
+            "base": "gen2",
+            "geometry": geometry,
+            "mass": {"connectors_kg": 120.0, "wheel_kg": 6.0},
+            "bending": bending,
+        },
+    }
+    scenario = parse_scenario(document)
+    for kind, plant in (("analytical", AnalyticalSnake), ("twin", TwinSnake)):
+        settings, default = scenario.build_plant(kind).describe(), plant(scenario.robot).describe()
+        for key in ("tick_s", "timestep_s", "slip_speed_m_s"):
+            assert settings[key] == default[key], key
+    assert scenario.document["plants"]["twin"]["timestep_s"] == 0.004
+
+
+@pytest.mark.parametrize("contact", ["loaded", PreloadedContact()])
+def test_robot_that_mujoco_would_take_as_massless_is_refused(contact):
+    with pytest.raises(InputError, match=r"moment of inertia .* MuJoCo needs more .* too small for the twin"):
+        TwinSnake(scaled(SPEC, 0.01), contact=contact)
