@@ -31,6 +31,7 @@ from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.plants.base import Plant
 from srs_twin.plants.twin.mjcf.numerics import LAW_OF, Numerics, PreloadedContact, stated
+from srs_twin.robot.friction import TWO_POINT_LAWS
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import Job, rollout, run_many
 from srs_twin.scenario.plants import AnalyticalFile, TwinFile
@@ -152,7 +153,7 @@ class PlantVariants:
     def _all_switches(self) -> list[Switch]:
         model, twin, spec = self._model, self._twin, self._scenario.robot
         law, damping_time = self._twin.law, spec.bending.damping_time
-        one_point = model.friction not in LAW_OF.values()
+        one_point = spec.skin is None and model.friction not in TWO_POINT_LAWS
         prescribed = model.model != "compliant"
         half_track = spec.geometry.half_track
         # Arcs and compliant bends need the torque of friction, which the simplified model may leave out.
@@ -161,7 +162,7 @@ class PlantVariants:
             Switch(
                 "friction law",
                 f"friction law: {model.friction} → {law}",
-                model.friction != law,
+                spec.skin is None and model.friction != law,
                 {"friction": law, "track": 0.0 if one_point else half_track},
             ),
             Switch(
@@ -219,7 +220,8 @@ class PlantVariants:
             1.0,
         )
         wheels_of_law = {law: wheels for wheels, law in LAW_OF.items()}
-        if contact.law not in wheels_of_law or self._scenario.world.uneven:
+        on_skin = self._scenario.robot.skin is not None
+        if contact.law not in wheels_of_law or on_skin or self._scenario.world.uneven:
             return [loads]
         # Compare the two solvers under static loads.
         solver = Refinement(
@@ -230,6 +232,10 @@ class PlantVariants:
             base={"contact": replace(contact, load="static")},
         )
         return [loads, solver]
+
+    @property
+    def _has_wheels(self) -> bool:
+        return self._scenario.robot.skin is None and self._twin.law in ("wheel", "axis")
 
     def _refinements(self) -> list[Refinement]:
         step, hinges = self._twin.timestep_s, self._twin.hinges_per_segment
@@ -259,7 +265,7 @@ class PlantVariants:
                 4 / 3,
                 base=arcs,
             ),
-            *([lighter_wheels] if self._twin.law != "ellipse" else []),
+            *([lighter_wheels] if self._has_wheels else []),
             *self._contact_refinements(),
             out_of_plane,
             Refinement("link mass", "mass between the hinges", lighter_links, 2.0),

@@ -41,7 +41,7 @@ def fill_rows(body, q, u, solid, rows, rates):  # type: ignore[no-untyped-def]
         j = i - 1
         spin = u[2] + 0.5 * (body[SPIN, j] + body[SPIN, i])
         # Direction of the chord: half a bend behind the heading of its front end.
-        half_c, half_s, span, slope, curvature = chord_terms(q[j], solid)
+        half_c, half_s, span, slope, curvature = chord_terms(q[j], solid, j)
         c = body[COS, j] * half_c + body[SIN, j] * half_s
         s = body[SIN, j] * half_c - body[COS, j] * half_s
         length_rate, bulge = slope * u[3 + j], curvature * u[3 + j]

@@ -9,7 +9,7 @@ import numpy as np
 
 from srs_twin import AnalyticalSnake, LoadedContact, Plant, RobotSpec, TwinSnake, load_robot
 from srs_twin.plants.analytical import kernels
-from srs_twin.plants.twin.mjcf.model import root_connector
+from srs_twin.plants.twin.mjcf.belly import root_connector
 
 GRAVITY = 9.81
 shipped = cache(load_robot)

@@ -20,6 +20,7 @@ from srs_twin.errors import InputError, InputFileError, UnknownNameError
 from srs_twin.io.documents import Document, Loc, child
 from srs_twin.io.files import find_file
 from srs_twin.io.validation import StrictModel, load_model, validate
+from srs_twin.robot.friction import SkinLaw
 from srs_twin.robot.scale import Scale
 from srs_twin.robot.sourced import Record, Records, bounded, number_field, replace_value, split_unit
 from srs_twin.robot.spec import (
@@ -33,6 +34,7 @@ from srs_twin.robot.spec import (
     Mass,
     Modules,
     RobotSpec,
+    Skin,
     Supply,
     Tail,
 )
@@ -163,39 +165,93 @@ class GeometryFile(Records):
     """Length of the bending part of a segment."""
     rigid_gap_m: Number = number_field(0.0, LENGTHS_M[1])
     """Length of the straight part of a segment, half of it at each end."""
-    half_track_m: Number = number_field(*LENGTHS_M)
-    """Distance of a wheel from the centre line."""
-    wheel_radius_m: Number = number_field(*LENGTHS_M)
-    """Radius of a wheel."""
+    half_track_m: Number | None = number_field(*LENGTHS_M, optional=True)
+    """Distance of a wheel from the centre line; wheels only."""
+    wheel_radius_m: Number | None = number_field(*LENGTHS_M, optional=True)
+    """Radius of a wheel; wheels only."""
     com_height_m: Number = number_field(*LENGTHS_M)
     """Height of the centre of mass above the floor."""
     width_m: Number = number_field(*LENGTHS_M)
-    """Width of the soft body; no effect on the motion."""
+    """Width of the soft body; only that of a skin has an effect on the motion."""
 
 
 class MassFile(Records):
     """Masses."""
 
-    connectors_kg: Number = number_field(*MASSES_KG, shape=_one_or_each)
+    connectors_kg: Number | None = number_field(*MASSES_KG, shape=_one_or_each, optional=True)
     """Mass of a connector with its wheels and its part of the body; one number for all, or a list, head
-    first."""
-    wheel_kg: Number = number_field(*MASSES_KG)
-    """Mass of one wheel, included in that of its connector."""
+    first. Wheels only."""
+    wheel_kg: Number | None = number_field(*MASSES_KG, optional=True)
+    """Mass of one wheel, included in that of its connector; wheels only."""
     connector_gyration_m: Number | None = number_field(*LENGTHS_M, optional=True)
     """Radius of gyration of a connector without its wheels (default: that of a uniform block with the length
-    of the rigid gap and the width of the track)."""
+    of the rigid gap and the width of the track); wheels only."""
+    segments_kg: Number | None = number_field(*MASSES_KG, shape=_one_or_each, optional=True)
+    """Mass of the body from one connector to the next, spread evenly over its length; one number for all, or
+    a list, head first. Skin only."""
 
 
 class FrictionFile(Records):
-    """Friction of the wheels on the floor, and axial drag."""
+    """Friction of the wheels on the floor, and axial drag; a skin has its coefficients in contact."""
 
-    mu_t: Number = number_field(0.0, 10.0)
-    """Friction coefficient along the heading (drag of a rolling wheel)."""
-    mu_n: Number = number_field(0.0, 10.0)
-    """Friction coefficient across the heading (a wheel that slides sideways)."""
+    mu_t: Number | None = number_field(0.0, 10.0, optional=True)
+    """Friction coefficient along the heading (drag of a rolling wheel); wheels only."""
+    mu_n: Number | None = number_field(0.0, 10.0, optional=True)
+    """Friction coefficient across the heading (a wheel that slides sideways); wheels only."""
     drag_n: Number | None = number_field(0.0, 1e7, optional=True)
     """Total axial drag of tubes and belly, independent of the load; equal parts act on the connectors
     (default: none)."""
+
+
+class ContactFile(Records):
+    """Kind of contact with the floor."""
+
+    kind: Literal["wheels", "skin"]
+    """wheels: two wheels on each connector, described in geometry, mass and friction; skin: a body that
+    slides on its belly along its whole length."""
+    law: SkinLaw | None = None
+    """Friction law of a skin; ellipse: the force with the largest dissipation (default), cosine: each
+    component proportional to the direction cosine of the slip (docs/models.md)."""
+    forward: Number | None = number_field(0.0, 10.0, optional=True)
+    """Friction coefficient along the body for slip towards the head; skin only."""
+    backward: Number | None = number_field(0.0, 10.0, optional=True)
+    """Friction coefficient along the body for slip towards the tail (default: forward); skin only."""
+    transverse: Number | None = number_field(0.0, 10.0, optional=True)
+    """Friction coefficient across the body; skin only."""
+    points_per_segment: Number | None = number_field(1, 64, int, optional=True)
+    """Contact points along each segment (default: 6); skin only."""
+
+    @property
+    def is_skin(self) -> bool:
+        """Whether the robot slides on its belly."""
+        return self.kind == "skin"
+
+    def friction(self) -> dict[str, float]:
+        """Return the coefficients of a skin as arguments of `Friction`."""
+        names = {"mu_t": self.forward, "mu_back": self.backward, "mu_n": self.transverse}
+        return {name: record.value for name, record in names.items() if record is not None}
+
+    def skin(self) -> Skin:
+        """Return the skin."""
+        points = {} if self.points_per_segment is None else {"points": self.points_per_segment.value}
+        return Skin(**({} if self.law is None else {"law": self.law}), **points)
+
+
+_WHEEL_KEYS = {
+    "geometry": ("half_track_m", "wheel_radius_m"),
+    "mass": ("connectors_kg", "wheel_kg"),
+    "friction": ("mu_t", "mu_n"),
+}
+"""Keys that a robot on wheels needs, and that a robot with skin does not have, by section."""
+
+_SKIN_KEYS = {"mass": ("segments_kg",), "contact": ("forward", "transverse")}
+"""Keys that a robot with skin needs, and that a robot on wheels does not have, by section."""
+
+_OPTIONAL_KEYS = {
+    "wheels": {"mass": ("connector_gyration_m",)},
+    "skin": {"contact": ("law", "backward", "points_per_segment")},
+}
+"""Further keys that only one kind of contact has, by section."""
 
 
 class BendingFile(Records):
@@ -296,7 +352,10 @@ class RobotFile(StrictModel):
     """Description in one line."""
     geometry: GeometryFile
     mass: MassFile
-    friction: FrictionFile
+    friction: FrictionFile = FrictionFile()
+    """Friction of the wheels on the floor, and axial drag."""
+    contact: ContactFile | None = None
+    """Kind of contact with the floor (default: wheels)."""
     bending: BendingFile
     actuator: ActuatorFile
     chamber: ChamberFile
@@ -334,12 +393,22 @@ class RobotFile(StrictModel):
         gain = actuator.pop("bend") / actuator.pop("at_pressure")
         has_dead_zone = bool(actuator.keys() & {"onset", "onset_width"})
         segments = self.geometry.connectors.value - 1
+        geometry, friction, contact = self.geometry.to_si(), self.friction.to_si(), self.contact
+        if contact is None or not contact.is_skin:
+            mass, skin = Mass(**self.mass.to_si() | {"connectors": tuple(self.masses())}), None
+        else:
+            mass, skin = Mass.along_body(tuple(self.masses())), contact.skin()
+            friction |= contact.friction()
+            geometry |= {
+                "half_track": geometry["width"] / (2 * math.sqrt(3)),
+                "wheel_radius": geometry["com_height"],  # spheres around the centre of the body
+            }
         return RobotSpec(
             name=self.name,
             title=self.title,
-            geometry=Geometry(**self.geometry.to_si()),
-            mass=Mass(**self.mass.to_si() | {"connectors": tuple(self.masses())}),
-            friction=Friction(**self.friction.to_si()),
+            geometry=Geometry(**geometry),
+            mass=mass,
+            friction=Friction(**friction),
             bending=Bending(**self.bending.to_si()),
             actuator=Actuator(
                 **{"bend_limit": math.inf, "onset_share": float(has_dead_zone)} | actuator, gain=gain
@@ -352,22 +421,52 @@ class RobotFile(StrictModel):
             phase_step=self.gait.phase_step_rad.value,
             variation=self.modules.draw(segments, seed) if self.modules else None,
             tail=Tail(**self.tail.to_si()) if self.tail else None,
+            skin=skin,
         )
 
+    @property
+    def has_skin(self) -> bool:
+        """Whether the robot slides on its belly, without wheels."""
+        return self.contact is not None and self.contact.is_skin
+
     def masses(self) -> list[float]:
-        """Return the mass of each connector, kg, head first."""
-        value = self.mass.connectors_kg.value
-        return list(value) if isinstance(value, list) else [value] * self.geometry.connectors.value
+        """Return the mass of each connector, or of each segment of a robot with skin, kg, head first."""
+        record, count = self.mass.connectors_kg, self.geometry.connectors.value
+        if self.has_skin:
+            record, count = self.mass.segments_kg, count - 1
+        assert record is not None, "`contradictions` reports a missing mass"
+        return list(record.value) if isinstance(record.value, list) else [record.value] * count
+
+    def _contradictions_of_contact(self) -> Iterator[tuple[Loc, str]]:
+        """Yield path and message of keys that the kind of contact lacks or does not have."""
+        kind, other = ("skin", "wheels") if self.has_skin else ("wheels", "skin")
+        keys = {"wheels": _WHEEL_KEYS, "skin": _SKIN_KEYS}
+        for section, names in keys[kind].items():
+            for name in names:
+                if getattr(getattr(self, section), name, None) is None:
+                    yield (section, name), f"missing; a robot with contact {kind} needs it"
+        for kinds in (keys, _OPTIONAL_KEYS):
+            for section, names in kinds[other].items():
+                for name in names:
+                    if getattr(getattr(self, section), name, None) is not None:
+                        yield (section, name), f"a robot with contact {kind} has no {name}; remove it"
+        if self.has_skin and self.tail is not None:
+            yield ("tail",), "a robot with contact skin has no axles; remove the tail"
 
     def contradictions(self) -> Iterator[tuple[Loc, str]]:
         """Yield path and message of numbers that do not fit together."""
+        missing = list(self._contradictions_of_contact())
+        yield from missing
+        if missing:
+            return
         connectors, masses = self.geometry.connectors.value, self.masses()
-        if len(masses) != connectors:
+        key, count = ("segments", connectors - 1) if self.has_skin else ("connectors", connectors)
+        if len(masses) != count:
             yield (
-                ("mass", "connectors_kg", "value"),
-                f"{len(masses)} masses for {connectors} connectors; give {connectors}, or one number for all",
+                ("mass", f"{key}_kg", "value"),
+                f"{len(masses)} masses for {count} {key}; give {count}, or one number for all",
             )
-        if 2 * (wheel := self.mass.wheel_kg.value) > WHEEL_SHARE * min(masses):
+        if self.mass.wheel_kg and 2 * (wheel := self.mass.wheel_kg.value) > WHEEL_SHARE * min(masses):
             yield (
                 ("mass", "wheel_kg", "value"),
                 f"two wheels of {wheel:g} kg are too much for the lightest connector, {min(masses):g} kg; "
@@ -434,13 +533,17 @@ class RobotFile(StrictModel):
                     yield ("correlated", i, "of", k), str(UnknownNameError("number", path, records))
 
 
+_PLAIN_KEYS = ("seed", "kind", "law")
+"""Keys of sections of records whose values are no records."""
+
+
 def section_units(section: str) -> dict[str, str]:
     """Return the units of the records of a section by key; an empty dict for any other name."""
     field = RobotFile.model_fields.get(section)
     types = (get_args(field.annotation) or (field.annotation,)) if field else ()
     sections = [kind for kind in types if isinstance(kind, type) and issubclass(kind, Records)]
     keys: Mapping[str, Any] = sections[0].model_fields if sections else {}
-    return {key: split_unit(key)[1] for key in keys if key != "seed"}
+    return {key: split_unit(key)[1] for key in keys if key not in _PLAIN_KEYS}
 
 
 def load_robot_file(name_or_path: str | os.PathLike[str]) -> RobotFile:

@@ -14,6 +14,9 @@ elementwise, for arrays of any shape, and the kernels compile them.
   it is the one with the largest dissipated power: f = −N (μ_t² v_t, μ_n² v_n)/√(μ_t² v_t² + μ_n² v_n²). Both
   directions share one root, and thus one slip speed; with μ² ε² under the root, it is ε for the direction of
   the larger coefficient μ.
+- `cosine`: sliding skin after Hu and Shelley (2012): each component of the force is proportional to the
+  direction cosine of the slip, f = −N (μ_t v_t, μ_n v_n)/√(v_t² + v_n²). It has no potential, so that
+  df_t/dv_n ≠ df_n/dv_t. The force lies on the same ellipse as that of `ellipse`, in another direction.
 - `viscous`: linear drag f = −N (μ_t v_t, μ_n v_n)/v₁ with v₁ = 1 m/s, a law for tests.
 """
 
@@ -23,12 +26,16 @@ from typing import Literal, get_args
 
 import numpy as np
 
-Law = Literal["axis", "wheel", "viscous", "ellipse"]
+Law = Literal["axis", "wheel", "viscous", "ellipse", "cosine"]
 LAWS: tuple[Law, ...] = get_args(Law)
 """Names of the laws, which are the functions below; kernels and files use this list."""
 
-TWO_POINT_LAWS = ("wheel", "ellipse")
+TWO_POINT_LAWS = ("wheel", "ellipse", "cosine")
 """Laws with two contact points per connector, at ± half the track; the other laws have one at the centre."""
+
+SkinLaw = Literal["ellipse", "cosine"]
+SKIN_LAWS: tuple[SkinLaw, ...] = get_args(SkinLaw)
+"""Laws of a skin, which slides in every direction; its μ_t differs between forward and backward slip."""
 
 _MIN_COEFFICIENT = 1e-12
 """Lower bound in the root of `ellipse`, which avoids 0/0 for a contact without friction."""
@@ -102,4 +109,18 @@ def ellipse(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  
         mixed,
         mixed,
         -load * r * w_n * (1 - w_n * a_n * a_n),
+    )
+
+
+def cosine(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return force (N) and its derivatives (N·s/m) under the `cosine` law. Arguments as in `axis`."""
+    r = 1 / np.sqrt(v_t * v_t + v_n * v_n + slip * slip)
+    a_t, a_n, k_t, k_n = v_t * r, v_n * r, load * mu_t * r, load * mu_n * r
+    return (
+        -k_t * v_t,
+        -k_n * v_n,
+        -k_t * (1 - a_t * a_t),
+        k_t * a_t * a_n,
+        k_n * a_t * a_n,
+        -k_n * (1 - a_n * a_n),
     )

@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, check_choice
+from srs_twin.robot.friction import SKIN_LAWS, SkinLaw
 from srs_twin.robot.scale import Scale
 
 PerChamber = tuple[tuple[float, float], ...]
@@ -107,8 +108,10 @@ class Geometry:
         connectors: N, number of connectors ("links" in the dissertation), at least 2.
         segment_length: l, length of the bending part of a segment, m.
         rigid_gap: L_o, length of the straight part of a segment, half of it at each end, m (Fig. 35).
-        half_track: distance of each wheel contact from the centre line, m.
-        wheel_radius: radius of a wheel, m.
+        half_track: distance of each contact point from the centre line, m. For a skin it is w/(2√3) with the
+            width w of the body: the two points are those of a Gauss rule across the belly.
+        wheel_radius: radius of a wheel, or of the spheres with which the skin of the twin touches the floor,
+            m.
         com_height: height of the centre of mass of a connector above the floor, m.
         width: width of the soft body in pictures and collision checks, m; no effect on the motion.
     """
@@ -152,21 +155,33 @@ class Mass:
 
     Attributes:
         connectors: mass of each connector including its wheels, head first, shape (N,), kg.
-        wheel: mass of one wheel, included in that of its connector, kg.
+        wheel: mass of one wheel, included in that of its connector, kg; 0 for a robot with skin.
         connector_gyration: radius of gyration of a connector without its wheels, m; None for the value
             derived in `RobotSpec.connector_gyration`.
+        segments: mass of each segment of a robot with skin, spread evenly over its length, head first, kg;
+            None for a robot on wheels, whose mass is at the connectors.
     """
 
     connectors: tuple[float, ...]
     wheel: float
     connector_gyration: float | None = None
+    segments: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
-        _positive(self, "wheel", *(["connector_gyration"] if self.connector_gyration is not None else []))
+        _not_negative(self, "wheel")
+        if self.connector_gyration is not None:
+            _positive(self, "connector_gyration")
         for i, mass in enumerate(self.connectors, start=1):
             _require(math.isfinite(mass) and mass > 0, f"mass of connector {i}", mass, "it must be above 0")
             heaviest = WHEEL_SHARE * mass / 2
             _require(self.wheel <= heaviest, "wheel", self.wheel, f"it must weigh at most {heaviest:g} kg")
+
+    @classmethod
+    def along_body(cls, segments: tuple[float, ...]) -> Mass:
+        """Return the masses of a robot with skin: each connector stands for the adjacent half segments."""
+        halves = (0.0, *segments), (*segments, 0.0)
+        connectors = tuple((front + rear) / 2 for front, rear in zip(*halves, strict=True))
+        return cls(connectors, wheel=0.0, segments=segments)
 
     @property
     def total(self) -> float:
@@ -180,21 +195,69 @@ class Mass:
 
 @dataclass(frozen=True)
 class Friction:
-    """Friction coefficients of the wheels on the floor (Eq. 17), and axial drag.
+    """Friction coefficients of wheels (Eq. 17) or skin on the floor, and axial drag.
 
     Attributes:
-        mu_t: friction coefficient along the heading (axle drag of a rolling wheel).
+        mu_t: friction coefficient along the heading (axle drag of a rolling wheel); that of a skin for slip
+            towards the head.
         mu_n: friction coefficient across the heading (a wheel that slides sideways).
         drag: total axial drag of tubes and belly, N. Equal parts act on the connectors against their motion
             along the heading, independent of the wheel loads.
+        mu_back: friction coefficient of a skin for slip towards the tail; None for mu_t.
     """
 
     mu_t: float
     mu_n: float
     drag: float = 0.0
+    mu_back: float | None = None
 
     def __post_init__(self) -> None:
-        _not_negative(self, "mu_t", "mu_n", "drag")
+        _not_negative(self, "mu_t", "mu_n", "drag", *(["mu_back"] if self.mu_back is not None else []))
+
+    @property
+    def backward(self) -> float:
+        """Friction coefficient along the heading for slip towards the tail."""
+        return self.mu_t if self.mu_back is None else self.mu_back
+
+
+@dataclass(frozen=True)
+class Skin:
+    """Contact of a body without wheels, which lies on the floor along its whole length.
+
+    Attributes:
+        law: friction law, "ellipse" or "cosine" (`robot.friction`).
+        points: number of contact points along a segment, each of them two points side by side.
+    """
+
+    law: SkinLaw = "ellipse"
+    points: int = 6
+
+    def __post_init__(self) -> None:
+        check_choice("friction law of a skin", self.law, SKIN_LAWS)
+        _require(self.points >= 1, "points", self.points, "a segment has 1 or more")
+
+
+class Cells(NamedTuple):
+    """Cells of each segment of a robot with skin: arcs of constant curvature between its contact points.
+
+    Attributes:
+        length: shape (cells,), head first, m.
+        share: fraction of the bend of the segment, shape (cells,), 1; 0 in the rigid gap.
+    """
+
+    length: np.ndarray
+    share: np.ndarray
+
+    @classmethod
+    def of(cls, geometry: Geometry, points: int) -> Cells:
+        """Return at least `points` cells of about equal length, whose ends include those of the arc."""
+        half_gap, arc = geometry.rigid_gap / 2, geometry.segment_length
+        pieces = [(half_gap, 0.0), (arc, 1.0), (half_gap, 0.0)]
+        counts = [max(1, round(points * length / geometry.pitch)) for length, _ in pieces if length > 0.0]
+        pieces = [piece for piece in pieces if piece[0] > 0.0]
+        lengths = [length / count for (length, _), count in zip(pieces, counts, strict=True)]
+        shares = [share / count for (_, share), count in zip(pieces, counts, strict=True)]
+        return cls(np.repeat(lengths, counts), np.repeat(shares, counts))
 
 
 @dataclass(frozen=True)
@@ -346,6 +409,7 @@ class RobotSpec:
         phase_step: β, phase lag of the gait from one segment to the next, rad (E18).
         variation: individual properties of the modules; None for identical nominal modules.
         tail: tail assembly; None if the last connector has one axle.
+        skin: contact of a body without wheels; None for a robot on wheels.
     """
 
     name: str
@@ -360,6 +424,7 @@ class RobotSpec:
     phase_step: float
     variation: Modules | None = None
     tail: Tail | None = None
+    skin: Skin | None = None
 
     def __post_init__(self) -> None:
         count, connectors = len(self.mass.connectors), self.geometry.connectors
@@ -368,6 +433,11 @@ class RobotSpec:
         if self.variation is not None:
             count = len(self.variation.gain)
             _require(count == self.segments, "modules", count, f"the robot has {self.segments}")
+        if (self.skin is None) != (self.mass.segments is None) or (self.skin and self.tail):
+            raise InputError("a robot has either a skin and masses of segments, or wheels and perhaps a tail")
+        if self.mass.segments is not None:
+            count = len(self.mass.segments)
+            _require(count == self.segments, "mass.segments", count, f"the robot has {self.segments}")
 
     @property
     def segments(self) -> int:
@@ -385,8 +455,34 @@ class RobotSpec:
         return Scale.of_pitch(self.geometry.pitch)
 
     @cached_property
+    def cells(self) -> Cells:
+        """Cells of each segment of a robot with skin."""
+        assert self.skin is not None, "wheels have no cells"
+        return Cells.of(self.geometry, self.skin.points)
+
+    @cached_property
+    def point_masses(self) -> np.ndarray:
+        """Masses at the ends of all cells of a robot with skin by the trapezoidal rule, (points,), kg."""
+        cells = np.outer(self.mass.segments or (), self.cells.length / self.geometry.pitch).ravel()
+        masses: np.ndarray = (np.append(0.0, cells) + np.append(cells, 0.0)) / 2
+        return masses
+
+    def connector_weights(self, behind_head: np.ndarray) -> np.ndarray:
+        """Return the share of each place along the body that counts for each connector, (N, places), 1.
+
+        It decreases linearly from 1 at the connector to 0 at the next one.
+
+        Args:
+            behind_head: places along the straight body, shape (places,), m.
+        """
+        stations = behind_head / self.geometry.pitch
+        distance = np.abs(np.arange(self.geometry.connectors)[:, None] - stations)
+        weights: np.ndarray = np.maximum(1 - distance, 0.0)
+        return weights
+
+    @cached_property
     def axles(self) -> tuple[Axle, ...]:
-        """All axles, head first."""
+        """All axles of a robot on wheels, head first."""
         axles = [Axle(i, 0.0, mass) for i, mass in enumerate(self.mass.connectors, start=1)]
         if self.tail is not None:
             # Lever rule: each axle carries mass in proportion to the distance of the other axle from the

@@ -14,6 +14,7 @@ from srs_twin.io.documents import Document
 from srs_twin.pneumatics.base import Pneumatics
 from srs_twin.pneumatics.chambers import largest_bend
 from srs_twin.robot.file import RobotFile
+from srs_twin.robot.friction import TWO_POINT_LAWS
 from srs_twin.scenario.file import LEAST_RECORD_HZ, MOST_RECORD_HZ, ScenarioFile
 from srs_twin.scenario.plants import TwinFile
 
@@ -80,6 +81,7 @@ def check_robot(document: Document, file: ScenarioFile, robot: RobotFile) -> Non
     with document.report_errors("sensor"):
         file.sensor.sensor(robot.spec())
     # The integrator needs time steps shorter than the damping times of the segments (`mjcf.robot_mjcf`).
+    _check_contact(document, file, robot)
     bending, twin = robot.bending, file.plants.twin
     shortest = min(bending.damping_time_s.value, bending.out_of_plane_damping_time_s.value)
     if twin is not None and not twin.timestep_s < shortest:
@@ -88,6 +90,31 @@ def check_robot(document: Document, file: ScenarioFile, robot: RobotFile) -> Non
             f"{twin.timestep_s:g} s is too long: it must be below the shortest damping time of the robot, "
             f"{shortest:g} s (bending.damping_time_s, out_of_plane_damping_time_s)",
         )
+
+
+def _check_contact(document: Document, file: ScenarioFile, robot: RobotFile) -> None:
+    """Report options of the plants that the robot's kind of contact does not have."""
+    model, twin = file.plants.analytical, file.plants.twin
+    if not robot.has_skin:
+        if model and model.load == "momentary" and model.friction not in TWO_POINT_LAWS:
+            text = f"friction {model.friction} acts at one point per connector; momentary loads need two"
+            document.report(("plants", "analytical"), text)
+        return
+    for kind, plant in file.plants.running.items():
+        for key in plant.wheel_keys:
+            if key in plant.model_fields_set:
+                text = (
+                    f"{robot.name} has a skin with its own friction law (robot: contact.law); remove this key"
+                )
+                document.report(("plants", kind, key), text, at_key=True)
+    if twin and twin.contact == "preloaded":
+        document.report(("plants", "twin", "contact"), "a robot with skin needs contact: loaded")
+    if model and model.model == "simplified":
+        text = "a body with skin has no frozen chords; use complete or compliant"
+        document.report(("plants", "analytical", "model"), text)
+    if model and model.inertia == "lumped":
+        text = "the mass of a body with skin is along its length; use point or connector"
+        document.report(("plants", "analytical", "inertia"), text)
 
 
 def check_controller(

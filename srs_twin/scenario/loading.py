@@ -241,7 +241,12 @@ def _resolved(
         section.resolve(document, file, products.get(key))
     for kind, plant in document["plants"].items():
         plant["tick_s"] = file.tick(kind)
-        for key in getattr(file.plants, kind).floor_keys if file.bench else ():
+        section = getattr(file.plants, kind)
+        absent = [
+            *(section.floor_keys if file.bench else ()),
+            *(section.wheel_keys if robot.has_skin else ()),
+        ]
+        for key in absent:
             plant.pop(key, None)
     return document
 

@@ -22,7 +22,7 @@ from srs_twin.plants.twin.mjcf.numerics import (
 from srs_twin.plants.twin.mjcf.numerics import (
     Law as LawOnLoads,
 )
-from srs_twin.robot.friction import TWO_POINT_LAWS, Law
+from srs_twin.robot.friction import Law
 from srs_twin.robot.scale import Scale, divide
 from srs_twin.scenario.fields import Section, constructor_default, quantity
 
@@ -36,9 +36,11 @@ class _PlantFile(Section):
     Attributes:
         floor_keys: keys that describe the contact with the floor, not allowed on a bench.
         scaled_keys: keys whose defaults are multiplied by the time unit of the robot.
+        wheel_keys: keys that describe wheels or skids, not allowed for a robot with skin.
     """
 
     floor_keys: ClassVar[tuple[str, ...]]
+    wheel_keys: ClassVar[tuple[str, ...]]
     scaled_keys: ClassVar[tuple[str, ...]] = ("timestep_s",)
 
     gaps: bool = True
@@ -65,6 +67,7 @@ class AnalyticalFile(_PlantFile):
 
     constructors = (AnalyticalSnake,)
     floor_keys = ("friction", "load", "friction_torque", "slip_speed_m_s")
+    wheel_keys = ("friction",)
 
     scaled_keys = ("timestep_s", "slip_speed_m_s")
 
@@ -79,11 +82,11 @@ class AnalyticalFile(_PlantFile):
     """Moment of inertia of each connector; point: 0, connector: a compact body with two wheels, lumped: that
     of the dissertation, which counts the segments twice."""
     friction: Law = constructor_default()
-    """Friction law; axis: one contact per connector (dissertation), wheel: two wheels at the track, ellipse:
-    two skids at the track, viscous: a law for tests."""
+    """Friction law; axis: one contact per connector (dissertation), wheel: two wheels at the track, ellipse
+    or cosine: two skids at the track, viscous: a law for tests. A robot with skin has its own law."""
     load: Literal["static", "momentary"] = constructor_default()
     """Load of a wheel or skid; static: half the weight of its connector, momentary: with load transfer by
-    lateral forces (not with axis)."""
+    lateral forces (not with axis). A skin has such pairs along the whole body."""
     slip_speed_m_s: float = quantity(1e-9, 1.0, SLIP_SPEED_M_S)
     """Slip speed below which friction deviates from Coulomb friction (default: 0.00025 times the robot's time
     unit)."""
@@ -99,10 +102,6 @@ class AnalyticalFile(_PlantFile):
     def _options_are_consistent(self) -> AnalyticalFile:
         if not self.friction_torque and self.model != "simplified":
             raise ValueError(f"model {self.model} needs friction_torque: true; only simplified allows false")
-        if self.load == "momentary" and self.friction not in TWO_POINT_LAWS:
-            raise ValueError(
-                f"friction {self.friction} acts at one point per connector; momentary loads need two"
-            )
         return self
 
 
@@ -115,6 +114,7 @@ class TwinFile(_PlantFile):
 
     constructors = (ModelSettings, PreloadedContact)
     floor_keys = ("preset", "wheels", "contact", "friction")
+    wheel_keys = ("wheels", "friction")
 
     preset: Preset | None = None
     """Name of a time step, if timestep_s is not set; fast: 2 ms, for search and learning; reference: 0.25 ms,

@@ -127,7 +127,7 @@ class Accumulators(NamedTuple):
 
 def warp_functions() -> dict[str, Any]:
     """Return the Warp versions of the chamber laws, friction laws and friction solve, by name."""
-    friction_laws = [stick_slip.stick_slip_friction, stick_slip.rolling_friction]
+    friction_laws = [stick_slip.stick_slip_friction, stick_slip.skin_friction, stick_slip.rolling_friction]
     functions = as_warp_functions([*friction_laws, chambers.volume, chambers._log_cosh])
     chamber_laws = [chambers.apply_bend_law, lag.advance_segment, lag.filling_content]
     functions = as_warp_functions(chamber_laws, **functions)

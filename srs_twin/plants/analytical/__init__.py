@@ -2,7 +2,7 @@ r"""AnalyticalSnake: the dissertation's planar model, with connectors on segment
 
 The mechanics are those of a `Body`: `PrescribedBends` follow the chambers regardless of load (models
 `complete` and `simplified`), `ClampedBends` are a chain that is held at its head, and `CompliantBends` have
-stiffness and damping (model `compliant`).
+stiffness and damping (model `compliant`). Bodies with skin are divided into `cells`.
 
 The bends of a clamped chain are the free bends of Eq. 14, as on a test bench. Only the clamp touches the
 chain, so its motion follows from the bends alone. The moments of its segments follow from the recursive
@@ -29,6 +29,7 @@ from srs_twin.compute.compiled import allocating
 from srs_twin.errors import DivergedError, InputError, check_choice
 from srs_twin.io.saved_state import Stateful, short_digest
 from srs_twin.plants.analytical import compliant_kernels, kernels
+from srs_twin.plants.analytical.cells import Cells, Undivided
 from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
 from srs_twin.plants.analytical.kernels import inverse_dynamics
 from srs_twin.plants.analytical.kinematics import ROWS, BodyParameters, chord_terms, pose_body
@@ -59,8 +60,8 @@ class Motion(NamedTuple):
         states: indices as in `kernels`, shape (samples, STATES or more).
         velocities: velocity of the centre of mass in the mean-heading frame (m/s), yaw rate (rad/s) and, for
             compliant bends, bend rates (rad/s), shape (samples, 3 or more).
-        bend: shape (samples, segments), rad.
-        bend_rate: shape (samples, segments), rad/s.
+        bend: bends of the segments, or of the cells of a body with skin, shape (samples, cells), rad.
+        bend_rate: their rates, shape (samples, cells), rad/s.
         torque: net moment of each segment, shape (samples, segments), N·m.
     """
 
@@ -79,6 +80,7 @@ class Body(Stateful, ABC):
         velocity: current velocities, in the format of `Motion.velocities`.
         solid: constants of the body for the kernels.
         floor: floor for the kernels.
+        cells: division of the segments.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ("state", "velocity")
@@ -89,9 +91,9 @@ class Body(Stateful, ABC):
     compliant = False
     """Whether the bends are degrees of freedom, instead of the free bends of the chambers."""
 
-    def __init__(self, solid: BodyParameters, floor: FloorFriction, bends: int = 0) -> None:
+    def __init__(self, solid: BodyParameters, floor: FloorFriction, cells: Undivided, bends: int = 0) -> None:
         """Set the constants; `bends` is the number of bends that are degrees of freedom."""
-        self.solid, self.floor = solid, floor
+        self.solid, self.floor, self.cells = solid, floor, cells
         self._shapes = kernels.STATES + 2 * bends, 3 + bends
 
     def bends(self) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
@@ -116,7 +118,10 @@ class Body(Stateful, ABC):
             bend: shape (segments,), rad.
             rate: bend rates, shape (segments,), rad/s.
         """
+        bend, rate = self.cells.split(bend), self.cells.split(rate)
+        self.state[kernels.HEADING] += self.cells.lead(bend)
         (x, y, yaw), heading = velocity, float(self.state[kernels.HEADING])
+        yaw += self.cells.lead(rate)
         c, s = math.cos(heading), math.sin(heading)
         self.state[kernels.STATE_VX], self.state[kernels.STATE_VY] = x, y
         self.velocity[:3] = c * x + s * y, c * y - s * x, yaw
@@ -127,6 +132,15 @@ class Body(Stateful, ABC):
         """Return arrays for states and velocities of samples."""
         states, velocities = (np.zeros((samples, count)) for count in self._shapes)
         return states, velocities
+
+    def _split(self, trace: Trace) -> Trace:
+        """Return a trace with the free bends of the cells."""
+        split = self.cells.split
+        return trace._replace(
+            bend=split(trace.bend),
+            bend_rate=split(trace.bend_rate),
+            bend_acceleration=split(trace.bend_acceleration),
+        )
 
     @abstractmethod
     def move(
@@ -156,9 +170,15 @@ class PrescribedBends(Body):
     state_attributes = ("_state_rate",)
 
     def __init__(
-        self, solid: BodyParameters, floor: FloorFriction, *, friction_torque: bool, tolerance: float
+        self,
+        solid: BodyParameters,
+        floor: FloorFriction,
+        cells: Undivided,
+        *,
+        friction_torque: bool,
+        tolerance: float,
     ) -> None:
-        super().__init__(solid, floor)
+        super().__init__(solid, floor, cells)
         self._model, self._tolerance = (solid, floor, friction_torque), tolerance
 
     def reset(self, pose: Pose) -> None:
@@ -171,15 +191,16 @@ class PrescribedBends(Body):
     ) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
         now = self.state, self._state_rate, self.velocity
-        samples = self._allocate(len(sample_steps))
+        samples, trace = self._allocate(len(sample_steps)), self._split(trace)
         done, _ = advance(now, steps, trace, sample_steps, self._model, self._tolerance, samples)
         return done, *samples
 
     def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
         """See `Body.motion`."""
+        trace = self._split(trace)
         torque = np.empty_like(trace.bend)
         inverse_dynamics(velocities, trace, self._model, torque)
-        return Motion(states, velocities, trace.bend, trace.bend_rate, torque)
+        return Motion(states, velocities, trace.bend, trace.bend_rate, self.cells.moments(torque))
 
 
 class ClampedBends(Body):
@@ -187,17 +208,14 @@ class ClampedBends(Body):
 
     state_attributes = ("_head_pose",)
 
-    def __init__(self, solid: BodyParameters, floor: FloorFriction) -> None:
+    def __init__(self, solid: BodyParameters, floor: FloorFriction, cells: Undivided) -> None:
         # In the air: no friction.
-        super().__init__(solid, floor._replace(mu_t=0.0, mu_n=0.0, drag=0.0))
+        super().__init__(solid, floor._replace(mu_t=0.0, mu_back=0.0, mu_n=0.0, drag=0.0), cells)
 
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`; the head stays at its initial pose."""
         super().reset(pose)
-        mass = self.solid.mass
-        pitch = self.solid.length + self.solid.gap
-        ahead = pitch * float(np.arange(len(mass)) @ mass) / float(mass.sum())
-        x, y, heading = pose
+        (x, y, heading), ahead = pose, self.cells.com_behind_head
         self._head_pose = np.array([x + ahead * math.cos(heading), y + ahead * math.sin(heading), heading])
 
     def place(self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
@@ -212,9 +230,10 @@ class ClampedBends(Body):
 
     def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
         """See `Body.motion`; the bends determine the motion."""
+        trace = self._split(trace)
         torque = np.empty_like(trace.bend)
         simulate_clamped(trace, self.solid, self._head_pose, states, velocities, torque)
-        return Motion(states, velocities, trace.bend, trace.bend_rate, torque)
+        return Motion(states, velocities, trace.bend, trace.bend_rate, self.cells.moments(torque))
 
 
 @allocating
@@ -245,7 +264,7 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
                 alpha[j] - ddq / 2,
             )
             angle, spin, alpha[j + 1] = angle - q, spin - dq, alpha[j] - ddq
-            _, _, span, slope, curvature = chord_terms(q, solid)
+            _, _, span, slope, curvature = chord_terms(q, solid, j)
             chord_rate, chord_acceleration = slope * dq, curvature * dq * dq + slope * ddq
             inward, aside = (
                 chord_acceleration - span * chord_spin * chord_spin,
@@ -298,31 +317,37 @@ class CompliantBends(Body):
 
     compliant = True
 
-    def __init__(self, spec: RobotSpec, solid: BodyParameters, floor: FloorFriction) -> None:
-        super().__init__(solid, floor, spec.segments)
+    def __init__(
+        self, spec: RobotSpec, solid: BodyParameters, floor: FloorFriction, cells: Undivided
+    ) -> None:
+        self._bends = len(solid.mass) - 1
+        super().__init__(solid, floor, cells, self._bends)
         bending = spec.bending
-        self._spring = bending.stiffness, bending.damping
+        self._spring = bending.stiffness * cells.inverse_share, bending.damping * cells.inverse_share
         self._spec, self._bias = spec, spec.modules.array("bias")
-        self._segments = spec.segments
 
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`."""
         super().reset(pose)
-        self.bends()[0][:] = self._bias
+        bias = self.cells.split(self._bias)
+        self.state[compliant_kernels.BENDS :][: self._bends] = bias
+        self.state[kernels.HEADING] += self.cells.lead(bias)
 
     def place(self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
         """See `Body.place`."""
+        self.state[kernels.HEADING] -= self.cells.lead(self.cells.split(self._bias))
         super().place(velocity, bend, rate)
-        self.bends()[0][:], self.velocity[3:] = bend, rate
+        bend, rate = self.cells.split(bend), self.cells.split(rate)
+        self.state[compliant_kernels.BENDS :][: self._bends], self.velocity[3:] = bend, rate
         momentum, force = np.empty((2, len(self.velocity)))
         model, work = (
             (self.solid, self._spring, self.floor),
             compliant_kernels.work_arrays(len(self.solid.mass)),
         )
         compliant_kernels.balance(
-            bend, self.velocity, np.zeros(self._segments), 0.0, model, momentum, force, work
+            bend, self.velocity, np.zeros(self._bends), 0.0, model, momentum, force, work
         )
-        self.state[compliant_kernels.BENDS + self._segments :] = momentum[3:]
+        self.state[compliant_kernels.BENDS + self._bends :] = momentum[3:]
 
     def move(
         self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
@@ -330,24 +355,28 @@ class CompliantBends(Body):
         """See `Body.move`."""
         now, model = (self.state, self.velocity), (self.solid, self._spring, self.floor)
         samples = self._allocate(len(sample_steps))
-        moments = self._air_moments(trace)[1:].reshape(len(steps), 2, -1)
+        # The moment of the air is the same in all cells of a segment.
+        each = self._bends // trace.bend.shape[-1]
+        moments = np.repeat(self._air_moments(trace)[1:], each, axis=-1).reshape(len(steps), 2, -1)
         done: int = compliant_kernels.advance(now, steps, moments, sample_steps, model, samples)
         return done, *samples
 
     def bends(self) -> tuple[np.ndarray, np.ndarray]:
         """See `Body.bends`."""
-        return self.state[compliant_kernels.BENDS :][: self._segments], self.velocity[3:]
+        bend = self.state[compliant_kernels.BENDS :][: self._bends]
+        return self.cells.total(bend), self.cells.total(self.velocity[3:])
 
     def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
         """See `Body.motion`."""
-        bend, rate = states[:, compliant_kernels.BENDS :][:, : self._segments], velocities[:, 3:]
-        stiffness, damping = self._spring
-        torque = self._air_moments(trace) - stiffness * bend - damping * rate
+        bend, rate = states[:, compliant_kernels.BENDS :][:, : self._bends], velocities[:, 3:]
+        total, bending = self.cells.total, self._spec.bending
+        torque = self._air_moments(trace) - bending.stiffness * total(bend) - bending.damping * total(rate)
         return Motion(states[:, : kernels.STATES], velocities, bend, rate, torque)
 
     def _air_moments(self, trace: Trace) -> np.ndarray:
         """Return the moments of air and rest bend on each segment, N·m."""
-        moments: np.ndarray = self._spring[0] * (self._bias + air_bend(self._spec, trace.pressure))
+        free_bend = self._bias + air_bend(self._spec, trace.pressure)
+        moments: np.ndarray = self._spec.bending.stiffness * free_bend
         return moments
 
 
@@ -393,6 +422,8 @@ def _check_options(
     check_choice("friction law", friction, LAWS)
     check_choice("load", load, LOADS)
     check_choice("inertia", inertia, INERTIAS)
+    if spec.skin is not None and (model == "simplified" or inertia == "lumped"):
+        raise InputError("a body with skin has neither model 'simplified' nor inertia 'lumped'")
     if load == "momentary" and friction not in TWO_POINT_LAWS:
         raise InputError(
             f"friction '{friction}' has one contact per connector; momentary loads need two: use 'wheel' "
@@ -453,9 +484,10 @@ class AnalyticalSnake(PneumaticPlant):
         Args:
             spec: the robot.
             model: "complete" (prescribed bends), "simplified" (prescribed bends, chords frozen at l + L_o) or
-                "compliant" (bends deflected by load and inertia).
-            friction: "axis" (one contact per connector, the law of the dissertation), "wheel" (two wheels at
-                the track), "ellipse" (two skids at the track) or "viscous" (for tests).
+                "compliant" (bends deflected by load and inertia). A body with skin is not "simplified".
+            friction: law of a robot on wheels, "axis" (one contact per connector, the law of the
+                dissertation), "wheel" (two wheels at the track), "ellipse" or "cosine" (two skids at the
+                track) or "viscous" (for tests); a skin has its own law, along the whole body.
             load: load of a wheel or skid, "static" (half of its connector's weight) or "momentary" (with the
                 load transfer by the lateral force, see `floor`).
             friction_torque: whether the moment of friction about the centre of mass acts; False gives the
@@ -489,6 +521,7 @@ class AnalyticalSnake(PneumaticPlant):
         timestep = default_timestep(tick, spec.scale) if timestep is None else timestep
         tolerance = TOLERANCE_M_S * unit if tolerance is None else tolerance
         slip_speed = SLIP_SPEED_M_S * unit if slip_speed is None else slip_speed
+        friction = spec.skin.law if spec.skin else friction
         _check_options(spec, world, model, friction, load, friction_torque, inertia, base)
         check_positive("tick", tick, "s")
         check_positive("time step", timestep, "s")
@@ -502,13 +535,24 @@ class AnalyticalSnake(PneumaticPlant):
         mu = spec.friction
         self._tolerance = tolerance
         self.load = load
+        if load == "momentary" and track == 0.0:
+            raise InputError("momentary loads need two contacts side by side; track must be above 0")
         load_transfer = spec.geometry.com_height / (2 * track) if load == "momentary" else 0.0
         x, y, z = world.floor.down
         gravity = GRAVITY * x, GRAVITY * y, GRAVITY * z
         drag = mu.drag / spec.geometry.connectors
         self._floor_plane = world.floor
         self._floor = floor_friction(
-            friction, track, mu.mu_t, mu.mu_n, slip_speed, load_transfer, gravity, drag, unit
+            friction,
+            track,
+            mu.mu_t,
+            mu.mu_n,
+            slip_speed,
+            load_transfer,
+            gravity,
+            drag,
+            None if spec.skin is None else mu.backward,
+            unit,
         )
         self._body = self._make_body()
         self.reset()
@@ -606,17 +650,21 @@ class AnalyticalSnake(PneumaticPlant):
         return super().identity() | {"floor": short_digest(self._floor_plane)}
 
     def _make_body(self) -> Body:
-        g = self.spec.geometry
+        cells = Undivided(self.spec) if self.spec.skin is None else Cells(self.spec)
         frozen = 1.0 if self._model == "simplified" else 0.0
-        lengths = g.segment_length, g.rigid_gap
-        solid = BodyParameters(self.spec.mass.array(), self._connector_inertia(), *lengths, frozen)
+        inertia = self._connector_inertia(cells.mass)
+        solid, floor = BodyParameters(cells.mass, inertia, cells.length, cells.gap, frozen), self._floor
+        if self.spec.skin is not None:
+            # The floor has the drag on one connector; along a body with skin it acts in smaller parts.
+            drag = self._floor.drag * self.spec.geometry.connectors / len(cells.mass)
+            floor = floor._replace(drag=drag)
         if self.base == "clamped":
-            return ClampedBends(solid, self._floor)
+            return ClampedBends(solid, floor, cells)
         if self._model != "compliant":
             return PrescribedBends(
-                solid, self._floor, friction_torque=self._friction_torque, tolerance=self._tolerance
+                solid, floor, cells, friction_torque=self._friction_torque, tolerance=self._tolerance
             )
-        return CompliantBends(self.spec, solid, self._floor)
+        return CompliantBends(self.spec, solid, floor, cells)
 
     @property
     def _coupled(self) -> bool:
@@ -632,11 +680,14 @@ class AnalyticalSnake(PneumaticPlant):
             else self.pneumatics.coupling_step_s
         )
 
-    def _connector_inertia(self) -> np.ndarray:
-        """Return the moments of inertia of the connectors about their centres, shape (N,), kg·m²."""
+    def _connector_inertia(self, mass: np.ndarray) -> np.ndarray:
+        """Return the moments of inertia of the points with masses about their centres, (points,), kg·m².
+
+        A cell of a body with skin is a strip as wide as the body.
+        """
         if self._inertia == "connector":
-            return self.spec.yaw_inertia()
-        mass = self.spec.mass.array()
+            strips: np.ndarray = mass * self.spec.geometry.width**2 / 12
+            return self.spec.yaw_inertia() if self.spec.skin is None else strips
         if self._inertia == "point":
             return np.zeros_like(mass)
         segments = np.full(len(mass), 2.0)
@@ -651,23 +702,30 @@ class AnalyticalSnake(PneumaticPlant):
 
     def _observe(self, time: np.ndarray, motion: Motion, trace: Trace) -> SnakeState:
         """Return the history of a motion."""
-        count, n = len(time), self.spec.geometry.connectors
+        cells, solid = self._body.cells, self._body.solid
+        count, n = len(time), len(solid.mass)
         position, theta, force = np.empty((count, n, 2)), np.empty((count, n)), np.empty((count, n, 2))
         energy = np.empty(count)
         wheels = self._floor._replace(drag=0.0)
-        kernels.observe(motion, self._body.solid, wheels, position, theta, force, energy)
+        kernels.observe(motion, solid, wheels, position, theta, force, energy)
+        skin, bend = self.spec.skin is not None, cells.total(motion.bend)
+        position, theta, force = (
+            cells.at_connectors(position),
+            cells.at_connectors(theta),
+            cells.on_connectors(force),
+        )
         return SnakeState(
             time=time,
             com=motion.states[:, kernels.STATE_X : kernels.STATE_Y + 1],
             com_velocity=motion.states[:, kernels.STATE_VX : kernels.STATE_VY + 1],
-            heading=motion.states[:, kernels.HEADING],
+            heading=theta.mean(axis=1) if skin else motion.states[:, kernels.HEADING],
             position=position,
             theta=theta,
-            bend=motion.bend,
-            bend_rate=motion.bend_rate,
+            bend=bend,
+            bend_rate=cells.total(motion.bend_rate),
             pressure=trace.pressure,
             valves=trace.valves,
-            sensed=self.sensor.read(motion.bend, time, self.seed),
+            sensed=self.sensor.read(bend, time, self.seed),
             contact_force=force,
             obstacle_force=np.zeros_like(force),
             torque=motion.torque,

@@ -38,7 +38,12 @@ from typing import NamedTuple
 import numpy as np
 
 from srs_twin.compute.compiled import allocating, compiled
-from srs_twin.plants.analytical.floor import connector_friction, with_reduced_slip_speed
+from srs_twin.plants.analytical.floor import (
+    connector_friction,
+    has_no_potential,
+    slopes_of_force,
+    with_reduced_slip_speed,
+)
 from srs_twin.plants.analytical.kernels import (
     ENERGY_LOSS,
     GAMMA,
@@ -52,7 +57,20 @@ from srs_twin.plants.analytical.kernels import (
     STATES,
     copy,
 )
-from srs_twin.plants.analytical.kinematics import COS, ROWS, SIN, SPIN, VX, VY, X, Y, chord_terms, pose_body
+from srs_twin.plants.analytical.kinematics import (
+    COS,
+    ROWS,
+    SIN,
+    SPIN,
+    VX,
+    VY,
+    X,
+    Y,
+    chord_terms,
+    entry,
+    mean_pitch,
+    pose_body,
+)
 
 BENDS = STATES
 """Index of the first bend in the state: those of `kernels`, then the bends, then their momenta."""
@@ -78,7 +96,7 @@ def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
     for j in range(q.shape[0]):
         spin = u[2] + 0.5 * (body[SPIN, j] + body[SPIN, j + 1])
         # The direction of a chord is half a bend behind the heading of its front end.
-        half_c, half_s, span, slope, curvature = chord_terms(q[j], solid)
+        half_c, half_s, span, slope, curvature = chord_terms(q[j], solid, j)
         c = body[COS, j] * half_c + body[SIN, j] * half_s
         s = body[SIN, j] * half_c - body[COS, j] * half_s
         chord_rate = slope * u[3 + j]
@@ -100,8 +118,8 @@ def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def
         a: γ h, s.
         solid: the body.
         floor: the floor.
-        loads: out, shape (N, 12): momentum relative to the centre of mass x, y and of the spin; friction x, y
-            and moment; mass minus a times the slope of friction, xx, xy, xm, yy, ym, mm.
+        loads: out, shape (N, 15): momentum relative to the centre of mass x, y and of the spin; friction x, y
+            and moment; mass minus a times the slope of friction, xx, xy, xm, yy, ym, mm, yx, mx, my.
 
     Returns:
         Force of the floor (x, y), its moment about the centre of mass, and the dissipated power, W.
@@ -113,7 +131,9 @@ def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def
         vx, vy, spin = body[VX, i] - u[2] * y, body[VY, i] + u[2] * x, u[2] + body[SPIN, i]
         load[0], load[1], load[2] = mass * vx, mass * vy, solid.inertia[i] * spin
         along, across = (vx + u[0]) * c + (vy + u[1]) * s, (vy + u[1]) * c - (vx + u[0]) * s
-        t, n, m, tt, tn, tm, nn, nm, mm = connector_friction(along, across, spin, mass * floor.gravity, floor)
+        t, n, m, tt, tn, tm, nn, nm, mm, nt, mn = connector_friction(
+            along, across, spin, mass * floor.gravity, floor
+        )
         load[3], load[4], load[5] = t * c - n * s, t * s + n * c, m
         power -= t * along + n * across + m * spin
         fx, fy, moment = fx + load[3], fy + load[4], moment + x * load[4] - y * load[3] + m
@@ -121,6 +141,11 @@ def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def
         load[6], load[7] = mass - a * (on_x_t * c - on_x_n * s), -a * (on_x_t * s + on_x_n * c)
         load[8], load[9] = -a * (tm * c - nm * s), mass - a * (on_y_t * s + on_y_n * c)
         load[10], load[11] = -a * (tm * s + nm * c), solid.inertia[i] - a * mm
+        load[12], load[13], load[14] = load[7], load[8], load[10]
+        if has_no_potential(floor):
+            xx, xy, yx, yy = slopes_of_force(tt, tn, nt, nn, c, s)
+            load[6], load[7], load[12], load[9] = mass - a * xx, -a * xy, -a * yx, mass - a * yy
+            load[13], load[14] = -a * (tm * c - mn * s), -a * (tm * s + mn * c)
     return fx, fy, moment, power
 
 
@@ -134,7 +159,7 @@ def balance(q, u, moment, a, model, momentum, force, work):  # type: ignore[no-u
             (3 + segments,).
         moment: moment of the air on each segment, shape (segments,), N·m.
         a: γ h for `solve`, s.
-        model: body; stiffness k (N·m/rad) and damping c (N·m·s/rad) of a segment; floor.
+        model: body; stiffness k (N·m/rad) and damping c (N·m·s/rad), numbers or one for each segment; floor.
         momentum: out, p, shape (3 + segments,).
         force: out, dp/dt, shape (3 + segments,).
         work: from `work_arrays`; on return the input of `solve`.
@@ -159,7 +184,7 @@ def balance(q, u, moment, a, model, momentum, force, work):  # type: ignore[no-u
         x, y, m = x + load[3] - mass_share * fx, y + load[4] - mass_share * fy, m + load[5]
         momentum[3 + j] = link[4] * px + link[5] * py - pm + share * momentum[2]
         force[3 + j] = link[4] * x + link[5] * y - m + link[6] * px + link[7] * py + share * floor_moment
-        force[3 + j] += moment[j] - stiffness * q[j] - damping * u[3 + j]
+        force[3 + j] += moment[j] - entry(stiffness, j) * q[j] - entry(damping, j) * u[3 + j]
         pm += link[0] * px + link[1] * py
         m += link[0] * x + link[1] * y + link[2] * px + link[3] * py
     return power
@@ -170,12 +195,12 @@ def _add_connector(matrix, load, mass, weight, share, a, residual):  # type: ign
     """Add B of a connector, the multipliers, and its contribution to the momentum residual of the body."""
     matrix[0, 0] += load[6]
     matrix[0, 1] += load[7]
-    matrix[1, 0] += load[7]
+    matrix[1, 0] += load[12]
     matrix[0, 2] += load[8]
-    matrix[2, 0] += load[8]
+    matrix[2, 0] += load[13]
     matrix[1, 1] += load[9]
     matrix[1, 2] += load[10]
-    matrix[2, 1] += load[10]
+    matrix[2, 1] += load[14]
     matrix[2, 2] += load[11]
     matrix[2, 7] += residual[2] * share
     for i in range(2):
@@ -199,7 +224,7 @@ def solve(a, model, residual, step, work):  # type: ignore[no-untyped-def]
     """
     solid, (stiffness, damping), _ = model
     _, links, loads, pivots, matrix = work
-    n, weight, bend_stiffness = solid.mass.shape[0], solid.mass.sum(), a * damping + a * a * stiffness
+    n, weight = solid.mass.shape[0], solid.mass.sum()
     for i in range(7):
         for k in range(8):
             matrix[i, k] = 0.0
@@ -212,6 +237,7 @@ def solve(a, model, residual, step, work):  # type: ignore[no-untyped-def]
             pivot[k] = link[4] * matrix[0, k] + link[5] * matrix[1, k] - matrix[2, k]
             pivot[k] += link[6] * matrix[3, k] + link[7] * matrix[4, k]
         pivot[7] += residual[3 + j]
+        bend_stiffness = a * entry(damping, j) + a * a * entry(stiffness, j)
         stiff = (
             bend_stiffness
             + link[4] * pivot[0]
@@ -266,7 +292,7 @@ class WorkArrays(NamedTuple):
     Attributes:
         body: posed body, shape (ROWS, N).
         links: coefficients of the propagation (`_fill_propagation`), shape (segments, 8).
-        loads: momenta, friction and mass matrices of the connectors (`_fill_loads`), shape (N, 12).
+        loads: momenta, friction and mass matrices of the connectors (`_fill_loads`), shape (N, 15).
         pivots: eliminated rows of the bends, with the right side last, shape (segments, 8).
         matrix: Newton's matrix of the body part behind a connector, for velocity (2), spin, rate of the
             velocity (2) and the multipliers (2), with the right side last, shape (7, 8).
@@ -285,7 +311,7 @@ def work_arrays(n):  # type: ignore[no-untyped-def]
     return WorkArrays(
         np.empty((ROWS, n)),
         np.empty((n - 1, 8)),
-        np.empty((n, 12)),
+        np.empty((n, 15)),
         np.empty((n - 1, 8)),
         np.empty((7, 8)),
     )
@@ -390,7 +416,7 @@ def advance(now, steps, moments, marks, model, samples):  # type: ignore[no-unty
     """
     (state, u), (states, velocities) = now, samples
     solid, spring, floor = model
-    reach = (solid.length + solid.gap) / 2
+    reach = mean_pitch(solid) / 2
     n, size = solid.mass.shape[0], u.shape[0]
     work = np.empty(size), np.empty(size), work_arrays(n), np.empty(n - 1), np.empty(size), np.zeros(size)
     k1, k2, known = np.empty_like(state), np.empty_like(state), np.empty_like(state)

@@ -19,6 +19,10 @@ $$ N_{L,R} = \tfrac W2 \mp k F_n, \qquad F_n = N_L φ_L + N_R φ_R
 
 Loads are not negative. Slopes are computed at constant loads, which keeps them symmetric. The solution is the
 same; Newton's method needs a few more iterations.
+
+**Skin** has another coefficient for slip towards the tail than towards the head. The law `cosine` has no
+potential, so that its slopes are not symmetric. Both are cases of their own, and the kernels of other floors
+do not depend on them.
 """
 
 from __future__ import annotations
@@ -47,6 +51,7 @@ class FloorFriction(NamedTuple):
         slip: slip speed ε, m/s.
         drag: axial drag on each connector, N.
         load_transfer: k, load transferred between the wheels per lateral force, 1; 0 for static loads.
+        mu_back: friction coefficient along the heading for slip towards the tail, 1.
         gravity: component of gravity normal to the floor, m/s².
         pull_x: component of gravity along the floor in world x, m/s².
         pull_y: component of gravity along the floor in world y, m/s².
@@ -60,6 +65,7 @@ class FloorFriction(NamedTuple):
     slip: float
     drag: float
     load_transfer: float
+    mu_back: float
     gravity: float
     pull_x: float
     pull_y: float
@@ -70,7 +76,7 @@ class FloorFriction(NamedTuple):
 def _one_contact(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
     """Evaluate `connector_friction` for one contact; `law` is a compiled law of `robot.friction`."""
     t, n, tt, tn, _, nn = law(along, across, weight, floor.mu_t, floor.mu_n, floor.slip)
-    return t, n, 0.0, tt, tn, 0.0, nn, 0.0, 0.0
+    return t, n, 0.0, tt, tn, 0.0, nn, 0.0, 0.0, tn, 0.0
 
 
 @compiled
@@ -83,6 +89,7 @@ def _two_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-u
         *(a_t + b_t, a_n + b_n, arm * (b_t - a_t)),
         *(a_tt + b_tt, a_tn + b_tn, arm * (b_tt - a_tt)),
         *(a_nn + b_nn, arm * (b_tn - a_tn), arm * arm * (a_tt + b_tt)),
+        *(a_tn + b_tn, arm * (b_tn - a_tn)),
     )
 
 
@@ -100,13 +107,39 @@ def _two_loaded_contacts(law, along, across, spin, weight, floor):  # type: igno
         *(a * a_t + b * b_t, a * a_n + b * b_n, arm * (b * b_t - a * a_t)),
         *(a * a_tt + b * b_tt, a * a_tn + b * b_tn, arm * (b * b_tt - a * a_tt)),
         *(a * a_nn + b * b_nn, arm * (b * b_tn - a * a_tn), arm * arm * (a * a_tt + b * b_tt)),
+        *(a * a_tn + b * b_tn, arm * (b * b_tn - a * a_tn)),
+    )
+
+
+@compiled
+def _skin(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
+    """Evaluate `connector_friction` for two contact points of a skin; the track may be 0."""
+    mu_n, slip, arm = floor.mu_n, floor.slip, floor.track
+    v_a, v_b = along - spin * arm, along + spin * arm
+    mu_a = floor.mu_t if v_a >= 0.0 else floor.mu_back
+    mu_b = floor.mu_t if v_b >= 0.0 else floor.mu_back
+    a_t, a_n, a_tt, a_tn, a_nt, a_nn = law(v_a, across, 1.0, mu_a, mu_n, slip)
+    b_t, b_n, b_tt, b_tn, b_nt, b_nn = law(v_b, across, 1.0, mu_b, mu_n, slip)
+    lateral_force = weight / 2 * (a_n + b_n) / (1 - floor.load_transfer * (b_n - a_n))
+    # Loads of the left and the right point.
+    a = min(max(weight / 2 - floor.load_transfer * lateral_force, 0.0), weight)
+    b = weight - a
+    return (
+        *(a * a_t + b * b_t, a * a_n + b * b_n, arm * (b * b_t - a * a_t)),
+        *(a * a_tt + b * b_tt, a * a_tn + b * b_tn, arm * (b * b_tt - a * a_tt)),
+        *(a * a_nn + b * b_nn, arm * (b * b_nt - a * a_nt), arm * arm * (a * a_tt + b * b_tt)),
+        *(a * a_nt + b * b_nt, arm * (b * b_tn - a * a_tn)),
     )
 
 
 _LAWS = tuple(compiled(getattr(friction, name)) for name in LAWS)
 _CASES = tuple(
-    (contacts, law) for contacts in (_one_contact, _two_contacts, _two_loaded_contacts) for law in _LAWS
+    (contacts, law)
+    for contacts in (_one_contact, _two_contacts, _two_loaded_contacts, _skin)
+    for law in _LAWS
 )
+_COUNT, _COSINE = len(LAWS), LAWS.index("cosine")
+_SKIN = 3  # index of `_skin` in the above
 
 
 _LEVEL = (0.0, 0.0, -GRAVITY)  # gravity on a level floor, m/s²
@@ -121,9 +154,10 @@ def floor_friction(
     load_transfer: float = 0.0,
     gravity: tuple[float, float, float] = _LEVEL,
     drag: float = 0.0,
+    mu_back: float | None = None,
     unit: float = 1.0,
 ) -> FloorFriction:
-    """Return a floor.
+    """Return a floor; that of a skin with `mu_back`.
 
     Args:
         law: one of `robot.friction.LAWS`.
@@ -134,13 +168,17 @@ def floor_friction(
         load_transfer: see `FloorFriction`.
         gravity: gravity in a frame with z normal to the floor, m/s².
         drag: see `FloorFriction`.
+        mu_back: see `FloorFriction`; None for wheels.
         unit: see `FloorFriction`.
     """
     contacts = 0 if track == 0.0 else 1 if load_transfer == 0.0 else 2
+    if mu_back is not None or law == "cosine":
+        contacts, mu_back = _SKIN, mu_t if mu_back is None else mu_back
     case = LAWS.index(law) + len(LAWS) * contacts
     pull_x, pull_y, pull_z = gravity
+    back = mu_t if mu_back is None else mu_back
     return FloorFriction(
-        (None,) * case, track, mu_t, mu_n, slip, drag, load_transfer, -pull_z, pull_x, pull_y, unit
+        (None,) * case, track, mu_t, mu_n, slip, drag, load_transfer, back, -pull_z, pull_x, pull_y, unit
     )
 
 
@@ -166,6 +204,7 @@ def with_reduced_slip_speed(floor, speed):  # type: ignore[no-untyped-def]
         slip,
         floor.drag,
         floor.load_transfer,
+        floor.mu_back,
         floor.gravity,
         floor.pull_x,
         floor.pull_y,
@@ -176,7 +215,7 @@ def with_reduced_slip_speed(floor, speed):  # type: ignore[no-untyped-def]
 def connector_friction(along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
     """Return force and moment of a connector's contacts, and their slopes.
 
-    Friction is the gradient of a potential, so that the slopes are symmetric.
+    Friction is the gradient of a potential, so that the slopes are symmetric, except under the law `cosine`.
 
     Args:
         along: velocity of the connector along its heading, m/s.
@@ -186,7 +225,8 @@ def connector_friction(along, across, spin, weight, floor):  # type: ignore[no-u
         floor: the floor.
 
     Returns:
-        Force along t and across n (N), moment m (N·m), and the slopes tt, tn, tm, nn, nm, mm.
+        Force along t and across n (N), moment m (N·m), and the slopes tt, tn, tm, nn, nm, mm, nt, mn: tn is
+        the derivative of t by the velocity across. mt is always tm.
     """
     contacts, law = _CASES[len(floor.case)]
     return _add_drag(contacts(law, along, across, spin, weight, floor), along, floor)
@@ -195,12 +235,25 @@ def connector_friction(along, across, spin, weight, floor):  # type: ignore[no-u
 @compiled
 def _add_drag(friction_terms, along, floor):  # type: ignore[no-untyped-def]
     """Add the axial drag to the results of `connector_friction`."""
-    t, n, m, tt, tn, tm, nn, nm, mm = friction_terms
+    t, n, m, tt, tn, tm, nn, nm, mm, nt, mn = friction_terms
     if floor.drag > 0.0:
         r = 1 / np.sqrt(along * along + floor.slip * floor.slip)
         t -= floor.drag * along * r
         tt -= floor.drag * r * (floor.slip * r) ** 2
-    return t, n, m, tt, tn, tm, nn, nm, mm
+    return t, n, m, tt, tn, tm, nn, nm, mm, nt, mn
+
+
+@compiled
+def has_no_potential(floor):  # type: ignore[no-untyped-def]
+    """Return whether the slopes of friction are not symmetric; known when a kernel is compiled."""
+    return len(floor.case) % _COUNT == _COSINE
+
+
+@compiled
+def slopes_of_force(tt, tn, nt, nn, c, s):  # type: ignore[no-untyped-def]
+    """Return the slopes xx, xy, yx, yy of the force at a heading with the cosine c and the sine s."""
+    t_x, n_x, t_y, n_y = tt * c - tn * s, nt * c - nn * s, tt * s + tn * c, nt * s + nn * c
+    return t_x * c - n_x * s, t_y * c - n_y * s, t_x * s + n_x * c, t_y * s + n_y * c
 
 
 @overload(connector_friction, jit_options={"forceinline": True})
@@ -214,7 +267,7 @@ def _compile_connector_friction(along, across, spin, weight, floor):  # type: ig
 
 @compiled
 def floor_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Sum the friction on a body with prescribed bends.
+    """Sum the friction on a body with prescribed bends, under a law with a potential.
 
     Args:
         body: posed body, shape (ROWS, N).
@@ -236,7 +289,7 @@ def floor_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyp
         spin = yaw + spins[i]
         vx, vy = forth - yaw * py + rate_x[i], aside + yaw * px + rate_y[i]
         along, across = vx * c + vy * s, vy * c - vx * s
-        t, n, m, tt, tn, tm, nn, nm, mm = connector_friction(
+        t, n, m, tt, tn, tm, nn, nm, mm, _, _ = connector_friction(
             along, across, spin, mass[i] * floor.gravity, floor
         )
         # Derivatives of the velocities along and across by the yaw rate: the lever arms of the forces.
@@ -256,6 +309,55 @@ def floor_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyp
         yz += on_z_t * s + on_z_n * c
         zz += on_z_t * t_arm + on_z_n * n_arm + on_z_m
     return (fx, fy, moment), (xx, xy, xz, yy, yz, zz), power
+
+
+@compiled
+def _unsymmetric_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyped-def]
+    """Evaluate `forces_and_slopes` under a law without a potential."""
+    fx = fy = moment = power = 0.0
+    xx = xy = xz = yx = yy = yz = zx = zy = zz = 0.0
+    for i in range(mass.shape[0]):
+        c, s, px, py, spin = body[COS, i], body[SIN, i], body[X, i], body[Y, i], yaw + body[SPIN, i]
+        vx, vy = forth - yaw * py + body[VX, i], aside + yaw * px + body[VY, i]
+        along, across = vx * c + vy * s, vy * c - vx * s
+        t, n, m, tt, tn, tm, nn, nm, mm, nt, mn = connector_friction(
+            along, across, spin, mass[i] * floor.gravity, floor
+        )
+        d_xx, d_xy, d_yx, d_yy = slopes_of_force(tt, tn, nt, nn, c, s)
+        # Derivatives by the spin alone, and of the moment by the velocity alone.
+        spin_x, spin_y = tm * c - nm * s, tm * s + nm * c
+        moment_x, moment_y = tm * c - mn * s, tm * s + mn * c
+        force_x, force_y = t * c - n * s, t * s + n * c
+        fx, fy, moment = fx + force_x, fy + force_y, moment + px * force_y - py * force_x + m
+        power -= t * along + n * across + m * spin
+        xx, xy, yx, yy = xx + d_xx, xy + d_xy, yx + d_yx, yy + d_yy
+        by_yaw_x, by_yaw_y = px * d_xy - py * d_xx + spin_x, px * d_yy - py * d_yx + spin_y
+        xz, yz = xz + by_yaw_x, yz + by_yaw_y
+        zx += px * d_yx - py * d_xx + moment_x
+        zy += px * d_yy - py * d_xy + moment_y
+        zz += px * by_yaw_y - py * by_yaw_x + px * moment_y - py * moment_x + mm
+    return (fx, fy, moment), (xx, xy, xz, yy, yz, zz, yx, zx, zy), power
+
+
+@compiled
+def _symmetric_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyped-def]
+    """Evaluate `forces_and_slopes` under a law with a potential."""
+    force, (xx, xy, xz, yy, yz, zz), power = floor_forces(body, mass, forth, aside, yaw, floor)
+    return force, (xx, xy, xz, yy, yz, zz, xy, xz, yz), power
+
+
+def forces_and_slopes(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyped-def]
+    """Return the results of `floor_forces`, with the slopes yx, zx, zy of any law after the others."""
+    function = _unsymmetric_forces if has_no_potential(floor) else _symmetric_forces
+    return function(body, mass, forth, aside, yaw, floor)
+
+
+@overload(forces_and_slopes, jit_options={"forceinline": True})
+def _compile_forces_and_slopes(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyped-def]
+    """Compile `forces_and_slopes` for the case of a floor's type, without a branch."""
+    case = floor.types[floor.fields.index("case")].count
+    function = _unsymmetric_forces if case % _COUNT == _COSINE else _symmetric_forces
+    return lambda body, mass, forth, aside, yaw, floor: function(body, mass, forth, aside, yaw, floor)
 
 
 @compiled

@@ -41,7 +41,7 @@ import math
 import numpy as np
 
 from srs_twin.compute.compiled import allocating, compiled
-from srs_twin.plants.analytical.floor import fill_forces, floor_forces
+from srs_twin.plants.analytical.floor import fill_forces, forces_and_slopes
 from srs_twin.plants.analytical.kinematics import COS, ROWS, SIN, SPIN, VX, VY, X, Y, chord_terms, pose_body
 
 # Columns of the array of chords.
@@ -95,7 +95,7 @@ def _fill_accelerations(body, q, rate, acceleration, yaw, solid, chords, motion)
     motion[0, 0], motion[0, 1], motion[0, 2] = x, y, alpha
     for j in range(n - 1):
         # The direction of a chord is half a bend from the heading of either end.
-        half_c, half_s, span, slope, curvature = chord_terms(q[j], solid)
+        half_c, half_s, span, slope, curvature = chord_terms(q[j], solid, j)
         c = body[COS, j] * half_c + body[SIN, j] * half_s
         s = body[SIN, j] * half_c - body[COS, j] * half_s
         chord_spin = yaw + body[SPIN, j] - rate[j] / 2
@@ -254,7 +254,7 @@ def _stage(known, a, q, rate, heading, model, u, k, body):  # type: ignore[no-un
     tolerance, arm = _NEWTON_TOLERANCE * floor.unit, _NEWTON_ARM * floor.unit * floor.unit
     for _ in range(_NEWTON_STEPS):
         bx, by = known_x * c + known_y * s, known_y * c - known_x * s
-        force, slope, power = floor_forces(body, solid.mass, x, y, z, floor)
+        force, slope, power = forces_and_slopes(body, solid.mass, x, y, z, floor)
         power += (1 - acts) * force[2] * z
         residual_x, residual_y = weight * (x - bx) - a * force[0], weight * (y - by) - a * force[1]
         residual_z = inertia * z + moment - known_moment - a * acts * force[2]
@@ -270,11 +270,11 @@ def _stage(known, a, q, rate, heading, model, u, k, body):  # type: ignore[no-un
             c, s = _rotate(c, s, a * (step_share - back) * step_z)
             step_share = back
             continue
-        xx, xy, xz, yy, yz, zz = slope
+        xx, xy, xz, yy, yz, zz, yx, zx, zy = slope
         step_x, step_y, step_z = _solve3(
             (weight - a * xx, -a * xy, -a * (xz + weight * by)),
-            (-a * xy, weight - a * yy, -a * (yz - weight * bx)),
-            (-a * acts * xz, -a * acts * yz, inertia - a * acts * zz),
+            (-a * yx, weight - a * yy, -a * (yz - weight * bx)),
+            (-a * acts * zx, -a * acts * zy, inertia - a * acts * zz),
             residual_x, residual_y, residual_z,
         )  # fmt: skip
         step_share, slope_before = 1.0, residual_x * step_x + residual_y * step_y + residual_z * step_z

@@ -10,6 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
+from numba.extending import overload
 
 from srs_twin.compute.compiled import compiled
 from srs_twin.robot import geometry
@@ -35,33 +37,58 @@ class BodyParameters(NamedTuple):
         mass: masses of the connectors, shape (N,), kg.
         inertia: moments of inertia of the connectors about their centres, shape (N,), kg·m²; 0 for point
             masses.
-        length: l, m.
+        length: l, m; one number for all segments, or one for each, shape (segments,).
         gap: L_o, m.
         frozen: 1 keeps all chords at l + L_o (model `simplified`), 0 shortens them with the bend.
     """
 
     mass: np.ndarray
     inertia: np.ndarray
-    length: float
+    length: float | np.ndarray
     gap: float
     frozen: float
 
 
+def entry(value, j):  # type: ignore[no-untyped-def]
+    """Return entry j of an array, or a number that is the same for all j."""
+    return value if np.ndim(value) == 0 else value[j]
+
+
+@overload(entry, jit_options={"forceinline": True})
+def _compile_entry(value, j):  # type: ignore[no-untyped-def]
+    """Compile `entry` without a branch, so that a number stays a constant of the loop."""
+    return (lambda value, j: value[j]) if isinstance(value, types.Array) else (lambda value, j: value)
+
+
+def mean_pitch(solid):  # type: ignore[no-untyped-def]
+    """Return the mean distance between the connectors of a straight body, m."""
+    return np.mean(solid.length) + solid.gap
+
+
+@overload(mean_pitch, jit_options={"forceinline": True})
+def _compile_mean_pitch(solid):  # type: ignore[no-untyped-def]
+    """Compile `mean_pitch` without a branch."""
+    if isinstance(solid.types[solid.fields.index("length")], types.Array):
+        return lambda solid: solid.length.sum() / solid.length.shape[0] + solid.gap
+    return lambda solid: solid.length + solid.gap
+
+
 @compiled
-def chord_terms(q, solid):  # type: ignore[no-untyped-def]
-    """Return cos q/2, sin q/2, and the chord L, dL/dq, d²L/dq² of a segment with the bend q.
+def chord_terms(q, solid, j):  # type: ignore[no-untyped-def]
+    """Return cos q/2, sin q/2, and the chord L, dL/dq, d²L/dq² of segment j with the bend q.
 
     Args:
         q: bend, rad.
         solid: the body.
+        j: segment, from 0 at the head.
     """
-    half_turn = _half_turn(q)
-    span, slope, curvature = _spans(half_turn, solid.length, solid.gap)
+    half_turn, length = _half_turn(q), entry(solid.length, j)
+    span, slope, curvature = _spans(half_turn, length, solid.gap)
     varying = 1.0 - solid.frozen
     return (
         half_turn[0],
         half_turn[1],
-        varying * span + solid.frozen * (solid.length + solid.gap),
+        varying * span + solid.frozen * (length + solid.gap),
         varying * slope,
         varying * curvature,
     )
@@ -83,7 +110,7 @@ def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
     lead = lead_rate = 0.0  # heading of the head relative to the mean heading
     for j in range(n - 1):
         # Terms of single segments first, so that the loop can be vectorised; `out` serves as a buffer.
-        half_c, half_s, span, slope, _ = chord_terms(q[j], solid)
+        half_c, half_s, span, slope, _ = chord_terms(q[j], solid, j)
         cosine[j + 1], sine[j + 1], chord[j + 1], chord_rate[j + 1] = half_c, half_s, span, slope * rate[j]
         share = (n - 1 - j) / n
         lead += share * q[j]

@@ -39,7 +39,7 @@ from srs_twin.plants.analytical.kernels import (
     copy,
     step,
 )
-from srs_twin.plants.analytical.kinematics import ROWS
+from srs_twin.plants.analytical.kinematics import ROWS, mean_pitch
 
 
 @dataclass(frozen=True)
@@ -187,11 +187,11 @@ def advance(now, steps, trace, marks, model, tolerance, samples):  # type: ignor
     """
     (state, slope, u), (states, velocities) = now, samples
     (solid, floor, friction_moment), bends, rates = model, trace.bend, trace.bend_rate
-    reach = (solid.length + solid.gap) / 2
+    reach = mean_pitch(solid) / 2
     n = solid.mass.shape[0]
     body = np.empty((ROWS, n))
     weight = solid.mass.sum()
-    arm = (solid.length + solid.gap) * math.sqrt((n * n - 1) / 12)
+    arm = mean_pitch(solid) * math.sqrt((n * n - 1) / 12)
     k1, k2, after = np.empty(STATES), np.empty(STATES), np.empty(STATES)
     drift, guess, pace = np.zeros(3), np.empty(3), np.empty(3)
     mid_bends, mid_rates = np.empty((2, n - 1)), np.empty((2, n - 1))

@@ -167,7 +167,7 @@ class LoadedStepper(Stateful):
         """
         model, data = self._model, self._data
         contacts, gravity = self._contacts, model.opt.gravity.copy()
-        self._contacts = contacts._replace(coefficients=(0.0, 0.0, *contacts.coefficients[2:]))
+        self._contacts = contacts._replace(coefficients=(0.0, 0.0, *contacts.coefficients[2:4], 0.0))
         model.opt.gravity[:2] = 0.0
         self._reset_contact_state()
         self.run(np.zeros((math.ceil(self._sinking_time / self._h), model.nu)))
@@ -222,7 +222,7 @@ def _constants(
     """Return the constants of the contacts and of the mass matrix; arguments as in `LoadedStepper`."""
     contact, nv, h = settings.contact, model.nv, settings.timestep
     assert isinstance(contact, LoadedContact)
-    wheels, hulls = treads(spec), surroundings.hulls(model)
+    wheels, hulls = treads(spec, settings), surroundings.hulls(model)
     geoms = [model.geom(name) for name in wheels + hulls]
     body = np.array([geom.bodyid[0] for geom in geoms])
     mass, jacobian = _reference_dynamics(model, wheels, hulls)
@@ -232,8 +232,9 @@ def _constants(
         admittance = np.einsum("wi,ij,wj->w", jacobian, np.linalg.inv(mass + damping), jacobian)
     triangle = np.repeat(np.arange(nv), model.M_rownnz), model.M_colind
     # The spin of a rolling solid disc adds half of its mass to the inertia along the heading.
-    spin_mass = 0.0 if contact.law == "ellipse" else settings.numerics.wheel_spin * spec.mass.wheel / 2
-    zeros = np.zeros(len(hulls))
+    slides = contact.law in ("ellipse", "cosine")
+    spin_mass = 0.0 if slides else settings.numerics.wheel_spin * spec.mass.wheel / 2
+    zeros, mu = np.zeros(len(hulls)), spec.friction
     sensors = [model.sensor(f"floor_force_{wheel}").adr[0] + 2 for wheel in wheels]
     sensors += [model.sensor(f"obstacle_force_{hull}").adr[0] for hull in hulls]
     contacts = Contacts(
@@ -241,14 +242,14 @@ def _constants(
         body=body,
         centre=np.stack([geom.pos for geom in geoms[: len(wheels)]]),
         last_dof=model.body_dofadr[body] + model.body_dofnum[body] - 1,
-        regularisation=np.append(contact_regularisation(model, spec), zeros + math.inf),
+        regularisation=np.append(contact_regularisation(model, spec, settings), zeros + math.inf),
         admittance=admittance,
-        static_load=np.append(static_loads(spec, -model.opt.gravity[2]), zeros),
+        static_load=np.append(static_loads(spec, settings, -model.opt.gravity[2]), zeros),
         load_kind=LOADS.index(contact.load),
         sensor=np.array(sensors),
         wheel_radius=spec.geometry.wheel_radius,
         law=LAWS_ON_LOADS.index(contact.law),
-        coefficients=(spec.friction.mu_t, spec.friction.mu_n, stated(contact.slip_speed), spin_mass),
+        coefficients=(mu.mu_t, mu.mu_n, stated(contact.slip_speed), spin_mass, mu.backward),
     )
     sparsity = Sparsity(
         row_length=model.M_rownnz.astype(int),

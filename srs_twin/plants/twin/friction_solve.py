@@ -40,12 +40,13 @@ from numba import types
 from srs_twin.compute.compiled import kernel_only
 from srs_twin.plants.twin.mjcf import surroundings
 from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS, LOADS
-from srs_twin.plants.twin.stick_slip import rolling_friction, stick_slip_friction
+from srs_twin.plants.twin.stick_slip import rolling_friction, skin_friction, stick_slip_friction
 
 _MOMENTARY = LOADS.index("momentary")
 _ACROSS_ONLY = LOADS.index("across")
 _WHEEL = LAWS_ON_LOADS.index("wheel")
 _ELLIPSE = LAWS_ON_LOADS.index("ellipse")
+_COSINE = LAWS_ON_LOADS.index("cosine")
 
 # Coefficient of the friction between body and obstacle, 1.
 _OBSTACLE_FRICTION = surroundings.FRICTION
@@ -151,7 +152,8 @@ class Contacts(NamedTuple):
             application, shape (C,).
         wheel_radius: m.
         law: friction law of the wheels, an index into `numerics.LAWS_ON_LOADS`.
-        coefficients: μ_t, μ_n, slip speed ε (m/s), and the added mass of a spinning wheel (kg).
+        coefficients: μ_t, μ_n, slip speed ε (m/s), the added mass of a spinning wheel (kg), and μ_t of a skin
+            for slip towards the tail.
     """
 
     wheels: int
@@ -165,7 +167,7 @@ class Contacts(NamedTuple):
     sensor: np.ndarray
     wheel_radius: float
     law: int
-    coefficients: tuple[float, float, float, float]
+    coefficients: tuple[float, float, float, float, float]
 
 
 class ContactState(NamedTuple):
@@ -490,6 +492,12 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
     inertia, drag = mass / h, force[0] - force[2]
     if contacts.law == _WHEEL:
         return rolling_friction(along, across, load, mu_t, mu_n, slip, force[0], force[1], rim, inertia)
+    if contacts.law == _COSINE or law[4] != mu_t:
+        f_t, f_n, tt, tn, nt, nn = skin_friction(
+            along, across, load, mu_t, law[4], mu_n, slip, drag, force[1], contacts.law == _COSINE
+        )
+        # Newton's matrix is symmetric. The geometric mean of the mixed slopes keeps it positive definite.
+        return f_t, f_n, tt, np.sign(tn) * np.sqrt(tn * nt), nn, along
     if contacts.law == _ELLIPSE:
         f_t, f_n, tt, tn, nn = stick_slip_friction(along, across, load, mu_t, mu_n, slip, drag, force[1])
         return f_t, f_n, tt, tn, nn, along

@@ -202,14 +202,14 @@ class SnakePhysics(dm.Physics, Stateful):
         raw = self.model.ptr
         self._pneumatics, self._spec, self._settings = pneumatics, spec, settings
         self.free, contact = settings.base == "free", settings.contact
-        self._static_load = static_loads(spec, -raw.opt.gravity[2])
+        self._static_load = static_loads(spec, settings, -raw.opt.gravity[2])
         self._preload = np.zeros_like(self._static_load)
         if isinstance(contact, PreloadedContact) and self.free:
             self._preload = preload_force(spec, contact)
         self._connectors = [raw.body(f"connector_{i}").id for i in range(1, spec.geometry.connectors + 1)]
         self._probe = mujoco.MjData(raw)
         self._start = np.empty((1, mujoco.mj_stateSize(raw, _ROLLOUT_STATE)))
-        feet = treads(spec) if self.free else []
+        feet = treads(spec, settings) if self.free else []
         # Sensor addresses of the left and right foot of each axle, shape (axles, 2, 3).
         self._force_addresses = self._addresses([f"floor_force_{foot}" for foot in feet]).reshape(-1, 2, 3)
         velocities = [] if settings.loaded else [foot.replace("tread", "velocity_foot") for foot in feet]
@@ -330,7 +330,7 @@ class SnakePhysics(dm.Physics, Stateful):
         """Set the spin of the wheels to rolling without slip along their headings."""
         if self.stepper is not None:
             self.stepper.roll()
-        for number in range(1, len(self._spec.axles) + 1):
+        for number in range(1, len(self._preload) + 1):
             for side in ("left", "right"):
                 joint = mujoco.mj_name2id(raw, mujoco.mjtObj.mjOBJ_JOINT, f"axle_{side}_{number}")
                 if joint < 0:

@@ -22,6 +22,7 @@ from srs_twin.plants.base import (
     check_initial_state,
     check_plausible,
 )
+from srs_twin.plants.twin.mjcf.belly import patches
 from srs_twin.plants.twin.mjcf.numerics import (
     LAW_OF,
     TIMESTEP_S,
@@ -123,6 +124,8 @@ class TwinSnake(PneumaticPlant):
         if world is not None and world.uneven and isinstance(contact, PreloadedContact):
             raise InputError("a floor that slopes or has steps needs contact 'loaded'")
         count_steps("tick", tick, "time step", timestep)
+        if spec.skin is not None and isinstance(contact, LoadedContact):
+            contact = replace(contact, law=spec.skin.law)
         self.spec, self.tick, self.timestep, self.contact = spec, tick, timestep, contact
         supply = self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
         self._settings = ModelSettings(timestep, hinges_per_segment, contact, base, numerics)
@@ -178,7 +181,10 @@ class TwinSnake(PneumaticPlant):
         self._ticks, self.seed = 0, seed
         self._energy_loss = self._internal_loss = 0.0
         state = np.concatenate([[0.0], physics.data.qpos, physics.data.qvel])[None]
-        force, obstacles = np.zeros((1, len(self._theta), 2, 2)), np.zeros((1, len(self._theta), 2))
+        force, obstacles = (
+            np.zeros((1, len(self.physics.wheel_loads()), 2, 2)),
+            np.zeros((1, len(self._theta), 2)),
+        )
         work, loss = np.array([physics.kinetic_energy()]), np.zeros(1)
         self.state = self._observe(np.zeros(1), state, trace, force, obstacles, work, loss).at(0)
         return self.state
@@ -320,8 +326,7 @@ class TwinSnake(PneumaticPlant):
             pressure=trace.pressure,
             valves=trace.valves,
             sensed=self.sensor.read(kinematics.bends, times, self.seed),
-            # The second axle of a tail comes last and belongs to the last connector.
-            contact_force=np.add.reduceat(force.sum(axis=2), np.arange(theta.shape[1]), axis=1),
+            contact_force=self._force_on_connectors(force.sum(axis=2)),
             obstacle_force=obstacles,
             torque=air - bending.stiffness * kinematics.bends - bending.damping * kinematics.bend_rates,
             # ∫ Σ T q̇ dt, with the energy of the relative motion of hinges (`internal_joints`).
@@ -330,6 +335,16 @@ class TwinSnake(PneumaticPlant):
             air=trace.air,
             qpos=kinematics.qpos,
         )
+
+    def _force_on_connectors(self, force: np.ndarray) -> np.ndarray:
+        """Return the forces on the connectors, (samples, N, 2), from those on axles or contact points."""
+        if self.spec.skin is not None:
+            places = np.array([patch.place for patch in patches(self.spec, self._settings)])
+            return np.einsum("ik,skc->sic", self.spec.connector_weights(places), force)
+        # The second axle of a tail comes last and belongs to the last connector.
+        connectors = np.arange(self.spec.geometry.connectors)
+        total: np.ndarray = np.add.reduceat(force, connectors, axis=1)
+        return total
 
     def _potential_energy(self, com: np.ndarray) -> np.ndarray:
         """Return the potential energy of centres of mass, shape (…, 3), J."""

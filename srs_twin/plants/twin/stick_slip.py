@@ -10,7 +10,8 @@ $$ y = \hat q - \frac{1}{\varepsilon \mu}\,(\mu_t v_t, \mu_n v_n), \qquad
    f = N\,(\mu_t y_t, \mu_n y_n)\,/\,\max(1, |y|), \qquad \mu = \min(\mu_t, \mu_n) . $$
 
 For |y| ≤ 1 the contact sticks: the force changes in proportion to the velocity and keeps its value at rest.
-For |y| > 1 it slides with the force of `robot.friction.ellipse`.
+For |y| > 1 it slides with the force of `robot.friction.ellipse`. With y = q̂ − v/ε it slides with that of
+`robot.friction.cosine`: its forces lie on the same ellipse.
 """
 
 from __future__ import annotations
@@ -64,6 +65,46 @@ def stick_slip_friction(v_t, v_n, load, mu_t, mu_n, slip, p_t, p_n):  # type: ig
         -k_t * mu_t * (1.0 - sliding * a_t * a_t),
         sliding * k_t * mu_n * a_t * a_n,
         -k_n * mu_n * (1.0 - sliding * a_n * a_n),
+    )
+
+
+@compiled
+def skin_friction(v_t, v_n, load, mu_ahead, mu_back, mu_n, slip, p_t, p_n, is_cosine):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return friction force and slopes of a skin that can stick (module docstring).
+
+    Args:
+        v_t, v_n, load, mu_n, slip, p_t, p_n: as in `stick_slip_friction`.
+        mu_ahead, mu_back: friction coefficients along the body for slip towards the head and the tail, 1.
+        is_cosine: whether the law is `cosine` instead of `ellipse`.
+
+    Returns:
+        f_t, f_n (N), and the slopes ∂f_t/∂v_t, ∂f_t/∂v_n, ∂f_n/∂v_t, ∂f_n/∂v_n (N·s/m).
+    """
+    greatest = max(mu_ahead, mu_back, mu_n)
+    if not greatest * load > 0.0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    # Friction opposes the slip: the force of slip towards the head points to the tail.
+    mu_p = mu_ahead if p_t <= 0.0 else mu_back
+    mu_v = mu_ahead if v_t >= 0.0 else mu_back
+    q_t, q_n = p_t / max(mu_p * load, _MIN_LIMIT), p_n / max(mu_n * load, _MIN_LIMIT)
+    shrink = 1.0 / max(1.0, np.sqrt(q_t * q_t + q_n * q_n))
+    k_t, k_n = 1.0 / slip, 1.0 / slip
+    if not is_cosine:
+        stiffness = 1.0 / (slip * max(min(mu_v, mu_n), _MIN_RATIO * greatest))
+        k_t, k_n = mu_v * stiffness, mu_n * stiffness
+    y_t, y_n = shrink * q_t - k_t * v_t, shrink * q_n - k_n * v_n
+    size = np.sqrt(y_t * y_t + y_n * y_n)
+    sliding = 1.0 if size > 1.0 else 0.0
+    r = 1.0 / max(1.0, size)
+    a_t, a_n = y_t * r, y_n * r
+    limit_t, limit_n = (mu_ahead if y_t <= 0.0 else mu_back) * load, mu_n * load
+    return (
+        limit_t * a_t,
+        limit_n * a_n,
+        -limit_t * r * k_t * (1.0 - sliding * a_t * a_t),
+        sliding * limit_t * r * k_n * a_t * a_n,
+        sliding * limit_n * r * k_t * a_t * a_n,
+        -limit_n * r * k_n * (1.0 - sliding * a_n * a_n),
     )
 
 

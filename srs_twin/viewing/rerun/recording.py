@@ -116,7 +116,7 @@ def write_recording(
         style = replace(style_of(plant, index), label=plant)
         ghost = plant != "twin" and "twin" in trajectories
         shapes = subsample(run, SCENE_HZ)
-        send_snake(Entities(log, shapes.time, f"world/{plant}/"), shapes, spec.geometry, style, ghost=ghost)
+        send_snake(Entities(log, shapes.time, f"world/{plant}/"), shapes, spec, style, ghost=ghost)
         send_contacts(Entities(log, run.time, f"world/{plant}/"), run, line_height(spec.geometry))
         _send_modules(Entities(log, run.time), plant, run, style)
         _send_motion(Entities(log, run.time), plant, run, style)

@@ -11,7 +11,7 @@ import rerun as rr
 
 from srs_twin.comparison.centre_line import centre_lines
 from srs_twin.comparison.contacts import TOUCH_N
-from srs_twin.robot.spec import Geometry
+from srs_twin.robot.spec import Geometry, RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import FloorLine
@@ -129,8 +129,9 @@ _WHEEL_COLOR: Rgba = (28, 30, 34, 255)
 _SPOKE_COLOR: Rgba = (200, 202, 206, 255)
 
 
-def send_snake(to: Entities, snake: Trajectory, geometry: Geometry, style: Style, *, ghost: bool) -> None:
+def send_snake(to: Entities, snake: Trajectory, spec: RobotSpec, style: Style, *, ghost: bool) -> None:
     """Log a snake: a ghost is translucent in the colour of its plant; otherwise, colours show pressures."""
+    geometry, wheeled = spec.geometry, spec.skin is None
     ghost_color = (*style.rgb, _GHOST_ALPHA)
     if ghost:
         _send_hull(to, snake, geometry, ghost_color)
@@ -140,8 +141,9 @@ def send_snake(to: Entities, snake: Trajectory, geometry: Geometry, style: Style
     _send_connectors(
         to, snake, geometry, [(*style.rgb, connectors[3])] + [connectors] * (geometry.connectors - 1)
     )
-    _send_wheels(to, snake, geometry, wheels)
-    if not ghost:
+    if wheeled:
+        _send_wheels(to, snake, geometry, wheels)
+    if wheeled and not ghost:
         _send_spokes(to, snake, geometry)
     _send_trail(to, snake, style)
 

@@ -1,11 +1,11 @@
 """RobotSpec → MuJoCo model: the chain of connectors and segments on a floor.
 
 The robot is a free-floating chain in three dimensions, built in both directions from its middle connector. A
-connector is a body with two feet on the floor (`wheels`). A segment is a chain of n equal bending hinges with
-the stiffness n k and the damping n c each, in series k and c, with one pitch and one roll hinge in its
-middle, which distribute the load of the floor. The chamber pressures are the controls, in Pa: the actuators
-``plus_j`` and ``minus_j`` exert the moment k G (p⁺ − p⁻) on the tendon ``bend_j``, whose length is the bend
-q_j of the segment.
+connector is a body with two feet on the floor (`wheels`), or the whole body lies on the floor (`belly`). A
+segment is a chain of n equal bending hinges with the stiffness n k and the damping n c each, in series k and
+c, with one pitch and one roll hinge in its middle, which distribute the load of the floor. The chamber
+pressures are the controls, in Pa: the actuators ``plus_j`` and ``minus_j`` exert the moment k G (p⁺ − p⁻) on
+the tendon ``bend_j``, whose length is the bend q_j of the segment.
 
 With a clamped base (`ModelSettings.base`) the head is fixed to the world. There is no floor, so the model has
 no wheels and no preload. It has no pitch and roll hinges either: the chain bends in the horizontal plane, in
@@ -21,6 +21,7 @@ import numpy as np
 from mujoco import MjsBody, MjsJoint, MjSpec
 
 from srs_twin.errors import InputError
+from srs_twin.plants.twin.mjcf.belly import add_belly, root_connector
 from srs_twin.plants.twin.mjcf.classes import add_classes, drawn_height
 from srs_twin.plants.twin.mjcf.numerics import LoadedContact, ModelSettings, PreloadedContact, hinge_stations
 from srs_twin.plants.twin.mjcf.surroundings import add_hull_class, add_obstacles, add_steps, add_surroundings
@@ -48,11 +49,13 @@ def robot_mjcf(
         hull: whether the body gets hulls that touch obstacles (`surroundings`).
 
     Raises:
-        InputError: the time step is too long for the damping time of the segments, or the tail has two axles
-            and the contact is preloaded.
+        InputError: the time step is too long for the damping time of the segments, or the contact is
+            preloaded and the robot has a skin or a tail on two axles.
     """
     if spec.tail is not None and not isinstance(settings.contact, LoadedContact):
         raise InputError("a tail on two axles needs contact 'loaded', because a preload would keep it down")
+    if spec.skin is not None and not isinstance(settings.contact, LoadedContact):
+        raise InputError("a robot with skin needs contact 'loaded'; a preload presses on wheels or skids")
     shortest = min(spec.bending.damping_time, spec.bending.out_of_plane_damping_time)
     if not settings.timestep < shortest:
         raise InputError(
@@ -82,6 +85,8 @@ def robot_mjcf(
         for i in range(middle, end, step):
             body = _add_segment(mj, body, spec, i, i + step, settings)
             _add_connector(mj, body, spec, i + step, settings)
+    if spec.skin is not None:
+        add_belly(mj, spec, settings)
     for j in range(1, spec.segments + 1):
         _add_actuators(mj, spec, j, settings)
         if settings.numerics.constant_curvature:
@@ -91,7 +96,8 @@ def robot_mjcf(
             add_preload(mj, spec, settings.contact)
         if spec.friction.drag > 0.0:
             add_drag(mj, spec)
-        add_feet(mj, spec)
+        if spec.skin is None:
+            add_feet(mj, spec)
     _add_home_keyframe(mj)
     return mj
 
@@ -118,16 +124,6 @@ def scene_mjcf(
         add_contacts(mj, spec, settings, levels)
     mj.add_sensor(name="kinetic_energy", type=mujoco.mjtSensor.mjSENS_E_KINETIC)
     return mj
-
-
-def root_connector(spec: RobotSpec) -> int:
-    """Return the number of the connector with the free joint: the middle one.
-
-    No contact is then more than half of the chain away from the root, which makes a step a third faster than
-    with the head as root. The integrator, which evaluates inertia at the beginning of a step, has a fifth of
-    the error in the mean speed.
-    """
-    return (spec.geometry.connectors + 1) // 2
 
 
 def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
@@ -186,6 +182,9 @@ def _link_mass(spec: RobotSpec, settings: ModelSettings) -> float:
 
 def _add_connector(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, settings: ModelSettings) -> None:
     g, mass = spec.geometry, spec.mass.connectors[i - 1]
+    body.add_geom(mj.find_default("plate"), name=f"plate_{i}", pos=[0, 0, drawn_height(spec)])
+    if spec.skin is not None:
+        return  # see `belly`
     neighbours = (i > 1) + (i < g.connectors)
     links = neighbours / 2 * (settings.hinges_per_segment - 1) * _link_mass(spec, settings)
     if spec.tail is not None and i == g.connectors:
@@ -193,7 +192,6 @@ def _add_connector(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, settings:
         body.ipos, body.explicitinertial = [-spec.tail.com, 0, spec.tail.com_height - g.com_height], True
     else:
         _set_link_inertia(body, spec, mass - 2 * spec.mass.wheel - links, fixed_inertia(spec, settings))
-    body.add_geom(mj.find_default("plate"), name=f"plate_{i}", pos=[0, 0, drawn_height(spec)])
     if settings.base == "free":
         add_wheels(mj, body, spec, i, settings)
 
@@ -236,7 +234,8 @@ def _add_segment(
             _add_skin(mj, body, spec, f"skin_{names[k + 1]}", anchor, 0.0)
         else:
             end = ahead * (hinges[k + 1] - hinges[k])
-            _set_link_inertia(body, spec, _link_mass(spec, settings), x=end / 2)
+            if spec.skin is None:
+                _set_link_inertia(body, spec, _link_mass(spec, settings), x=end / 2)
             _add_skin(mj, body, spec, f"skin_{names[k + 1]}", 0.0, end)
     return body
 

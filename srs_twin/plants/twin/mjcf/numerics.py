@@ -27,7 +27,7 @@ AXLE_TIME_S = 0.002
 WALL_M = 0.001
 """Radius of the capsules along the sides of a polygon, by which it is larger than drawn, m."""
 
-Law = Literal["wheel", "ellipse", "axis"]
+Law = Literal["wheel", "ellipse", "axis", "cosine"]
 LAWS_ON_LOADS: tuple[Law, ...] = get_args(Law)
 """Friction laws for loaded contact."""
 
@@ -60,7 +60,7 @@ class LoadedContact:
     """Floor contact with normal forces from MuJoCo and friction as a law on them.
 
     Attributes:
-        law: friction law, "wheel", "ellipse" or "axis" (docs/models.md).
+        law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/models.md); a skin has its own.
         load: load of a wheel in the law, one of `LOADS`; those other than "momentary" are for comparison.
         slip_speed: slip speed ε; below the friction limit μN the force changes by μN/ε times the velocity, so
             that a resting contact does not creep (`stick_slip`), m/s; None for `SLIP_SPEED_M_S` times the

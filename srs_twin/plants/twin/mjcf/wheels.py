@@ -34,6 +34,7 @@ import mujoco
 import numpy as np
 from mujoco import MjsBody, MjSpec, mjtObj, mjtSensor
 
+from srs_twin.plants.twin.mjcf.belly import patches
 from srs_twin.plants.twin.mjcf.classes import ROOT, foot_radius
 from srs_twin.plants.twin.mjcf.numerics import LoadedContact, ModelSettings, PreloadedContact
 from srs_twin.robot.spec import GRAVITY, RobotSpec
@@ -51,14 +52,19 @@ _SOLIMP = (0.9, 0.95, _TRANSITION_DEPTH, 0.5, 2.0)  # impedance of the contacts,
 _PRELOAD_SITES = {"rolling": "axle", "skid": "sole"}  # names of the sites on which the preload acts
 
 
-def treads(spec: RobotSpec) -> list[str]:
+def axle_masses(spec: RobotSpec, settings: ModelSettings) -> list[float]:
+    """Return the mass on each axle or on each pair of contact points of a skin, head first, kg."""
+    return [pair.mass for pair in (spec.axles if spec.skin is None else patches(spec, settings))]
+
+
+def treads(spec: RobotSpec, settings: ModelSettings = ModelSettings()) -> list[str]:  # noqa: B008
     """Return the names of the geoms that touch the floor: head first, left before right."""
-    return [f"tread_{side}_{i}" for i in range(1, len(spec.axles) + 1) for side in _SIDES]
+    return [f"tread_{side}_{i + 1}" for i in range(len(axle_masses(spec, settings))) for side in _SIDES]
 
 
-def static_loads(spec: RobotSpec, gravity: float = GRAVITY) -> np.ndarray:
-    """Return the load of each wheel of a snake at rest, head first, shape (axles, 2), N."""
-    return np.repeat([[axle.mass * gravity / 2] for axle in spec.axles], 2, axis=1)
+def static_loads(spec: RobotSpec, settings: ModelSettings, gravity: float = GRAVITY) -> np.ndarray:
+    """Return the load of each contact of a snake at rest, head first, shape (axles, 2), N."""
+    return np.repeat([[mass * gravity / 2] for mass in axle_masses(spec, settings)], 2, axis=1)
 
 
 def preload_force(spec: RobotSpec, contact: PreloadedContact) -> np.ndarray:
@@ -190,25 +196,29 @@ def add_contacts(mj: MjSpec, spec: RobotSpec, settings: ModelSettings, levels: l
         levels: names of raised levels of the floor.
     """
     name = "wheel_on_floor" if settings.contact.rolling else "skid_on_floor"
+    name = name if spec.skin is None else "skin_on_floor"
     default = mj.add_default(name, mj.default)
     for attribute, value in pair_attributes(spec, settings).items():
         setattr(default.pair, attribute, value)
-    pairs = [mj.add_pair(default, name=tread, geomname1="floor", geomname2=tread) for tread in treads(spec)]
+    pairs = [
+        mj.add_pair(default, name=tread, geomname1="floor", geomname2=tread)
+        for tread in treads(spec, settings)
+    ]
     for floor in levels:
         pairs += [
             mj.add_pair(default, name=f"{tread}_{floor}", geomname1=floor, geomname2=tread)
-            for tread in treads(spec)
+            for tread in treads(spec, settings)
         ]
     unit = spec.scale.time
-    for pair, factor in zip(pairs, itertools.cycle(_contact_time_factors(mj, spec)), strict=False):
+    for pair, factor in zip(pairs, itertools.cycle(_contact_time_factors(mj, spec, settings)), strict=False):
         # Rounded to 0.1 µs, so that the file reads well, in units that scale without rounding.
         pair.solref = [round(settings.contact_time(spec) * factor / unit, 7) * unit, 1]
-    for tread in treads(spec):
+    for tread in treads(spec, settings):
         source = (mjtObj.mjOBJ_BODY, "world") if levels else (mjtObj.mjOBJ_GEOM, "floor")
         add_force_sensor(mj, f"floor_force_{tread}", *source, on=tread)
     if settings.loaded:
         return  # the friction law gives its power without velocity sensors
-    for tread in treads(spec):
+    for tread in treads(spec, settings):
         foot = tread.replace("tread", "foot")
         add_velocity_sensor(mj, f"velocity_{foot}", mjtObj.mjOBJ_SITE, foot)
 
@@ -238,23 +248,23 @@ def add_force_sensor(
     sensor.intprm[:3] = [fields, _NET_FORCE, 1]
 
 
-def _contact_time_factors(mj: MjSpec, spec: RobotSpec) -> np.ndarray:
+def _contact_time_factors(mj: MjSpec, spec: RobotSpec, settings: ModelSettings) -> np.ndarray:
     """Return the factors on the contact time constant with which all wheels sink in equally, 1 or more.
 
     MuJoCo derives the regularisation R of a contact from the tree of bodies; at the root of gen 2 it is 1.25
     times that at the ends. A contact that sinks deeper transfers part of its load to its neighbours.
     """
-    depth = contact_regularisation(mj.compile(), spec)
-    depth *= static_loads(spec).ravel()
+    depth = contact_regularisation(mj.compile(), spec, settings)
+    depth *= static_loads(spec, settings).ravel()
     factors: np.ndarray = np.sqrt(depth.max() / depth)
     return factors
 
 
-def contact_regularisation(model: mujoco.MjModel, spec: RobotSpec) -> np.ndarray:
+def contact_regularisation(model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings) -> np.ndarray:
     """Return MuJoCo's regularisation R of each normal contact, in the order of `treads`, 1/kg."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     data.qpos[2] -= _REFERENCE_DEPTH * spec.scale.length
     mujoco.mj_forward(model, data)
     by_geom = {max(contact.geom): data.efc_R[contact.efc_address] for contact in data.contact}
-    return np.array([by_geom[model.geom(tread).id] for tread in treads(spec)])
+    return np.array([by_geom[model.geom(tread).id] for tread in treads(spec, settings)])

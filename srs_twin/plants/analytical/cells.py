@@ -1,0 +1,120 @@
+r"""Cells of a body with skin, with which the analytical models compute as if they were segments.
+
+A segment of constant curvature with the bend q is a chain of cells, arcs with the bends s_c q, where s_c is
+the share of cell c. The masses and contact points of the body are at the ends of the cells: the
+trapezoidal rule along the arcs. The kernels then see a longer chain. Its mean heading, which is the mean over
+all contact points, differs from the mean over the connectors by a linear function of the bends.
+
+The moment T_j of a segment does the work T_j δq_j, so that with prescribed bends T_j = Σ s_c T_c. In the
+`compliant` model the bends of the cells are degrees of freedom, with the stiffness k/s_c and the damping
+c/s_c: in series those of the segment. Cells of the rigid gap have a stiffness far above that.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from srs_twin.robot.spec import RobotSpec
+
+_RIGID_RATIO = 1e6
+"""Stiffness of a cell in the rigid gap over that of a segment, 1: its bends are below a microradian."""
+
+
+class Undivided:
+    """Segments of a robot on wheels, whose masses and contacts are at the connectors.
+
+    Attributes:
+        spec: the robot.
+        mass: mass of each connector, or of each end of a cell, shape (points,), kg.
+        length: length of the arc of a segment, m, or of each cell, shape (cells,).
+        gap: length of the straight part, which belongs to each arc, m.
+        inverse_share: 1/s_c, 1.
+    """
+
+    inverse_share: float | np.ndarray = 1.0
+
+    def __init__(self, spec: RobotSpec) -> None:
+        self.spec = spec
+        self.mass = spec.mass.array()
+        self.length: float | np.ndarray = spec.geometry.segment_length
+        self.gap = spec.geometry.rigid_gap
+
+    @property
+    def com_behind_head(self) -> float:
+        """Distance of the centre of mass behind the first connector of a straight body, m."""
+        pitch = self.spec.geometry.pitch
+        return pitch * float(np.arange(len(self.mass)) @ self.mass) / float(self.mass.sum())
+
+    def split(self, bend: np.ndarray) -> np.ndarray:
+        """Return the bends of all cells, shape (…, cells), from those of the segments, (…, segments)."""
+        return bend
+
+    def total(self, bend: np.ndarray) -> np.ndarray:
+        """Return the bends of the segments, shape (…, segments), from those of the cells, (…, cells)."""
+        return bend
+
+    def moments(self, torque: np.ndarray) -> np.ndarray:
+        """Return the moments of the segments, (…, segments), from those of cells with prescribed bends."""
+        return torque
+
+    def lead(self, bend: np.ndarray) -> float:
+        """Return the mean heading over all points, relative to that over the connectors, rad.
+
+        Args:
+            bend: bends of the cells, or their rates, shape (cells,), rad.
+        """
+        return 0.0
+
+    def at_connectors(self, values: np.ndarray) -> np.ndarray:
+        """Return the values at the connectors, shape (samples, N, …), from those at all points."""
+        return values
+
+    def on_connectors(self, force: np.ndarray) -> np.ndarray:
+        """Return the forces on the connectors, shape (samples, N, 2), from those at all points."""
+        return force
+
+
+class Cells(Undivided):
+    """Segments of a robot with skin, divided into cells."""
+
+    def __init__(self, spec: RobotSpec) -> None:
+        super().__init__(spec)
+        cells, self._segments = spec.cells, spec.segments
+        self.mass, self.gap = spec.point_masses, 0.0
+        self.length, self._share = np.tile(cells.length, spec.segments), cells.share
+        self._behind_head = np.append(0.0, np.cumsum(self.length))
+        rigid = cells.share == 0.0
+        inverse = np.where(rigid, _RIGID_RATIO, 1.0 / np.where(rigid, 1.0, cells.share))
+        self.inverse_share = np.tile(inverse, spec.segments)
+
+    @property
+    def com_behind_head(self) -> float:
+        """See `Undivided.com_behind_head`."""
+        return float(self._behind_head @ self.mass) / float(self.mass.sum())
+
+    def split(self, bend: np.ndarray) -> np.ndarray:
+        """See `Undivided.split`."""
+        cells = bend[..., None] * self._share
+        return cells.reshape(*bend.shape[:-1], -1)
+
+    def total(self, bend: np.ndarray) -> np.ndarray:
+        """See `Undivided.total`."""
+        total: np.ndarray = bend.reshape(*bend.shape[:-1], self._segments, -1).sum(axis=-1)
+        return total
+
+    def moments(self, torque: np.ndarray) -> np.ndarray:
+        """See `Undivided.moments`."""
+        return torque.reshape(*torque.shape[:-1], self._segments, -1) @ self._share
+
+    def lead(self, bend: np.ndarray) -> float:
+        """See `Undivided.lead`."""
+        heading = np.append(0.0, -np.cumsum(bend))
+        return float(heading.mean() - heading[:: len(self._share)].mean())
+
+    def at_connectors(self, values: np.ndarray) -> np.ndarray:
+        """See `Undivided.at_connectors`."""
+        return values[:, :: len(self._share)]
+
+    def on_connectors(self, force: np.ndarray) -> np.ndarray:
+        """See `Undivided.on_connectors`."""
+        return np.einsum("ik,skc->sic", self.spec.connector_weights(self._behind_head), force)
