@@ -233,8 +233,9 @@ class ContactFile(Records):
 
     def skin(self) -> Skin:
         """Return the skin."""
-        points = {} if self.points_per_segment is None else {"points": self.points_per_segment.value}
-        return Skin(**({} if self.law is None else {"law": self.law}), **points)
+        given = {"law": self.law, "points": self.points_per_segment and self.points_per_segment.value}
+        values: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        return Skin(**values)
 
 
 _WHEEL_KEYS = {
@@ -247,7 +248,7 @@ _WHEEL_KEYS = {
 _SKIN_KEYS = {"mass": ("segments_kg",), "contact": ("forward", "transverse")}
 """Keys that a robot with skin needs, and that a robot on wheels does not have, by section."""
 
-_OPTIONAL_KEYS = {
+_OPTIONAL_KEYS: dict[str, dict[str, tuple[str, ...]]] = {
     "wheels": {"mass": ("connector_gyration_m",)},
     "skin": {"contact": ("law", "backward", "points_per_segment")},
 }
@@ -440,7 +441,7 @@ class RobotFile(StrictModel):
     def _contradictions_of_contact(self) -> Iterator[tuple[Loc, str]]:
         """Yield path and message of keys that the kind of contact lacks or does not have."""
         kind, other = ("skin", "wheels") if self.has_skin else ("wheels", "skin")
-        keys = {"wheels": _WHEEL_KEYS, "skin": _SKIN_KEYS}
+        keys: dict[str, dict[str, tuple[str, ...]]] = {"wheels": _WHEEL_KEYS, "skin": _SKIN_KEYS}
         for section, names in keys[kind].items():
             for name in names:
                 if getattr(getattr(self, section), name, None) is None:
