@@ -238,14 +238,14 @@ class ContactFile(Records):
         return Skin(**values)
 
 
-_WHEEL_KEYS = {
+_WHEEL_KEYS: dict[str, tuple[str, ...]] = {
     "geometry": ("half_track_m", "wheel_radius_m"),
     "mass": ("connectors_kg", "wheel_kg"),
     "friction": ("mu_t", "mu_n"),
 }
 """Keys that a robot on wheels needs, and that a robot with skin does not have, by section."""
 
-_SKIN_KEYS = {"mass": ("segments_kg",), "contact": ("forward", "transverse")}
+_SKIN_KEYS: dict[str, tuple[str, ...]] = {"mass": ("segments_kg",), "contact": ("forward", "transverse")}
 """Keys that a robot with skin needs, and that a robot on wheels does not have, by section."""
 
 _OPTIONAL_KEYS: dict[str, dict[str, tuple[str, ...]]] = {
@@ -441,7 +441,7 @@ class RobotFile(StrictModel):
     def _contradictions_of_contact(self) -> Iterator[tuple[Loc, str]]:
         """Yield path and message of keys that the kind of contact lacks or does not have."""
         kind, other = ("skin", "wheels") if self.has_skin else ("wheels", "skin")
-        keys: dict[str, dict[str, tuple[str, ...]]] = {"wheels": _WHEEL_KEYS, "skin": _SKIN_KEYS}
+        keys = {"wheels": _WHEEL_KEYS, "skin": _SKIN_KEYS}
         for section, names in keys[kind].items():
             for name in names:
                 if getattr(getattr(self, section), name, None) is None:
