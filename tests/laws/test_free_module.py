@@ -78,7 +78,7 @@ def test_stiff_module_in_mujoco_follows_the_chambers_through_valve_events():
 def _distance_from_free_bend(timestep: float) -> float:
     """Return the RMS distance of the twin's bend from the free bend, relative to its deviation."""
     spec = module("gen2", 20.0)
-    plant = TwinSnake(spec, timestep=timestep)
+    plant = TwinSnake(spec, timestep=timestep, tick=0.02)
     free = LagPneumatics(spec, supply_pa=spec.supply.nominal)
     generator = np.random.default_rng(5)
     twin, chambers = [], []

@@ -110,7 +110,7 @@ def test_defaults_are_those_of_the_plants(kind):
 def test_skids_and_their_law_reach_the_plants():
     s = scenario(plants={"analytical": {"friction": "ellipse"}, "twin": {"wheels": "skid"}})
     assert s.build_plant("analytical").friction == "ellipse"
-    assert s.build_plant("twin").contact == LoadedContact("ellipse", slip_speed=0.001)
+    assert s.build_plant("twin").contact == LoadedContact("ellipse")
 
 
 def test_gait_section_builds_a_gait():

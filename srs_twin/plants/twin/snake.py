@@ -66,7 +66,7 @@ class TwinSnake(PneumaticPlant):
             records of the steps.
         physics: the `SnakePhysics`, for quantities that `Plant` does not provide.
         timestep: s.
-        contact: contact with the floor.
+        contact: contact with the floor, as given.
     """
 
     name = "twin"
@@ -117,7 +117,6 @@ class TwinSnake(PneumaticPlant):
         contact, unit = as_contact(contact), spec.scale.time
         if deprecated:
             contact, numerics = _apply_deprecated(contact, numerics, deprecated)
-        contact = contact.for_robot(spec)
         tick = TICK_S * unit if tick is None else tick
         timestep = divide(tick, TIMESTEP_S * unit) if timestep is None else timestep
         check_choice("base", base, BASES)
@@ -128,7 +127,8 @@ class TwinSnake(PneumaticPlant):
             contact = replace(contact, law=spec.skin.law)
         self.spec, self.tick, self.timestep, self.contact = spec, tick, timestep, contact
         supply = self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
-        self._settings = ModelSettings(timestep, hinges_per_segment, contact, base, numerics)
+        settings = ModelSettings(timestep, hinges_per_segment, contact, base, numerics)
+        self._settings = settings.for_robot(spec)
         self._bias = spec.modules.array("bias")
         if self.pneumatics.depends_on_bend and timestep > self.pneumatics.coupling_step_s * (1 + 1e-9):
             raise InputError(
@@ -220,12 +220,13 @@ class TwinSnake(PneumaticPlant):
     def describe(self) -> dict[str, Any]:
         """Return the settings for the provenance of a run."""
         settings = self._settings
-        options = {_CONTACT_KEYS.get(name, name): value for name, value in vars(self.contact).items()}
-        if isinstance(self.contact, PreloadedContact):
-            options["preload"] = self.contact.preload_ratio
+        contact = settings.contact
+        options = {_CONTACT_KEYS.get(name, name): value for name, value in vars(contact).items()}
+        if isinstance(contact, PreloadedContact):
+            options["preload"] = contact.preload_ratio
         rest = {name: getattr(settings, name) for name in ("hinges_per_segment", "base")}
         rest |= {"timestep_s": self.timestep, "preset": preset_of(settings)}
-        return super().describe() | {"contact": self.contact.name} | options | rest | vars(settings.numerics)
+        return super().describe() | {"contact": contact.name} | options | rest | vars(settings.numerics)
 
     def _simulate_chunk(self, schedule: Schedule, begun: float, samples: int, steps: int) -> SnakeState:
         """Follow a schedule in one call of the engine.

@@ -163,7 +163,8 @@ def _set_link_inertia(
 
 def _check_inertia(spec: RobotSpec, settings: ModelSettings) -> None:
     """Refuse a robot whose lightest body MuJoCo would take as massless."""
-    moments = [spec.connector_gyration**2 * (_link_mass(spec, settings) or min(spec.mass.connectors))]
+    lightest = _link_mass(spec, settings) if settings.hinges_per_segment > 1 else min(spec.mass.connectors)
+    moments = [spec.connector_gyration**2 * lightest]
     if isinstance(settings.contact, PreloadedContact) and settings.contact.rolling:
         moments.append(spec.mass.wheel * spec.geometry.wheel_radius**2 / 4)
     if not (smallest := min(moments)) > mujoco.mjMINVAL:
