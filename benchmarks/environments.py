@@ -58,7 +58,7 @@ class Plain:
         """Simulate a duration (s)."""
         script = self._gait.script(self._time + seconds)
         for _ in range(round(seconds / self._chunk)):
-            part = script.part(self._time, self._time + self._chunk)
+            part = script.slice(self._time, self._time + self._chunk)
             self._batch.play([part] * len(self._batch), round(self._chunk / STEP_S))
             self._time += self._chunk
 

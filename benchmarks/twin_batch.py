@@ -52,7 +52,7 @@ def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory
     times = 1.0 / samples * np.arange(1, samples + 1)
     for second in range(round(first.duration)):
         traces = [
-            twin.physics.fill(script.part(second, second + 1), steps)
+            twin.physics.advance_chambers(script.slice(second, second + 1), steps)
             for twin, script in zip(twins, scripts, strict=True)
         ]
         controls = np.zeros((len(twins), steps, models[0].nu))

@@ -41,7 +41,7 @@ def update_tables(page: str) -> str:
 def _table(kind: str, signals: Signals) -> str:
     rows = [f"| {kind} | unit | minimum | maximum | meaning |", "|---|---|---|---|---|"]
     rows += [
-        f"| `{signal.name}` | {signal.unit} | {signal.low:.4g} | {signal.high:.4g} | {signal.what} |"
+        f"| `{signal.name}` | {signal.unit} | {signal.low:.4g} | {signal.high:.4g} | {signal.description} |"
         for signal in signals
     ]
     return "\n".join(rows)

@@ -159,7 +159,7 @@ def walk(robot: RobotSpec, frequency: float, offset: float, periods: int = 6) ->
     gait.reset(robot, 0.02)
     crawl = gait.script(round(periods / frequency / 0.02) * 0.02)
     rest = Schedule(_REST_S, np.zeros(1), _vented(robot)[None])
-    return rest.then(crawl).then(rest)
+    return rest.followed_by(crawl).followed_by(rest)
 
 
 def record(path: Path, robot: RobotSpec, valves: Schedule, base: str, take: Take) -> None:

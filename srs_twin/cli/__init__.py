@@ -91,7 +91,7 @@ def _check_current_folder() -> None:
         os.getcwd()
     except OSError as error:
         raise InputError(
-            f"cannot use the current folder ({error.strerror}), it may have been removed; "
+            f"cannot use the current folder ({error.strerror}); it may have been removed: "
             "change to another folder"
         ) from error
 

@@ -59,7 +59,7 @@ class Controller(Stateful, ABC):
         """Return the state of the controller, for `restore` in this or another process.
 
         Raises:
-            InputError: the class does not list its state attributes (`memory`).
+            InputError: the class does not list its `state_attributes`.
         """
         self.check_saveable(Controller, f"controller '{self.kind}'")
         return SavedState(self.identity(), self.state_dict())

@@ -130,7 +130,7 @@ def design(
     want: Annotated[str, option("--want NAMES")],
     as_json: JsonOption = False,
 ) -> None:
-    """Choose recordings that determine parameters to a requested accuracy, as a sheet for the lab.
+    """Choose the recordings for a requested accuracy.
 
     Candidates are pulls, weighing, markers, constant pressures, pressure steps and gait runs.
 
@@ -189,7 +189,7 @@ def actuator(
     markers: ReadingOptions = _DEFAULT_READING,
     fit: FitOptions = _DEFAULT_OUTPUT,
 ) -> None:
-    """Estimate time constants, gains and rest bends of free segments.
+    """Estimate time constants, gains and rest bends.
 
     Data are recordings of step responses, or tables or recordings of constant pressures (gains only).
 
@@ -258,7 +258,7 @@ def locomotion(
     markers: ReadingOptions = _DEFAULT_READING,
     fit: FitOptions = _DEFAULT_OUTPUT,
 ) -> None:
-    """Estimate friction, rigid gap, masses or stiffness from gait runs.
+    """Estimate friction, gap, masses or stiffness.
 
     If there are markers, the rigid gap (or the length of a segment) is measured from them.
 
@@ -416,7 +416,7 @@ def footprint(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure the area that a robot sweeps at each offset, for the planner.
+    """Measure the area swept at each offset.
 
     With transients, also the area that it sweeps when the offset changes.
 
@@ -483,7 +483,7 @@ def margin(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure how far the body leaves the footprint of a followed path.
+    """Measure excursions from a followed path.
 
     Random paths are followed under the conditions of a scenario. The excursions are written to the footprint
     file, from which planner.margin_probability derives a margin.

@@ -157,7 +157,7 @@ class Plant(Stateful, ABC):
         """Return the saved state for `restore`, in this or another process.
 
         Raises:
-            InputError: the class does not list its state attributes (`memory`).
+            InputError: the class does not list its `state_attributes`.
         """
         self.check_saveable(Plant, f"plant '{self.name}'")
         return PlantState(self.identity(), self.state_dict())

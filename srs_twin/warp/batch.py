@@ -303,7 +303,7 @@ class WarpBatch:
             raise InputError(f"gaits: {len(gaits)} were given for {len(self)} runs; give one per run")
         for gait, twin in zip(gaits, self.twins, strict=True):
             gait.reset(twin.spec, self.tick)
-        waves = [GaitWave(g.frequency, g.offset, g.rest, g.lag) for g in gaits]
+        waves = [GaitWave(g.frequency, g.offset, g.rest_level, g.phase_lag) for g in gaits]
         stacked = stack_records(warp_struct(waves[0]), waves, self.device)
         for name in GaitWave._fields:
             wp.copy(getattr(self._structs["wave"], name), getattr(stacked, name))

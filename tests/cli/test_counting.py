@@ -51,8 +51,8 @@ def test_a_search_tells_how_well_it_fits_every_ten_seconds(clock, capsys):
             clock.now += 1.0
             search(runs, 10.0 / runs)
     assert capsys.readouterr().err.splitlines() == [
-        "gen2_friction: 10 runs of the model, weighted residuals 1 RMS at best",
-        "gen2_friction: 20 runs of the model, weighted residuals 0.5 RMS at best",
+        "gen2_friction: 10 model runs, smallest weighted RMS 1",
+        "gen2_friction: 20 model runs, smallest weighted RMS 0.5",
     ]
 
 

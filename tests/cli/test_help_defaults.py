@@ -37,8 +37,8 @@ PHRASES = {
     "all but studies", "one per processor", "those of the scenario", "the scenario's", "the sweep's",
     "the twin's", "NAME.valves.csv in the same folder", "detected", "the robot's", "the valves'", "estimated",
     "where it crawls to", "free", "none", "no motion capture", "run until Ctrl-C", "this machine's",
-    "the run's folder", "ROBOT_WHAT", "ROBOT_CONTROLLER", "3; 1 where the twin's shapes lead",
-    "generation 2", "scaled from generation 2", "NAME.yaml, NAME.py", 
+    "the run's folder", "ROBOT_WHAT", "ROBOT_CONTROLLER", "3; 1 with the twin's shapes", "local",
+    "generation 2", "scaled from generation 2", "NAME.yaml, NAME.py",
     "all in MCAP, else the twin", "RUN/twin.csv, RUN/run.mcap",
 }  # fmt: skip
 

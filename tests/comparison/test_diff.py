@@ -147,7 +147,7 @@ def test_control_characters_in_results_are_escaped(capsys, tmp_path, options):
     ("words", "said"),
     [
         (("nowhere", "a"), "nowhere: no such file"),
-        (("empty", "a"), "empty: holds no results (metrics.json, results.parquet, reproduce.json)"),
+        (("empty", "a"), "empty: the folder has no results (metrics.json, results.parquet, reproduce.json)"),
         (("a/walk/analytical.parquet", "a"), "analytical.parquet: not the results of a run"),
         (("junk.json", "a"), "junk.json:1:13: not JSON"),
         (("list.json", "a"), "list.json: not the results of a run"),
@@ -231,7 +231,7 @@ def test_documented_tolerances_load(tmp_path):
 
 
 def test_foreign_files_are_refused(tmp_path):
-    with pytest.raises(InputError, match="holds no results"):
+    with pytest.raises(InputError, match="the folder has no results"):
         read_results(tmp_path)
 
 
@@ -285,4 +285,4 @@ def test_results_are_found_in_nested_folders(capsys, tmp_path, monkeypatch):
         for _ in range(levels):  # pytest's own removal recurses
             os.chdir("..")
             os.rmdir("a")
-    assert code == 2 and "a: holds no results" in err
+    assert code == 2 and "a: the folder has no results" in err

@@ -54,7 +54,7 @@ def ran(document: dict[str, Any], **changes: Any) -> tuple[dict[str, Any], Traje
     """Run the analytical plant of a scenario; return its metrics.json and its trajectory."""
     scenario = parse_scenario({"title": "Brief", "expect": []} | document | changes, name="brief")
     run = PreparedRun.build(scenario, Path(), ["analytical"])
-    plant, controller = run.parts["analytical"]
+    plant, controller = run.pairs["analytical"]
     found = {"analytical": rollout(plant, controller, **scenario.timing)}
     return run.measure(found, {"analytical": 1.0})[0], found["analytical"]
 

@@ -21,7 +21,8 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[2]
 
 _COUNTED = (
-    "segment|run|connector|tick|step|second|module|kind|robot|wheel|row|file|chamber|period|sample|frame|plant"
+    "segment|run|connector|tick|step|second|module|kind|robot|wheel|row|file|chamber|period|"
+    "sample|frame|plant"
 )
 PATTERNS = {
     "clause as subject": r"^What (?!is\?|are\?)",

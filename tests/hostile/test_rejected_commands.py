@@ -78,7 +78,7 @@ each_command = pytest.mark.parametrize(
 
 TOO_LONG = "File name too long"
 FOLDER = "cannot be replaced (a folder)"
-TURNS = "turns.yaml: curvature -8 1/m is not in the footprint's -5.23599 to 5.23599 1/m"
+TURNS = "turns.yaml: curvature -8 1/m is outside the footprint's range -5.23599 to 5.23599 1/m"
 BYTES = "cannot be used (not UTF-8); rename it"
 CONTROL = "cannot be used (a control character in it); rename it"
 REJECTED = [
@@ -253,7 +253,9 @@ def test_every_command_rejects_a_removed_current_folder(tmp_path, monkeypatch, c
         main(command.split())
     output, message = capsys.readouterr()
     assert (exit_.value.code, output) == (2, "")
-    assert message.startswith("the current folder cannot be used (No such file or directory)")
+    assert message.startswith(
+        "cannot use the current folder (No such file or directory); it may have been removed"
+    )
     assert display_path(tmp_path / "x") == str(tmp_path / "x")  # the folder may also be removed later
 
 

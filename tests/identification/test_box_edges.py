@@ -53,7 +53,7 @@ def test_the_same_row_cannot_fit_and_validate():
     run = BoxEdges(0.1, (0.1, 0.1), (0.05, 0.05))
     with pytest.raises(InputError, match=r"offset 0\.1"):
         fit_width([run], SPEC, validation=[run])
-    with pytest.raises(InputError, match="none was given"):
+    with pytest.raises(InputError, match="give at least one"):
         fit_width([], SPEC)
 
 

@@ -51,7 +51,7 @@ def test_a_table_of_pulls_is_read(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (PULLS.replace("2.5,25", "2.5,x"), r"pulls.csv:3:2: 'x' is no number"),
+        (PULLS.replace("2.5,25", "2.5,x"), r"pulls.csv:3:2: 'x' is not a number"),
         (PULLS.replace("2.5,25", "-2.5,25"), r"pulls.csv:3:1: along_mm: -2.5 is not allowed; a deformation"),
         (PULLS.replace("2.5,25,30", "2.5,25,31"), r"pulls.csv:3:3: spring_n_per_m: 31 here and 30 above"),
         (PULLS.replace("along_mm", "along_kg"), r"pulls.csv:1:1: along_kg: unit 'kg' is not known"),
@@ -59,7 +59,7 @@ def test_a_table_of_pulls_is_read(tmp_path):
         (PULLS.replace("along_mm", "along_1_mm"), r"pulls.csv:1:1: along_1_mm: these columns have no"),
         ("along_mm,spring_n_per_m,mass_kg\n3,30,0.15\n", r"pulls.csv: one pull along does not show"),
         ("along_mm,spring_n_per_m,mass_kg\n3,,0.15\n4,,0.15\n", r"pulls.csv:2:2: spring_n_per_m: "),
-        (PULLS.replace("2.5,25,30,0.15", "2.5,25,30"), r"pulls.csv:3: 3 cells where the header has 4"),
+        (PULLS.replace("2.5,25,30,0.15", "2.5,25,30"), r"pulls.csv:3: 3 cells, but the header has 4"),
     ],
 )  # fmt: skip
 def test_invalid_tables_of_pulls_are_refused(tmp_path, text, message):
@@ -271,7 +271,7 @@ def test_replayed_valves_keep_their_last_state_and_check_the_robot():
     assert replay.script(0.4).states.shape[0] == 1
     assert replay.layouts == ("3/2", "in_out")
     assert Replay(Schedule(1.0, np.zeros(1), 0 * states[:1])).layouts == ("in_out",)
-    with pytest.raises(InputError, match="the recorded valves are of 4 segments; gen4_module has 1"):
+    with pytest.raises(InputError, match="the recorded valves belong to 4 segments, but gen4_module has 1"):
         replay.reset(load_robot("gen4_module"), 0.02)
 
 

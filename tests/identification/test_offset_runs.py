@@ -97,14 +97,14 @@ def test_what_cancels_has_no_number_and_nothing_is_predicted_with_the_robots_own
     about = {"name": "x", "title": "x", "robot": "gen4", "method": "offsets", "command": "x", "versions": {}}
     data = [run.data_set("fit") for run in measured(OFFSETS)]
     assert fit_file(found, **about, data=data).unidentified() == ["friction.mu_t", "friction.mu_n"]
-    with pytest.raises(InputError, match=r"x: friction.mu_t, friction.mu_n got no number, .* hold one"):
+    with pytest.raises(InputError, match=r"x: friction.mu_t, friction.mu_n has no value, .* fix one"):
         fit_file(found, **about, data=data, averages={"offset 0": ({"speed_m_s": 0.1}, {"speed_m_s": 0.1})})
 
 
 def test_the_same_row_cannot_fit_and_validate(lawful):
-    with pytest.raises(InputError, match="must be new to it"):
+    with pytest.raises(InputError, match="validate with other data"):
         fit_offsets(measured(OFFSETS), lawful[0], TRUTH, validation=measured((0.3,)))
-    with pytest.raises(InputError, match="none was given"):
+    with pytest.raises(InputError, match="give at least one"):
         fit_offsets([], lawful[0], TRUTH)
 
 

@@ -93,7 +93,7 @@ def test_copied_physics_steps_and_contacts_alone_are_rejected():
         physics.copy(share_model=True)
     for method in METHODS.values():
         with pytest.raises(InputError, match=r"contacts .* neither copied nor pickled alone; .*save\(\)"):
-            method(twin.physics.loaded)
+            method(twin.physics.stepper)
 
 
 def test_copied_batch_continues_bit_for_bit():

@@ -378,7 +378,7 @@ def test_episode_continues_bit_for_bit_from_a_saved_state(task):
     kept = env.episode.save()
     here = [env.step(action) for action in actions[10:]]
     seen, _ = other.reset(seed=4, options={"state": kept})
-    assert (seen == kept.content["_seen"]).all()
+    assert (seen == kept.content["_last_observation"]).all()
     there = [other.step(action) for action in actions[10:]]
     for one, two in zip(here, there, strict=True):
         assert (one[0] == two[0]).all() and one[1:4] == two[1:4]

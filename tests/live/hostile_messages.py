@@ -42,7 +42,7 @@ def no_object(draw: Random) -> bytes:
 
 
 def wrong_value(draw: Random) -> Any:
-    """Return a value that is no number within the bounds of any key."""
+    """Return a value that is not a number within the bounds of any key."""
     return draw.choice(
         [math.nan, math.inf, -math.inf, 1e300, -1e300, 10**40, "1", "", [], [0.0], {}, {"t": 1}, True, 1e11]
     )

@@ -70,7 +70,7 @@ def seen(twin: TwinSnake, places: np.ndarray) -> Trajectory:
     states = np.concatenate(
         [np.zeros((len(places), 1)), places, np.zeros((len(places), twin.physics.model.nv))], axis=1
     )
-    view, geometry = twin.physics.look(states), twin.spec.geometry
+    view, geometry = twin.physics.kinematics(states), twin.spec.geometry
     # Headings are recorded without jumps along the body.
     theta = view.headings[:, :1] - np.cumsum(np.pad(view.bends, ((0, 0), (1, 0))), axis=1)
     columns = {"time": np.arange(len(places), dtype=float)}

@@ -131,7 +131,7 @@ def test_run_command_follows_and_writes_all_files(file, srs_twin):
     assert metrics.keys() >= FOLLOWING_UNITS.keys()
     assert metrics["cross_track_rms_m"] < 0.015 and metrics["inside_share"] > 0.9
     report = (file / "out/report.html").read_text("utf-8")
-    assert "Plan with footprint" in report and "Cross-track is" in report
+    assert "Plan with footprint" in report and "The cross-track error is" in report
     from rerun.chunk import RrdReader
 
     entities = {chunk.entity_path for chunk in RrdReader(file / "out/recording.rrd").stream().to_chunks()}

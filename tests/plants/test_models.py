@@ -221,8 +221,8 @@ def test_models_command_exports_and_checks(srs_twin, tmp_path):
     done = srs_twin("models", "check", "here/gen4/scene.xml", "gen2", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     ours, shipped = done.stdout.splitlines()
-    assert ours.startswith("here/gen4/scene.xml: fit for use (")
-    assert "models/gen2/scene.xml: current and fit for use (" in shipped
+    assert ours.startswith("here/gen4/scene.xml: valid (")
+    assert "models/gen2/scene.xml: up to date and valid (" in shipped
 
 
 def test_models_check_reports_stale_files(root, monkeypatch, capsys, tmp_path):
@@ -236,5 +236,5 @@ def test_models_check_reports_stale_files(root, monkeypatch, capsys, tmp_path):
     assert stop.value.exit_code == 2
     output = capsys.readouterr().err
     assert output.endswith(
-        "scene.xml: gen2.xml is not current; `srs-twin models export gen2` writes it anew\n"
+        "scene.xml: gen2.xml is out of date; `srs-twin models export gen2` writes it again\n"
     )

@@ -66,7 +66,7 @@ def test_invalid_recorded_pressures_are_refused():
     time = np.array([0.0, 1.0])
     with pytest.raises(InputError, match=r"shape \(2, 1, 2\); gen2 needs \(2, 4, 2\)"):
         RecordedPressures(SPEC, time, np.zeros((2, 1, 2)), supply_pa=SUPPLY)
-    with pytest.raises(InputError, match="must be finite and their times rise"):
+    with pytest.raises(InputError, match="must be finite, and their times must increase"):
         RecordedPressures(SPEC, time[::-1], np.zeros((2, 4, 2)), supply_pa=SUPPLY)
 
 

@@ -106,7 +106,7 @@ def waves(gaits, slot, slots, steps):
     spec = StepSettings(h=slots * slot, slot=slot, slots=slots, tick=1, mean_pressure=False)
     kernel, actual = build_kernels(ported, spec).set_gait, []
     waves_on_device = stack_records(
-        ported["wave"], [GaitWave(g.frequency, g.offset, g.rest, g.lag) for g in gaits], "cpu"
+        ported["wave"], [GaitWave(g.frequency, g.offset, g.rest_level, g.phase_lag) for g in gaits], "cpu"
     )
     out = wp.zeros((len(gaits), slots, GEN2.segments, 2), dtype=int, device="cpu")
     for step in range(steps):
@@ -346,8 +346,8 @@ def test_copying_a_warp_batch_raises(copy_of):
         copy_of(object.__new__(WarpBatch))
 
 
-@pytest.mark.parametrize("together", [2, 1024])
-def test_unsupported_sweep_points_run_once_on_the_cpu(tmp_path, monkeypatch, together):
+@pytest.mark.parametrize("batch_size", [2, 1024])
+def test_unsupported_sweep_points_run_once_on_the_cpu(tmp_path, monkeypatch, batch_size):
     def refuse(twin: TwinSnake) -> None:
         raise InputError("it cannot")
 
@@ -355,7 +355,7 @@ def test_unsupported_sweep_points_run_once_on_the_cpu(tmp_path, monkeypatch, tog
         return lambda experiment, points: (TaskResult(k, each.changes, None) for k, each in enumerate(points))
 
     kind = SimpleNamespace(accelerated=lambda: True, check=refuse)
-    for name, value in {"warp_batch": lambda: kind, "local": here, "TOGETHER": together}.items():
+    for name, value in {"warp_batch": lambda: kind, "local": here, "BATCH_SIZE": batch_size}.items():
         monkeypatch.setattr(f"srs_twin.studies.sweep.on_device.{name}", value)
     (tmp_path / "s.yaml").write_text(SWEEP.replace("[2.0, 2.5]", "[2.0]").replace("[lag, orifice]", "[lag]"))
     found = load_sweep(tmp_path / "s.yaml")

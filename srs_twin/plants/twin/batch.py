@@ -61,7 +61,7 @@ class TwinBatch(DeepCopied):
     errors: list[DivergedError | None]
 
     def __new__(cls, *arguments: Any, engine: str = "cpu", device: str | None = None, **settings: Any) -> Any:
-        """Return a batch, of the class `WarpBatch` (`srs_twin.warp`) for the engine "warp".
+        """Return a batch, or that of the engine "warp".
 
         Args:
             *arguments: see `__init__`.

@@ -341,16 +341,16 @@ class SnakePhysics(dm.Physics, Stateful):
                 spin = velocity[3:] @ ahead / (self._spec.geometry.wheel_radius * (ahead @ ahead))
                 data.qvel[raw.jnt_dofadr[joint]] = spin
 
-    def remembered(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the saved state; the engine's part is MuJoCo's integration state."""
         engine = np.empty(mujoco.mj_stateSize(self.model.ptr, _SAVED_STATE))
         mujoco.mj_getState(self.model.ptr, self.data.ptr, engine, _SAVED_STATE)
         return super().state_dict() | {"engine": engine}
 
-    def load_state_dict(self, memory: Mapping[str, Any]) -> None:
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore a saved state."""
-        super().load_state_dict(memory)
-        mujoco.mj_setState(self.model.ptr, self.data.ptr, memory["engine"], _SAVED_STATE)
+        super().load_state_dict(state)
+        mujoco.mj_setState(self.model.ptr, self.data.ptr, state["engine"], _SAVED_STATE)
         self.refresh()
 
     def _move_to_pose(self, pose: Pose) -> None:

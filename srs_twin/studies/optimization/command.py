@@ -40,7 +40,7 @@ def optimize(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Find the best robot or gait for the objectives of a study file.
+    """Find the best robot or gait of a study file.
 
     The search uses the analytical model compliant and corrects it by a few runs of the twin; all results are
     the twin's. An interrupted search resumes in the same folder.

@@ -98,7 +98,7 @@ def test_an_invalid_point_is_a_failed_row(tmp_path):
     sweep = load_sweep(write(tmp_path, text))
     _, summary = execute(sweep, tmp_path / "out")
     assert (summary.done, summary.failed, summary.exit_code) == (3, 1, 2)
-    assert "is no multiple of" in next(iter(summary.reasons))
+    assert "is not a multiple of" in next(iter(summary.reasons))
 
 
 def test_an_edited_sweep_is_refused_without_changed(tmp_path):

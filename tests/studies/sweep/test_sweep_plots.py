@@ -155,7 +155,7 @@ def twice(field, values=(0.0, 0.4)):
 def test_seeds_are_averaged_with_a_note():
     figure = draw(CONTOUR, twice("seed", (0, 1)))
     (axes,) = planes(figure)
-    assert "each value the mean over seed" in words(figure)
+    assert "each value the mean over random seed" in words(figure)
     assert filled(axes)[0].zmax == pytest.approx(2 * max(grid()[A]))
     assert "mean over" not in words(draw(plot("scatter", F, SPEED), twice("seed", (0, 1))))
 
@@ -183,7 +183,10 @@ def test_lines_do_not_average_over_varied_fields():
     assert [text.get_text() for text in axes.get_legend().get_texts()] == ["0", "0.4"]
     assert len(curves(axes)) == 2
     figure = draw(plot("line", F, SPEED, by=OFFSET), both)
-    assert len(curves(planes(figure)[0])) == 4 and "one line for each gaps" in words(figure).lower()
+    assert (
+        len(curves(planes(figure)[0])) == 4
+        and "one line for each whether the segments have rigid gaps" in words(figure).lower()
+    )
     # Every sample has different values: nothing is at the same place, and nothing is averaged.
     sampled = grid() | {F: np.linspace(1, 2, 12).tolist(), OFFSET: np.linspace(0, 1, 12).tolist()}
     figure = draw(LINE, sampled)
@@ -365,7 +368,7 @@ def test_every_metric_has_a_label_with_its_unit():
         (F, "gait frequency (Hz)"),
         (P, "supply pressure (kPa)"),
         (OFFSET, "steering offset"),
-        ("duration_s", "simulated time (s)"),
+        ("duration_s", "simulated duration (s)"),
         ("plants.twin.timestep_s", "time step of the integrator, twin (s)"),
         ("plants.twin.wheels", "wheels, twin"),
         ("robot.bending.stiffness_nm_per_rad", "bending stiffness (N·m/rad)"),

@@ -73,7 +73,7 @@ def test_the_page_shows_the_results(tmp_path):
     assert "8 of 8 runs done, 0 failed" in page.texts["p"] and "a <b>" in page.texts["p"]
     varied, beside, runs, made_with = page.tables
     assert ["supply pressure (kPa)", "supply.pressure_kpa", "41, 45.6667, 50.3333, 55"] in varied
-    assert ["simulated time (s)", "duration_s", "2 (fixed)"] in varied
+    assert ["simulated duration (s)", "duration_s", "2 (fixed)"] in varied
     columns = results.to_pydict()
     assert runs[0][:3] == ["gait frequency (Hz)", "supply pressure (kPa)", "CoM speed (m/s), analytical"]
     places = zip(columns["controller.frequency_hz"], columns["supply.pressure_kpa"], strict=True)

@@ -119,7 +119,7 @@ def test_no_shipped_robot_has_uncertain_drag(name):
 
 
 def test_a_robot_without_uncertain_parameters_is_refused():
-    with pytest.raises(InputError, match="no parameter is uncertain"):
+    with pytest.raises(InputError, match="no number is uncertain"):
         Priors.from_robot(robot())
 
 
