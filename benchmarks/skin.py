@@ -140,7 +140,7 @@ def theory() -> Iterator[str]:
 
 
 def matched_robot(ratio: float, waves: int) -> RobotSpec:
-    """Return the example robot with a flat body, a friction ratio, and a gait of some waves along the body."""
+    """Return the example robot with a flat body, a friction ratio, and a gait with some waves along it."""
     base, height = load_robot("skin_example"), 0.005
     assert base.skin is not None
     return replace(
