@@ -104,5 +104,5 @@ def newtons_matrix(q: np.ndarray, u: np.ndarray, a: float, model: tuple) -> np.n
 
 def slopes(velocity: np.ndarray, mass: float, floor: FloorFriction) -> np.ndarray:
     """Return the slopes of a connector's friction by its velocities along, across, and about itself."""
-    tt, tn, tm, nn, nm, mm = connector_friction(*velocity, mass * floor.gravity, floor)[3:]
-    return np.array([[tt, tn, tm], [tn, nn, nm], [tm, nm, mm]])
+    tt, tn, tm, nn, nm, mm, nt, mn = connector_friction(*velocity, mass * floor.gravity, floor)[3:]
+    return np.array([[tt, tn, tm], [nt, nn, nm], [tm, mn, mm]])

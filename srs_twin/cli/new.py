@@ -46,6 +46,7 @@ def robot(
     segments: Annotated[int | None, option("--segments N")] = None,
     pressure: Annotated[float | None, option("--pressure KPA")] = None,
     bend: Annotated[float | None, option("--bend RAD")] = None,
+    skin: Annotated[bool, option("--skin")] = False,
     out: OutOption = None,
 ) -> None:
     """Write a robot file, scaled from generation 2.
@@ -58,6 +59,7 @@ def robot(
         segments: Number of segments. [default: generation 2]
         pressure: Supply pressure (gauge), kPa. [default: generation 2]
         bend: Bend of one segment at the supply pressure, rad. [default: generation 2]
+        skin: A body that slides on its belly, without wheels.
     """
     count = int(_answer("number of segments", segments, 4))
     body_length = _answer("body length, m", length, 4 * _PITCH_M)
@@ -78,6 +80,7 @@ def robot(
         "height": 0.015 * scale,
         "width": 0.04 * scale,
         "mass": total_mass / (count + 1),
+        "segment_mass": total_mass / count,
         "wheel": 0.0015 * scale**3,
         "stiffness": 0.5 * 1e3 * supply * 1e-6 * air / max_bend**2,
         "plane": 0.1 * scale**4,
@@ -90,6 +93,8 @@ def robot(
         "phase": 2 * math.pi / count,
     }
     title = f"{name}: {count} segments, {body_length:g} m, {total_mass:g} kg"
+    values["wheels"] = "" if skin else _filled("wheels_geometry.txt", values)
+    values["contact"] = _filled("skin_contact.txt" if skin else "wheels_contact.txt", values)
     from srs_twin.robot.file import load_robot
 
     path = _write("robot.yaml", name, out, load_robot, title=title, **values)
@@ -166,17 +171,22 @@ def _write(template: str, name: str, out: str | None, check: Callable[[Path], An
     path = Path(out) if out else Path(f"{name}{_SUFFIXES[Path(template).suffix]}")
     if path.exists():
         raise InputError(f"{path} exists; use another name or --out")
-    text = files("srs_twin.cli").joinpath("templates", template).read_text("utf-8")
-    texts = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in values.items()}
     from srs_twin.io.files import write_text
 
-    write_text(path, Template(text).substitute(name=name, file=path, **texts))
+    write_text(path, _filled(template, {"name": name, "file": path, **values}))
     try:
         check(path)
     except BaseException:
         path.unlink(missing_ok=True)
         raise
     return path
+
+
+def _filled(template: str, values: dict[str, Any]) -> str:
+    """Return the text of a template with its values."""
+    text = files("srs_twin.cli").joinpath("templates", template).read_text("utf-8")
+    texts = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in values.items()}
+    return Template(text).substitute(texts)
 
 
 def _print_next_command(path: Path, command: str) -> None:

@@ -25,6 +25,16 @@ def test_a_new_robot_has_the_given_size(srs_twin, tmp_path):
     assert spec.bending.stiffness == pytest.approx(0.5 * 60e3 * grown / 1.2**2, rel=1e-3)
 
 
+def test_a_new_robot_with_skin_is_valid(srs_twin, tmp_path):
+    done = srs_twin("new", "robot", "worm", "--skin", "--mass", "0.4", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    spec = load_robot(tmp_path / "worm.yaml")
+    assert spec.skin is not None and spec.mass.total == pytest.approx(0.4, rel=1e-3)
+    done = srs_twin("new", "scenario", "crawl", "--robot", str(tmp_path / "worm.yaml"), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert load_scenario(tmp_path / "crawl.yaml").robot.skin == spec.skin
+
+
 def test_the_printed_commands_lead_from_a_robot_to_a_comparison(srs_twin, tmp_path):
     done = srs_twin("new", "robot", "worm", cwd=tmp_path)
     for _ in range(2):

@@ -11,7 +11,12 @@ from numba import njit
 from scipy.integrate import solve_ivp
 
 from srs_twin.plants.analytical import kernels, kinematics
-from srs_twin.plants.analytical.floor import connector_friction, fill_forces, floor_forces, floor_friction
+from srs_twin.plants.analytical.floor import (
+    connector_friction,
+    fill_forces,
+    floor_friction,
+    forces_and_slopes,
+)
 from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, BodyParameters, X, Y, pose_body
 from srs_twin.plants.analytical.steps import advance, bend_within
 from srs_twin.pneumatics import Trace
@@ -219,8 +224,9 @@ def test_floor_force_slopes_match_finite_differences(law, track):
     floor = floor_friction(law, track, 0.1, 0.6, 0.05)
 
     def total(v: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        net, (xx, xy, xz, yy, yz, zz), power = floor_forces(body, solid.mass, *v, floor)
-        return np.array(net), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), power
+        net, slopes, power = forces_and_slopes(body, solid.mass, *v, floor)
+        xx, xy, xz, yy, yz, zz, yx, zx, zy = slopes
+        return np.array(net), np.array([[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]]), power
 
     net, slope, power = total(u)
     h = 1e-6 * np.eye(3)

@@ -1,0 +1,190 @@
+"""Robots with skin: symmetry, isotropic friction, rate independence, convergence, agreement of the plants."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.curvature_wave import CurvatureWave, continuous_snake
+
+from srs_twin.control.gait import Gait
+from srs_twin.control.replay import HoldValves
+from srs_twin.errors import InputError
+from srs_twin.plants.analytical import AnalyticalSnake
+from srs_twin.plants.analytical.cells import Cells
+from srs_twin.plants.twin.mjcf.belly import patches, rods
+from srs_twin.plants.twin.mjcf.numerics import LoadedContact, ModelSettings, PreloadedContact
+from srs_twin.plants.twin.snake import TwinSnake
+from srs_twin.plants.twin.stick_slip import skin_friction
+from srs_twin.robot import friction
+from srs_twin.robot.file import load_robot
+from srs_twin.robot.spec import RobotSpec, Skin
+from srs_twin.rollout import rollout
+
+SPEC = load_robot("skin_example")
+SETTINGS = ModelSettings()
+LAWS = pytest.mark.parametrize("law", friction.SKIN_LAWS)
+
+
+def with_skin(spec: RobotSpec = SPEC, **changes: object) -> RobotSpec:
+    assert spec.skin is not None
+    return replace(spec, skin=replace(spec.skin, **changes))
+
+
+def wave_speed(spec: RobotSpec, period: float = 60.0) -> float:
+    """Return the speed under a slow wave of curvature, body lengths per period, forward positive."""
+    plant = AnalyticalSnake(
+        spec, pneumatics=CurvatureWave(spec, amplitude=7.0, period=period), track=0.0, tick=period / 50,
+        timestep=period / 5000, slip_speed=1e-4 / period, tolerance=1e-3 / period,
+    )  # fmt: skip
+    run = rollout(plant, HoldValves("vent", "vent"), 2 * period, record_hz=50 / period)
+    return float(np.hypot(*(run.com[-1] - run.com[-51])))
+
+
+def gait_run(plant, offset=0.0, phase=0.0, seconds=3.0):
+    return rollout(plant, Gait(1.0, offset, phase=phase), seconds)
+
+
+def test_bodies_have_the_mass_of_the_robot_spread_over_its_length():
+    pitch, half = SPEC.geometry.pitch, SPEC.geometry.body_length / 2
+    expected = SPEC.mass.total * (2 * half) ** 2 / 12
+    for places, masses in (
+        (np.append(0.0, np.cumsum(Cells(SPEC).length)), SPEC.point_masses),
+        (np.array([p.place for p in patches(SPEC, SETTINGS)]), [p.mass for p in patches(SPEC, SETTINGS)]),
+    ):
+        assert np.sum(masses) == pytest.approx(SPEC.mass.total)
+        assert masses @ places / SPEC.mass.total == pytest.approx(half)
+        # Point masses on a grid of pitch/6 have the moment of a rod within (1/48)².
+        assert masses @ (places - half) ** 2 == pytest.approx(expected, rel=2 / 48**2)
+    ends = rods(SPEC, SETTINGS)
+    assert [rod.back for rod in ends[:-1]] == [rod.front for rod in ends[1:]]
+    assert ends[-1].back == pytest.approx(8 * pitch)
+
+
+def test_cells_divide_the_arc_and_leave_the_gap_straight():
+    cells = SPEC.cells
+    assert cells.length.sum() == pytest.approx(SPEC.geometry.pitch)
+    assert cells.share.sum() == pytest.approx(1.0)
+    assert cells.length[cells.share > 0].sum() == pytest.approx(SPEC.geometry.segment_length)
+    q = np.random.default_rng(0).normal(size=(3, SPEC.segments))
+    division = Cells(SPEC)
+    assert division.total(division.split(q)) == pytest.approx(q)
+
+
+@LAWS
+def test_sliding_skin_of_the_twin_follows_the_law(law):
+    rng = np.random.default_rng(1)
+    for v_t, v_n in rng.normal(size=(50, 2)):
+        mu = 0.1 if v_t > 0 else 0.15
+        slipping = skin_friction(v_t, v_n, 2.0, 0.1, 0.15, 0.5, 1e-9, 0.0, 0.0, law == "cosine")
+        assert slipping[:2] == pytest.approx(
+            getattr(friction, law)(v_t, v_n, 2.0, mu, 0.5, 1e-12)[:2], rel=1e-6
+        )
+
+
+@LAWS
+def test_slopes_of_the_skin_of_the_twin_match_finite_differences(law):
+    rng, slip = np.random.default_rng(2), 1e-2
+    for _ in range(50):
+        v, p = rng.normal(scale=slip, size=2), rng.normal(scale=0.2, size=2)
+        values = skin_friction(*v, 2.0, 0.1, 0.15, 0.5, slip, *p, law == "cosine")
+        for k in range(2):
+            h = np.eye(2)[k] * 1e-6 * slip
+            ahead = skin_friction(*(v + h), 2.0, 0.1, 0.15, 0.5, slip, *p, law == "cosine")
+            behind = skin_friction(*(v - h), 2.0, 0.1, 0.15, 0.5, slip, *p, law == "cosine")
+            slopes = (np.array(ahead[:2]) - behind[:2]) / (2e-6 * slip)
+            assert [values[2 + k], values[4 + k]] == pytest.approx(list(slopes), rel=1e-4, abs=1e-3)
+
+
+@LAWS
+@pytest.mark.parametrize("plant", [AnalyticalSnake, TwinSnake])
+def test_mirrored_gait_makes_the_mirrored_path(law, plant):
+    left = gait_run(plant(with_skin(law=law)), 0.3)
+    right = gait_run(plant(with_skin(law=law)), -0.3, np.pi)
+    tolerance = 1e-6 if plant is AnalyticalSnake else 2e-4  # of a path of some decimetres, m
+    assert np.abs(left.com[-1] - right.com[-1] * [1, -1]).max() < tolerance
+    assert left["theta_1"][-1] == pytest.approx(-right["theta_1"][-1], abs=100 * tolerance)
+
+
+def test_isotropic_skin_hardly_moves():
+    speed = wave_speed(continuous_snake(0.1, 0.1, 0.1, segments=16))
+    assert speed < 0.02 * wave_speed(continuous_snake(0.1, 0.1, 1.0, segments=16))
+
+
+def test_distance_per_period_does_not_depend_on_the_rate():
+    spec = continuous_snake(0.11, 0.14, 0.19, segments=16)
+    assert wave_speed(spec, 120.0) == pytest.approx(wave_speed(spec, 60.0), rel=1e-4)
+
+
+def test_wave_of_curvature_has_the_speed_of_published_theory():
+    """Hu et al. 2009; benchmarks/skin.py has further cases and an independent solver."""
+    assert wave_speed(continuous_snake(0.11, 0.14, 0.19)) == pytest.approx(0.1255, rel=0.01)
+    other = wave_speed(continuous_snake(0.11, 0.11, 0.19, law="ellipse"))
+    assert other == pytest.approx(1.9 * wave_speed(continuous_snake(0.11, 0.11, 0.19)), rel=0.05)
+
+
+def test_backward_friction_brakes_only_backward_slip():
+    """A straight body that slides along itself stops after v²/(2 μ g) with the μ of that direction."""
+    for v, mu in ((0.3, 0.1), (-0.3, 0.14)):
+        for plant in (AnalyticalSnake(SPEC), TwinSnake(SPEC)):
+            start = replace(plant.reset(), com_velocity=np.array([v, 0.0]))
+            plant.place(start)
+            run = [plant.step(np.full((SPEC.segments, 2), -1)).com[0] for _ in range(25)]
+            assert abs(run[-1]) == pytest.approx(v * v / (2 * mu * 9.81), rel=0.02)
+
+
+@LAWS
+def test_results_converge_with_the_contact_points(law):
+    few, more, most = (
+        np.ptp(gait_run(AnalyticalSnake(with_skin(law=law, points=points))).com[:, 0])
+        for points in (6, 12, 48)
+    )
+    assert abs(more - most) < 0.5 * abs(few - most) < 0.02 * most
+
+
+@pytest.mark.slow
+def test_results_of_the_twin_converge_with_the_contact_points():
+    few, most = (np.ptp(gait_run(TwinSnake(with_skin(points=points))).com[:, 0]) for points in (6, 18))
+    assert few == pytest.approx(most, rel=0.01)
+
+
+@LAWS
+def test_twin_agrees_with_the_compliant_model(law):
+    spec = with_skin(law=law, points=12)
+    model = AnalyticalSnake(spec, model="compliant", inertia="connector", load="momentary")
+    twin = TwinSnake(spec, hinges_per_segment=4)
+    distance = [run.com[-1, 0] - run.com[-51, 0] for run in (gait_run(model), gait_run(twin))]
+    assert distance[1] == pytest.approx(distance[0], rel=0.03)
+
+
+def test_floor_carries_the_weight_evenly():
+    twin = TwinSnake(SPEC)
+    run = [twin.step(np.full((SPEC.segments, 2), -1)) for _ in range(5)]
+    loads = twin.physics.wheel_loads()
+    static = [patch.mass * 9.81 / 2 for patch in patches(SPEC, SETTINGS)]
+    assert loads.sum() == pytest.approx(SPEC.mass.total * 9.81, rel=1e-6)
+    assert loads == pytest.approx(np.repeat(np.array(static)[:, None], 2, axis=1), rel=0.05)
+    assert run[-1].contact_force.shape == (SPEC.geometry.connectors, 2)
+
+
+def test_saved_state_continues_bit_for_bit():
+    for plant in (AnalyticalSnake(SPEC, model="compliant"), TwinSnake(SPEC)):
+        valves = np.tile([1, -1], (SPEC.segments, 1))
+        plant.step(valves)
+        saved = plant.save()
+        first = plant.step(valves)
+        plant.restore(saved)
+        assert (plant.step(valves).com == first.com).all()
+
+
+def test_options_that_a_skin_does_not_have_are_refused():
+    with pytest.raises(InputError, match="skin has neither model 'simplified' nor inertia 'lumped'"):
+        AnalyticalSnake(SPEC, model="simplified")
+    with pytest.raises(InputError, match="robot with skin needs contact 'loaded'"):
+        TwinSnake(SPEC, contact=PreloadedContact())
+    with pytest.raises(InputError, match="friction law of a skin"):
+        Skin(law="wheel")
+    with pytest.raises(InputError, match="either a skin and masses of segments, or wheels"):
+        replace(SPEC, skin=None)
+    assert TwinSnake(SPEC, contact=LoadedContact()).contact.law == "cosine"
