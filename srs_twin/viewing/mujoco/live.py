@@ -286,7 +286,8 @@ class MujocoWindow:
         """Draw the goal of the scenario on the floor."""
         from srs_twin.viewing.mujoco.stage import add_line
 
-        goal, scene = snake.scenario and snake.scenario.world.goal, self._viewer.user_scn
+        goal = None if snake.scenario is None else snake.scenario.world.goal
+        scene = self._viewer.user_scn
         if goal is not None and scene is not None:
             scene.ngeom = 0
             ring = goal_ring({"x": goal.x, "y": goal.y, "radius": goal.radius})
