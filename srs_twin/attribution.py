@@ -489,11 +489,13 @@ def _in_processes(
     results: dict[int, Trajectory | DivergedError] = {}
     with closing(run_tasks(_simulate, tasks)) as completed:
         for done in completed:
-            if done.error is not None and not isinstance(done.error, DivergedError):
+            if isinstance(done.error, DivergedError):
+                results[done.number] = done.error
+            elif done.error is not None:
                 raise done.error
-            result = done.error or done.result
-            assert result is not None, "a task without an error has a result"
-            results[done.number] = result
+            else:
+                assert done.result is not None, "a task without error has a result"
+                results[done.number] = done.result
             if report is not None:
                 report(len(results))
     return [results[number] for number in range(len(tasks))]

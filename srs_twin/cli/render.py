@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,12 +18,16 @@ from srs_twin.io.files import display_path, escape_unprintable
 
 if TYPE_CHECKING:
     from srs_twin.experiment import FinishedRun
+    from srs_twin.trajectory import Trajectory
     from srs_twin.viewing.mujoco.render import Size
 
 VIDEO_SUFFIX = ".mp4"
 IMAGE_SUFFIX = ".png"
 _GHOST = "analytical"
 """Plant that `--ghost` draws translucently."""
+
+_MIN_SAMPLES = 2
+"""Smallest number of samples of a video or strobe picture."""
 
 _MIN_SIDE_PX = 64
 """Smallest width and height of an image, pixels."""
@@ -41,6 +46,8 @@ def render(
     size: Annotated[str, option("--size WxH")] = "1280x720",
     fps: Annotated[int, option("--fps N", min=1, max=120)] = 30,
     speed: Annotated[float, option("--speed X", min=0.001, max=1000)] = 1.0,
+    from_: Annotated[float | None, option("--from S")] = None,
+    to: Annotated[float | None, option("--to S")] = None,
     quiet: QuietOption = False,
 ) -> None:
     """Render a video or image of finished runs with MuJoCo.
@@ -55,6 +62,8 @@ def render(
         size: Width and height, pixels; --strobe uses the width only.
         fps: Frame rate of the video, Hz.
         speed: Playback speed of the video; 0.25: slow motion.
+        from_: Start of the video or of the strobe picture, s. [default: start of the run]
+        to: End of the video or of the strobe picture, s. [default: end of the run]
     """
     if sum((video is not None, image is not None, strobe)) != 1:
         raise InputError("give exactly one of --video FILE.mp4, --image t=2.5 and --strobe")
@@ -62,6 +71,8 @@ def render(
         raise InputError("--out is for images; --video already names the output of a video")
     if ghost and strobe:
         raise InputError("--ghost needs --video or --image")
+    if image is not None and (from_, to) != (None, None):
+        raise InputError("--from and --to are for --video and --strobe; --image t=2.5 is at one time")
     from srs_twin.viewing.mujoco.opengl import usable_opengl
 
     usable_opengl()  # before the import of MuJoCo, which fails for an unknown name in MUJOCO_GL
@@ -77,6 +88,7 @@ def render(
     if target is not None and target.suffix not in ("", suffix):
         raise InputError(f"{target}: the file must end in {suffix}")
     jobs: list[tuple[FinishedRun, Path]] = []
+    parts: list[Trajectory] = []
     for run in map(load_run, runs):
         is_file = target is not None and target.suffix
         path = target if target and is_file else (target or run.folder) / f"{run.name}{name_suffix}"
@@ -91,14 +103,32 @@ def render(
             raise InputError(
                 f"{display_path(run.folder)}: the run contains no analytical model; omit --ghost"
             )
+        parts.append(_part(run.trajectories["twin"], from_, to))
         check_output_folder(path.parent, (path.name,))
-    for run, path in jobs:
+    for (run, path), part in zip(jobs, parts, strict=True):
         with ScenarioProgress(run.name, quiet=quiet) as progress:
             options: dict[str, Any] = {"progress": partial(progress, "drawing")} if video is not None else {}
             options |= {"ghost": (_GHOST, run.trajectories[_GHOST])} if ghost else {}
-            write(path, run.scenario, run.trajectories["twin"], **options)
+            write(path, run.scenario, part, **options)
         if not quiet:
             typer.echo(escape_unprintable(str(path)))
+
+
+def _part(run: Trajectory, begin: float | None, end: float | None) -> Trajectory:
+    """Return the samples of a run between two times, s; None: from the start, or to the end.
+
+    Raises:
+        InputError: the run has less than two samples in this interval.
+    """
+    first, last = float(run.time[0]), float(run.time[-1])
+    low, high = first if begin is None else begin, last if end is None else end
+    kept = (run.time >= low - 1e-9) & (run.time <= high + 1e-9)
+    if kept.sum() < _MIN_SAMPLES:
+        raise InputError(
+            f"--from {low:g} --to {high:g} contains no part of the run, which lasts from {first:g} to "
+            f"{last:g} s"
+        )
+    return replace(run, columns={name: column[kept] for name, column in run.columns.items()})
 
 
 def _writer(

@@ -199,7 +199,7 @@ _STRAIGHT_RAD_S = 0.05
 """Yaw rate below which a run counts as straight, rad/s."""
 _ZERO_RATE = 5e-5
 """Rate that is shown as 0, m/s or rad/s."""
-_PRESET = "The twin ran with preset {}, for searching: cite a run without it (docs/models.md#presets)."
+_PRESET = "The twin ran with preset {}, for searching: cite a run without it (docs/agreement.md#presets)."
 _COMPLIANCE = "Compliance: the segments of the twin yield to loads, those of the model do not."
 """Explanation of the cause that headlines name most often."""
 _MIN_CAUSE_RATIO = 0.25

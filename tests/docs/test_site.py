@@ -142,7 +142,7 @@ def test_ranges_units_and_defaults_are_those_of_the_model(site):
     shown = (site / "docs/reference/scenario.html").read_text("utf-8")
     row = re.search(r"<tr[^>]*><td><p><code[^>]*><span class=\"pre\">record_hz</span>.*?</tr>", shown, re.S)
     words = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", row[0])).strip()
-    assert words == "record_hz Hz a number from 0.1 to 10000 100.0 Recorded samples a second"
+    assert words == "record_hz Hz a number from 0.1 to 10000 100.0 Recorded samples per second"
 
 
 def commands_in(given, words=("srs-twin",)):

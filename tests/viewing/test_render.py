@@ -65,6 +65,36 @@ def alike(picture, rgb):
 
 
 @pytest.mark.slow
+def test_part_of_a_run_is_rendered(runs, srs_twin, tmp_path):
+    words = ("render", str(runs / "gen2_straight"), "--video", "out.mp4", "--size", "128x72", "--fps", "5")
+    whole, part = ((), ("--from", "1", "--to", "2"))
+    counts, firsts = [], []
+    for options in (whole, part):
+        assert srs_twin(*words, *options, cwd=tmp_path).returncode == 0
+        counts.append(len(frames(tmp_path / "out.mp4")))
+        firsts.append(frames(tmp_path / "out.mp4")[0].astype(int))
+    assert counts == [16, 6]
+    # The snake has moved and bent since the start.
+    assert np.abs(firsts[0] - firsts[1]).max() > 50
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (
+            ("--strobe", "--from", "30"),
+            "--from 30 --to 3 contains no part of the run, which lasts from 0 to 3 s",
+        ),
+        (("--strobe", "--from", "2", "--to", "1"), "--from 2 --to 1 contains no part of the run"),
+        (("--image", "t=1", "--to", "1"), "--from and --to are for --video and --strobe"),
+    ],
+)
+def test_part_outside_the_run_is_refused(runs, srs_twin, tmp_path, options, words):
+    done = srs_twin("render", str(runs / "gen2_straight"), *options, cwd=tmp_path)
+    assert done.returncode == 2 and done.stderr.startswith(words)
+
+
+@pytest.mark.slow
 def test_video_shows_a_moving_snake(runs, srs_twin, tmp_path):
     done = srs_twin(
         *("render", str(runs / "gen2_straight"), "--video", "out.mp4", "--size", "320x180", "--fps", "5"),

@@ -446,6 +446,21 @@ def parsed(report):
     return reader
 
 
+def test_bends_of_both_plants_are_shown_where_the_runs_differ_in_length(runs):
+    long = runs["twin"]
+    end = float(long.time[-1]) - 0.7
+    columns = {name: column[long.time <= end + 1e-9] for name, column in long.columns.items()}
+    short = replace(runs["analytical"], columns=columns)
+    figure = bend_plot({"analytical": short, "twin": long})
+    for axes in figure.axes:
+        low, high = axes.get_xlim()
+        assert high == pytest.approx(end, abs=0.02) and high - low > 0.5
+        for line in axes.lines:
+            assert line.get_xdata()[0] == pytest.approx(low, abs=0.02)
+            assert line.get_xdata()[-1] == pytest.approx(high, abs=0.02)
+    assert "before the first end" in figure.axes[0].get_title(loc="left")
+
+
 def test_report_is_one_small_file(report, parsed):
     assert len(report) < 2e6
     assert len(parsed.sources) == 5

@@ -287,7 +287,7 @@ class MujocoWindow:
         """Draw the goal of the scenario on the floor."""
         from srs_twin.viewing.mujoco.stage import add_line
 
-        goal = snake.scenario.world.goal if snake.scenario else None
+        goal = None if snake.scenario is None else snake.scenario.world.goal
         scene = self._viewer.user_scn
         if goal is not None and scene is not None:
             scene.ngeom = 0

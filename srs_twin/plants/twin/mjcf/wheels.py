@@ -19,7 +19,7 @@ snake are in the air for more than half of the time, and it is up to a tenth too
 ``press_i``, which have no control, press each connector down with κ times its static load, and the friction
 coefficients of the pairs are those of the robot over 1 + κ. The contacts stay closed, and the friction is
 that of the static load, as in the analytical model. Floor forces without the preload are the true loads, at
-rest within 2 %. docs/models.md describes the drawbacks.
+rest within 2 %. docs/twin.md describes the drawbacks.
 
 Contacts are explicit pairs, which name the floor, so that they belong to the scene and not to the robot.
 """
