@@ -232,7 +232,8 @@ _NEEDED = {
     ("contact", "skin"): ("mass.segments_kg", "contact.forward", "contact.transverse"),
     ("actuator", "pressure"): (
         "bending.stiffness_nm_per_rad", "bending.damping_time_s", "actuator.tau_fill_s",
-        "actuator.tau_vent_s", "actuator.tau_mode_s", "actuator.at_pressure_kpa", "chamber.dead_volume_ml", "chamber.air_volume_ml",
+        "actuator.tau_vent_s", "actuator.tau_mode_s", "actuator.at_pressure_kpa",
+        "chamber.dead_volume_ml", "chamber.air_volume_ml",
         "supply.nominal_kpa", "supply.continuous_limit_kpa", "supply.pulsed_limit_kpa",
     ),
     ("actuator", "position"): ("actuator.response_time_s",),
