@@ -27,11 +27,11 @@ def export(
     """Write robots as MJCF, one folder per robot.
 
     Options:
-        names: Robots, or robot files; default all.
+        names: Robots on wheels, or their files; default all.
         out: Output folder; each robot gets a subfolder.
         contact: Contact model; MJCF files support only `preloaded`.
     """
-    from srs_twin.io.files import check_output_folder, escape_unprintable, shipped_names
+    from srs_twin.io.files import check_output_folder, escape_unprintable
     from srs_twin.plants.twin.mjcf.export import SCENE, export_robot
     from srs_twin.plants.twin.mjcf.numerics import as_contact
     from srs_twin.robot.file import load_robot
@@ -41,7 +41,7 @@ def export(
             "--contact loaded is not allowed: srs_twin computes its friction, so an MJCF file would contain "
             "none and the snake would slide freely; use --contact preloaded"
         )
-    robots = [load_robot(name) for name in names or shipped_names("robot")]
+    robots = [load_robot(name) for name in names or _exportable_robots()]
     folders = {Path(out) / robot.name: robot for robot in robots}
     for folder, robot in folders.items():
         check_output_folder(folder, (f"{robot.name}.xml", SCENE))
@@ -63,13 +63,13 @@ def check(
     Options:
         models: MJCF or URDF files, or robots; default all.
     """
-    from srs_twin.io.files import display_path, escape_unprintable, shipped_names
+    from srs_twin.io.files import display_path, escape_unprintable
     from srs_twin.plants.twin.mjcf.check import check_mjcf
     from srs_twin.plants.twin.mjcf.export import stale_files
     from srs_twin.robot.file import load_robot
 
     failed, reports = 0, []
-    for model in models or shipped_names("robot"):
+    for model in models or _exportable_robots():
         path, robot = _find_model(model)
         report = check_mjcf(path)
         faults = list(report.faults)
@@ -86,6 +86,14 @@ def check(
         raise typer.Exit(InputError.exit_code)
 
 
+def _exportable_robots() -> list[str]:
+    """Return the shipped robots on wheels: MJCF has no friction law for a skin."""
+    from srs_twin.io.files import shipped_names
+    from srs_twin.robot.file import load_robot
+
+    return [name for name in shipped_names("robot") if load_robot(name).skin is None]
+
+
 def _success_message(report: ModelReport, *, current: bool) -> str:
     sizes = report.sizes
     return (
@@ -97,10 +105,10 @@ def _success_message(report: ModelReport, *, current: bool) -> str:
 
 def _find_model(model: str) -> tuple[Path, str | None]:
     """Return the scene and the name of a shipped robot, or the path of a model file and None."""
-    from srs_twin.io.files import data_root, shipped_names
+    from srs_twin.io.files import data_root
     from srs_twin.plants.twin.mjcf.check import MODEL_SUFFIXES
 
-    names = shipped_names("robot")
+    names = _exportable_robots()
     if model in names:
         return data_root() / "models" / model / "scene.xml", model
     if not (Path(model).suffix in MODEL_SUFFIXES or "/" in model or os.path.lexists(model)):

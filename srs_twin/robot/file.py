@@ -24,6 +24,7 @@ from srs_twin.robot.friction import SkinLaw
 from srs_twin.robot.scale import Scale
 from srs_twin.robot.sourced import Record, Records, bounded, number_field, replace_value, split_unit
 from srs_twin.robot.spec import (
+    GRAVITY,
     PER_CHAMBER,
     WHEEL_SHARE,
     Actuator,
@@ -238,30 +239,52 @@ class ContactFile(Records):
         return Skin(**values)
 
 
-_WHEEL_KEYS: dict[str, tuple[str, ...]] = {
-    "geometry": ("half_track_m", "wheel_radius_m"),
-    "mass": ("connectors_kg", "wheel_kg"),
-    "friction": ("mu_t", "mu_n"),
-}
-"""Keys that a robot on wheels needs, and that a robot with skin does not have, by section."""
+_NEEDED: dict[tuple[str, str], tuple[str, ...]] = {
+    ("contact", "wheels"): (
+        "geometry.half_track_m", "geometry.wheel_radius_m", "mass.connectors_kg", "mass.wheel_kg",
+        "friction.mu_t", "friction.mu_n",
+    ),
+    ("contact", "skin"): ("mass.segments_kg", "contact.forward", "contact.transverse"),
+    ("actuator", "pressure"): (
+        "bending.stiffness_nm_per_rad", "bending.damping_time_s", "actuator.tau_fill_s",
+        "actuator.tau_vent_s", "actuator.tau_mode_s", "actuator.at_pressure_kpa",
+        "chamber.dead_volume_ml", "chamber.air_volume_ml",
+        "supply.nominal_kpa", "supply.continuous_limit_kpa", "supply.pulsed_limit_kpa",
+    ),
+    ("actuator", "position"): ("actuator.response_time_s",),
+}  # fmt: skip
+"""Section and kind → keys that a robot of this kind needs, and that one of the other kind does not have."""
 
-_SKIN_KEYS: dict[str, tuple[str, ...]] = {"mass": ("segments_kg",), "contact": ("forward", "transverse")}
-"""Keys that a robot with skin needs, and that a robot on wheels does not have, by section."""
+_POSSIBLE: dict[tuple[str, str], tuple[str, ...]] = {
+    ("contact", "wheels"): ("mass.connector_gyration_m",),
+    ("contact", "skin"): ("contact.law", "contact.backward", "contact.points_per_segment"),
+    ("actuator", "pressure"): (
+        "actuator.bend_limit_rad", "actuator.onset_share", "actuator.onset_rad", "actuator.onset_width_rad",
+    ),
+    ("actuator", "position"): (),
+}  # fmt: skip
+"""Section and kind → further keys that a robot of the other kind does not have."""
 
-_OPTIONAL_KEYS: dict[str, dict[str, tuple[str, ...]]] = {
-    "wheels": {"mass": ("connector_gyration_m",)},
-    "skin": {"contact": ("law", "backward", "points_per_segment")},
-}
-"""Further keys that only one kind of contact has, by section."""
+_OTHER_KIND = {"wheels": "skin", "skin": "wheels", "pressure": "position", "position": "pressure"}
+
+SERVO_PRESSURE_KPA = 100.0
+"""Pressure that stands for the full command of a servo, kPa: commands of all robots are valve states."""
+
+_SERVO_VOLUME_M3 = 1e-12
+"""Volumes of the chambers that a servo does not have, m³: they take no air worth counting."""
+
+_RIGID_RATIO = 1000.0
+"""Stiffness of a servo joint over weight times body length, 1: floor loads bend it by less than 1 mrad."""
 
 
 class BendingFile(Records):
     """Compliance of one segment."""
 
-    stiffness_nm_per_rad: Number = number_field(*STIFFNESSES_NM_PER_RAD)
-    """Bending stiffness."""
-    damping_time_s: Number = number_field(1e-6, 100.0)
-    """Damping over stiffness; with the value of tau_mode_s, a free module obeys Eq. 14 exactly."""
+    stiffness_nm_per_rad: Number | None = number_field(*STIFFNESSES_NM_PER_RAD, optional=True)
+    """Bending stiffness; pressure only."""
+    damping_time_s: Number | None = number_field(1e-6, 100.0, optional=True)
+    """Damping over stiffness; with the value of tau_mode_s, a free module obeys Eq. 14 exactly. Pressure
+    only."""
     pitch_stiffness_nm_per_rad: Number = number_field(*STIFFNESSES_NM_PER_RAD)
     """Stiffness against bending out of the floor plane."""
     roll_stiffness_nm_per_rad: Number = number_field(*STIFFNESSES_NM_PER_RAD)
@@ -271,18 +294,23 @@ class BendingFile(Records):
 
 
 class ActuatorFile(Records):
-    """Pneumatic response of one module; its gain is bend_rad over at_pressure_kpa."""
+    """Response of one module: pneumatic with the gain bend_rad over at_pressure_kpa, or that of a servo."""
 
-    tau_fill_s: Number = number_field(1e-6, 100.0)
-    """Fill time constant tau_1."""
-    tau_vent_s: Number = number_field(1e-6, 100.0)
-    """Vent time constant tau_1."""
-    tau_mode_s: Number = number_field(1e-6, 100.0)
-    """Mode time constant tau_2, with which the free bend follows the pressures."""
+    kind: Literal["pressure", "position"] | None = None
+    """pressure: air in chambers bends the segment against its stiffness (default); position: a servo turns a
+    joint to the commanded angle regardless of the load, bend_rad where a valve would fill the + chamber."""
+    response_time_s: Number | None = number_field(1e-4, 100.0, optional=True)
+    """Time constant of the critically damped response of a servo; position only."""
+    tau_fill_s: Number | None = number_field(1e-6, 100.0, optional=True)
+    """Fill time constant tau_1; pressure only."""
+    tau_vent_s: Number | None = number_field(1e-6, 100.0, optional=True)
+    """Vent time constant tau_1; pressure only."""
+    tau_mode_s: Number | None = number_field(1e-6, 100.0, optional=True)
+    """Mode time constant tau_2, with which the free bend follows the pressures; pressure only."""
     bend_rad: Number = number_field(1e-3, 6.3)
-    """Static bend of a free module under at_pressure_kpa."""
-    at_pressure_kpa: Number = number_field(0.1, 2000.0)
-    """Pressure in one chamber that causes bend_rad."""
+    """Static bend of a free module under at_pressure_kpa, or the largest angle that a servo is commanded."""
+    at_pressure_kpa: Number | None = number_field(0.1, 2000.0, optional=True)
+    """Pressure in one chamber that causes bend_rad; pressure only."""
     bend_limit_rad: Number | None = number_field(0.1, 6.3, optional=True)
     """Limit of the free bend at high pressure (default: none, the gain is linear)."""
     onset_share: Number | None = number_field(0.0, 1.0, optional=True)
@@ -359,8 +387,10 @@ class RobotFile(StrictModel):
     """Kind of contact with the floor (default: wheels)."""
     bending: BendingFile
     actuator: ActuatorFile
-    chamber: ChamberFile
-    supply: SupplyFile
+    chamber: ChamberFile | None = None
+    """Air space of one chamber; with actuator pressure."""
+    supply: SupplyFile | None = None
+    """Gauge pressures of the supply and their limits; with actuator pressure."""
     gait: GaitFile
     modules: ModulesFile | None = None
     """Individual properties of the modules (default: identical nominal modules)."""
@@ -390,7 +420,12 @@ class RobotFile(StrictModel):
         Args:
             seed: random seed of the modules if `modules` has none.
         """
-        actuator, chamber = self.actuator.to_si(), self.chamber
+        bending = self.bending.to_si()
+        if self.has_servos:
+            actuator, rigid, chamber, supply = self._servo()
+            bending |= rigid
+        else:
+            actuator, (chamber, supply) = self.actuator.to_si(), self._pneumatics()
         gain = actuator.pop("bend") / actuator.pop("at_pressure")
         has_dead_zone = bool(actuator.keys() & {"onset", "onset_width"})
         segments = self.geometry.connectors.value - 1
@@ -410,15 +445,12 @@ class RobotFile(StrictModel):
             geometry=Geometry(**geometry),
             mass=mass,
             friction=Friction(**friction),
-            bending=Bending(**self.bending.to_si()),
+            bending=Bending(**bending),
             actuator=Actuator(
                 **{"bend_limit": math.inf, "onset_share": float(has_dead_zone)} | actuator, gain=gain
             ),
-            chamber=Chamber(
-                dead_volume=chamber.dead_volume_ml.value * M3_PER_ML,
-                displacement=chamber.air_volume_ml.value * M3_PER_ML / (math.pi / 2),
-            ),
-            supply=Supply(**self.supply.to_si(), limit_source=self.supply.pulsed_limit_kpa.source),
+            chamber=chamber,
+            supply=supply,
             phase_step=self.gait.phase_step_rad.value,
             variation=self.modules.draw(segments, seed) if self.modules else None,
             tail=Tail(**self.tail.to_si()) if self.tail else None,
@@ -438,25 +470,63 @@ class RobotFile(StrictModel):
         assert record is not None, "`contradictions` reports a missing mass"
         return list(record.value) if isinstance(record.value, list) else [record.value] * count
 
-    def _contradictions_of_contact(self) -> Iterator[tuple[Loc, str]]:
-        """Yield path and message of keys that the kind of contact lacks or does not have."""
-        kind, other = ("skin", "wheels") if self.has_skin else ("wheels", "skin")
-        keys = {"wheels": _WHEEL_KEYS, "skin": _SKIN_KEYS}
-        for section, names in keys[kind].items():
-            for name in names:
-                if getattr(getattr(self, section), name, None) is None:
-                    yield (section, name), f"missing; a robot with contact {kind} needs it"
-        for kinds in (keys, _OPTIONAL_KEYS):
-            for section, names in kinds[other].items():
-                for name in names:
-                    if getattr(getattr(self, section), name, None) is not None:
-                        yield (section, name), f"a robot with contact {kind} has no {name}; remove it"
+    @property
+    def has_servos(self) -> bool:
+        """Whether servos turn the joints, instead of air."""
+        return self.actuator.kind == "position"
+
+    def _servo(self) -> tuple[dict[str, float], dict[str, float], Chamber, Supply]:
+        """Return actuator, bending, chamber and supply of pneumatic modules that move like servos.
+
+        Two equal time constants make a critically damped response. The stiffness k is so high that loads do
+        not matter; with the damping k τ the joints of the twin follow the same response.
+        """
+        time = self.actuator.response_time_s
+        assert time is not None, "`contradictions` reports a missing key"
+        g, tau, pressure = self.geometry, float(time.value), SERVO_PRESSURE_KPA * PA_PER_KPA
+        body = (g.connectors.value - 1) * (g.segment_length_m.value + g.rigid_gap_m.value)
+        mass = sum(self.masses())
+        actuator = {"bend": self.actuator.bend_rad.value, "at_pressure": pressure}
+        actuator |= dict.fromkeys(("tau_fill", "tau_vent", "tau_mode"), tau)
+        bending = {"stiffness": _RIGID_RATIO * GRAVITY * mass * body, "damping_time": tau}
+        supply = Supply(pressure, pressure, pressure, "full command of a servo")
+        return actuator, bending, Chamber(_SERVO_VOLUME_M3, _SERVO_VOLUME_M3), supply
+
+    def _pneumatics(self) -> tuple[Chamber, Supply]:
+        """Return chamber and supply of pneumatic modules."""
+        assert self.chamber is not None, "`contradictions` reports missing keys"
+        assert self.supply is not None, "`contradictions` reports missing keys"
+        chamber = Chamber(
+            dead_volume=self.chamber.dead_volume_ml.value * M3_PER_ML,
+            displacement=self.chamber.air_volume_ml.value * M3_PER_ML / (math.pi / 2),
+        )
+        return chamber, Supply(**self.supply.to_si(), limit_source=self.supply.pulsed_limit_kpa.source)
+
+    def _contradictions_of_kinds(self) -> Iterator[tuple[Loc, str]]:
+        """Yield path and message of keys that the kinds of contact and actuator lack or do not have."""
+
+        def is_missing(path: str) -> bool:
+            section, key = path.split(".")
+            return getattr(getattr(self, section), key, None) is None
+
+        kinds = {
+            "contact": "skin" if self.has_skin else "wheels",
+            "actuator": "position" if self.has_servos else "pressure",
+        }
+        for section, kind in kinds.items():
+            for path in filter(is_missing, _NEEDED[section, kind]):
+                yield tuple(path.split(".")), f"missing; a robot with {section} {kind} needs it"
+            other = section, _OTHER_KIND[kind]
+            for path in _NEEDED[other] + _POSSIBLE[other]:
+                if not is_missing(path):
+                    key = path.split(".")[1]
+                    yield tuple(path.split(".")), f"a robot with {section} {kind} has no {key}; remove it"
         if self.has_skin and self.tail is not None:
             yield ("tail",), "a robot with contact skin has no axles; remove the tail"
 
     def contradictions(self) -> Iterator[tuple[Loc, str]]:
         """Yield path and message of numbers that do not fit together."""
-        missing = list(self._contradictions_of_contact())
+        missing = list(self._contradictions_of_kinds())
         yield from missing
         if missing:
             return
@@ -480,6 +550,8 @@ class RobotFile(StrictModel):
             text = f"{com:g} m is behind the second axle at {axle:g} m; the assembly would tip over"
             yield ("tail", "com_m", "value"), text
         yield from self._invalid_priors()
+        if self.supply is None:
+            return
         nominal, limit = self.supply.nominal_kpa.value, self.supply.pulsed_limit_kpa.value
         if nominal > limit:
             yield (

@@ -220,7 +220,9 @@ class Records(StrictModel):
 
     def to_si(self) -> dict[str, Any]:
         """Return the numbers in SI units, by key without unit suffix."""
-        return {split_unit(key)[0]: to_si(key, record.value) for key, record in self if record is not None}
+        return {
+            split_unit(key)[0]: to_si(key, record.value) for key, record in self if isinstance(record, Record)
+        }
 
 
 def replace_value(

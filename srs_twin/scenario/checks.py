@@ -13,7 +13,7 @@ from srs_twin.errors import InputError, SamplingGrid, TimeStepError, count_steps
 from srs_twin.io.documents import Document
 from srs_twin.pneumatics.base import Pneumatics
 from srs_twin.pneumatics.chambers import largest_bend
-from srs_twin.robot.file import RobotFile
+from srs_twin.robot.file import SERVO_PRESSURE_KPA, RobotFile
 from srs_twin.robot.friction import TWO_POINT_LAWS
 from srs_twin.scenario.file import LEAST_RECORD_HZ, MOST_RECORD_HZ, ScenarioFile
 from srs_twin.scenario.plants import TwinFile
@@ -58,6 +58,12 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
     The check reads the document itself, so that it also runs if other keys are not valid.
     """
     pressure = document.get("supply", "pressure_kpa")
+    if robot.supply is None:
+        if pressure not in (None, SERVO_PRESSURE_KPA):
+            document.report(
+                ("supply", "pressure_kpa"), f"{robot.name} has servos and no supply; remove this key"
+            )
+        return []
     held = document.get("controller", "kind") == HoldValves.kind
     limit = robot.supply.continuous_limit_kpa if held else robot.supply.pulsed_limit_kpa
     number = isinstance(pressure, (int, float)) and not isinstance(pressure, bool) and math.isfinite(pressure)
@@ -82,8 +88,10 @@ def check_robot(document: Document, file: ScenarioFile, robot: RobotFile) -> Non
         file.sensor.sensor(robot.spec())
     # The integrator needs time steps shorter than the damping times of the segments (`mjcf.robot_mjcf`).
     _check_contact(document, file, robot)
-    bending, twin = robot.bending, file.plants.twin
-    shortest = min(bending.damping_time_s.value, bending.out_of_plane_damping_time_s.value)
+    if robot.has_servos and file.pneumatics.kind != "lag":
+        document.report(("pneumatics", "kind"), f"{robot.name} has servos, which respond like lag; use lag")
+    bending, twin = robot.spec().bending, file.plants.twin
+    shortest = min(bending.damping_time, bending.out_of_plane_damping_time)
     if twin is not None and not twin.timestep_s < shortest:
         document.report(
             ("plants", "twin", "timestep_s"),

@@ -19,7 +19,7 @@ from srs_twin.errors import InputError, InputFileError, did_you_mean
 from srs_twin.io.documents import Document, Override, format_path, load_yaml, parse_path
 from srs_twin.io.files import find_file, results_name
 from srs_twin.io.validation import validate
-from srs_twin.robot.file import PA_PER_KPA, RobotFile, find_unit_mistakes, resolve_robot
+from srs_twin.robot.file import PA_PER_KPA, SERVO_PRESSURE_KPA, RobotFile, find_unit_mistakes, resolve_robot
 from srs_twin.robot.sourced import replace_value
 from srs_twin.robot.world import World
 from srs_twin.scenario.checks import (
@@ -254,7 +254,8 @@ def _resolved(
 def supply_kpa(file: ScenarioFile, robot: RobotFile) -> float:
     """Return the supply pressure of a scenario, by default the nominal pressure of the robot, kPa."""
     pressure = file.supply.pressure_kpa
-    return float(robot.supply.nominal_kpa.value) if pressure is None else pressure
+    nominal = SERVO_PRESSURE_KPA if robot.supply is None else robot.supply.nominal_kpa.value
+    return float(nominal) if pressure is None else pressure
 
 
 def _robot(document: Document) -> tuple[RobotFile | None, tuple[str, ...]]:

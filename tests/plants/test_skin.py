@@ -14,6 +14,7 @@ from srs_twin.errors import InputError
 from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.plants.analytical.cells import Cells
 from srs_twin.plants.twin.mjcf.belly import patches, rods
+from srs_twin.plants.twin.mjcf.export import robot_files
 from srs_twin.plants.twin.mjcf.numerics import LoadedContact, ModelSettings, PreloadedContact
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.plants.twin.stick_slip import skin_friction
@@ -176,6 +177,11 @@ def test_saved_state_continues_bit_for_bit():
         first = plant.step(valves)
         plant.restore(saved)
         assert (plant.step(valves).com == first.com).all()
+
+
+def test_robots_with_skin_have_no_mjcf_file():
+    with pytest.raises(InputError, match="skin_example has a skin: srs_twin computes its friction"):
+        robot_files(SPEC)
 
 
 def test_options_that_a_skin_does_not_have_are_refused():

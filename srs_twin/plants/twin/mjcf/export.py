@@ -12,6 +12,7 @@ from xml.dom import minidom
 
 import mujoco
 
+from srs_twin.errors import InputError
 from srs_twin.io.file_sets import replace_files
 from srs_twin.plants.twin.mjcf.model import robot_mjcf, scene_mjcf
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings, PreloadedContact
@@ -47,7 +48,15 @@ def stale_files(spec: RobotSpec, folder: Path) -> list[str]:
 
 
 def robot_files(spec: RobotSpec) -> dict[str, str]:
-    """Return a robot's MJCF files, file name → text."""
+    """Return a robot's MJCF files, file name → text.
+
+    Raises:
+        InputError: the robot has a skin.
+    """
+    if spec.skin is not None:
+        raise InputError(
+            f"{spec.name} has a skin: srs_twin computes its friction, which an MJCF file cannot contain"
+        )
     # A single segment cannot crawl: simulate it on a test bench.
     bench = spec.segments == 1
     timestep, base = ModelSettings.timestep * spec.scale.time, "clamped" if bench else "free"
