@@ -43,7 +43,7 @@ def _table(command: Any, context: Any, kind: str) -> str:
     parameters = [parameter for parameter in command.params if parameter.param_type_name == kind]
     records = filter(None, (parameter.get_help_record(context) for parameter in parameters))
     rows = [row(f"`{name.strip()}`", _mark_options(text)) for name, text in records]
-    return "\n".join([f"| {kind} | |", "|---|---|", *rows]) if rows else ""
+    return "\n".join([f"| {kind} | meaning |", "|---|---|", *rows]) if rows else ""
 
 
 def _mark_options(text: str) -> str:

@@ -47,7 +47,7 @@ def list_(
     kind: Annotated[str | None, argument("KIND")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List scenarios, robots, sweeps, studies, controllers, metrics.
+    """List scenarios, six to begin with, and all other names.
 
     Options:
         kind: Kind: scenarios, robots, sweeps, controllers, metrics or studies. [default: all but

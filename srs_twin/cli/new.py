@@ -70,7 +70,7 @@ def robot(
     if count < 1 or not all(0 < value < math.inf for value in (body_length, total_mass, supply, max_bend)):
         raise InputError("length, mass, segments, pressure and bend must be positive")
     air = _AIR_ML * scale**3
-    values = {
+    values: dict[str, float | str] = {
         "segments": count,
         "connectors": count + 1,
         "segment": 0.037 * scale,

@@ -107,7 +107,7 @@ def play(
     name: Annotated[str, argument("SCENARIO|ROBOT", shipped=["scenario", "robot"])],
     set_: Annotated[list[str] | None, option("--set FIELD=VALUE")] = None,
 ) -> None:
-    """Play a scenario, or steer a robot by keyboard, in MuJoCo's viewer.
+    """Play a scenario, or steer a robot by keyboard, in MuJoCo.
 
     Keys: left and right change the offset, up and down the frequency, page up and page down the supply
     pressure; home resets the offset, space pauses, backspace restarts. The controller of a scenario acts

@@ -308,15 +308,21 @@ def verdict(checked: Mapping[str, Any]) -> str:
 
 def result_text(checked: Mapping[str, Any]) -> str:
     """Return the text of a value and its allowed values, such as "= 0.15, allowed 0.18 to 0.25"."""
-    metric, allowed = checked["metric"], checked["allowed"]
+    metric, allowed = checked["metric"], allowed_text(checked)
     value = tidy(metric, checked["value"])
-    if metric in YES_NO and allowed in ("0", "1"):
-        return f"= {value or 'none'}, required {tidy(metric, int(allowed))}"
+    if allowed in ("yes", "no"):
+        return f"= {value or 'none'}, required {allowed}"
     if not checked.get("within"):
         return f"= {'none' if value is None else f'{value:.4g}'}, allowed {allowed}"
     unit = (METRIC_UNITS | COMPARISON_UNITS).get(metric, "1")
     text = "none" if value is None else f"{value:.3g}" + (f" {unit}" if unit != "1" else "")
     return f"= {text}; {checked['allowed']}"
+
+
+def allowed_text(checked: Mapping[str, Any]) -> str:
+    """Return the text of the allowed values: a range, one value, or yes or no."""
+    metric, allowed = checked["metric"], str(checked["allowed"])
+    return str(tidy(metric, int(allowed))) if metric in YES_NO and allowed in ("0", "1") else allowed
 
 
 def tally(verdicts: Mapping[str, int]) -> str:

@@ -34,7 +34,8 @@ PLACES = {
     "calibrate robot": ("calibrate robot fit.yaml --name mine", {"NAME": "mine"}),
 }  # fmt: skip
 PHRASES = {
-    "all but studies", "one per processor", "those of the scenario", "the scenario's", "the sweep's",
+    "all but metrics", "start of the run", "end of the run",
+    "one per processor", "those of the scenario", "the scenario's", "the sweep's",
     "the twin's", "NAME.valves.csv in the same folder", "detected", "the robot's", "estimated",
     "that of the valve pattern",
     "the end in the direction of motion",

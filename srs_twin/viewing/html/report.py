@@ -24,7 +24,7 @@ from srs_twin.comparison.metrics import (
 from srs_twin.robot.file import RobotFile, section_units
 from srs_twin.robot.sourced import si_unit, split_unit
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.scenario.expectation import tally, verdict
+from srs_twin.scenario.expectation import allowed_text, tally, verdict
 from srs_twin.scenario.modified import Changes, left_out_line, text_of
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import added_to
@@ -160,7 +160,7 @@ def _expectations(expectations: Sequence[Mapping[str, Any]], verdicts: Sequence[
     rows = []
     for state, row in zip(verdicts, expectations, strict=True):
         color = "missed" if state == "missed" else "met" if row["met"] else "sub"
-        texts = [row.get(key) or "" for key in ("of", *keys)]
+        texts = [row["of"], allowed_text(row), *(row.get(key) or "" for key in keys[1:])]
         title, value = metric_title(row["metric"]), cell(tidy(row["metric"], row.get("value")))
         rows.append([colored(state.replace("_", " "), color), title, texts[0], value, *texts[1:]])
     return Table(["", "metric", "of", "value", *keys], rows, numbers=[3])
