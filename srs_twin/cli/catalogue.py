@@ -31,7 +31,7 @@ _BEGINNING = {
 """Scenarios to begin with, one per group, and what they show."""
 
 _GROUPS = {
-    "crawl": r"gen\d_(straight|climb)",
+    "crawl": r"(gen\d|skin)_(straight|climb)",
     "turn": r"gen\d_turn",
     "plan and follow": "(plan|follow)_.*",
     "learn": "ilc_.*",

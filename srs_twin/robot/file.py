@@ -564,11 +564,16 @@ class RobotFile(StrictModel):
         g = self.geometry
         pitch = g.segment_length_m.value + g.rigid_gap_m.value
         low, high = _LENGTH_RATIOS
-        for key in ("half_track_m", "wheel_radius_m", "com_height_m", "width_m"):
-            value = getattr(g, key).value
-            if not low * pitch <= value <= high * pitch:
-                text = f"{value:g} m does not fit a distance of {pitch:g} m between connectors"
-                yield ("geometry", key, "value"), f"{text}; check the units"
+        keys = ("half_track_m", "wheel_radius_m", "com_height_m", "width_m")
+        values = {key: record.value for key in keys if (record := getattr(g, key)) is not None}
+        wrong = {key: value for key, value in values.items() if not low * pitch <= value <= high * pitch}
+        if len(wrong) > 1:  # they fit each other, so the distance between connectors is wrong
+            key = max(("segment_length_m", "rigid_gap_m"), key=lambda name: getattr(g, name).value)
+            wrong = {key: getattr(g, key).value}
+        for key, value in wrong.items():
+            factor = 1e-3 if value > pitch / 2 else 1e3
+            text = f"{value:g} m does not fit the other lengths of the robot"
+            yield ("geometry", key, "value"), f"{text}; did you mean {factor * value:.4g}?"
         lightest, heaviest = _DENSITIES
         for mass in set(self.masses()):
             density = mass / (pitch * g.width_m.value**2)
@@ -576,7 +581,8 @@ class RobotFile(StrictModel):
                 text = (
                     f"{mass:g} kg in {pitch:g} m by {g.width_m.value:g} m is a density of {density:.2g} kg/m³"
                 )
-                yield ("mass", "connectors_kg", "value"), f"{text}; check the units"
+                key = "segments_kg" if self.has_skin else "connectors_kg"
+                yield ("mass", key, "value"), f"{text}; check the units"
 
     def _invalid_priors(self) -> Iterator[tuple[Loc, str]]:
         """Yield path and message of prior distributions that do not fit their numbers."""

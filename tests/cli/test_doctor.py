@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from conftest import ROOT, on_interrupt
 
+from srs_twin import load_robot
 from srs_twin.cli import main
 from srs_twin.cli.doctor import checks, examination, probes
 from srs_twin.cli.doctor.checks import (
@@ -374,7 +375,8 @@ def test_command_on_this_machine(srs_twin_process, tmp_path):
         assert (check["status"] == "ok") == (check["remedy"] == ""), name
         assert check["status"] in ("ok", "undecided") or not check["necessary"], name
     robots, scenarios = (len(shipped_names(kind)) for kind in ("robot", "scenario"))
-    assert f"{robots} robots, {scenarios} scenarios, {robots} models" in checks["shipped data"]["detail"]
+    models = sum(load_robot(name).skin is None for name in shipped_names("robot"))
+    assert f"{robots} robots, {scenarios} scenarios, {models} models" in checks["shipped data"]["detail"]
     assert {"egl", "osmesa", "glfw", "rerun", "in a browser"} <= checks.keys()
     assert not any(tmp_path.iterdir())
 

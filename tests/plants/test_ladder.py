@@ -194,7 +194,7 @@ def test_only_simplified_allows_no_friction_torque(model):
         ),
         (
             {"friction": "coulomb"},
-            "friction law 'coulomb' is unknown; allowed: axis, wheel, viscous, ellipse",
+            "friction law 'coulomb' is unknown; allowed: axis, wheel, viscous, ellipse, cosine",
         ),
     ],
 )

@@ -91,7 +91,9 @@ def test_sliding_contact_follows_the_law_of_its_name(law, v_t, v_n, mu_n, share)
     assume(abs(v_n) > 1e-3 and abs(v_t) > 1e-3)
     slip, mu_t = 1e-6, share * mu_n
     expected = getattr(friction, law)(v_t, v_n, LOAD, mu_t, mu_n, slip)[:2]
-    contact = SimpleNamespace(wheels=1, law=LAWS_ON_LOADS.index(law), coefficients=(mu_t, mu_n, slip, 1e-12))
+    contact = SimpleNamespace(
+        wheels=1, law=LAWS_ON_LOADS.index(law), coefficients=(mu_t, mu_n, slip, 1e-12, mu_t)
+    )
     actual = _friction_law.py_func(contact, 0, v_t, v_n, LOAD, (0.0, 0.0, 0.0), 0.0, 1.0)[:2]
     assert actual == pytest.approx(expected, abs=1e-4 * LOAD)
 

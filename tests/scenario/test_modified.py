@@ -271,7 +271,7 @@ def test_a_played_robot_shows_its_changed_fields():
 def test_every_number_of_a_robot_has_its_unit(name):
     file = load_robot_file(name)
     shown = {parameter: (unit, value) for parameter, unit, value in robot_table(file.spec()).rows}
-    texts = {"name", "title", "supply.limit_source", "variation", "tail"}
+    texts = {"name", "title", "supply.limit_source", "variation", "tail", "skin"}
     assert all(unit for parameter, (unit, _) in shown.items() if parameter not in texts)
     for key, unit in {
         "geometry.segment_length": "m",

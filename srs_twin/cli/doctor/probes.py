@@ -72,12 +72,15 @@ def data() -> str | ProbeResult:
 
     robots, scenarios = shipped_names("robot"), shipped_names("scenario")
     scenes = [name for name in robots if _scene(name).is_file()]
-    faults = [f"model {name}: {_scene(name)} is missing" for name in robots if name not in scenes]
+    faults = []
     for name in robots:
+        has_model = True
         try:
-            load_robot(name)
+            has_model = load_robot(name).skin is None  # robots with skin have no exported model
         except SrsError as error:
             faults.append(f"robot {name}: {str(error).splitlines()[0]}")
+        if has_model and name not in scenes:
+            faults.append(f"model {name}: {_scene(name)} is missing")
     detail = f"{len(robots)} robots, {len(scenarios)} scenarios, {len(scenes)} models in {data_root()}"
     if not (robots and scenarios):
         return ProbeResult("missing", detail)

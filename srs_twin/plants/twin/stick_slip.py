@@ -80,7 +80,7 @@ def skin_friction(v_t, v_n, load, mu_ahead, mu_back, mu_n, slip, p_t, p_n, is_co
     Returns:
         f_t, f_n (N), and the slopes ∂f_t/∂v_t, ∂f_t/∂v_n, ∂f_n/∂v_t, ∂f_n/∂v_n (N·s/m).
     """
-    greatest = max(mu_ahead, mu_back, mu_n)
+    greatest = max(max(mu_ahead, mu_back), mu_n)  # Warp's max takes two numbers
     if not greatest * load > 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     # Friction opposes the slip: the force of slip towards the head points to the tail.

@@ -250,7 +250,7 @@ def robot_table(spec: RobotSpec) -> Table:
 
 def _robot_units() -> dict[str, str]:
     """Return parameter of a `RobotSpec` → SI unit, for the keys of robot files and for derived parameters."""
-    units = {"actuator.gain": "rad/Pa", "chamber.displacement": "m³/rad"}
+    units = {"actuator.gain": "rad/Pa", "chamber.displacement": "m³/rad", "friction.mu_back": "1"}
     for section in RobotFile.model_fields:
         prefix = {"modules": "variation.", "gait": ""}.get(section, f"{section}.")
         units |= {f"{prefix}{split_unit(key)[0]}": si_unit(key) for key in section_units(section)}
