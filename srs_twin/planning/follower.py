@@ -293,7 +293,7 @@ class Follower(Controller):
         point = self._locate(here)
         self._s, self._position = max(point.s, 0.0), (here, point)
         moved, goal, stray = self._predictor.moved, self.goal, self.conditions.stray
-        # Distances over whole periods, because a snake moves to and fro within each.
+        # Distances over whole periods, because a snake moves back and forth within each.
         if moved is None or moved > self._stuck_distance:
             self._moved_at = time
         if time - self._moved_at > STUCK_PERIODS * self._period:
