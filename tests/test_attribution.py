@@ -248,7 +248,7 @@ def test_command_prints_and_stores_the_attribution(srs_twin, tmp_path):
     (tmp_path / "brief.yaml").write_text(text)
     done = srs_twin("compare", "brief.yaml", "--explain", "--out", "out", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "why they differ" in done.stdout and "not explained" in done.stdout
+    assert "contribution of each assumption" in done.stdout and "not explained" in done.stdout
     assert "curvature not constant" in done.stdout
     metrics = json.loads((tmp_path / "out/metrics.json").read_text("utf-8"))
     assert metrics["attribution"]["shares"][0]["name"] == "friction law"

@@ -386,7 +386,7 @@ class SnakeVectorEnv(DeepCopied, SyncVectorEnv[np.ndarray, np.ndarray]):
         # Arrays with several valve states per step have three dimensions; repeat a single state.
         substeps = max(states.shape[0] if states.ndim == 3 else 1 for states in valves)
         shape = (substeps, *vented.shape)
-        batch.regulate()
+        batch.update_supply_pressure()
         batch.step(np.stack([np.broadcast_to(v, shape) if v.ndim == 2 else v for v in valves]))
         for k in running:
             episode, error = self.envs[k]._current_episode(), batch.errors[k]

@@ -39,7 +39,7 @@ assert scenario.build_plant("analytical").friction == scenario.build_plant("twin
 from types import SimpleNamespace
 from srs_twin.plants.twin.friction_solve import _friction_law
 from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS
-contact = SimpleNamespace(wheels=1, law=LAWS_ON_LOADS.index("blend"), coefficients=(0.1, 0.5, 1e-6, 0.0))
+contact = SimpleNamespace(wheels=1, law=LAWS_ON_LOADS.index("blend"), coefficients=(0.1, 0.5, 1e-6, 0.0, 0.1))
 sliding = _friction_law.py_func(contact, 0, 0.2, -0.3, 0.3, (0.0, 0.0, 0.0), 0.0, 1e-3)[:2]
 assert np.allclose(sliding, law(0.2, -0.3, 0.3, 0.1, 0.5, 1e-6)[:2], rtol=1e-4)
 """

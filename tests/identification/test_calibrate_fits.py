@@ -196,7 +196,7 @@ def test_fits_are_combined_into_a_robot(tmp_path, monkeypatch, capsys):
     assert mine.modules.array("gain")[1, 0] == pytest.approx(gains["modules.gain_plus_2"])
     assert (mine.name, mine.geometry, mine.bending) == ("mine", gen2.geometry, gen2.bending)
     for options, message in (
-        (["f.yaml", "--name", "mine"], "exists already; --overwrite replaces it"),
+        (["f.yaml", "--name", "mine"], "the file exists; --overwrite replaces it"),
         (["pulls.csv", "--name", "other"], "pulls.csv"),
         (["f.yaml", "--name", "No Name"], "name"),
     ):

@@ -63,7 +63,7 @@ def test_plan_command_writes_data_and_a_picture(file, srs_twin):
     done = srs_twin("plan", "way.yaml", "--check", "--out", "out", cwd=file)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("way: found: ") and "nodes" in done.stdout and "length" in done.stdout
-    assert "met    plan_found = 1" in done.stdout and "goal_reached" not in done.stdout
+    assert "met    plan_found = yes" in done.stdout and "goal_reached" not in done.stdout
     assert {path.name for path in (file / "out").iterdir()} == {"plan.json", "plan.png"}
     told = json.loads((file / "out/plan.json").read_text("utf-8"))
     assert told["outcome"] == "found" and told["metrics"].keys() == PLAN_UNITS.keys()

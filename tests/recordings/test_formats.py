@@ -588,7 +588,7 @@ def test_files_that_unpack_to_gigabytes_are_refused(tmp_path):
         writer.add_message(channel, k, b'"' + b" " * (60 << 20) + b'"', k)
     writer.finish()
     assert len(stream.getvalue()) < 1 << 18
-    with pytest.raises(InputError, match="its chunks unpack to 1200 MB; .* at most 17 MB are read"):
+    with pytest.raises(InputError, match="its chunks unpack to 1200 MB; at most 17 MB are read"):
         read_markers(written(tmp_path, stream.getvalue()))
 
 

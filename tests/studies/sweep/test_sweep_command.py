@@ -122,7 +122,7 @@ def test_ctrl_c_keeps_finished_rows(srs_twin, tmp_path):
     process = started(tmp_path)
     process.send_signal(signal.SIGINT)
     _, message = process.communicate(timeout=300)
-    assert process.returncode == 130 and "rows are kept, start again to go on" in message
+    assert process.returncode == 130 and "rows are kept; start again to resume" in message
     assert "Traceback" not in message
     stored = pq.read_table(tmp_path / "out" / "results.parquet").num_rows
     assert 0 < stored < 48

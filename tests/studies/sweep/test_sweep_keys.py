@@ -128,7 +128,7 @@ def test_an_edited_source_is_reported_and_its_rows_are_repeated(tmp_path):
         (package / "viewing/html/report.py").read_text() + "\n# another\n"
     )
     again = run()
-    assert again.returncode == 0 and "2 of 2 rows are there already" in again.stderr
+    assert again.returncode == 0 and "2 of 2 rows exist already" in again.stderr
 
 
 @pytest.mark.parametrize("name", first_by_default(2, READ_BY_A_RUN))
