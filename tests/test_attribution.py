@@ -253,4 +253,4 @@ def test_command_prints_and_stores_the_attribution(srs_twin, tmp_path):
     metrics = json.loads((tmp_path / "out/metrics.json").read_text("utf-8"))
     assert metrics["attribution"]["shares"][0]["name"] == "friction law"
     report = (tmp_path / "out/report.html").read_text("utf-8")
-    assert "Why the plants differ" in report and "bends: prescribed → compliant" in report
+    assert "Attribution of the difference" in report and "bends: prescribed → compliant" in report

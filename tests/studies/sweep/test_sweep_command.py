@@ -127,7 +127,7 @@ def test_ctrl_c_keeps_finished_rows(srs_twin, tmp_path):
     stored = pq.read_table(tmp_path / "out" / "results.parquet").num_rows
     assert 0 < stored < 48
     run = srs_twin("sweep", "small.yaml", "--out", "out", cwd=tmp_path)
-    assert run.returncode == 0 and f"{stored} of 48 rows are there already" in run.stderr
+    assert run.returncode == 0 and f"{stored} of 48 rows exist already" in run.stderr
     assert pq.read_table(tmp_path / "out" / "results.parquet").num_rows == 48
 
 
