@@ -109,13 +109,17 @@ def free_parameters(
 def with_values(spec: RobotSpec, values: Mapping[str, float]) -> RobotSpec:
     """Return a robot with other parameter values; other names are ignored.
 
+    The result keeps the scale of `spec`: numerical settings must not jump between the candidates of a fit.
+
     Raises:
         InputError: a robot cannot have these values.
     """
+    scale = spec.scale
     for name, value in values.items():
         if is_parameter(name):
             accessor, k = _checked_accessor(spec, name)
             spec = accessor.set(spec, value, k)
+    vars(spec)["scale"] = scale  # where `cached_property` stores it
     return spec
 
 

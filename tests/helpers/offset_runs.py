@@ -14,16 +14,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from published_tables import PublishedRun
 
-from srs_twin import AnalyticalSnake
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.identification.estimate import FitEstimate, Parameter, Residual, Role, identifiability
 from srs_twin.identification.fit_file import DataSet, array_hash, assign_roles
-from srs_twin.identification.footprint import TICK, GaitSetup, steady_path
+from srs_twin.identification.footprint import GaitSetup, steady_path
 from srs_twin.identification.least_squares import SearchOptions, least_squares
 from srs_twin.identification.parameters import FreeParameter, free_parameters, with_values
 from srs_twin.identification.paths import SteadyPath
@@ -81,17 +79,6 @@ def offset_runs(rows: Sequence[PublishedRun]) -> list[OffsetRun]:
     ]
 
 
-def _compliant_plant(drive: GaitSetup) -> AnalyticalSnake:
-    """Return the analytical plant with the settings of the shipped robots.
-
-    The lengths of these fits reach into the next time unit (`robot.scale`), where defaults would jump.
-    """
-    return AnalyticalSnake(
-        drive.spec, model="compliant", friction="wheel", supply_pa=drive.supply_pa, tick=TICK,
-        pneumatics=drive.chambers, timestep=0.002, tolerance=2e-4, slip_speed=2.5e-4,
-    )  # fmt: skip
-
-
 def predicted(
     drive: GaitSetup, offsets: Sequence[float], *, threads: int | None = None
 ) -> list[SteadyPath | None]:
@@ -102,7 +89,7 @@ def predicted(
         offsets: φ of each run.
         threads: number of parallel runs; default: one per processor.
     """
-    maker = partial(_compliant_plant, drive) if drive.plant == "analytical" else drive.plant_factory()
+    maker = drive.plant_factory()
     jobs = [drive.steady_job(maker, offset, 0.0, PERIODS) for offset in offsets]
     result: list[SteadyPath | None] = []
     for run in run_many(jobs, threads=threads):
