@@ -128,8 +128,8 @@ def test_at_most_three_names_are_suggested():
 
 
 def test_long_lists_of_names_are_counted():
-    assert str(UnknownNameError("metric", "banana", METRICS, "`srs-twin schema`")) == (
-        f"unknown metric 'banana' (available: {len(METRICS)} names; `srs-twin schema` lists them)"
+    assert str(UnknownNameError("metric", "banana", METRICS, "`srs-twin list metrics`")) == (
+        f"unknown metric 'banana' (available: {len(METRICS)} names; `srs-twin list metrics` lists them)"
     )
     assert len(METRICS) > 80
     few = str(UnknownNameError("plant", "banana", ("analytical", "twin")))
@@ -143,7 +143,7 @@ COMMANDS = [
     (("run", "keys.yaml"), "controller.freq: unknown key; did you mean frequency_hz?"),
     (("run", "keys.yaml"), "one of lag, orifice, not text 'orifise'; did you mean orifice?"),
     (("run", "metric.yaml"), "unknown metric 'com_speed'; did you mean com_speed_m_s or com_speed_rel?"),
-    (("run", "metric.yaml"), f"'banana' (available: {len(METRICS)} names; `srs-twin schema` lists them)"),
+    (("run", "metric.yaml"), f"'banana' (available: {len(METRICS)} names; `srs-twin list metrics` lists them)"),
     (("sweep", "sweep.yaml"), "vary.controller.freq: unknown key; did you mean frequency_hz?"),
     (("sweep", "metrics.yaml"), "metrics[0]: unknown metric 'com_speed'; did you mean com_speed_m_s"),
     (("sweep", "metrics.yaml"), "'supply.presure' is not varied; did you mean supply.pressure_kpa?"),

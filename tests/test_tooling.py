@@ -89,3 +89,11 @@ def test_workflow_runs_the_ci_scripts():
         ".ci/nightly": "github.event_name == 'schedule'",
     }
     assert all(os.access(ROOT / script, os.X_OK) for script in run)
+
+
+def test_every_fault_fits_the_code_and_names_tests_that_exist():
+    for fault in yaml("benchmarks/faults.yaml"):
+        assert (ROOT / fault["file"]).read_text("utf-8").count(fault["old"]) == 1, fault["name"]
+        for test in fault["tests"].split():
+            file, _, name = test.partition("::")
+            assert f"def {name.partition('[')[0]}" in (ROOT / file).read_text("utf-8"), test

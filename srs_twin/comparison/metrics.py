@@ -76,7 +76,7 @@ MEASURED_UNITS = units_of("""
 """) | {"measured_yaw_rate_abs": "rad/s"}
 """Metrics of a plant compared with a recording of the robot: plant minus measurement, as in `compare`."""
 
-METRICS_LISTED = "`srs-twin schema`"
+METRICS_LISTED = "`srs-twin list metrics`"
 """Command that lists all metrics, for messages."""
 
 METRIC_UNITS = {

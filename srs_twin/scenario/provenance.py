@@ -52,8 +52,7 @@ def arithmetic() -> str:
     """Return the name of the arithmetic, which determines the last digits of results.
 
     It has three parts: the processor for which kernels are compiled (overridden by `NUMBA_CPU_NAME`), the
-        kernels
-    of the BLAS libraries of NumPy and SciPy (overridden by `OPENBLAS_CORETYPE`), and a digest of the
+    kernels of the BLAS libraries of NumPy and SciPy (overridden by `OPENBLAS_CORETYPE`), and a digest of the
     processor's features and of function values of the C library, NumPy and BLAS, which select code by
     processor.
     """
