@@ -270,6 +270,10 @@ class Recorder:
             force = values_of("obstacle_force")
             columns |= _numbered_columns("obstacle_force_x_", force[..., 0])
             columns |= _numbered_columns("obstacle_force_y_", force[..., 1])
+        for k in range(self.plant.objects):
+            first = 3 * (k - self.plant.objects)
+            for axis, name in enumerate(("x", "y", "heading")):
+                columns[f"object_{name}_{k + 1}"] = values_of("qpos")[:, first + axis]
         counts = [count for count, _ in self._signals]
         for name in self._signals[0][1]:
             columns[name] = np.repeat([signals[name] for _, signals in self._signals], counts)

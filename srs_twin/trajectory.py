@@ -17,8 +17,8 @@ from srs_twin.io.parquet import read_table
 
 _COLUMNS_OF_UNIT = {
     "s": "time",
-    "m": "com_x com_y x y cross_track estimate_x estimate_y",
-    "rad": "heading theta bend sensed heading_error estimate_heading reference error"
+    "m": "com_x com_y x y cross_track estimate_x estimate_y object_x object_y",
+    "rad": "heading theta bend sensed heading_error estimate_heading object_heading reference error"
     " target_plus target_minus amplitude_plus amplitude_minus",
     "rad/s": "sigma rate",
     "Pa": "pressure_plus pressure_minus",
@@ -68,8 +68,8 @@ class Trajectory(HtmlResult):
 
     Column names are fixed: ``time``, ``com_x``, ``com_y``, ``heading``, ``x_1…N``, ``y_1…``, ``theta_1…``
     (head first), ``bend_1…``, ``sensed_1…``, ``torque_1…``, ``work``, ``air``, ``pressure_plus_1…``,
-    ``pressure_minus_1…``, ``valve_plus_1…``, ``valve_minus_1…``, the signals of the controller, and for the
-    twin ``qpos_1…``.
+    ``pressure_minus_1…``, ``valve_plus_1…``, ``valve_minus_1…``, the signals of the controller, for the twin
+    ``qpos_1…``, and in a world with objects ``object_x_1…``, ``object_y_1…`` and ``object_heading_1…``.
 
     Attributes:
         columns: name → float array of shape (samples,).

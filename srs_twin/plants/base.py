@@ -125,7 +125,9 @@ class Plant(Stateful, ABC):
     layout: str = "3/2"
     state: SnakeState
     touches: bool = False
-    """Whether the world has obstacles, whose forces are then recorded."""
+    """Whether the world has obstacles or objects, whose forces are then recorded."""
+    objects: int = 0
+    """Number of movable objects, whose x, y (m) and heading (rad) are the last values of `qpos`."""
     metered: bool = True
     """Whether pneumatic energy and valve openings are known; otherwise trajectories omit them."""
     has_internal_loss: bool = False

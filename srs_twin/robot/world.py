@@ -1,4 +1,4 @@
-"""World around the snake: floor, obstacles, bounds and goal, in SI units and the world frame."""
+"""World around the snake: floor, obstacles, objects, bounds and goal, in SI units and the world frame."""
 
 from __future__ import annotations
 
@@ -117,8 +117,51 @@ class Step:
 
 
 @dataclass(frozen=True)
+class MovableObject:
+    """Cylinder or box that stands on the floor and slides on it.
+
+    Attributes:
+        size: radius of a cylinder, or length and width of a box, m.
+        mass: kg.
+        friction: friction coefficient between object and floor, 1.
+        x: initial position of the centre, m.
+        y: initial position of the centre, m.
+        heading: initial direction of the length of a box, counter-clockwise from x, rad.
+    """
+
+    size: tuple[float, ...]
+    mass: float
+    friction: float
+    x: float
+    y: float
+    heading: float = 0.0
+
+    @property
+    def is_box(self) -> bool:
+        """Whether the object is a box."""
+        return len(self.size) == 2
+
+    @property
+    def gyration(self) -> float:
+        """Radius of gyration about the vertical axis of a uniform body, m."""
+        return math.hypot(*self.size) / math.sqrt(12) if self.is_box else self.size[0] / math.sqrt(2)
+
+    @property
+    def supports(self) -> tuple[tuple[float, float], ...]:
+        """Places of the four points that carry equal loads, in the frame of the object, m.
+
+        For a box they are those of a Gauss rule, with the second moments of a uniform pressure. For a
+        cylinder they are at two thirds of the radius, so that friction resists a pure spin with the moment of
+        a uniform pressure, 2/3 μ m g R. For a square this moment is 7 % too large.
+        """
+        reach = 1 / math.sqrt(12) if self.is_box else math.sqrt(2) / 3
+        a, b = (reach * side for side in (self.size if self.is_box else self.size * 2))
+        return (a, b), (-a, b), (-a, -b), (a, -b)
+
+
+@dataclass(frozen=True)
 class World:
-    """Floor, obstacles, bounds and goal, all optional.
+    """Floor, obstacles, objects, bounds and goal, all optional.
 
     Attributes:
         obstacles: round obstacles.
@@ -127,6 +170,7 @@ class World:
         polygons: obstacles with straight sides.
         floor: slope of the floor.
         steps: steps of the floor.
+        objects: movable objects; on the twin only.
     """
 
     obstacles: tuple[Circle, ...] = ()
@@ -135,6 +179,7 @@ class World:
     polygons: tuple[Polygon, ...] = ()
     floor: Floor = Floor()
     steps: tuple[Step, ...] = ()
+    objects: tuple[MovableObject, ...] = ()
 
     @property
     def uneven(self) -> bool:
@@ -145,3 +190,8 @@ class World:
     def has_obstacles(self) -> bool:
         """Whether there are obstacles."""
         return bool(self.obstacles or self.polygons)
+
+    @property
+    def is_solid(self) -> bool:
+        """Whether there are obstacles or objects that the body can touch."""
+        return self.has_obstacles or bool(self.objects)

@@ -218,10 +218,21 @@ def _check_bench(document: Document, file: ScenarioFile) -> None:
 
 
 def _check_world(document: Document, file: ScenarioFile) -> None:
-    """Report random obstacles without an area."""
+    """Report random obstacles without an area, and objects that a plant does not support."""
     random, bounds = file.world.random, file.world.bounds
     if random and random.kind == "strewn" and not (random.area or bounds):
         document.report(("world", "random"), "strewn needs an area; set area, or bounds of the world")
+    plants = file.plants
+    if not file.world.objects:
+        return
+    if plants.analytical is not None:
+        text = (
+            "the analytical plant has no movable objects; only the twin does: remove analytical from plants"
+        )
+        document.report(("world", "objects"), text)
+    if file.bench or file.world.steps or (plants.twin and plants.twin.contact == "preloaded"):
+        text = "objects need a free snake on a plane floor and contact: loaded (plants.twin)"
+        document.report(("world", "objects"), text)
 
 
 def _check_expectations(document: Document, file: ScenarioFile) -> None:

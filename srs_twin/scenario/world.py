@@ -1,4 +1,4 @@
-"""Section `world` of a scenario: obstacles, floor, bounds, goal and random obstacles."""
+"""Section `world` of a scenario: obstacles, objects, floor, bounds, goal and random obstacles."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from srs_twin.errors import InputError
 from srs_twin.robot.random_worlds import fig54_world, random_circles
 from srs_twin.robot.scale import Scale
-from srs_twin.robot.world import Bounds, Circle, Floor, Goal, Polygon, Pose, Step, World
+from srs_twin.robot.world import Bounds, Circle, Floor, Goal, MovableObject, Polygon, Pose, Step, World
 from srs_twin.scenario.fields import FilePath, Section, constructor_default, quantity
 from srs_twin.scenario.map_file import read_circles, read_map
 
@@ -154,8 +154,64 @@ class StepFile(Section):
     """Height of the floor beyond the line relative to the floor before it."""
 
 
+class _ObjectFile(Section):
+    """Base class of movable objects."""
+
+    constructors = (MovableObject,)
+
+    mass_kg: float = quantity(1e-4, 1000.0)
+    """Mass."""
+    friction: float = quantity(0.0, 10.0)
+    """Friction coefficient between object and floor."""
+    x_m: float = quantity(-1000.0, 1000.0)
+    """Initial x of the centre."""
+    y_m: float = quantity(-1000.0, 1000.0)
+    """Initial y of the centre."""
+    heading_rad: float = quantity(-6.3, 6.3)
+    """Initial heading, counter-clockwise from x."""
+
+    def sides(self) -> tuple[float, ...]:
+        """Return the size of the object, m."""
+        raise NotImplementedError
+
+    def build(self) -> MovableObject:
+        """Return the object."""
+        return MovableObject(size=self.sides(), **self.arguments())
+
+
+class CylinderFile(_ObjectFile):
+    """Cylinder that stands on the floor and slides on it."""
+
+    kind: Literal["cylinder"]
+    """Shape."""
+    radius_m: float = quantity(1e-3, 100.0)
+    """Radius."""
+
+    def sides(self) -> tuple[float, ...]:
+        """See `_ObjectFile.sides`."""
+        return (self.radius_m,)
+
+
+class BoxFile(_ObjectFile):
+    """Box that stands on the floor and slides on it."""
+
+    kind: Literal["box"]
+    """Shape."""
+    length_m: float = quantity(1e-3, 100.0)
+    """Length, along its heading."""
+    width_m: float = quantity(1e-3, 100.0)
+    """Width."""
+
+    def sides(self) -> tuple[float, ...]:
+        """See `_ObjectFile.sides`."""
+        return self.length_m, self.width_m
+
+
+ObjectFile = Annotated[CylinderFile | BoxFile, Field(discriminator="kind")]
+
+
 class WorldFile(Section):
-    """Obstacles, floor, bounds and goal."""
+    """Obstacles, objects, floor, bounds and goal."""
 
     obstacles: Annotated[list[ObstacleFile], Field(max_length=1000)] = []
     """Round obstacles."""
@@ -171,6 +227,9 @@ class WorldFile(Section):
     """Slope of the floor."""
     steps: Annotated[list[StepFile], Field(max_length=100)] = []
     """Steps of the floor."""
+    # None instead of an empty list, so that documents of scenarios without objects keep their digests.
+    objects: Annotated[list[ObjectFile], Field(max_length=10)] | None = None
+    """Movable objects; on the twin only."""
     bounds: BoundsFile | None = None
     """Rectangle in which the snake must stay."""
     goal: GoalFile | None = None
@@ -218,4 +277,5 @@ class WorldFile(Section):
             + (read_map(Path(self.map)) if self.map else ()),
             floor=self.floor.build(),
             steps=tuple(step.build() for step in self.steps),
+            objects=tuple(item.build() for item in self.objects or ()),
         )

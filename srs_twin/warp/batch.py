@@ -208,8 +208,8 @@ class WarpBatch:
             setattr(self._structs["addresses"], name, on_device)
         if self._loaded:
             engine = solves[0]["engine"]
-            structs["engine"] = warp_struct(engine, without=("model", "data"))
-            self._structs["engine"] = self._views(structs["engine"], engine._fields[2:])
+            structs["engine"] = warp_struct(engine, without=("model", "data", "objects"))
+            self._structs["engine"] = self._views(structs["engine"], engine._fields[3:])
             # The solve needs c(v₋) and c(v̄), so copy the first: the engine overwrites its array with the
             # second.
             self._structs["engine"].qfrc_bias = wp.zeros_like(self._data.qfrc_bias)
@@ -641,6 +641,7 @@ def _check_supported(twin: TwinSnake, first: TwinSnake) -> None:
         "stuck valves": bool(air.stuck),
         "base 'clamped'": not twin.physics.free,
         "a floor that slopes or has steps": twin.uneven,
+        "objects": twin.objects > 0,
         "obstacles with contact 'preloaded'": twin.touches and not isinstance(twin.contact, LoadedContact),
     }
     settings, first_settings = twin.identity(), first.identity()

@@ -125,6 +125,21 @@ class Accumulators(NamedTuple):
     obstacle_sum: np.ndarray
 
 
+_OBJECT_FUNCTIONS = (
+    "apply_object_friction",
+    "locate_objects",
+    "add_object_impulses",
+    "add_object_slopes",
+    "couple_objects",
+)
+"""Functions of the friction solve that do nothing without movable objects."""
+
+
+def _no_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
+    """Do nothing."""
+    return
+
+
 def warp_functions() -> dict[str, Any]:
     """Return the Warp versions of the chamber laws, friction laws and friction solve, by name."""
     friction_laws = [stick_slip.stick_slip_friction, stick_slip.skin_friction, stick_slip.rolling_friction]
@@ -137,6 +152,7 @@ def warp_functions() -> dict[str, Any]:
         friction_solve.solve_direction_portably,
     ]
     functions = as_warp_functions(linear_algebra, **functions)
+    functions |= dict.fromkeys(_OBJECT_FUNCTIONS, as_warp_functions([_no_objects])["_no_objects"])
     # The CPU version calls the engine's C functions.
     functions["_solve_direction"] = functions["solve_direction_portably"]
     return as_warp_functions([getattr(friction_solve, name) for name in _FRICTION_SOLVE], **functions)
@@ -389,7 +405,7 @@ def _add_friction_kernels(
         i = wp.tid()
         apply_stored_friction(
             engine_of(engines, i), contacts_of(contacts, i), sparsity_of(sparsities, i), state_of(states, i),
-            work_of(works, i),
+            work_of(works, i), H,
         )  # fmt: skip
 
     @wp.kernel(**options)

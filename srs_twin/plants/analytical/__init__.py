@@ -431,6 +431,8 @@ def _check_options(
         )
     if world.steps:
         raise InputError("the floor of the analytical model is a plane; use the twin for steps")
+    if world.objects:
+        raise InputError("the analytical model has no movable objects; use the twin")
     if spec.tail is not None:
         raise InputError(
             "the analytical model has one axle per connector; use the twin for a tail on two axles"

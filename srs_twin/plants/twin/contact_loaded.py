@@ -28,7 +28,7 @@ the floor. c(v̄) is evaluated with v̂ in place of v.
 
 **Obstacles** also press on the hulls of the body without friction in the engine. Friction acts on a hull
 where the force of the obstacle acts (`stick_slip`). There is no such row in J_n: the normal force of an
-obstacle stays N̂.
+obstacle stays N̂. Movable objects have contacts of their own (`object_contacts`).
 
 **Time levels.** Positions are those at mid-step, so that springs, friction and Coriolis forces are of second
 order. MuJoCo's normal contacts act with their state at the end of the step, because their time constant is
@@ -67,7 +67,9 @@ from srs_twin.plants.twin.friction_solve import (
 from srs_twin.plants.twin.mjcf import surroundings
 from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS, LOADS, LoadedContact, ModelSettings, stated
 from srs_twin.plants.twin.mjcf.wheels import contact_regularisation, static_loads, treads
+from srs_twin.plants.twin.object_contacts import ObjectState, object_contacts, store_object_friction
 from srs_twin.robot.spec import RobotSpec
+from srs_twin.robot.world import MovableObject
 
 _SKIP_TO_FORCES = int(mujoco.mjtStage.mjSTAGE_VEL)  # positions and velocities are already evaluated
 _SINKING_TIME = 0.05  # after which a snake at rest has sunk into the floor, at a time unit of 1, s
@@ -91,9 +93,10 @@ class LoadedStepper(Stateful):
 
     Attributes:
         contact_state: friction, rim speeds and loads that the contacts keep from step to step.
+        object_state: the same of the contacts of objects.
     """
 
-    state_attributes = ("contact_state",)
+    state_attributes = ("contact_state", "object_state")
 
     def __init__(
         self,
@@ -102,6 +105,7 @@ class LoadedStepper(Stateful):
         spec: RobotSpec,
         settings: ModelSettings,
         air: np.ndarray | None = None,
+        objects: tuple[MovableObject, ...] = (),
     ) -> None:
         """Collect the constants of the contacts and allocate the arrays of a step.
 
@@ -112,12 +116,15 @@ class LoadedStepper(Stateful):
             settings: time step, and a `LoadedContact`.
             air: largest stiffness that the air in the chambers adds to the joints, shape (nv, nv), N·m/rad;
                 None for no stiffness.
+            objects: movable objects of the scene.
         """
         # The kernels call C functions of the engine by name: make their symbols known to LLVM.
         llvm.load_library_permanently(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
         self._contacts, self._sparsity = _constants(model, spec, settings, air)
-        views = (getattr(data, name) for name in EngineData._fields[2:])
-        self._engine = EngineData(model._address, data._address, *views)
+        views = (getattr(data, name) for name in EngineData._fields[3:])
+        hull_admittance = self._contacts.admittance[self._contacts.wheels :]
+        pairs = object_contacts(model, objects, self._contacts.coefficients[2], hull_admittance)
+        self._engine = EngineData(model._address, data._address, pairs, *views)
         self._inputs = StepInputs(data.ctrl, data.qacc_warmstart)
         self._model, self._data = model, data  # keep references: the kernels hold only addresses
         self._h, nv = settings.timestep, model.nv
@@ -147,6 +154,16 @@ class LoadedStepper(Stateful):
     @constants.setter
     def constants(self, constants: tuple[Contacts, Sparsity]) -> None:
         self._contacts, self._sparsity = constants
+
+    @property
+    def object_state(self) -> ObjectState:
+        """State of the contacts of objects, views of the arrays that the kernels use."""
+        return ObjectState(*(getattr(self._engine.objects, name) for name in ObjectState._fields))
+
+    @object_state.setter
+    def object_state(self, state: ObjectState) -> None:
+        for mine, given in zip(self.object_state, state, strict=True):
+            mine[:] = given
 
     @property
     def records(self) -> dict[str, Any]:
@@ -179,6 +196,8 @@ class LoadedStepper(Stateful):
         load = self._contacts.static_load
         zeros = np.zeros(len(load))
         self.contact_state = ContactState(np.zeros((len(load), 3)), zeros, load.copy(), zeros.copy())
+        for array in self.object_state:
+            array[:] = 0.0
 
     def roll(self) -> None:
         """Set the rim speed of each wheel to rolling without slip at its current velocity."""
@@ -200,20 +219,23 @@ class LoadedStepper(Stateful):
             sensors: shape (steps, nsensordata).
             floor_force: force of the floor on each wheel in the world frame, shape (steps, axles, 2, 3), N.
             power: power that friction dissipates, shape (steps,), W.
-            obstacle_friction: friction of the obstacles on the hulls in the world frame, shape
-                (steps, hulls, 3), N.
+            obstacle_friction: friction of the obstacles, then of each object, on the hulls in the world
+                frame, shape (steps, 1 + objects, hulls, 3), N.
         """
         model, data, steps, wheels = self._model, self._data, len(controls), self._contacts.wheels
         states = np.full((steps, 1 + model.nq + model.nv), np.nan)
         sensors = np.zeros((steps, model.nsensordata))
         force = np.zeros((steps, len(self._contacts.static_load), 3))
-        power = np.zeros(steps)
-        out = states, sensors, force, power
+        power, pairs = np.zeros(steps), np.zeros((steps, self._engine.objects.pairs, 3))
+        out = states, sensors, force, power, pairs
         friction = self._contacts, self._sparsity, self.contact_state, self._work, self._h
         _run(self._inputs, self._engine, *friction, controls, out)
         states[:, 0] = data.time + self._h * np.arange(1, steps + 1)
         data.time += self._h * steps
-        return states, sensors, force[:, :wheels].reshape(steps, -1, 2, 3), power, force[:, wheels:]
+        hulls = force[:, None, wheels:]
+        if pairs.size:
+            hulls = np.concatenate([hulls, pairs.reshape(steps, -1, *hulls.shape[2:])], axis=1)
+        return states, sensors, force[:, :wheels].reshape(steps, -1, 2, 3), power, hulls
 
 
 def _constants(
@@ -332,13 +354,13 @@ def _begin_step(inputs, engine, contacts, sparsity, state, work, h, control):  #
     mj_integratePos(engine.model, engine.qpos.ctypes.data, engine.qvel.ctypes.data, h / 2)
     _copy(engine.qvel, work.v_start)
     mj_step1(engine.model, engine.data)
-    apply_stored_friction(engine, contacts, sparsity, state, work)
+    apply_stored_friction(engine, contacts, sparsity, state, work, h)
 
 
 @compiled
 def _end_step(inputs, engine, contacts, sparsity, state, work, h, step, out):  # type: ignore[no-untyped-def]
     """Solve for friction, move to the end of the step and record it; return whether the step is finite."""
-    states, sensors, force, power = out
+    states, sensors, force, power, pairs = out
     model, data, nq, nv = engine.model, engine.data, engine.qpos.shape[0], engine.qvel.shape[0]
     _copy(engine.qacc, inputs.qacc_warmstart)
     for i in range(nv):
@@ -358,6 +380,7 @@ def _end_step(inputs, engine, contacts, sparsity, state, work, h, step, out):  #
     _copy(engine.qvel, states[step, 1 + nq :])
     _copy(engine.sensordata, sensors[step])
     power[step] = store_friction(contacts, state, work, force[step])
+    power[step] += store_object_friction(engine, work, pairs[step])
     return True
 
 

@@ -26,6 +26,8 @@ Spatial vectors have rotation first and refer to the centre of mass of the snake
 **Loads.** Friction depends on the normal forces, which themselves depend on δ. The equation is solved under
 the loads of v̂ with one Newton step, and then under the loads that this step leaves, to the tolerance.
 
+Movable objects have contacts of their own, which `object_contacts` adds to the solve.
+
 The functions use only what both numba and Warp compile: records of arrays, numbers and loops. Numbers have a
 decimal point, and a variable that a loop changes is created with `float`.
 """
@@ -40,6 +42,14 @@ from numba import types
 from srs_twin.compute.compiled import kernel_only
 from srs_twin.plants.twin.mjcf import surroundings
 from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS, LOADS
+from srs_twin.plants.twin.object_contacts import (
+    ObjectContacts,
+    add_object_impulses,
+    add_object_slopes,
+    apply_object_friction,
+    couple_objects,
+    locate_objects,
+)
 from srs_twin.plants.twin.stick_slip import rolling_friction, skin_friction, stick_slip_friction
 
 _MOMENTARY = LOADS.index("momentary")
@@ -96,10 +106,12 @@ class EngineData(NamedTuple):
     Attributes:
         model: address of the MjModel; only for numba.
         data: address of the MjData; only for numba.
+        objects: contacts of movable objects; only for numba.
     """
 
     model: int
     data: int
+    objects: ObjectContacts
     qpos: np.ndarray
     qvel: np.ndarray
     qfrc_applied: np.ndarray
@@ -236,10 +248,11 @@ class Workspace(NamedTuple):
 
 
 @kernel_only
-def apply_stored_friction(engine, contacts, sparsity, state, work):  # type: ignore[no-untyped-def]
+def apply_stored_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
     """Locate the wheels and write the friction of the previous step to `qfrc_applied`."""
     _locate_wheels(engine, contacts, work)
     _generalised_forces(engine.cdof, contacts, sparsity, state.force, work, engine.qfrc_applied)
+    apply_object_friction(engine, sparsity, work, h)
 
 
 @kernel_only
@@ -264,6 +277,7 @@ def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[
     _spatial_velocities(engine.cdof, sparsity, engine.qvel, work.mid_motion)
     _spatial_velocities(engine.cdof, sparsity, work.trial_residual, work.step_motion)
     _read_normal_forces(engine, contacts, work)
+    locate_objects(engine, sparsity, work, h)
     for w in range(contacts.body.shape[0]):
         mu = contacts.coefficients[1] if w < contacts.wheels else _OBSTACLE_FRICTION
         # Friction force per slip speed of the previous step (secant slope), N·s/m. It decides whether the
@@ -535,6 +549,7 @@ def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-unty
                 break
             _assemble(engine, contacts, sparsity, state, work, h)
             _solve_direction(engine, sparsity, work)
+            couple_objects(engine, sparsity, work, h)
             best = _line_search(engine, contacts, sparsity, state, work, h)
             for i in range(direction.shape[0]):
                 work.residual[i] = work.trial_residual[i]
@@ -615,6 +630,7 @@ def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type
                 + f_n * jacobian[w, _ACROSS, k]
             )
             impulse[contacts.last_dof[w], k] += normal - tangential
+    add_object_impulses(engine, sparsity, work, h)
     _project(engine.cdof, sparsity, impulse, out)
     for i in range(change.shape[0]):
         out[i] -= work.bias[i]
@@ -644,6 +660,7 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
             t, n, z = tt * ahead[a] + tn * aside[a], tn * ahead[a] + nn * aside[a], up * above[a]
             for b in range(6):
                 composite[a, b] += t * ahead[b] + n * aside[b] + z * above[b]
+    add_object_slopes(engine, sparsity, work, h)
     for k in range(matrix.shape[0]):
         matrix[k] = work.inertia[k]
     # From the ends to the root: project the summed slopes beyond each degree of freedom on its ancestors.

@@ -32,6 +32,7 @@ from mujoco import rollout as mujoco_rollout  # noqa: E402
 
 from srs_twin.plants.twin.mjcf.model import scene_mjcf  # noqa: E402
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings, PreloadedContact  # noqa: E402
+from srs_twin.plants.twin.mjcf.objects import object_force_sensor, object_names  # noqa: E402
 from srs_twin.plants.twin.mjcf.surroundings import hulls as hull_names  # noqa: E402
 from srs_twin.plants.twin.mjcf.wheels import preload_force, static_loads, treads  # noqa: E402
 
@@ -123,6 +124,7 @@ ENGINE_WARNINGS = EngineWarnings()
 mujoco.set_mju_user_warning(lambda text: ENGINE_WARNINGS.last.append(text))
 _ROLLOUT = mujoco_rollout.Rollout(nthread=0)  # runs on the calling thread
 _ROLLOUT_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_SNAKE = 1  # body that carries the whole snake; objects are other trees
 _SAVED_STATE = mujoco.mjtState.mjSTATE_INTEGRATION  # with the warm start, so that steps continue bit for bit
 
 
@@ -157,24 +159,29 @@ class SnakePhysics(dm.Physics, Stateful):
             supply_pa: largest pressure that can occur, Pa.
             world: obstacles and floor; None for a level floor without obstacles.
         """
-        # A world without obstacles, slope or steps does not affect the scene: share the compiled model.
-        relevant = world if world and (world.has_obstacles or world.uneven) else None
+        # Other worlds do not affect the scene: share the compiled model.
+        relevant = world if world and (world.is_solid or world.uneven) else None
         # A copy, so that changes of one twin's model do not affect other twins.
         model = copy.copy(_compile_scene(spec, settings, supply_pa, relevant))
-        return cls._from_scene(model, spec, settings, chambers)
+        return cls._from_scene(model, spec, settings, chambers, world or World())
 
     @classmethod
     def _from_scene(
-        cls, model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings, chambers: Pneumatics
+        cls,
+        model: mujoco.MjModel,
+        spec: RobotSpec,
+        settings: ModelSettings,
+        chambers: Pneumatics,
+        world: World,
     ) -> SnakePhysics:
         """Return the physics of a compiled scene; the physics owns the model."""
         physics: SnakePhysics = cls.from_model(dm.wrapper.MjModel(model))
-        physics._set_up(spec, settings, chambers)
+        physics._set_up(spec, settings, chambers, world)
         return physics
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy the model and the state; the engine's data are created again, because they hold addresses."""
-        arguments = self.model.ptr, self._spec, self._settings, self._pneumatics
+        arguments = self.model.ptr, self._spec, self._settings, self._pneumatics, self._world
         # The model may have been changed since these constants were taken from it: copy them, too.
         kinds = np.ndarray | InternalJoints
         constants = {name: value for name, value in vars(self).items() if isinstance(value, kinds)}
@@ -198,9 +205,9 @@ class SnakePhysics(dm.Physics, Stateful):
             raise InputError("a copy of SnakePhysics cannot share its model; leave out share_model")
         return copy.deepcopy(self)
 
-    def _set_up(self, spec: RobotSpec, settings: ModelSettings, pneumatics: Pneumatics) -> None:
+    def _set_up(self, spec: RobotSpec, settings: ModelSettings, pneumatics: Pneumatics, world: World) -> None:
         raw = self.model.ptr
-        self._pneumatics, self._spec, self._settings = pneumatics, spec, settings
+        self._pneumatics, self._spec, self._settings, self._world = pneumatics, spec, settings, world
         self.free, contact = settings.base == "free", settings.contact
         self._static_load = static_loads(spec, settings, -raw.opt.gravity[2])
         self._preload = np.zeros_like(self._static_load)
@@ -219,6 +226,7 @@ class SnakePhysics(dm.Physics, Stateful):
         drags = [[f"drag_{kind}_{i + 1}" for i in range(count)] for kind in ("frc", "vel")]
         self._drag_force, self._drag_velocity = (self._addresses(names)[:, 0] for names in drags)
         self._set_up_hulls(raw, spec)
+        self._set_up_objects(raw)
         # A bend is the sum of hinge angles: matrices from qpos to bends and from qvel to bend rates.
         self._angles, self._rates = np.zeros((spec.segments, raw.nq)), np.zeros((spec.segments, raw.nv))
         for j in range(spec.segments):
@@ -229,7 +237,9 @@ class SnakePhysics(dm.Physics, Stateful):
         self._no_force = np.zeros((*self._preload.shape, 3))
         self._floor_force = self._last_force = self._no_force
         air = pneumatics.stiffness * self._rates.T @ self._rates
-        self.stepper = LoadedStepper(raw, self.data.ptr, spec, settings, air) if settings.loaded else None
+        self.stepper = None
+        if settings.loaded:
+            self.stepper = LoadedStepper(raw, self.data.ptr, spec, settings, air, world.objects)
 
     def _set_up_hulls(self, raw: mujoco.MjModel, spec: RobotSpec) -> None:
         hulls = hull_names(raw)
@@ -243,6 +253,14 @@ class SnakePhysics(dm.Physics, Stateful):
             count = sum(name.startswith(f"hull_{segment}_") for name in hulls)
             share = np.clip(count / 2 - number, 0.0, 1.0)
             self._hull_shares[segment - 1, k], self._hull_shares[segment, k] = share, 1 - share
+
+    def _set_up_objects(self, raw: mujoco.MjModel) -> None:
+        names, count = object_names(raw), len(hull_names(raw))
+        sensors = [object_force_sensor(name, hull) for name in names for hull in hull_names(raw)]
+        # Address of the force of each object on each hull, shape (objects, hulls, 3); its point follows.
+        self._object_force = self._addresses(sensors).reshape(len(names), count, 3)
+        self._object_velocity = self._addresses([f"velocity_{name}" for name in names])
+        self._object_spin = self._addresses([f"spin_{name}" for name in names])
 
     @property
     def sensor_addresses(self) -> SensorAddresses:
@@ -321,7 +339,7 @@ class SnakePhysics(dm.Physics, Stateful):
         # Add a rigid rotation, then a translation, so that the means have the given values.
         data.qvel[5] += velocity[2] - data.cvel[self._connectors, 2].mean()
         self.refresh()
-        data.qvel[:2] += velocity[:2] - data.subtree_linvel[0][:2]
+        data.qvel[:2] += velocity[:2] - data.subtree_linvel[_SNAKE][:2]
         self.refresh()
         self._roll_wheels(raw, data)
         self.refresh()
@@ -361,7 +379,7 @@ class SnakePhysics(dm.Physics, Stateful):
         yaw = np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
         mujoco.mju_mulQuat(raw.qpos[3:7], yaw, raw.qpos[3:7].copy())
         self._update_kinematics(raw)
-        self.data.qpos[:2] += pose[:2] - raw.subtree_com[0][:2]
+        self.data.qpos[:2] += pose[:2] - raw.subtree_com[_SNAKE][:2]
 
     def set_control(self, control: np.ndarray) -> None:
         """Command the valves for the next `step`.
@@ -417,8 +435,8 @@ class SnakePhysics(dm.Physics, Stateful):
             floor_force: as in `StepBatch`; None to read it from the sensors.
             friction_power: power that friction with the floor dissipates, shape (steps,), W; None to compute
                 it from the sensors.
-            obstacle_friction: friction of obstacles on hulls that the sensors do not contain, shape
-                (steps, hulls, 3), N.
+            obstacle_friction: friction of obstacles, then of each object, on hulls that the sensors do not
+                contain, shape (steps, 1 + objects, hulls, 3), N.
         """
         self.refresh()
         if floor_force is None or friction_power is None:
@@ -431,12 +449,28 @@ class SnakePhysics(dm.Physics, Stateful):
         hull_force = sensors[:, self._hull_force]
         power = friction_power - (hull_force * sensors[:, self._hull_velocity]).sum(axis=(1, 2))
         power -= (sensors[:, self._drag_force] * sensors[:, self._drag_velocity]).sum(axis=1)
-        obstacle_force = self.connector_forces(hull_force + obstacle_friction)
+        normal = np.concatenate([hull_force[:, None], sensors[:, self._object_force]], axis=1)
+        obstacle_force = self.connector_forces((normal + obstacle_friction).sum(axis=1))
+        power += self._power_to_objects(states, sensors)
         self._floor_force, self._last_force = floor_force.mean(axis=0), floor_force[-1]
         # The engine's dampers act with the velocities at the end of a step.
         internal = self.internal_joints.dissipated(states[:, 1 + self.model.nq :])
         energy = sensors[:, self._energy_address]
         return StepBatch(states, floor_force, energy, obstacle_force, power, internal)
+
+    def _power_to_objects(self, states: np.ndarray, sensors: np.ndarray) -> np.ndarray:
+        """Return the power that contacts of hulls and objects lose to their normal motion, (steps,), W."""
+        force = sensors[:, self._object_force]
+        count = len(self._object_velocity)
+        centre = states[:, 1 + self.model.nq - 3 * count : 1 + self.model.nq].reshape(
+            len(states), count, 1, 3
+        )[..., :2]
+        arm = sensors[:, self._object_force + 3][..., :2] - centre
+        moment = arm[..., 0] * force[..., 1] - arm[..., 1] * force[..., 0]
+        slip = sensors[:, self._hull_velocity][:, None] - sensors[:, self._object_velocity][:, :, None]
+        spin = sensors[:, self._object_spin][:, :, None, 2]
+        power: np.ndarray = -((force * slip).sum(axis=-1) - moment * spin).sum(axis=(1, 2))
+        return power
 
     def _run_engine(self, chamber_controls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Run all steps in one call of the engine; return states and sensors as in `evaluate`."""
@@ -477,7 +511,7 @@ class SnakePhysics(dm.Physics, Stateful):
         for k in range(count):
             probe.qpos[:], probe.qvel[:] = qpos[k], qvel[k]
             self._update_kinematics(probe)
-            com[k], velocity[k] = probe.subtree_com[0], probe.subtree_linvel[0]
+            com[k], velocity[k] = probe.subtree_com[_SNAKE], probe.subtree_linvel[_SNAKE]
             positions[k], frames[k] = probe.xpos[self._connectors], probe.xmat[self._connectors]
         headings = np.arctan2(frames[..., 3], frames[..., 0])
         return Kinematics(qpos, com, velocity, positions, headings, *self.bends_and_rates(qpos, qvel))
@@ -516,7 +550,7 @@ class SnakePhysics(dm.Physics, Stateful):
 
     def center_of_mass(self) -> np.ndarray:
         """Return the snake's centre of mass, shape (3,), m."""
-        return self.data.subtree_com[0].copy()
+        return self.data.subtree_com[_SNAKE].copy()
 
     def floor_forces(self) -> np.ndarray:
         """Return the floor's mean force on each wheel over the last `step`, without the preload.
@@ -544,7 +578,8 @@ def _compile_scene(
     model = scene_mjcf(spec, settings, supply_pa=supply_pa, world=world).compile()
     # MuJoCo stops where an iteration improves the cost by less than the tolerance times the mean of the
     # diagonal of M, which holds masses and moments of inertia. Weigh them as at a length unit of 1.
-    masses = 3 * model.body_subtreemass[0] if settings.base == "free" else 0.0
+    masses = 3 * model.body_subtreemass[_SNAKE] if settings.base == "free" else 0.0
+    masses += 2 * sum(item.mass for item in (world.objects if world else ()))
     inertias = model.nv * model.stat.meaninertia - masses
     model.opt.tolerance *= (masses + inertias / spec.scale.length**2) / (masses + inertias)
     return model

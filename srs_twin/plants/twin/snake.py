@@ -105,7 +105,7 @@ class TwinSnake(PneumaticPlant):
             layout: valve layout, "3/2" or "in_out".
             pneumatics: "lag", "orifice", or a `Pneumatics` object.
             sensor: curvature sensor: "ideal", "hall" with its defaults, or a `Sensor` object.
-            world: floor and obstacles; None for a level floor without obstacles.
+            world: floor, obstacles and objects; None for a level floor without obstacles.
             base: "free", or "clamped": the head is held, and the snake hangs in the air.
             numerics: switches for studies of the twin itself.
             deprecated: former keywords, which are now fields of the contact or of `numerics`; each warns.
@@ -136,9 +136,10 @@ class TwinSnake(PneumaticPlant):
                 f"must be {self.pneumatics.coupling_step_s:g} s or less (timestep_s in a scenario)"
             )
         self.touches, self.uneven = (
-            world is not None and world.has_obstacles,
+            world is not None and world.is_solid,
             world is not None and world.uneven,
         )
+        self.objects = len(world.objects) if world else 0
         self._first_step_x = min((step.x for step in world.steps), default=math.inf) if world else math.inf
         largest = supply * self.pneumatics.max_pressure_ratio
         self._world = short_digest(world)

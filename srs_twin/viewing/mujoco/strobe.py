@@ -80,6 +80,8 @@ def _floor_corners(scenario: Scenario, run: Trajectory) -> tuple[np.ndarray, np.
     """Return the lower left and upper right corner of a floor that contains the run and the world, m."""
     points = [run.position.reshape(-1, 2)]
     points += [np.array(polygon.corners) for polygon in scenario.world.polygons]
+    if run.has("object_x"):
+        points.append(np.stack([run.stack("object_x"), run.stack("object_y")], axis=-1).reshape(-1, 2))
     circles: list[Any] = [*scenario.world.obstacles, *filter(None, [scenario.world.goal])]
     for circle in circles:
         points += [np.array([[circle.x, circle.y]]) + side * circle.radius for side in (-1, 1)]

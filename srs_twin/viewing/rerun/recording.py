@@ -46,6 +46,7 @@ from srs_twin.viewing.rerun.scene import (
     line_height,
     send_contacts,
     send_lines,
+    send_objects,
     send_obstacles,
     send_snake,
 )
@@ -117,6 +118,7 @@ def write_recording(
         ghost = plant != "twin" and "twin" in trajectories
         shapes = subsample(run, SCENE_HZ)
         send_snake(Entities(log, shapes.time, f"world/{plant}/"), shapes, spec, style, ghost=ghost)
+        send_objects(Entities(log, shapes.time, f"world/{plant}/"), shapes, world or World())
         send_contacts(Entities(log, run.time, f"world/{plant}/"), run, line_height(spec.geometry))
         _send_modules(Entities(log, run.time), plant, run, style)
         _send_motion(Entities(log, run.time), plant, run, style)

@@ -25,6 +25,7 @@ METRES_PER_NEWTON = 0.05
 FORCE_COLOR = "#d02020"
 _FORCE_RADIUS_M = 0.002
 _OBSTACLE_COLOR = (90, 90, 90)
+_OBJECT_COLOR = (219, 143, 56)
 _OBSTACLE_HEIGHT_M = 0.06
 
 
@@ -84,6 +85,20 @@ def send_obstacles(to: Entities, world: World) -> None:
         ]
         lines = rr.LineStrips3D(sides, colors=[_OBSTACLE_COLOR], radii=[0.003])
         to.static("obstacles/straight", lines)
+
+
+def send_objects(to: Entities, run: Trajectory, world: World) -> None:
+    """Log the movable objects of a run as `object_1` and so on."""
+    for k, item in enumerate(world.objects if run.has("object_x") else (), start=1):
+        half, x, y = _OBSTACLE_HEIGHT_M / 2, run[f"object_x_{k}"], run[f"object_y_{k}"]
+        turn = run[f"object_heading_{k}"] / 2
+        rotation = np.stack([0 * turn, 0 * turn, np.sin(turn), np.cos(turn)], axis=-1)
+        shape: Any = rr.Boxes3D if item.is_box else rr.Cylinders3D
+        size: dict[str, Any] = {"lengths": [2 * half], "radii": [item.size[0]]}
+        if item.is_box:
+            size = {"half_sizes": [[item.size[0] / 2, item.size[1] / 2, half]]}
+        centres = _at_height(np.stack([x, y], axis=-1), half)
+        _send_solids(to, f"object_{k}", shape, centres, rotation, colors=[_OBJECT_COLOR], **size)
 
 
 def send_contacts(to: Entities, run: Trajectory, height: float) -> None:

@@ -24,6 +24,7 @@ from srs_twin.errors import InputError
 from srs_twin.plants.twin.mjcf.belly import add_belly, root_connector
 from srs_twin.plants.twin.mjcf.classes import add_classes, drawn_height
 from srs_twin.plants.twin.mjcf.numerics import LoadedContact, ModelSettings, PreloadedContact, hinge_stations
+from srs_twin.plants.twin.mjcf.objects import add_objects
 from srs_twin.plants.twin.mjcf.surroundings import add_hull_class, add_obstacles, add_steps, add_surroundings
 from srs_twin.plants.twin.mjcf.wheels import (
     add_contacts,
@@ -105,7 +106,7 @@ def robot_mjcf(
 def scene_mjcf(
     spec: RobotSpec, settings: ModelSettings, *, supply_pa: float | None = None, world: World | None = None
 ) -> MjSpec:
-    """Build the robot on a floor with obstacles, contact pairs and force sensors (world frame, N).
+    """Build the robot on a floor with obstacles and objects, contact pairs and sensors (world frame, N).
 
     Args:
         spec: the robot.
@@ -114,11 +115,12 @@ def scene_mjcf(
         world: floor and obstacles; None for a level floor without obstacles.
     """
     world = world or World()
-    mj = robot_mjcf(spec, settings, supply_pa=supply_pa, hull=world.has_obstacles)
+    mj = robot_mjcf(spec, settings, supply_pa=supply_pa, hull=world.is_solid)
     mj.option.gravity = [GRAVITY * share for share in world.floor.down]
     add_surroundings(mj, spec.geometry.body_length)
-    if world.has_obstacles:
+    if world.is_solid:
         add_obstacles(mj, spec, world)
+    add_objects(mj, spec, settings, world)
     levels = add_steps(mj, world.steps, spec)
     if settings.base == "free":
         add_contacts(mj, spec, settings, levels)

@@ -22,8 +22,8 @@ from srs_twin.robot.world import Step, World
 FRICTION = 0.5
 """Friction coefficient of silicone on a smooth obstacle, 1. Estimate; the dissertation gives none."""
 
-_CONTACT_BIT = 2  # contype of obstacles and conaffinity of hulls; floor and wheels have explicit pairs
-_HEIGHT_RATIO = 2.0  # half height of a round obstacle over the body's width, 1
+CONTACT_BIT = 2  # contype of obstacles and conaffinity of hulls; floor and wheels have explicit pairs
+HEIGHT_RATIO = 2.0  # half height of a round obstacle over the body's width, 1
 _MIN_CONTACT_STEPS = 2.0  # contact time over the time step, 1: the smallest value that MuJoCo uses
 _LEVEL_EXTENT = 100.0  # of the first and the last level beyond the steps, at a length unit of 1, m
 _TRANSITION_DEPTH = 0.0005  # depth over which a contact reaches its full stiffness, at a length unit of 1, m
@@ -37,7 +37,7 @@ def add_hull_class(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings) 
     depth = _TRANSITION_DEPTH * spec.scale.length
     hull = mj.add_default("hull", mj.find_default(ROOT)).geom
     hull.type, hull.size = mjtGeom.mjGEOM_CAPSULE, [spec.geometry.width / 2, 0, 0]
-    hull.conaffinity, hull.group, hull.priority = _CONTACT_BIT, _HULL_GROUP, 1
+    hull.conaffinity, hull.group, hull.priority = CONTACT_BIT, _HULL_GROUP, 1
     # Under loaded contact MuJoCo computes normal forces only.
     hull.condim, hull.friction = 1 if settings.loaded else 3, [FRICTION, 0.005, 0.0001]
     hull.solref, hull.solimp = [_MIN_CONTACT_STEPS * settings.timestep, 1], [0.95, 0.99, depth, 0.5, 2]
@@ -50,9 +50,9 @@ def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     (m), and the velocity of the hull's centre (world frame, m/s).
     """
     solid = mj.add_default("obstacle", mj.default).geom
-    solid.type, solid.contype, solid.conaffinity = mjtGeom.mjGEOM_CAPSULE, _CONTACT_BIT, 0
+    solid.type, solid.contype, solid.conaffinity = mjtGeom.mjGEOM_CAPSULE, CONTACT_BIT, 0
     solid.condim, solid.friction, solid.rgba = 3, [FRICTION, 0.005, 0.0001], _GREY
-    height = _HEIGHT_RATIO * spec.geometry.width
+    height = HEIGHT_RATIO * spec.geometry.width
     for k, circle in enumerate(world.obstacles, start=1):
         foot, top = [circle.x, circle.y, -height], [circle.x, circle.y, height]
         _add_capsule(mj, f"obstacle_{k}", circle.radius, foot, top)

@@ -1,0 +1,325 @@
+r"""Friction of movable objects on the floor and on the body, as a part of the friction solve of a time step.
+
+An object touches hulls of the body, and stands on the floor on four points (`MovableObject.supports`). The
+friction of both kinds of contacts is that of `stick_slip`, implicit in the velocities, like that of the
+wheels (`friction_solve`, whose symbols this module uses). The velocity of a hull in the law is relative to
+the object, and the friction on the object is opposite. The points carry constant loads; normal forces of
+hulls stay those of v̂. The vertical friction of a hull does not change the loads of the points.
+
+An object is a tree of its own. The slopes of its contacts with hulls couple its motion with that of the
+snake, in a block B of Newton's matrix that M does not have. Block elimination solves for the motion of the
+objects first,
+
+$$ (Q - B P^{-1} B^T)\,y = r_o - B P^{-1} r_s, \qquad x = P^{-1} (r_s - B^T y), $$
+
+with the factored matrices P of the snake and Q of the objects without B.
+
+`friction_solve` calls the functions at the places that their docstrings name. They do nothing without
+objects. Warp omits them.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from numba import types
+
+from srs_twin.compute.compiled import kernel_only
+from srs_twin.plants.twin.mjcf import surroundings
+from srs_twin.plants.twin.mjcf.objects import object_force_sensor, object_names
+from srs_twin.plants.twin.stick_slip import stick_slip_friction
+from srs_twin.robot.world import MovableObject
+
+mj_solveM: Any = types.ExternalFunction("mj_solveM", types.void(*[types.intp] * 4, types.int32))
+
+
+class ObjectState(NamedTuple):
+    """State of the contacts that persists from step to step.
+
+    Attributes:
+        force: friction along and across, shape (C, 2), N.
+        slip_speed: shape (C,), m/s.
+        jacobian: as in `ObjectContacts`, at which the friction of the previous step acts.
+    """
+
+    force: np.ndarray
+    slip_speed: np.ndarray
+    jacobian: np.ndarray
+
+
+class ObjectContacts(NamedTuple):
+    """Contacts of all objects: C of them, the pairs of an object and a hull before the points.
+
+    Attributes:
+        pairs: number of pairs.
+        first: first degree of freedom of the objects.
+        slip: slip speed ε, m/s.
+        hull_dof: last degree of freedom of the hull of each contact, −1 for a point, shape (C,).
+        object_body: body of the object, shape (C,).
+        object_dof: last degree of freedom of the object, shape (C,).
+        place: place of a point in the frame of the object, shape (C, 2), m.
+        sensor: index into `sensordata` of the force on the hull and its point of application, shape (C,).
+        load: normal force, constant for a point, shape (C,), N.
+        friction: friction coefficient, shape (C,), 1.
+        admittance: change of velocity per impulse, shape (C,), 1/kg.
+        force, slip_speed, jacobian: see `ObjectState`; the Jacobian has the spatial vectors that give the
+            velocity along and across, for hull and object, shape (C, 2, 2, 6). Its object's part has a
+            negative sign in a pair.
+        theta: fraction of the step at which friction is evaluated, shape (C,).
+        response: force along and across (N), and its slopes along, mixed and across (N·s/m), shape (C, 5).
+        coupling: B, one row per degree of freedom of the objects, shape (no, nv).
+        solved: B P⁻¹, same shape.
+        matrix: matrix of the objects and its right side, shape (no, no + 1).
+    """
+
+    pairs: int
+    first: int
+    slip: float
+    hull_dof: np.ndarray
+    object_body: np.ndarray
+    object_dof: np.ndarray
+    place: np.ndarray
+    sensor: np.ndarray
+    load: np.ndarray
+    friction: np.ndarray
+    admittance: np.ndarray
+    force: np.ndarray
+    slip_speed: np.ndarray
+    jacobian: np.ndarray
+    theta: np.ndarray
+    response: np.ndarray
+    coupling: np.ndarray
+    solved: np.ndarray
+    matrix: np.ndarray
+
+
+def object_contacts(
+    model: mujoco.MjModel, objects: tuple[MovableObject, ...], slip: float, hull_admittance: np.ndarray
+) -> ObjectContacts:
+    """Return the contacts of the objects of a compiled scene, at rest.
+
+    Args:
+        model: compiled scene.
+        objects: its objects.
+        slip: slip speed, m/s.
+        hull_admittance: change of a hull's velocity per impulse, shape (hulls,), 1/kg.
+    """
+    hulls, names = surroundings.hulls(model), object_names(model)
+    ids = np.array([model.body(name).id for name in names], dtype=int)
+    hull_dof = _last_dof(model, np.array([model.geom(name).bodyid[0] for name in hulls], dtype=int))
+    body = np.concatenate([np.repeat(ids, len(hulls)), np.repeat(ids, 4)])
+    pairs, free = len(hulls) * len(names), 3 * len(names)
+    count, mass = len(body), model.body_mass[body]
+    place, load = np.zeros((count, 2)), np.zeros(count)
+    place[pairs:] = np.array([item.supports for item in objects]).reshape(-1, 2)
+    load[pairs:] = -model.opt.gravity[2] / 4 * mass[pairs:]
+    sensors = [model.sensor(object_force_sensor(name, hull)).adr[0] for name in names for hull in hulls]
+    friction = np.full(count, surroundings.FRICTION)
+    friction[pairs:] = np.repeat([item.friction for item in objects], 4)
+    return ObjectContacts(
+        pairs=pairs,
+        first=model.nv - free,
+        slip=slip,
+        hull_dof=np.concatenate([np.tile(hull_dof, len(names)), np.full(count - pairs, -1)]),
+        object_body=body,
+        object_dof=_last_dof(model, body),
+        place=place,
+        sensor=np.array(sensors + [0] * (count - pairs), dtype=int),
+        load=load,
+        friction=friction,
+        admittance=1 / mass + np.append(np.tile(hull_admittance, len(names)), np.zeros(count - pairs)),
+        force=np.zeros((count, 2)),
+        slip_speed=np.zeros(count),
+        jacobian=np.zeros((count, 2, 2, 6)),
+        theta=np.ones(count),
+        response=np.zeros((count, 5)),
+        coupling=np.zeros((free, model.nv)),
+        solved=np.zeros((free, model.nv)),
+        matrix=np.zeros((free, free + 1)),
+    )
+
+
+def _last_dof(model: mujoco.MjModel, body: np.ndarray) -> np.ndarray:
+    last: np.ndarray = model.body_dofadr[body] + model.body_dofnum[body] - 1
+    return last
+
+
+@kernel_only
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5]
+
+
+@kernel_only
+def _fill(row, x, y, z, c, s, sign):  # type: ignore[no-untyped-def]
+    """Fill the spatial vectors of a point's velocity along the horizontal axis (c, s), and upward."""
+    row[0, 0], row[0, 1], row[0, 2] = -sign * z * s, sign * z * c, sign * (x * s - y * c)
+    row[0, 3], row[0, 4], row[0, 5] = sign * c, sign * s, 0.0
+    row[1, 0], row[1, 1], row[1, 2] = sign * y, -sign * x, 0.0
+    row[1, 3], row[1, 4], row[1, 5] = 0.0, 0.0, sign
+
+
+@kernel_only
+def apply_object_friction(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
+    """Add the friction of the previous step to `qfrc_applied`, after that of the wheels is there."""
+    o = engine.objects
+    for w in range(o.force.shape[0]):
+        for side in range(2):
+            i = o.hull_dof[w] if side == 0 else o.object_dof[w]
+            along, across = o.jacobian[w, side, 0], o.jacobian[w, side, 1]
+            while i >= 0:
+                moment = o.force[w, 0] * _dot(along, engine.cdof[i])
+                engine.qfrc_applied[i] += moment + o.force[w, 1] * _dot(across, engine.cdof[i])
+                i = sparsity.parent[i]
+
+
+@kernel_only
+def locate_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
+    """Locate the contacts and read their normal forces, after those of the wheels are known."""
+    o, com, sensors = engine.objects, engine.subtree_com[1], engine.sensordata
+    for w in range(o.force.shape[0]):
+        body = o.object_body[w]
+        own, row = engine.subtree_com[body], o.jacobian[w]
+        if w >= o.pairs:
+            m, place = engine.xmat[body], o.place[w]
+            x = engine.xpos[body, 0] + m[0] * place[0] + m[1] * place[1] - own[0]
+            y = engine.xpos[body, 1] + m[3] * place[0] + m[4] * place[1] - own[1]
+            _fill(row[1], x, y, 0.0, 1.0, 0.0, 1.0)
+            # Across is horizontal, too.
+            row[1, 1, 0], row[1, 1, 1], row[1, 1, 2] = 0.0, 0.0, x
+            row[1, 1, 3], row[1, 1, 4], row[1, 1, 5] = 0.0, 1.0, 0.0
+        else:
+            k = o.sensor[w]
+            fx, fy = sensors[k], sensors[k + 1]
+            normal = np.sqrt(fx * fx + fy * fy)
+            o.load[w] = normal
+            if normal > 0.0:
+                c, s, x, y, z = -fy / normal, fx / normal, sensors[k + 3], sensors[k + 4], sensors[k + 5]
+                _fill(row[0], x - com[0], y - com[1], z - com[2], c, s, 1.0)
+                _fill(row[1], x - own[0], y - own[1], z - own[2], c, s, -1.0)
+        grip = o.friction[w] * o.load[w] / max(o.slip_speed[w], o.slip)
+        decay = h * grip * o.admittance[w]
+        # As `friction_solve._evaluation_fraction`.
+        o.theta[w] = 1.0 / (1.0 - np.exp(-decay)) - 1.0 / decay if decay > 0.1 else 0.5 + decay / 12.0
+
+
+@kernel_only
+def _velocity(o, work, w, theta):  # type: ignore[no-untyped-def]
+    """Return the velocity of a contact along and across at the fraction θ of the step, m/s."""
+    u_t, u_n = 0.0, 0.0
+    for side in range(2):
+        i = o.hull_dof[w] if side == 0 else o.object_dof[w]
+        if i >= 0:
+            middle, step, change = work.mid_motion[i], work.step_motion[i], work.motion[i]
+            along, across, shift = o.jacobian[w, side, 0], o.jacobian[w, side, 1], theta - 0.5
+            u_t += _dot(along, middle) + shift * _dot(along, step) + theta * _dot(along, change)
+            u_n += _dot(across, middle) + shift * _dot(across, step) + theta * _dot(across, change)
+    return u_t, u_n
+
+
+@kernel_only
+def add_object_impulses(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
+    """Evaluate the friction at the velocities `motion`, and subtract its impulses from `impulse`."""
+    o = engine.objects
+    for w in range(o.force.shape[0]):
+        u_t, u_n = _velocity(o, work, w, o.theta[w])
+        mu, force, out = o.friction[w], o.force[w], o.response[w]
+        f_t, f_n, tt, tn, nn = stick_slip_friction(u_t, u_n, o.load[w], mu, mu, o.slip, force[0], force[1])
+        out[0], out[1], out[2], out[3], out[4] = f_t, f_n, tt, tn, nn
+        along, across = h * (f_t - force[0]), h * (f_n - force[1])
+        for side in range(2):
+            i = o.hull_dof[w] if side == 0 else o.object_dof[w]
+            if i >= 0:
+                for k in range(6):
+                    change = along * o.jacobian[w, side, 0, k] + across * o.jacobian[w, side, 1, k]
+                    work.impulse[i, k] -= change
+
+
+@kernel_only
+def add_object_slopes(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
+    """Add the slopes of friction to the spatial matrices `slope` of hulls and objects, and fill B."""
+    o = engine.objects
+    for i in range(o.coupling.shape[0]):
+        for k in range(o.coupling.shape[1]):
+            o.coupling[i, k] = 0.0
+    for w in range(o.force.shape[0]):
+        if o.load[w] == 0.0:
+            continue
+        weight = -o.theta[w] * h
+        tt, tn, nn = weight * o.response[w, 2], weight * o.response[w, 3], weight * o.response[w, 4]
+        for side in range(2):
+            i = o.hull_dof[w] if side == 0 else o.object_dof[w]
+            if i >= 0:
+                along, across = o.jacobian[w, side, 0], o.jacobian[w, side, 1]
+                for a in range(6):
+                    t, n = tt * along[a] + tn * across[a], tn * along[a] + nn * across[a]
+                    for b in range(6):
+                        work.slope[i, a, b] += t * along[b] + n * across[b]
+        hull, own = o.jacobian[w, 0], o.jacobian[w, 1]
+        for dof in range(o.object_dof[w] - 2, o.object_dof[w] + 1):
+            s_t, s_n = _dot(own[0], engine.cdof[dof]), _dot(own[1], engine.cdof[dof])
+            t, n, i = tt * s_t + tn * s_n, tn * s_t + nn * s_n, o.hull_dof[w]
+            while i >= 0:
+                cdof = engine.cdof[i]
+                o.coupling[dof - o.first, i] += t * _dot(hull[0], cdof) + n * _dot(hull[1], cdof)
+                i = sparsity.parent[i]
+
+
+@kernel_only
+def couple_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
+    """Correct Newton's direction, which was solved without B."""
+    o, first, direction = engine.objects, engine.objects.first, work.direction
+    count = o.coupling.shape[0]
+    if count == 0:
+        return
+    mj_solveM(engine.model, engine.data, o.solved.ctypes.data, o.coupling.ctypes.data, np.int32(count))
+    for i in range(count):
+        row = sparsity.row_start[first + i]
+        for k in range(count + 1):
+            o.matrix[i, k] = 0.0
+        for k in range(row, row + sparsity.row_length[first + i]):
+            o.matrix[i, sparsity.column[k] - first] = work.newton_matrix[k]
+    for i in range(count):
+        for k in range(i + 1):
+            for j in range(first):
+                o.matrix[i, k] -= o.coupling[i, j] * o.solved[k, j]
+            o.matrix[k, i] = o.matrix[i, k]
+        o.matrix[i, count] = work.residual[first + i]
+        for j in range(first):
+            o.matrix[i, count] -= o.coupling[i, j] * direction[j]
+    for i in range(count):  # elimination; the matrix is positive definite and needs no pivoting
+        for j in range(i + 1, count):
+            factor = o.matrix[j, i] / o.matrix[i, i]
+            for k in range(i, count + 1):
+                o.matrix[j, k] -= factor * o.matrix[i, k]
+    for i in range(count - 1, -1, -1):
+        value = o.matrix[i, count]
+        for k in range(i + 1, count):
+            value -= o.matrix[i, k] * direction[first + k]
+        direction[first + i] = value / o.matrix[i, i]
+    for i in range(count):
+        for j in range(first):
+            direction[j] -= direction[first + i] * o.solved[i, j]
+
+
+@kernel_only
+def store_object_friction(engine, work, force):  # type: ignore[no-untyped-def]
+    """Store the friction for the next step and return the power that it dissipates, W.
+
+    Args:
+        engine: with the contacts.
+        work: workspace after the friction solve.
+        force: out, friction on the hull of each pair in the world frame, shape (pairs, 3), N.
+    """
+    o, power = engine.objects, 0.0
+    for w in range(o.force.shape[0]):
+        f_t, f_n = o.response[w, 0], o.response[w, 1]
+        u_t, u_n = _velocity(o, work, w, 0.5)
+        power -= f_t * u_t + f_n * u_n
+        o.slip_speed[w] = np.sqrt(u_t * u_t + u_n * u_n)
+        o.force[w, 0], o.force[w, 1] = f_t, f_n
+        if w < o.pairs:
+            along = o.jacobian[w, 0, 0]
+            force[w, 0], force[w, 1], force[w, 2] = f_t * along[3], f_t * along[4], f_n
+    return power
