@@ -1,4 +1,4 @@
-"""Tables of actions and observations in docs/environments.md, generated from the tasks.
+"""Tables of actions, observations and rewards in docs/environments.md, generated from the tasks.
 
     uv run python docs/environment_tables.py docs/environments.md
 
@@ -14,9 +14,6 @@ from srs_twin.envs import TASKS, make_task
 from srs_twin.envs.task import Signals
 from srs_twin.io.files import atomic_write
 
-BEGIN = "<!-- signals: begin -->"
-END = "<!-- signals: end -->"
-
 
 def tables() -> str:
     """Return the tables of all tasks."""
@@ -31,11 +28,26 @@ def tables() -> str:
     return "\n\n".join(sections)
 
 
+def rewards() -> str:
+    """Return the table of the reward terms of all tasks."""
+    rows = ["| task | term | weight | value |", "|---|---|---|---|"]
+    terms: dict[tuple[str, float, str], list[str]] = {}
+    for name in TASKS:
+        for term in make_task(name).reward_terms:
+            terms.setdefault((term.name, term.weight, term.description), []).append(f"`{name}`")
+    rows += [
+        f"| {', '.join(tasks)} | `{t}` | {weight:g} | {text} |" for (t, weight, text), tasks in terms.items()
+    ]
+    return "\n".join(rows)
+
+
 def update_tables(page: str) -> str:
     """Return a page with the current tables between its markers."""
-    before, _, rest = page.partition(BEGIN)
-    _, _, after = rest.partition(END)
-    return f"{before}{BEGIN}\n{tables()}\n{END}{after}"
+    for name, text in (("signals", tables()), ("rewards", rewards())):
+        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+        before, _, rest = page.partition(begin)
+        page = f"{before}{begin}\n{text}\n{end}{rest.partition(end)[2]}"
+    return page
 
 
 def _table(kind: str, signals: Signals) -> str:

@@ -143,7 +143,10 @@ COMMANDS = [
     (("run", "keys.yaml"), "controller.freq: unknown key; did you mean frequency_hz?"),
     (("run", "keys.yaml"), "one of lag, orifice, not text 'orifise'; did you mean orifice?"),
     (("run", "metric.yaml"), "unknown metric 'com_speed'; did you mean com_speed_m_s or com_speed_rel?"),
-    (("run", "metric.yaml"), f"'banana' (available: {len(METRICS)} names; `srs-twin list metrics` lists them)"),
+    (
+        ("run", "metric.yaml"),
+        f"'banana' (available: {len(METRICS)} names; `srs-twin list metrics` lists them)",
+    ),
     (("sweep", "sweep.yaml"), "vary.controller.freq: unknown key; did you mean frequency_hz?"),
     (("sweep", "metrics.yaml"), "metrics[0]: unknown metric 'com_speed'; did you mean com_speed_m_s"),
     (("sweep", "metrics.yaml"), "'supply.presure' is not varied; did you mean supply.pressure_kpa?"),

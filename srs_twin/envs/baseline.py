@@ -69,7 +69,7 @@ class PathFollowing:
 
     def __init__(self, task: CrawlTask) -> None:
         """Initialise for an episode of GoTo or Obstacles."""
-        self._names, self._spec = _observation_names(task), task.robot
+        self._task, self._names, self._spec = task, _observation_names(task), task.robot
         self._offset = _OffsetStore()
         self._steps = 0
         self._follower: Follower | None = None
@@ -82,7 +82,7 @@ class PathFollowing:
             self._follower = self._make_follower(values, pose)
         self._follower.step(_state_with_pose(self._steps * STEP_S, pose))
         self._steps += 1
-        return np.array([self._offset.offset, FREQUENCY_HZ, PRESSURE_KPA], dtype=np.float32)
+        return self._task.from_physical([self._offset.offset, FREQUENCY_HZ, PRESSURE_KPA])
 
     def _make_follower(self, values: Mapping[str, float], pose: Pose) -> Follower:
         """Return a follower of a path among the observed obstacles."""
@@ -113,7 +113,7 @@ class ProportionalIntegral:
 
     def __init__(self, task: ModuleTask) -> None:
         """Initialise for an episode of Module."""
-        self._names, self._step = _observation_names(task), task.step_s
+        self._task, self._names, self._step = task, _observation_names(task), task.step_s
         self._integral = 0.0
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
@@ -123,7 +123,7 @@ class ProportionalIntegral:
         # Clipping the integral prevents wind-up while the duties are saturated.
         self._integral = _clip_to_unit(self._integral + self.rate_per_rad_s * error * self._step)
         difference = _clip_to_unit(self._integral + self.gain_per_rad * error)
-        return np.array([(1 + difference) / 2, (1 - difference) / 2], dtype=np.float32)
+        return self._task.from_physical([(1 + difference) / 2, (1 - difference) / 2])
 
 
 @dataclass(frozen=True)

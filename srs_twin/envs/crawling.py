@@ -1,19 +1,16 @@
-r"""GoTo and Obstacles: crawl to a goal, on an open floor or among circular obstacles.
+"""GoTo and Obstacles: crawl to a goal, on an open floor or among circular obstacles.
 
-With d the distance from the centre of mass to the goal, the reward of a step is
-
-$$ r = \frac{d_{k-1} - d_k}{1\,\text{m}} + [\text{goal reached}] - [\text{room left}]
-- 0.5\,[\text{touching}]\,\frac{\Delta t}{1\,\text{s}}. $$
-
-The first term is potential-based shaping with the potential −d and no discount: it sums to the distance
-gained and so does not change the ranking of policies that reach the goal.
+The reward of a step is the sum of the terms `CrawlTask.reward_terms`, each with its weight. By default it is
+the decrease of the distance to the goal in m, plus 1 at the goal, minus 1 outside the room, minus 0.5 per
+second of contact. The first term is potential-based shaping with the potential −distance and no discount:
+its sum is the distance gained, so it does not change the ranking of policies that reach the goal.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +18,7 @@ import numpy as np
 from srs_twin.control.base import MAX_READING_RAD, SensorReadings
 from srs_twin.control.camera import Camera, CameraFrames
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
-from srs_twin.envs.task import Episode, Signal, Signals, Task, numbered_signals
+from srs_twin.envs.task import Episode, RewardTerm, Signal, Signals, Task, numbered_signals
 from srs_twin.errors import InputError
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
@@ -36,9 +33,6 @@ GOAL_RADIUS_M = 0.1
 
 CAMERA = Camera(1 / STEP_S, 0.001, 0.005)
 """Camera with one frame per step and the noise of scenario follow_fig57 (1 mm, 5 mrad)."""
-
-TOUCH_PER_S = 0.5
-"""Penalty for touching an obstacle, 1/s."""
 
 _PA_PER_KPA = 1e3
 
@@ -101,6 +95,15 @@ class CrawlTask(Task):
     """
 
     step_s = STEP_S
+    reward_terms = (
+        RewardTerm("progress_m", 1.0, "decrease of the distance from the centre of mass to the goal"),
+        RewardTerm("touching_s", -0.5, "time in contact with an obstacle"),
+        RewardTerm("goal_reached", 1.0, "1 in the step that reaches the goal"),
+        RewardTerm("room_left", -1.0, "1 in the step that leaves the room"),
+        RewardTerm("time_s", 0.0, "duration of the step"),
+        RewardTerm("air_j", 0.0, "energy of the air taken from the supply"),
+        RewardTerm("offset_change", 0.0, "absolute change of the steering offset"),
+    )
 
     def __init__(
         self,
@@ -120,7 +123,8 @@ class CrawlTask(Task):
             robot: name or path of the robot.
             limit_s: time limit, s.
             camera: frame rate and noise of the camera; at least one frame per step.
-            **settings: `fit`, `ranges` and settings of the twin, see `Task`.
+            **settings: `fit`, `ranges`, `rewards`, `observations`, `action_range` and settings of the twin,
+                see `Task`.
 
         Raises:
             UnknownNameError: the twin does not have a setting of that name.
@@ -136,7 +140,7 @@ class CrawlTask(Task):
         self.has_obstacles = arena.obstacles > 0
         self.limits = GaitLimits.for_robot(self.robot)
         self.actions = gait_signals(self.limits)
-        self.observations = _observations(arena, self.robot.segments, self.actions)
+        self._set_observations(_observation_groups(arena, self.robot.segments, self.actions))
 
     def begin(self, rng: np.random.Generator, last: Episode | None = None) -> CrawlEpisode:
         """See `Task.begin`."""
@@ -166,7 +170,7 @@ class CrawlEpisode(Episode):
         world: obstacles, room and goal.
     """
 
-    state_attributes = ("_gait", "_frames", "_readings", "_distance")
+    state_attributes = ("_gait", "_frames", "_readings", "_distance", "_air", "_offset")
 
     def __init__(
         self, task: CrawlTask, twin: TwinSnake, world: World, heading: float, frames: CameraFrames, seed: int
@@ -181,13 +185,13 @@ class CrawlEpisode(Episode):
         state = twin.reset(pose=(0.0, 0.0, heading), seed=seed)
         self._gait = CommandedGait(twin.spec, twin.tick, twin.pneumatics, mean_command)
         self._frames, self._readings = frames, SensorReadings(twin.spec.segments)
-        self._distance = self._goal_distance(state)
+        self._distance, self._air, self._offset = self._goal_distance(state), float(state.air), 0.0
         super().__init__(task, twin, state)
 
     def _initialise_from_state(self) -> None:
         """See `Episode._initialise_from_state`."""
         self._frames.restart()
-        self._distance = self._goal_distance(self.state)
+        self._distance, self._air = self._goal_distance(self.state), float(self.state.air)
 
     def _valves(self, action: list[float]) -> np.ndarray:
         offset, frequency, pressure_kpa = action
@@ -212,20 +216,26 @@ class CrawlEpisode(Episode):
         last_command = [command.offset, command.frequency, command.pressure / _PA_PER_KPA]
         return [*pose, *gait_and_bends, *last_command, *(number for circle in circles for number in circle)]
 
-    def _reward(self) -> float:
-        state, room = self.state, self.world.bounds
-        before, self._distance = self._distance, self._goal_distance(state)
-        reward = before - self._distance
-        if self._touching():
-            reward -= TOUCH_PER_S * self._task.step_s
+    def _reward_values(self) -> dict[str, float]:
+        state, room, step_s = self.state, self.world.bounds, self._task.step_s
+        distance, air, offset = self._goal_distance(state), float(state.air), self._gait.command.offset
+        before, self._distance = self._distance, distance
+        air_before, self._air = self._air, air
+        offset_before, self._offset = self._offset, offset
         x, y = state.com
-        if self._distance <= self._goal.radius:
+        if distance <= self._goal.radius:
             self.ending = "goal_reached"
-            return reward + 1.0
-        if room and not (room.x[0] <= x <= room.x[1] and room.y[0] <= y <= room.y[1]):
+        elif room and not (room.x[0] <= x <= room.x[1] and room.y[0] <= y <= room.y[1]):
             self.ending = "room_left"
-            return reward - 1.0
-        return reward
+        return {
+            "progress_m": before - distance,
+            "touching_s": step_s * self._touching(),
+            "goal_reached": float(self.ending == "goal_reached"),
+            "room_left": float(self.ending == "room_left"),
+            "time_s": step_s,
+            "air_j": air - air_before,
+            "offset_change": abs(offset - offset_before),
+        }
 
     def _info(self) -> dict[str, Any]:
         x, y = map(float, self.state.com)
@@ -256,32 +266,35 @@ def gait_signals(limits: GaitLimits) -> Signals:
     )
 
 
-def _observations(arena: Arena, segments: int, actions: Sequence[Signal]) -> Signals:
+def _observation_groups(arena: Arena, segments: int, actions: Sequence[Signal]) -> dict[str, Signals]:
     (left, right), (bottom, top) = arena.room.x, arena.room.y
     margin = 0.5  # margin, m: a step may end outside the room, and the camera has noise
     farthest = math.hypot(right - left, top - bottom) + 1.0
-    signals = [
+    pose = (
         Signal("x_m", "m", left - margin, right + margin, "x of the centre of mass, from the camera"),
         Signal("y_m", "m", bottom - margin, top + margin, "y of the centre of mass, from the camera"),
         Signal("heading_cos", "1", -1.0, 1.0, "cosine of the mean heading, from the camera"),
         Signal("heading_sin", "1", -1.0, 1.0, "sine of the mean heading, from the camera"),
+    )
+    goal = (
         Signal("goal_ahead_m", "m", -farthest, farthest, "position of the goal along the heading"),
         Signal("goal_left_m", "m", -farthest, farthest, "position of the goal to the left of the heading"),
+    )
+    gait = (
         Signal("gait_cos", "1", -1.0, 1.0, "cosine of the gait phase at the first segment"),
         Signal("gait_sin", "1", -1.0, 1.0, "sine of the gait phase at the first segment"),
-    ]
+    )
     largest = MAX_READING_RAD
-    signals += numbered_signals(segments, "bend_#_rad", "rad", -largest, largest, "sensor reading of a bend")
-    signals += [
-        Signal(action.name, action.unit, action.low, action.high, "last command") for action in actions
-    ]
+    bends = numbered_signals(segments, "bend_#_rad", "rad", -largest, largest, "sensor reading of a bend")
+    command = (replace(action, description="last command") for action in actions)
+    groups = {"pose": pose, "goal": goal, "gait": gait, "bends": tuple(bends), "command": tuple(command)}
+    circles: list[Signal] = []
     for k in range(1, arena.obstacles + 1):
-        position = f"position of circle {k}"
-        signals += [
-            Signal(f"obstacle_{k}_ahead_m", "m", -farthest, farthest, f"{position} along the heading"),
-            Signal(
-                f"obstacle_{k}_left_m", "m", -farthest, farthest, f"{position} to the left of the heading"
-            ),
+        ahead, left_of = f"obstacle_{k}_ahead_m", f"obstacle_{k}_left_m"
+        where = f"position of circle {k}"
+        circles += [
+            Signal(ahead, "m", -farthest, farthest, f"{where} along the heading"),
+            Signal(left_of, "m", -farthest, farthest, f"{where} to the left of the heading"),
             Signal(f"obstacle_{k}_radius_m", "m", *_RADII_M, f"radius of circle {k}"),
         ]
-    return tuple(signals)
+    return groups | ({"obstacles": tuple(circles)} if circles else {})

@@ -79,7 +79,7 @@ class DmTask(control.Task):
 
     def action_spec(self, physics: EpisodePhysics) -> specs.BoundedArray:
         """Return shape and bounds of the actions; the name lists the signals, separated by tabs."""
-        actions = self.task.actions
+        actions = self.task.commands
         names = "\t".join(signal.name for signal in actions)
         return specs.BoundedArray(
             (len(actions),), np.float32, lower_bounds(actions), upper_bounds(actions), names

@@ -161,7 +161,7 @@ class SnakeEnv(DeepCopied, gymnasium.Env[np.ndarray, np.ndarray]):
         self.render_mode = render_mode
         self.task = make_task(task, **settings)
         self.metadata = {**self.metadata, "render_fps": round(1 / self.task.step_s)}  # type: ignore[misc]
-        self.action_space = space_of(self.task.actions)
+        self.action_space = space_of(self.task.commands)
         self.observation_space = space_of(self.task.observations)
         self.episode: Episode | None = None
         self._renderer = EpisodeRenderer(width, height)

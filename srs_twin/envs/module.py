@@ -11,6 +11,7 @@ sensor reading.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ import numpy as np
 from srs_twin.control.base import MAX_READING_RAD, SensorReadings
 from srs_twin.control.pwm import PulseWidthModulator
 from srs_twin.control.smc import CARRIER_HZ
-from srs_twin.envs.task import Episode, Signal, Task
+from srs_twin.envs.task import Episode, RewardTerm, Signal, Task
 from srs_twin.errors import InputError
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics.chambers import largest_bend
@@ -44,6 +45,11 @@ class ModuleTask(Task):
     """
 
     name, step_s = "Module", STEP_S
+    reward_terms = (
+        RewardTerm(
+            "error_rad_s", -1.0, "absolute error of the bend at the end of the step, times its duration"
+        ),
+    )
 
     def __init__(self, *, robot: str = "gen4_module", limit_s: float = 5.0, **settings: Any) -> None:
         """Create the task.
@@ -51,7 +57,7 @@ class ModuleTask(Task):
         Args:
             robot: name or path of a robot with one segment.
             limit_s: time limit, s.
-            **settings: `fit`, `ranges` and settings of the twin, see `Task`; the sensor is "hall" by default.
+            **settings: see `Task`; the sensor is "hall" by default.
 
         Raises:
             UnknownNameError: the twin does not have a setting of that name.
@@ -69,13 +75,13 @@ class ModuleTask(Task):
             Signal("duty_minus", "1", 0.0, 1.0, minus),
         )
         largest = MAX_READING_RAD
-        self.observations = (
+        bends = (
             Signal("bend_rad", "rad", -largest, largest, "sensor reading of the bend"),
             Signal("bend_before_rad", "rad", -largest, largest, "sensor reading one step earlier"),
             Signal("reference_rad", "rad", -self.reach, self.reach, "reference bend of the next step"),
-            Signal("duty_plus", "1", 0.0, 1.0, "last command"),
-            Signal("duty_minus", "1", 0.0, 1.0, "last command"),
         )
+        command = tuple(replace(action, description="last command") for action in self.actions)
+        self._set_observations({"bends": bends, "command": command})
 
     def begin(self, rng: np.random.Generator, last: Episode | None = None) -> ModuleEpisode:
         """See `Task.begin`."""
@@ -116,8 +122,8 @@ class ModuleEpisode(Episode):
         self._readings.update(float(self.state.time), self.state.sensed)
         return [float(self._readings.value[0]), before, self._reference(), *self._duties]
 
-    def _reward(self) -> float:
-        return -abs(self._target - float(self.state.bend[0])) * self._task.step_s
+    def _reward_values(self) -> dict[str, float]:
+        return {"error_rad_s": abs(self._target - float(self.state.bend[0])) * self._task.step_s}
 
     def _info(self) -> dict[str, Any]:
         plus, minus = map(float, self.state.pressure[0])

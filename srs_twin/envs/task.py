@@ -14,15 +14,17 @@ from __future__ import annotations
 
 import os
 import reprlib
+import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from inspect import signature
 from typing import Any, ClassVar
 
 import numpy as np
 
-from srs_twin.errors import DivergedError, InputError, UnknownNameError, count_steps
+from srs_twin.errors import DivergedError, InputError, UnknownNameError, check_choice, count_steps
 from srs_twin.identification.fit_file import FitFile, load_fit
 from srs_twin.identification.parameters import free_parameters, with_values
 from srs_twin.io.saved_state import SavedState, Stateful
@@ -49,6 +51,21 @@ class Signal:
     unit: str
     low: float
     high: float
+    description: str
+
+
+@dataclass(frozen=True)
+class RewardTerm:
+    """Quantity of a step whose weighted value is part of the reward.
+
+    Attributes:
+        name: name ending in the unit, as file keys do.
+        weight: default weight, in reward per unit; 0: not part of the reward.
+        description: meaning, one line.
+    """
+
+    name: str
+    weight: float
     description: str
 
 
@@ -158,6 +175,9 @@ def check_reset_options(options: object) -> dict[str, Any]:
     return dict(options)
 
 
+ACTION_RANGES = ("unit", "physical")
+"""Ranges of actions: −1 to 1, or the bounds of the signals in their units (until release 1.1)."""
+
 _RESERVED_TWIN_ARGUMENTS = {"spec", "tick", "supply_pa", "base", "world"}
 """Arguments of `TwinSnake` that a task sets itself."""
 
@@ -189,8 +209,12 @@ class Task(ABC):
 
     Attributes:
         name: short name, as registered.
-        actions: components of an action.
-        observations: components of an observation.
+        actions: components of an action, with their physical bounds.
+        groups: all components of an observation by group, in order.
+        observations: components of the selected groups.
+        reward_terms: terms of the reward with their default weights.
+        weights: weight of each term, by name.
+        action_range: one of `ACTION_RANGES`.
         step_s: duration of one step, s.
         limit_s: time limit of an episode, s.
         robot: nominal robot, without random variation.
@@ -199,7 +223,9 @@ class Task(ABC):
 
     name: str
     actions: Signals
+    groups: Mapping[str, Signals]
     observations: Signals
+    reward_terms: ClassVar[tuple[RewardTerm, ...]]
     step_s: float
     has_obstacles = False
 
@@ -210,21 +236,38 @@ class Task(ABC):
         *,
         fit: Path | None = None,
         ranges: Ranges | None = None,
+        rewards: Mapping[str, float] | None = None,
+        observations: Sequence[str] | None = None,
+        action_range: str = "unit",
         **twin_settings: Any,
     ) -> None:
-        """Initialise the robot distribution, the time limit and the settings of the twin.
+        """Initialise the robot distribution, the time limit, the reward and the settings of the twin.
 
         Args:
             robot: name or path of a robot file; the tolerances of its modules are drawn for each episode.
             limit_s: time limit, s.
             fit: path of a fit file, from whose intervals robots are drawn (`Variation`).
             ranges: parameter name → lower and upper limit of a uniform distribution.
+            rewards: name of a reward term → weight that replaces its default.
+            observations: groups of observations that the agent gets; None: all.
+            action_range: "unit" for actions from −1 to 1, which are scaled to the bounds of the signals;
+                "physical" (deprecated): actions in the units of the signals.
             **twin_settings: arguments of `TwinSnake`, except those that the task sets.
 
         Raises:
-            UnknownNameError: the twin does not have a setting of that name.
+            UnknownNameError: a reward term, a group of observations or a setting of the twin does not exist.
             InputError: the robot, fit or range is invalid, or the time limit is not a multiple of the step.
         """
+        check_choice("action_range", action_range, ACTION_RANGES)
+        if action_range == "physical":
+            text = "action_range='physical' ends with release 1.1; actions from −1 to 1 span the same bounds"
+            warnings.warn(text, DeprecationWarning, stacklevel=3)
+        defaults = {term.name: term.weight for term in self.reward_terms}
+        for name in rewards or ():
+            if name not in defaults:
+                raise UnknownNameError("reward term", name, defaults)
+        self.action_range, self.weights = action_range, defaults | dict(rewards or {})
+        self._selected_groups = None if observations is None else tuple(observations)
         variation = Variation.load(robot, fit, ranges)
         count_steps("limit_s", limit_s, "step", self.step_s)
         allowed = set(signature(TwinSnake).parameters) - _RESERVED_TWIN_ARGUMENTS
@@ -233,6 +276,55 @@ class Task(ABC):
                 raise UnknownNameError("setting of the task or its twin", name, allowed)
         self.limit_s, self._variation, self._twin_settings = limit_s, variation, twin_settings
         self.robot = variation.file.spec()
+
+    def _set_observations(self, groups: Mapping[str, Signals]) -> None:
+        """Set the groups of observations, and select those that the agent gets.
+
+        Raises:
+            UnknownNameError: a group does not exist.
+            InputError: no group is selected.
+        """
+        selected = tuple(groups) if self._selected_groups is None else self._selected_groups
+        for name in selected:
+            if name not in groups:
+                raise UnknownNameError("group of observations", name, groups)
+        if not selected:
+            raise InputError(f"observations: give at least one group of {', '.join(groups)}")
+        owners = [(group, signal) for group, signals in groups.items() for signal in signals]
+        self.groups, self._indices = groups, [k for k, (name, _) in enumerate(owners) if name in selected]
+        self.observations = tuple(owners[k][1] for k in self._indices)
+
+    def select(self, measured: Sequence[float]) -> np.ndarray:
+        """Return the selected components of all observations, float32."""
+        return np.array(measured, dtype=np.float32)[self._indices]
+
+    @cached_property
+    def commands(self) -> Signals:
+        """Components of an action with the bounds that the agent has: −1 to 1, or physical ones."""
+        if self.action_range == "physical":
+            return self.actions
+        return tuple(replace(signal, unit="1", low=-1.0, high=1.0) for signal in self.actions)
+
+    def to_physical(self, action: object) -> list[float]:
+        """Return an action in the units of its signals, clipped to their bounds.
+
+        Raises:
+            InputError: the shape is wrong, or a value is not a finite number.
+        """
+        values = clip_action(self.commands, action)
+        if self.action_range == "physical":
+            return values
+        return [
+            signal.low + (value + 1) / 2 * (signal.high - signal.low)
+            for value, signal in zip(values, self.actions, strict=True)
+        ]
+
+    def from_physical(self, values: Sequence[float]) -> np.ndarray:
+        """Return the action, float32, of values in the units of the signals; the inverse of `to_physical`."""
+        low, high = (bounds(self.actions).astype(float) for bounds in (lower_bounds, upper_bounds))
+        given = np.asarray(values, dtype=float)
+        scaled = given if self.action_range == "physical" else 2 * (given - low) / (high - low) - 1
+        return scaled.astype(np.float32)
 
     @property
     def has_identical_episodes(self) -> bool:
@@ -282,6 +374,7 @@ class Episode(Stateful, ABC):
         """Initialise; a subclass sets its attributes before, because this makes the first observation."""
         self.twin, self.state = twin, state
         self._task = task
+        self._rewards = dict.fromkeys(task.weights, 0.0)
         self._bounds = lower_bounds(task.observations), upper_bounds(task.observations)
         self._steps, self._max_steps = 0, count_steps("limit_s", task.limit_s, "step", task.step_s)
         self.first = StepResult(self._observation(), 0.0, False, False, self._info())
@@ -321,7 +414,7 @@ class Episode(Stateful, ABC):
         """Apply an action for one step; values outside their bounds are clipped.
 
         Args:
-            action: one number per action signal of the task.
+            action: one number per action signal of the task, within the bounds of `Task.commands`.
 
         Raises:
             InputError: the shape is wrong, a number is not finite, or the episode is over.
@@ -337,13 +430,15 @@ class Episode(Stateful, ABC):
         """Return the valve states of the next step, which `finish_step` or `diverged` completes."""
         if self.ending:
             raise InputError(f"the episode is over ({self.ending}); reset the environment to begin another")
-        return self._valves(clip_action(self._task.actions, action))
+        return self._valves(self._task.to_physical(action))
 
     def finish_step(self, state: SnakeState) -> StepResult:
         """Return the result of a step from the state at its end."""
         self.state = state
         self._steps += 1
-        reward = self._reward()
+        values = self._reward_values()
+        self._rewards = {name: weight * values[name] for name, weight in self._task.weights.items()}
+        reward = float(sum(self._rewards.values()))
         terminated = bool(self.ending)
         truncated = not terminated and self._steps >= self._max_steps
         if truncated:
@@ -361,7 +456,7 @@ class Episode(Stateful, ABC):
     def _observation(self) -> np.ndarray:
         """Return the observation, float32, clipped to its bounds."""
         low, high = self._bounds
-        measured = np.array(self._measure(), dtype=np.float32)
+        measured = self._task.select(self._measure())
         self._last_observation: np.ndarray = np.minimum(np.maximum(measured, low), high)
         return self._last_observation
 
@@ -371,15 +466,17 @@ class Episode(Stateful, ABC):
 
     @abstractmethod
     def _measure(self) -> list[float]:
-        """Return the values of the task's observations; called once per step, as it draws noise."""
+        """Return the values of all groups of observations; called once per step, as it draws noise."""
 
     @abstractmethod
-    def _reward(self) -> float:
-        """Return the reward of the step that led to `state`; set `ending` if the episode is over."""
+    def _reward_values(self) -> dict[str, float]:
+        """Return the value of each reward term in the last step; set `ending` if the episode is over."""
 
     def _info(self) -> dict[str, Any]:
         """Return diagnostics as name → value; names end in the unit."""
-        return {"time_s": float(self.state.time), "air_j": float(self.state.air), "ending": self.ending}
+        rewards = {f"reward_{name}": value for name, value in self._rewards.items()}
+        time, air = float(self.state.time), float(self.state.air)
+        return {"time_s": time, "air_j": air, "ending": self.ending, **rewards}
 
 
 _SEED_COUNT = 2**32

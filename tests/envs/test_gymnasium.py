@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 import warnings
 from collections.abc import Callable
 from dataclasses import fields, replace
-from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from conftest import ROOT
 from gymnasium.utils.env_checker import check_env, check_space_limit
 from gymnasium.utils.passive_env_checker import check_action_space
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from gymnasium.wrappers import RescaleAction
 
 from srs_twin import Gait, InputError, TwinSnake, rollout
 from srs_twin.control.camera import Camera
 from srs_twin.envs import TASKS, make_task
 from srs_twin.envs.crawling import OPEN, Arena, CrawlTask
 from srs_twin.envs.gymnasium import SnakeEnv, SnakeVectorEnv
+from srs_twin.envs.policy import load_policy
 from srs_twin.errors import DivergedError
 from srs_twin.plants.base import SnakeState
 from srs_twin.robot.world import Bounds
@@ -57,23 +56,26 @@ def test_gymnasium_checker_passes_without_warnings(task):
     env = gymnasium.make(f"srs_twin.envs:SRSTwin/{task}-v0", disable_env_checker=True).unwrapped
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        # Actions have units; gymnasium.wrappers.RescaleAction scales them to -1 to 1.
-        warnings.filterwarnings("ignore", ".*normalized space")
         check_env(env, skip_render_check=True)
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_rescaled_actions_equal_actions_with_units(task):
-    plain, env = SnakeEnv(task), RescaleAction(SnakeEnv(task), np.float32(-1), np.float32(1))
+def test_actions_from_minus_1_to_1_equal_physical_actions(task):
+    with pytest.warns(DeprecationWarning, match="action_range='physical' ends with release"):
+        physical = SnakeEnv(task, action_range="physical")
+    env = SnakeEnv(task)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_action_space(env.action_space)
         check_space_limit(env.action_space, "action")
     assert (env.action_space.low == -1).all() and (env.action_space.high == 1).all()
-    plain.reset(seed=1), env.reset(seed=1)
-    box = plain.action_space
-    one, other = plain.step((box.low + 3 * box.high) / 4), env.step(np.full(box.shape, 0.5, dtype=np.float32))
+    env.reset(seed=1), physical.reset(seed=1)
+    box = physical.action_space
+    values = (box.low + 3 * box.high) / 4
+    one, other = env.step(np.full(box.shape, 0.5, dtype=np.float32)), physical.step(values)
     assert one[0] == pytest.approx(other[0], abs=1e-5) and one[1] == pytest.approx(other[1], abs=1e-6)
+    assert env.task.from_physical(values) == pytest.approx(0.5, abs=1e-6)
+    assert env.task.to_physical(env.task.from_physical(values)) == pytest.approx(values.tolist(), rel=1e-6)
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -90,7 +92,7 @@ def test_constant_action_equals_a_rollout_of_the_gait():
     _, info = env.reset(seed=3)
     heading = info["heading_rad"]
     for _ in range(20):
-        *_, info = env.step(np.array([0.1, 1.7, 45.0]))
+        *_, info = env.step(env.task.from_physical([0.1, 1.7, 45.0]))
     spec = make_task("GoTo").robot
     alone = rollout(TwinSnake(spec, supply_pa=45e3), Gait(1.7, 0.1), 2.0, pose=(0.0, 0.0, heading))
     assert info["com_x_m"] == pytest.approx(alone["com_x"][-1], abs=1e-6)
@@ -119,7 +121,7 @@ def test_observations_depend_only_on_sensors_and_camera(task):
     seeing, blind = (make_task(task).begin(np.random.default_rng(2)) for _ in range(2))
     blind.twin.step = blinded(blind.twin)
     for _ in range(3):
-        action = [signal.high for signal in make_task(task).actions]
+        action = [1.0 for _ in make_task(task).actions]
         result = seeing.step(action).observation
         assert equal_bits(result, blind.step(action).observation)
         assert np.isfinite(result).all()
@@ -181,21 +183,21 @@ def test_leaving_the_room_terminates_with_a_penalty():
     episode = task.begin(np.random.default_rng(0))
     result = episode.first
     while not result.terminated:
-        result = episode.step([0.0, 2.0, 55.0])
+        result = episode.step([0.0, 1.0, 1.0])
     assert result.info["ending"] == "room_left" and result.reward < -0.9
 
 
 def test_time_limit_truncates_the_episode():
     env = SnakeEnv("GoTo", **SHORT)
     env.reset(seed=0)
-    ends = [env.step(np.array([0.0, 1.0, 45.0]))[2:4] for _ in range(3)]
+    ends = [env.step(np.array([0.0, -1.0, 0.0]))[2:4] for _ in range(3)]
     assert ends == [(False, False), (False, False), (False, True)]
 
 
 @pytest.mark.parametrize("task", TASKS)
 def test_divergence_terminates_with_the_previous_observation(task):
     episode = make_task(task).begin(np.random.default_rng(0))
-    action = [signal.high for signal in make_task(task).actions]
+    action = [1.0 for _ in make_task(task).actions]
     last = episode.step(action)
 
     def diverge(valves: np.ndarray) -> SnakeState:
@@ -216,7 +218,7 @@ def test_touching_an_obstacle_is_penalised():
     result, touched = episode.first, []
     while not (result.truncated or result.terminated):
         before = result.info["goal_distance_m"]
-        result = episode.step([0.0, 2.0, 55.0])
+        result = episode.step([0.0, 1.0, 1.0])
         gained = before - result.info["goal_distance_m"]
         assert result.reward == pytest.approx(gained - 0.05 * result.info["touching"], abs=1e-9)
         touched.append(result.info["touching"])
@@ -227,10 +229,8 @@ def test_actions_are_clipped_and_invalid_ones_refused():
     one, other = SnakeEnv("GoTo"), SnakeEnv("GoTo")
     one.reset(seed=0)
     other.reset(seed=0)
-    offset, frequency, pressure = one.task.actions
-    ends = np.array([offset.high, frequency.low, pressure.high])
-    assert equal_bits(one.step(np.array([9.0, 0.0, 1e9])), other.step(ends))
-    for action in ([0.0, 1.0], [0.0, np.nan, 45.0], 1.0):
+    assert equal_bits(one.step(np.array([9.0, -1.5, 1e9])), other.step(np.array([1.0, -1.0, 1.0])))
+    for action in ([0.0, 1.0], [0.0, np.nan, 0.5], 1.0):
         with pytest.raises(InputError, match="give 3 finite numbers: offset, frequency_hz, pressure_kpa"):
             one.step(np.array(action))
 
@@ -299,10 +299,49 @@ def test_vector_environment_refuses_invalid_counts_and_shapes():
 
 
 @pytest.mark.slow
-def test_training_script_writes_a_policy_and_its_learning_curve(tmp_path):
-    script = Path(__file__).parents[2] / "examples/train_goto.py"
-    few = "--generations 1 --candidates 4 --goals 1 --out".split()
-    subprocess.run([sys.executable, script, *few, tmp_path], check=True, capture_output=True, timeout=600)
-    assert np.shape(json.loads((tmp_path / "policy.json").read_text())["weights"]) == (3, 3)
-    assert (tmp_path / "curve.csv").read_text().count("\n") == 2
+def test_the_training_script_writes_a_policy_and_its_learning_curve(tmp_path):
+    pytest.importorskip("stable_baselines3")
+    few = ["--steps", "2048", "--seeds", "3", "--out", tmp_path]
+    command = [sys.executable, ROOT / "examples/train_ppo.py", *few]
+    subprocess.run(command, check=True, capture_output=True, timeout=600)
+    act = load_policy(tmp_path / "seed_3/policy.npz").bind(make_task("GoTo"))
+    assert act(SnakeEnv("GoTo").reset(seed=0)[0]).shape == (3,)
+    assert (tmp_path / "seed_3/curve.csv").read_text().startswith("steps,success,duration_s")
     assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_reward_is_the_weighted_sum_of_its_terms():
+    weights = {"time_s": -0.2, "air_j": -0.01, "offset_change": -0.1, "progress_m": 2.0}
+    env = SnakeEnv("GoTo", rewards=weights)
+    _, before = env.reset(seed=3)
+    offset = 0.0
+    for action in ([1.0, 1.0, 1.0], [-1.0, 0.0, 1.0], [-1.0, 1.0, 0.0]):
+        _, reward, _, _, info = env.step(np.array(action))
+        values = {
+            "time_s": 0.1,
+            "air_j": info["air_j"] - before["air_j"],
+            "offset_change": abs(0.4 * action[0] - offset),
+            "progress_m": before["goal_distance_m"] - info["goal_distance_m"],
+        }
+        for name, weight in weights.items():
+            assert info[f"reward_{name}"] == pytest.approx(weight * values[name], abs=1e-9)
+        assert reward == pytest.approx(sum(weights[name] * values[name] for name in weights), abs=1e-9)
+        before, offset = info, 0.4 * action[0]
+    with pytest.raises(InputError, match="unknown reward term 'time'; did you mean time_s"):
+        SnakeEnv("GoTo", rewards={"time": -1.0})
+
+
+def test_selected_observations_equal_those_of_all():
+    every, some = SnakeEnv("GoTo"), SnakeEnv("GoTo", observations=("gait", "goal"))
+    names = [signal.name for signal in every.task.observations]
+    chosen = [signal.name for signal in some.task.observations]
+    assert chosen == ["goal_ahead_m", "goal_left_m", "gait_cos", "gait_sin"]
+    every.reset(seed=4), some.reset(seed=4)
+    for _ in range(3):
+        one, other = every.step(np.ones(3))[0], some.step(np.ones(3))[0]
+        assert equal_bits(one[[names.index(name) for name in chosen]], other)
+    assert some.observation_space.contains(other)
+    with pytest.raises(InputError, match="unknown group of observations 'goals'; did you mean goal"):
+        SnakeEnv("GoTo", observations=("goals",))
+    with pytest.raises(InputError, match="give at least one group of pose, goal"):
+        SnakeEnv("GoTo", observations=())

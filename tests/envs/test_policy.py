@@ -1,0 +1,55 @@
+"""Stored policies: files, observations by name, and hostile input."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from srs_twin.envs import make_task
+from srs_twin.envs.policy import NetworkPolicy, load_policy
+from srs_twin.errors import InputError
+
+RNG = np.random.default_rng(0)
+NAMES = ("goal_left_m", "goal_ahead_m")
+
+
+def network():
+    layers = ((RNG.normal(size=(5, 2)), RNG.normal(size=5)), (RNG.normal(size=(3, 5)), RNG.normal(size=3)))
+    return NetworkPolicy("GoTo", NAMES, layers)
+
+
+def test_a_saved_policy_gives_the_same_actions(tmp_path):
+    policy = network()
+    policy.save(tmp_path / "p.npz")
+    loaded = load_policy(tmp_path / "p.npz")
+    for observation in RNG.normal(size=(20, 2)):
+        assert loaded(observation) == pytest.approx(policy(observation), abs=1e-5)
+        assert (np.abs(loaded(observation)) <= 1).all()
+
+
+def test_a_policy_finds_its_observations_by_name():
+    policy, task = network(), make_task("GoTo")
+    observation = RNG.normal(size=len(task.observations))
+    names = [signal.name for signal in task.observations]
+    expected = policy(observation[[names.index(name) for name in NAMES]])
+    assert (policy.bind(task)(observation) == expected).all()
+    with pytest.raises(InputError, match="has no goal_left_m, goal_ahead_m"):
+        policy.bind(make_task("GoTo", observations=("pose",)))
+    with pytest.raises(InputError, match="is for task GoTo"):
+        policy.bind(make_task("Obstacles"))
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 damaged", b"policy"])
+def test_damaged_files_are_refused(tmp_path, content):
+    (tmp_path / "p.npz").write_bytes(content)
+    with pytest.raises(InputError, match="not a policy file"):
+        load_policy(tmp_path / "p.npz")
+
+
+def test_layers_must_fit_together(tmp_path):
+    policy = network()
+    NetworkPolicy("GoTo", ("x_m", *NAMES), policy.layers).save(tmp_path / "p.npz")
+    with pytest.raises(InputError, match="do not fit together"):
+        load_policy(tmp_path / "p.npz")
+    with pytest.raises(InputError, match=r"gone\.npz"):
+        load_policy(tmp_path / "gone.npz")
