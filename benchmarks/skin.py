@@ -61,11 +61,16 @@ class MasslessCurve:
 
     Args:
         coefficients: friction coefficients forward, backward and transverse.
+        amplitude: largest curvature, radians per body length.
+        waves: number of waves along the curve.
         points: points along the curve.
     """
 
-    def __init__(self, coefficients: tuple[float, float, float], points: int = 801) -> None:
-        self._mu = coefficients
+    def __init__(
+        self, coefficients: tuple[float, float, float], amplitude: float = AMPLITUDE, waves: int = 1,
+        points: int = 801,
+    ) -> None:  # fmt: skip
+        self._mu, self._amplitude, self._waves = coefficients, amplitude, waves
         self._s = np.linspace(0.0, 1.0, points)
 
     def _centred(self, slope: np.ndarray) -> np.ndarray:
@@ -75,38 +80,47 @@ class MasslessCurve:
 
     def _shape(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return tangents, positions and velocities in the frame of the mean position and heading."""
-        phase = 2 * math.pi * (self._s + time)
-        heading = self._centred(AMPLITUDE * np.cos(phase))
-        spin = self._centred(-2 * math.pi * AMPLITUDE * np.sin(phase))
+        phase = 2 * math.pi * (self._waves * self._s + time)
+        heading = self._centred(self._amplitude * np.cos(phase))
+        spin = self._centred(-2 * math.pi * self._amplitude * np.sin(phase))
         tangent = np.stack([np.cos(heading), np.sin(heading)], axis=1)
         turned = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
         return tangent, self._centred(tangent), self._centred(spin[:, None] * turned)
 
-    def _balance(self, motion: np.ndarray, *shape: np.ndarray) -> np.ndarray:
-        """Return force and moment of friction on the curve that moves as a whole with `motion`."""
-        (tangent, place, velocity), (forward, backward, transverse) = shape, self._mu
+    def _friction(
+        self, motion: np.ndarray, tangent: np.ndarray, place: np.ndarray, velocity: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return slip and force of friction per length on the curve that moves as a whole with `motion`."""
+        forward, backward, transverse = self._mu
         slip = velocity + motion[:2] + motion[2] * np.stack([-place[:, 1], place[:, 0]], axis=1)
-        slip /= np.sqrt((slip**2).sum(axis=1) + SMALLEST_SLIP**2)[:, None]
+        direction = slip / np.sqrt((slip**2).sum(axis=1) + SMALLEST_SLIP**2)[:, None]
         normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
-        along, across = (slip * tangent).sum(axis=1), (slip * normal).sum(axis=1)
+        along, across = (direction * tangent).sum(axis=1), (direction * normal).sum(axis=1)
         mu = np.where(along > 0, forward, backward)
-        force = -(mu * along)[:, None] * tangent - (transverse * across)[:, None] * normal
-        moment = place[:, 0] * force[:, 1] - place[:, 1] * force[:, 0]
-        return np.array([*trapezoid(force, self._s, axis=0), trapezoid(moment, self._s)]) / transverse
+        return slip, -(mu * along)[:, None] * tangent - (transverse * across)[:, None] * normal
 
-    def speed(self, times: int = 400) -> float:
-        """Return the distance per period; a curve without inertia needs no period to settle."""
-        motion, pose = np.zeros(3), np.zeros(3)
+    def _balance(self, motion: np.ndarray, *shape: np.ndarray) -> np.ndarray:
+        """Return force and moment of friction, relative to the transverse friction."""
+        place, (_, force) = shape[1], self._friction(motion, *shape)
+        moment = place[:, 0] * force[:, 1] - place[:, 1] * force[:, 0]
+        return np.array([*trapezoid(force, self._s, axis=0), trapezoid(moment, self._s)]) / self._mu[2]
+
+    def period(self, times: int = 400) -> tuple[float, float]:
+        """Return distance and work against friction per period; no period is needed to settle."""
+        motion, pose, work = np.zeros(3), np.zeros(3), 0.0
         for k in range(times):
-            found = root(self._balance, motion, args=self._shape((k + 0.5) / times), tol=1e-12)
+            shape = self._shape((k + 0.5) / times)
+            found = root(self._balance, motion, args=shape, tol=1e-12)
             assert np.abs(found.fun).max() < 1e-7, f"no balance of forces at step {k}: {found.fun}"
             motion = found.x
+            slip, force = self._friction(motion, *shape)
+            work -= trapezoid((slip * force).sum(axis=1), self._s) / times
             heading = pose[2] + motion[2] / times / 2
             c, s = math.cos(heading), math.sin(heading)
             pose += (
                 np.array([c * motion[0] - s * motion[1], s * motion[0] + c * motion[1], motion[2]]) / times
             )
-        return math.hypot(pose[0], pose[1])
+        return math.hypot(pose[0], pose[1]), work
 
 
 def wave_speed(spec: RobotSpec, period: float = PERIOD_S) -> float:
@@ -134,7 +148,7 @@ def theory() -> Iterator[str]:
     yield "| friction | forward, backward, transverse | outside | own solver | model | model/own − 1 |"
     yield "|---|---|---|---|---|---|"
     for name, (*mu, outside) in CASES.items():
-        own, model = MasslessCurve((mu[0], mu[1], mu[2])).speed(), wave_speed(continuous_snake(*mu))
+        own, model = MasslessCurve((mu[0], mu[1], mu[2])).period()[0], wave_speed(continuous_snake(*mu))
         coefficients = ", ".join(f"{value:g}" for value in mu)
         yield f"| {name} | {coefficients} | {outside:g} | {own:.4f} | {model:.4f} | {model / own - 1:+.2%} |"
 

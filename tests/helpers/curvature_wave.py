@@ -1,8 +1,9 @@
-"""Bends of a travelling wave of curvature, prescribed instead of driven by chambers."""
+"""Bends that are prescribed instead of driven by chambers, such as a travelling wave of curvature."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,15 +13,22 @@ from srs_twin.pneumatics.base import OptionalArray
 from srs_twin.robot.file import load_robot
 from srs_twin.robot.spec import Friction, Geometry, Mass, RobotSpec, Skin
 
+Path = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
-class CurvatureWave(Pneumatics):
-    """Bends q_j = ∫ κ ds of segment j for κ = K cos 2π(n s + t/T), with s from the tail in body lengths."""
 
-    kind = "wave"
+class PrescribedBends(Pneumatics):
+    """Bends that follow a given path in time instead of chambers.
+
+    Args:
+        path: function of times, shape (times,); returns bends, rates and accelerations, each of shape
+            (times, segments).
+    """
+
+    kind = "prescribed"
     metered = False
 
-    def __init__(self, spec: RobotSpec, *, amplitude: float, period: float, waves: float = 1.0) -> None:
-        self._amplitude, self._period, self._waves = amplitude, period, waves
+    def __init__(self, spec: RobotSpec, path: Path) -> None:
+        self._path = path
         super().__init__(spec, layout="3/2")
 
     def reset(self) -> None:
@@ -35,15 +43,29 @@ class CurvatureWave(Pneumatics):
         return trace
 
     def _at(self, time: np.ndarray) -> Trace:
-        trace, omega = Trace.empty(len(time), self._segments), 2 * math.pi / self._period
-        wave_number = 2 * math.pi * self._waves
-        ends = wave_number * (1 - np.arange(self._segments + 1) / self._segments) + omega * time[:, None]
-        scale = self._amplitude / wave_number
-        trace.bend[:] = -scale * np.diff(np.sin(ends))
-        trace.bend_rate[:] = -scale * omega * np.diff(np.cos(ends))
-        trace.bend_acceleration[:] = scale * omega**2 * np.diff(np.sin(ends))
+        trace = Trace.empty(len(time), self._segments)
+        trace.bend[:], trace.bend_rate[:], trace.bend_acceleration[:] = self._path(time)
         trace.pressure[:], trace.valves[:], trace.air[:] = 0.0, -1, 0.0
         return trace
+
+
+class CurvatureWave(PrescribedBends):
+    """Bends q_j = ∫ κ ds of segment j for κ = K cos 2π(n s + t/T), with s from the tail in body lengths."""
+
+    def __init__(self, spec: RobotSpec, *, amplitude: float, period: float, waves: float = 1.0) -> None:
+        omega, wave_number = 2 * math.pi / period, 2 * math.pi * waves
+        places = wave_number * (1 - np.arange(spec.segments + 1) / spec.segments)
+        scale = amplitude / wave_number
+
+        def path(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            ends = places + omega * time[:, None]
+            return (
+                -scale * np.diff(np.sin(ends)),
+                -scale * omega * np.diff(np.cos(ends)),
+                scale * omega**2 * np.diff(np.sin(ends)),
+            )
+
+        super().__init__(spec, path)
 
 
 def continuous_snake(

@@ -95,16 +95,16 @@ class Cells(Undivided):
     def split(self, bend: np.ndarray) -> np.ndarray:
         """See `Undivided.split`."""
         cells = bend[..., None] * self._share
-        return cells.reshape(*bend.shape[:-1], -1)
+        return cells.reshape(*bend.shape[:-1], bend.shape[-1] * len(self._share))
 
     def total(self, bend: np.ndarray) -> np.ndarray:
         """See `Undivided.total`."""
-        total: np.ndarray = bend.reshape(*bend.shape[:-1], self._segments, -1).sum(axis=-1)
+        total: np.ndarray = bend.reshape(*bend.shape[:-1], self._segments, len(self._share)).sum(axis=-1)
         return total
 
     def moments(self, torque: np.ndarray) -> np.ndarray:
         """See `Undivided.moments`."""
-        return torque.reshape(*torque.shape[:-1], self._segments, -1) @ self._share
+        return torque.reshape(*torque.shape[:-1], self._segments, len(self._share)) @ self._share
 
     def lead(self, bend: np.ndarray) -> float:
         """See `Undivided.lead`."""
