@@ -29,9 +29,8 @@ from scipy.stats import beta
 
 from srs_twin import Gait, RobotSpec, load_robot, rollout
 from srs_twin.errors import InputError
-from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion
+from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion, measured_length
 from srs_twin.identification.parameters import with_values
-from srs_twin.identification.recorded_runs import measured_length
 from srs_twin.recordings.recording import read_motion
 
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))

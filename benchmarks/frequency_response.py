@@ -20,8 +20,7 @@ from matplotlib.figure import Figure
 
 from srs_twin.studies.sweep.execution import local, open_sweep
 from srs_twin.studies.sweep.loading import load_sweep
-from srs_twin.viewing.plots.picture_file import save
-from srs_twin.viewing.plots.style import finish
+from srs_twin.viewing.plots.style import finish, save
 
 FREQUENCY = "controller.reference.frequency_hz"
 CONTROLLERS = {"direct": "#0072B2", "iterative": "#D55E00"}

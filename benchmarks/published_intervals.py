@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from srs_twin.scenario.interval_verdict import interval_verdict
+from srs_twin.scenario.expectation import interval_verdict
 
 FOLDER = Path(__file__).parents[1] / "calibration/intervals"
 SCATTER = 0.01

@@ -35,8 +35,8 @@ from srs_twin.robot.file import load_robot
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import rollout
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from helpers.curvature_wave import CurvatureWave, continuous_snake  # noqa: E402
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests/helpers"))
+from curvature_wave import CurvatureWave, continuous_snake  # noqa: E402
 
 AMPLITUDE = 7.0
 """K, in radians per body length."""

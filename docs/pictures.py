@@ -23,10 +23,10 @@ from srs_twin.experiment import RunResult, run_scenario
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.execution import local, open_sweep
 from srs_twin.studies.sweep.loading import load_sweep
-from srs_twin.viewing.mujoco.strobe import write_strobe
+from srs_twin.viewing.mujoco.render import write_strobe
 from srs_twin.viewing.plots.runs import attribution_plot
 from srs_twin.viewing.plots.style import STYLES
-from srs_twin.viewing.rerun.web import serve_recordings
+from srs_twin.viewing.rerun.viewer import serve_recordings
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import browser  # noqa: E402

@@ -13,7 +13,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.extensions import PAGES, load
-from srs_twin.io.parquet import read_table
+from srs_twin.io.untrusted import read_table
 
 _COLUMNS_OF_UNIT = {
     "s": "time",

@@ -16,7 +16,7 @@ from hypothesis.extra import numpy as npst
 from synthetic import Snake
 
 from srs_twin.errors import InputError
-from srs_twin.io import parquet
+from srs_twin.io import untrusted
 from srs_twin.trajectory import Event, Trajectory
 
 pytestmark = pytest.mark.fast
@@ -163,7 +163,7 @@ def test_other_parquet_file_is_rejected_before_its_data_are_read(
 ):
     """A kilobyte of text unpacks to a gigabyte."""
     pq.write_table(pa.table(columns).replace_schema_metadata(metadata), tmp_path / "a.parquet")
-    monkeypatch.setattr(parquet, "_read", None)
+    monkeypatch.setattr(untrusted, "_read", None)
     with pytest.raises(InputError, match=message):
         Trajectory.from_parquet(tmp_path / "a.parquet")
 

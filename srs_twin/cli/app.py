@@ -13,7 +13,7 @@ from srs_twin.cli import models, new
 from srs_twin.cli.catalogue import list_, schema, show
 from srs_twin.cli.console import DEBUG
 from srs_twin.cli.diff import diff
-from srs_twin.cli.doctor.command import doctor
+from srs_twin.cli.doctor import doctor
 from srs_twin.cli.options import expand_option_groups, option
 from srs_twin.cli.render import render
 from srs_twin.cli.run import compare, run

@@ -1,13 +1,15 @@
-"""Output of commands: messages on stderr, tables on stdout."""
+"""Output of commands: messages and progress on stderr, tables on stdout."""
 
 from __future__ import annotations
 
 import os
 import sys
+import time
 import traceback
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from srs_twin.io.files import escape_unprintable
 
@@ -73,3 +75,161 @@ def show_traceback(error: Exception) -> None:
     """Print the traceback of an error on stderr if `DEBUG` is set."""
     if os.environ.get(DEBUG, "0") not in ("", "0"):
         say("".join(traceback.format_exception(error)).rstrip())
+
+
+DISPLAY_DELAY_S = 2.0
+"""Shortest duration after which progress is displayed, s."""
+
+LINE_INTERVAL_S = 10.0
+"""Interval between two lines, s."""
+
+
+class Display(ABC):
+    """Context manager that displays the progress of a task.
+
+    Attributes:
+        title: name of the task.
+        first_line_s: earliest time of the first line, s.
+    """
+
+    first_line_s = LINE_INTERVAL_S
+
+    def __init__(self, title: str, *, quiet: bool = False) -> None:
+        self.title, self._quiet = title, quiet
+        self._start, self._next_line = time.monotonic(), self.first_line_s
+        self._progress: Any = None
+        self._bars: dict[str, Any] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._progress is not None:
+            self._progress.stop()
+
+    def _elapsed(self) -> float:
+        """Return the time since the start, s."""
+        return time.monotonic() - self._start
+
+    def _show(self, *, now: bool = False) -> None:
+        """Update the bar, or print a line if one is due or wanted `now`."""
+        elapsed = self._elapsed()
+        if self._quiet or (elapsed < DISPLAY_DELAY_S and not now):
+            return
+        if sys.stderr.isatty():
+            self._draw()
+        elif elapsed >= self._next_line or now:
+            self._next_line = elapsed + LINE_INTERVAL_S
+            say(self._line())
+
+    @abstractmethod
+    def _line(self) -> str:
+        """Return the progress as text."""
+
+    @abstractmethod
+    def _bar(self) -> tuple[str, float | None, str]:
+        """Return the title, the completed fraction (0 to 1; None: unknown) and the status text of a bar."""
+
+    def _draw(self) -> None:
+        """Draw the bar; rich is imported only here because its import takes as long as a short run."""
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+        if self._progress is None:
+            title_column = TextColumn("{task.description}", markup=False)
+            status_column = TextColumn("{task.fields[status]}", markup=False)
+            columns = (title_column, BarColumn(), status_column, TimeRemainingColumn())
+            self._progress = Progress(*columns, console=Console(stderr=True), transient=True)
+            self._progress.start()
+        title, fraction, status = self._bar()
+        if title not in self._bars:
+            total = None if fraction is None else 1.0
+            self._bars[title] = self._progress.add_task(title, total=total, status=status)
+        self._progress.update(self._bars[title], completed=fraction, status=status)
+
+
+class RunCounter(Display):
+    """Progress of a number of runs; called once per completed run.
+
+    Attributes:
+        total: number of runs.
+    """
+
+    def __init__(
+        self, title: str, total: int, *, quiet: bool = False, status: Callable[[], str] = str
+    ) -> None:
+        """Create a counter; `status` returns additional text for each update."""
+        super().__init__(title, quiet=quiet)
+        self.total, self._status = total, status
+        self._done = self._failed = 0
+        self._first_done_s = 0.0
+
+    def __call__(self, *, failed: bool) -> None:
+        """Count a completed run."""
+        if not self._done:
+            self._first_done_s = self._elapsed()
+        self._done += 1
+        self._failed += failed
+        self._show()
+
+    @contextmanager
+    def hidden(self) -> Iterator[None]:
+        """Hide the bar while the block prints to the terminal."""
+        if self._progress is not None:
+            self._progress.stop()
+        yield
+        if self._progress is not None:
+            self._progress.start()
+
+    def _rate(self) -> float:
+        """Return the runs per second; after two complete runs, without the start-up time of the workers."""
+        if self._done < 2:
+            return self._done / max(self._elapsed(), 1e-3)
+        return (self._done - 1) / max(self._elapsed() - self._first_done_s, 1e-3)
+
+    def _rate_text(self) -> str:
+        failed = f", {self._failed} failed" if self._failed else ""
+        status = f", {text}" if (text := self._status()) else ""
+        return f"{failed}, {self._rate():.3g}/s{status}"
+
+    def _line(self) -> str:
+        remaining_s = max(self.total - self._done, 0) / self._rate()
+        return f"{self.title}: {self._done} of {self.total}{self._rate_text()}, {remaining_s:.0f} s left"
+
+    def _bar(self) -> tuple[str, float, str]:
+        return self.title, self._done / self.total, f"{self._done}/{self.total}{self._rate_text()}"
+
+
+class ScenarioProgress(Display):
+    """Progress of one scenario, as a callback for `PreparedRun.execute`."""
+
+    first_line_s = 0.0
+
+    def __init__(self, title: str, *, quiet: bool = False) -> None:
+        super().__init__(title, quiet=quiet)
+        self._stage, self._fraction = "", 0.0
+        self._remaining_s: float | None = None
+
+    def __enter__(self) -> Self:
+        from srs_twin.compute.compiled import notify_first_compilation
+
+        text = f"{self.title}: compiling the kernels for this machine (only once, about 30 s)"
+        notify_first_compilation(lambda: say(text, quiet=self._quiet))
+        return super().__enter__()
+
+    def __call__(self, stage: str, fraction: float, remaining_s: float | None = None) -> None:
+        """Update the completed fraction of a stage, 0 to 1; show a stage that is estimated to be long."""
+        is_new, self._stage = stage != self._stage, stage
+        self._fraction, self._remaining_s = fraction, remaining_s
+        is_long = is_new and (remaining_s or 0.0) >= DISPLAY_DELAY_S
+        self._show(now=is_long)
+
+    def _status(self) -> str:
+        left = "" if self._remaining_s is None else f", about {self._remaining_s:.0f} s left"
+        return f"{self._fraction:.0%}{left}"
+
+    def _line(self) -> str:
+        return f"{self.title}: {self._stage} {self._status()}"
+
+    def _bar(self) -> tuple[str, float, str]:
+        return f"{self.title}: {self._stage}", self._fraction, self._status()

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from srs_twin.cli.console import ScenarioProgress
 from srs_twin.cli.options import QuietOption, argument, option
-from srs_twin.cli.progress import ScenarioProgress
 from srs_twin.errors import InputError
 from srs_twin.io.files import display_path, escape_unprintable
 
@@ -135,8 +135,7 @@ def _writer(
     video: str | None, image: str | None, size: Size, fps: int, speed: float
 ) -> tuple[str, Callable[..., object]]:
     """Return the suffix that follows the run in a file name, and the function that writes the file."""
-    from srs_twin.viewing.mujoco.render import write_image, write_video
-    from srs_twin.viewing.mujoco.strobe import write_strobe
+    from srs_twin.viewing.mujoco.render import write_image, write_strobe, write_video
 
     if video is not None:
         return VIDEO_SUFFIX, partial(write_video, size=size, fps=fps, speed=speed)

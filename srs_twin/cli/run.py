@@ -1,10 +1,22 @@
-"""`srs-twin run` and `compare`: execution of scenarios, and comparison of the two plants."""
+"""`srs-twin run` and `compare`: execution of scenarios, in this process or in worker processes."""
 
 from __future__ import annotations
 
-from typing import Annotated
+import os
+import shlex
+import time
+from collections import Counter
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
-from srs_twin.cli.batch import failing_verdicts, make_cases, run_all
+import typer
+
+from srs_twin.cli.cases import Case, CaseResult
+from srs_twin.cli.console import RunCounter, ScenarioProgress, interruptible, say, show_traceback
 from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,
@@ -18,7 +30,248 @@ from srs_twin.cli.options import (
     argument,
     option,
     parse_plants,
+    print_json,
 )
+from srs_twin.errors import InputError, SrsError
+
+if TYPE_CHECKING:
+    from srs_twin.io.documents import Override
+    from srs_twin.scenario.scenario import Scenario
+
+RUNS_FOLDER = Path("runs")
+
+
+def run_case(
+    task: tuple[Scenario, Path],
+    progress: Callable[[str, float], None] | None = None,
+    *,
+    plants: Sequence[str] | None = None,
+    explain: bool = False,
+) -> CaseResult:
+    """Run a scenario, in this process or in a worker process.
+
+    Args:
+        task: scenario and output folder.
+        progress: callback of `PreparedRun.execute`.
+        plants: plants to run; default: those of the scenario.
+        explain: add the attribution of the difference.
+    """
+    from srs_twin.experiment import prepare
+
+    start = time.perf_counter()
+    options: dict[str, Any] = {}
+    if explain:
+        from srs_twin.attribution import explain as explain_difference
+
+        options["explain"] = explain_difference
+    elif plants is not None and len(plants) > 1:
+        from srs_twin.attribution import main_cause
+
+        options["main_cause"] = main_cause
+    scenario, folder = task
+    try:
+        result = prepare(scenario, folder, plants=plants).execute(progress, **options)
+    except InputError as error:
+        return CaseResult(None, (error,), time.perf_counter() - start)
+    errors = (*result.diverged, *result.failed_attributions)
+    for failure in errors:
+        # Drop the trajectories: they are in files, and a worker process should not send them as well.
+        failure.trajectory = failure.history = None
+    result = replace(result, trajectories={}, diverged=(), failed_attributions=())
+    return CaseResult(result, errors, time.perf_counter() - start)
+
+
+def failing_verdicts(*, check: bool, strict: bool) -> frozenset[str]:
+    """Return the states of expectations (`scenario.expectation.verdict`) that set the exit code to 1."""
+    return frozenset({"missed", "known", "holds", "not_judged"} if strict else {"missed"} if check else ())
+
+
+def run_all(
+    cases: Sequence[Case],
+    *,
+    out: str | None,
+    fails: frozenset[str],
+    quiet: bool,
+    jobs: int | None = None,
+    junit: str | None = None,
+    plants: Sequence[str] | None = None,
+    explain: bool = False,
+    changes: Sequence[Override] = (),
+    as_json: bool = False,
+) -> None:
+    """Check all scenarios, then run the valid ones; exit with the highest exit code.
+
+    Results are printed in the order of the scenarios.
+
+    Args:
+        cases: scenarios, loaded or not.
+        out: output folder; several scenarios get one subfolder each.
+        fails: states of expectations that set the exit code, see `failing_verdicts`.
+        quiet: print errors only.
+        jobs: number of worker processes; 1: run sequentially in this process; default: one per processor.
+        junit: file for the results of scenarios and expectations as JUnit XML.
+        plants: plants to run; default: those of each scenario.
+        explain: add the attribution of the difference between the plants.
+        changes: overridden fields of each scenario.
+        as_json: print one document with the results: `metrics.json` of a single scenario, `{"runs": […]}` for
+            several; `{"scenario", "errors"}` for a scenario that failed.
+
+    Raises:
+        InputError: the JUnit file or the output folder cannot be written; nothing was simulated.
+        typer.Exit: the exit code differs from 0.
+    """
+    from srs_twin.cli.junit import report_path, write_junit
+
+    def completed() -> str:
+        folders = [str(case.folder) for case in cases if case.result and case.result.metrics]
+        return f"complete runs: {', '.join(folders) or 'none'}"
+
+    with ExitStack() as stack, interruptible(completed):
+        if junit is not None:
+            write = partial(write_junit, report_path(junit), cases, fails)
+            # A first write reports an unusable path early and replaces the report of an earlier run.
+            write()
+            stack.callback(write)
+        valid = _load(cases, out, quiet, changes, plants)
+        with closing(_run(valid, partial(run_case, plants=plants, explain=explain), jobs, quiet)) as runs:
+            for case in runs:
+                _report(case, fails=fails, quiet=quiet, as_json=as_json, changes=changes)
+    if as_json:
+        documents = [case.document() for case in cases]
+        print_json(documents[0] if len(documents) == 1 else {"runs": documents})
+    if fails and not quiet:
+        from srs_twin.scenario.expectation import tally
+
+        results = [case.result for case in valid if case.result]
+        verdicts = sum((result.verdicts for result in results), Counter())
+        left_out = sum(len(result.metrics.get("left_out", ())) for result in results)
+        say(f"expectations: {tally(verdicts)}{f', {left_out} left out' if left_out else ''}")
+    if code := max((case.result.exit_code(fails) for case in cases if case.result), default=0):
+        raise typer.Exit(code)
+
+
+def make_cases(names: Sequence[str]) -> list[Case]:
+    """Return one case per scenario, for shipped names, files, and the files of folders in sorted order."""
+    from srs_twin.io.files import shipped_names
+
+    sources: list[str] = []
+    for name in names:
+        # A shipped scenario takes precedence over a folder of the same name. For names that are too long,
+        # `isdir` returns False, whereas `glob` raises an error.
+        is_folder = name not in shipped_names("scenario") and os.path.isdir(name)
+        files = sorted(map(str, Path(name).glob("*.yaml"))) if is_folder else []
+        sources += files or [name]
+    return [Case(source) for source in dict.fromkeys(sources)]
+
+
+def _load(
+    cases: Sequence[Case],
+    out: str | None,
+    quiet: bool,
+    changes: Sequence[Override],
+    plants: Sequence[str] | None,
+) -> list[Case]:
+    """Load and check all scenarios; print the errors of invalid ones, return the valid ones."""
+    from srs_twin.experiment import check_run
+    from srs_twin.io.files import check_output_folder
+    from srs_twin.scenario.loading import load_scenario
+
+    base = Path(out) if out else RUNS_FOLDER
+    folders: set[Path] = set()
+    for case in cases:
+        with _record_input_errors(case):
+            scenario = case.scenario or load_scenario(case.source, set=changes)
+            case.scenario = scenario = scenario.run_on(plants)
+            case.folder = base if out and len(cases) == 1 else base / scenario.name
+            if case.folder in folders:
+                raise InputError(
+                    f"{case.source}: another scenario is named '{scenario.name}' and uses {case.folder} too"
+                )
+            folders.add(case.folder)
+    valid = [case for case in cases if case.result is None]
+    if len(valid) > 1:
+        # Report a folder that cannot be written once, not once per scenario.
+        check_output_folder(base)
+    for case in valid:
+        with _record_input_errors(case):
+            assert case.scenario is not None
+            check_run(case.scenario, case.folder)
+    valid = [case for case in valid if case.result is None]
+    for case in valid:
+        assert case.scenario is not None
+        say(*(f"warning: {warning}" for warning in case.scenario.warnings), quiet=quiet)
+    return valid
+
+
+@contextmanager
+def _record_input_errors(case: Case) -> Iterator[None]:
+    """Print an input error and record it as the result of the case."""
+    try:
+        yield
+    except InputError as error:
+        say(str(error))
+        case.result = CaseResult(None, (error,))
+
+
+def _run(
+    cases: Sequence[Case], function: Callable[..., CaseResult], jobs: int | None, quiet: bool
+) -> Generator[Case, None, None]:
+    """Run cases in this process or in workers; yield a case when it and all previous ones are complete."""
+    from srs_twin.compute.workers import processor_count, run_tasks
+
+    workers = min(jobs or processor_count(), len(cases))
+    tasks = [(case.scenario, case.folder) for case in cases]
+    if workers <= 1:
+        for case, task in zip(cases, tasks, strict=True):
+            with ScenarioProgress(case.name, quiet=quiet) as progress:
+                case.result = function(task, progress)
+            yield case
+        return
+    yielded = 0
+    with (
+        RunCounter("scenarios", len(cases), quiet=quiet) as counter,
+        closing(run_tasks(function, tasks, workers=workers)) as results,
+    ):
+        for done in results:
+            case = cases[done.number]
+            case.result = done.result or CaseResult(None, (_add_name(case, done.error),))
+            counter(failed=bool(case.result.errors))
+            with counter.hidden():
+                while yielded < len(cases) and cases[yielded].result is not None:
+                    yield cases[yielded]
+                    yielded += 1
+
+
+def _add_name(case: Case, error: Exception | None) -> SrsError:
+    """Return the error with the name of the scenario in its message."""
+    assert isinstance(error, SrsError)
+    error.args = (f"{case.name}: {error}",)
+    return error
+
+
+def _report(
+    case: Case, *, fails: frozenset[str], quiet: bool, as_json: bool, changes: Sequence[Override]
+) -> None:
+    """Print the results and errors of a case."""
+    from srs_twin.cli.table import expectation_lines, needs_explanation, show
+
+    result = case.result
+    assert result is not None, "the case is complete"
+    if result.run is not None and result.metrics:
+        if not quiet:
+            if not as_json:
+                show(result.run)
+            say(f"files in {case.folder}; `srs-twin view {case.folder}` shows the run")
+            if needs_explanation(result.metrics):
+                overrides = (word for change in changes for word in change.label.split(" ", 1))
+                arguments = shlex.join([case.source, *overrides])
+                say(f"to attribute the difference: `srs-twin compare {arguments} --explain`")
+        elif fails and not as_json:
+            for line in expectation_lines(result.metrics, fails | {"holds", "not_judged"}):
+                say(line)
+    for error in result.errors:
+        show_traceback(error)
+        say(str(error))
 
 
 def compare(

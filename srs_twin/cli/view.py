@@ -54,7 +54,7 @@ def view(
 
 def _serve(recording: Path, port: int) -> None:
     """Serve a recording until an interrupt, which is the normal end."""
-    from srs_twin.viewing.rerun.web import serve_recordings
+    from srs_twin.viewing.rerun.viewer import serve_recordings
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:

@@ -19,8 +19,7 @@ from pydantic import Field
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.files import display_path, require_file
-from srs_twin.io.json_files import parse_json, read_json
-from srs_twin.io.parquet import read_table
+from srs_twin.io.untrusted import parse_json, read_json, read_table
 from srs_twin.io.validation import StrictModel, load_model
 
 REL = 1e-6

@@ -21,9 +21,8 @@ from srs_twin.comparison.learning import (
     is_learning,
     learning_metrics,
 )
-from srs_twin.comparison.reading import READING_UNITS, reading_metrics
 from srs_twin.comparison.sampling import body_length, check_columns, units_of
-from srs_twin.comparison.tracking import TRACKING_UNITS, tracking_metrics
+from srs_twin.comparison.tracking import READING_UNITS, TRACKING_UNITS, reading_metrics, tracking_metrics
 from srs_twin.trajectory import Trajectory
 
 RELATIVE = set(

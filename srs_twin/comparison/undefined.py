@@ -18,8 +18,7 @@ from srs_twin.comparison.gait import GaitWindow
 from srs_twin.comparison.group import metric_groups
 from srs_twin.comparison.learning import LAST_PERIODS, LEARNING_UNITS, is_learning
 from srs_twin.comparison.metrics import MEASURED_UNITS
-from srs_twin.comparison.reading import READING_UNITS, ReadingCurve
-from srs_twin.comparison.tracking import TRACKING_UNITS
+from srs_twin.comparison.tracking import READING_UNITS, TRACKING_UNITS, ReadingCurve
 from srs_twin.trajectory import Trajectory
 
 _ENERGY = {

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli.console import console, interruptible, new_table, say
+from srs_twin.cli.console import RunCounter, console, interruptible, new_table, say
 from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,
@@ -28,7 +28,6 @@ from srs_twin.cli.options import (
     parse_plants,
     print_json,
 )
-from srs_twin.cli.progress import RunCounter
 from srs_twin.errors import InputError
 from srs_twin.identification.fitting import (
     NOTHING_WRITTEN,
@@ -270,9 +269,8 @@ def locomotion(
         starts: Number of searches. [default: 3; 1 with the twin's shapes]
     """
     output = FitOutput.from_options(context, "locomotion", robot, fit)
-    from srs_twin.identification.locomotion import PlantModel, fit_locomotion
+    from srs_twin.identification.locomotion import PlantModel, fit_locomotion, gait_run, measured_length
     from srs_twin.identification.parameters import with_values
-    from srs_twin.identification.recorded_runs import gait_run, measured_length
     from srs_twin.recordings.takes import starts_at_rest
     from srs_twin.robot.file import load_robot
 

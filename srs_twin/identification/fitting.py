@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from srs_twin.cli.console import console, interruptible, new_table, say
+from srs_twin.cli.console import Display, console, interruptible, new_table, say
 from srs_twin.cli.options import print_json
-from srs_twin.cli.progress import Display
 from srs_twin.errors import InputError
 from srs_twin.identification.options import FITS, FitOptions
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from srs_twin.cli.batch import RUNS_FOLDER, failing_verdicts, run_all
 from srs_twin.cli.cases import Case
 from srs_twin.cli.console import say
 from srs_twin.cli.options import (
@@ -23,6 +22,7 @@ from srs_twin.cli.options import (
     option,
     parse_plants,
 )
+from srs_twin.cli.run import RUNS_FOLDER, failing_verdicts, run_all
 from srs_twin.errors import InputError
 from srs_twin.recordings.options import FrequencyOption, OffsetOption, ReadingOptions
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from srs_twin.cli.batch import RUNS_FOLDER
 from srs_twin.cli.cases import EXPECTATION_FAILED
 from srs_twin.cli.console import say
 from srs_twin.cli.options import (
@@ -22,6 +21,7 @@ from srs_twin.cli.options import (
     ScenarioArgument,
     option,
 )
+from srs_twin.cli.run import RUNS_FOLDER
 from srs_twin.errors import InputError
 from srs_twin.io.files import display_path
 

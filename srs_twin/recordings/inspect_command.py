@@ -69,7 +69,7 @@ def inspect(
             print(escape_unprintable(in_words(facts), keep="\n"))
         if picture is not None and scene is not None:
             from srs_twin.recordings.pictures import markers_view
-            from srs_twin.viewing.plots.picture_file import save
+            from srs_twin.viewing.plots.style import save
 
             place = Path(picture)
             place = place if len(files) == 1 else place.with_name(f"{Path(path).stem}_{place.name}")

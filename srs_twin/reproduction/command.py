@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from srs_twin.cli.console import interruptible, say
+from srs_twin.cli.console import RunCounter, interruptible, say
 from srs_twin.cli.junit import TestCase, write_report
 from srs_twin.cli.options import JobsOption, JsonOption, QuietOption, option
-from srs_twin.cli.progress import RunCounter
 
 if TYPE_CHECKING:
     from srs_twin.reproduction.claims import Claim
@@ -94,8 +93,8 @@ def _print_scorecard(*, as_json: bool) -> None:
     from srs_twin.cli.options import print_json
     from srs_twin.identification.fitting import print_table
     from srs_twin.reproduction.claims import load_claims
-    from srs_twin.reproduction.scorecard import FACTORS, UNVALIDATED
-    from srs_twin.reproduction.scorecard import scorecard as grade_capabilities
+    from srs_twin.reproduction.report import FACTORS, UNVALIDATED
+    from srs_twin.reproduction.report import scorecard as grade_capabilities
     from srs_twin.reproduction.verdicts import load_baseline
 
     grades = grade_capabilities(load_claims(), load_baseline())

@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, PlainSerializer, SerializationInfo, TypeAd
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import data_root, display_path, write_text
-from srs_twin.io.json_files import read_json
+from srs_twin.io.untrusted import read_json
 from srs_twin.reproduction.claims import TRACES, Cause, Claim, Measure
 from srs_twin.reproduction.runs import ProgressFactory, ReproductionJob, RunStore
 from srs_twin.scenario.provenance import versions

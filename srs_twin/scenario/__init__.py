@@ -8,6 +8,6 @@ __getattr__ = lazy(
         "Scenario": "srs_twin.scenario.scenario:Scenario",
         "load_scenario": "srs_twin.scenario.loading:load_scenario",
         "parse_scenario": "srs_twin.scenario.loading:parse_scenario",
-        "scenario_json_schema": "srs_twin.scenario.schema:scenario_json_schema",
+        "scenario_json_schema": "srs_twin.scenario.loading:scenario_json_schema",
     }
 )

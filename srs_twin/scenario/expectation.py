@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from enum import Enum
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -18,7 +19,6 @@ from srs_twin.comparison.undefined import Undefined
 from srs_twin.errors import UnknownNameError
 from srs_twin.robot.sourced import split_unit
 from srs_twin.scenario.fields import Section, quantity
-from srs_twin.scenario.interval_verdict import UNDECIDED_ERRORS, IntervalVerdict, interval_verdict
 
 COMPARISON = "comparison"
 """Subject of expectations of the comparison of both plants."""
@@ -329,3 +329,32 @@ def tally(verdicts: Mapping[str, int]) -> str:
     """Return how many expectations have each verdict, as text."""
     counted = [f"{verdicts[name]} {text}" for name, text in _TALLY.items() if verdicts.get(name)]
     return ", ".join(counted) or "none"
+
+
+UNDECIDED_ERRORS = 2.0
+"""Distance from an end, in standard errors of the end, below which the verdict is undecided (95 %)."""
+
+
+class IntervalVerdict(Enum):
+    """Position of a published value relative to an interval."""
+
+    WITHIN = "within"
+    UNDECIDED = "undecided"
+    OUTSIDE = "outside"
+
+
+def interval_verdict(
+    published: float, interval: Sequence[float], errors: Sequence[float] | None = None
+) -> IntervalVerdict:
+    """Return the verdict on a published value.
+
+    Args:
+        published: the value.
+        interval: lower and upper end.
+        errors: standard errors of the ends; None: the ends are exact.
+    """
+    low, high = interval
+    for end, error in zip(interval, errors or (0.0, 0.0), strict=True):
+        if abs(published - end) < UNDECIDED_ERRORS * error:
+            return IntervalVerdict.UNDECIDED
+    return IntervalVerdict.WITHIN if low <= published <= high else IntervalVerdict.OUTSIDE

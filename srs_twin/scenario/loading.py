@@ -1,4 +1,4 @@
-"""Loading of scenario files; all problems of a file are reported together.
+"""Loading of scenario files, and their JSON Schema; all problems of a file are reported together.
 
 The file is validated twice. The first validation checks what the user wrote. The second validation reads the
 resolved document, with all defaults and the robot written out. It ensures that a run can be repeated from its
@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -199,8 +199,6 @@ def _check_field(change: Override) -> None:
         raise InputError(f"{change.label}: this list is written by srs_twin; set the fields themselves")
     sections = {*RobotFile.model_fields, "base"}
     if first not in ScenarioFile.model_fields or (first == "robot" and more and more[0] not in sections):
-        from srs_twin.scenario.schema import field_paths
-
         path = format_path(change.loc)
         close = did_you_mean(path, field_paths()) or "; `srs-twin show SCENARIO` prints all fields"
         raise InputError(f"{change.label}: there is no field {path}{close}")
@@ -267,3 +265,68 @@ def _robot(document: Document) -> tuple[RobotFile | None, tuple[str, ...]]:
         return resolve_robot(document, robot, prefix=("robot",)), ()
     except InputFileError as error:
         return None, error.lines
+
+
+def scenario_json_schema() -> dict[str, Any]:
+    """Return a schema (draft 2020-12) with title, description, unit and range of every key."""
+    schema = ScenarioFile.model_json_schema()
+    robot_schema = RobotFile.model_json_schema()
+    # Use numbered names, because the generated names of records contain their bounds and are long.
+    names = {
+        name: f"Robot{i}_{name.partition('_')[0]}" for i, name in enumerate(robot_schema["$defs"], start=1)
+    }
+    text = json.dumps(robot_schema)
+    for name, short in names.items():
+        text = text.replace(f'"#/$defs/{name}"', f'"#/$defs/{short}"')
+    robot = json.loads(text)
+    definitions = {names[name]: part for name, part in robot.pop("$defs").items()}
+    either = [{"type": "string"}, _override(robot, definitions), robot]
+    schema["properties"]["robot"] |= {"title": "Robot", "anyOf": either}
+    schema["$defs"] |= definitions
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema
+
+
+def field_paths() -> list[str]:
+    """Return the dotted paths of all fields of a scenario; the items of a list have none."""
+    schema = scenario_json_schema()
+
+    def walk(node: dict[str, Any], path: str, depth: int) -> Iterator[str]:
+        while "$ref" in node:
+            node = schema["$defs"][node["$ref"].rsplit("/", 1)[1]]
+        properties = node.get("properties", {})
+        if path and not properties:
+            yield path
+        for key, child in properties.items() if depth else ():
+            yield from walk(child, f"{path}.{key}".lstrip("."), depth - 1)
+        for option in (*node.get("anyOf", ()), *node.get("oneOf", ())):
+            yield from walk(option, path, depth)
+
+    return list(dict.fromkeys(walk(schema, "", 3)))
+
+
+def _override(robot: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of {base: …}, where a field is a plain number or a whole record."""
+
+    def reference(node: dict[str, Any]) -> str | None:
+        return next((n["$ref"] for n in (node, *node.get("anyOf", ())) if "$ref" in n), None)
+
+    def definition(node: dict[str, Any]) -> dict[str, Any] | None:
+        name = reference(node)
+        return None if name is None else definitions[name.rsplit("/", 1)[1]]
+
+    def field(node: dict[str, Any]) -> dict[str, Any]:
+        record = definition(node)
+        if record is None:
+            return node
+        plain = {k: v for k, v in record["properties"]["value"].items() if k not in ("title", "description")}
+        return {"description": node["description"], "anyOf": [plain, {"$ref": reference(node)}]}
+
+    properties: dict[str, Any] = {"base": {"type": "string", "description": "Name or path of the robot."}}
+    for name, node in robot["properties"].items():
+        section = definition(node)
+        if section is None:
+            properties[name] = node
+            continue
+        fields = {key: field(child) for key, child in section["properties"].items()}
+        properties[name] = {"type": "object", "properties": fields, "additionalProperties": False}
+    return {"type": "object", "properties": properties, "required": ["base"], "additionalProperties": False}

@@ -18,7 +18,7 @@ from subsets import first_by_default
 
 from srs_twin.cli import main
 from srs_twin.cli.app import command
-from srs_twin.cli.progress import ScenarioProgress
+from srs_twin.cli.console import ScenarioProgress
 from srs_twin.cli.table import needs_explanation, rows
 from srs_twin.cli.view import find_recording
 from srs_twin.compute.workers import TaskResult
@@ -404,7 +404,7 @@ def test_quiet_leaves_stdout_and_stderr_empty(start):
 
 def test_progress_starts_after_two_seconds(monkeypatch, capsys):
     now = [100.0]
-    monkeypatch.setattr("srs_twin.cli.progress.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("srs_twin.cli.console.time.monotonic", lambda: now[0])
     with ScenarioProgress("gen2") as progress:
         for second in range(30):
             now[0] = 100.0 + second
@@ -418,7 +418,7 @@ def test_progress_starts_after_two_seconds(monkeypatch, capsys):
 
 def test_long_stage_is_announced_at_once_with_its_estimated_time(monkeypatch, capsys):
     now = [100.0]
-    monkeypatch.setattr("srs_twin.cli.progress.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("srs_twin.cli.console.time.monotonic", lambda: now[0])
     with ScenarioProgress("gen2") as progress:
         progress("attribution", 0.0, 12.3)
         now[0] += 3

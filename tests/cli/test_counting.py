@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from srs_twin.cli import progress
-from srs_twin.cli.progress import RunCounter
+from srs_twin.cli import console
+from srs_twin.cli.console import RunCounter
 from srs_twin.identification.fitting import FitProgress
 
 pytestmark = pytest.mark.fast
@@ -25,7 +25,7 @@ def clock(monkeypatch):
             return self.now
 
     clock = Clock()
-    monkeypatch.setattr(progress, "time", clock)
+    monkeypatch.setattr(console, "time", clock)
     return clock
 
 

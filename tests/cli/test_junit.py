@@ -20,8 +20,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from srs_twin.cli import main
-from srs_twin.cli.batch import Case, CaseResult, failing_verdicts
 from srs_twin.cli.junit import report_path, write_junit
+from srs_twin.cli.run import Case, CaseResult, failing_verdicts
 from srs_twin.comparison.undefined import Undefined
 from srs_twin.errors import DivergedError, InputError, WorkerDiedError
 from srs_twin.experiment import RunResult

@@ -27,8 +27,7 @@ from srs_twin.comparison.compare import compare
 from srs_twin.errors import InputError
 from srs_twin.viewing.plots.style import STYLES
 from srs_twin.viewing.rerun.recording import write_recording, write_side_by_side
-from srs_twin.viewing.rerun.viewer import verify_recording
-from srs_twin.viewing.rerun.web import serve_recordings
+from srs_twin.viewing.rerun.viewer import serve_recordings, verify_recording
 
 OPENER = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 

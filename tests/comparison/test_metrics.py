@@ -16,8 +16,7 @@ from srs_twin.comparison.gait import GaitWindow
 from srs_twin.comparison.group import metric_groups
 from srs_twin.comparison.learning import LEARNING_LIST_UNITS, LEARNING_UNITS
 from srs_twin.comparison.metrics import LIST_METRIC_UNITS, MEASURED_UNITS, METRIC_UNITS, plant_metrics
-from srs_twin.comparison.reading import READING_UNITS
-from srs_twin.comparison.tracking import TRACKING_UNITS
+from srs_twin.comparison.tracking import READING_UNITS, TRACKING_UNITS
 from srs_twin.errors import InputError
 from srs_twin.planning.metrics import FOLLOWING_UNITS
 from srs_twin.trajectory import Trajectory

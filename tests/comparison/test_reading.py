@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from srs_twin import load_robot, load_scenario, rollout
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.comparison.reading import BIN_RAD, READING_UNITS, reading_metrics
+from srs_twin.comparison.tracking import BIN_RAD, READING_UNITS, reading_metrics
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.sensing import make_sensor
 from srs_twin.sensing.hall import field

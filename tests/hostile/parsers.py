@@ -25,7 +25,7 @@ from pydantic import BaseModel
 from srs_twin.identification.fit_file import FitFile, load_fit
 from srs_twin.io.documents import dump_yaml
 from srs_twin.io.files import shipped_folder
-from srs_twin.io.json_files import read_json
+from srs_twin.io.untrusted import read_json
 from srs_twin.plants.twin.mjcf.check import check_mjcf
 from srs_twin.robot.file import RobotFile, load_robot_file
 from srs_twin.scenario.file import ScenarioFile
@@ -122,7 +122,7 @@ PARSERS: tuple[Parser, ...] = (
            round_trip=RoundTrip(P.trajectories(), P.content), same=P.same),
     Parser("mjcf", ".xml", M.GOOD, lambda path: raise_faults(path, check_mjcf(path)), M.MALFORMED, M.VALUES,
            command="models check {}", quick=lambda path: raise_faults(path, check(path))),
-    Parser("JSON", ".json", J.GOOD, read_json, J.MALFORMED, J.VALUES, function="srs_twin.io.json_files:read_json",
+    Parser("JSON", ".json", J.GOOD, read_json, J.MALFORMED, J.VALUES, function="srs_twin.io.untrusted:read_json",
            round_trip=RoundTrip(J.DATA, lambda data: json.dumps(data).encode())),
     *(Parser(name, ".csv", good, parse, malformed, tables.values(good), function=function, same=tables.same)
       for name, good, parse, malformed, function in tables.TABLES),

@@ -12,9 +12,8 @@ from synthetic_takes import Take, write_motive
 from srs_twin import Gait, Trajectory, load_robot
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.identification.estimate import Parameter
-from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion
+from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion, measured_length
 from srs_twin.identification.parameters import free_parameters, with_values
-from srs_twin.identification.recorded_runs import measured_length
 from srs_twin.recordings.recording import read_motion
 
 SPEC = load_robot("gen2")

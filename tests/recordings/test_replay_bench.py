@@ -14,8 +14,8 @@ from srs_twin.comparison.compare import MeasuredDifference
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.identification.actuator import Response
+from srs_twin.identification.locomotion import gait_run
 from srs_twin.identification.parameters import with_values
-from srs_twin.identification.recorded_runs import gait_run
 from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.signals.logs import on_bench

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from srs_twin.reproduction import scorecard as module
+from srs_twin.reproduction import report as module
 from srs_twin.reproduction.claims import load_claims
-from srs_twin.reproduction.scorecard import FACTORS, UNVALIDATED, scorecard
+from srs_twin.reproduction.report import FACTORS, UNVALIDATED, scorecard
 from srs_twin.reproduction.verdicts import Baseline, load_baseline
 
 

@@ -23,8 +23,7 @@ from srs_twin.robot.file import load_robot
 from srs_twin.scenario.expectation import Expectation, known_metrics, verdict
 from srs_twin.scenario.fields import Section
 from srs_twin.scenario.file import ScenarioFile
-from srs_twin.scenario.loading import load_scenario, parse_scenario
-from srs_twin.scenario.schema import scenario_json_schema
+from srs_twin.scenario.loading import load_scenario, parse_scenario, scenario_json_schema
 
 pytestmark = pytest.mark.fast
 

@@ -125,7 +125,7 @@ def test_images_of_every_kind_of_run(runs, srs_twin, tmp_path, name):
 @pytest.mark.slow
 def test_the_strobe_figure_shows_the_snake_where_it_was(runs, opengl_here):
     """Its axes are metres: a body drawn without perspective covers the floor that its geometry says."""
-    from srs_twin.viewing.mujoco.strobe import _floor_corners, _render_from_above
+    from srs_twin.viewing.mujoco.render import _floor_corners, _render_from_above
 
     run = load_run(runs / "gen2_straight")
     twin = run.trajectories["twin"]

@@ -1,5 +1,66 @@
-"""Checks of the installation and the machine for `srs-twin doctor`, with remedies.
+"""`srs-twin doctor`: check of the installation and the machine, with remedies.
 
 `checks` contains what this process can find out itself. Tests that may crash, hang or leave files behind are
 probes (`probes`) and run in child processes; `examination` starts them and collects all checks.
 """
+
+from __future__ import annotations
+
+import shutil
+import sys
+import textwrap
+from collections.abc import Sequence
+from dataclasses import asdict
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from srs_twin.cli.options import JsonOption, option, print_json
+from srs_twin.errors import InputError
+
+if TYPE_CHECKING:
+    from srs_twin.cli.doctor.checks import Check
+
+
+def doctor(
+    out: Annotated[str, option("--out DIR")] = "runs",
+    as_json: JsonOption = False,
+) -> None:
+    """Check the installation and this machine, with remedies.
+
+    Options:
+        out: Output folder to check for write access and disk space.
+    """
+    from srs_twin.cli.doctor.checks import failed_checks
+    from srs_twin.cli.doctor.examination import run_checks
+
+    checks = run_checks(Path(out))
+    failed = failed_checks(checks)
+    if as_json:
+        print_json({"works": not failed, "checks": [asdict(check) for check in checks]})
+    else:
+        _show(checks)
+    if failed:
+        names = ", ".join(check.name for check in failed)
+        raise InputError(f"runs would fail: {names}; see the remedies above")
+    if not as_json:
+        typer.echo("\nall requirements of a run are met")
+
+
+def _show(checks: Sequence[Check]) -> None:
+    """Print one line per check, grouped by topic, with its remedy on the next line."""
+    width = shutil.get_terminal_size((100, 24)).columns if sys.stdout.isatty() else 10_000
+    name_width = max(len(check.name) for check in checks)
+    for topic, group in groupby(checks, key=lambda check: check.topic):
+        typer.echo(topic)
+        for check in group:
+            head = f"  {check.status:10}{check.name:{name_width}}  "
+            indent = " " * len(head)
+            wrapper = textwrap.TextWrapper(width, initial_indent=head, subsequent_indent=indent)
+            wrapper.break_on_hyphens = wrapper.break_long_words = False
+            typer.echo(wrapper.fill(check.detail))
+            if check.remedy:
+                # Not wrapped, so that commands can be copied.
+                typer.echo(f"{indent}→ {check.remedy}")

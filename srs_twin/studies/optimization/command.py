@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from srs_twin.cli.console import interruptible, say
+from srs_twin.cli.console import RunCounter, interruptible, say
 from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,
@@ -16,7 +16,6 @@ from srs_twin.cli.options import (
     option,
     print_json,
 )
-from srs_twin.cli.progress import RunCounter
 
 if TYPE_CHECKING:
     from srs_twin.studies.optimization.loading import OptimizationStudy

@@ -1,4 +1,4 @@
-"""Loading of studies; all problems of a file are reported together, each with its location."""
+"""Loading of studies and their design space; all problems of a file are reported together."""
 
 from __future__ import annotations
 
@@ -16,12 +16,90 @@ from srs_twin.io.documents import Document, Loc, Override, format_path, load_yam
 from srs_twin.io.files import find_file, results_name
 from srs_twin.io.validation import validate
 from srs_twin.scenario.loading import load_scenario, parse_scenario
-from srs_twin.scenario.modified import Changes, changed_fields, marked
+from srs_twin.scenario.modified import Changes as ChangedFields
+from srs_twin.scenario.modified import changed_fields, marked
 from srs_twin.scenario.scenario import Scenario
-from srs_twin.studies.optimization.file import SEGMENTS, StudyFile
-from srs_twin.studies.optimization.space import DesignSpace
-from srs_twin.studies.sweep.points import Experiment, leaf_names
+from srs_twin.studies.optimization.file import SEGMENTS, StudyFile, VariableFile
+from srs_twin.studies.sweep.points import Changes, Experiment, Value, leaf_names
 from srs_twin.studies.uncertainty.study import compliant_scenario
+
+ON_BOUND = 0.01
+"""Distance from an end of a range, as a fraction of the range, below which a design is on that bound."""
+
+
+@dataclass(frozen=True)
+class DesignSpace:
+    """Variables of a study with their ranges.
+
+    Attributes:
+        variables: dotted field → range.
+        robot: robot of the scenario as plain data, for the quantities that `hold` keeps constant.
+    """
+
+    variables: Mapping[str, VariableFile]
+    robot: Mapping[str, Any]
+
+    @property
+    def size(self) -> int:
+        """Number of variables."""
+        return len(self.variables)
+
+    def values(self, shares: np.ndarray) -> tuple[float | int, ...]:
+        """Return the values of a design, shape (d,), given as fractions from 0 to 1."""
+        values: list[float | int] = []
+        for share, variable in zip(np.clip(shares, 0.0, 1.0), self.variables.values(), strict=True):
+            low, high = variable.low, variable.high
+            value = low * (high / low) ** share if variable.scale == "log" else low + (high - low) * share
+            # Six digits, so that designs that differ only by rounding share a run.
+            values.append(round(value) if variable.whole else float(f"{value:.6g}"))
+        return tuple(values)
+
+    def shares(self, values: Mapping[str, float]) -> np.ndarray:
+        """Return a design as fractions of the ranges, shape (d,)."""
+        shares = []
+        for name, variable in self.variables.items():
+            low, high, value = variable.low, variable.high, values[name]
+            if variable.scale == "log":
+                shares.append(np.log(value / low) / np.log(high / low))
+            else:
+                shares.append((value - low) / (high - low))
+        return np.array(shares)
+
+    def bounds(self, shares: np.ndarray) -> dict[str, str]:
+        """Return the variables of a design, shape (d,), that are on a bound → "low" or "high"."""
+        shares_by_name = zip(self.variables, self.snapped(shares[None])[0], strict=True)
+        return {
+            name: "low" if share < ON_BOUND else "high"
+            for name, share in shares_by_name
+            if not ON_BOUND <= share <= 1 - ON_BOUND
+        }
+
+    def snapped(self, shares: np.ndarray) -> np.ndarray:
+        """Round the values of designs, given and returned as fractions of the ranges, shape (designs, d)."""
+        names = list(self.variables)
+        return np.array([self.shares(dict(zip(names, self.values(share), strict=True))) for share in shares])
+
+    def changes(self, shares: np.ndarray) -> Changes:
+        """Return the fields that a design changes in the scenario."""
+        changes: dict[str, Value] = {}
+        for (name, variable), value in zip(self.variables.items(), self.values(shares), strict=True):
+            if name == SEGMENTS:
+                changes |= self._segment_changes(int(value), variable.hold or [])
+            else:
+                changes[name] = value
+        return changes
+
+    def _segment_changes(self, count: int, hold: Sequence[str]) -> Changes:
+        """Return the changes that give the robot another number of segments."""
+        geometry, mass = self.robot["geometry"], self.robot["mass"]
+        before = geometry["connectors"]["value"]
+        changes: dict[str, Value] = {"robot.geometry.connectors": count + 1}
+        if "total_length" in hold:
+            length, gap = geometry["segment_length_m"]["value"], geometry["rigid_gap_m"]["value"]
+            changes["robot.geometry.segment_length_m"] = (before - 1) * (length + gap) / count - gap
+        if "total_mass" in hold:
+            changes["robot.mass.connectors_kg"] = before * mass["connectors_kg"]["value"] / (count + 1)
+        return changes
 
 
 @dataclass(frozen=True)
@@ -44,7 +122,7 @@ class OptimizationStudy:
     space: DesignSpace
     experiments: Mapping[str, Experiment]
     document: Mapping[str, Any] = field(repr=False)
-    changes: Changes = ()
+    changes: ChangedFields = ()
 
     @property
     def title(self) -> str:
@@ -88,7 +166,7 @@ def load_study(name_or_path: str | os.PathLike[str], *, set: Sequence[Override] 
     return replace(study, changes=_changes(study, written, [change.loc for change in set]))
 
 
-def _changes(study: OptimizationStudy, written: Mapping[str, Any], locs: Sequence[Loc]) -> Changes:
+def _changes(study: OptimizationStudy, written: Mapping[str, Any], locs: Sequence[Loc]) -> ChangedFields:
     """Return the changed fields of the scenario, and the study's seed if it was changed."""
     after = study.experiments["twin"]
     before = replace(after, base=study.scenario.document).with_fixed(written.get("fixed") or {})

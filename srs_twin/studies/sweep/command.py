@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli.console import console, interruptible, new_table, say
+from srs_twin.cli.console import RunCounter, console, interruptible, new_table, say
 from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,
@@ -20,7 +20,6 @@ from srs_twin.cli.options import (
     parse_plants,
     print_json,
 )
-from srs_twin.cli.progress import RunCounter
 from srs_twin.errors import InputError
 from srs_twin.io.files import display_path
 

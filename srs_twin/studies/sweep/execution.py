@@ -224,7 +224,7 @@ class OpenSweep:
             return {}
         # Imported here, because matplotlib would delay sweeps without plots.
         from srs_twin.studies.sweep.plots import draw
-        from srs_twin.viewing.plots.picture_file import save
+        from srs_twin.viewing.plots.style import save
 
         titles = {}
         for number, plot in enumerate(self.sweep.plots, start=1):

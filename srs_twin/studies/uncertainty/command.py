@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from srs_twin.cli.console import interruptible, say
+from srs_twin.cli.console import RunCounter, interruptible, say
 from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,
@@ -19,7 +19,6 @@ from srs_twin.cli.options import (
     parse_plants,
     print_json,
 )
-from srs_twin.cli.progress import RunCounter
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:

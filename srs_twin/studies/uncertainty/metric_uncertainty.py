@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import bootstrap
 
-from srs_twin.scenario.interval_verdict import IntervalVerdict, interval_verdict
+from srs_twin.scenario.expectation import IntervalVerdict, interval_verdict
 from srs_twin.studies.uncertainty.surrogates import predict_high_fidelity
 
 RANGES = {"interval_50": (0.25, 0.75), "interval_95": (0.025, 0.975)}

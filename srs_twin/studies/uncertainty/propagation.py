@@ -294,7 +294,7 @@ class Propagation:
 
         # Imported here, because matplotlib would delay results without plots.
         from srs_twin.studies.uncertainty.plots import draw_intervals
-        from srs_twin.viewing.plots.picture_file import save
+        from srs_twin.viewing.plots.style import save
 
         parameters = self.study.priors.quantile(self.study.shares[:, : len(self.study.priors.parameters)])
         columns = dict(zip(self.study.priors.paths, parameters.T, strict=True))

@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 
 from srs_twin.comparison.compare import MEASURES
 from srs_twin.comparison.learning import PeriodAmplitudes
-from srs_twin.comparison.reading import ReadingCurve
+from srs_twin.comparison.tracking import ReadingCurve
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.plots.signals import (

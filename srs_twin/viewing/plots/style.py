@@ -1,4 +1,4 @@
-"""Colours, line styles and margins of all plots.
+"""Colours, line styles and margins of all plots, and figures as image files.
 
 Margins are fixed, in inches, because the automatic layouts of matplotlib double the drawing time.
 """
@@ -7,11 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+
+from srs_twin.errors import InputError
+from srs_twin.io.files import atomic_write
 
 Alignment = Literal["left", "center"]
 _NO_PRESSURE = (225, 225, 222)
@@ -197,3 +202,24 @@ def finish(axes: Axes, label: str, x_label: str = "", *, title: str = "", loc: A
         axes.set_title(title, fontsize=10, loc=loc)
     axes.grid(True, linewidth=0.4, alpha=0.5)
     axes.tick_params(labelsize=8)
+
+
+FORMATS = (".png", ".svg")
+
+
+def save(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PNG or SVG atomically; equal figures give equal bytes.
+
+    Args:
+        figure: figure.
+        path: output file; its suffix selects the format.
+
+    Raises:
+        InputError: the suffix is not supported, or the file cannot be written.
+    """
+    target = Path(path)
+    if target.suffix not in FORMATS:
+        raise InputError(f"{target.name}: the name of an image must end in {' or '.join(FORMATS)}")
+    metadata = {"Software": None} if target.suffix == ".png" else {"Date": None}
+    with atomic_write(target) as temporary, rc_context({"svg.hashsalt": "srs-twin", "svg.fonttype": "none"}):
+        figure.savefig(temporary, format=target.suffix[1:], dpi=130, metadata=metadata)

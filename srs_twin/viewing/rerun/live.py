@@ -25,8 +25,7 @@ from srs_twin.viewing.plots.signals import body_line
 from srs_twin.viewing.plots.style import STYLES, rgb
 from srs_twin.viewing.rerun.blueprint import TIMELINE
 from srs_twin.viewing.rerun.recording import APPLICATION
-from srs_twin.viewing.rerun.viewer import HOST, free_port, lacks_display, running_rerun
-from srs_twin.viewing.rerun.web import serve_recordings
+from srs_twin.viewing.rerun.viewer import HOST, free_port, lacks_display, running_rerun, serve_recordings
 
 _BODY_HEIGHT_M = 0.02
 _FLOOR_HEIGHT_M = 0.003

@@ -1,20 +1,31 @@
-"""The Rerun viewer as a child process, and the verification of recordings.
+"""The Rerun viewer as a child process and in a browser, and the verification of recordings.
 
 The viewer accepts connections from this machine only. It ends when the `with` block that started it ends.
+
+Rerun serves its viewer and the recording, but its page loads fonts from the internet, which delays it offline
+and discloses its use online. A proxy server therefore removes these links and adds a Content-Security-Policy
+that makes the browser block all requests to other hosts.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import signal
 import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
+from urllib.parse import quote, urlsplit
 
 from srs_twin.errors import InputError
 
@@ -138,3 +149,107 @@ def _stop(rerun: Rerun) -> None:
             rerun.wait(timeout=_STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             continue
+
+
+_START_TIMEOUT_S = 30.0
+_FETCH_TIMEOUT_S = 30.0
+# The viewer is WebAssembly, is started by an inline script, and connects to the port of the recording.
+_POLICY = "; ".join(
+    (
+        "default-src 'self'",
+        "script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' blob:",
+        "worker-src 'self' blob:",
+        "style-src 'self' 'unsafe-inline'",
+        "img-src 'self' data: blob:",
+        f"connect-src 'self' data: blob: http://{HOST}:*",
+    )
+)
+_EXTERNAL_LINK = re.compile(r"<link\b[^>]*https?://[^>]*>")
+
+
+@contextmanager
+def serve_recordings(
+    recordings: Sequence[Path], port: int = 0, data_port: int | None = None
+) -> Iterator[tuple[str, Callable[[], None]]]:
+    """Serve recordings on 127.0.0.1; yield the URL and a function that serves until it is interrupted.
+
+    All processes end with the block.
+
+    Args:
+        recordings: recordings of `write_recording`.
+        port: port of the page; 0: a free port.
+        data_port: port to which a running program may stream data; default: a free port.
+
+    Raises:
+        InputError: the port is in use, or Rerun does not start.
+    """
+    data_port, viewer_port = data_port or free_port(), free_port()
+    ports = ("--port", str(data_port), "--web-viewer-port", str(viewer_port))
+    recording = quote(f"rerun+http://{HOST}:{data_port}/proxy", safe="")
+    upstream = f"http://{HOST}:{viewer_port}"
+    try:
+        server = ThreadingHTTPServer((HOST, port), partial(_ProxyHandler, upstream, f"url={recording}"))
+    except (OSError, OverflowError) as error:
+        raise InputError(f"cannot use port {port} ({error}); omit --port to use a free one") from error
+    with server, running_rerun("--serve-web", *ports, *map(str, recordings)) as (rerun, output):
+        _wait_until_served(rerun, f"{upstream}/", output)
+        yield f"http://{HOST}:{server.server_port}/", server.serve_forever
+
+
+class _ProxyHandler(BaseHTTPRequestHandler):
+    """Request handler that forwards the files of Rerun without links to other hosts."""
+
+    def __init__(self, source: str, query: str, *request: Any) -> None:
+        """Handle a request.
+
+        Args:
+            source: URL of the viewer that Rerun serves.
+            query: query that selects the recording in the viewer.
+            request: arguments of `BaseHTTPRequestHandler`.
+        """
+        self.source, self.query = source, query
+        super().__init__(*request)
+
+    def do_GET(self) -> None:
+        """Return a file of Rerun; redirect the root to the recording."""
+        url = urlsplit(self.path)
+        if url.path == "/" and url.query != self.query:
+            self.send_response(302)
+            self.send_header("Location", f"/?{self.query}")
+            self.end_headers()
+            return
+        try:
+            with _opener().open(self.source + quote(url.path), timeout=_FETCH_TIMEOUT_S) as response:
+                kind, content = response.headers.get_content_type(), response.read()
+        except (urllib.error.URLError, OSError) as error:
+            self.send_error(getattr(error, "code", 502))
+            return
+        if kind == "text/html":
+            content = _EXTERNAL_LINK.sub("", content.decode("utf-8")).encode("utf-8")
+        self.send_response(200)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(content)))
+        self.send_header("Content-Security-Policy", _POLICY)
+        self.end_headers()
+        with suppress(ConnectionError):  # the page was closed while loading
+            self.wfile.write(content)
+
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002
+        """Log nothing."""
+
+
+def _opener() -> urllib.request.OpenerDirector:
+    """Return an opener without proxies, for requests to this machine."""
+    return urllib.request.build_opener(urllib.request.ProxyHandler({}))
+
+
+def _wait_until_served(rerun: Rerun, address: str, output: IO[bytes]) -> None:
+    """Wait until Rerun serves its page."""
+    deadline = time.monotonic() + _START_TIMEOUT_S
+    while rerun.poll() is None and time.monotonic() < deadline:
+        try:
+            _opener().open(address, timeout=2.0).close()
+            return
+        except (urllib.error.URLError, OSError):
+            time.sleep(0.1)
+    raise InputError(f"Rerun does not serve its viewer: {output_lines(output)[-1]}")

@@ -15,12 +15,11 @@ from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.files import shipped_names
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.studies.optimization.file import VariableFile
-from srs_twin.studies.optimization.loading import load_study
+from srs_twin.studies.optimization.loading import DesignSpace, load_study
 from srs_twin.studies.optimization.report import bound_lines, write_result
 from srs_twin.studies.optimization.result import StudyResult
 from srs_twin.studies.optimization.runs import StudyRuns
 from srs_twin.studies.optimization.search import front, search
-from srs_twin.studies.optimization.space import DesignSpace
 from srs_twin.studies.sweep.task import DONE, FAILED, Row
 
 STUDY = """

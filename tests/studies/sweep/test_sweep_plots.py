@@ -19,7 +19,7 @@ from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.studies.sweep.plots import draw
 from srs_twin.studies.sweep.table import Plot
 from srs_twin.viewing.plots.labels import field_label, metric_label
-from srs_twin.viewing.plots.picture_file import save
+from srs_twin.viewing.plots.style import save
 
 F, P, OFFSET = "controller.frequency_hz", "supply.pressure_kpa", "controller.offset"
 SPEED, A, B = "com_speed_m_s", "analytical.com_speed_m_s", "twin.com_speed_m_s"
