@@ -58,6 +58,22 @@ PAGES = {
 ENGINES = {"warp": "srs_twin.warp.batch:WarpBatch"}
 """Engines of batches of twins."""
 
+FORMATS = {
+    "c3d": "srs_twin.recordings.formats.motion_capture:C3d",
+    "mcap": "srs_twin.recordings.formats.bags:Mcap",
+    "ros1": "srs_twin.recordings.formats.bags:Ros1Bag",
+    "ros2": "srs_twin.recordings.formats.bags:Ros2Bag",
+    "motive": "srs_twin.recordings.formats.motion_capture:Motive",
+    "vicon": "srs_twin.recordings.formats.motion_capture:Vicon",
+    "qualisys": "srs_twin.recordings.formats.motion_capture:Qualisys",
+    "trc": "srs_twin.recordings.formats.tables:Trc",
+    "tum": "srs_twin.recordings.formats.tables:Tum",
+    "deeplabcut": "srs_twin.recordings.formats.tables:DeepLabCut",
+    "plain": "srs_twin.recordings.formats.tables:PlainCsv",
+}
+"""File formats of motion recordings (`recordings.formats.base.Format`). The first one that recognizes a file
+reads it; `plain` accepts most tables and is last."""
+
 LOADERS = {"study": "srs_twin.studies.optimization.loading:load_study"}
 """Functions that read and check a kind of file."""
 

@@ -30,7 +30,7 @@ from srs_twin.live.messages import (
     topic,
 )
 from srs_twin.live.natnet import is_place
-from srs_twin.recordings.formats.mcap import MAGIC, stream_messages
+from srs_twin.recordings.formats.bags import MCAP_MAGIC, stream_messages
 
 LONGEST_GAP_S = 60.0
 """Longest pause of a journal that playback reproduces, s; longer ones are skipped."""
@@ -175,7 +175,7 @@ def opened_journal(path: Path) -> IO[bytes]:
     """
     try:
         file = require_file(path, suffix=".mcap").open("rb")
-        if file.read(len(MAGIC)) == MAGIC:
+        if file.read(len(MCAP_MAGIC)) == MCAP_MAGIC:
             file.seek(0)
             return file
     except OSError as error:

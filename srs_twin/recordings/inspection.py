@@ -36,10 +36,10 @@ from srs_twin.recordings.csv_table import (
     start_of,
 )
 from srs_twin.recordings.facts import plain_facts
-from srs_twin.recordings.formats import identify, plain_csv, read_markers, read_topics
-from srs_twin.recordings.formats.base import axis_columns, in_unit
+from srs_twin.recordings.formats import identify, read_markers, read_topics
+from srs_twin.recordings.formats.base import MarkerTable, axis_columns, in_unit
+from srs_twin.recordings.formats.tables import PlainCsv
 from srs_twin.recordings.formats.topics import RecordedTopics
-from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.recording import bodies_as_pairs, in_slots, read_motion, without_foreign_tracks
 from srs_twin.recordings.recording_map import LOG_NAME, QUANTITIES, RecordingMap
 from srs_twin.recordings.signals.gaps import MIN_FRAMES, FrameGrid, at_frames, frame_grid, runs
@@ -105,8 +105,8 @@ def inspect_file(
     """
     start = start_of(path, map.dialect)
     timed = {clean(name) for name in map.meanings(["time"])} & set(start.names)
-    kind = plain_csv.NAME if timed else identify(path, map.dialect)
-    if kind == plain_csv.NAME:
+    kind = PlainCsv.name if timed else identify(path, map.dialect)
+    if kind == PlainCsv.name:
         file = laid_out(read_file(path), map.dialect)
         if not axis_columns(file.names) and not any(name.lower().startswith("x_1") for name in file.names):
             return _with_proposal(_table_facts(file, map)), None
@@ -304,7 +304,7 @@ def _table_facts(file: RecordedFile, map: RecordingMap) -> dict[str, Any]:
                 raise
             signals.append({"name": name, "looks_like": "text", "understood": False})
     notes.insert(0, f"a log of {len(signals)} signals, {unit}")
-    return _log_facts(file, plain_csv.NAME, signals, notes, time, (epoch_ns or 0) / 1e9)
+    return _log_facts(file, PlainCsv.name, signals, notes, time, (epoch_ns or 0) / 1e9)
 
 
 def _log_facts(

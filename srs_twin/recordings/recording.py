@@ -24,7 +24,7 @@ from srs_twin.recordings.body.markers import (
 from srs_twin.recordings.body.tracking import MAX_MARKERS, pack_slots, track_markers
 from srs_twin.recordings.body.trajectories import LogSummary, MarkerCounts, body_trajectory
 from srs_twin.recordings.formats import read_markers
-from srs_twin.recordings.marker_table import MarkerTable
+from srs_twin.recordings.formats.base import MarkerTable
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 from srs_twin.recordings.signals.gaps import (
     INTERPOLATIONS,

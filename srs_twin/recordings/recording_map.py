@@ -14,7 +14,7 @@ from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.documents import Document, load_yaml
 from srs_twin.io.validation import StrictModel, load_model, validate
 from srs_twin.recordings.csv_table import Dialect, Meaning
-from srs_twin.recordings.marker_table import MarkerTable
+from srs_twin.recordings.formats.base import MarkerTable
 from srs_twin.recordings.signals.units import ANGLES, PRESSURES, SHARES, TIMES, symbol
 
 LOG_NAME = re.compile(

@@ -16,6 +16,7 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.plants.base import Pose
 from srs_twin.pneumatics import Schedule
+from srs_twin.recordings.formats import BAG_SUFFIXES
 from srs_twin.recordings.recording import LONGEST_GAP, Recording, read_motion
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 from srs_twin.recordings.signals.clock import join
@@ -24,7 +25,6 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
 _LOG = ".valves.csv"
-_WITH_LOGS = (".mcap", ".bag", ".db3")
 NO_MARKERS = "bends alone do not tell where a robot crawled; markers are wanted"
 _LEAST_OPENINGS = 4
 _EVEN = 0.05  # largest deviation of an opening from a periodic one, in periods
@@ -123,7 +123,7 @@ def _log_of(take: Path) -> str:
     if not take.name:
         return str(take)  # the current folder, which is not a recording
     beside = take.with_name(take.stem + _LOG)
-    own = take.suffix.lower() in _WITH_LOGS or take.is_dir()
+    own = take.suffix.lower() in BAG_SUFFIXES or take.is_dir()
     return str(take if own and not os.path.lexists(beside) else beside)
 
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from srs_twin import __version__
 from srs_twin.compute.arrays import blas_kernels, one_blas_thread
-from srs_twin.extensions import CONTROLLERS, METRICS, SECTIONS, installed, module_of
+from srs_twin.extensions import CONTROLLERS, FORMATS, METRICS, SECTIONS, installed, module_of
 from srs_twin.scenario.sections import input_files
 
 NOT_PHYSICS = ("name", "title", "expect", "changes")
@@ -92,6 +92,8 @@ def run_sources(document: Mapping[str, Any], runner: str) -> dict[str, str]:
     """Return the source digests of the runner and of the extensions that a scenario uses, by module."""
     sections = {name: entry for name, entry in SECTIONS.items() if document.get(name)}
     used = installed(METRICS) | installed(sections)
+    if sections:  # they may read recorded files
+        used |= installed(FORMATS)
     controller = document.get("controller")
     if isinstance(controller, Mapping) and (entry := CONTROLLERS.get(str(controller.get("kind")))):
         used |= installed({"controller": entry})

@@ -10,7 +10,7 @@ from bag_files import TURN, ns, written
 
 from srs_twin import InputError
 from srs_twin.cli import main
-from srs_twin.recordings.formats import identify, read_markers, read_topics, ros1_bag
+from srs_twin.recordings.formats import bags, identify, read_markers, read_topics
 from srs_twin.recordings.inspection import inspect_file
 from srs_twin.recordings.recording_map import NO_MAP
 
@@ -185,7 +185,7 @@ def test_a_compression_bomb_in_a_bag_is_refused_before_unpacking(tmp_path, monke
             yield "/word", "std_msgs/String", ns(k), make("std_msgs/String", data=" " * (1 << 20))
 
     path = written(tmp_path, "bag bz2", messages)
-    monkeypatch.setattr(ros1_bag, "unpacked", None)
+    monkeypatch.setattr(bags, "unpacked", None)
     with pytest.raises(
         InputError, match=r"its chunks unpack to 60 MB; at most 16 MB are read of a file of \d+ kB"
     ):

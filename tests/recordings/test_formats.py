@@ -24,7 +24,7 @@ from synthetic_takes import Take, write_motive
 
 from srs_twin import InputError
 from srs_twin.recordings.csv_table import read_bytes
-from srs_twin.recordings.formats import FORMATS, identify, mcap, read_markers, read_topics, topics
+from srs_twin.recordings.formats import FORMATS, bags, identify, read_markers, read_topics, topics
 from srs_twin.recordings.inspection import inspect_file
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.recording_map import RecordingMap
@@ -500,7 +500,7 @@ def test_compression_bombs_are_refused_before_unpacking(tmp_path, monkeypatch, c
         writer.add_message(channel, log_time=ORIGIN, data=b"[" + b" " * size + b"]", publish_time=ORIGIN)
     writer.finish()
     path = written(tmp_path, stream.getvalue())
-    monkeypatch.setattr(mcap, "unpacked", None)  # not one chunk is
+    monkeypatch.setattr(bags, "unpacked", None)  # not one chunk is
     with pytest.raises(
         InputError, match=r"its chunks unpack to \d+ MB; at most \d+ MB are read of a file of \d+ kB"
     ):
@@ -509,7 +509,7 @@ def test_compression_bombs_are_refused_before_unpacking(tmp_path, monkeypatch, c
 
 def test_signals_are_not_decoded_for_positions(tmp_path):
     path = written(tmp_path, mcap_file())
-    found = topics.read(read_bytes(path), "MCAP", mcap.messages, signals=False)
+    found = bags.Mcap().read_topics(read_bytes(path), signals=False)
     assert found.signals == {} != read_topics(path).signals
     assert found.markers.labels == read_topics(path).markers.labels
 

@@ -174,7 +174,7 @@ def test_duties_are_converted_to_valve_states(tmp_path):
 
 def test_a_rigid_body_gives_a_heading(tmp_path):
     """With a pose at each connector, at any angle, the error of the bends is that of the rotations."""
-    from srs_twin.recordings.marker_table import MarkerTable
+    from srs_twin.recordings.formats.base import MarkerTable
     from srs_twin.recordings.recording import bodies_as_pairs
 
     truth = motion()

@@ -33,7 +33,7 @@ from srs_twin.recordings.body.shape import (
     marker_offsets,
 )
 from srs_twin.recordings.body.tracking import pairwise_distances, sample_frames
-from srs_twin.recordings.marker_table import MarkerTable
+from srs_twin.recordings.formats.base import MarkerTable
 from srs_twin.recordings.signals.units import LENGTHS
 from srs_twin.robot.spec import RobotSpec
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from srs_twin.recordings.body.markers import CapturedMarkers, TrackedBody
 from srs_twin.recordings.csv_table import RecordedFile
-from srs_twin.recordings.marker_table import MarkerTable
+from srs_twin.recordings.formats.base import MarkerTable
 from srs_twin.recordings.signals.gaps import FrameGrid
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory

@@ -1,9 +1,7 @@
 """File formats of motion recordings: identification and readers.
 
-Each module of this package reads one format. It has a `NAME`, `recognizes(start)`, and `read(file, unstated)`
-or, for a bag, `messages(file)`. Lengths are converted to m and times to s, in the axes of the file. A damaged
-file of any format raises one `InputError` that names the file. The libraries `c3d` and `rosbags` are in the
-extra `recordings`.
+A format is a `base.Format` or, for containers of messages, a `topics.Bag`; `extensions.FORMATS` lists them.
+The libraries `c3d` and `rosbags` are in the extra `recordings`.
 """
 
 from __future__ import annotations
@@ -11,34 +9,20 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from types import ModuleType
 
+from srs_twin import extensions
 from srs_twin.errors import InputError
 from srs_twin.io.files import escape_unprintable
 from srs_twin.recordings.csv_table import AS_FOUND, Dialect, read_bytes, read_file, start_of
-from srs_twin.recordings.formats import (
-    c3d,
-    deeplabcut,
-    mcap,
-    motive,
-    plain_csv,
-    qualisys,
-    ros1_bag,
-    ros2_bag,
-    topics,
-    trc,
-    tum,
-    vicon,
-)
-from srs_twin.recordings.formats.base import Unstated, in_unit
-from srs_twin.recordings.formats.topics import RecordedTopics
-from srs_twin.recordings.marker_table import MarkerTable
+from srs_twin.recordings.formats.base import Format, MarkerTable, Unstated, in_unit
+from srs_twin.recordings.formats.topics import Bag, RecordedTopics
 
-_BAGS = (mcap, ros1_bag, ros2_bag)
-_READERS = (c3d, *_BAGS, motive, vicon, qualisys, trc, tum, deeplabcut, plain_csv)
-"""Readers in the order in which they are tried."""
-FORMATS = tuple(reader.NAME for reader in _READERS)
+_FORMATS: tuple[Format, ...] = tuple(format() for _, format in extensions.objects(extensions.FORMATS))
+"""Formats in the order in which they are tried."""
+FORMATS = tuple(format.name for format in _FORMATS)
 """Names of the formats."""
+BAG_SUFFIXES = tuple(format.suffix for format in _FORMATS if isinstance(format, Bag))
+"""Usual suffixes of bags, which may contain logs as well as positions."""
 
 _TABLE = "save a table with the first line time,NAME_x,NAME_y,… as CSV"
 _EXPORT = "export CSV or C3D instead"
@@ -74,7 +58,7 @@ def identify(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> str:
     Raises:
         InputError: the file is missing, a folder, empty, or in another format, which the message describes.
     """
-    return str(_reader(path, dialect).NAME)
+    return _format(path, dialect).name
 
 
 def read_markers(
@@ -98,27 +82,23 @@ def read_markers(
     Raises:
         InputError: the file cannot be read; the message names file, line, column and what is allowed.
     """
-    unstated = Unstated(rate_hz, unit, scale_m, dialect)
-    reader = _reader(path, dialect)
-    if reader in _BAGS:
-        table = topics.read_markers(read_bytes(path), reader.NAME, reader.messages)
-    else:
-        table = reader.read(read_bytes(path) if reader is c3d else read_file(path), unstated)
-    return in_unit(table, unit)
+    format = _format(path, dialect)
+    file = read_bytes(path) if format.binary else read_file(path)
+    return in_unit(format.read(file, Unstated(rate_hz, unit, scale_m, dialect)), unit)
 
 
-def _reader(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> ModuleType:
+def _format(path: str | os.PathLike[str], dialect: Dialect) -> Format:
     start = start_of(path, dialect)
     name, raw = start.name, start.data
     if not raw.removeprefix(b"\xef\xbb\xbf").strip():
         raise InputError(f"{name}: the file is empty; a recording has a header and rows of numbers")
-    for reader in _READERS:
-        if reader.recognizes(start):
-            return reader
+    for format in _FORMATS:
+        if format.recognizes(start):
+            return format
     for sign, description, remedy in _OTHERS:
         if re.match(sign, raw, re.DOTALL) if isinstance(sign, bytes) else Path(path).suffix.lower() == sign:
-            formats = ", ".join(FORMATS)
-            raise InputError(f"{name}: {description} cannot be read; {remedy}. Formats: {formats}")
+            listed = ", ".join(FORMATS)
+            raise InputError(f"{name}: {description} cannot be read; {remedy}. Formats: {listed}")
     if start.problem and b"\0" not in raw:
         raise InputError(f"{name}:{start.header_lines + 1}: {start.problem}")
     description = (
@@ -131,10 +111,12 @@ def _reader(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> Module
 
 
 def read_topics(path: str | os.PathLike[str]) -> RecordedTopics | None:
-    """Read poses, points and signals of a bag; None if the file is not a bag. See `topics.read`.
+    """Read poses, points and signals of a bag; None if the file is not a bag. See `Bag.read_topics`.
 
     Raises:
         InputError: the bag is damaged or too large, or the libraries are not installed.
     """
-    bag = next((reader for reader in _BAGS if reader.recognizes(start_of(path))), None)
-    return None if bag is None else topics.read(read_bytes(path), bag.NAME, bag.messages)
+    start = start_of(path)
+    bags = (format for format in _FORMATS if isinstance(format, Bag) and format.recognizes(start))
+    bag = next(bags, None)
+    return None if bag is None else bag.read_topics(read_bytes(path))

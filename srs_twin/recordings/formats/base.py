@@ -1,19 +1,20 @@
-"""Shared functions of the readers: axes in column names, marker tables, units, rates, damaged files."""
+"""Base of the file formats: `Format`, `MarkerTable`, and functions for axes, units and rates."""
 
 from __future__ import annotations
 
 import re
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from srs_twin.errors import InputError, did_you_mean
 from srs_twin.io.files import escape_unprintable
 from srs_twin.recordings.csv_table import AS_FOUND, Dialect, RecordedFile
-from srs_twin.recordings.marker_table import MarkerTable
 from srs_twin.recordings.signals.units import LENGTHS, bracketed, clean, symbol
 
 MAX_DISTANCE = 1e3
@@ -46,6 +47,77 @@ class Unstated(NamedTuple):
     unit: str | None = None
     scale_m: float | None = None
     dialect: Dialect = AS_FOUND
+
+
+@dataclass(frozen=True)
+class MarkerTable:
+    """Markers of a file over time, in the axes of the file and SI units.
+
+    Attributes:
+        name: name of the file for messages.
+        sha256: checksum of the file.
+        kind: file format as returned by `formats.identify`, with its version if it has one.
+        time: times of the file, shape (frames,), s.
+        points: NaN where a marker is hidden, shape (frames, columns, 3), or (…, 2) in a plane, m.
+        labels: names of the columns.
+        corrections: texts on conversions and skipped data.
+        places: station on the body and side of each column (`body.markers.Places`), if its name contains
+            them; else empty.
+        header_frames: number of frames that the header states; None if it states none.
+        rotations: quaternions x, y, z, w of rigid bodies in the axes of the file, NaN for other columns,
+            shape (frames, columns, 4); None without rigid bodies.
+        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file is another one.
+        unit: unit of length of the file, as stated, given or assumed.
+    """
+
+    name: str
+    sha256: str
+    kind: str
+    time: np.ndarray
+    points: np.ndarray
+    labels: tuple[str, ...]
+    corrections: tuple[str, ...]
+    places: tuple[tuple[int, str], ...] = ()
+    header_frames: int | None = None
+    rotations: np.ndarray | None = None
+    epoch_ns: int | None = None
+    unit: str = "m"
+
+    @property
+    def usual_up(self) -> str:
+        """Axis that is usually vertical in such files."""
+        return "y" if self.kind.startswith("Motive") else "z"
+
+
+class Format(ABC):
+    """File format of motion recordings.
+
+    Lengths are converted to m and times to s, in the axes of the file. A damaged file of any format raises
+    one `InputError` that names the file.
+
+    Attributes:
+        name: name of the format in messages and results.
+        binary: whether files are not text.
+    """
+
+    name: ClassVar[str]
+    binary: ClassVar[bool] = False
+
+    @abstractmethod
+    def recognizes(self, start: RecordedFile) -> bool:
+        """Return whether a file has this format, by its first bytes; the name of the file is not used."""
+
+    @abstractmethod
+    def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
+        """Read the markers of a whole file.
+
+        Args:
+            file: the recording.
+            unstated: rate and unit, for files that do not state them.
+
+        Raises:
+            InputError: the file is damaged, or needs information that is not given.
+        """
 
 
 def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, tuple[int, str]]]:

@@ -1,6 +1,6 @@
 """Poses, points and signals from the messages of bags (ROS 1, ROS 2, JSON) in any container.
 
-A container (`mcap`, `ros1_bag`, `ros2_bag`) yields messages with their topics and log times. ROS messages are
+A container (`bags`) yields messages with their topics and log times. ROS messages are
 decoded by the library `rosbags` with its own definitions of the known message types; definitions in the file
 are not used. The declared sizes of chunks are checked before they are unpacked, because repeated bytes unpack
 to ten thousand times their size, which does not occur in a recording.
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import re
+from abc import abstractmethod
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -18,15 +19,13 @@ from dataclasses import dataclass, field
 from functools import cache, lru_cache, partial
 from importlib import import_module
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from srs_twin.errors import InputError
 from srs_twin.io.files import escape_unprintable
 from srs_twin.recordings.csv_table import MAX_BYTES, MAX_COLUMNS, MAX_VALUES, RecordedFile
-from srs_twin.recordings.formats.base import decoding, marker_table
-from srs_twin.recordings.marker_table import MarkerTable
+from srs_twin.recordings.formats.base import Format, MarkerTable, Unstated, decoding, marker_table
 
 _MIN_EPOCH_NS = 10**17
 """Smallest log time that counts as a time since 1970, ns."""
@@ -68,10 +67,6 @@ class Message(NamedTuple):
     topic: Topic
     log_time: int
     data: memoryview
-
-
-Messages = Callable[[RecordedFile], Iterator[Message]]
-"""Function that yields the messages of a container."""
 
 
 def check_unpacked(file: RecordedFile, sizes: Iterable[int]) -> None:
@@ -135,45 +130,61 @@ class RecordedTopics:
     notes: tuple[str, ...]
 
 
-def read_markers(file: RecordedFile, kind: str, messages: Messages) -> MarkerTable:
-    """Read the topics with positions.
+class Bag(Format):
+    """Container of messages, which may be cut at its end.
 
-    Raises:
-        InputError: as `read`, or no topic has positions.
+    Attributes:
+        suffix: usual suffix of file names.
     """
-    recorded = read(file, kind, messages, signals=False)
-    if recorded.markers is None:
-        types = "geometry_msgs/PoseStamped, PoseArray, PointStamped, tf2_msgs/TFMessage, …"
-        notes = "".join(f"; {note}" for note in recorded.notes[:3])
-        raise InputError(f"{recorded.name}: no topic with positions; types with positions are {types}{notes}")
-    return recorded.markers
 
+    binary = True
+    suffix: ClassVar[str]
 
-def read(file: RecordedFile, kind: str, messages: Messages, *, signals: bool = True) -> RecordedTopics:
-    """Read poses, points and signals.
+    @abstractmethod
+    def messages(self, file: RecordedFile) -> Iterator[Message]:
+        """Yield the messages of a file in its order.
 
-    Times are header stamps if messages have them, else log times. The frames are those of the body with most
-    messages; for other bodies, the nearest message within half a frame is used.
+        Raises:
+            InputError: the unpacked messages are larger than allowed.
+            ChunkError: the file is damaged; a `CutError` if its end is missing.
+        """
 
-    Args:
-        file: file with the messages.
-        kind: name of its format.
-        messages: function that yields the messages.
-        signals: whether to read the topics without positions.
+    def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
+        """Read the topics with positions.
 
-    Raises:
-        InputError: the file is damaged or too large, or the libraries are not installed.
-    """
-    topics = _Topics(file, kind, signals)
-    with decoding(file, kind):
-        try:
-            for message in messages(file):
-                topics.add(message)
-        except CutError:
-            if not topics.messages:
-                raise
-            topics.notes.append("the file is cut: read up to the cut")
-        return topics.result()
+        Raises:
+            InputError: as `read_topics`, or no topic has positions.
+        """
+        recorded = self.read_topics(file, signals=False)
+        if recorded.markers is None:
+            types = "geometry_msgs/PoseStamped, PoseArray, PointStamped, tf2_msgs/TFMessage, …"
+            notes = "".join(f"; {note}" for note in recorded.notes[:3])
+            raise file.error(f"no topic with positions; types with positions are {types}{notes}")
+        return recorded.markers
+
+    def read_topics(self, file: RecordedFile, *, signals: bool = True) -> RecordedTopics:
+        """Read poses, points and signals.
+
+        Times are header stamps if messages have them, else log times. The frames are those of the body with
+        most messages; for other bodies, the nearest message within half a frame is used.
+
+        Args:
+            file: file with the messages.
+            signals: whether to read the topics without positions.
+
+        Raises:
+            InputError: the file is damaged or too large, or the libraries are not installed.
+        """
+        topics = _Topics(file, self.name, signals)
+        with decoding(file, self.name):
+            try:
+                for message in self.messages(file):
+                    topics.add(message)
+            except CutError:
+                if not topics.messages:
+                    raise
+                topics.notes.append("the file is cut: read up to the cut")
+            return topics.result()
 
 
 _Numbers = tuple[float, ...]

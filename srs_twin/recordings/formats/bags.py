@@ -1,0 +1,225 @@
+"""Bags: containers of messages, within size limits."""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import closing
+from typing import final
+
+from srs_twin.recordings.csv_table import RecordedFile
+from srs_twin.recordings.formats.topics import (
+    Bag,
+    ChunkError,
+    CutError,
+    Message,
+    Topic,
+    check_unpacked,
+    unpacked,
+)
+
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+_MCAP_SCHEMA, _MCAP_CHANNEL, _MCAP_MESSAGE, _MCAP_CHUNK = 0x03, 0x04, 0x05, 0x06
+_RECORD_HEAD = struct.Struct("<BQ")
+"""Header of a record: kind and length."""
+
+_MESSAGE_HEAD = struct.Struct("<HIQQ")
+"""Header of a message: channel, sequence, log time, publish time."""
+
+_CHUNK_HEAD = struct.Struct("<QQQI")
+"""Header of a chunk: first and last time, unpacked size and its checksum."""
+
+
+@final
+class Mcap(Bag):
+    """MCAP messages (ROS 2, Foxglove, and ROS 1 as written by `mcap convert`), within size limits."""
+
+    name = "MCAP"
+    suffix = ".mcap"
+
+    def recognizes(self, start: RecordedFile) -> bool:
+        """Return whether a file starts with the magic bytes of MCAP."""
+        return start.data.startswith(MCAP_MAGIC)
+
+    def messages(self, file: RecordedFile) -> Iterator[Message]:
+        """Yield the messages of a file in its order.
+
+        Raises:
+            InputError: the unpacked chunks are larger than allowed.
+            ChunkError: the file is damaged; a `CutError` if its end is missing.
+        """
+        data = memoryview(file.data)
+        chunks = (content for kind, content in _mcap_records(data[len(MCAP_MAGIC) :]) if kind == _MCAP_CHUNK)
+        check_unpacked(file, (_CHUNK_HEAD.unpack_from(chunk)[2] for chunk in chunks))
+        return stream_messages(data)
+
+
+def stream_messages(data: memoryview) -> Iterator[Message]:
+    """Yield the messages of a file as `messages` does, but without a limit of the unpacked size."""
+    kinds: dict[int, str] = {}
+    channels: dict[int, Topic] = {}
+    for outer, packed in _mcap_records(data[len(MCAP_MAGIC) :]):
+        for kind, content in (
+            _mcap_records(_unpacked_chunk(packed)) if outer == _MCAP_CHUNK else [(outer, packed)]
+        ):
+            if kind == _MCAP_MESSAGE:
+                number, _, log_time, _ = _MESSAGE_HEAD.unpack_from(content)
+                yield Message(channels[number], log_time, content[_MESSAGE_HEAD.size :])
+            elif kind == _MCAP_SCHEMA:
+                kinds[int.from_bytes(content[:2], "little")] = _text(content, 2)[0]
+            elif kind == _MCAP_CHANNEL:
+                number, schema = struct.unpack_from("<HH", content)
+                name, place = _text(content, 4)
+                encoding, _ = _text(content, place)
+                channels[number] = Topic(name, kinds.get(schema) or encoding, encoding)
+
+
+def _mcap_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
+    """Yield kind and content of successive records."""
+    while data and data != MCAP_MAGIC:
+        if len(data) < _RECORD_HEAD.size:
+            raise CutError("the file ends in a record")
+        kind, length = _RECORD_HEAD.unpack_from(data)
+        content, data = (
+            data[_RECORD_HEAD.size : _RECORD_HEAD.size + length],
+            data[_RECORD_HEAD.size + length :],
+        )
+        if len(content) < length:
+            raise CutError("the file ends in a record")
+        yield kind, content
+
+
+def _unpacked_chunk(chunk: memoryview) -> memoryview:
+    """Return the records of a chunk."""
+    _, _, size, checksum = _CHUNK_HEAD.unpack_from(chunk)
+    compression, end = _text(chunk, _CHUNK_HEAD.size)
+    data = unpacked(chunk[end + 8 :], compression, size)
+    if checksum and zlib.crc32(data) != checksum:
+        raise ChunkError("the checksum of a chunk is wrong")
+    return memoryview(data)
+
+
+def _text(content: memoryview, place: int) -> tuple[str, int]:
+    """Return a string, and the position after it."""
+    end = place + 4 + int.from_bytes(content[place : place + 4], "little")
+    if end > len(content):
+        raise ChunkError("a string is longer than its record")
+    return str(content[place + 4 : end], "utf-8", "replace"), end
+
+
+_ROS1_MAGIC = b"#ROSBAG V2.0\n"
+_ROS1_MESSAGE, _ROS1_CHUNK, _ROS1_CONNECTION = b"\2", b"\5", b"\7"
+
+
+@final
+class Ros1Bag(Bag):
+    """ROS 1 bag (V2.0): messages in file order. The index is not used, so truncated bags can be read."""
+
+    name = "ROS 1 bag"
+    suffix = ".bag"
+
+    def recognizes(self, start: RecordedFile) -> bool:
+        """Return whether a file starts with the magic line of a bag."""
+        return start.data.startswith(_ROS1_MAGIC)
+
+    def messages(self, file: RecordedFile) -> Iterator[Message]:
+        """Yield the messages of a bag in file order.
+
+        Raises:
+            InputError: the unpacked chunks are larger than allowed.
+            ChunkError: the bag is damaged; a `CutError` if it ends in a record.
+        """
+        data, connections = memoryview(file.data)[len(_ROS1_MAGIC) :], dict[str, Topic]()
+        sizes = (_number(fields["size"]) for fields, _ in _ros1_records(data) if fields["op"] == _ROS1_CHUNK)
+        check_unpacked(file, sizes)
+        for outer, packed in _ros1_records(data):
+            inside = iter([(outer, packed)])
+            if outer["op"] == _ROS1_CHUNK:
+                compression = outer["compression"].decode().replace("none", "")
+                inside = _ros1_records(memoryview(unpacked(packed, compression, _number(outer["size"]))))
+            for fields, content in inside:
+                if fields["op"] == _ROS1_CONNECTION:
+                    name, kind = fields["topic"].decode("utf-8", "replace"), _fields(content)["type"].decode()
+                    connections[fields["conn"].hex()] = Topic(name, kind, "ros1")
+                elif fields["op"] == _ROS1_MESSAGE:
+                    time = _number(fields["time"][:4]) * 10**9 + _number(fields["time"][4:])
+                    yield Message(connections[fields["conn"].hex()], time, content)
+
+
+def _ros1_records(data: memoryview) -> Iterator[tuple[dict[str, bytes], memoryview]]:
+    """Yield the header fields and the content of successive records."""
+    blocks = _blocks(data)
+    for header in blocks:
+        content = next(blocks, None)
+        if content is None:
+            raise CutError("the file ends in a record")
+        yield _fields(header), content
+
+
+def _fields(header: memoryview) -> dict[str, bytes]:
+    """Return the fields NAME=VALUE of a header."""
+    pairs = (bytes(field).partition(b"=") for field in _blocks(header))
+    return {name.decode("utf-8", "replace"): value for name, _, value in pairs}
+
+
+def _blocks(data: memoryview) -> Iterator[memoryview]:
+    """Yield blocks that are preceded by their lengths."""
+    while data:
+        end = 4 + _number(data[:4])
+        if end > len(data):
+            raise CutError("the file ends in a record")
+        yield data[4:end]
+        data = data[end:]
+
+
+def _number(data: bytes | memoryview) -> int:
+    return int.from_bytes(data, "little")
+
+
+_SQLITE_MAGIC = b"SQLite format 3\0"
+_JOURNALS = slice(18, 20)
+"""Bytes of the header that request a write-ahead log, which a database in memory cannot have."""
+
+_ZSTD = b"\x28\xb5\x2f\xfd"
+
+
+@final
+class Ros2Bag(Bag):
+    """ROS 2 bag in SQLite (.db3, or the folder that contains it): messages in file order."""
+
+    name = "ROS 2 bag"
+    suffix = ".db3"
+
+    def recognizes(self, start: RecordedFile) -> bool:
+        """Return whether a file is an SQLite database."""
+        return start.data.startswith(_SQLITE_MAGIC)
+
+    def messages(self, file: RecordedFile) -> Iterator[Message]:
+        """Yield the messages of a bag in file order.
+
+        Raises:
+            InputError: the database does not have the tables of a bag.
+            ChunkError: its tables contain more data than the file.
+        """
+        data = bytearray(file.data)
+        data[_JOURNALS] = b"\1\1"
+        with closing(sqlite3.connect(":memory:")) as base:
+            base.deserialize(bytes(data))
+            # Columns of a manipulated database may be computed, so that they are larger than the file.
+            base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, len(data))
+            tables = base.execute("SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0")
+            if not {"topics", "messages"} <= {name for (name,) in tables}:
+                raise file.error(
+                    "the SQLite database is not a ROS 2 bag (it lacks the tables topics and messages)"
+                )
+            rows = base.execute("SELECT id, name, type, serialization_format FROM topics LIMIT 20000")
+            known, remaining = {number: Topic(*map(str, row)) for number, *row in rows}, len(data)
+            for number, time, content in base.execute("SELECT topic_id, timestamp, data FROM messages"):
+                remaining -= len(content)
+                if remaining < 0:
+                    raise ChunkError("the tables contain more data than the file")
+                if content.startswith(_ZSTD):
+                    content = unpacked(content, "zstd", None)
+                yield Message(known[number], int(time), memoryview(content))

@@ -1,0 +1,276 @@
+"""Tables of positions: TRC, TUM trajectories, DeepLabCut, and plain CSV."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import final
+
+import numpy as np
+
+from srs_twin.recordings.csv_table import (
+    CLOCK,
+    CsvColumn,
+    CsvTable,
+    Dialect,
+    RecordedFile,
+    laid_out,
+    not_used,
+    read_table,
+)
+from srs_twin.recordings.formats.base import (
+    Format,
+    MarkerTable,
+    Unstated,
+    announced,
+    axis_columns,
+    frame_rate,
+    length_unit,
+    marker_rows,
+    marker_table,
+)
+from srs_twin.recordings.signals.units import LENGTHS, is_clock
+
+_AXES_LINE = 5
+"""Line of X1, Y1, Z1, …, which may be followed by an empty one."""
+
+
+@final
+class Trc(Format):
+    """TRC: marker positions over time, tab-separated with five header lines (OpenSim, Cortex)."""
+
+    name = "TRC"
+
+    def recognizes(self, start: RecordedFile) -> bool:
+        """Return whether a file starts with the key PathFileType."""
+        return start.title == "PathFileType"
+
+    def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
+        """Read the markers of a TRC file; an empty cell is a missing marker.
+
+        Raises:
+            InputError: the file is damaged, or its unit is unknown; the message names file and line.
+        """
+        file = replace(file, separator="\t")
+        lines = file.head(_AXES_LINE + 2)
+        if len(lines) <= _AXES_LINE or lines[3][:1] != ["Frame#"]:
+            raise file.error("the header is cut: line 4 must have 'Frame#', 'Time' and names of markers", 4)
+        header = _AXES_LINE + (not any(lines[_AXES_LINE]))
+        fields = dict(zip(lines[1], lines[2], strict=False))
+        names = [name for name in lines[3][2:] if name]
+        width, required = len(lines[min(header, len(lines) - 1)]), 2 + 3 * len(names)
+        if not names or not 0 <= width - required <= 1:  # a row may end in a tab
+            raise file.error(
+                f"{width} cells for {len(names)} markers; rows must have {required} cells", header + 1
+            )
+        rate = frame_rate(file, fields["DataRate"], 3) if fields.get("DataRate") else None
+        unit = length_unit(file, fields.get("Units") or unstated.unit or "", 3)
+        time, points, _, notes = marker_rows(
+            file, header, width, range(2, required, 3), clock=(0, 1), rate=rate
+        )
+        frames = announced(fields.get("NumFrames", ""))
+        return marker_table(file, self.name, time, points, names, notes, unit=unit, header_frames=frames)
+
+
+_COMMENTS = re.compile(rb"(?:[ \t]*#[^\n]*\n|[ \t\r]*\n)*")
+_TUM_START = re.compile(_COMMENTS.pattern + rb"[ \t]*(?:[-+.\deE]+[ \t]+){7}[-+.\deE]+[ \t\r]*\n")
+_TUM_POSE = Dialect(("time", "x", "y", "z", "qx", "qy", "qz", "qw"), " ")
+_MAX_NORM_ERROR = 0.01
+"""Largest deviation of the norm of a quaternion from 1."""
+
+_MIN_EPOCH = 1e8
+"""Smallest time that counts as a time since 1970, or of a similar clock, s."""
+
+
+@final
+class Tum(Format):
+    """TUM trajectory: lines ``timestamp tx ty tz qx qy qz qw`` of one body from SLAM tools, in s and m."""
+
+    name = "TUM trajectory"
+
+    def recognizes(self, start: RecordedFile) -> bool:
+        """Return whether the first line after comments has eight numbers without commas."""
+        return bool(_TUM_START.match(start.data.removeprefix(b"\xef\xbb\xbf")))
+
+    def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
+        """Read the poses of one body.
+
+        Raises:
+            InputError: the file is damaged; the message names line and cell.
+        """
+        file = laid_out(file, _TUM_POSE)
+        time, points, quaternions, notes = marker_rows(file, file.header_lines, 8, [1], others=range(4, 8))
+        epoch = None
+        if time.min() > _MIN_EPOCH:
+            epoch = round(1e9 * time[0])
+            notes.append(f"times are relative to the first one, {time[0]:.3f} s")
+            time = time - time[0]
+        if (np.abs(np.linalg.norm(quaternions, axis=-1) - 1) > _MAX_NORM_ERROR).any():
+            raise file.error(
+                "eight numbers per line are read as time, x, y, z and a quaternion, but its norm is not 1"
+            )
+        rotations, names = quaternions[:, None], [Path(file.name).stem]
+        return marker_table(file, self.name, time, points, names, notes, rotations=rotations, epoch_ns=epoch)
+
+
+MIN_LIKELIHOOD = 0.6
+"""Smallest likelihood of a sample that is used, 1: the default of DeepLabCut (`pcutoff`)."""
+
+
+@final
+class DeepLabCut(Format):
+    """DeepLabCut CSV of one animal (3 header rows) or several (4), in pixels or lengths."""
+
+    name = "DeepLabCut CSV"
+
+    def recognizes(self, start: RecordedFile) -> bool:
+        """Return whether a file starts with the row of the scorer."""
+        return start.title.lower() == "scorer"
+
+    def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
+        """Read the tracks of DeepLabCut in a plane.
+
+        Args:
+            file: CSV file.
+            unstated: frames per second of the video; unit of the coordinates if they are lengths (None or
+                "px": pixels); size of a pixel.
+
+        Raises:
+            InputError: rate or scale are not given, or the file is damaged.
+        """
+        rate_hz, unit, scale_m, _ = unstated
+        missing = [] if rate_hz else ["`rate_hz` (frames per second of the video)"]
+        pixels = unit in (None, "px")
+        if pixels and not scale_m:
+            missing.append("`scale_m` (m per pixel; or `unit`, if the coordinates are lengths)")
+        if missing:
+            raise file.error(f"DeepLabCut files have frames and pixels only; give {' and '.join(missing)}")
+        rate = frame_rate(file, str(rate_hz))
+        factor = float(scale_m or 0.0) if pixels else LENGTHS[length_unit(file, unit or "")]
+        if not 0 < factor < 1e3:
+            raise file.error(f"scale_m {factor:g} is not allowed; it must be m per pixel")
+        lines = {cells[0]: cells for cells in file.head(4) if cells}
+        if not {"bodyparts", "coords"} <= lines.keys():
+            raise file.error(
+                "the header is cut: it must have rows scorer, (individuals,) bodyparts and coords", 2
+            )
+        top, coords = 4 if "individuals" in lines else 3, lines["coords"]
+        width = len(coords)
+        if width < 4 or coords[1:] != ["x", "y", "likelihood"] * (width // 3):
+            raise file.error("each body part must have the columns x,y,likelihood", top)
+        time, samples, _, notes = marker_rows(file, top, width, range(1, width, 3), rate=rate)
+        points = samples[..., :2] * [factor, -factor]
+        unlikely = ~(samples[..., 2] >= MIN_LIKELIHOOD) & np.isfinite(points).all(axis=-1)
+        points[unlikely] = np.nan
+        notes += [
+            f"{int(unlikely.sum())} samples with a likelihood below {MIN_LIKELIHOOD} read as missing",
+            "y reversed, because it points down in images",
+            f"coordinates multiplied by {factor:g} to m",
+        ]
+        parts, animals = lines["bodyparts"], lines.get("individuals")
+        if len(parts) != width or (animals and len(animals) != width):
+            raise file.error(f"the rows of the header must have {width} cells", top)
+        names = [f"{animals[k]}:{parts[k]}" if animals else parts[k] for k in range(1, width, 3)]
+        return replace(marker_table(file, self.name, time, points, names, notes), unit=unit or "px")
+
+
+_NUMBERED = re.compile(r"[xyz]_\d+(?![A-Za-z0-9]{2})", re.IGNORECASE)
+
+
+@final
+class PlainCsv(Format):
+    """Plain CSV with the columns ``time`` and ``x_1,y_1…`` (head first), or with other names.
+
+    The unit is in the name: ``time_ms``, ``x_1_mm`` or ``x_1 (mm)``; without a unit it is s or m. ``z_1`` is
+    optional. Two markers on a connector are ``x_1a,y_1a,x_1b,y_1b``.
+    """
+
+    name = "plain CSV"
+
+    def recognizes(self, start: RecordedFile) -> bool:
+        """Return whether a file starts with the names of columns of a time or of positions."""
+        names = start.names
+        return any(_NUMBERED.match(name) or is_clock(name) for name in names) or bool(axis_columns(names))
+
+    def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
+        """Read the markers of a plain CSV file.
+
+        Raises:
+            InputError: the file is damaged, has no positions, or its units contradict each other; the message
+                names line and column.
+        """
+        rate_hz, unit = unstated.rate_hz, unstated.unit
+        file = laid_out(file, unstated.dialect)
+        numbered = any(_NUMBERED.match(name) for name in file.names)
+        table = read_table(file, CLOCK | dict.fromkeys("xyz" if numbered else "", LENGTHS))
+        markers = _marker_columns(table, numbered)
+        clock = [column for column in table.columns if column.name in CLOCK]
+        if not clock and not rate_hz:
+            raise file.error(
+                "no column 'time' (the first line must name the columns: time,x_1,y_1,x_2,y_2,…), and no "
+                "rate_hz or --rate is given",
+                file.header_lines or 1,
+            )
+        if unit == "px" and not unstated.scale_m:
+            raise file.error("units px need scale_m, the size of a pixel in m")
+        scale = unstated.scale_m if unit == "px" else LENGTHS.get(unit or "m")
+        chosen = []
+        for column in (column for columns in markers.values() for column in columns):
+            if unit and column.unit not in ("", unit):
+                conflict = (
+                    f"'{column.text}' is in {column.unit} according to its name, but in {unit} according to "
+                    "the map or --units"
+                )
+                raise table.error(column, f"{conflict}; correct one of them")
+            chosen.append(column if column.unit else replace(column, factor=scale or 1.0))
+        time, values, notes, epoch_ns = table.read_timed(clock[0] if clock else None, chosen, rate_hz)
+        used = [*clock, *chosen]
+        units = sorted({column.unit or unit or "" for column in used} - {"", "m", "s"})
+        if units:
+            notes.append(f"converted from {', '.join(units)} to SI")
+        without = [column.text for column in used if not column.unit]
+        if without and not unit:
+            notes.append(f"{len(without)} columns without a unit assumed to be in s and m ({without[0]}, …)")
+        others = {*range(len(file.names))} - {column.place for column in used}
+        notes += not_used([file.names[index] or "''" for index in sorted(others)])
+        places: tuple[tuple[int, str], ...] = ()
+        if numbered:
+            places = tuple((2 * (columns[0].number - 1), "") for columns in markers.values())
+        points = values.reshape(len(time), len(markers), -1)
+        result = marker_table(
+            file, self.name, time, points, list(markers), notes, places=places, epoch_ns=epoch_ns
+        )
+        return replace(result, unit=unit or min({column.unit for column in chosen} - {""}, default="m"))
+
+
+def _marker_columns(table: CsvTable, numbered: bool) -> dict[str, list[CsvColumn]]:
+    """Return the columns x, y and, if they exist, z of each marker; numbered markers head first."""
+    file, line = table.file, table.file.header_lines or 1
+    markers: dict[str, dict[str, CsvColumn]] = {}
+    columns = [column for column in table.columns if column.name not in CLOCK]
+    for column in sorted(columns, key=lambda column: (column.number, column.letter)):
+        if column.number == 0:
+            raise table.error(column, f"{column.text} needs a number: {column.name}_1 at the head")
+        markers.setdefault(f"{column.number}{column.letter}", {})[column.name] = column
+    for name, axes in {} if numbered else axis_columns(file.names).items():
+        for axis, (index, unit) in axes.items():
+            column = CsvColumn(index, axis, 0, "", unit, LENGTHS.get(unit, 1.0), file.names[index])
+            markers.setdefault(name, {})[axis] = column
+            if file.names.count(column.text) > 1:
+                raise table.error(column, f"{column.text}: two columns have this name")
+    if not markers:
+        required = "columns x_1,y_1,x_2,y_2,… (head first) or NAME_x,NAME_y"
+        raise file.error(f"the file has no positions; it must have {required}", line)
+    letters = "xyz" if any("z" in marker for marker in markers.values()) else "xy"
+    missing = ((name, axis) for name, marker in markers.items() for axis in letters if axis not in marker)
+    for name, axis in missing:
+        if numbered:
+            first = next(iter(markers[name].values()))
+            raise table.error(first, f"{first.text}: {axis}_{name} is missing")
+        raise file.error(f"{name}_{axis} is missing, although other markers have one", line)
+    numbers = {column.number for marker in markers.values() for column in marker.values()}
+    if numbered and len(numbers) < max(numbers):
+        first_missing = min({*range(1, max(numbers))} - numbers)
+        raise file.error(f"x_{first_missing} is missing; connectors are numbered from 1 at the head", line)
+    return {name: [marker[axis] for axis in letters] for name, marker in markers.items()}
