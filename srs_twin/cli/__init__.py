@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import io
 import os
 import sys
@@ -22,6 +23,10 @@ from srs_twin.io.files import check_printable
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
+
+_GC_THRESHOLD = 200_000
+"""Number of new objects between collections of garbage. With Python's default of 700, collections take a
+sixth of the processor time of `compare`; with this number, memory grows by 3 %."""
 
 _PYTHON_FORMATWARNING = warnings.formatwarning
 
@@ -52,6 +57,7 @@ def main(argv: list[str] | None = None) -> None:
         argv: arguments after the program name; default: those of this process.
     """
     sys.stdout, sys.stderr = _without_broken_pipes(sys.stdout), _without_broken_pipes(sys.stderr)
+    gc.set_threshold(_GC_THRESHOLD)
     warnings.formatwarning = _format_warning  # type: ignore[assignment]
     try:
         for argument in sys.argv[1:] if argv is None else argv:
