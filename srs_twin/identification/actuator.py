@@ -48,8 +48,9 @@ from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.recordings.csv_table import first_line_names, read_file, read_table
 from srs_twin.recordings.recording import Recording
 from srs_twin.recordings.signals.gaps import MIN_FRAMES
-from srs_twin.recordings.signals.logs import SIDES, ValveLog
+from srs_twin.recordings.signals.logs import SIDES
 from srs_twin.recordings.signals.units import ANGLES, PRESSURES, is_clock
+from srs_twin.recordings.signals.valve_log import ValveLog
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 

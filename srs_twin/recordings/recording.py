@@ -41,7 +41,7 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from srs_twin.recordings.signals.logs import ValveLog
+    from srs_twin.recordings.signals.valve_log import ValveLog
 
 
 LONGEST_GAP = 0.2

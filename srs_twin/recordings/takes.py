@@ -20,7 +20,8 @@ from srs_twin.recordings.formats import BAG_SUFFIXES
 from srs_twin.recordings.recording import LONGEST_GAP, Recording, read_motion
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 from srs_twin.recordings.signals.clock import join
-from srs_twin.recordings.signals.logs import ValveLog, is_bend_log, read_bends, read_valves
+from srs_twin.recordings.signals.logs import is_bend_log, read_bends, read_valves
+from srs_twin.recordings.signals.valve_log import ValveLog
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 

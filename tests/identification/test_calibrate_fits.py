@@ -25,7 +25,8 @@ from srs_twin.identification.friction import is_pull_table, read_pull_table
 from srs_twin.identification.locomotion import gait_run
 from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.signals.clock import join
-from srs_twin.recordings.signals.logs import ValveLog, read_valves
+from srs_twin.recordings.signals.logs import read_valves
+from srs_twin.recordings.signals.valve_log import ValveLog
 from srs_twin.recordings.takes import logs_of, repeats, start_pose, starts_at_rest
 from srs_twin.robot.spec import GRAVITY
 

@@ -24,7 +24,8 @@ from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.recordings.body.trajectories import numbered_columns
 from srs_twin.recordings.recording import Recording, named_in_errors
 from srs_twin.recordings.signals.gaps import MIN_FRAMES
-from srs_twin.recordings.signals.logs import SIDES, ValveLog
+from srs_twin.recordings.signals.logs import SIDES
+from srs_twin.recordings.signals.valve_log import ValveLog
 from srs_twin.robot.spec import RobotSpec
 
 MIN_OVERLAP = 0.5
