@@ -1,16 +1,19 @@
-"""Facts of a recording: the output of `srs-twin inspect --json`, one object per file that can be read.
+"""Facts of a recording as JSON, as text and as a proposed map: the output of `srs-twin inspect`.
 
-Keys that do not apply to a file are left out. `srs-twin schema inspect` prints the JSON Schema of the list.
+The JSON has one object per file that can be read. Keys that do not apply to a file are left out.
+`srs-twin schema inspect` prints the JSON Schema of the list.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter
 
 from srs_twin.io.validation import StrictModel
+from srs_twin.recordings.recording_map import LOG_NAME, Up, canonical_key
 
 
 def _unit(unit: str) -> Any:
@@ -30,8 +33,8 @@ Pair = Annotated[list[str], Field(min_length=2, max_length=2)]
 
 
 class _Facts(StrictModel):
-    # Converts the numbers of NumPy to those of Python.
-    model_config = ConfigDict(strict=False)
+    # Converts the numbers of NumPy to those of Python, in constructors and in assignments.
+    model_config = ConfigDict(strict=False, frozen=False, validate_assignment=True)
 
 
 class MarkerFacts(_Facts):
@@ -143,7 +146,7 @@ class RecordingFacts(_Facts):
     units: str | None = None
     """Unit of length of the file, as stated, given or assumed. The lengths below are in the units of their
     keys."""
-    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
+    up: Up | None = None
     """Axis of the file that points up."""
     markers: list[MarkerFacts] | None = None
     """All columns of positions."""
@@ -174,13 +177,100 @@ class RecordingFacts(_Facts):
     notes: list[str]
     """Notes on results, conversions, assumptions and data that were left out."""
 
-
-def plain_facts(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return validated facts in plain Python types, for JSON."""
-    return RecordingFacts.model_validate(facts).model_dump(mode="json", exclude_unset=True)
+    def document(self) -> dict[str, Any]:
+        """Return the facts as plain data for JSON, without those that do not apply to the file."""
+        return self.model_dump(mode="json", exclude_unset=True)
 
 
 def facts_json_schema() -> dict[str, Any]:
     """Return the JSON Schema (draft 2020-12) of `inspect --json`, with descriptions and units."""
     schema = TypeAdapter(list[RecordingFacts]).json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema
+
+
+def proposed_map(facts: Sequence[RecordingFacts]) -> str:
+    """Return a proposed map (YAML) for the files of one recording, with the reasons as comments."""
+    lines = ["# Proposed by srs-twin inspect: check it, then use it as --map."]
+    for file in (file for file in facts if file.content == "markers"):
+        lines.append(f"# {file.file}: {file.format}, {file.rate_hz:.4g} Hz")
+        if file.up is not None:
+            lines.append(f"up: {json.dumps(file.up)}")
+        lines += _marker_lines(file)
+    logged = [signal for file in facts for signal in file.signals or () if signal.looks_like != "text"]
+    keys = [canonical_key(signal.name) for signal in logged]
+    if any(map(LOG_NAME.fullmatch, keys)):
+        lines.append("log:")
+    elif logged:
+        lines.append("# log:  # assign valve_plus_1, pressure_kpa_plus_1, … of each segment")
+    for key, signal in zip(keys, logged, strict=True):
+        key = key if LOG_NAME.fullmatch(key) else "# valve_plus_1"
+        comment = f"{signal.looks_like}, {signal.low or 0:g} to {signal.high or 0:g}"
+        lines.append(f"  {key}: {json.dumps(signal.name)}  # {comment}")
+    return "\n".join(lines) + "\n"
+
+
+def _marker_lines(facts: RecordingFacts) -> list[str]:
+    """Return the lines of the markers in a proposed map, head first if the head is known."""
+    order, heads, markers = list(facts.order or ()), facts.head or (), facts.markers or ()
+    if not order:
+        return ["# markers: their order is not known; give their places: {connector: 1}, {middle: 1}, …"]
+    reason = "the head is not known: reverse the numbers if it is at the other end"
+    if heads:
+        reason = heads[0].why
+        if heads[0].marker == order[-1]:
+            order.reverse()
+    if any(marker.rigid_body for marker in markers):
+        named = enumerate(dict.fromkeys(order), start=1)
+        places = [f"  {json.dumps(name)}: {{connector: {k}}}" for k, name in named]
+        return [f"bodies:  # head: {reason}", *places]
+    pairs = {frozenset(pair) for pair in facts.rigid_pairs or ()}
+    in_pairs = len(order) % 2 == 0 and pairs >= set(map(frozenset, zip(order[::2], order[1::2], strict=True)))
+    ahead = not in_pairs and len(order) > 2 and frozenset(order[:2]) in pairs
+    lines = [f"markers:  # head: {reason}"]
+    for k, name in enumerate(order):
+        connector = k // 2 + 1 if in_pairs else max(1, k + 1 - ahead)
+        side = ", side: ahead" if ahead and k == 0 else ""
+        lines.append(f"  {json.dumps(name)}: {{connector: {connector}{side}}}")
+    others = (marker.name for marker in markers if marker.name not in order)
+    return lines + [f"  {json.dumps(name)}: ignore" for name in others]
+
+
+def in_words(facts: RecordingFacts) -> str:
+    """Return the facts as text, one per line."""
+    lines = [f"{facts.file}: {facts.format}, {facts.content}"]
+    if facts.rate_hz:
+        count = f"{facts.rows} rows" if facts.frames is None else f"{facts.frames} frames"
+        lines.append(f"{count}, {facts.rate_hz:.4g} Hz, {facts.duration_s:.4g} s")
+    if facts.up is not None:
+        noise = "" if facts.noise_mm is None else f"noise {facts.noise_mm:.2g} mm; "
+        lines.append(f"up: {facts.up}; {noise}{facts.tracks or 0} lasting markers")
+    lines += [f"  {_marker_text(marker)}" for marker in (facts.markers or ())[:40]]
+    rigid_pairs = [set(pair) for pair in facts.rigid_pairs or ()]
+    for distance in facts.distances or ():
+        rigid = ", one rigid part" if set(distance.markers) in rigid_pairs else ""
+        values = f"{distance.median_mm:.1f} mm, varies by {distance.spread_mm:.2g} mm"
+        lines.append(f"  {' to '.join(distance.markers)}: {values}{rigid}")
+    if facts.layouts is not None:
+        fitting = [f"{name} of {count} connectors" for name, count in facts.layouts.items() if count > 1]
+        lines.append(f"layouts with this number of markers: {', '.join(fitting)}")
+        heads = "; ".join(f"{head.marker} ({head.why})" for head in facts.head or ())
+        lines.append(f"head: {heads or 'not determined by the markers; give --head'}")
+    lines += [f"  {_signal_text(signal)}" for signal in facts.signals or ()]
+    if (robot := facts.robot) is not None:
+        lines += [f"as a recording of {robot.name}:", *(f"  {line}" for line in robot.says.split("\n"))]
+    return "\n".join([*lines, *(f"note: {note}" for note in facts.notes)])
+
+
+def _marker_text(marker: MarkerFacts) -> str:
+    noise = "never seen"
+    if marker.noise_mm is not None:
+        noise = f"noise {marker.noise_mm:.2g} mm, {marker.height_mm:.0f} mm high"
+    coverage = f"seen on {100 * marker.coverage:.1f} % of the frames"
+    gaps = f"{marker.gaps} gaps up to {marker.longest_gap_s:.3g} s"
+    return f"{marker.name}: {coverage}, {gaps}, {noise}{', rigid body' if marker.rigid_body else ''}"
+
+
+def _signal_text(signal: SignalFacts) -> str:
+    bounds = "" if signal.low is None else f", {signal.low:g} to {signal.high:g}"
+    rate = f", {signal.openings_per_s:.3g} openings per second" if signal.openings_per_s else ""
+    return f"{signal.name}: {signal.looks_like}{bounds}{rate}{'' if signal.understood else ' (needs a map)'}"

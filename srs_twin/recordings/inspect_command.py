@@ -43,7 +43,8 @@ def inspect(
         write_map: File for the proposed map.
     """
     from srs_twin.io.files import check_output_folder, escape_unprintable, write_text
-    from srs_twin.recordings.inspection import in_words, inspect_file, proposed_map
+    from srs_twin.recordings.facts import in_words, proposed_map
+    from srs_twin.recordings.inspection import inspect_file
     from srs_twin.recordings.recording_map import given_map, read_map
     from srs_twin.robot.file import load_robot
 
@@ -76,7 +77,7 @@ def inspect(
             save(markers_view(scene), place)
             say(f"picture in {place}")
     if as_json:
-        print_json(found)
+        print_json([facts.document() for facts in found])
     if write_map is not None and found:
         write_text(Path(write_map), proposed_map(found))
         say(f"proposed map in {write_map}")

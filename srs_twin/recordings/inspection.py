@@ -1,17 +1,15 @@
 """Inspection of a recording without a robot: format, clock, axes, markers, order, head, proposed map.
 
-Facts are plain data with units in their keys, as printed by `srs-twin inspect --json` (`facts.py`). `Scene`
-contains the data for a picture.
+`srs-twin inspect --json` prints the facts (`facts.py`). `Scene` contains the data for a picture.
 """
 
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import cast
 
 import numpy as np
 
@@ -35,19 +33,26 @@ from srs_twin.recordings.csv_table import (
     read_table,
     start_of,
 )
-from srs_twin.recordings.facts import plain_facts
+from srs_twin.recordings.facts import (
+    DistanceFacts,
+    HeadFacts,
+    MarkerFacts,
+    RecordingFacts,
+    RobotFacts,
+    SignalFacts,
+    proposed_map,
+)
 from srs_twin.recordings.formats import identify, read_markers, read_topics
 from srs_twin.recordings.formats.base import MarkerTable, axis_columns, in_unit
 from srs_twin.recordings.formats.tables import PlainCsv
 from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.recording import bodies_as_pairs, in_slots, read_motion, without_foreign_tracks
-from srs_twin.recordings.recording_map import LOG_NAME, QUANTITIES, RecordingMap
+from srs_twin.recordings.recording_map import LOG_NAME, QUANTITIES, RecordingMap, Up, canonical_key
 from srs_twin.recordings.signals.gaps import MIN_FRAMES, FrameGrid, at_frames, frame_grid, runs
 from srs_twin.recordings.signals.units import (
     ABSOLUTE,
     ANGLES,
     PRESSURES,
-    bracketed,
     clean,
     looks_absolute,
     stated_unit,
@@ -92,7 +97,7 @@ class Scene:
 
 def inspect_file(
     path: str | os.PathLike[str], map: RecordingMap, spec: RobotSpec | None
-) -> tuple[dict[str, Any], Scene | None]:
+) -> tuple[RecordingFacts, Scene | None]:
     """Return the facts of a file, and its markers if it has any.
 
     Args:
@@ -121,18 +126,19 @@ def inspect_file(
         )
     facts, scene = _motion_facts(map.applied(table), map)
     if spec is not None:
-        facts["robot"] = _robot_facts(path, map, spec)
+        facts.robot = _robot_facts(path, map, spec)
     if topics is not None:
-        facts["signals"] = _topics_facts(topics, kind, map)["signals"]
+        facts.signals = _topics_facts(topics, kind, map).signals
     return _with_proposal(facts), scene
 
 
-def _with_proposal(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return facts with the proposed map, in plain types."""
-    return plain_facts({**facts, "proposals": proposed_map([facts]).splitlines()})
+def _with_proposal(facts: RecordingFacts) -> RecordingFacts:
+    """Add the proposed map."""
+    facts.proposals = proposed_map([facts]).splitlines()
+    return facts
 
 
-def _topics_facts(topics: RecordedTopics, kind: str, map: RecordingMap) -> dict[str, Any]:
+def _topics_facts(topics: RecordedTopics, kind: str, map: RecordingMap) -> RecordingFacts:
     """Return the facts of the signals of a bag."""
     signals = list(topics.signals.items())[:_MAX_SIGNALS]
     time = max((times for _, (times, _) in signals), key=len, default=np.zeros(0))
@@ -140,71 +146,83 @@ def _topics_facts(topics: RecordedTopics, kind: str, map: RecordingMap) -> dict[
     return _log_facts(topics, kind, signal_facts, topics.notes, time)
 
 
-def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[dict[str, Any], Scene | None]:
+def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[RecordingFacts, Scene | None]:
     frames, with_pairs = frame_grid(table.time), bodies_as_pairs(table)
-    facts: dict[str, Any] = {
-        "file": table.name, "format": table.kind, "content": "markers", "sha256": table.sha256,
-        "rate_hz": 1 / frames.period, "duration_s": float(frames.time[-1] - frames.time[0]),
-        "frames": int((frames.rows >= 0).sum()), "frames_missing": int((frames.rows < 0).sum()),
-        "announced_frames": table.header_frames, "units": table.unit,
-        "notes": [*table.corrections, *frames.corrections],
-    }  # fmt: skip
+    facts = RecordingFacts(
+        file=table.name,
+        format=table.kind,
+        content="markers",
+        sha256=table.sha256,
+        rate_hz=1 / frames.period,
+        duration_s=float(frames.time[-1] - frames.time[0]),
+        frames=int((frames.rows >= 0).sum()),
+        frames_missing=int((frames.rows < 0).sum()),
+        announced_frames=table.header_frames,
+        units=table.unit,
+        proposals=[],
+        notes=[*table.corrections, *frames.corrections],
+    )
     try:
         floor = map_to_floor(with_pairs.points, map.up or "auto", table.usual_up)
     except InputError as error:
-        facts["notes"].append(str(error))
+        facts.notes.append(str(error))
         return facts, None
     points = at_frames(floor.points, frames)
     has_rotation = np.zeros(len(table.labels), dtype=bool)
     if table.rotations is not None:
         has_rotation = np.isfinite(table.rotations).any(axis=(0, 2))
     owner = np.repeat(np.arange(len(has_rotation)), 1 + has_rotation)  # rigid bodies have two columns
-    facts["notes"] += floor.corrections
-    facts |= {"up": floor.up, "bodies": [table.labels[k] for k in np.flatnonzero(has_rotation)]}
-    facts["markers"] = [
+    facts.notes += floor.corrections
+    facts.up = cast(Up, floor.up)
+    facts.bodies = [table.labels[k] for k in np.flatnonzero(has_rotation)]
+    facts.markers = [
         _marker_facts(name, points[:, owner == k].mean(axis=1), frames, bool(has_rotation[k]))
         for k, name in enumerate(table.labels)
     ]
     return facts, _body_facts(with_pairs, points, frames, facts)
 
 
-def _marker_facts(name: str, position: np.ndarray, frames: FrameGrid, rigid_body: bool) -> dict[str, Any]:
+def _marker_facts(name: str, position: np.ndarray, frames: FrameGrid, rigid_body: bool) -> MarkerFacts:
     missing = np.isnan(position[:, 0])
     gaps = runs(missing)
     inner = gaps[(gaps[:, 0] > 0) & (gaps[:, 1] < len(position))]
-    longest = float(np.diff(inner, axis=1).max(initial=0)) * frames.period
     noise = None if missing.all() else marker_noise(position[:, None, :2])
-    return {
-        "name": name, "rigid_body": rigid_body, "coverage": float(1 - missing.mean()), "gaps": len(inner),
-        "longest_gap_s": longest, "noise_mm": None if noise is None else 1e3 * noise, "noise_m": noise,
-        "height_mm": None if missing.all() else 1e3 * float(np.nanmedian(position[:, 2])),
-    }  # fmt: skip
+    return MarkerFacts(
+        name=name,
+        rigid_body=rigid_body,
+        coverage=float(1 - missing.mean()),
+        gaps=len(inner),
+        longest_gap_s=float(np.diff(inner, axis=1).max(initial=0)) * frames.period,
+        noise_mm=None if noise is None else 1e3 * noise,
+        noise_m=noise,
+        height_mm=None if missing.all() else 1e3 * float(np.nanmedian(position[:, 2])),
+    )
 
 
 def _body_facts(
-    table: MarkerTable, points: np.ndarray, frames: FrameGrid, facts: dict[str, Any]
+    table: MarkerTable, points: np.ndarray, frames: FrameGrid, facts: RecordingFacts
 ) -> Scene | None:
     """Add order, distances, layouts and head to the facts, as far as the markers determine them."""
     slots, columns = in_slots(table, points)
     nearest = np.fmin.reduce(pairwise_distances(slots[..., :2], _DISTANCE_FRAMES), axis=2)
     if np.isnan(nearest).all():
-        facts["notes"].append("no frame has two visible markers")
+        facts.notes.append("no frame has two visible markers")
         return None
     near = float(np.nanmedian(nearest))
     if near > _MAX_NEIGHBOUR_M:
-        facts["notes"].append(f"neighbours are {near:.3g} m apart; are lengths in mm? Give --units")
+        facts.notes.append(f"neighbours are {near:.3g} m apart; are lengths in mm? Give --units")
     longest_gap = max(1, round(_TRACKING_GAP_S / frames.period))
     tracks, origin, unassigned = track_markers(slots, columns, longest_gap, 2 * near)
     tracks, origin, _, notes = without_foreign_tracks(tracks, origin, table)
-    facts["notes"] += notes
+    facts.notes += notes
     lasting = np.flatnonzero((~np.isnan(tracks[..., 0])).mean(axis=0) >= MIN_COVERAGE)
     places, count = tracks[:, lasting], len(lasting)
     names = _marker_names(origin[:, lasting], table.labels, facts)
-    facts |= {"tracks": count, "positions_of_nothing": int(unassigned)}
+    facts.tracks, facts.positions_of_nothing = count, int(unassigned)
     complete = places[np.isfinite(places[..., 0]).all(axis=1)]
     if len(complete) < MIN_FRAMES or count < 2:
-        facts["notes"].append(f"{len(complete)} frames have all {count} lasting markers")
-        return Scene(places, names, (), (), facts["file"])
+        facts.notes.append(f"{len(complete)} frames have all {count} lasting markers")
+        return Scene(places, names, (), (), facts.file)
     noise, (median, spread) = marker_noise(places), distance_statistics(complete)
     closest = np.nanmin(median, axis=0)
     constant = spread < _RIGID_NOISE_RATIO * np.sqrt(2) * noise
@@ -216,33 +234,35 @@ def _body_facts(
     try:
         order = tuple(body_order(complete).tolist())
     except InputError as error:
-        facts["notes"].append(str(error))
+        facts.notes.append(str(error))
         order = ()
-    facts |= {"noise_mm": 1e3 * noise, "order": [names[k] for k in order]}
-    facts["rigid_pairs"] = [[names[a], names[b]] for a, b in pairs]
-    facts["distances"] = [
-        {"markers": [names[a], names[b]], "median_mm": 1e3 * median[a, b], "spread_mm": 1e3 * spread[a, b]}
+    facts.noise_mm, facts.order = 1e3 * noise, [names[k] for k in order]
+    facts.rigid_pairs = [[names[a], names[b]] for a, b in pairs]
+    facts.distances = [
+        DistanceFacts(
+            markers=[names[a], names[b]], median_mm=1e3 * median[a, b], spread_mm=1e3 * spread[a, b]
+        )
         for a, b in pairwise(order)
         if names[a] != names[b]  # a rigid body is represented by two markers with its name
     ]
-    facts["layouts"] = {
+    facts.layouts = {
         layout: (count - size.extra) // size.per_connector
         for layout, size in LAYOUT_SIZES.items()
         if (count - size.extra) % size.per_connector == 0
     }
     heads = _heads(complete[:, list(order)], frames.period, order, pairs, near) if len(order) > 2 else []
-    facts["head"] = [{"marker": names[end], "why": reason} for end, reason in heads]
-    return Scene(places, names, order, pairs, facts["file"])
+    facts.head = [HeadFacts(marker=names[end], why=reason) for end, reason in heads]
+    return Scene(places, names, order, pairs, facts.file)
 
 
-def _marker_names(origin: np.ndarray, labels: Sequence[str], facts: dict[str, Any]) -> tuple[str, ...]:
+def _marker_names(origin: np.ndarray, labels: Sequence[str], facts: RecordingFacts) -> tuple[str, ...]:
     """Return a unique column name for each marker; add a note if markers change columns."""
     from scipy.optimize import linear_sum_assignment
 
     counts = np.stack([np.bincount(column[column >= 0], minlength=len(labels)) for column in origin.T])
     _, chosen = linear_sum_assignment(-counts)
     if (away := counts.sum() - counts[np.arange(len(chosen)), chosen].sum()) > 0:
-        facts["notes"].append(
+        facts.notes.append(
             f"{100 * away / counts.sum():.0f} % of the positions are in other columns than those of their "
             "markers: markers change their columns, so a map by their names is not valid for all frames"
         )
@@ -262,23 +282,27 @@ def _heads(
         yield end, f"the body crawled {abs(crawled):.3g} m towards this end"
 
 
-def _robot_facts(path: str | os.PathLike[str], map: RecordingMap, spec: RobotSpec) -> dict[str, Any]:
+def _robot_facts(path: str | os.PathLike[str], map: RecordingMap, spec: RobotSpec) -> RobotFacts:
     """Return the result of reading the file as a recording of a robot."""
     try:
         recording = read_motion(path, spec, map=map)
     except InputError as error:
-        return {"name": spec.name, "reads": False, "says": str(error)}
+        return RobotFacts(name=spec.name, reads=False, says=str(error))
     length, markers = recording.trajectory.stack("length"), recording.summary.markers
     low, median, high = np.quantile(length, [0.02, 0.5, 0.98], axis=0)
     assert markers is not None, "it is a recording of markers"
-    return {
-        "name": spec.name, "reads": True, "says": recording.summary.text(), "layout": markers.layout,
-        "bend_error_rad": markers.bend_error_rad, "length_mm": (1e3 * median).tolist(),
-        "stretch": ((high - low) / spec.geometry.segment_length).tolist(),
-    }  # fmt: skip
+    return RobotFacts(
+        name=spec.name,
+        reads=True,
+        says=recording.summary.text(),
+        layout=markers.layout,
+        bend_error_rad=markers.bend_error_rad,
+        length_mm=(1e3 * median).tolist(),
+        stretch=((high - low) / spec.geometry.segment_length).tolist(),
+    )
 
 
-def _table_facts(file: RecordedFile, map: RecordingMap) -> dict[str, Any]:
+def _table_facts(file: RecordedFile, map: RecordingMap) -> RecordingFacts:
     """Return the facts of a table of numbers over time."""
     meanings = map.meanings(QUANTITIES)
     timed = {
@@ -292,7 +316,7 @@ def _table_facts(file: RecordedFile, map: RecordingMap) -> dict[str, Any]:
         time, time_notes, epoch_ns = file.times(clock.place, clock.unit)
         notes += time_notes
         unit = f"time in {clock.unit}" if clock.unit else "time without a unit"
-    signals: list[dict[str, Any]] = []
+    signals: list[SignalFacts] = []
     for k, name in enumerate(file.names[:_MAX_SIGNALS]):
         if clock is not None and k == clock.place:
             continue
@@ -302,53 +326,57 @@ def _table_facts(file: RecordedFile, map: RecordingMap) -> dict[str, Any]:
         except InputError as error:
             if "is not a number" not in str(error):
                 raise
-            signals.append({"name": name, "looks_like": "text", "understood": False})
+            signals.append(SignalFacts(name=name, looks_like="text", understood=False))
     notes.insert(0, f"a log of {len(signals)} signals, {unit}")
     return _log_facts(file, PlainCsv.name, signals, notes, time, (epoch_ns or 0) / 1e9)
 
 
 def _log_facts(
-    source: RecordedFile | RecordedTopics, kind: str, signals: Sequence[Mapping[str, Any]],
-    notes: Sequence[str], time: np.ndarray | None, beginning: float = 0.0,
-) -> dict[str, Any]:  # fmt: skip
+    source: RecordedFile | RecordedTopics,
+    kind: str,
+    signals: Sequence[SignalFacts],
+    notes: Sequence[str],
+    time: np.ndarray | None,
+    beginning: float = 0.0,
+) -> RecordingFacts:
     """Return the facts of a log; start, duration, rate and rows are left out if it has less than two rows."""
-    head = {"file": source.name, "format": kind, "content": "log", "sha256": source.sha256}
-    facts = {**head, "signals": signals, "notes": notes}
-    if time is None or len(time) < 2:
-        return facts
-    step = np.diff(time)
-    return facts | {
-        "starts_s": beginning + float(time[0]), "duration_s": float(np.ptp(time)), "rows": len(time),
-        "rate_hz": float(1 / np.median(step[step > 0])) if (step > 0).any() else None,
-        "steps_back": int((step < 0).sum()),
-    }  # fmt: skip
-
-
-def _signal_facts(
-    name: str, time: np.ndarray | None, values: np.ndarray, map: RecordingMap
-) -> dict[str, Any]:
-    """Return range, suggested quantity and switching rate of a signal; no rate without times."""
-    known = values[np.isfinite(values)]
-    if not known.size:
-        return {"name": name, "looks_like": "nothing", "understood": False}
-    facts: dict[str, Any] = {
-        "name": name, "looks_like": _looks_like(name, known, map),
-        "understood": bool(LOG_NAME.fullmatch(_canonical(name))),
-        "low": float(known.min()), "high": float(known.max()), "distinct": len(np.unique(known)),
-    }  # fmt: skip
-    if facts["distinct"] <= 3 and time is not None:
-        opened = time[1:][(values[1:] == known.max()) & (values[:-1] != known.max())]
-        rate = float(1 / np.median(np.diff(opened))) if len(opened) > 2 and np.ptp(opened) > 0 else 0.0
-        facts["openings_per_s"] = rate
-        if rate > _MIN_CARRIER_HZ:
-            facts["looks_like"] += f", switched by a carrier of about {rate:.0f} Hz"
+    facts = RecordingFacts(
+        file=source.name,
+        format=kind,
+        content="log",
+        sha256=source.sha256,
+        signals=list(signals),
+        proposals=[],
+        notes=list(notes),
+    )
+    if time is not None and len(time) > 1:
+        step = np.diff(time)
+        facts.starts_s, facts.duration_s = beginning + float(time[0]), float(np.ptp(time))
+        facts.rows, facts.steps_back = len(time), int((step < 0).sum())
+        facts.rate_hz = float(1 / np.median(step[step > 0])) if (step > 0).any() else None
     return facts
 
 
-def _canonical(name: str) -> str:
-    """Return the key of a map for a column name: pressure_plus_1 for pressure_plus_1_kpa."""
-    match = re.fullmatch(r"(.+_\d{1,3})(?:[_ ]+[a-z]+)?", bracketed(name)[0].lower())
-    return match[1] if match else name.lower()
+def _signal_facts(name: str, time: np.ndarray | None, values: np.ndarray, map: RecordingMap) -> SignalFacts:
+    """Return range, suggested quantity and switching rate of a signal; no rate without times."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return SignalFacts(name=name, looks_like="nothing", understood=False)
+    facts = SignalFacts(
+        name=name,
+        looks_like=_looks_like(name, known, map),
+        understood=bool(LOG_NAME.fullmatch(canonical_key(name))),
+        low=float(known.min()),
+        high=float(known.max()),
+        distinct=(distinct := len(np.unique(known))),
+    )
+    if distinct <= 3 and time is not None:
+        opened = time[1:][(values[1:] == known.max()) & (values[:-1] != known.max())]
+        rate = float(1 / np.median(np.diff(opened))) if len(opened) > 2 and np.ptp(opened) > 0 else 0.0
+        facts.openings_per_s = rate
+        if rate > _MIN_CARRIER_HZ:
+            facts.looks_like += f", switched by a carrier of about {rate:.0f} Hz"
+    return facts
 
 
 def _looks_like(name: str, values: np.ndarray, map: RecordingMap) -> str:
@@ -383,92 +411,3 @@ def _pressure(unit: str, why: str, low: float, high: float, map: RecordingMap) -
     smallest, largest = (PRESSURES[unit] * value for value in (low, high))
     absolute = "; " + ABSOLUTE if not map.ambient and looks_absolute(np.array([smallest])) else ""
     return f"pressure, {unit}{why}: {smallest / 1e3:g} to {largest / 1e3:g} kPa{absolute}"
-
-
-def proposed_map(facts: Sequence[Mapping[str, Any]]) -> str:
-    """Return a proposed map (YAML) for the files of one recording, with the reasons as comments."""
-    import json
-
-    lines = ["# Proposed by srs-twin inspect: check it, then use it as --map."]
-    for file in (file for file in facts if file["content"] == "markers"):
-        lines.append(f"# {file['file']}: {file['format']}, {file['rate_hz']:.4g} Hz")
-        if "up" in file:
-            lines.append(f"up: {json.dumps(file['up'])}")
-        lines += _marker_lines(file)
-    signals = (signal for file in facts for signal in file.get("signals", ()))
-    logged = [signal for signal in signals if signal["looks_like"] != "text"]
-    keys = [_canonical(signal["name"]) for signal in logged]
-    if any(map(LOG_NAME.fullmatch, keys)):
-        lines.append("log:")
-    elif logged:
-        lines.append("# log:  # assign valve_plus_1, pressure_kpa_plus_1, … of each segment")
-    for key, signal in zip(keys, logged, strict=True):
-        key = key if LOG_NAME.fullmatch(key) else "# valve_plus_1"
-        comment = f"{signal['looks_like']}, {signal.get('low', 0):g} to {signal.get('high', 0):g}"
-        lines.append(f"  {key}: {json.dumps(signal['name'])}  # {comment}")
-    return "\n".join(lines) + "\n"
-
-
-def _marker_lines(facts: Mapping[str, Any]) -> list[str]:
-    """Return the lines of the markers in a proposed map, head first if the head is known."""
-    import json
-
-    order, heads = list(facts.get("order", ())), facts.get("head", ())
-    if not order:
-        return ["# markers: their order is not known; give their places: {connector: 1}, {middle: 1}, …"]
-    reason = "the head is not known: reverse the numbers if it is at the other end"
-    if heads:
-        reason = heads[0]["why"]
-        if heads[0]["marker"] == order[-1]:
-            order.reverse()
-    if any(marker["rigid_body"] for marker in facts["markers"]):
-        named = enumerate(dict.fromkeys(order), start=1)
-        places = [f"  {json.dumps(name)}: {{connector: {k}}}" for k, name in named]
-        return [f"bodies:  # head: {reason}", *places]
-    pairs = {frozenset(pair) for pair in facts.get("rigid_pairs", ())}
-    in_pairs = len(order) % 2 == 0 and pairs >= set(map(frozenset, zip(order[::2], order[1::2], strict=True)))
-    ahead = not in_pairs and len(order) > 2 and frozenset(order[:2]) in pairs
-    lines = [f"markers:  # head: {reason}"]
-    for k, name in enumerate(order):
-        connector = k // 2 + 1 if in_pairs else max(1, k + 1 - ahead)
-        side = ", side: ahead" if ahead and k == 0 else ""
-        lines.append(f"  {json.dumps(name)}: {{connector: {connector}{side}}}")
-    others = (marker["name"] for marker in facts["markers"] if marker["name"] not in order)
-    return lines + [f"  {json.dumps(name)}: ignore" for name in others]
-
-
-def in_words(facts: Mapping[str, Any]) -> str:
-    """Return the facts as text, one per line."""
-    lines = [f"{facts['file']}: {facts['format']}, {facts['content']}"]
-    if facts.get("rate_hz"):
-        unit = "frames" if "frames" in facts else "rows"
-        lines.append(f"{facts.get(unit)} {unit}, {facts['rate_hz']:.4g} Hz, {facts['duration_s']:.4g} s")
-    if "up" in facts:
-        noise = f"noise {facts['noise_mm']:.2g} mm; " if "noise_mm" in facts else ""
-        lines.append(f"up: {facts['up']}; {noise}{facts.get('tracks', 0)} lasting markers")
-    for marker in facts.get("markers", ())[:40]:
-        noise = "never seen"
-        if marker["noise_mm"] is not None:
-            noise = f"noise {marker['noise_mm']:.2g} mm, {marker['height_mm']:.0f} mm high"
-        noise += ", rigid body" if marker["rigid_body"] else ""
-        gaps = f"{marker['gaps']} gaps up to {marker['longest_gap_s']:.3g} s"
-        coverage = f"seen on {100 * marker['coverage']:.1f} % of the frames"
-        lines.append(f"  {marker['name']}: {coverage}, {gaps}, {noise}")
-    for distance in facts.get("distances", ()):
-        a, b = distance["markers"]
-        rigid = ", one rigid part" if {a, b} in [set(pair) for pair in facts["rigid_pairs"]] else ""
-        values = f"{distance['median_mm']:.1f} mm, varies by {distance['spread_mm']:.2g} mm"
-        lines.append(f"  {a} to {b}: {values}{rigid}")
-    if "layouts" in facts:
-        fitting = [f"{name} of {count} connectors" for name, count in facts["layouts"].items() if count > 1]
-        lines.append(f"layouts with this number of markers: {', '.join(fitting)}")
-        heads = "; ".join(f"{head['marker']} ({head['why']})" for head in facts["head"])
-        lines.append(f"head: {heads or 'not determined by the markers; give --head'}")
-    for signal in facts.get("signals", ()):
-        bounds = f", {signal['low']:g} to {signal['high']:g}" if "low" in signal else ""
-        rate = f", {signal['openings_per_s']:.3g} openings per second" if signal.get("openings_per_s") else ""
-        unknown = "" if signal["understood"] else " (needs a map)"
-        lines.append(f"  {signal['name']}: {signal['looks_like']}{bounds}{rate}{unknown}")
-    if (robot := facts.get("robot")) is not None:
-        lines += [f"as a recording of {robot['name']}:", *(f"  {line}" for line in robot["says"].split("\n"))]
-    return "\n".join([*lines, *(f"note: {note}" for note in facts["notes"])])

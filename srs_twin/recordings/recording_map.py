@@ -15,7 +15,7 @@ from srs_twin.io.documents import Document, load_yaml
 from srs_twin.io.validation import StrictModel, load_model, validate
 from srs_twin.recordings.csv_table import Dialect, Meaning
 from srs_twin.recordings.formats.base import MarkerTable
-from srs_twin.recordings.signals.units import ANGLES, PRESSURES, SHARES, TIMES, symbol
+from srs_twin.recordings.signals.units import ANGLES, PRESSURES, SHARES, TIMES, bracketed, symbol
 
 LOG_NAME = re.compile(
     r"(?:(valve|duty|pressure|setpoint)(?:_([^\W_]+))?_(plus|minus)|(bend)(?:_([a-z]+))?)_(\d{1,3})"
@@ -26,6 +26,9 @@ QUANTITIES: dict[str, dict[str, float]] = {
     "time": TIMES, "valve": {}, "duty": SHARES, "pressure": PRESSURES, "setpoint": PRESSURES, "bend": ANGLES,
 }  # fmt: skip
 """Quantities of a log → their units."""
+
+Up = Literal["x", "y", "z", "-x", "-y", "-z"]
+"""Axis of a file that points up."""
 
 _NUMBERS = ("carrier_hz", "ambient_kpa")
 _LOG_KEYS = "time, carrier_hz, valve_plus_1, duty_plus_1, pressure_kpa_plus_1, ambient_kpa or bend_1"
@@ -67,7 +70,7 @@ class RecordingMap(StrictModel):
     """Unit of length, for files that do not state it."""
     scale_m: Annotated[float, Field(gt=0, lt=1)] | None = None
     """Size of a pixel, m (for units px)."""
-    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
+    up: Up | None = None
     """Vertical axis of the file (default: determined from the markers)."""
     rate_hz: Annotated[float, Field(gt=0, le=1e5)] | None = None
     """Frames per second, for files without times."""
@@ -225,3 +228,9 @@ def read_map(data: Mapping[str, Any]) -> RecordingMap:
     document.raise_problems()
     assert map is not None, "a map without a problem was checked"
     return map
+
+
+def canonical_key(name: str) -> str:
+    """Return the key of a map for a column name: pressure_plus_1 for pressure_plus_1_kpa."""
+    match = re.fullmatch(r"(.+_\d{1,3})(?:[_ ]+[a-z]+)?", bracketed(name)[0].lower())
+    return match[1] if match else name.lower()

@@ -161,8 +161,8 @@ def test_transforms_relative_to_another_body_are_composed(tmp_path):
 def test_a_bag_without_positions_is_a_log(tmp_path, container, capsys):
     path = written(tmp_path, container, only("std_msgs/Int8MultiArray"))
     facts, _ = inspect_file(path, NO_MAP, None)
-    assert facts["content"] == "log" and facts["rows"] == FRAMES
-    assert [each["name"] for each in facts["signals"]] == ["/valves.data[0]", "/valves.data[1]"]
+    assert facts.content == "log" and facts.rows == FRAMES
+    assert [each.name for each in facts.signals] == ["/valves.data[0]", "/valves.data[1]"]
     with pytest.raises(InputError, match="no topic with positions"):
         read_markers(path)
     with pytest.raises(SystemExit) as left:

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from synthetic_takes import Take, markers
 
 from srs_twin.recordings.body.floor import map_to_floor
-from srs_twin.recordings.inspection import in_words, inspect_file
+from srs_twin.recordings.facts import in_words
+from srs_twin.recordings.inspection import inspect_file
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 
@@ -43,13 +44,13 @@ def bend_error(found):
 def test_markers_on_masts_are_detected_and_used(tmp_path, heights):
     path = written(tmp_path / "masts.csv", raised(heights))
     facts, _ = inspect_file(path, NO_MAP, None)
-    assert [each["coverage"] for each in facts["markers"]] == [1.0] * 5
-    assert [each["height_mm"] for each in facts["markers"]] == pytest.approx(1e3 * np.array(heights), abs=0.1)
-    assert not any("levelled" in each or "left out" in each for each in facts["notes"])
-    spacing = {tuple(each["markers"]): each["median_mm"] for each in facts["distances"]}
+    assert [each.coverage for each in facts.markers] == [1.0] * 5
+    assert [each.height_mm for each in facts.markers] == pytest.approx(1e3 * np.array(heights), abs=0.1)
+    assert not any("levelled" in each or "left out" in each for each in facts.notes)
+    spacing = {tuple(each.markers): each.median_mm for each in facts.distances}
     flat, _ = inspect_file(written(tmp_path / "flat.csv", raised((0.03,) * 5)), NO_MAP, None)
-    for each in flat["distances"]:
-        assert spacing[tuple(each["markers"])] == pytest.approx(each["median_mm"], abs=0.05)
+    for each in flat.distances:
+        assert spacing[tuple(each.markers)] == pytest.approx(each.median_mm, abs=0.05)
     assert "never seen" not in in_words(facts) and "90 mm high" in in_words(facts)
     assert bend_error(read_motion(path, SPEC)) < 0.04
 
@@ -85,9 +86,9 @@ def test_markers_on_lamps_people_and_carts_are_left_out(tmp_path):
     points = np.concatenate([raised(MASTS), np.stack([lamp, cap, cart], axis=1)], axis=1)
     path = written(tmp_path / "x.csv", points, ["a", "b", "c", "d", "e", "lamp", "cap", "cart"])
     facts, _ = inspect_file(path, NO_MAP, None)
-    assert [each["coverage"] for each in facts["markers"]] == [1.0] * 8
+    assert [each.coverage for each in facts.markers] == [1.0] * 8
     found = read_motion(path, SPEC)
-    for said in (facts["notes"], found.summary.corrections):
+    for said in (facts.notes, found.summary.corrections):
         out = [each for each in said if "left out" in each]
         assert "marker 'lamp' left out: 1500 mm high, does not move with the other markers" in out
         assert any("'cap' left out: 170" in each and "its height varies by" in each for each in out)

@@ -16,8 +16,8 @@ from srs_twin import InputError
 from srs_twin.cli import main
 from srs_twin.cli.options import print_json
 from srs_twin.io.validation import load_model
-from srs_twin.recordings.facts import plain_facts
-from srs_twin.recordings.inspection import in_words, inspect_file, proposed_map
+from srs_twin.recordings.facts import RecordingFacts, in_words, proposed_map
+from srs_twin.recordings.inspection import inspect_file
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 
@@ -30,18 +30,18 @@ def inspected(folder, take, **known):
 
 def test_facts_of_a_marker_recording(tmp_path):
     facts, scene = inspected(tmp_path, Take(layout="head", labeled=True, unit="cm", up="x"))
-    assert (facts["format"], facts["content"], facts["up"]) == ("Motive CSV 1.21", "markers", "x")
-    assert facts["rate_hz"] == pytest.approx(RATE) and facts["frames"] == len(motion())
-    assert facts["noise_mm"] == pytest.approx(1e3 * NOISE, rel=0.2)
-    assert facts["order"] in (facts["order"][:], ["snake:ahead", *(f"snake:{k}" for k in range(1, 6))])
-    assert facts["rigid_pairs"] == [["snake:ahead", "snake:1"]]
-    assert {each["marker"] for each in facts["head"]} == {"snake:ahead"}
-    assert facts["layouts"]["head"] == 5 and facts["layouts"]["single"] == 6
-    assert "lengths converted from cm to m" in facts["notes"]
-    near = {frozenset(each["markers"]): each for each in facts["distances"]}
+    assert (facts.format, facts.content, facts.up) == ("Motive CSV 1.21", "markers", "x")
+    assert facts.rate_hz == pytest.approx(RATE) and facts.frames == len(motion())
+    assert facts.noise_mm == pytest.approx(1e3 * NOISE, rel=0.2)
+    assert facts.order in (facts.order[:], ["snake:ahead", *(f"snake:{k}" for k in range(1, 6))])
+    assert facts.rigid_pairs == [["snake:ahead", "snake:1"]]
+    assert {each.marker for each in facts.head} == {"snake:ahead"}
+    assert facts.layouts["head"] == 5 and facts.layouts["single"] == 6
+    assert "lengths converted from cm to m" in facts.notes
+    near = {frozenset(each.markers): each for each in facts.distances}
     pair = near[frozenset(["snake:ahead", "snake:1"])]
-    assert pair["median_mm"] == pytest.approx(20, abs=0.2) and pair["spread_mm"] < 0.5
-    assert near[frozenset(["snake:1", "snake:2"])]["spread_mm"] > 0.5
+    assert pair.median_mm == pytest.approx(20, abs=0.2) and pair.spread_mm < 0.5
+    assert near[frozenset(["snake:1", "snake:2"])].spread_mm > 0.5
     assert scene.places.shape == (len(motion()), 6, 2) and scene.rigid == ((0, 1),)
 
 
@@ -49,10 +49,10 @@ def test_gaps_and_coverage_are_counted(tmp_path):
     facts, _ = inspected(
         tmp_path, Take(labeled=True, occluded=[(2, 1.0, 1.15), (2, 2.0, 2.05), (4, 3.5, 9.0)])
     )
-    third, last = facts["markers"][2], facts["markers"][4]
-    assert third["gaps"] == 2 and third["longest_gap_s"] == pytest.approx(0.15)
-    assert third["coverage"] == pytest.approx(1 - 20 / 401) and last["gaps"] == 0
-    assert last["coverage"] == pytest.approx(350 / 401)
+    third, last = facts.markers[2], facts.markers[4]
+    assert third.gaps == 2 and third.longest_gap_s == pytest.approx(0.15)
+    assert third.coverage == pytest.approx(1 - 20 / 401) and last.gaps == 0
+    assert last.coverage == pytest.approx(350 / 401)
 
 
 @pytest.mark.parametrize("layout", ["single", "head", "pair"])
@@ -72,26 +72,26 @@ def test_a_wrong_unit_of_length_is_noted(tmp_path):
     path.write_text(
         ",".join(["t", *names]) + "\n" + "".join(",".join(f"{v:.6g}" for v in r) + "\n" for r in rows)
     )
-    assert any("lengths in mm? Give --units" in each for each in inspect_file(path, NO_MAP, None)[0]["notes"])
+    assert any("lengths in mm? Give --units" in each for each in inspect_file(path, NO_MAP, None)[0].notes)
     facts, _ = inspect_file(path, RecordingMap(units="mm"), SPEC)
-    assert not any("Give --units" in each for each in facts["notes"])
-    assert facts["robot"]["reads"] and facts["robot"]["layout"] == "single"
-    assert facts["robot"]["length_mm"] == pytest.approx([1e3 * SPEC.geometry.segment_length] * 4, rel=0.02)
+    assert not any("Give --units" in each for each in facts.notes)
+    assert facts.robot.reads and facts.robot.layout == "single"
+    assert facts.robot.length_mm == pytest.approx([1e3 * SPEC.geometry.segment_length] * 4, rel=0.02)
 
 
 def test_changes_of_columns_are_noted(tmp_path):
     facts, _ = inspected(tmp_path, Take(swaps=20, seed=2))
-    assert any("markers change their columns" in each for each in facts["notes"])
+    assert any("markers change their columns" in each for each in facts.notes)
 
 
 def test_facts_of_a_log(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(valve_csv(motion(), 0.0, 4.0, 7.0))
     facts, scene = inspect_file(path, NO_MAP, None)
-    assert scene is None and facts["content"] == "log" and facts["starts_s"] == 7.0
-    first = facts["signals"][0]
-    assert first["understood"] and first["looks_like"] == "valve states"
-    assert first["openings_per_s"] == pytest.approx(2.0, rel=0.02)
+    assert scene is None and facts.content == "log" and facts.starts_s == 7.0
+    first = facts.signals[0]
+    assert first.understood and first.looks_like == "valve states"
+    assert first.openings_per_s == pytest.approx(2.0, rel=0.02)
 
 
 @pytest.mark.parametrize(("column", "values", "said"), [
@@ -106,7 +106,7 @@ def test_facts_of_a_log(tmp_path):
 def test_quantities_are_suggested_for_columns(tmp_path, column, values, said):
     path = tmp_path / "log.csv"
     path.write_text(f"time,{column}\n" + "".join(f"{0.01 * k},{v}\n" for k, v in enumerate(values)))
-    assert inspect_file(path, NO_MAP, None)[0]["signals"][0]["looks_like"].startswith(said)
+    assert inspect_file(path, NO_MAP, None)[0].signals[0].looks_like.startswith(said)
 
 
 def test_a_carrier_is_distinguished_from_a_gait(tmp_path):
@@ -115,14 +115,14 @@ def test_a_carrier_is_distinguished_from_a_gait(tmp_path):
     path.write_text(
         "time,valve_plus_1\n" + "".join(f"{t:.3f},{s}\n" for t, s in zip(time, state, strict=True))
     )
-    assert "a carrier of about 30 Hz" in inspect_file(path, NO_MAP, None)[0]["signals"][0]["looks_like"]
+    assert "a carrier of about 30 Hz" in inspect_file(path, NO_MAP, None)[0].signals[0].looks_like
 
 
 def test_a_bag_has_bodies_and_signals(tmp_path):
     facts, _ = inspect_file(bag(tmp_path / "walk.mcap"), NO_MAP, None)
-    assert facts["format"] == "MCAP" and [each["rigid_body"] for each in facts["markers"]] == [True] * 5
-    assert all(len(set(each["markers"])) == 2 for each in facts["distances"])
-    assert {each["looks_like"] for each in facts["signals"]} == {"valve states"}
+    assert facts.format == "MCAP" and [each.rigid_body for each in facts.markers] == [True] * 5
+    assert all(len(set(each.markers)) == 2 for each in facts.distances)
+    assert {each.looks_like for each in facts.signals} == {"valve states"}
     text = proposed_map([facts])
     assert "bodies:" in text and '"/snake/link1": {connector: 1}' in text and '"/valves.plus[0]"' in text
 
@@ -131,7 +131,7 @@ def test_facts_of_other_formats(tmp_path):
     path = tmp_path / "take.c3d"
     path.write_bytes(c3d_file())
     facts, _ = inspect_file(path, NO_MAP, None)
-    assert facts["format"] == "C3D" and facts["file"] in in_words(facts)
+    assert facts.format == "C3D" and facts.file in in_words(facts)
 
 
 def run(words, code=0):
@@ -194,7 +194,9 @@ def test_json_matches_its_schema(tmp_path, monkeypatch, capsys):
 
 def test_numpy_numbers_do_not_reach_json(capsys):
     facts = {"file": "x", "format": "C3D", "content": "markers", "sha256": "", "proposals": [], "notes": []}
-    plain = plain_facts({**facts, "frames": np.uint16(435), "rate_hz": np.float32(100)})
+    facts = RecordingFacts(**facts, frames=np.uint16(435))
+    facts.rate_hz = np.float32(100)
+    plain = facts.document()
     assert (type(plain["frames"]), type(plain["rate_hz"])) == (int, float)
     print_json({"a": np.uint16(3), "b": np.arange(2), "c": np.float32(0.5), "d": np.bool_(True)})
     assert json.loads(capsys.readouterr().out) == {"a": 3, "b": [0, 1], "c": 0.5, "d": True}

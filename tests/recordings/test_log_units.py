@@ -9,8 +9,9 @@ import pytest
 from snakes import chain
 
 from srs_twin import InputError, load_robot
+from srs_twin.recordings.facts import in_words
 from srs_twin.recordings.formats import read_markers
-from srs_twin.recordings.inspection import in_words, inspect_file
+from srs_twin.recordings.inspection import inspect_file
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap, read_map
 from srs_twin.recordings.signals.logs import read_bends, read_valves
 from srs_twin.recordings.signals.units import ANGLES, PRESSURES, TIMES, is_clock, stated_unit, symbol
@@ -326,7 +327,7 @@ def facts_of(path, text, **known):
 def test_inspect_prefers_units_in_the_header(tmp_path, column, values, said):
     rows = "".join(f"{k},{value}\n" for k, value in enumerate((*values, values[0])))
     facts = facts_of(tmp_path / "log.csv", f"time,{column}\n{rows}")
-    assert facts["signals"][0]["looks_like"].startswith(said)
+    assert facts.signals[0].looks_like.startswith(said)
 
 
 def test_absolute_pressures_are_noted_and_converted(tmp_path):
@@ -345,8 +346,8 @@ def test_log_of_a_microcontroller(tmp_path):
     path = tmp_path / "log.csv"
     rows = "".join(f"{10 * k},{30 * (k // 50 % 2)},0,{512 + k % 7}\n" for k in range(400))
     facts = facts_of(path, f"millis,P1,P2,flex\n{rows}")
-    assert (facts["content"], len(facts["signals"]), facts["rows"]) == ("log", 3, 400)
-    assert facts["duration_s"] == pytest.approx(3.99) and facts["rate_hz"] == pytest.approx(100)
+    assert (facts.content, len(facts.signals), facts.rows) == ("log", 3, 400)
+    assert facts.duration_s == pytest.approx(3.99) and facts.rate_hz == pytest.approx(100)
     assert "note: a log of 3 signals, time in ms" in in_words(facts)
     given = mapped(time="millis", pressure_kpa_plus_1="P1", pressure_kpa_minus_1="P2")
     assert read_valves(path, MODULE, given).time[-1] == pytest.approx(3.99)

@@ -163,7 +163,7 @@ def test_layouts_are_detected_or_given(tmp_path, content, dialect):
     facts, _ = inspect_file(
         path, RecordingMap(**{k: list(v) if k == "columns" else v for k, v in dialect.items()}), None
     )
-    assert facts["frames"] == FRAMES and len(facts["markers"]) == 5
+    assert facts.frames == FRAMES and len(facts.markers) == 5
 
 
 @pytest.mark.parametrize(
@@ -288,7 +288,7 @@ def test_logs_with_times_since_1970_are_read(tmp_path, unit, name):
     found = read_valves(path, MODULE)
     assert found.time == pytest.approx(0.5 * np.arange(9), abs=1e-9)
     assert found.epoch_ns == 1_700_000_000 * 10**9
-    assert inspect_file(path, NO_MAP, None)[0]["starts_s"] == 1.7e9
+    assert inspect_file(path, NO_MAP, None)[0].starts_s == 1.7e9
 
 
 @pytest.mark.parametrize(
