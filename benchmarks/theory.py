@@ -33,9 +33,9 @@ from srs_twin.robot.spec import GRAVITY, Friction, RobotSpec
 from srs_twin.rollout import rollout
 from srs_twin.trajectory import Trajectory
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from helpers.curvature_wave import CurvatureWave, PrescribedBends, continuous_snake  # noqa: E402
-from helpers.local_connection import displacement, loop, wheeled  # noqa: E402
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests/helpers"))
+from curvature_wave import CurvatureWave, PrescribedBends, continuous_snake  # noqa: E402
+from local_connection import displacement, loop, wheeled  # noqa: E402
 
 PERIOD_S = 60.0
 """Period of the motions without inertia, s."""
