@@ -44,7 +44,7 @@ STARVED_BELOW = 0.6
 """Share of the nominal pressure below which `starved` is reported."""
 RECOVERED_ABOVE = 0.7
 """Share of the nominal pressure above which `starved` is cleared."""
-_SUDDEN = 0.12
+SUDDEN = 0.12
 """Change of the chambers' pressures that is followed at once, share of the nominal supply pressure."""
 _SUDDEN_SD = 3.0
 """The same in standard deviations of the scatter between strokes."""
@@ -111,6 +111,7 @@ class SupplyFilter(Stateful):
             chance = np.pi / 2 / len(residual) * float(np.median(variance / response**2))
             if change**2 > _SURPRISE**2 * (self.variance + chance):
                 self.variance += change**2
+                repeats = 1.0  # earlier messages of the strokes did not contain the change
         expected = variance + response**2 * self.variance
         robust = (_SUPPLY_TAILS + 1) / (_SUPPLY_TAILS + (residual - response * change) ** 2 / expected)
         information = weight[there] * np.minimum(robust, 1.0) * response / variance / repeats
@@ -128,9 +129,9 @@ class SupplyFilter(Stateful):
         if len(residual) < _AGREE:
             return False
         change, deviation = float(np.median(residual / response)), float(np.median(residual / sd))
-        if abs(change) < _SUDDEN * self.nominal or abs(deviation) < _SUDDEN_SD:
+        if abs(change) < SUDDEN * self.nominal or abs(deviation) < _SUDDEN_SD:
             return False
-        self.variance = max(self.variance, (change / 2) ** 2)
+        self.variance = max(self.variance, (change / 4) ** 2)
         self._set(self.pressure + change)
         return True
 
@@ -150,8 +151,9 @@ class SupplyFilter(Stateful):
         self.pressure = max(pressure, _LOWEST * self.nominal)
 
 
-FLOW_SD = 0.15
-"""Prior standard deviation of c."""
+FLOW_SD = 0.3
+"""Prior standard deviation of c. A chamber that fills half as fast as in the robot file must not seem to leak
+before its first strokes are learnt."""
 LOSS_SD = 0.3
 """Prior standard deviation of λ₀, 1/s."""
 FORGETTING = 0.95

@@ -31,6 +31,7 @@ from srs_twin.live.air_balance import (
     MESSAGES_PER_INDEPENDENT,
     RECOVERED_ABOVE,
     STARVED_BELOW,
+    SUDDEN,
     LeakDetector,
     SupplyFilter,
 )
@@ -47,6 +48,7 @@ from srs_twin.live.fault_hypotheses import (
     SENSORS,
     SILENT,
     SUPPLY_SHARES,
+    VENTS,
     WEAK,
     FaultNaming,
     NamingSettings,
@@ -74,6 +76,8 @@ _AT_REST_RAD = 1e-6
 _LEAST_PROBABILITY = 1e-12
 _FROZEN_NOISE = 0.1
 """Largest difference of successive readings of a frozen sensor, share of the noise."""
+_SUPPLY_EXPLAINS = (SUPPLY_SHARES < 1.0) | np.isin(CHAMBERS, (LEAKS, VENTS)).any(axis=1)
+"""Hypotheses with which filling chambers have a lower pressure, as with a lower supply pressure."""
 _BIAS, _PLUS, _MINUS, _LOAD, _SENSOR, _SCALE = range(6)
 _MODULE = [_PLUS, _MINUS, _BIAS]
 
@@ -412,7 +416,7 @@ class FaultDetector(Stateful):
             self._level = float(np.median(pressures[settled] / (before * response[settled])))
         if self.supply.follow_sudden_change(residual[settled], response[settled], before * sd[settled]):
             self.leaks.drop(np.ones(pressures.shape, dtype=bool))
-            self._rescale(before)
+            self._adopt_supply(before)
             return
         # At first the balances are unknown, and the pressures of filled chambers are used instead.
         balanced = self.leaks.learnt >= 1
@@ -422,7 +426,15 @@ class FaultDetector(Stateful):
             np.where(balanced, np.sqrt(variance), before * sd), np.where(balanced | settled, obeys, 0.0),
             MESSAGES_PER_INDEPENDENT,
         )  # fmt: skip
+        self._adopt_supply(before)
+
+    def _adopt_supply(self, before: float) -> None:
+        """Adapt all hypotheses to a supply pressure that was `before` (Pa)."""
         self._rescale(before)
+        if before - self.supply.pressure > SUDDEN * self.supply.nominal:
+            # Until the loss was noticed, chambers with a low pressure seemed to leak or not to fill.
+            likely = np.where(_SUPPLY_EXPLAINS, self.probability, 0.0).argmax(axis=1)
+            self._attribute_to_supply(_SUPPLY_EXPLAINS, likely)
 
     def _rescale(self, before: float) -> None:
         """Adapt the chamber pressures of all hypotheses to another supply pressure."""

@@ -124,6 +124,18 @@ class Shadow:
         Returns:
             Estimate for now; None before the first message of the robot.
         """
+        if not self.receive(now, messages):
+            return None
+        estimate = self._estimate(now)
+        self.prediction_calibration.observe(now, estimate.pose)
+        return estimate
+
+    def receive(self, now: float, messages: Iterable[Message]) -> bool:
+        """Advance the filters like `update`, without an estimate for now.
+
+        Returns:
+            Whether the robot has sent a message.
+        """
         for message in messages:
             if message.kind in _KINDS:
                 self.buffer.push(message)
@@ -132,13 +144,11 @@ class Shadow:
         for time, simultaneous in itertools.groupby(used, key=operator.itemgetter(0)):
             self._use(time, [message for _, message in simultaneous])
         if math.isnan(self.time):
-            return None
+            return False
         # Do not advance the filter yet: a message for this time is expected soon.
         if now - self.buffer.hold - self.time > _EXTRAPOLATE_AFTER_S:
             self._advance(now - self.buffer.hold)
-        estimate = self._estimate(now)
-        self.prediction_calibration.observe(now, estimate.pose)
-        return estimate
+        return True
 
     def predict(self) -> Prediction:
         """Return the predicted path of the next second, assuming that the commands repeat."""
@@ -308,7 +318,8 @@ class Shadow:
         """Return whether the bend sensor of each segment has no detected fault."""
         return np.asarray(SENSORS[self.faults.most_likely()] == READS)
 
-    def _detected(self) -> Iterator[tuple[str, str, float]]:
+    def detected(self) -> Iterator[tuple[str, str, float]]:
+        """Yield part, name and probability of each detected fault."""
         sound = self.faults.probability[:, 0]
         for number, name in self.faults.named.items():
             if number:
@@ -347,7 +358,7 @@ class Shadow:
             velocity=np.array([c * x - s * y, s * x + c * y, turn]),
             connectors=ensemble.poses().mean(axis=0),
             parameters=self.faults.parameters(),
-            faults=tuple(self._detected()),
+            faults=tuple(self.detected()),
             off=dict(self._innovation),
             lost=self._lost(now, pose_sd),
         )

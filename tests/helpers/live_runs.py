@@ -32,7 +32,9 @@ TURNS_S = 5.0
 TAKES_S = 0.02
 """Interval between updates of the shadow, as in a session, s."""
 DROOPS_S = 6.0
-"""Time at which a drooping supply changes, s."""
+"""Time at which the supply changes (droop or outage), s."""
+DROOPS_BEFORE_FAULT_S = 3.0
+"""The same in a run with a fault, s."""
 WANDER = 0.84, (8.0, 25.0)
 """Lowest pressure of a wandering supply as a share of the nominal one, and range of its periods, s."""
 OUTAGE = 0.4, 4.0
@@ -75,12 +77,13 @@ class Run:
         tau_spread: of their time constants.
         gain_spread: of the modules' gains.
         supply_kpa: of its supply; None: the robot's nominal one.
-        supply: "droop:SHARE" or "outage" from `DROOPS_S` on, "wander", or empty: constant.
+        supply: "droop:SHARE" or "outage" from `changes_s` on, "wander", or empty: constant.
         variant: one of `ROBOTS`.
         motion: "walk", "stand", "stop and go" or "hold".
         poor_sensors: whether bend sensors have a gain, an offset and a drift.
         rate_hz: messages of the robot in a second.
         tells_supply: whether the robot publishes its supply pressure.
+        changes_s: time at which the supply changes (droop or outage), s.
     """
 
     seed: int
@@ -104,6 +107,7 @@ class Run:
     poor_sensors: bool = False
     rate_hz: float = 50.0
     tells_supply: bool = False
+    changes_s: float = DROOPS_S
 
     @property
     def tick(self) -> float:
@@ -113,9 +117,9 @@ class Run:
     def supply_share(self, time: float) -> float:
         """Return the pressure of the supply as a share of the nominal one."""
         if self.supply.startswith("droop"):
-            return float(self.supply.partition(":")[2]) if time >= DROOPS_S else 1.0
+            return float(self.supply.partition(":")[2]) if time >= self.changes_s else 1.0
         if self.supply == "outage":
-            return OUTAGE[0] if DROOPS_S <= time < DROOPS_S + OUTAGE[1] else 1.0
+            return OUTAGE[0] if 0 <= time - self.changes_s < OUTAGE[1] else 1.0
         if self.supply == "wander":
             low, (shortest, longest) = WANDER
             phase, where = np.random.default_rng((self.seed, 7)).random(2)
@@ -433,7 +437,7 @@ def breakages(
     condition: str, seed: int, kinds: Sequence[str]
 ) -> tuple[Recording, list[tuple[str, Breakage]]]:
     """Return a sound robot's recording up to the fault, and what follows each kind of fault."""
-    run = conditioned(condition, seed, BREAKS_S + AFTER_S)
+    run = conditioned(condition, seed, BREAKS_S + AFTER_S, changes_s=DROOPS_BEFORE_FAULT_S)
     robot, wire = run.emulated(), Wire(run)
     commands, first = list(run.commands(robot)), round(BREAKS_S / robot.tick)
     updates = _updates(run, robot, wire, commands, 0, first)
@@ -458,20 +462,27 @@ def breakages(
     return Recording(run, updates, np.empty(0), robot.twin.spec, robot.supply_pa), found
 
 
-def isolated(order: tuple[int, str, Sequence[str]]) -> list[dict[str, Any]]:
+def unchanged(shadow: Shadow) -> None:
+    """Leave a shadow as it is."""
+
+
+def isolated(
+    order: tuple[int, str, Sequence[str]], prepare: Callable[[Shadow], None] = unchanged
+) -> list[dict[str, Any]]:
     """Inject several faults into a robot; return whether its shadow named each one correctly and in time."""
     seed, condition, kinds = order
     sound, found = cached(("faults", *order), lambda: breakages(condition, seed, kinds))
     twin = Shadow(load_robot(sound.run.robot), seed=seed, members=8)
+    prepare(twin)
     early: dict[str, tuple[str, float]] = {}
     for time, messages in sound.updates:
-        _note_faults(early, twin.update(time, messages), time)
+        _note_faults(early, twin, time, messages)
     rows = []
     for kind, breakage in found:
         _, part, name = parts(kind, seed)
         named, shadow = dict(early), copy.deepcopy(twin)
         for time, messages in breakage.updates:
-            _note_faults(named, shadow.update(time, messages), time)
+            _note_faults(named, shadow, time, messages)
         what, at = named.pop(part, ("", np.inf))
         among, since = name in what.split(" or "), breakage.observable
         rows.append({
@@ -482,17 +493,23 @@ def isolated(order: tuple[int, str, Sequence[str]]) -> list[dict[str, Any]]:
     return rows
 
 
-def _note_faults(named: dict[str, tuple[str, float]], found: Estimate | None, time: float) -> None:
-    for where, what, _ in found.faults if found else ():
-        named.setdefault(where, (what, time))
+def _note_faults(
+    named: dict[str, tuple[str, float]], shadow: Shadow, time: float, messages: Sequence[Message]
+) -> None:
+    if shadow.receive(time, messages):
+        for where, what, _ in shadow.detected():
+            named.setdefault(where, (what, time))
 
 
-def alarms(order: tuple[int, float, str]) -> list[str]:
+def alarms(order: tuple[int, float, str], prepare: Callable[[Shadow], None] = unchanged) -> list[str]:
     """Return the false alarms of a healthy robot in a number of seconds; each one is reset."""
     seed, seconds, condition = order
-    found = []
-    for moment in shadowed(conditioned(condition, seed, seconds), members=8):
-        for number, name in list(moment.shadow.faults.named.items()):
-            found.append(f"{number}: {name} at {moment.time:.1f} s")
-            moment.shadow.faults.clear_fault(number)
+    recording, found = recorded(conditioned(condition, seed, seconds)), []
+    twin = Shadow(load_robot(recording.run.robot), seed=seed, members=8)
+    prepare(twin)
+    for time, messages in recording.updates:
+        twin.receive(time, messages)
+        for number, name in list(twin.faults.named.items()):
+            found.append(f"{number}: {name} at {time:.1f} s")
+            twin.faults.clear_fault(number)
     return found

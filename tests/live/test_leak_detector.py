@@ -74,6 +74,13 @@ def test_unknown_chamber_volumes_are_learnt():
         assert np.abs(detector.fit[..., 1]).max() < 0.5, "apparent loss"
 
 
+def test_chamber_that_fills_half_as_fast_does_not_seem_to_leak_before_it_is_learnt():
+    said = robot("gen4")
+    true = replace(said, actuator=replace(said.actuator, tau_fill=2 * said.actuator.tau_fill))
+    _, found = stroked(chambers_of(true), true, said=said, strokes=3)  # without learning
+    assert (found[0, :, [SLOW, FAST]].max(axis=0) - found[0, :, SOUND] < 1.5).all()
+
+
 def test_first_order_chambers_have_no_leak():
     spec = robot("gen4")
     _, found = stroked(LagPneumatics(spec, supply_pa=spec.supply.nominal), spec)

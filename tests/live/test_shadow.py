@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from live_runs import BREAKS_S, Run, followed_estimate, isolated, parts, shadowed, steered
+from live_runs import BREAKS_S, Run, followed_estimate, isolated, parts, recorded, shadowed, steered
 
 from srs_twin import InputError, load_robot, load_scenario
 from srs_twin.io.saved_state import SavedState
@@ -66,6 +66,16 @@ def test_unknown_camera_noise_does_not_disturb_bends(monkeypatch):
     filtered = result["filtered"][result["filtered"][:, 0] > SETTLED_S]
     assert rms(filtered[:, 1:] - true_values(result, filtered[:, 0])[:, :n]) < 0.03
     assert 0.9 < np.mean(np.abs(error) < 1.96 * sd)
+
+
+def test_receive_detects_the_same_faults_as_update():
+    recording, probability = recorded(Run(2, 1.5)), []
+    for method in ("receive", "update"):
+        shadow = Shadow(load_robot("gen4"), members=4)
+        for time, messages in recording.updates:
+            getattr(shadow, method)(time, messages)
+        probability.append(shadow.faults.probability)
+    np.testing.assert_array_equal(*probability)
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from live_runs import DROOPS_S, OUTAGE, Run, alarms, conditioned, shadowed
+from live_runs import DROOPS_S, OUTAGE, Run, alarms, conditioned, isolated, shadowed
 
 from srs_twin.live.air_balance import LARGEST_SD, PRIOR_SD, WALK, SupplyFilter
 from srs_twin.live.messages import SUPPLY, BadMessageError, decode, encode
@@ -18,14 +18,14 @@ def chambers(supply, rng, sd=0.03, count=4):
     return response * supply + sd * NOMINAL * rng.normal(size=count), response, np.full(count, sd * NOMINAL)
 
 
-def followed(supplies, seed=1, outlier=0.0):
+def followed(supplies, seed=1, outlier=0.0, repeats=1.0):
     rng, supply = np.random.default_rng(seed), SupplyFilter(NOMINAL)
     estimates = []
     for true in supplies:
         supply.predict(TICK)
         pressure, response, sd = chambers(true, rng)
         pressure[0] *= 1 - outlier
-        supply.update(pressure - response * supply.pressure, response, sd, np.ones(len(sd)))
+        supply.update(pressure - response * supply.pressure, response, sd, np.ones(len(sd)), repeats)
         estimates.append((supply.pressure, supply.sd))
     return np.array(estimates)
 
@@ -67,6 +67,19 @@ def test_supply_message_keeps_its_pressure():
     for wrong in (b'{"t": 1}', b'{"t": 1, "kpa": -5}', b'{"t": 1, "kpa": "much"}'):
         with pytest.raises(BadMessageError, match="kpa"):
             decode(SUPPLY, wrong, source="r", arrived=1.0, segments=4)
+
+
+def test_sudden_loss_is_followed_by_one_message():
+    found = followed(np.where(np.arange(50) < 25, NOMINAL, 0.5 * NOMINAL), repeats=16.0)
+    assert found[25, 0] == pytest.approx(0.5 * NOMINAL, abs=0.05 * NOMINAL)
+    assert found[25, 1] < 0.06 * NOMINAL
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [6006, 6007])
+def test_loss_of_the_supply_is_not_a_leak(seed):
+    (done,) = isolated((seed, "nominal", ("starved=half",)))
+    assert done["in_time"] and not done["others"], done
 
 
 @pytest.mark.slow
