@@ -82,7 +82,7 @@ def _no_levels(shadow: Shadow) -> None:
 
 
 def _no_balances(shadow: Shadow) -> None:
-    shadow.faults.leaks.update = _no_likelihoods  # type: ignore[method-assign]
+    shadow.faults.leaks.update = _no_likelihoods  # type: ignore[method-assign,assignment]
 
 
 def _no_supply(shadow: Shadow) -> None:
@@ -90,7 +90,7 @@ def _no_supply(shadow: Shadow) -> None:
 
 
 def _no_sudden_change(shadow: Shadow) -> None:
-    shadow.faults.supply.follow_sudden_change = _never  # type: ignore[method-assign]
+    shadow.faults.supply.follow_sudden_change = _never  # type: ignore[method-assign,assignment]
 
 
 def _no_lost_commands(shadow: Shadow) -> None:
