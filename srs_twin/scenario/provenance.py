@@ -28,6 +28,9 @@ from srs_twin.scenario.sections import input_files
 NOT_PHYSICS = ("name", "title", "expect", "changes")
 """Keys of a scenario that name or judge results."""
 
+WORDS = ("title", "source", "status", "known", "reason")
+"""Keys at any depth whose texts explain a value and do not affect a run."""
+
 _VIEWING = "srs_twin.viewing"
 """Package that only displays results; it is not part of keys."""
 
@@ -104,13 +107,21 @@ def run_sources(document: Mapping[str, Any], runner: str) -> dict[str, str]:
 def judged_digest(document: Mapping[str, Any]) -> str:
     """Return a digest of a scenario with its robot and input files, to check stored intervals.
 
-    Code, duration and seed are not included: their effect on a result is visible in its value.
+    Code, duration and seed are not included: their effect on a result is visible in its value. Texts that
+    explain values are not included either, so that a reworded source does not make an interval stale.
     """
     skipped = (*NOT_PHYSICS, "duration_s", "seed")
     return digest_of(
-        scenario={key: value for key, value in document.items() if key not in skipped},
+        scenario=_without_words({key: value for key, value in document.items() if key not in skipped}),
         files=list(file_digests(document).values()),
     )
+
+
+def _without_words(data: Any) -> Any:
+    """Return nested data without the texts that explain its values."""
+    if isinstance(data, Mapping):
+        return {key: _without_words(value) for key, value in data.items() if key not in WORDS}
+    return [_without_words(item) for item in data] if isinstance(data, list | tuple) else data
 
 
 def digest_of(**data: Any) -> str:

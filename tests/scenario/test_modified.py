@@ -109,6 +109,29 @@ def test_keys_of_runs_do_not_depend_on_how_a_value_was_set():
     assert judged_digest(was_set) == judged_digest(written)
 
 
+def test_reworded_source_keeps_an_interval_and_another_value_does_not():
+    document = gen2().document
+    digest = judged_digest(document)
+    friction = document["robot"]["friction"]["mu_n"]
+    wider = {**friction["uncertain"], "high": 0.6}
+    assert judged_digest(_with_mu_n(document, source="reworded", status="estimated")) == digest
+    for change in ({"value": friction["value"] + 0.01}, {"uncertain": wider}):
+        assert judged_digest(_with_mu_n(document, **change)) != digest
+
+
+def _with_mu_n(document, **change):
+    """Return a copy of a resolved scenario with another description of the transverse friction."""
+    robot = document["robot"]
+    friction = {**robot["friction"], "mu_n": {**robot["friction"]["mu_n"], **change}}
+    return {**document, "robot": {**robot, "friction": friction}}
+
+
+def test_stored_intervals_belong_to_the_shipped_scenarios():
+    for path in sorted((data_root() / "calibration/intervals").glob("*.json")):
+        stored = json.loads(path.read_text("utf-8"))["digest"]
+        assert stored == judged_digest(load_scenario(path.stem).document), path.stem
+
+
 def test_the_list_of_changes_cannot_be_set():
     with pytest.raises(InputError, match="this list is written by srs_twin"):
         gen2(changes=[])
