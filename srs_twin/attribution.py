@@ -330,6 +330,17 @@ def _stiffer_out_of_plane(spec: RobotSpec) -> RobotSpec:
 Progress = Callable[[float, float | None], None]
 """Function called with the finished fraction, 0 to 1, and an estimate of the remaining time, s."""
 
+_MAX_STEPS = 12_000
+"""Time steps of the twin after which the attribution ends if the controller reads the state.
+
+Such a controller acts at every tick, which costs several times the physics. The attribution simulates the
+twin about eleven times.
+"""
+_TICK_ROUNDING = 1e-6
+"""Tolerance for whole ticks, as a fraction of a tick."""
+_MIN_WINDOW_PERIODS = 5
+"""Smallest number of gait periods of a shortened attribution."""
+
 _TWIN_COST = 1.4
 """Mean computing time of a refined twin relative to the twin of the run."""
 _MODEL_COST = 2.5
@@ -342,19 +353,22 @@ def explain(
     *,
     progress: Progress | None = None,
     wall_s: Mapping[str, float] | None = None,
+    whole: bool = False,
 ) -> Attribution:
     """Attribute the difference between the two plants of a run to assumptions.
 
     Every subset of the switches is simulated with the analytical model and compared with the given twin,
     which gives the Shapley value of each switch (`contributions`). Then each approximation that only one
     plant makes is refined, and its effect is measured with all switches on. Contributions and remainder add
-    up to the difference.
+    up to the difference. Long runs under a controller that reads the state are attributed over a window from
+    their start (`Attribution.window_s`), to which the difference refers as well.
 
     Args:
         scenario: scenario of the run.
         trajectories: trajectories of both plants, by plant name.
         progress: function called with the finished fraction, 0 to 1, and the remaining time.
         wall_s: plant → computing time of its run, s, from which the remaining time is estimated.
+        whole: attribute the whole runs, however long they are.
 
     Raises:
         InputError: only one plant ran, or the runs are too short for gait metrics.
@@ -362,7 +376,13 @@ def explain(
     """
     if not {"analytical", "twin"} <= trajectories.keys():
         raise InputError("an attribution needs both plants; run both")
-    model, twin = trajectories["analytical"], trajectories["twin"]
+    controller = scenario.build_controller()
+    end = max(float(run.time[-1]) for run in trajectories.values())
+    window = None if whole else _window(scenario, controller, end)
+    model, twin = (
+        trajectories[kind] if window is None else trajectories[kind].between(0.0, window)
+        for kind in ("analytical", "twin")
+    )
     try:
         gap = gap_between(model, twin)
     except ValueError as error:
@@ -377,7 +397,9 @@ def explain(
     names = [switch.name for switch in variants.switches]
     sets = [first | subset for subset in subsets(names)]
     all_on = sets[-1]
-    runs = _run_all(scenario, variants, sets, progress, wall_s or {})
+    share = 1.0 if window is None else window / scenario.duration
+    walls = {kind: share * wall for kind, wall in (wall_s or {}).items()}
+    runs = _run_all(scenario, variants, sets, controller, window, progress, walls)
     runs |= {_variant_name(frozenset()): model, _variant_name({}): twin}
 
     differences = {switched: gap_between(runs[_variant_name(switched)], twin) for switched in sets}
@@ -397,7 +419,30 @@ def explain(
         remainder=_to_floats(remainder),
         matched=_to_floats(gap_between(runs["matched"], runs["stiff twin"])),
         same=tuple(variants.same),
+        window_s=window,
     )
+
+
+def _window(scenario: Scenario, controller: Controller, end: float) -> float | None:
+    """Return the length of the part of the runs that is attributed, s; None: all of it.
+
+    Args:
+        scenario: scenario of the runs.
+        controller: its controller.
+        end: end of the longer run, s.
+    """
+    if _is_script(controller) or controller.frequency is None:
+        return None
+    twin = scenario.file.plants.twin or TwinFile()
+    tick = scenario.build_plant("twin").tick
+    longest = max(_MAX_STEPS * twin.timestep_s, _MIN_WINDOW_PERIODS / controller.frequency)
+    window = round(math.ceil(longest / tick - _TICK_ROUNDING) * tick, 9)
+    return window if window < end else None
+
+
+def _is_script(controller: Controller) -> bool:
+    """Return whether a controller ignores the state, so that plants play its commands as a script."""
+    return type(controller).script is not Controller.script
 
 
 def main_cause(scenario: Scenario, trajectories: Mapping[str, Trajectory]) -> dict[str, Any] | None:
@@ -453,6 +498,8 @@ def _run_all(
     scenario: Scenario,
     variants: PlantVariants,
     sets: Sequence[frozenset[str]],
+    controller: Controller,
+    window: float | None,
     progress: Progress | None,
     wall_s: Mapping[str, float],
 ) -> dict[str, Trajectory]:
@@ -460,11 +507,12 @@ def _run_all(
     builders = _builders(variants, sets)
     costs = [_relative_cost(name, wall_s) for name in builders]
     report = None if progress is None else _reporter(progress, costs, is_measured=bool(wall_s))
-    controller = scenario.build_controller()
     results: Iterable[Trajectory | DivergedError]
-    if type(controller).script is Controller.script:
+    if not _is_script(controller):
         # A controller that reads the state holds the lock of the interpreter, so threads would not help.
-        tasks = [(scenario, sets, name) for name in builders]
+        # The controller is sent with its plan, so that the workers do not search for it again.
+        duration = window or scenario.duration
+        tasks = [(scenario, sets, name, controller, duration) for name in builders]
         results = _in_processes(tasks, report)
     else:
         jobs = [Job(build, scenario.build_controller, **scenario.timing) for build in builders.values()]
@@ -478,8 +526,8 @@ def _run_all(
     return trajectories
 
 
-_Task = tuple[Scenario, Sequence[frozenset[str]], str]
-"""Scenario, sets of switches, and name of a variant."""
+_Task = tuple[Scenario, Sequence[frozenset[str]], str, Controller, float]
+"""Scenario, sets of switches, name of a variant, controller, and duration, s."""
 
 
 def _in_processes(
@@ -503,9 +551,9 @@ def _in_processes(
 
 def _simulate(task: _Task) -> Trajectory:
     """Simulate a variant in a worker process."""
-    scenario, sets, name = task
+    scenario, sets, name, controller, duration = task
     plant = _builders(PlantVariants(scenario), sets)[name]()
-    return rollout(plant, scenario.build_controller(), **scenario.timing)
+    return rollout(plant, controller, **scenario.timing | {"duration": duration})
 
 
 def _relative_cost(name: str, wall_s: Mapping[str, float]) -> float:

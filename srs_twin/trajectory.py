@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -31,6 +31,8 @@ _COLUMNS_OF_UNIT = {
 _UNIT_OF_COLUMN = {name: unit for unit, names in _COLUMNS_OF_UNIT.items() for name in names.split()}
 
 _FILE_KIND = "a trajectory written by srs-twin"
+_TIME_ROUNDING_S = 1e-9
+"""Times that differ by less are equal, s."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,11 @@ class Trajectory(HtmlResult):
         if not arrays:
             raise KeyError(name)
         return np.stack(arrays, axis=-1)
+
+    def between(self, begin: float, end: float) -> Trajectory:
+        """Return the samples from a time to a later one, both included, s."""
+        kept = (self.time >= begin - _TIME_ROUNDING_S) & (self.time <= end + _TIME_ROUNDING_S)
+        return replace(self, columns={name: column[kept] for name, column in self.columns.items()})
 
     def has(self, name: str) -> bool:
         """Return whether there is a column ``name`` or ``name_1``."""

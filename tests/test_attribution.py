@@ -11,7 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from srs_twin import Numerics, rollout
-from srs_twin.attribution import PlantVariants, _builders, _in_processes, contributions, explain, subsets
+from srs_twin import attribution as attribution_module
+from srs_twin.attribution import (
+    PlantVariants,
+    _builders,
+    _in_processes,
+    _window,
+    contributions,
+    explain,
+    subsets,
+)
 from srs_twin.comparison.compare import MEASURES, AssumptionShare, Attribution, gap_between
 from srs_twin.compute.workers import processor_count
 from srs_twin.errors import DivergedError, InputError
@@ -102,7 +111,8 @@ def test_variants_under_a_controller_with_sensors_are_the_same_in_worker_process
     sets = subsets([switch.name for switch in variants.switches])
     names = list(_builders(variants, sets))[:2]
     counts = []
-    runs = _in_processes([(s, sets, name) for name in names], counts.append)
+    tasks = [(s, sets, name, s.build_controller(), s.duration) for name in names]
+    runs = _in_processes(tasks, counts.append)
     assert counts == [1, 2] and [run.metadata["plant"] for run in runs] == ["twin", "analytical"]
     for name, run in zip(names, runs, strict=True):
         here = rollout(_builders(variants, sets)[name](), s.build_controller(), **s.timing)
@@ -227,6 +237,40 @@ def test_diverged_variant_is_named_and_keeps_the_run(tmp_path, monkeypatch):
     assert str(error) == "short: attribution: stiff twin: twin diverged at t = 0.3 s: it flew"
     assert result.metrics["plants"]["twin"]["com_speed_m_s"] > 0.1 and "attribution" not in result.metrics
     assert (tmp_path / "report.html").is_file() and (tmp_path / "twin.parquet").is_file()
+
+
+def test_only_long_runs_under_feedback_are_attributed_over_a_window():
+    gait, learning = load_scenario("gen1_straight"), load_scenario("ilc_straight")
+    assert _window(gait, gait.build_controller(), 1e3) is None
+    controller = learning.build_controller()
+    assert _window(learning, controller, 25.0) == 12.0 and _window(learning, controller, 11.0) is None
+    fine = load_scenario("ilc_growth")
+    assert _window(fine, fine.build_controller(), 8.0) == 5.0  # five periods of 1 s, 20,000 steps
+
+
+def test_window_of_a_run_equals_a_shorter_run():
+    s = load_scenario("ilc_straight", set={"duration_s": 1.2})
+    long, short = (
+        rollout(s.build_plant("analytical"), s.build_controller(), seed=s.seed, duration=duration)
+        for duration in (1.2, 0.8)
+    )
+    part = long.between(0.0, 0.8)
+    assert part.columns.keys() == short.columns.keys() and len(part) == len(short) == 81
+    assert all(np.array_equal(part[name], short[name], equal_nan=True) for name in short.columns)
+
+
+@pytest.mark.slow
+def test_attribution_over_a_window_adds_up_to_the_difference_in_it(monkeypatch):
+    s = load_scenario("ilc_straight", set={"duration_s": 5})
+    monkeypatch.setattr(attribution_module, "_MAX_STEPS", 3000)
+    monkeypatch.setattr(attribution_module, "_MIN_WINDOW_PERIODS", 3)
+    runs = {k: rollout(s.build_plant(k), s.build_controller(), **s.timing) for k in ("analytical", "twin")}
+    attribution = explain(s, runs)
+    assert attribution.window_s == 3.0 and attribution.document()["window_s"] == 3.0
+    gap = gap_between(*(runs[kind].between(0.0, 3.0) for kind in ("analytical", "twin")))
+    total = np.sum([share.value for share in attribution.shares], axis=0) + attribution.remainder
+    assert attribution.gap == pytest.approx(gap) and total == pytest.approx(gap, abs=1e-12)
+    assert attribution.gap != pytest.approx(gap_between(runs["analytical"], runs["twin"]))
 
 
 def test_run_without_attribution_is_rejected():

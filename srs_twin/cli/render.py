@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -122,13 +121,13 @@ def _part(run: Trajectory, begin: float | None, end: float | None) -> Trajectory
     """
     first, last = float(run.time[0]), float(run.time[-1])
     low, high = first if begin is None else begin, last if end is None else end
-    kept = (run.time >= low - 1e-9) & (run.time <= high + 1e-9)
-    if kept.sum() < _MIN_SAMPLES:
+    part = run.between(low, high)
+    if len(part) < _MIN_SAMPLES:
         raise InputError(
             f"--from {low:g} --to {high:g} contains no part of the run, which lasts from {first:g} to "
             f"{last:g} s"
         )
-    return replace(run, columns={name: column[kept] for name, column in run.columns.items()})
+    return part
 
 
 def _writer(

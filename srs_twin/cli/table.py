@@ -82,6 +82,8 @@ def _attribution_table(attribution: Mapping[str, Any]) -> Table:
     """Return the table of the contributions of the assumptions to the difference."""
     headings = ["\n".join(MEASURES[measure]) for measure in attribution["measures"]]
     title = "attribution: twin − analytical, and the contribution of each assumption"
+    if (window := attribution["window_s"]) is not None:
+        title += f" (first {window:g} s of the runs)"
     table = new_table("assumption", *headings, title=title)
     for share in attribution["shares"]:
         table.add_row(share["name"], *map(_signed, share["value"]))

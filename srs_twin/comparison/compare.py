@@ -287,6 +287,8 @@ class Attribution:
             points.
         same: assumptions that both plants share in this scenario, so that they explain no difference.
         shares: contributions of the assumptions; together with the remainder they add up to the gap.
+        window_s: length of the part of the runs, from the start, that all of this refers to, s; None: the
+            whole runs.
     """
 
     reference: tuple[float, ...]
@@ -295,6 +297,12 @@ class Attribution:
     matched: tuple[float, ...]
     same: tuple[str, ...]
     shares: tuple[AssumptionShare, ...]
+    window_s: float | None = None
+
+    @property
+    def extent(self) -> str:
+        """The window as text; empty if the attribution refers to the whole runs."""
+        return "" if self.window_s is None else f"first {self.window_s:g} s of the runs"
 
     def document(self) -> dict[str, Any]:
         """Return the entry of metrics.json."""

@@ -290,8 +290,10 @@ def _main_cause(metrics: Mapping[str, Any], metric: str, reference: float, share
 
 
 def _causes(metrics: Mapping[str, Any], metric: str) -> list[tuple[str, float]]:
-    """Return assumptions and their effects on a metric, the largest effect first."""
+    """Return assumptions and their effects on a metric in the whole run, the largest effect first."""
     if (attribution := metrics.get("attribution")) is not None:
+        if attribution.get("window_s") is not None:
+            return []
         k = list(attribution["measures"]).index(metric)
         effects = [(share["name"], share["value"][k]) for share in attribution["shares"]]
     else:

@@ -183,10 +183,13 @@ def _attribution(attribution: Attribution | None) -> dict[str, Any]:
     ):
         rows.append([name, description, "", *map(_signed, values)])
     caption = "Contributions to twin − analytical; thin lines: minimum and maximum over all orders."
+    if attribution.extent:
+        caption = f"{attribution.extent.capitalize()}. {caption}"
     return {
         "attribution": Table(headings, rows, range(3, len(headings))),
         "shares": picture(attribution_plot(attribution), caption),
         "same": ", ".join(attribution.same),
+        "extent": attribution.extent,
     }
 
 
