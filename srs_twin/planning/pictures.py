@@ -242,11 +242,12 @@ class FollowingPictures(RunPictures):
         caption = "Plan with footprint (blue), obstacles and goal, and the runs that follow it."
         return {} if figure is None else {caption: figure}
 
-    def floor_lines(self, run: Trajectory) -> list[FloorLine]:
+    def floor_lines(self, run: Trajectory, *, latest: bool = False) -> list[FloorLine]:
         """See `RunPictures.floor_lines`."""
         metadata = following(run)
         assert metadata is not None, "applies() is true"
-        return plan_lines(segments_of(metadata["plans"][0]), footprint_of(metadata), metadata["goal"])
+        plan = metadata["plans"][-1 if latest else 0]
+        return plan_lines(segments_of(plan), footprint_of(metadata), metadata["goal"])
 
 
 PICTURES = FollowingPictures()

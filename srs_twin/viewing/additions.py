@@ -69,8 +69,8 @@ class RunPictures:
         """Return caption → figure for the report, given plant → trajectory."""
         return {}
 
-    def floor_lines(self, run: Trajectory) -> list[FloorLine]:
-        """Return the lines on the floor of a run."""
+    def floor_lines(self, run: Trajectory, *, latest: bool = False) -> list[FloorLine]:
+        """Return the lines on the floor at the start of a run, or the latest ones."""
         return []
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from snakes import robot
 
 from srs_twin import Gait, TwinSnake, load_scenario, rollout
+from srs_twin.trajectory import Event
 from srs_twin.viewing.mujoco import live
 from srs_twin.viewing.mujoco.live import LiveSnake, steer
 from srs_twin.viewing.mujoco.stage import Skins
@@ -169,6 +172,30 @@ def test_controller_of_a_bench_cannot_be_replaced():
     snake.advance()
     labels = [label for label, _ in snake.status_lines()]
     assert labels[0] == "controller" and not any("steer" in label for label in labels)
+
+
+def test_plan_and_goal_of_a_scenario_are_on_the_floor():
+    snake = LiveSnake(scenario=load_scenario("follow_fig57"))
+    path, edges, goal = snake.floor_lines
+    assert [line.name for line in snake.floor_lines] == ["plan/path", "plan/edges", "plan/goal"]
+    wanted, first = snake.scenario.world.goal, snake._controller.plan.segments[0]
+    assert path.strips[0][0] == pytest.approx([first.start.x, first.start.y])
+    assert np.hypot(*(path.strips[-1][-1] - [wanted.x, wanted.y])) <= wanted.radius
+    ring = np.hypot(*(goal.strips[0] - [wanted.x, wanted.y]).T)
+    assert ring == pytest.approx(wanted.radius)
+    assert len(edges.strips) == 2 * len(path.strips)
+    assert dict(snake.status_lines())["on the floor"] == "path, edges, goal"
+    assert LiveSnake(scenario=load_scenario("gen2_turn")).floor_lines == []
+
+
+def test_a_new_plan_replaces_the_lines_of_the_old_one(monkeypatch):
+    snake = LiveSnake(scenario=load_scenario("follow_fig57"))
+    before, follower = snake.floor_lines, snake._controller
+    shorter = replace(follower.plan, segments=follower.plan.segments[:1])
+    follower.plans.append((0.02, shorter))
+    monkeypatch.setattr(follower, "events", lambda: [Event(0.02, "new_plan", "a new plan")])
+    snake.advance()
+    assert len(snake.floor_lines[0].strips) == 1 < len(before[0].strips)
 
 
 def test_help_and_window_name_all_keys(srs_twin, tmp_path):

@@ -22,6 +22,8 @@ from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.scenario import Scenario
+from srs_twin.trajectory import Trajectory
+from srs_twin.viewing.additions import FloorLine, added_to
 from srs_twin.viewing.plots.signals import goal_ring
 from srs_twin.viewing.plots.style import GOAL_COLOR
 from srs_twin.viewing.rerun.viewer import lacks_display
@@ -61,11 +63,13 @@ class LiveSnake:
         limits: limits of the commands.
         command: current command.
         paused: whether the simulation is paused.
+        floor_lines: goal of the scenario and the plan that its controller follows, as lines on the floor.
     """
 
     state: SnakeState
     command: GaitCommand
     paused: bool
+    floor_lines: list[FloorLine]
     _gait: CommandedGait | None
     _controller: Controller | None
 
@@ -121,6 +125,8 @@ class LiveSnake:
             return self.state
         if self._controller is not None:
             self.state = self.twin.step(self._controller.step(self.state))
+            if self._controller.events():  # such as a new plan
+                self._find_floor_lines()
         else:
             assert self._gait is not None, "see _take_over"
             self.state = self.twin.step(self._gait.valves(float(self.state.time), self.command))
@@ -137,17 +143,21 @@ class LiveSnake:
         if self._controller is not None:
             keys = "arrows, page up, page down: steer by keys" if self._steerable else ""
             by_keys = [("controller", self._controller.kind), *([(keys, "")] if keys else [])]
+        drawn = [line.name.rpartition("/")[-1] for line in self.floor_lines]
         note = ", paused" if self.paused else ", finished" if self.finished else ""
         return [
             *by_keys,
             ("speed", f"{float((speed**2).sum()) ** 0.5:.3f} m/s"),
             ("time (space: pause)", f"{float(self.state.time):.1f} s{note}"),
             ("home: straight, backspace: restart", ""),
+            ("colours of the body", "p+ > p-: purple, p+ < p-: green"),
+            *([("on the floor", ", ".join(drawn))] if drawn else []),
             *([("modified", self._modified)] if self._modified else []),
         ]
 
     def _reset(self) -> None:
         self.command, self.paused, scenario = self._initial_command, False, self.scenario
+        self.floor_lines = []
         if scenario is None:
             self.state = self.twin.reset()
             self._take_over()
@@ -156,6 +166,18 @@ class LiveSnake:
         self.state = twin.reset(pose=scenario.pose, seed=seed) if begin is None else begin(twin, seed)
         self._gait, self._controller = None, scenario.build_controller()
         self._controller.reset(twin.spec, twin.tick, seed=seed)
+        self._find_floor_lines()
+
+    def _find_floor_lines(self) -> None:
+        """Update the lines on the floor."""
+        assert self.scenario is not None and self._controller is not None, "a scenario is played"
+        goal = self.scenario.world.goal
+        run = Trajectory({}, metadata={"control": self._controller.describe()})
+        if pictures := added_to(run):
+            self.floor_lines = pictures.floor_lines(run, latest=True)
+        elif goal is not None:
+            ring = goal_ring({"x": goal.x, "y": goal.y, "radius": goal.radius})
+            self.floor_lines = [FloorLine("goal", (ring,), GOAL_COLOR, _GOAL_LINE_M)]
 
     def _take_over(self) -> None:
         """Let the keys steer, instead of the controller of the scenario."""
@@ -248,7 +270,7 @@ class MujocoWindow:
         import mujoco
         import mujoco.viewer
 
-        from srs_twin.viewing.mujoco.stage import Skins
+        from srs_twin.viewing.mujoco.stage import Skins, make_obstacles_translucent
 
         physics = snake.twin.physics
         model, data = physics.model.ptr, physics.data.ptr
@@ -259,6 +281,8 @@ class MujocoWindow:
         except RuntimeError as error:
             raise InputError(f"cannot open MuJoCo's viewer: {error}") from error
         self._skins = Skins(model, snake.twin.spec.segments)
+        make_obstacles_translucent(model)
+        self._drawn: list[FloorLine] = []
         camera = self._viewer.cam
         camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
         camera.trackbodyid = model.body("connector_1").rootid[0]
@@ -280,19 +304,21 @@ class MujocoWindow:
         names, values = ("\n".join(column) for column in zip(*snake.status_lines(), strict=True))
         self._skins.show(snake.state.pressure, snake.twin.spec.supply.nominal)
         self._viewer.set_texts((None, None, names, values))
-        self._draw_goal(snake)
+        self._draw_floor_lines(snake.floor_lines)
         self._viewer.sync()
 
-    def _draw_goal(self, snake: LiveSnake) -> None:
-        """Draw the goal of the scenario on the floor."""
+    def _draw_floor_lines(self, lines: list[FloorLine]) -> None:
+        """Draw lines on the floor if they are new; the scene keeps them until then."""
         from srs_twin.viewing.mujoco.stage import add_line
 
-        goal = None if snake.scenario is None else snake.scenario.world.goal
         scene = self._viewer.user_scn
-        if goal is not None and scene is not None:
-            scene.ngeom = 0
-            ring = goal_ring({"x": goal.x, "y": goal.y, "radius": goal.radius})
-            add_line(scene, ring, GOAL_COLOR, _GOAL_LINE_M)
+        if lines is self._drawn or scene is None:
+            return
+        with self._viewer.lock():
+            scene.ngeom, self._drawn = 0, lines
+            for line in lines:
+                for strip in line.strips:
+                    add_line(scene, strip, line.color, line.radius)
 
 
 def require_display() -> None:

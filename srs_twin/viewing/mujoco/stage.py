@@ -84,7 +84,7 @@ class Stage:
                 f"{self.model.nq} positions; run the scenario again"
             )
         self._skins = Skins(self.model, scenario.robot.segments)
-        _make_obstacles_translucent(self.model)
+        make_obstacles_translucent(self.model)
         self._colors = pressure_colors(pressure_difference(run)) / np.float32(255)
         step = max(1, -(-len(run) // _MAX_TRAIL_POINTS))
         self._trail_rows = np.arange(0, len(run), step)
@@ -200,7 +200,7 @@ def _legend(run: Trajectory, ghost: Ghost | None, *, bench: bool) -> list[Label]
     return labels + ([] if ghost is None else [Label(ghost[0], style_of(ghost[0]).color)])
 
 
-def _make_obstacles_translucent(model: mujoco.MjModel) -> None:
+def make_obstacles_translucent(model: mujoco.MjModel) -> None:
     """Make obstacles translucent, so that a snake behind them is visible."""
     for geom in range(model.ngeom):
         if re.match(r"(obstacle|polygon)_\d", model.geom(geom).name):
