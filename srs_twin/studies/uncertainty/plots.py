@@ -10,18 +10,37 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from srs_twin.viewing.plots.labels import field_label, metric_label
-from srs_twin.viewing.plots.style import PUBLISHED_COLOR, finish, side_by_side, style_of
+from srs_twin.viewing.plots.style import PUBLISHED_COLOR, finish, style_of
 
 _MAX_SWINGS = 10
 """Largest number of causes in the tornado chart."""
 
-_LINE_CHARACTERS = 175
+_WIDTH = 4.6
+"""Width of the figure, inches; small, so that its text is readable on a telephone."""
+
+_LEFT = 1.85
+"""Left margin, inches."""
+
+_TOP = 0.7
+"""Height of title and heading above the panels, inches."""
+
+_ROW = 0.42
+"""Height of an interval or a cause, inches."""
+
+_BETWEEN = 0.85
+"""Height between the panels, for the axis of the first and the heading of the second, inches."""
+
+_LINE_CHARACTERS = 74
 """Length of a text line below the panels, characters."""
 
 _LINE_HEIGHT = 0.15
 """Height of a text line, inches."""
 
-_KEY = "Whiskers: two standard errors. Hatched bars: causes whose order is not resolved."
+_EFFECT = "effect of each parameter alone (95 %)"
+_KEY = (
+    "Per cent: total index, with its error. Whiskers: two standard errors. "
+    "Hatched bars: causes whose order is not resolved."
+)
 _WARNING_COLOR = "#b03030"
 _ERROR: dict[str, Any] = {"ecolor": "#333333", "elinewidth": 0.9, "capsize": 3, "fmt": "none"}
 
@@ -37,22 +56,25 @@ def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
     rows = {name: metrics[metric] for name, metrics in document["plants"].items() if metric in metrics}
     swings = document["swings"][:_MAX_SWINGS]
     lines = _text_lines(document)
-    below = 0.55 + _LINE_HEIGHT * (len(lines) + 1)
-    figure, axes = side_by_side(
-        2.05 + 0.32 * max(len(swings), 3) + _LINE_HEIGHT * len(lines),
-        2, left=1.4, top=0.95, bottom=below, space=0.75, width_ratios=[1.0, 1.1],
-    )  # fmt: skip
-    left, right = axes[0]
-    _draw_intervals(left, rows, metric)
-    _draw_swings(right, swings, plant, rows[plant], metric)
-    for panel in (left, right):
-        panel.tick_params(labelsize=8)
-        panel.title.set_fontsize(9)
-    counts = ", ".join(f"{style_of(name).label}: {_count_text(row)}" for name, row in rows.items())
-    figure.suptitle(f"{title}\n{counts}", fontsize=11, wrap=True)
+    below = 0.6 + _LINE_HEIGHT * len(lines)
+    heights = [_ROW * max(len(rows), 1), _ROW * max(len(swings), 1)]
+    height = _TOP + sum(heights) + _BETWEEN + below
+    figure = Figure(figsize=(_WIDTH, height))
+    bottoms = [below + heights[1] + _BETWEEN, below]
+    left, width = _LEFT / _WIDTH, 1 - (_LEFT + 0.15) / _WIDTH
+    upper, lower = (
+        figure.add_axes((left, bottom / height, width, panel / height))
+        for bottom, panel in zip(bottoms, heights, strict=True)
+    )
+    _draw_intervals(upper, rows, metric)
+    _draw_swings(lower, swings, plant, rows[plant], metric)
+    # Headings begin at the left edge of the figure, where they have more room than above the panels.
+    headings = ["50 and 95 %; tick: value; line: published", f"{style_of(plant).label}: {_EFFECT}"]
+    for bottom, panel, heading in zip(bottoms, heights, headings, strict=True):
+        figure.text(0.02, (bottom + panel + 0.08) / height, heading, fontsize=9, va="bottom")
+    figure.text(0.02, 1 - 0.1 / height, textwrap.fill(title, 50), fontsize=10.5, va="top")
     for k, (line, color) in enumerate(reversed(lines)):
-        height = (0.08 + _LINE_HEIGHT * k) / figure.get_figheight()
-        figure.text(0.01, height, line, fontsize=7, color=color, va="bottom")
+        figure.text(0.02, (0.08 + _LINE_HEIGHT * k) / height, line, fontsize=7.5, color=color, va="bottom")
     return figure
 
 
@@ -67,19 +89,19 @@ def _draw_intervals(axes: Axes, rows: Mapping[str, Mapping[str, Any]], metric: s
         axes.plot([row["value"]], [y], "|", color="white", markersize=9, markeredgewidth=3.5)
         axes.plot([row["value"]], [y], "|", color="black", markersize=9, markeredgewidth=1)
         if row["published"] is not None:
-            axes.plot([row["published"]] * 2, [y - 0.35, y + 0.35], color=PUBLISHED_COLOR, linewidth=2)
+            axes.plot([row["published"]] * 2, [y - 0.3, y + 0.3], color=PUBLISHED_COLOR, linewidth=2)
     axes.set_yticks(
         range(len(rows)), [f"{style_of(name).label}\n{_count_text(row)}" for name, row in rows.items()]
     )
-    axes.set_ylim(-0.7, len(rows) - 0.3)
-    finish(axes, "", metric_label(metric), title="50 and 95 %; tick: value; line: published")
+    axes.set_ylim(-0.5, len(rows) - 0.5)
+    finish(axes, "", metric_label(metric))
 
 
 def _draw_swings(
     axes: Axes, swings: Sequence[Mapping[str, Any]], plant: str, row: Mapping[str, Any], metric: str
 ) -> None:
     """Draw the effect of each quantity alone; hatched if its rank among the causes is not resolved."""
-    style, count = style_of(plant), len(swings)
+    style, labels = style_of(plant), []
     for y, swing in enumerate(reversed(swings)):
         index = row["sensitivity"][swing["parameter"]]
         low, high = sorted((swing["low"], swing["high"]))
@@ -92,17 +114,18 @@ def _draw_swings(
         axes.errorbar([low, high], [y, y], xerr=swing["error"], **_ERROR)
         rank = f"{best} to {worst}" if is_tied else f"{best}"
         error = min(100 * index["total_error"], 100.0)
-        text = f" {100 * index['total']:.0f} ± {error:.0f} %, rank {rank}"
-        axes.text(high + swing["error"], y, text, va="center", fontsize=7)
+        share = f"{100 * index['total']:.0f} ± {error:.0f} %, rank {rank}"
+        labels.append(field_label(f"robot.{swing['parameter']}") + f"\n{share}")
     axes.axvline(row["value"], color="#888888", linewidth=0.8)
-    axes.set_yticks(range(count), [field_label(f"robot.{swing['parameter']}") for swing in reversed(swings)])
+    axes.set_yticks(range(len(labels)), labels)
     ends = [
         swing[end] + sign * swing["error"] for swing in swings for end in ("low", "high") for sign in (-1, 1)
     ]
     ends = ends or [row["value"]]
     width = max(max(ends) - min(ends), 1e-9)
-    axes.set_xlim(min(ends) - 0.05 * width, max(ends) + 0.95 * width)
-    finish(axes, "", metric_label(metric), title=f"{style.label}: 95 % of each number; total index")
+    axes.set_xlim(min(ends) - 0.05 * width, max(ends) + 0.05 * width)
+    axes.set_ylim(-0.5, max(len(labels), 1) - 0.5)
+    finish(axes, "", metric_label(metric))
 
 
 def _count_text(row: Mapping[str, Any]) -> str:
