@@ -31,7 +31,7 @@ STATE_LABELS = {
 _EXPLAINABLE = {"com_speed_rel", "yaw_rate_abs"}
 """Differences that `compare --explain` attributes to assumptions."""
 
-_ZERO = 5e-6
+_ZERO = 5e-5
 """Absolute value below which a difference is printed as 0; in m, m/s, rad and rad/s alike."""
 
 
@@ -80,10 +80,12 @@ def show(result: RunResult) -> None:
 
 def _attribution_table(attribution: Mapping[str, Any]) -> Table:
     """Return the table of the contributions of the assumptions to the difference."""
-    headings = ["\n".join(MEASURES[measure]) for measure in attribution["measures"]]
+    measures = [MEASURES[measure] for measure in attribution["measures"]]
+    # Narrow headings leave room for the names of the assumptions at 80 columns.
+    headings = [title.replace(" ", "\n", 1) + f"\n{unit}" for title, unit in measures]
     title = "attribution: twin − analytical, and the contribution of each assumption"
     if (window := attribution["window_s"]) is not None:
-        title += f" (first {window:g} s of the runs)"
+        title += f"\n(first {window:g} s of the runs)"
     table = new_table("assumption", *headings, title=title)
     for share in attribution["shares"]:
         table.add_row(share["name"], *map(_signed, share["value"]))
@@ -94,7 +96,7 @@ def _attribution_table(attribution: Mapping[str, Any]) -> Table:
 
 
 def _signed(value: float) -> str:
-    return f"{value:+.2g}" if abs(value) >= _ZERO else "0"
+    return f"{value:+.4f}" if abs(value) >= _ZERO else "0"
 
 
 def _number(value: float | str | None) -> str:
