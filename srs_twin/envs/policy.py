@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from srs_twin.envs.task import Task
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.files import atomic_write, data_root, require_file
 
 SHIPPED = "calibration/policies"
@@ -73,12 +73,16 @@ def load_policy(name_or_path: str | os.PathLike[str]) -> NetworkPolicy:
     """Load a policy by path, or a shipped one by name ("goto").
 
     Raises:
+        UnknownNameError: no shipped policy has the name.
         InputError: the file does not exist or does not contain a policy.
     """
-    text = os.fspath(name_or_path)
-    path = data_root() / SHIPPED / f"{text}.npz" if os.sep not in text and "." not in text else Path(text)
-    names = [entry.stem for entry in (data_root() / SHIPPED).glob("*.npz")]
-    require_file(path, suffix=".npz", names=names)
+    path = Path(os.fspath(name_or_path))
+    if not path.suffix and path.name == os.fspath(name_or_path):
+        names = sorted(entry.stem for entry in (data_root() / SHIPPED).glob("*.npz"))
+        if path.name not in names:
+            raise UnknownNameError("policy", path.name, names)
+        path = data_root() / SHIPPED / f"{path.name}.npz"
+    require_file(path, suffix=".npz")
     try:
         with np.load(path, allow_pickle=False) as arrays:
             count = sum(key.startswith("weights_") for key in arrays)

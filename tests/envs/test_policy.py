@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from srs_twin.envs import make_task
+from srs_twin.envs.baseline import play_episode
 from srs_twin.envs.policy import NetworkPolicy, load_policy
 from srs_twin.errors import InputError
 
@@ -53,3 +54,12 @@ def test_layers_must_fit_together(tmp_path):
         load_policy(tmp_path / "p.npz")
     with pytest.raises(InputError, match=r"gone\.npz"):
         load_policy(tmp_path / "gone.npz")
+
+
+def test_the_shipped_policy_reaches_goals():
+    task = make_task("GoTo")
+    act = load_policy("goto").bind(task)
+    scores = [play_episode(task, act, np.random.default_rng(seed)) for seed in (501, 502)]
+    assert [score.ending for score in scores] == ["goal_reached"] * 2
+    with pytest.raises(InputError, match="unknown policy 'go'; did you mean goto"):
+        load_policy("go")
