@@ -15,9 +15,8 @@ from srs_twin.cli.console import DEBUG
 from srs_twin.cli.diff import diff
 from srs_twin.cli.doctor import doctor
 from srs_twin.cli.options import expand_option_groups, option
-from srs_twin.cli.render import render
 from srs_twin.cli.run import compare, run
-from srs_twin.cli.view import play, view
+from srs_twin.cli.view import play, render, view
 from srs_twin.extensions import COMMANDS, objects
 
 # Help and usage errors are plain text: the boxes of rich break file names across lines, and its import would

@@ -1,25 +1,32 @@
-"""`srs-twin view` and `play`: finished runs in Rerun, and a twin in MuJoCo's viewer."""
+"""`srs-twin view`, `play` and `render`: runs in Rerun, a twin in MuJoCo's viewer, and videos and images."""
 
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from srs_twin.cli.catalogue import is_robot
-from srs_twin.cli.options import ChangeOptions, argument, option
+from srs_twin.cli.console import ScenarioProgress
+from srs_twin.cli.options import ChangeOptions, QuietOption, argument, option
 from srs_twin.errors import InputError
+from srs_twin.io.files import display_path, escape_unprintable
 
 if TYPE_CHECKING:
+    from srs_twin.experiment import FinishedRun
     from srs_twin.io.documents import Override
     from srs_twin.robot.spec import RobotSpec
     from srs_twin.scenario.modified import Changes
+    from srs_twin.trajectory import Trajectory
+    from srs_twin.viewing.mujoco.render import Size
 
 
 def view(
@@ -156,3 +163,168 @@ def _changed_robot(name: str, overrides: Sequence[Override]) -> tuple[RobotSpec,
     before = {"robot": load_robot_file(name).model_dump(mode="json")}
     after = {"robot": robot_file.model_dump(mode="json")}
     return robot_file.spec(), changed_fields(before, after, [override.loc for override in overrides])
+
+
+VIDEO_SUFFIX = ".mp4"
+IMAGE_SUFFIX = ".png"
+_GHOST = "analytical"
+"""Plant that `--ghost` draws translucently."""
+
+_MIN_SAMPLES = 2
+"""Smallest number of samples of a video or strobe picture."""
+
+_MIN_SIDE_PX = 64
+"""Smallest width and height of an image, pixels."""
+
+_MAX_SIDE_PX = 4096
+"""Largest width and height of an image, pixels."""
+
+
+def render(
+    runs: Annotated[list[str], argument("RUN")],
+    video: Annotated[str | None, option("--video FILE.mp4")] = None,
+    image: Annotated[str | None, option("--image t=2.5")] = None,
+    strobe: Annotated[bool, option("--strobe")] = False,
+    ghost: Annotated[bool, option("--ghost")] = False,
+    out: Annotated[str | None, option("--out FILE.png")] = None,
+    size: Annotated[str, option("--size WxH")] = "1280x720",
+    fps: Annotated[int, option("--fps N", min=1, max=120)] = 30,
+    speed: Annotated[float, option("--speed X", min=0.001, max=1000)] = 1.0,
+    from_: Annotated[float | None, option("--from S")] = None,
+    to: Annotated[float | None, option("--to S")] = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Render a video or image of finished runs with MuJoCo.
+
+    Options:
+        runs: Run folders, or names of folders in runs/.
+        video: Output video; with several runs, output folder.
+        image: Render an image at this time, s.
+        strobe: Render several times in one image from above.
+        ghost: Also draw the analytical model, translucently.
+        out: Output image; with several runs, output folder. [default: the run's folder]
+        size: Width and height, pixels; --strobe uses the width only.
+        fps: Frame rate of the video, Hz.
+        speed: Playback speed of the video; 0.25: slow motion.
+        from_: Start of the video or of the strobe picture, s. [default: start of the run]
+        to: End of the video or of the strobe picture, s. [default: end of the run]
+    """
+    _check_options(video, image, strobe=strobe, ghost=ghost, out=out, is_cut=(from_, to) != (None, None))
+    from srs_twin.viewing.mujoco.opengl import usable_opengl
+
+    usable_opengl()  # before the import of MuJoCo, which fails for an unknown name in MUJOCO_GL
+    from srs_twin.experiment import load_run
+    from srs_twin.io.files import check_output_folder
+
+    name_suffix, write = _writer(video, image, _parse_size(size), fps, speed)
+    suffix = VIDEO_SUFFIX if video is not None else IMAGE_SUFFIX
+    output = video if video is not None else out
+    target = None if output is None else _target(Path(output), suffix, len(runs))
+    jobs: list[tuple[FinishedRun, Path]] = []
+    parts: list[Trajectory] = []
+    for run in map(load_run, runs):
+        is_file = target is not None and target.suffix
+        path = target if target and is_file else (target or run.folder) / f"{run.name}{name_suffix}"
+        jobs.append((run, path))
+    for run, path in jobs:
+        if "twin" not in run.trajectories:
+            raise InputError(
+                f"{display_path(run.folder)}: the run contains no twin, and MuJoCo renders only the twin; "
+                "`srs-twin view` shows the analytical model"
+            )
+        if ghost and _GHOST not in run.trajectories:
+            raise InputError(
+                f"{display_path(run.folder)}: the run contains no analytical model; omit --ghost"
+            )
+        parts.append(_part(run.trajectories["twin"], from_, to))
+        check_output_folder(path.parent, (path.name,))
+    for (run, path), part in zip(jobs, parts, strict=True):
+        with ScenarioProgress(run.name, quiet=quiet) as progress:
+            options: dict[str, Any] = {"progress": partial(progress, "drawing")} if video is not None else {}
+            options |= {"ghost": (_GHOST, run.trajectories[_GHOST])} if ghost else {}
+            write(path, run.scenario, part, **options)
+        if not quiet:
+            typer.echo(escape_unprintable(str(path)))
+
+
+def _check_options(
+    video: str | None, image: str | None, *, strobe: bool, ghost: bool, out: str | None, is_cut: bool
+) -> None:
+    """Check that the options of `render` can be combined.
+
+    Raises:
+        InputError: they contradict each other.
+    """
+    if sum((video is not None, image is not None, strobe)) != 1:
+        raise InputError("give exactly one of --video FILE.mp4, --image t=2.5 and --strobe")
+    if video is not None and out is not None:
+        raise InputError("--out is for images; --video already names the output of a video")
+    if ghost and strobe:
+        raise InputError("--ghost needs --video or --image")
+    if image is not None and is_cut:
+        raise InputError("--from and --to are for --video and --strobe; --image t=2.5 is at one time")
+
+
+def _target(target: Path, suffix: str, runs: int) -> Path:
+    """Return the output file or folder after checking it.
+
+    Raises:
+        InputError: it has another suffix, or is a file for several runs.
+    """
+    if target.suffix == suffix and runs > 1:
+        raise InputError(f"{target}: {runs} runs cannot share one file; give a folder")
+    if target.suffix not in ("", suffix):
+        raise InputError(f"{target}: the file must end in {suffix}")
+    return target
+
+
+def _part(run: Trajectory, begin: float | None, end: float | None) -> Trajectory:
+    """Return the samples of a run between two times, s; None: from the start, or to the end.
+
+    Raises:
+        InputError: the run has less than two samples in this interval.
+    """
+    first, last = float(run.time[0]), float(run.time[-1])
+    low, high = first if begin is None else begin, last if end is None else end
+    part = run.between(low, high)
+    if len(part) < _MIN_SAMPLES:
+        raise InputError(
+            f"--from {low:g} --to {high:g} contains no part of the run, which lasts from {first:g} to "
+            f"{last:g} s"
+        )
+    return part
+
+
+def _writer(
+    video: str | None, image: str | None, size: Size, fps: int, speed: float
+) -> tuple[str, Callable[..., object]]:
+    """Return the suffix that follows the run in a file name, and the function that writes the file."""
+    from srs_twin.viewing.mujoco.render import write_image, write_strobe, write_video
+
+    if video is not None:
+        return VIDEO_SUFFIX, partial(write_video, size=size, fps=fps, speed=speed)
+    if image is not None:
+        time = _parse_time(image)
+        return f"-{time:g}s{IMAGE_SUFFIX}", partial(write_image, time=time, size=size)
+    return f"-strobe{IMAGE_SUFFIX}", partial(write_strobe, width=size.width)
+
+
+def _parse_time(text: str) -> float:
+    """Return the time in 't=2.5' or '2.5', s."""
+    try:
+        return float(text.strip().removeprefix("t="))
+    except ValueError as error:
+        raise InputError(f"--image {text}: not a time; give seconds, such as t=2.5") from error
+
+
+def _parse_size(text: str) -> Size:
+    from srs_twin.viewing.mujoco.render import Size
+
+    match = re.fullmatch(r"(\d{1,5})[x×](\d{1,5})", text)
+    sides = [int(side) for side in match.groups()] if match else []
+    if not sides or not all(_MIN_SIDE_PX <= side <= _MAX_SIDE_PX and side % 2 == 0 for side in sides):
+        raise InputError(
+            f"--size {text}: give width and height in pixels, such as 1280x720, "
+            f"both even and from {_MIN_SIDE_PX} to {_MAX_SIDE_PX}"
+        )
+    return Size(*sides)

@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -535,16 +535,36 @@ def fit_static(
     if names is not None or spec.actuator.onset_share or points <= len(searched) + len(_DEAD_ZONE):
         return linear
 
+    return _fit_dead_zone(search, linear, searched, starts, largest)
+
+
+_StaticSearch = Callable[[Sequence[str], Mapping[str, float], Mapping[str, float]], FitEstimate]
+"""Search of a static fit: names of the free parameters, fixed values, start values."""
+
+
+def _fit_dead_zone(
+    search: _StaticSearch, linear: FitEstimate, searched: Sequence[str], starts: Mapping[str, float],
+    largest: float,
+) -> FitEstimate:  # fmt: skip
+    """Return the best significant fit with a dead zone, or the one without.
+
+    Args:
+        search: search of the static fit.
+        linear: estimate without a dead zone.
+        searched: its free parameters.
+        starts: its start values.
+        largest: largest measured bend, rad.
+    """
+
     def with_dead_zone(zone_starts: Mapping[str, float], fixed: Mapping[str, float]) -> FitEstimate:
         names = [*searched, *(name for name in _DEAD_ZONE if name not in fixed)]
-        estimate = search(names, fixed, starts | dict(zone_starts))
+        estimate = search(names, fixed, {**starts, **zone_starts})
         if estimate[_ONSET_WIDTH].value is not None:
             return estimate
         # The data do not determine the width: use the smallest one.
         names.remove(_ONSET_WIDTH)
-        return search(
-            names, {**fixed, _ONSET_WIDTH: _SHARP_WIDTH_RAD}, starts | {_ONSET: zone_starts[_ONSET]}
-        )
+        sharp = {**fixed, _ONSET_WIDTH: _SHARP_WIDTH_RAD}
+        return search(names, sharp, {**starts, _ONSET: zone_starts[_ONSET]})
 
     complete = with_dead_zone({_ONSET: 0.4 * largest, _ONSET_WIDTH: 0.2 * largest}, {_ONSET_SHARE: 1.0})
     if not _is_significant(complete, linear):

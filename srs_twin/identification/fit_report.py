@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from srs_twin.viewing.html.page import Picture, Table, notebook_output, picture, render
+from srs_twin.viewing.html import Picture, Table, notebook_output, picture, render
 from srs_twin.viewing.plots.style import finish, panels
 
 if TYPE_CHECKING:

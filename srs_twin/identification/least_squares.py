@@ -355,10 +355,7 @@ def _estimate(
 
     z, unknowns = best.z, search.unknowns
     residuals = search.residuals(z)
-    fitted = [residual.values / residual.scale for residual in residuals if residual.role == "fit"]
-    samples = sum(len(values) for values in fitted)
-    independent = samples / correlation_time(fitted, len(unknowns))
-    freedom = max(independent - len(unknowns), 1.0)
+    samples, independent, freedom = _count_samples(residuals, len(unknowns))
     variance = 2 * best.cost / samples * max(independent / freedom, 1.0)
     noise, scale = float(np.sqrt(variance * samples / independent)), float(np.sqrt(variance))
     jacobian, error = search.jacobian_and_error(z, noise)
@@ -403,17 +400,18 @@ def _estimate(
         kept.append(i)
     correlation = _correlation(parameters, kept, inside, known)
     directions = unidentifiable_directions(unknowns, inside, known)
+    counts = (samples, float(independent))
     return FitEstimate(
-        tuple(parameters),
-        correlation,
-        residuals,
-        directions,
-        samples,
-        float(independent),
-        scale,
-        held,
-        best.converged,
+        tuple(parameters), correlation, residuals, directions, *counts, scale, held, best.converged
     )
+
+
+def _count_samples(residuals: Sequence[Residual], unknowns: int) -> tuple[int, float, float]:
+    """Return the number of fitted samples, of independent ones, and of degrees of freedom."""
+    fitted = [residual.values / residual.scale for residual in residuals if residual.role == "fit"]
+    samples = sum(len(values) for values in fitted)
+    independent = samples / correlation_time(fitted, unknowns)
+    return samples, independent, max(independent - unknowns, 1.0)
 
 
 def _iterate_bias(

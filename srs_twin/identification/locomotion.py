@@ -291,25 +291,7 @@ def fit_locomotion(
         for run, role in assign_roles("gait runs", runs, validation)
     ]
 
-    def residuals(data: Sequence[_Data], values: Mapping[str, float]) -> list[Residual]:
-        robot = with_values(spec, values)
-        result: list[Residual] = []
-        for run, measured, role in data:
-            try:
-                predicted = signals(model.simulate(run, robot), run.trajectory, against, run.name)
-                differences = {name: measured[name] - predicted[name] for name in measured}
-            except DivergedError:
-                differences = {
-                    name: np.full_like(signal, _DIVERGED_RESIDUAL) for name, signal in measured.items()
-                }
-            for name, difference in differences.items():
-                scale, unit = NOISE[name if name in NOISE else name.rpartition("_")[0]]
-                bend_error = run.trajectory.columns.get(name.replace("bend", "bend_error"))
-                if "bend" in name and bend_error is not None:
-                    scale = max(scale, float(np.sqrt(np.mean(bend_error**2))))
-                result.append(Residual(f"{run.name} {name}", unit, difference, scale, role))
-        return result
-
+    residuals = partial(_residuals, model, spec, against)
     options = model.search_options(against)
     fitted = [entry for entry in data if entry[2] == "fit"]
     validation_residuals = partial(residuals, [entry for entry in data if entry[2] != "fit"])
@@ -338,6 +320,29 @@ def fit_locomotion(
         refit=None if reference is None else refit,
     )
     return estimate.with_fixed(known)
+
+
+def _residuals(
+    model: PlantModel, spec: RobotSpec, against: str, data: Sequence[_Data], values: Mapping[str, float]
+) -> list[Residual]:
+    """Return the residuals of runs for parameters of a robot."""
+    robot = with_values(spec, values)
+    result: list[Residual] = []
+    for run, measured, role in data:
+        try:
+            predicted = signals(model.simulate(run, robot), run.trajectory, against, run.name)
+            differences = {name: measured[name] - predicted[name] for name in measured}
+        except DivergedError:
+            differences = {
+                name: np.full_like(signal, _DIVERGED_RESIDUAL) for name, signal in measured.items()
+            }
+        for name, difference in differences.items():
+            scale, unit = NOISE[name if name in NOISE else name.rpartition("_")[0]]
+            bend_error = run.trajectory.columns.get(name.replace("bend", "bend_error"))
+            if "bend" in name and bend_error is not None:
+                scale = max(scale, float(np.sqrt(np.mean(bend_error**2))))
+            result.append(Residual(f"{run.name} {name}", unit, difference, scale, role))
+    return result
 
 
 def signals(

@@ -17,7 +17,7 @@ from srs_twin.planning.metrics import following, footprint_of, segments_of
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import FloorLine, FollowedSignal, RunPictures
-from srs_twin.viewing.html.page import Table, cell, notebook_output, picture
+from srs_twin.viewing.html import Table, cell, notebook_output, picture
 from srs_twin.viewing.plots.from_above import draw_run, lines_plot, strobe_times
 from srs_twin.viewing.plots.signals import goal_ring
 from srs_twin.viewing.plots.style import GOAL_COLOR, STYLES, finish, panels, style_of

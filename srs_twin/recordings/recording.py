@@ -144,15 +144,7 @@ def read_motion(
         points = tracks[:, chosen]
         jumps = outliers(points, _MIN_JUMP * geometry.pitch)
         points[jumps] = np.nan
-        # Nothing is extrapolated: all markers are visible at both ends of the kept interval.
-        kept = longest_complete(frames.time, points, longest_gap_s)
-        if kept.stop - kept.start < MIN_FRAMES:
-            complete = 100 * (~np.isnan(points[..., 0])).all(axis=1).mean()
-            raise InputError(
-                f"no {MIN_FRAMES} successive frames have all {points.shape[1]} markers with gaps up to "
-                f"{longest_gap_s:g} s ({len(frames.time)} frames at {1 / frames.period:.4g} Hz, all markers "
-                f"visible on {complete:.0f} % of them); give --longest-gap"
-            )
+        kept = _kept_frames(frames, points, longest_gap_s)
         time = frames.time[kept]
         origin = np.where(np.isnan(points[kept][..., 0]), -1, columns[kept][:, chosen])
         complete_points = fill_gaps(time, points[kept], fill)
@@ -165,6 +157,23 @@ def read_motion(
         summary = LogSummary.from_file(table, table.kind, frames, kept, hidden, texts, counts)
         trajectory = body_trajectory(body, markers, spec, summary, gait_frequency_hz)
         return Recording(trajectory, summary, epoch_ns=table.epoch_ns)
+
+
+def _kept_frames(frames: FrameGrid, points: np.ndarray, longest_gap_s: float) -> slice:
+    """Return the longest interval with all markers; they are visible at its ends: nothing is extrapolated.
+
+    Raises:
+        InputError: it is too short.
+    """
+    kept = longest_complete(frames.time, points, longest_gap_s)
+    if kept.stop - kept.start < MIN_FRAMES:
+        complete = 100 * (~np.isnan(points[..., 0])).all(axis=1).mean()
+        raise InputError(
+            f"no {MIN_FRAMES} successive frames have all {points.shape[1]} markers with gaps up to "
+            f"{longest_gap_s:g} s ({len(frames.time)} frames at {1 / frames.period:.4g} Hz, all markers "
+            f"visible on {complete:.0f} % of them); give --longest-gap"
+        )
+    return kept
 
 
 def bodies_as_pairs(table: MarkerTable) -> MarkerTable:

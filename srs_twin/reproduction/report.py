@@ -37,7 +37,7 @@ from srs_twin.reproduction.verdicts import (
 )
 from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario.provenance import versions
-from srs_twin.viewing.html.page import Table, colored, picture, render
+from srs_twin.viewing.html import Table, colored, picture, render
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

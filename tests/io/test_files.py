@@ -22,7 +22,7 @@ from srs_twin.io.files import (
     read_text,
     shipped_names,
 )
-from srs_twin.viewing.html.page import Table, render
+from srs_twin.viewing.html import Table, render
 
 pytestmark = pytest.mark.fast
 

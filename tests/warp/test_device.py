@@ -20,9 +20,8 @@ from srs_twin.errors import EngineWarning
 from srs_twin.plants.twin.stick_slip import rolling_friction, stick_slip_friction
 from srs_twin.pneumatics.chambers import equivalent_linear_pressure
 from srs_twin.robot.world import Circle, World
-from srs_twin.studies.sweep.execution import local
+from srs_twin.studies.sweep.execution import local, on_device
 from srs_twin.studies.sweep.loading import load_sweep
-from srs_twin.studies.sweep.on_device import on_device
 
 wp = pytest.importorskip("warp", reason="the extra gpu is not installed")
 GEN2 = load_robot("gen2")
@@ -356,7 +355,7 @@ def test_unsupported_sweep_points_run_once_on_the_cpu(tmp_path, monkeypatch, bat
 
     kind = SimpleNamespace(accelerated=lambda: True, check=refuse)
     for name, value in {"warp_batch": lambda: kind, "local": here, "BATCH_SIZE": batch_size}.items():
-        monkeypatch.setattr(f"srs_twin.studies.sweep.on_device.{name}", value)
+        monkeypatch.setattr(f"srs_twin.studies.sweep.execution.{name}", value)
     (tmp_path / "s.yaml").write_text(SWEEP.replace("[2.0, 2.5]", "[2.0]").replace("[lag, orifice]", "[lag]"))
     found = load_sweep(tmp_path / "s.yaml")
     points = [replace(found.points[0], changes={"seed": seed}) for seed in range(5)]

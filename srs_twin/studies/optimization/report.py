@@ -17,7 +17,7 @@ from srs_twin.io.files import write_text
 from srs_twin.studies.optimization.result import EVALUATIONS, PRODUCTS, RESULT, StudyResult
 from srs_twin.studies.optimization.search import costs, excesses
 from srs_twin.studies.sweep.store import write_table
-from srs_twin.viewing.html.page import Table, image, render
+from srs_twin.viewing.html import Table, image, render
 from srs_twin.viewing.plots.labels import field_label, metric_label
 from srs_twin.viewing.plots.style import save
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from srs_twin.studies.sweep.execution import Engine
     from srs_twin.studies.sweep.points import Sweep
     from srs_twin.studies.sweep.report import Summary
-    from srs_twin.viewing.html.page import Table as TextTable
+    from srs_twin.viewing.html import Table as TextTable
 
 SWEEPS = Path("runs/sweeps")
 
@@ -148,7 +148,7 @@ def make_engine(name: str, workers: int | None, address: str | None) -> Engine:
     if name == "ray":
         return execution.on_ray(address, workers)
     if name == "warp":
-        from srs_twin.studies.sweep.on_device import on_device
+        from srs_twin.studies.sweep.execution import on_device
 
         return on_device(address, workers)
     if address is not None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from srs_twin.io.files import write_text
 from srs_twin.studies.sweep.table import COMPARISON, PLAN, SweepTable
-from srs_twin.viewing.html.page import Table, image, render
+from srs_twin.viewing.html import Table, image, render
 from srs_twin.viewing.plots.labels import field_label
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from srs_twin.comparison.metrics import relative_difference
 from srs_twin.errors import UnknownNameError
 from srs_twin.scenario.fields import Section
-from srs_twin.viewing.html.page import Table
+from srs_twin.viewing.html import Table
 from srs_twin.viewing.plots.labels import field_label, metric_label
 
 if TYPE_CHECKING:

@@ -1,1 +1,119 @@
-"""Reports as single HTML pages without external resources."""
+"""HTML pages from templates, each a single file without external resources."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from collections.abc import Collection, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from srs_twin.comparison.metrics import VALIDATION
+from srs_twin.io.files import escape_unprintable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class Table(NamedTuple):
+    """Table of a page.
+
+    Attributes:
+        headings: column headings with units.
+        rows: cells, text or `Markup`.
+        numbers: indices of the right-aligned columns.
+        note: remark below the table, e.g. on omitted rows.
+        title: title, if the page does not name the content elsewhere.
+    """
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    numbers: Collection[int] = ()
+    note: str = ""
+    title: str = ""
+
+
+class Picture(NamedTuple):
+    """Image embedded in a page.
+
+    Attributes:
+        source: content as a ``data:`` URL.
+        caption: caption.
+    """
+
+    source: str
+    caption: str
+
+
+def render(template: str, **content: Any) -> str:
+    """Return a page from a template; text is escaped, `Markup` is not.
+
+    Args:
+        template: path of the template relative to the package.
+        content: variables of the template.
+    """
+    return _environment().get_template(template).render(content, validated=VALIDATION)
+
+
+def notebook_output(summary: str, table: Table, plot: Picture | None = None) -> str:
+    """Return HTML for the output cell of a notebook: a summary, a table and an optional plot."""
+    macros: Any = _environment().get_template("viewing/html/parts.html").module
+    pictures = macros.pictures([plot]) if plot else ""
+    return str(
+        Markup("<p><b>{}</b></p>{}{}").format(escape_unprintable(summary), macros.table(table), pictures)
+    )
+
+
+@cache
+def _environment() -> Environment:
+    folder = FileSystemLoader(Path(__file__).parents[2])
+    return Environment(
+        loader=folder, autoescape=True, undefined=StrictUndefined, finalize=_clean, trim_blocks=True
+    )
+
+
+def _clean(value: Any) -> Any:
+    # HTML does not allow control characters, and a terminal that prints the file would execute them.
+    return value if isinstance(value, Markup) else escape_unprintable(str(value), keep="\t\n")
+
+
+def colored(text: str, color: str) -> Markup:
+    """Return text in a CSS class of the page: "met", "missed" or "sub"."""
+    return Markup('<span class="{}">{}</span>').format(color, text)
+
+
+def picture(figure: Figure, caption: str) -> Picture:
+    """Return a figure as SVG; equal figures give equal bytes."""
+    # The import is slow, and pages without figures do not need it.
+    import matplotlib
+
+    buffer = io.BytesIO()
+    with matplotlib.rc_context({"svg.hashsalt": "srs-twin", "svg.fonttype": "none"}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    return image(buffer.getvalue(), "svg+xml", caption)
+
+
+def image(content: bytes, kind: str, caption: str) -> Picture:
+    """Return an image from the content of its file, of kind "svg+xml" or "png"."""
+    return Picture(f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}", caption)
+
+
+def cell(value: Any) -> str:
+    """Format a JSON value as the text of a table cell; None becomes a dash."""
+    match value:
+        case None:
+            return "–"
+        case float():
+            return f"{value:.4g}"
+        case Mapping():
+            return json.dumps(value, ensure_ascii=False)
+        case list() | tuple():
+            return ", ".join(
+                f"[{cell(item)}]" if isinstance(item, list | tuple) else cell(item) for item in value
+            )
+    return str(value)

@@ -28,7 +28,7 @@ from srs_twin.scenario.expectation import allowed_text, tally, verdict
 from srs_twin.scenario.modified import Changes, left_out_line, text_of
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import added_to
-from srs_twin.viewing.html.page import Picture, Table, cell, colored, notebook_output, picture, render
+from srs_twin.viewing.html import Picture, Table, cell, colored, notebook_output, picture, render
 from srs_twin.viewing.plots.from_above import lines_plot, plan_view
 from srs_twin.viewing.plots.labels import metric_title
 from srs_twin.viewing.plots.runs import (
