@@ -338,7 +338,7 @@ twin about eleven times.
 """
 _TICK_ROUNDING = 1e-6
 """Tolerance for whole ticks, as a fraction of a tick."""
-_MIN_WINDOW_PERIODS = 5
+_MIN_WINDOW_PERIODS = 4
 """Smallest number of gait periods of a shortened attribution."""
 
 _TWIN_COST = 1.4

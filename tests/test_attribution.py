@@ -245,7 +245,7 @@ def test_only_long_runs_under_feedback_are_attributed_over_a_window():
     controller = learning.build_controller()
     assert _window(learning, controller, 25.0) == 12.0 and _window(learning, controller, 11.0) is None
     fine = load_scenario("ilc_growth")
-    assert _window(fine, fine.build_controller(), 8.0) == 5.0  # five periods of 1 s, 20,000 steps
+    assert _window(fine, fine.build_controller(), 8.0) == 4.0  # four periods of 1 s, 16,000 steps
 
 
 def test_window_of_a_run_equals_a_shorter_run():
