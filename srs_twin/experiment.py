@@ -130,7 +130,7 @@ class PreparedRun:
         diverged: list[DivergedError] = []
         for kind, (plant, controller) in self.pairs.items():
             # Compile the kernels first, so that the measured time excludes compilation.
-            plant.step(np.full((plant.spec.segments, 2), -1, dtype=np.int8))
+            plant.step(np.full((plant.spec.segments, plant.spec.chambers), -1, dtype=np.int8))
             watch = _percents(partial(progress, kind) if progress else None, scenario.duration)
             start = time.perf_counter()
             try:

@@ -36,7 +36,15 @@ from srs_twin.errors import (
     shortest_decimal,
 )
 from srs_twin.io.saved_state import SavedState
-from srs_twin.plants.base import Plant, PlantState, Pose, SnakeState, check_commands, check_plausible
+from srs_twin.plants.base import (
+    Plant,
+    PlantState,
+    Pose,
+    SnakeState,
+    SpatialState,
+    check_commands,
+    check_plausible,
+)
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event, Trajectory
@@ -104,6 +112,8 @@ def rollout(
             f"controller '{controller.kind}' drives valves of layout {', '.join(controller.layouts)}; "
             f"the {plant.name} plant has {plant.layout} (layout in_out can hold, 3/2 cannot)"
         )
+    if not controller.spatial:
+        plant.spec.require_planar(f"controller '{controller.kind}'")
     state = plant.reset(pose=pose, seed=seed) if begin is None else begin(plant, seed)
     controller.reset(plant.spec, plant.tick, seed=seed)
     if resume is not None:
@@ -255,12 +265,15 @@ class Recorder:
         columns["heading"] = values_of("heading")
         position = values_of("position")
         columns |= _numbered_columns("x_", position[..., 0]) | _numbered_columns("y_", position[..., 1])
-        for name in ("theta", "bend", "sensed", "torque"):
-            columns |= _numbered_columns(f"{name}_", values_of(name))
-        for name, attribute in (("pressure", "pressure"), ("valve", "valves")):
-            chambers = values_of(attribute)
-            columns |= _numbered_columns(f"{name}_plus_", chambers[..., 0])
-            columns |= _numbered_columns(f"{name}_minus_", chambers[..., 1])
+        if isinstance(states, SpatialState):
+            columns |= _spatial_columns(states)
+        else:
+            for name in ("theta", "bend", "sensed", "torque"):
+                columns |= _numbered_columns(f"{name}_", values_of(name))
+            for name, attribute in (("pressure", "pressure"), ("valve", "valves")):
+                chambers = values_of(attribute)
+                columns |= _numbered_columns(f"{name}_plus_", chambers[..., 0])
+                columns |= _numbered_columns(f"{name}_minus_", chambers[..., 1])
         columns["work"] = values_of("work")
         if self.plant.has_internal_loss:
             columns["internal_loss"] = values_of("internal_loss")
@@ -287,6 +300,7 @@ class Recorder:
             **self._settings,
             "body_length_m": geometry.body_length,
             "body_width_m": geometry.width,
+            **({"spatial": True} if plant.spec.is_spatial else {}),
             "segment_length_m": geometry.segment_length,
             "rigid_gap_m": geometry.rigid_gap,
             "mass_kg": plant.spec.mass.total,
@@ -296,6 +310,22 @@ class Recorder:
             "ended_by": self.ended_by,
             "valve_switches": plant.openings().tolist() if plant.metered else None,
         }
+
+
+def _spatial_columns(states: SpatialState) -> dict[str, np.ndarray]:
+    """Return the columns of a history that have more axes or other names than those of a planar snake."""
+    columns = _numbered_columns("theta_", states.theta) | _numbered_columns("z_", states.height)
+    for k, axis in enumerate("wxyz"):
+        columns |= _numbered_columns(f"quaternion_{axis}_", states.orientation[..., k])
+    columns |= _numbered_columns("load_", states.load)
+    pairs = {"bend": "pitch", "sensed": "sensed_pitch", "torque": "torque_pitch"}
+    for left, up in pairs.items():
+        values = getattr(states, left)
+        columns |= _numbered_columns(f"{left}_", values[..., 0]) | _numbered_columns(f"{up}_", values[..., 1])
+    for name, values in (("pressure", states.pressure), ("valve", states.valves)):
+        for k in range(values.shape[-1]):
+            columns |= _numbered_columns(f"{name}_{k + 1}_", np.asarray(values[..., k], dtype=float))
+    return columns
 
 
 def _flatten_signals(signals: dict[str, float | np.ndarray]) -> dict[str, float]:

@@ -17,13 +17,13 @@ from srs_twin.io.untrusted import read_table
 
 _COLUMNS_OF_UNIT = {
     "s": "time",
-    "m": "com_x com_y x y cross_track estimate_x estimate_y object_x object_y",
-    "rad": "heading theta bend sensed heading_error estimate_heading object_heading reference error"
-    " target_plus target_minus amplitude_plus amplitude_minus",
+    "m": "com_x com_y x y z cross_track estimate_x estimate_y object_x object_y",
+    "rad": "heading theta bend pitch sensed sensed_pitch heading_error estimate_heading object_heading"
+    " reference error target_plus target_minus amplitude_plus amplitude_minus",
     "rad/s": "sigma rate",
-    "Pa": "pressure_plus pressure_minus",
-    "N": "obstacle_force_x obstacle_force_y",
-    "N·m": "torque",
+    "Pa": "pressure_plus pressure_minus pressure",
+    "N": "obstacle_force_x obstacle_force_y load",
+    "N·m": "torque torque_pitch",
     "J": "work internal_loss air",
     "mixed": "qpos",
 }
@@ -72,6 +72,10 @@ class Trajectory(HtmlResult):
     (head first), ``bend_1…``, ``sensed_1…``, ``torque_1…``, ``work``, ``air``, ``pressure_plus_1…``,
     ``pressure_minus_1…``, ``valve_plus_1…``, ``valve_minus_1…``, the signals of the controller, for the twin
     ``qpos_1…``, and in a world with objects ``object_x_1…``, ``object_y_1…`` and ``object_heading_1…``.
+
+    A spatial robot also has ``pitch_1…`` (bends upwards), ``sensed_pitch_1…``, ``torque_pitch_1…``, ``z_1…``,
+    ``quaternion_w_1…`` to ``quaternion_z_1…`` and ``load_1…``, and for each chamber c ``pressure_c_1…`` and
+    ``valve_c_1…`` instead of those of the + and − chamber.
 
     Attributes:
         columns: name → float array of shape (samples,).
@@ -133,7 +137,7 @@ class Trajectory(HtmlResult):
 
     def unit(self, name: str) -> str:
         """Return the unit of a column."""
-        return self.units.get(name) or _UNIT_OF_COLUMN.get(re.sub(r"_\d+$", "", name), "1")
+        return self.units.get(name) or _UNIT_OF_COLUMN.get(re.sub(r"(_\d+)+$", "", name), "1")
 
     def to_parquet(self, path: Any) -> None:
         """Write to a Parquet file or file-like object; equal trajectories give equal bytes.

@@ -74,14 +74,15 @@ def test_every_column_of_a_run_has_the_unit_written_here(kind, plant):
 
 METRICS = {
     "m": """path_length_m turning_radius_m path_radius_m box_left_m box_right_m plan_length_m arrival_error_m
-        cross_track_rms_m cross_track_max_m clearance_m measured_shape_rms_m measured_path_rms_m""",
+        cross_track_rms_m cross_track_max_m clearance_m measured_shape_rms_m measured_path_rms_m
+        body_height_m""",
     "s": "rise_time_s settling_2_s settling_5_s contact_time_s following_time_s wall_s",
-    "m/s": "com_speed_m_s path_speed_m_s",
+    "m/s": "com_speed_m_s path_speed_m_s travel_speed_m_s",
     "rad": """mean_bend_amplitude_rad final_bend_rad overshoot_rad steady_error_rad steady_rms_rad
         ripple_pp_rad ripple_rms_rad sensed_ripple_pp_rad error_rms_rad phase_lag_rad phase_lag_spread_rad
         fit_residual_rad amplitude_error_end_rad heading_drift_rad reading_error_rad reading_backstep_rad
         reading_backstep_at_rad plan_kink_rad arrival_heading_error_rad measured_bend_rms_rad
-        measured_heading_rms_rad""",
+        measured_heading_rms_rad travel_direction_rad""",
     "rad/s": "yaw_rate_rad_s measured_yaw_rate_abs",
     "1/m": "path_curvature_before_per_m path_curvature_per_m path_bend_before_per_m path_bend_per_m",
     "W": "mechanical_power_w internal_power_w pneumatic_power_w",
@@ -90,7 +91,7 @@ METRICS = {
         inlet_openings outlet_openings amplitude_growth_rel periods_to_converge amplitude_error_end_rel
         path_bend_left_rel path_radius_spread_rel duty_lowest duty_highest reading_r_squared plan_found
         plan_nodes goal_reached inside_share inside_50mm_share contacts replans measured_com_speed_rel
-        realtime_factor""",
+        realtime_factor contact_share""",
 }
 LISTS = {
     "rad": "bend_amplitude_rad bend_bias_rad amplitude_error_rad heading_drift_by_period_rad",

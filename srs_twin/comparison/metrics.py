@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -22,6 +23,7 @@ from srs_twin.comparison.learning import (
     learning_metrics,
 )
 from srs_twin.comparison.sampling import body_length, check_columns, units_of
+from srs_twin.comparison.spatial import SPATIAL_UNITS, spatial_metrics
 from srs_twin.comparison.tracking import READING_UNITS, TRACKING_UNITS, reading_metrics, tracking_metrics
 from srs_twin.trajectory import Trajectory
 
@@ -85,6 +87,7 @@ METRIC_UNITS = {
     **TRACKING_UNITS,
     **LEARNING_UNITS,
     **READING_UNITS,
+    **SPATIAL_UNITS,
     **{name: unit for group in metric_groups() for name, unit in group.units.items()},
     **MEASURED_UNITS,
     **units_of("wall_s realtime_factor"),
@@ -160,6 +163,10 @@ reading_error_rad: largest difference between mean reading and mean bend
 reading_backstep_rad: largest decrease of the reading with increasing bend
 reading_backstep_at_rad: bend in the middle of that decrease
 reading_range_t: range of the magnetic field at the sensor
+travel_speed_m_s: speed of a spatial snake in any direction, mean over whole gait periods
+travel_direction_rad: direction of travel relative to the mean heading; positive to the left
+body_height_m: largest height of a connector of a spatial snake
+contact_share: mean share of connectors that press on the floor
 measured_com_speed_rel: speed minus that of the recorded robot, divided by the latter
 measured_yaw_rate_abs: magnitude of the difference of the yaw rates
 measured_shape_rms_m: RMS distance of the connectors from the recorded ones, with centre and heading aligned
@@ -223,6 +230,10 @@ def _summary(metrics: Mapping[str, Any]) -> str:
     if model and twin:
         return _summary_of_both(metrics, model, twin)
     name = "twin" if twin else "model"
+    if (travel := one.get("travel_speed_m_s")) is not None:
+        direction = math.degrees(one["travel_direction_rad"])
+        side = "left" if direction > 0 else "right"
+        return f"The {name} travels at {travel:.3g} m/s, {abs(direction):.0f}° to the {side} of its heading."
     if one.get("com_speed_m_s") is not None:
         turn = one.get("yaw_rate_rad_s") or 0.0
         how = "straight on" if abs(turn) < _STRAIGHT_RAD_S else f"turning by {turn:.3g} rad/s"
@@ -305,6 +316,7 @@ def _causes(metrics: Mapping[str, Any], metric: str) -> list[tuple[str, float]]:
 _MEASURED = "measured_shape_rms_m measured_path_rms_m measured_bend_rms_rad measured_heading_rms_rad"
 _GAIT = f"""
     com_speed_m_s yaw_rate_rad_s turning_radius_m path_length_m mean_bend_amplitude_rad
+    travel_speed_m_s travel_direction_rad body_height_m contact_share
     periods_to_converge amplitude_error_end_rel path_speed_m_s path_curvature_before_per_m
     path_curvature_per_m mechanical_power_w cost_of_transport pneumatic_power_w {_MEASURED} realtime_factor
 """.split()
@@ -451,6 +463,7 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
         **(tracking_metrics(trajectory) if following else dict.fromkeys(TRACKING_UNITS)),
         **(learning_metrics(trajectory) if is_learning(trajectory) else _NOT_LEARNING),
         **reading_metrics(trajectory),
+        **spatial_metrics(trajectory),
         **{name: value for group in metric_groups() for name, value in group.measure(trajectory).items()},
         **dict.fromkeys(MEASURED_UNITS),
         "final_bend_rad": float(trajectory["bend_1"][-1]) if ends else None,

@@ -18,6 +18,7 @@ from srs_twin.comparison.gait import GaitWindow
 from srs_twin.comparison.group import metric_groups
 from srs_twin.comparison.learning import LAST_PERIODS, LEARNING_UNITS, is_learning
 from srs_twin.comparison.metrics import MEASURED_UNITS
+from srs_twin.comparison.spatial import SPATIAL_UNITS
 from srs_twin.comparison.tracking import READING_UNITS, TRACKING_UNITS, ReadingCurve
 from srs_twin.trajectory import Trajectory
 
@@ -147,6 +148,10 @@ def _other(metric: str, run: Trajectory) -> str:
     for group in metric_groups():
         if metric in group.units:
             return group.why_undefined(metric, run)
+    if metric in SPATIAL_UNITS and run.has("z"):
+        return _no_gait(metric, [run])
+    if metric in SPATIAL_UNITS:
+        return "the robot bends in one plane"
     if metric in READING_UNITS:
         if ReadingCurve.from_trajectory(run) is None:
             return "the run has no sensor, or an ideal one"

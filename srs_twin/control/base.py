@@ -27,6 +27,7 @@ class Controller(Stateful, ABC):
         kind: name of the controller in scenario files.
         frequency: gait frequency, Hz; None if the controller is not periodic.
         layouts: supported valve layouts, names in `LAYOUTS`.
+        spatial: whether it commands the chambers of a spatial robot.
         finished: whether the controller has ended its task; the rollout ends after the tick in which it
             becomes True.
     """
@@ -36,6 +37,7 @@ class Controller(Stateful, ABC):
     kind: str
     frequency: float | None = None
     layouts: tuple[str, ...] = tuple(LAYOUTS)
+    spatial: bool = False
     finished: bool = False
 
     @abstractmethod

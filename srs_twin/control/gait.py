@@ -11,12 +11,33 @@ chambers may vent for a fraction r of the period, centred at the sign changes of
 
 $$ S_j = 0 \quad \text{where} \quad
    |\sin(2\pi f t - \beta (j-1) + \psi - \alpha_j) + \varphi| < \sin(\pi r/2). $$
+
+**Spatial robots** have a second wave, which bends the segments upwards and downwards. With the ratio ρ of its
+frequency to that of the first wave and its lag λ,
+
+$$ P_j = \operatorname{sign}
+   \sin\bigl(\rho\,(2\pi f t - \beta (j-1) + \psi - \alpha_j) - \lambda\bigr) . $$
+
+Valves only open and close, so a smaller wave is one that rests: the fundamental of a square wave that is 0
+for the fraction r of its period has the amplitude cos(π r/2). The pitch share s, from 0 to 1, is the share of
+the pitch wave in the sum of the two amplitudes: with s < 1/2 the pitch wave rests so that its amplitude is
+s/(1 − s), with s > 1/2 the other wave rests. Chamber c with the direction d_c fills where
+d_c · (S_j, P_j) > 0.
+
+| gait | pitch wave |
+|---|---|
+| sidewinding | λ = ± π/2: to the left or right of the heading |
+| rectilinear crawling | s = 1: the wave is vertical |
+| sinus-lifting | ρ = 2: the body lifts where its curvature is largest |
+| rolling | β = 0, s = 1/2, λ = ± π/2: the whole body turns about its axis |
+| lifted head | any, with a number of lifted segments, whose upper chambers stay full |
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,6 +47,46 @@ from srs_twin.errors import InputError
 from srs_twin.plants.base import SnakeState
 from srs_twin.pneumatics.valves import Schedule, count_slots
 from srs_twin.robot.spec import RobotSpec
+
+_BLOCK = 20_000
+"""Slots whose wave is evaluated at once, against large arrays."""
+
+
+@dataclass(frozen=True)
+class PitchWave:
+    """Wave that bends a spatial robot upwards and downwards (module docstring).
+
+    Attributes:
+        share: s, share of the pitch wave in the sum of the amplitudes, 0 to 1.
+        lag_rad: λ, lag behind the wave to the left and right, rad.
+        frequency_ratio: ρ, frequency over that of the other wave, above 0.
+        lifted_segments: number of segments from the head that bend upwards all the time.
+    """
+
+    share: float = 0.5
+    lag_rad: float = math.pi / 2
+    frequency_ratio: float = 1.0
+    lifted_segments: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.share <= 1:
+            raise InputError(f"pitch share {self.share!r} is not allowed; it must be 0 to 1")
+        if not math.isfinite(self.lag_rad):
+            raise InputError(f"pitch lag {self.lag_rad!r} is not allowed; it must be finite")
+        check_positive("pitch frequency ratio", self.frequency_ratio, "1")
+        if self.lifted_segments < 0:
+            raise InputError(f"{self.lifted_segments} lifted segments are not allowed; use 0 or more")
+
+    @property
+    def rest_levels(self) -> tuple[float, float]:
+        """Levels sin(π r/2) below which the wave to the left and right, and the pitch wave, rest."""
+        ratio = self.share / (1 - self.share) if self.share < 1 else math.inf
+        return _rest_level(1 / ratio if ratio > 1 else 1.0), _rest_level(min(ratio, 1.0))
+
+
+def _rest_level(amplitude: float) -> float:
+    """Return the level below which a square wave rests for a given amplitude of its fundamental."""
+    return math.sqrt(max(0.0, 1 - amplitude**2))
 
 
 class Gait(Controller):
@@ -43,10 +104,12 @@ class Gait(Controller):
     frequency: float
     phase_lag: np.ndarray
     layouts = ("3/2", "in_out")
+    spatial = True
 
     def __init__(
         self, frequency: float, offset: float = 0.0, *, phase: float = 0.0, phase_step: float | None = None,
         phases: Sequence[float] | None = None, rest_share: float | None = None,
+        pitch: PitchWave | None = None,
     ) -> None:  # fmt: skip
         """Create the gait.
 
@@ -57,9 +120,11 @@ class Gait(Controller):
             phase_step: β, rad; None uses that of the robot.
             phases: α, rad, one value per segment; None means zeros.
             rest_share: r, at least 0 and below 1; None means 0.
+            pitch: second wave of a spatial robot; None means none.
 
         Raises:
-            InputError: the frequency is not above 0, or the offset or the rest share is out of range. Setting
+            InputError: a rest share is given together with a pitch wave, the frequency is not above 0, or the
+                offset or the rest share is out of range. Setting
                 `offset` later raises it as well.
         """
         rest_share = rest_share or 0.0
@@ -70,6 +135,9 @@ class Gait(Controller):
         self.phase = phase
         self._phase_step, self._phases = phase_step, phases or ()
         self.rest_level = math.sin(math.pi / 2 * rest_share)
+        if pitch is not None and rest_share:
+            raise InputError("a gait with a pitch wave rests as its share demands; leave out rest_share")
+        self.pitch = pitch
 
     @property
     def offset(self) -> float:
@@ -108,6 +176,13 @@ class Gait(Controller):
         """
         if len(self._phases) not in (0, spec.segments):
             raise InputError(f"{len(self._phases)} phases, but {spec.name} has {spec.segments} segments")
+        if self.pitch is not None and not spec.is_spatial:
+            raise InputError(f"a gait with pitch needs a spatial robot; {spec.name} bends in one plane")
+        if self.pitch is not None and self.pitch.lifted_segments > spec.segments:
+            raise InputError(
+                f"{self.pitch.lifted_segments} lifted segments, but {spec.name} has {spec.segments} segments"
+            )
+        self._axes = spec.chamber.axes if spec.is_spatial else None
         slots = count_slots(tick, spec.scale)
         step = spec.phase_step if self._phase_step is None else self._phase_step
         self.phase_lag = step * np.arange(spec.segments) - self.phase
@@ -122,6 +197,8 @@ class Gait(Controller):
 
     def valves_at(self, time: float) -> np.ndarray:
         """Return the valve states of the tick that begins at `time` (s)."""
+        if self._axes is not None:
+            return self._spatial_valves(time + self._tick * self._slot_centres)
         first, last = self._wave(time + self._tick * self._slot_centres[[0, -1]])
         # A tick that is shorter than every level of the wave contains at most one change; equal states at its
         # ends mean none.
@@ -134,6 +211,9 @@ class Gait(Controller):
         """Return the valve states of the whole run."""
         slot = self._tick / len(self._slot_centres)
         count = round(duration / slot)
+        if self._axes is not None:
+            blocks = np.array_split(slot * (np.arange(count) + 0.5), max(1, count // _BLOCK))
+            return Schedule.from_slots(np.concatenate([self._spatial_valves(b) for b in blocks]), duration)
         if self._shortest_level() < 2 * slot:
             return Schedule.from_slots(_antagonistic(self._wave(slot * (np.arange(count) + 0.5))), duration)
         # Evaluate the wave only near its changes: in the slot of a change and in the two adjacent slots,
@@ -148,6 +228,18 @@ class Gait(Controller):
         wave = self._wave(slot * (begins + 0.5))
         keep = np.append(True, (wave[1:] != wave[:-1]).any(axis=1))
         return Schedule(duration, slot * begins[keep], _antagonistic(wave[keep]))
+
+    def _spatial_valves(self, time: np.ndarray) -> np.ndarray:
+        """Return the valve states of a spatial robot at some times (s), shape (times, segments, chambers)."""
+        assert self._axes is not None
+        pitch = self.pitch or PitchWave(share=0.0)
+        angle = 2 * math.pi * self.frequency * time[:, None] - self.phase_lag
+        rest_left, rest_up = (self.rest_level, 1.0) if self.pitch is None else pitch.rest_levels
+        left = _three_levels(np.sin(angle) + self._offset, rest_left)
+        up = _three_levels(np.sin(pitch.frequency_ratio * angle - pitch.lag_rad), rest_up)
+        up[:, : pitch.lifted_segments] = 1
+        push = left[..., None] * self._axes[:, 0] + up[..., None] * self._axes[:, 1]
+        return np.where(push > 1e-9, 1, -1).astype(np.int8)
 
     def signals(self) -> dict[str, float]:
         """Return the offset."""
@@ -173,6 +265,14 @@ class Gait(Controller):
         return np.where(value >= high, 1, np.where(value >= low, 0, -1) if self.rest_level else -1).astype(
             np.int8
         )
+
+
+def _three_levels(value: np.ndarray, rest: float) -> np.ndarray:
+    """Return 1, 0 or −1 for values above, within and below the rest level; sign(0) = +1 without rest."""
+    low, high = -rest - 1e-12, rest - 1e-12
+    if rest >= 1:
+        high = rest + 1e-12  # the wave only touches the level
+    return np.where(value >= high, 1, np.where(value >= low, 0, -1) if rest else -1)
 
 
 def _checked_frequency(frequency: float) -> float:

@@ -103,6 +103,7 @@ class GaitSetup:
             if not (math.isfinite(value) and value > 0):
                 raise InputError(f"{name} {value:g} {unit} is not allowed; it must be finite and above 0")
         spec, supply = self.spec, self.spec.supply
+        spec.require_planar("a footprint")
         if spec.segments < 2:
             raise InputError(f"{spec.name} has one segment; it cannot crawl, so it has no footprint")
         if self.supply_pa > supply.pulsed_limit:

@@ -153,6 +153,7 @@ class EmulatedRobot:
         assert isinstance(self.twin, TwinSnake)
         self._air = self.twin.pneumatics
         spec = self.twin.spec
+        spec.require_planar("the emulator")
         self.segments, self.tick = spec.segments, tick
         self.faults = tuple(Fault.parse(fault, spec.segments) for fault in faults)
         self._rng, self._noise = np.random.default_rng((seed, 0xE0)), noise_rad

@@ -100,6 +100,7 @@ class Shadow:
             hold_s: time for which a message waits for earlier ones, s.
             frames: connector (from 1) of each body of the motion capture; default "connector_1" and so on.
         """
+        spec.require_planar("the live twin")
         n = spec.segments
         self.spec, self._supply = spec, spec.supply.nominal if supply_pa is None else supply_pa
         self.ensemble = EnsembleFilter(spec, members=members, seed=seed)

@@ -84,7 +84,7 @@ class SnakeState:
 
     def at(self, k: int | slice) -> SnakeState:
         """Return the state with index k of a history, or a slice of the history."""
-        return SnakeState(*(getattr(self, name)[k] for name in _FIELDS))
+        return type(self)(*(getattr(self, name)[k] for name in self._names()))
 
     @staticmethod
     def history(states: Sequence[SnakeState]) -> SnakeState:
@@ -94,13 +94,41 @@ class SnakeState:
         )
 
     def _as_history(self) -> SnakeState:
-        return SnakeState(*(np.asarray(getattr(self, name))[None] for name in _FIELDS))
+        return type(self)(*(np.asarray(getattr(self, name))[None] for name in self._names()))
+
+    @classmethod
+    def _names(cls) -> tuple[str, ...]:
+        return _FIELDS
+
+
+@dataclass(frozen=True)
+class SpatialState(SnakeState):
+    """State of a snake whose segments bend in two directions.
+
+    `bend`, `bend_rate`, `sensed` and `torque` have a last axis with the components to the left and upwards,
+    shape (segments, 2), and `pressure` and `valves` one column per chamber. `theta` is the heading of the
+    horizontal projection of a connector.
+
+    Attributes:
+        height: heights of the connectors above the floor, shape (N,), m.
+        orientation: quaternions of the connectors, w first, x forward and z up, shape (N, 4).
+        load: vertical force of the floor on each connector, mean since the previous sample, shape (N,), N.
+    """
+
+    height: np.ndarray
+    orientation: np.ndarray
+    load: np.ndarray
+
+    @classmethod
+    def _names(cls) -> tuple[str, ...]:
+        return _SPATIAL_FIELDS
 
 
 TICK_S = 0.02
 """Default control tick for gaits at a time unit of 1 (`robot.scale`), s."""
 
 _FIELDS = tuple(field.name for field in fields(SnakeState))  # cached: `fields` is too slow for every tick
+_SPATIAL_FIELDS = tuple(field.name for field in fields(SpatialState))
 
 
 _STRETCH_DEPRECATED = "Plant.stretch is deprecated; use Plant.max_chunk_s"
@@ -259,7 +287,7 @@ class Plant(Stateful, ABC):
 
     def openings(self) -> np.ndarray:
         """Return the number of openings of each chamber's inlet since `reset`, shape (segments, 2)."""
-        return np.zeros((self.spec.segments, 2), dtype=int)
+        return np.zeros((self.spec.segments, self.spec.chambers), dtype=int)
 
     def describe(self) -> dict[str, Any]:
         """Return the settings for the provenance of a run (JSON values)."""

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from srs_twin.errors import UnknownNameError
 from srs_twin.pneumatics.base import Pneumatics as Pneumatics
 from srs_twin.pneumatics.base import Trace as Trace
 from srs_twin.pneumatics.lag import LagPneumatics as LagPneumatics
 from srs_twin.pneumatics.orifice import OrificePneumatics as OrificePneumatics
+from srs_twin.pneumatics.spatial import SpatialLagPneumatics as SpatialLagPneumatics
 from srs_twin.pneumatics.valves import LAYOUTS as LAYOUTS
 from srs_twin.pneumatics.valves import Schedule as Schedule
 from srs_twin.robot.spec import RobotSpec
+
+SPATIAL_KINDS: dict[str, Any] = {"lag": SpatialLagPneumatics}
+"""Kinds for a robot whose segments bend in two directions."""
 
 KINDS = {"lag": LagPneumatics, "orifice": OrificePneumatics}
 
@@ -34,4 +40,7 @@ def make_pneumatics(
         return kind
     if kind not in KINDS:
         raise UnknownNameError("pneumatics", kind, KINDS)
+    if spec.is_spatial and kind in SPATIAL_KINDS:
+        return SPATIAL_KINDS[kind](spec, supply_pa=supply_pa, layout=layout, **options)
+    spec.require_planar(f"pneumatics '{kind}'")
     return KINDS[kind](spec, supply_pa=supply_pa, layout=layout, **options)

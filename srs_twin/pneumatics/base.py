@@ -96,13 +96,13 @@ class Pneumatics(Stateful, ABC):
         check_choice("valve layout", layout, LAYOUTS)
         check_not_negative(valve_delay_s=valve_delay_s)
         self.layout, self._delay = layout, valve_delay_s
-        self._segments = spec.segments
+        self._segments, self._chambers = spec.segments, spec.chambers
         self.rest_bend = spec.modules.array("bias")
         self.reset()
 
     def reset(self) -> None:
         """Empty all chambers and close all inlets."""
-        shape = (self._segments, 2)
+        shape = (self._segments, self._chambers)
         self.pressure = np.zeros(shape)
         self.bend = self.rest_bend.copy()
         self.air = 0.0
@@ -149,11 +149,9 @@ class Pneumatics(Stateful, ABC):
         commands = np.asarray(valves)
         if commands.ndim == 2:
             commands = commands[None]
-        if commands.ndim != 3 or commands.shape[1:] != (self._segments, 2):
-            raise InputError(
-                f"valves have shape {np.shape(valves)}; allowed: ({self._segments}, 2) or "
-                f"(slots, {self._segments}, 2)"
-            )
+        if commands.ndim != 3 or commands.shape[1:] != (self._segments, self._chambers):
+            shape = f"{self._segments}, {self._chambers}"
+            raise InputError(f"valves have shape {np.shape(valves)}; allowed: ({shape}) or (slots, {shape})")
         self.check(commands)
         return Schedule.from_slots(commands.astype(np.int8), span)
 

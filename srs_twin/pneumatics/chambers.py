@@ -161,6 +161,22 @@ def air_bend(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
     return free_bends(spec, _linear_bend(spec, pressure))
 
 
+def vector_bends(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
+    """Return φ(|x|) x/|x|, the free bends of a spatial robot without the rest bends, rad.
+
+    Args:
+        spec: the robot.
+        pressure: gauge pressure, shape (…, segments, chambers), Pa.
+
+    Returns:
+        Components to the left and upwards, shape (…, segments, 2).
+    """
+    linear = (chamber_gains(spec) * pressure) @ spec.chamber.axes
+    size = np.linalg.norm(linear, axis=-1, keepdims=True)
+    safe = np.maximum(size, _MIN_LINEAR_RAD)
+    return np.asarray(linear * free_bends(spec, safe) / safe)
+
+
 def equivalent_linear_pressure(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
     """Return the pressures that give the same bends under a linear law, for MuJoCo's linear actuators.
 

@@ -71,7 +71,7 @@ def relaxed(pressure: np.ndarray, rate: np.ndarray, end: np.ndarray, time: np.nd
 
 def followed(
     lagged: np.ndarray, pressure: np.ndarray, relaxation: tuple[np.ndarray, np.ndarray], tau: float,
-    time: float,
+    time: float | np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """Return the state of a lag τ₂ behind pressures after a time (s).
 
@@ -83,7 +83,8 @@ def followed(
         time: s.
     """
     rate, end = relaxation
-    mode, gap = math.exp(-time / tau), 1 - rate * tau
+    mode = np.exp(-time / tau) if isinstance(time, np.ndarray) else math.exp(-time / tau)
+    gap = 1 - rate * tau
     gap = np.where(np.abs(gap) < _SAME, _SAME, gap)
     return np.asarray(end + (pressure - end) * (np.exp(-rate * time) - mode) / gap + (lagged - end) * mode)
 

@@ -41,9 +41,13 @@ from srs_twin.robot.spec import (
 )
 
 Factor = Annotated[float, bounded(0.1, 10.0)]
-ChamberPair = Annotated[list[Factor], Field(min_length=2, max_length=2)]
+ChamberPair = Annotated[list[Factor], Field(min_length=2, max_length=8)]
 ChamberFactors = Record[Annotated[list[ChamberPair], Field(min_length=1, max_length=63)], Literal["1"]]
 SegmentFactors = Record[Annotated[list[Factor], Field(min_length=1, max_length=63)], Literal["1"]]
+Directions = Record[
+    Annotated[list[Annotated[float, bounded(-360.0, 360.0)]], Field(min_length=3, max_length=8)],
+    Literal["deg"],
+]
 BendList = Record[
     Annotated[list[Annotated[float, bounded(-1.0, 1.0)]], Field(min_length=1, max_length=63)], Literal["rad"]
 ]
@@ -84,8 +88,8 @@ class ModulesFile(Records):
     """Individual properties of the modules and their random differences."""
 
     gain: ChamberFactors | None = None
-    """Gain as a multiple of the nominal one, 0.1 to 10 for the + and the - chamber of each segment, head
-    first."""
+    """Gain as a multiple of the nominal one, 0.1 to 10 for the + and the - chamber (or each of
+    chamber.directions_deg) of each segment, head first."""
     tau_fill: ChamberFactors | None = None
     """tau_fill as a multiple of the nominal one, 0.1 to 10 for the + and the - chamber of each segment, head
     first."""
@@ -111,18 +115,19 @@ class ModulesFile(Records):
     seed: Annotated[int, bounded(0, 2**32 - 1)] | None = None
     """Random seed of the differences, 0 to 4294967295 (default: seed of the scenario)."""
 
-    def draw(self, segments: int, seed: int) -> Modules:
+    def draw(self, segments: int, seed: int, chambers: int = 2) -> Modules:
         """Return modules with the listed properties and random differences.
 
         Args:
             segments: number of segments.
             seed: random seed if the file has none.
+            chambers: number of chambers of a segment.
         """
         seed = seed if self.seed is None else self.seed
         arrays = {}
         for stream, (name, std_name) in enumerate(SPREAD_KEYS.items()):
             per_chamber, additive = name in PER_CHAMBER, name.endswith("bias")
-            shape = (segments, 2) if per_chamber else (segments,)
+            shape = (segments, chambers) if per_chamber else (segments,)
             listed, std = getattr(self, f"{name}_rad" if additive else name), getattr(self, std_name)
             base = np.full(shape, 0.0 if additive else 1.0) if listed is None else np.array(listed.value)
             normal = np.random.default_rng([seed, stream]).standard_normal(shape)
@@ -130,10 +135,15 @@ class ModulesFile(Records):
             arrays[name] = base + drawn if additive else base * (1.0 + drawn)
         return Modules.from_arrays(**arrays)
 
-    def contradictions(self, segments: int) -> Iterator[tuple[Loc, str]]:
-        """Yield path and message of lists whose length is not the number of segments."""
+    def contradictions(self, segments: int, chambers: int) -> Iterator[tuple[Loc, str]]:
+        """Yield path and message of lists whose length is not the number of segments or chambers."""
         for name, record in self:
             values = record.value if isinstance(record, Record) else None
+            if name in PER_CHAMBER and isinstance(values, list):
+                for j, row in enumerate(values):
+                    if len(row) != chambers:
+                        text = f"{len(row)} factors for {chambers} chambers; give {chambers}"
+                        yield ("modules", name, "value", j), text
             if isinstance(values, list) and len(values) != segments:
                 text = f"{len(values)} entries for {segments} segments; give {segments}, head first"
                 yield ("modules", name, "value"), text
@@ -273,6 +283,15 @@ SERVO_PRESSURE_KPA = 100.0
 _SERVO_VOLUME_M3 = 1e-12
 """Volumes of the chambers that a servo does not have, m³: they take no air worth counting."""
 
+_ROUND_TRACK = 1e-3
+"""Half the distance of two contact points side by side over the width, 1: both are below the axis."""
+
+_ROUNDNESS = 0.01
+"""Relative difference of width and height at which a section still counts as round, 1."""
+
+_TWIST_RATIO = 2 / 3
+"""GJ/EI of a solid, incompressible, round section: J = 2 I and G = E/3."""
+
 _RIGID_RATIO = 1000.0
 """Stiffness of a servo joint over weight times body length, 1: floor loads bend it by less than 1 mrad."""
 
@@ -285,10 +304,12 @@ class BendingFile(Records):
     damping_time_s: Number | None = number_field(1e-6, 100.0, optional=True)
     """Damping over stiffness; with the value of tau_mode_s, a free module obeys Eq. 14 exactly. Pressure
     only."""
-    pitch_stiffness_nm_per_rad: Number = number_field(*STIFFNESSES_NM_PER_RAD)
-    """Stiffness against bending out of the floor plane."""
-    roll_stiffness_nm_per_rad: Number = number_field(*STIFFNESSES_NM_PER_RAD)
-    """Stiffness against twisting."""
+    pitch_stiffness_nm_per_rad: Number | None = number_field(*STIFFNESSES_NM_PER_RAD, optional=True)
+    """Stiffness against bending out of the floor plane; a spatial robot may leave it out (default: that of
+    bending)."""
+    roll_stiffness_nm_per_rad: Number | None = number_field(*STIFFNESSES_NM_PER_RAD, optional=True)
+    """Stiffness against twisting; a spatial robot may leave it out (default: two thirds of the bending
+    stiffness, GJ = 2/3 EI of a solid, incompressible, round section)."""
     out_of_plane_damping_time_s: Number = number_field(1e-6, 100.0)
     """Damping over stiffness of pitch and roll."""
 
@@ -330,6 +351,9 @@ class ChamberFile(Records):
     """Volume of the chamber of a straight segment with its tube."""
     air_volume_ml: Number = number_field(1e-6, 1e8)
     """Increase of the volume at a bend of 90 degrees."""
+    directions_deg: Directions | None = None
+    """Directions in which the chambers of a spatial robot bend a segment, -360 to 360, 0 to the left, 90
+    upwards; four make two antagonistic pairs (default: one chamber to the left and one to the right)."""
 
 
 class SupplyFile(Records):
@@ -421,6 +445,9 @@ class RobotFile(StrictModel):
             seed: random seed of the modules if `modules` has none.
         """
         bending = self.bending.to_si()
+        if self.is_spatial:
+            stiffness = bending["stiffness"]
+            bending = {"pitch_stiffness": stiffness, "roll_stiffness": _TWIST_RATIO * stiffness} | bending
         if self.has_servos:
             actuator, rigid, chamber, supply = self._servo()
             bending |= rigid
@@ -435,8 +462,10 @@ class RobotFile(StrictModel):
         else:
             mass, skin = Mass.along_body(tuple(self.masses())), contact.skin()
             friction |= contact.friction()
+            # The section of a spatial robot is round and touches the floor along a line.
+            track = 1 / _ROUND_TRACK if self.is_spatial else 2 * math.sqrt(3)
             geometry |= {
-                "half_track": geometry["width"] / (2 * math.sqrt(3)),
+                "half_track": geometry["width"] / track,
                 "wheel_radius": geometry["com_height"],  # spheres around the centre of the body
             }
         return RobotSpec(
@@ -452,7 +481,7 @@ class RobotFile(StrictModel):
             chamber=chamber,
             supply=supply,
             phase_step=self.gait.phase_step_rad.value,
-            variation=self.modules.draw(segments, seed) if self.modules else None,
+            variation=self.modules.draw(segments, seed, self._chambers) if self.modules else None,
             tail=Tail(**self.tail.to_si()) if self.tail else None,
             skin=skin,
         )
@@ -461,6 +490,17 @@ class RobotFile(StrictModel):
     def has_skin(self) -> bool:
         """Whether the robot slides on its belly, without wheels."""
         return self.contact is not None and self.contact.is_skin
+
+    @property
+    def is_spatial(self) -> bool:
+        """Whether the segments bend in two directions."""
+        return self.chamber is not None and self.chamber.directions_deg is not None
+
+    @property
+    def _chambers(self) -> int:
+        """Number of chambers of a segment."""
+        assert not self.is_spatial or (self.chamber and self.chamber.directions_deg)
+        return len(self.chamber.directions_deg.value) if self.is_spatial else 2  # type: ignore[union-attr]
 
     def masses(self) -> list[float]:
         """Return the mass of each connector, or of each segment of a robot with skin, kg, head first."""
@@ -496,9 +536,11 @@ class RobotFile(StrictModel):
         """Return chamber and supply of pneumatic modules."""
         assert self.chamber is not None, "`contradictions` reports missing keys"
         assert self.supply is not None, "`contradictions` reports missing keys"
+        directions = self.chamber.directions_deg
         chamber = Chamber(
             dead_volume=self.chamber.dead_volume_ml.value * M3_PER_ML,
             displacement=self.chamber.air_volume_ml.value * M3_PER_ML / (math.pi / 2),
+            directions=None if directions is None else tuple(map(math.radians, directions.value)),
         )
         return chamber, Supply(**self.supply.to_si(), limit_source=self.supply.pulsed_limit_kpa.source)
 
@@ -521,6 +563,12 @@ class RobotFile(StrictModel):
                 if not is_missing(path):
                     key = path.split(".")[1]
                     yield tuple(path.split(".")), f"a robot with {section} {kind} has no {key}; remove it"
+        for key in ("pitch_stiffness_nm_per_rad", "roll_stiffness_nm_per_rad"):
+            if not self.is_spatial and is_missing(f"bending.{key}"):
+                yield ("bending", key), "missing; a planar robot needs it"
+        if self.is_spatial and not self.has_skin:
+            text = "a robot that bends in two directions needs contact skin: its wheels would leave the floor"
+            yield ("chamber", "directions_deg"), text
         if self.has_skin and self.tail is not None:
             yield ("tail",), "a robot with contact skin has no axles; remove the tail"
 
@@ -545,7 +593,9 @@ class RobotFile(StrictModel):
             )
         yield from self._implausible_units()
         if self.modules is not None:
-            yield from self.modules.contradictions(connectors - 1)
+            yield from self.modules.contradictions(connectors - 1, self._chambers)
+        if self.is_spatial:
+            yield from self._spatial_contradictions()
         if self.tail is not None and (com := self.tail.com_m.value) > (axle := self.tail.axle_m.value):
             text = f"{com:g} m is behind the second axle at {axle:g} m; the assembly would tip over"
             yield ("tail", "com_m", "value"), text
@@ -558,6 +608,19 @@ class RobotFile(StrictModel):
                 ("supply", "nominal_kpa", "value"),
                 f"{nominal:g} kPa is above pulsed_limit_kpa, {limit:g} kPa",
             )
+
+    def _spatial_contradictions(self) -> Iterator[tuple[Loc, str]]:
+        """Yield path and message of numbers that a spatial robot cannot have."""
+        assert self.chamber is not None and self.chamber.directions_deg is not None
+        ordered = np.sort(np.mod(self.chamber.directions_deg.value, 360.0))
+        largest = np.diff(ordered, append=ordered[0] + 360.0).max()
+        if largest > 180.0 - 1e-6:
+            text = f"no chamber within {largest:g} degrees; neighbours must be less than 180 degrees apart"
+            yield ("chamber", "directions_deg", "value"), text
+        width, height = self.geometry.width_m.value, self.geometry.com_height_m.value
+        if abs(width / (2 * height) - 1) > _ROUNDNESS:
+            text = f"{width:g} m is not twice com_height_m; a spatial robot has a round section"
+            yield ("geometry", "width_m", "value"), text
 
     def _implausible_units(self) -> Iterator[tuple[Loc, str]]:
         """Yield path and message of lengths and masses that do not fit the distance between connectors."""

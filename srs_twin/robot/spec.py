@@ -21,7 +21,7 @@ from srs_twin.errors import InputError, check_choice
 from srs_twin.robot.friction import SKIN_LAWS, SkinLaw
 from srs_twin.robot.scale import Scale
 
-PerChamber = tuple[tuple[float, float], ...]
+PerChamber = tuple[tuple[float, ...], ...]
 
 PER_CHAMBER = ("gain", "tau_fill", "tau_vent")
 """Names of the `Modules` attributes with one value per chamber."""
@@ -30,6 +30,8 @@ PER_CHAMBER = ("gain", "tau_fill", "tau_vent")
 @dataclass(frozen=True)
 class Modules:
     """Individual properties of the modules, segments from the head, + chamber before − chamber.
+
+    A spatial robot has the chambers of `Chamber.directions` instead of two.
 
     Attributes:
         gain: gain of each chamber as a multiple of the nominal gain, shape (segments, 2).
@@ -50,7 +52,8 @@ class Modules:
     def __post_init__(self) -> None:
         for name in (field.name for field in fields(self)):
             values = np.asarray(getattr(self, name), dtype=float)
-            shape = (len(self.gain), 2) if name in PER_CHAMBER else (len(self.gain),)
+            chambers = len(self.gain[0])
+            shape = (len(self.gain), chambers) if name in PER_CHAMBER else (len(self.gain),)
             low, high = (-math.pi, math.pi) if name.endswith("bias") else (0.01, 100.0)
             if values.shape != shape:
                 raise InputError(f"modules.{name} has shape {values.shape}; allowed: {shape}")
@@ -59,9 +62,9 @@ class Modules:
                 raise InputError(f"modules.{name} {wrong:g} is not allowed; it must be {low:g} to {high:g}")
 
     @classmethod
-    def nominal(cls, segments: int) -> Modules:
+    def nominal(cls, segments: int, chambers: int = 2) -> Modules:
         """Return identical nominal modules."""
-        per_chamber, ones, zeros = ((1.0, 1.0),) * segments, (1.0,) * segments, (0.0,) * segments
+        per_chamber, ones, zeros = ((1.0,) * chambers,) * segments, (1.0,) * segments, (0.0,) * segments
         return cls(per_chamber, zeros, per_chamber, per_chamber, ones, zeros)
 
     @classmethod
@@ -326,13 +329,27 @@ class Chamber:
     Attributes:
         dead_volume: volume of the chamber of a straight segment with its tube, m³; also the smallest volume.
         displacement: increase of the volume per bend towards the side of the chamber, m³/rad.
+        directions: direction in which each chamber of a spatial robot bends its segment, rad: 0 to the left,
+            π/2 upwards; None for a planar robot, whose chambers bend it to the left and to the right.
     """
 
     dead_volume: float
     displacement: float
+    directions: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         _positive(self, "dead_volume", "displacement")
+        if self.directions is not None:
+            ordered = np.sort(np.mod(self.directions, 2 * math.pi))
+            gap = math.degrees(np.diff(ordered, append=ordered[0] + 2 * math.pi).max())
+            _require(gap < 180 - 1e-6, "directions", gap, "neighbouring chambers are less than 180° apart")
+
+    @property
+    def axes(self) -> np.ndarray:
+        """Bend to the left and upwards per unit bend of each chamber, shape (chambers, 2)."""
+        angles = np.array((0.0, math.pi) if self.directions is None else self.directions)
+        axes: np.ndarray = np.round(np.stack([np.cos(angles), np.sin(angles)], axis=-1), 15)
+        return axes
 
 
 @dataclass(frozen=True)
@@ -433,6 +450,10 @@ class RobotSpec:
         if self.variation is not None:
             count = len(self.variation.gain)
             _require(count == self.segments, "modules", count, f"the robot has {self.segments}")
+            count = len(self.variation.gain[0])
+            _require(count == self.chambers, "modules", count, f"a segment has {self.chambers} chambers")
+        if self.is_spatial and self.skin is None:
+            raise InputError("a spatial robot needs contact skin: its wheels would leave the floor")
         if (self.skin is None) != (self.mass.segments is None) or (self.skin and self.tail):
             raise InputError("a robot has either a skin and masses of segments, or wheels and perhaps a tail")
         if self.mass.segments is not None:
@@ -444,10 +465,35 @@ class RobotSpec:
         """Number of bending segments, N − 1."""
         return self.geometry.segments
 
+    @property
+    def is_spatial(self) -> bool:
+        """Whether the segments bend in two directions."""
+        return self.chamber.directions is not None
+
+    @property
+    def chambers(self) -> int:
+        """Number of chambers of a segment."""
+        return len(self.chamber.directions or "+-")
+
+    def require_planar(self, feature: str) -> None:
+        """Check that the robot is planar.
+
+        Args:
+            feature: name of the feature that supports planar robots only.
+
+        Raises:
+            InputError: the robot is spatial.
+        """
+        if self.is_spatial:
+            raise InputError(
+                f"{feature} does not support the spatial robot {self.name} (chamber.directions_deg); "
+                "use a robot whose chambers bend it to the left and right only"
+            )
+
     @cached_property
     def modules(self) -> Modules:
         """Individual properties of the modules."""
-        return self.variation or Modules.nominal(self.segments)
+        return self.variation or Modules.nominal(self.segments, self.chambers)
 
     @cached_property
     def scale(self) -> Scale:

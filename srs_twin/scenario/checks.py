@@ -8,6 +8,7 @@ from itertools import chain
 from typing import Any
 
 from srs_twin.comparison.metrics import MEASURED_UNITS
+from srs_twin.control.gait import Gait
 from srs_twin.control.replay import HoldValves
 from srs_twin.errors import InputError, SamplingGrid, TimeStepError, count_steps, nearest_rate
 from srs_twin.io.documents import Document
@@ -103,6 +104,8 @@ def check_robot(document: Document, file: ScenarioFile, robot: RobotFile) -> Non
 def _check_contact(document: Document, file: ScenarioFile, robot: RobotFile) -> None:
     """Report options of the plants that the robot's kind of contact does not have."""
     model, twin = file.plants.analytical, file.plants.twin
+    if robot.is_spatial:
+        _check_spatial(document, file, robot)
     if not robot.has_skin:
         if model and model.load == "momentary" and model.friction not in TWO_POINT_LAWS:
             text = f"friction {model.friction} acts at one point per connector; momentary loads need two"
@@ -125,6 +128,22 @@ def _check_contact(document: Document, file: ScenarioFile, robot: RobotFile) -> 
         document.report(("plants", "analytical", "inertia"), text)
 
 
+def _check_spatial(document: Document, file: ScenarioFile, robot: RobotFile) -> None:
+    """Report sections that do not support a robot whose segments bend in two directions."""
+    model, world = file.plants.analytical, file.world
+    if model is not None:
+        text = f"{robot.name} is spatial; the analytical models are planar: remove analytical"
+        document.report(("plants", "analytical"), text, at_key=True)
+    if "start" in file.model_fields_set:
+        text = f"{robot.name} is spatial and starts straight and at rest; remove start"
+        document.report(("start",), text, at_key=True)
+    if world.steps or world.floor.tilt_deg or world.objects or world.obstacles or world.random:
+        text = f"{robot.name} is spatial and crawls on a level floor without obstacles"
+        document.report(("world",), text, at_key=True)
+    if file.pneumatics.kind != "lag":
+        document.report(("pneumatics", "kind"), f"{robot.name} is spatial and needs pneumatics lag")
+
+
 def check_controller(
     document: Document, file: ScenarioFile, robot: RobotFile, supply_pa: float, products: Mapping[str, Any]
 ) -> tuple[str, list[str]]:
@@ -136,6 +155,10 @@ def check_controller(
         warnings = list(controller.warnings(limit))
     except InputError as error:
         document.report(("controller", "reference"), f"{error} (beyond_range: saturate)")
+    if spec.is_spatial and controller.kind != Gait.kind:
+        document.report(
+            ("controller", "kind"), f"{spec.name} is spatial; only {Gait.kind} drives its chambers"
+        )
     possible = controller.layouts(products)
     layout = file.valves.layout or possible[0]
     if layout not in possible:

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from srs_twin.control.base import Controller
 from srs_twin.control.duties import MAX_OFFSET, ChamberPeriods
-from srs_twin.control.gait import Gait
+from srs_twin.control.gait import Gait, PitchWave
 from srs_twin.control.learning import ILC, MIN_PULSES
 from srs_twin.control.pwm import PulseWidthModulator
 from srs_twin.control.reference import Constant, Reference, Sine, Square, Staircase, Step
@@ -129,6 +129,22 @@ class ControllerSection(Section):
         return iter(())
 
 
+class PitchFile(Section):
+    """Pitch wave of the gait of a spatial robot."""
+
+    constructors = (PitchWave,)
+
+    share: float = quantity(0.0, 1.0)
+    """Share of the pitch wave in the sum of the amplitudes; 0: planar, 0.5: equal amplitudes, 1: pitch
+    only."""
+    lag_rad: float = quantity(-6.3, 6.3)
+    """Lag behind the wave to the left and right; pi/2 or -pi/2 for sidewinding."""
+    frequency_ratio: float = quantity(0.1, 10.0)
+    """Frequency over that of the wave to the left and right."""
+    lifted_segments: int = quantity(0, 63)
+    """Segments from the head that bend upwards all the time."""
+
+
 class GaitFile(ControllerSection):
     """Lateral undulation in open loop (Eq. 13)."""
 
@@ -149,6 +165,19 @@ class GaitFile(ControllerSection):
     rest_share: float | None = quantity(0.0, 0.95)
     """Fraction of the time in which both chambers of a segment vent, around sign changes of the wave
     (default: none)."""
+    pitch: PitchFile | None = None
+    """Second wave of a spatial robot, upwards and downwards (default: none)."""
+
+    def controller(self, context: ControllerContext) -> Controller:
+        """See `ControllerSection.controller`."""
+        pitch = PitchWave(**self.pitch.arguments()) if self.pitch else None
+        return Gait(**self.arguments() | {"pitch": pitch})
+
+    def check(self, spec: RobotSpec, tick: float) -> None:
+        """See `ControllerSection.check`: a pitch wave needs a spatial robot."""
+        if self.pitch is not None:
+            pitch = PitchWave(**self.pitch.arguments())
+            Gait(self.frequency_hz, pitch=pitch).reset(spec, tick)
 
 
 class LearningFile(ControllerSection):

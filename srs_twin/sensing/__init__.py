@@ -61,11 +61,13 @@ def make_sensor(kind: str | Sensor, spec: RobotSpec, *, span: float = SPAN, **op
     if kind == IdealSensor.kind:
         sensor = IdealSensor()
     elif kind in KINDS:
+        spec.require_planar(f"sensor '{kind}'")
         sensor = _hall_sensor(spec, span, options)
     else:
         raise UnknownNameError("sensor", kind, KINDS)
     modules = spec.modules
     if any(gain != 1 for gain in modules.sensor_gain) or any(modules.sensor_bias):
+        spec.require_planar("drift of a sensor (modules.sensor_gain, sensor_bias_rad)")
         return DriftedSensor(sensor, modules.sensor_gain, modules.sensor_bias)
     return sensor
 

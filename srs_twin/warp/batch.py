@@ -633,6 +633,7 @@ def _check_supported(twin: TwinSnake, first: TwinSnake) -> None:
         InputError: it does not support a setting; the message names it.
     """
     air = twin.pneumatics
+    twin.spec.require_planar("the device engine")
     unsupported = {
         f"pneumatics {air.kind!r}": not isinstance(air, LagPneumatics),
         "leak_per_s": getattr(air, "leaks", False),

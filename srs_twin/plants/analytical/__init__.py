@@ -419,6 +419,7 @@ def _check_options(
 ) -> None:
     """Check names and combinations of the options of `AnalyticalSnake`."""
     check_choice("model", model, MODELS)
+    spec.require_planar(f"the analytical model {model!r}")
     check_choice("friction law", friction, LAWS)
     check_choice("load", load, LOADS)
     check_choice("inertia", inertia, INERTIAS)

@@ -26,11 +26,17 @@ from srs_twin.plants.twin.mjcf.numerics import ModelSettings
 from srs_twin.robot.spec import RobotSpec
 
 
+def bend_joints(spec: RobotSpec) -> tuple[str, ...]:
+    """Return the kinds of joints that bend a segment."""
+    return ("hinge", "tilt") if spec.is_spatial else ("hinge",)
+
+
 class InternalJoints:
     """Joint motions of a twin that leave its bends unchanged.
 
     Attributes:
-        hinges: velocity indices of the bending hinges, shape (segments, hinges per segment).
+        hinges: velocity indices of the bending hinges, shape (segments, hinges per segment); those of the
+            tilt hinges of a spatial robot follow, shape (2 segments, hinges per segment).
         out_of_plane: velocity indices of the pitch and roll joints that count, shape (joints,).
         damping: damping of each velocity, shape (nv,), N·m·s/rad; 0 for velocities of other joints.
     """
@@ -44,7 +50,8 @@ class InternalJoints:
             settings: discretisation and contact of the scene.
         """
         hinges = [
-            [model.joint(f"hinge_{j + 1}_{k + 1}").id for k in range(settings.hinges_per_segment)]
+            [model.joint(f"{kind}_{j + 1}_{k + 1}").id for k in range(settings.hinges_per_segment)]
+            for kind in bend_joints(spec)
             for j in range(spec.segments)
         ]
         kinds = ("pitch_", "roll_") if settings.loaded else ()

@@ -17,9 +17,9 @@ from srs_twin.errors import InputError
 from srs_twin.io.saved_state import Stateful
 from srs_twin.plants.base import Pose
 from srs_twin.plants.twin.contact_loaded import LoadedStepper
-from srs_twin.plants.twin.internal_joints import InternalJoints
+from srs_twin.plants.twin.internal_joints import InternalJoints, bend_joints
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
-from srs_twin.pneumatics.chambers import equivalent_linear_pressure
+from srs_twin.pneumatics.chambers import equivalent_linear_pressure, vector_bends
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
 
@@ -98,8 +98,9 @@ class Kinematics:
         com_velocity: shape (samples, 3), m/s.
         positions: positions of the connectors, shape (samples, N, 3), m.
         headings: headings of the connectors, wrapped to (−π, π], shape (samples, N), rad.
-        bends: shape (samples, segments), rad.
-        bend_rates: shape (samples, segments), rad/s.
+        bends: shape (samples, segments), rad, or (samples, segments, 2) for a spatial robot.
+        bend_rates: same shape, rad/s.
+        orientations: quaternions of the connectors, w first, shape (samples, N, 4).
     """
 
     qpos: np.ndarray
@@ -109,6 +110,7 @@ class Kinematics:
     headings: np.ndarray
     bends: np.ndarray
     bend_rates: np.ndarray
+    orientations: np.ndarray
 
 
 class EngineWarnings(threading.local):
@@ -228,11 +230,15 @@ class SnakePhysics(dm.Physics, Stateful):
         self._set_up_hulls(raw, spec)
         self._set_up_objects(raw)
         # A bend is the sum of hinge angles: matrices from qpos to bends and from qvel to bend rates.
-        self._angles, self._rates = np.zeros((spec.segments, raw.nq)), np.zeros((spec.segments, raw.nv))
-        for j in range(spec.segments):
+        # The components of the bends of a spatial robot are rows of their own: to the left, then upwards.
+        kinds = bend_joints(spec)
+        rows = len(kinds) * spec.segments
+        self._angles, self._rates = np.zeros((rows, raw.nq)), np.zeros((rows, raw.nv))
+        for row in range(rows):
+            component, j = divmod(row, spec.segments)
             for k in range(settings.hinges_per_segment):
-                hinge = raw.joint(f"hinge_{j + 1}_{k + 1}")
-                self._angles[j, hinge.qposadr[0]] = self._rates[j, hinge.dofadr[0]] = 1.0
+                hinge = raw.joint(f"{kinds[component]}_{j + 1}_{k + 1}")
+                self._angles[row, hinge.qposadr[0]] = self._rates[row, hinge.dofadr[0]] = 1.0
         self.internal_joints = InternalJoints(raw, spec, settings)
         self._no_force = np.zeros((*self._preload.shape, 3))
         self._floor_force = self._last_force = self._no_force
@@ -279,7 +285,7 @@ class SnakePhysics(dm.Physics, Stateful):
 
     def bends_and_rates(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return bends and bend rates of states with shapes (…, nq) and (…, nv)."""
-        return qpos @ self._angles.T, qvel @ self._rates.T
+        return self._by_segment(qpos @ self._angles.T), self._by_segment(qvel @ self._rates.T)
 
     def connector_forces(self, hull_force: np.ndarray) -> np.ndarray:
         """Return the obstacles' forces on connectors, shape (…, N, 3), from those on hulls, (…, hulls, 3)."""
@@ -298,7 +304,9 @@ class SnakePhysics(dm.Physics, Stateful):
         """
         with self.reset_context():
             hinges = self._angles.sum(axis=1, keepdims=True)
-            rest_angles = (self._spec.modules.array("bias")[:, None] * self._angles / hinges).sum(axis=0)
+            bias = np.zeros(len(hinges))
+            bias[: self._spec.segments] = self._spec.modules.array("bias")
+            rest_angles = (bias[:, None] * self._angles / hinges).sum(axis=0)
             self.data.qpos[:] += rest_angles
             if self.free:
                 self._move_to_pose(pose)
@@ -415,8 +423,10 @@ class SnakePhysics(dm.Physics, Stateful):
         """
         # Positions are those at the beginning of a step, or at its middle under loaded contact.
         pressure = pressure[:-1] if self.stepper is None else (pressure[:-1] + pressure[1:]) / 2
-        # MuJoCo's actuators are linear in their control.
-        controls = equivalent_linear_pressure(self._spec, pressure).reshape(len(pressure), -1)
+        if self._spec.is_spatial:  # the actuators take the free bends
+            controls = vector_bends(self._spec, pressure).reshape(len(pressure), -1)
+        else:  # MuJoCo's actuators are linear in their control
+            controls = equivalent_linear_pressure(self._spec, pressure).reshape(len(pressure), -1)
         return self._run_engine(controls) if self.stepper is None else self.stepper.run(controls)
 
     def evaluate(
@@ -507,14 +517,17 @@ class SnakePhysics(dm.Physics, Stateful):
         qpos, qvel = states[:, 1 : 1 + nq], states[:, 1 + nq :]
         com, velocity = np.empty((count, 3)), np.empty((count, 3))
         positions, frames = np.empty((count, n, 3)), np.empty((count, n, 9))
+        turns = np.empty((count, n, 4))
         probe = self._probe
         for k in range(count):
             probe.qpos[:], probe.qvel[:] = qpos[k], qvel[k]
             self._update_kinematics(probe)
             com[k], velocity[k] = probe.subtree_com[_SNAKE], probe.subtree_linvel[_SNAKE]
             positions[k], frames[k] = probe.xpos[self._connectors], probe.xmat[self._connectors]
+            turns[k] = probe.xquat[self._connectors]
         headings = np.arctan2(frames[..., 3], frames[..., 0])
-        return Kinematics(qpos, com, velocity, positions, headings, *self.bends_and_rates(qpos, qvel))
+        bends, rates = self.bends_and_rates(qpos, qvel)
+        return Kinematics(qpos, com, velocity, positions, headings, bends, rates, turns)
 
     def _update_kinematics(self, data: mujoco.MjData) -> None:
         model = self.model.ptr
@@ -532,12 +545,18 @@ class SnakePhysics(dm.Physics, Stateful):
         return float(momentum @ data.qvel) / 2
 
     def bend_angles(self) -> np.ndarray:
-        """Return the bends, shape (segments,), rad."""
-        return self._angles @ self.data.qpos
+        """Return the bends, shape (segments,), rad, or (segments, 2) for a spatial robot."""
+        return self._by_segment(self._angles @ self.data.qpos)
 
     def bend_rates(self) -> np.ndarray:
-        """Return the bend rates, shape (segments,), rad/s."""
-        return self._rates @ self.data.qvel
+        """Return the bend rates, rad/s, in the shape of `bend_angles`."""
+        return self._by_segment(self._rates @ self.data.qvel)
+
+    def _by_segment(self, rows: np.ndarray) -> np.ndarray:
+        """Return values per component and segment, shape (…, rows), with the shape of the bends."""
+        if not self._spec.is_spatial:
+            return rows
+        return rows.reshape(*rows.shape[:-1], 2, self._spec.segments).swapaxes(-1, -2)
 
     def connector_positions(self) -> np.ndarray:
         """Return the positions of the connectors, head first, shape (N, 3), m."""

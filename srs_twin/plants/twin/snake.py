@@ -18,6 +18,7 @@ from srs_twin.plants.base import (
     PneumaticPlant,
     Pose,
     SnakeState,
+    SpatialState,
     check_before_step,
     check_initial_state,
     check_plausible,
@@ -38,7 +39,7 @@ from srs_twin.plants.twin.mjcf.numerics import (
 )
 from srs_twin.plants.twin.physics import ENGINE_WARNINGS, SnakePhysics, StepBatch
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
-from srs_twin.pneumatics.chambers import air_bend
+from srs_twin.pneumatics.chambers import air_bend, vector_bends
 from srs_twin.robot.scale import divide
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
@@ -130,6 +131,12 @@ class TwinSnake(PneumaticPlant):
         settings = ModelSettings(timestep, hinges_per_segment, contact, base, numerics)
         self._settings = settings.for_robot(spec)
         self._bias = spec.modules.array("bias")
+        self._stiffness: float | np.ndarray = spec.bending.stiffness
+        if spec.is_spatial:
+            self._bias = np.stack([self._bias, np.zeros_like(self._bias)], axis=-1)
+            self._stiffness = np.array([spec.bending.stiffness, spec.bending.pitch_stiffness])
+            if world is not None and (world.is_solid or world.uneven or world.objects):
+                spec.require_planar("a world with obstacles, objects or an uneven floor")
         if self.pneumatics.depends_on_bend and timestep > self.pneumatics.coupling_step_s * (1 + 1e-9):
             raise InputError(
                 f"time step {timestep:g} s is too long for chambers whose pressures depend on the bends; it "
@@ -166,6 +173,7 @@ class TwinSnake(PneumaticPlant):
 
     def place(self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0) -> SnakeState:
         """See `Plant.place`."""
+        self.spec.require_planar("a start with given bends or velocities")
         check_initial_state(snake, yaw_rate, self.spec.segments)
         x, y = map(float, snake.com)
         pose = x, y, float(snake.heading)
@@ -183,7 +191,7 @@ class TwinSnake(PneumaticPlant):
         self._energy_loss = self._internal_loss = 0.0
         state = np.concatenate([[0.0], physics.data.qpos, physics.data.qvel])[None]
         force, obstacles = (
-            np.zeros((1, len(self.physics.wheel_loads()), 2, 2)),
+            np.zeros((1, len(self.physics.wheel_loads()), 2, 3)),
             np.zeros((1, len(self._theta), 2)),
         )
         work, loss = np.array([physics.kinetic_energy()]), np.zeros(1)
@@ -280,7 +288,7 @@ class TwinSnake(PneumaticPlant):
         """Return the history at `times`, each at the end of a number of steps."""
         count, used = len(times), len(times) * steps
         ends = np.arange(1, count + 1) * steps - 1
-        floor_force = batch.floor_force[:used, ..., :2]
+        floor_force = batch.floor_force[:used]
         energy_loss = self._energy_loss + self.timestep * np.cumsum(batch.power[:used])
         internal = self._internal_loss + self.timestep * np.cumsum(batch.internal[:used])
         if used:
@@ -299,13 +307,13 @@ class TwinSnake(PneumaticPlant):
             times: shape (samples,), s.
             states: shape (samples, 1 + nq + nv), see `StepBatch`.
             trace: trace of the chambers.
-            *loads: forces of the floor, shape (samples, axles, 2, 2), and of obstacles, shape (samples, N,
+            *loads: forces of the floor, shape (samples, axles, 2, 3), and of obstacles, shape (samples, N,
                 2), N; energy of body, floor and obstacles, shape (samples,), J; energy that joints dissipated
                 inside segments, shape (samples,), J.
         """
         force, obstacles, work, loss = loads
         kinematics = self.physics.kinematics(states)
-        if self.uneven:
+        if self.uneven or self.spec.is_spatial:
             work = work + self._potential_energy(kinematics.com) - self._start_height_energy
         # Unwrap from the previous sample: a connector turns by far less than π between two samples.
         theta = np.concatenate([self._theta[None], kinematics.headings])
@@ -314,9 +322,11 @@ class TwinSnake(PneumaticPlant):
         theta = theta[1:]
         if len(theta):
             self._theta = theta[-1].copy()  # callers may change the returned arrays
-        bending = self.spec.bending
-        air = bending.stiffness * (self._bias + air_bend(self.spec, trace.pressure))
-        return SnakeState(
+        bending, stiffness = self.spec.bending, self._stiffness
+        free = (vector_bends if self.spec.is_spatial else air_bend)(self.spec, trace.pressure)
+        air = stiffness * (self._bias + free)
+        damping = stiffness * bending.damping_time
+        state = SnakeState(
             time=times,
             com=kinematics.com[:, :2],
             com_velocity=kinematics.com_velocity[:, :2],
@@ -328,18 +338,26 @@ class TwinSnake(PneumaticPlant):
             pressure=trace.pressure,
             valves=trace.valves,
             sensed=self.sensor.read(kinematics.bends, times, self.seed),
-            contact_force=self._force_on_connectors(force.sum(axis=2)),
+            contact_force=self._force_on_connectors(force.sum(axis=2)[..., :2]),
             obstacle_force=obstacles,
-            torque=air - bending.stiffness * kinematics.bends - bending.damping * kinematics.bend_rates,
+            torque=air - stiffness * kinematics.bends - damping * kinematics.bend_rates,
             # ∫ Σ T q̇ dt, with the energy of the relative motion of hinges (`internal_joints`).
             work=work + loss + self.physics.internal_joints.stored(kinematics.qpos),
             internal_loss=loss,
             air=trace.air,
             qpos=kinematics.qpos,
         )
+        if not self.spec.is_spatial:
+            return state
+        return SpatialState(
+            **vars(state),
+            height=kinematics.positions[..., 2],
+            orientation=kinematics.orientations,
+            load=self._force_on_connectors(force.sum(axis=2)[..., 2:])[..., 0],
+        )
 
     def _force_on_connectors(self, force: np.ndarray) -> np.ndarray:
-        """Return the forces on the connectors, (samples, N, 2), from those on axles or contact points."""
+        """Return the forces on the connectors, (samples, N, …), from those on axles or contact points."""
         if self.spec.skin is not None:
             places = np.array([patch.place for patch in patches(self.spec, self._settings)])
             return np.einsum("ik,skc->sic", self.spec.connector_weights(places), force)

@@ -26,6 +26,7 @@ _VISUAL_GROUP = 2
 _COLLISION_GROUP = 3
 _HIDDEN_GROUP = 5
 
+_MAX_FREE_BEND = 100.0  # limit of the free bend of a spatial robot, far above any real one, rad
 _FLANGE_RATIO = 1.08  # radius of a connector's disc over that of the body, 1
 _RUNNER_RATIO = 0.25  # radius of a skid's runner over that of a wheel, 1
 _PLATE_HALF_HEIGHT = 0.003  # of a connector's disc at a length unit of 1 (`robot.scale`), m
@@ -49,6 +50,8 @@ def add_classes(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, *, 
     _add_geoms(mj, root, spec, settings)
     muscle = mj.add_default("muscle", root).actuator
     muscle.ctrllimited, muscle.ctrlrange = True, [0, limit_pa]
+    if spec.is_spatial:  # the controls are free bends, which the chambers limit
+        muscle.ctrlrange = [-_MAX_FREE_BEND, _MAX_FREE_BEND]
     muscle.gainprm[0] = spec.bending.stiffness * spec.actuator.gain
     press = mj.add_default("press", root).actuator
     press.gear = [0, 0, 1, 0, 0, 0]
@@ -90,12 +93,15 @@ def _add_joints(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, set
     The integrator evaluates a spring at the end of its step, which adds the damping h k. The dampers are
     smaller by that much, so that spring and damper together have the nominal damping.
     """
-    bending = spec.bending
-    for name, axis, stiffness, time in (
-        ("hinge", [0, 0, -1], settings.hinges_per_segment * bending.stiffness, bending.damping_time),
+    bending, n = spec.bending, settings.hinges_per_segment
+    joints: list[tuple[str, list[float], float, float]] = [
+        ("hinge", [0, 0, -1], n * bending.stiffness, bending.damping_time),
         ("pitch", [0, 1, 0], bending.pitch_stiffness, bending.out_of_plane_damping_time),
         ("roll", [1, 0, 0], bending.roll_stiffness, bending.out_of_plane_damping_time),
-    ):
+    ]
+    if spec.is_spatial:
+        joints[1] = ("tilt", [0, 1, 0], n * bending.pitch_stiffness, bending.damping_time)
+    for name, axis, stiffness, time in joints:
         joint = mj.add_default(name, root).joint
         joint.axis = axis
         joint.stiffness[0] = stiffness

@@ -7,6 +7,11 @@ c, with one pitch and one roll hinge in its middle, which distribute the load of
 pressures are the controls, in Pa: the actuators ``plus_j`` and ``minus_j`` exert the moment k G (p⁺ − p⁻) on
 the tendon ``bend_j``, whose length is the bend q_j of the segment.
 
+A spatial robot has a tilt hinge at each bending hinge, which turns the head end upwards, and no pitch hinge.
+The two hinges of a place are in the opposite order at every second place, so that the twist which a pair of
+rotations about two axes contains cancels. The actuators ``air_left_j`` and ``air_up_j`` exert k times the
+free bend, which is their control, on the tendons ``bend_j`` and ``tilt_j``.
+
 With a clamped base (`ModelSettings.base`) the head is fixed to the world. There is no floor, so the model has
 no wheels and no preload. It has no pitch and roll hinges either: the chain bends in the horizontal plane, in
 which gravity does no work.
@@ -57,6 +62,8 @@ def robot_mjcf(
         raise InputError("a tail on two axles needs contact 'loaded', because a preload would keep it down")
     if spec.skin is not None and not isinstance(settings.contact, LoadedContact):
         raise InputError("a robot with skin needs contact 'loaded'; a preload presses on wheels or skids")
+    if settings.numerics.constant_curvature:
+        spec.require_planar("numerics 'constant_curvature'")
     shortest = min(spec.bending.damping_time, spec.bending.out_of_plane_damping_time)
     if not settings.timestep < shortest:
         raise InputError(
@@ -228,10 +235,14 @@ def _add_segment(
         body = body.add_body(name=name, pos=[ahead * (origins[k] - parent_origin), 0, 0])
         parent_origin = origins[k]
         anchor = ahead * (hinges[k] - origins[k])
-        hinge = _add_joint(mj, body, "hinge", f"hinge_{j}_{k + 1 if ahead < 0 else n - k}", anchor, ahead)
-        hinge.springref = spec.modules.bias[j - 1] / n
-        if k == n // 2 and settings.base == "free":
-            for kind in ("pitch", "roll"):
+        number = k + 1 if ahead < 0 else n - k
+        kinds = ["hinge", "tilt"][:: 1 if k % 2 == 0 else -1] if spec.is_spatial else ["hinge"]
+        for kind in kinds:
+            hinge = _add_joint(mj, body, kind, f"{kind}_{j}_{number}", anchor, ahead)
+            if kind == "hinge":
+                hinge.springref = spec.modules.bias[j - 1] / n
+        if k == n // 2 and (settings.base == "free" or spec.is_spatial):
+            for kind in ("roll",) if spec.is_spatial else ("pitch", "roll"):
                 _add_joint(mj, body, kind, f"{kind}_{j}", ahead * (g.pitch / 2 - origins[k]), ahead)
         if last:
             _add_skin(mj, body, spec, f"skin_{names[k + 1]}", anchor, 0.0)
@@ -260,7 +271,17 @@ def _add_skin(mj: MjSpec, body: MjsBody, spec: RobotSpec, name: str, front: floa
 
 
 def _add_actuators(mj: MjSpec, spec: RobotSpec, j: int, settings: ModelSettings) -> None:
-    """Add the tendon ``bend_j`` and the actuators of its two chambers."""
+    """Add the tendon ``bend_j`` and the actuators of its two chambers, or those of a spatial robot."""
+    if spec.is_spatial:
+        for name, hinge, axis in (("bend", "hinge", "left"), ("tilt", "tilt", "up")):
+            tendon = mj.add_tendon(name=f"{name}_{j}")
+            for k in range(1, settings.hinges_per_segment + 1):
+                tendon.wrap_joint(f"{hinge}_{j}_{k}", 1.0)
+            actuator = mj.add_actuator(mj.find_default("muscle"), name=f"air_{axis}_{j}", target=tendon.name)
+            actuator.trntype = mujoco.mjtTrn.mjTRN_TENDON
+            stiffness = spec.bending.stiffness if name == "bend" else spec.bending.pitch_stiffness
+            actuator.gainprm[0] = stiffness
+        return
     tendon = mj.add_tendon(name=f"bend_{j}")
     for k in range(1, settings.hinges_per_segment + 1):
         tendon.wrap_joint(f"hinge_{j}_{k}", 1.0)

@@ -1,0 +1,176 @@
+"""Fastest serpentine and sidewinding speed of a spatial snake that is known from one paragraph.
+
+    uv run python benchmarks/predict_spatial.py [--robots 40] [--seed 0] [--out FILE] [--runs FILE]
+
+Robots are drawn from the priors of calibration/robots/others/spatial_530mm.yaml by Latin hypercube, together
+with the two alternatives: wheels (probability 0.75, as all planar generations of the laboratory) or skin, and
+four chambers (0.75) or three at 120°. Every robot crawls with all gaits of a grid; its fastest serpentine is
+the one of a planar wave, its fastest sidewinding that of a wave in both directions. The twin is the only
+plant. Its speeds are multiplied by a random factor, its known error: published speed over that of the twin
+for the four planar generations of the same laboratory. The intervals are quantiles over the robots.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ruamel.yaml import YAML
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from srs_twin import Gait, rollout
+from srs_twin.control.gait import PitchWave
+from srs_twin.errors import DivergedError
+from srs_twin.io.documents import dump_yaml
+from srs_twin.io.validation import StrictModel
+from srs_twin.plants.twin.snake import TwinSnake
+from srs_twin.robot.file import RobotFile, load_robot_file
+from srs_twin.robot.priors import Priors
+from srs_twin.robot.spec import RobotSpec
+
+ROOT = Path(__file__).parents[1]
+ROBOT = ROOT / "calibration" / "robots" / "others" / "spatial_530mm.yaml"
+OUT = ROOT / "calibration" / "predictions" / "spatial_530mm.yaml"
+
+WHEELS_PROBABILITY = 0.75
+"""Probability of wheels: the planar generations have them, but a body that lifts itself need not."""
+FOUR_PROBABILITY = 0.75
+"""Probability of four chambers per module, two for each degree of freedom."""
+SKIN_FORWARD = (0.4, 0.9)
+"""Friction coefficient of silicone on a hard floor, along the body, 1."""
+SKIN_RATIO = (1.0, 1.6)
+"""Friction across over friction along a skin, 1."""
+THREE_CHAMBERS = [90, 210, 330]
+"""Directions of three chambers, deg."""
+
+PUBLISHED_OVER_TWIN = (22 / 39.5, 214 / 186.8, 50 / 80.0, 121 / 157.3)
+"""Published speed over the twin's, generations 1 to 4 (docs/agreement.md), 1."""
+
+FREQUENCIES_HZ = (0.4, 0.8, 1.4)
+SERPENTINE = ((math.pi / 2, None), (math.pi / 3, None))
+SIDEWINDING = (
+    (math.pi / 2, PitchWave(0.3, math.pi / 2)),
+    (math.pi / 2, PitchWave(0.5, math.pi / 2)),
+    (math.pi / 3, PitchWave(0.4, math.pi / 2)),
+)
+NAMES = ("serpentine", "sidewinding")
+PERIODS = 5
+"""Gait periods of a run; the speed is that of the last two."""
+TIMESTEP_S = 0.004
+
+
+def draw_robots(count: int, seed: int) -> list[tuple[RobotFile, dict[str, Any]]]:
+    """Return robots and the facts about each of them."""
+    file = load_robot_file(ROBOT)
+    priors = Priors.from_robot(file)
+    units = qmc.LatinHypercube(len(priors.parameters) + 4, seed=seed).random(count)
+    robots = []
+    for u in units:
+        values = dict(zip(priors.paths, priors.quantile(u[4:]), strict=True))
+        wheels, four = bool(u[0] < WHEELS_PROBABILITY), bool(u[1] < FOUR_PROBABILITY)
+        if not wheels:
+            values["contact.forward"] = np.interp(u[2], (0, 1), SKIN_FORWARD)
+            values["contact.transverse"] = values["contact.forward"] * np.interp(u[3], (0, 1), SKIN_RATIO)
+        data = copy.deepcopy(file.model_dump())
+        for path, value in values.items():
+            section, key = path.split(".")
+            data[section][key] = {**data[section][key], "value": float(value), "uncertain": None}
+        data["correlated"] = None
+        if not four:
+            data["chamber"]["directions_deg"]["value"] = THREE_CHAMBERS
+        model: type[StrictModel] = RobotFile
+        robots.append((model.model_validate(data), {"wheels": wheels, "four_chambers": four}))
+    return robots
+
+
+def speed(twin: TwinSnake, frequency: float, step: float, pitch: PitchWave | None) -> float:
+    """Return the speed of a gait over its last two periods, m/s; 0 for a run that diverged."""
+    duration = math.ceil(PERIODS / frequency / twin.tick) * twin.tick
+    try:
+        run = rollout(twin, Gait(frequency, phase_step=step, pitch=pitch), duration, record_hz=50)
+    except DivergedError:
+        return 0.0
+    before = int(np.searchsorted(run.time, run.time[-1] - 2 / frequency))
+    moved = run.com[-1] - run.com[before]
+    return float(np.hypot(*moved) / (run.time[-1] - run.time[before]))
+
+
+def fastest(spec: RobotSpec) -> dict[str, Any]:
+    """Return the speeds of the fastest gaits of a robot, m/s, and their settings."""
+    twin = TwinSnake(spec, timestep=TIMESTEP_S)
+    result: dict[str, Any] = {}
+    for name, gaits in (("serpentine", SERPENTINE), ("sidewinding", SIDEWINDING)):
+        speeds = {(f, k): speed(twin, f, *gaits[k]) for f in FREQUENCIES_HZ for k in range(len(gaits))}
+        best = max(speeds, key=lambda key: speeds[key])
+        result[name] = {"speed_m_s": round(speeds[best], 4), "frequency_hz": best[0], "gait": best[1]}
+    return result
+
+
+def model_errors(count: int, seed: int) -> np.ndarray:
+    """Return the true speed over that of the twin for some robots, a lognormal fit to four robots."""
+    logs = np.log(PUBLISHED_OVER_TWIN)
+    n = len(logs)
+    units = qmc.LatinHypercube(1, seed=seed + 1).random(count)[:, 0]
+    draws = ndtri(units) * logs.std(ddof=1) * math.sqrt(1 + 1 / n)
+    return np.exp(logs.mean() + draws)
+
+
+def quantiles(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:
+    """Return median and 95 % interval of a speed over robots."""
+    values = [row[name]["speed_m_s"] * row["model_error"] for row in rows]
+    low, middle, high = np.quantile(values, [0.025, 0.5, 0.975])
+    return {
+        "median_m_s": round(float(middle), 4),
+        "interval_95_m_s": [round(float(low), 4), round(float(high), 4)],
+        "factor": round(float(high / max(low, 1e-6)), 2),
+        "robots": len(values),
+    }
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the prediction over all robots, and under each alternative."""
+    groups = {
+        "all": rows,
+        "wheels": [r for r in rows if r["wheels"]],
+        "skin": [r for r in rows if not r["wheels"]],
+        "four_chambers": [r for r in rows if r["four_chambers"]],
+        "three_chambers": [r for r in rows if not r["four_chambers"]],
+    }
+    return {
+        f"fastest_{name}": {key: quantiles(group, name) for key, group in groups.items() if group}
+        for name in NAMES
+    }
+
+
+def main() -> None:
+    """Draw robots, run their gaits, and write the prediction after every robot."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--robots", type=int, default=40, help="number of robots")
+    parser.add_argument("--seed", type=int, default=0, help="random seed")
+    parser.add_argument("--out", type=Path, default=OUT, help="output file")
+    parser.add_argument("--runs", type=Path, help="file of earlier runs, whose speeds are used again")
+    options = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    errors = model_errors(options.robots, options.seed)
+    earlier = YAML(typ="safe").load(options.runs)["robots"] if options.runs else None
+    for k, (file, facts) in enumerate(draw_robots(options.robots, options.seed)):
+        speeds = fastest(file.spec()) if earlier is None else {n: earlier[k][n] for n in NAMES}
+        rows.append({**facts, "model_error": round(float(errors[k]), 3), **speeds})
+        document = {
+            "robot": ROBOT.relative_to(ROOT).as_posix(),
+            "plant": "twin",
+            "command": f"benchmarks/predict_spatial.py --robots {options.robots} --seed {options.seed}",
+            **summary(rows),
+            "robots": rows,
+        }
+        options.out.write_text(dump_yaml(document), encoding="utf-8")
+        print(len(rows), rows[-1], flush=True)
+
+
+if __name__ == "__main__":
+    main()

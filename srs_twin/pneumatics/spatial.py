@@ -1,0 +1,155 @@
+r"""Chambers of a spatial robot, which bend a segment in several directions.
+
+Each chamber fills and vents with the first-order lag of `lag`, and a lag of the time constant τ₂ follows its
+pressure. With the directions d_c of the chambers (`Chamber.directions`), the lagged pressures p̂_c and the
+bend law φ of `chambers`, the free bend of a segment is a vector, its components to the left and upwards,
+
+$$ x = G \sum_c g_c\, \hat p_c\, d_c, \qquad q = b + \varphi(|x|)\, x / |x| , $$
+
+so that the limit of the bend holds for its magnitude in every direction. A chamber grows by the bend in its
+direction: V = V₀ + A max(0, q · d_c).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from srs_twin.errors import InputError
+from srs_twin.pneumatics.base import OptionalArray, Pneumatics, Trace, check_not_negative
+from srs_twin.pneumatics.chambers import AMBIENT_PA, chamber_gains, vector_bends
+from srs_twin.pneumatics.lag import followed, relaxation_of, relaxed
+from srs_twin.pneumatics.valves import Schedule
+from srs_twin.robot.spec import RobotSpec
+
+
+class SpatialLagPneumatics(Pneumatics):
+    """Chambers with a first-order lag in several directions (module docstring).
+
+    `bend`, `rest_bend` and the bends of a `Trace` have the shape (…, segments, 2): to the left, upwards.
+    """
+
+    kind = "lag"
+    state_attributes = ("_lagged", "_supply")
+
+    def __init__(
+        self,
+        spec: RobotSpec,
+        *,
+        supply_pa: float,
+        layout: str = "3/2",
+        leak_per_s: float = 0.0,
+        valve_delay_s: float = 0.0,
+    ) -> None:
+        """Construct the chambers; arguments and errors as in `LagPneumatics`."""
+        check_not_negative(leak_per_s=leak_per_s)
+        self._spec, self._leak, self._max_supply = spec, leak_per_s, supply_pa
+        self._fill = 1 / (spec.actuator.tau_fill * spec.modules.array("tau_fill"))
+        self._vent = 1 / (spec.actuator.tau_vent * spec.modules.array("tau_vent"))
+        self.set_supply_pressure(supply_pa)
+        super().__init__(spec, layout=layout, valve_delay_s=valve_delay_s)
+        self.rest_bend = np.stack([self.rest_bend, np.zeros_like(self.rest_bend)], axis=-1)
+        self.reset()
+
+    def reset(self) -> None:
+        """See `Pneumatics.reset`."""
+        super().reset()
+        self._lagged = np.zeros_like(self.pressure)
+
+    def set_supply_pressure(self, supply_pa: float) -> None:
+        """See `Pneumatics.set_supply_pressure`; the pressure changes immediately."""
+        if not 0 <= supply_pa <= self._max_supply:
+            raise InputError(
+                f"supply pressure {supply_pa!r} Pa is not allowed; it must be 0 to {self._max_supply:g} Pa, "
+                "the pressure at construction"
+            )
+        self._supply = supply_pa
+
+    def describe(self) -> dict[str, object]:
+        """See `Pneumatics.describe`."""
+        return super().describe() | {"leak_per_s": self._leak}
+
+    def rest_trace(self) -> Trace:
+        """See `Pneumatics.rest_trace`."""
+        trace = self._empty_trace(1)
+        trace.pressure[0], trace.bend[0], trace.valves[0] = self.pressure, self.bend, self.valves
+        trace.bend_rate[:] = trace.bend_acceleration[:] = 0.0
+        trace.air[:] = self.air
+        return trace
+
+    def _empty_trace(self, times: int) -> Trace:
+        """Return an uninitialised trace."""
+        chambers, bends = (times, *self.pressure.shape), (times, self._segments, 2)
+        q, dq, ddq = (np.empty(bends) for _ in range(3))
+        return Trace(np.empty(chambers), q, dq, ddq, np.empty(chambers, dtype=np.int8), np.empty(times))
+
+    def _simulate(
+        self, schedule: Schedule, times: np.ndarray, bend: OptionalArray, bend_rate: OptionalArray
+    ) -> Trace:
+        trace, drawn = self._empty_trace(len(times)), self.air
+        ends = np.append(schedule.starts[1:], schedule.span)
+        rows = np.searchsorted(times, ends[:-1], side="right")
+        bounds = [0, *rows, len(times)]
+        for run, (start, end) in enumerate(zip(schedule.starts, ends, strict=True)):
+            state = schedule.states[run]
+            part = slice(bounds[run], bounds[run + 1])
+            after = np.append(times[part] - start, end - start)
+            pressure, lagged, free = self._propagate(state, after)
+            air = drawn + self._drawn(state, after, pressure, free)
+            trace.pressure[part], trace.bend[part], trace.air[part] = pressure[:-1], free[:-1], air[:-1]
+            trace.valves[part] = state
+            rate, acceleration = self._rates(state, pressure[:-1], lagged[:-1], free[:-1])
+            trace.bend_rate[part], trace.bend_acceleration[part] = rate, acceleration
+            self.pressure, self._lagged, self.bend, drawn = pressure[-1], lagged[-1], free[-1], float(air[-1])
+        self.air = drawn
+        return trace
+
+    def _relaxation(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return rate (1/s) and asymptote (Pa) of each chamber, shape (segments, chambers)."""
+        return relaxation_of(
+            np.where(state == 1, self._fill, 0.0),
+            np.where(state == -1, self._vent, 0.0),
+            self._supply,
+            self._leak,
+        )
+
+    def _propagate(self, state: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return pressures, lagged pressures and free bends after times without a valve event (s)."""
+        relaxation, tau = self._relaxation(state), self._spec.actuator.tau_mode
+        after = times[:, None, None]
+        pressure = relaxed(self.pressure, *relaxation, after)
+        lagged = followed(self._lagged, self.pressure, relaxation, tau, after)
+        return pressure, lagged, self.rest_bend + vector_bends(self._spec, lagged)
+
+    def _rates(
+        self, state: np.ndarray, pressure: np.ndarray, lagged: np.ndarray, free: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return rates (rad/s) and accelerations (rad/s²) of the free bends, those of a linear bend law."""
+        rate, end = self._relaxation(state)
+        tau, gains = self._spec.actuator.tau_mode, chamber_gains(self._spec)
+        speed = (pressure - lagged) / tau
+        rise = (rate * (end - pressure) - speed) / tau
+        linear = (gains * lagged) @ self._spec.chamber.axes
+        # Scale with the mean slope of the bend law, free bend over linear bend.
+        size = np.maximum(np.linalg.norm(linear, axis=-1, keepdims=True), 1e-9)
+        slope = np.where(size > 1e-9, np.linalg.norm(free - self.rest_bend, axis=-1, keepdims=True) / size, 1)
+        axes = self._spec.chamber.axes
+        return slope * ((gains * speed) @ axes), slope * ((gains * rise) @ axes)
+
+    def _drawn(
+        self, state: np.ndarray, times: np.ndarray, pressure: np.ndarray, free: np.ndarray
+    ) -> np.ndarray:
+        """Return the pneumatic energy that filling chambers have drawn since the start, shape (times,), J."""
+        chamber = self._spec.chamber
+
+        def content(pressure: np.ndarray, bend: np.ndarray, ambient: float) -> np.ndarray:
+            volume = chamber.dead_volume + chamber.displacement * np.maximum(0.0, bend @ chamber.axes.T)
+            amount: np.ndarray = ((pressure + ambient) * volume * (state == 1)).sum(axis=(-2, -1))
+            return amount
+
+        amount = content(pressure, free, AMBIENT_PA) - content(self.pressure, self.bend, AMBIENT_PA)
+        if self._leak:
+            held = content(pressure, free, 0.0)
+            before = np.append(content(self.pressure, self.bend, 0.0), held[:-1])
+            amount = amount + self._leak * np.cumsum((held + before) / 2 * np.diff(times, prepend=0.0))
+        worth = self._supply / (self._supply + AMBIENT_PA)
+        return np.asarray(worth * amount)
