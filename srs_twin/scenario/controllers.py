@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from srs_twin.control.base import Controller
 from srs_twin.control.duties import MAX_OFFSET, ChamberPeriods
 from srs_twin.control.gait import Gait, PitchWave
+from srs_twin.control.grasp import Grasp
 from srs_twin.control.learning import ILC, MIN_PULSES
 from srs_twin.control.pwm import PulseWidthModulator
 from srs_twin.control.reference import Constant, Reference, Sine, Square, Staircase, Step
@@ -401,5 +402,42 @@ class HoldFile(ControllerSection):
         return layouts_for([STATES[self.plus], STATES[self.minus]])
 
 
-CORE_CONTROLLERS = (GaitFile, LearningFile, DirectFile, IterativeFile, HoldFile)
+class GraspFile(ControllerSection):
+    """Whole-body grasp: the tail curls around an object, the rest of the body drags it."""
+
+    constructors = (Grasp,)
+
+    kind: Literal["grasp"]
+    """Controller."""
+    frequency_hz: float = _FREQUENCY
+    """Gait frequency of the dragging segments."""
+    mode: Literal["open_loop", "sensed"] = constructor_default()
+    """Change of phases at given times, or on the sensed bends."""
+    side: Literal["left", "right"] = constructor_default()
+    """Side of the object."""
+    hold: int = quantity(1, 62)
+    """Number of holding segments, at the tail."""
+    curl_s: float = quantity(0.01, 100.0)
+    """Time in which the duty of the curl rises to 1."""
+    drag_after_s: float = quantity(0.0, 1000.0)
+    """Start of the drag in open loop; in the sensed mode the latest start."""
+    release_after_s: float | None = quantity(0.0, 1e6)
+    """Time of the release after the start of the drag (default: never)."""
+    drag_m: float | None = quantity(0.001, 1000.0)
+    """Distance of the drag after which the object is released (sensed; default: any)."""
+    phase_step_rad: float | None = _PHASE_STEP
+    """Lag of each segment behind the one before it (default: the robot's)."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> GraspFile:
+        if self.drag_m is not None and self.mode == "open_loop":
+            raise ValueError("drag_m needs mode sensed; in open_loop, set release_after_s")
+        return self
+
+    def check(self, spec: RobotSpec, tick: float) -> None:
+        """See `ControllerSection.check`: enough segments must hold and crawl."""
+        self.build().reset(spec, tick)
+
+
+CORE_CONTROLLERS = (GaitFile, LearningFile, DirectFile, IterativeFile, HoldFile, GraspFile)
 """Controller sections of the core."""

@@ -1,0 +1,125 @@
+"""Grasp and drag of drawn objects by a chain of generation 2's modules.
+
+    uv run python benchmarks/grasp.py [--objects 50] [--mode sensed] [--payload] [--json FILE]
+
+docs/objects.md states the ranges, which were fixed before the runs. An object counts as held and dragged if
+it has moved by 0.3 m within 10 s and is still inside the curl: the distances of its centre to three holding
+connectors within 20 mm of those when the drag began. `--payload` instead drags one cylinder with growing
+floor friction.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from grid import table
+
+from srs_twin import load_robot
+from srs_twin.control.grasp import Grasp
+from srs_twin.plants.twin.snake import TwinSnake
+from srs_twin.robot.spec import GRAVITY, RobotSpec
+from srs_twin.robot.world import MovableObject, World
+from srs_twin.rollout import rollout
+
+MODULES, HOLD, FREQUENCY_HZ, SECONDS = 12, 4, 2.0, 10.0
+RADIUS_M, MASS_KG, LOAD_N = (0.020, 0.030), (0.02, 0.10), (0.05, 0.25)
+BEHIND_M, GAP_M = (0.12, 0.16), (0.002, 0.015)
+DRAGGED_M, INSIDE_M = 0.3, 0.02
+PRESET_S = 0.002
+
+
+def chain() -> RobotSpec:
+    """Return generation 2 with 12 modules and one wave over the eight modules that crawl."""
+    gen2 = load_robot("gen2")
+    return replace(
+        gen2, name="chain", geometry=replace(gen2.geometry, connectors=MODULES + 1),
+        mass=replace(gen2.mass, connectors=gen2.mass.connectors[:1] * (MODULES + 1)),
+        phase_step=2 * math.pi / (MODULES - HOLD),
+    )  # fmt: skip
+
+
+def drawn_object(seed: int) -> tuple[MovableObject, str]:
+    """Return an object next to the tail, and its side."""
+    spec, rng = chain(), np.random.default_rng((seed, 4))
+    radius, mass, load = rng.uniform(*RADIUS_M), rng.uniform(*MASS_KG), rng.uniform(*LOAD_N)
+    behind, gap, side = rng.uniform(*BEHIND_M), rng.uniform(*GAP_M), rng.choice([1, -1])
+    first = spec.geometry.body_length / 2 - (MODULES - HOLD) * spec.geometry.pitch
+    y = side * (spec.geometry.width / 2 + gap + radius)
+    item = MovableObject(
+        (float(radius),), float(mass), float(load / (mass * GRAVITY)), first - behind, float(y)
+    )
+    return item, "left" if side > 0 else "right"
+
+
+def dragged(item: MovableObject, side: str, mode: str, seconds: float = SECONDS) -> dict[str, Any]:
+    """Run one grasp; return the distance that the object moved, its speed and its shift in the curl."""
+    twin = TwinSnake(chain(), world=World(objects=(item,)), timestep=PRESET_S)
+    run = rollout(twin, Grasp(FREQUENCY_HZ, mode=mode, side=side, hold=HOLD), seconds)
+    place = np.stack([run["object_x_1"], run["object_y_1"]], axis=-1)
+    dragging = run["grasp_phase"] == 2
+    moved = float(np.hypot(*(place[-1] - place[0])))
+    result = {"moved_m": moved, "load_n": item.mass * item.friction * GRAVITY, "radius_m": item.size[0]}
+    if not dragging.any():
+        return result | {"held": False, "reason": "missed"}
+    first = int(np.argmax(dragging))
+    # Distances to three holding connectors locate the object in the curl.
+    held = run.position[:, -HOLD : -HOLD + 3]
+    distances = np.hypot(*np.moveaxis(held - place[:, None], -1, 0))
+    shift = float(np.abs(distances[-1] - distances[first]).max())
+    half = (first + len(place)) // 2
+    speed = np.hypot(*(place[-1] - place[half])) / (run.time[-1] - run.time[half])
+    held_m = float(np.hypot(*(place[-1] - place[first])))
+    return result | {
+        "held": shift < INSIDE_M and held_m >= DRAGGED_M, "shift_m": shift, "dragged_m": held_m,
+        "speed_m_s": float(speed), "reason": "" if shift < INSIDE_M else "lost",
+    }  # fmt: skip
+
+
+def judged(seed: int, mode: str) -> dict[str, Any]:
+    """Return the result for one drawn object."""
+    return {"seed": seed, "mode": mode} | dragged(*drawn_object(seed), mode)
+
+
+def payload(load: float) -> dict[str, Any]:
+    """Return the result for a cylinder with a given floor friction, N."""
+    item, side = drawn_object(0)
+    middle = replace(item, size=(0.025,), mass=0.05, friction=load / (0.05 * GRAVITY))
+    return dragged(middle, side, "open_loop", 6.0)
+
+
+def main() -> None:
+    """Run and print."""
+    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words.add_argument("--objects", type=int, default=50)
+    words.add_argument("--mode", choices=["sensed", "open_loop"], default="sensed")
+    words.add_argument("--payload", action="store_true")
+    words.add_argument("--jobs", type=int, default=1)
+    words.add_argument("--json", type=Path, metavar="FILE")
+    given = words.parse_args()
+    job, inputs = partial(judged, mode=given.mode), list[Any](range(given.objects))
+    if given.payload:
+        job, inputs = payload, [0.05, 0.15, 0.25, 0.35, 0.5, 0.7]
+    with ProcessPoolExecutor(given.jobs) as pool:
+        results = []
+        for result in pool.map(job, inputs):
+            results.append(result)
+            print(json.dumps(result), flush=True)
+    if given.payload:
+        rows = [[f"{r['load_n']:.2f}", f"{r.get('speed_m_s', 0):.3f}"] for r in results]
+        print(table(["floor friction, N", "speed, m/s"], rows))
+    else:
+        print(f"{sum(r['held'] for r in results)} of {len(results)} held and dragged {DRAGGED_M} m")
+    if given.json:
+        given.json.write_text(json.dumps(results, indent=1) + "\n", "utf-8")
+
+
+if __name__ == "__main__":
+    main()

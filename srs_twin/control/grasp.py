@@ -1,0 +1,159 @@
+"""Whole-body grasp: the tail curls around an object, the rest of the body drags it, the tail opens again.
+
+The phases follow each other in open loop at given times, or on the sensed bends:
+
+1. *Curl.* The valves of the holding segments, at the tail, fill one side with a duty that rises from 0 to 1.
+   A fast curl would push the object away. The other segments vent and lie still.
+2. *Drag.* The holding segments stay filled; the others make the gait of Eq. 13. In the sensed mode the phase
+   begins when the readings have settled, and only if the holding segments bend less than they would without
+   an object; otherwise the grasp has missed, and the run ends.
+3. *Release.* The holding segments vent, after a time or a distance of the centre of mass.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srs_twin.control.base import Controller, SensorReadings
+from srs_twin.control.gait import Gait
+from srs_twin.errors import InputError, check_choice
+from srs_twin.pneumatics.chambers import largest_bend
+from srs_twin.robot.spec import RobotSpec
+from srs_twin.trajectory import Event
+
+if TYPE_CHECKING:
+    from srs_twin.plants.base import SnakeState
+
+MODES = ("open_loop", "sensed")
+SIDES = ("left", "right")
+_SLOTS = 20  # slots of a tick in which the duty of the curl is resolved
+_SETTLED_RAD_PER_S = 0.3  # bend rate below which the curl has ended
+_SETTLING_S = 0.3  # time over which this rate is measured
+_GRIP_RAD = 0.1  # bend that an object takes from a holding segment, mean over the segments
+
+
+class Phase(IntEnum):
+    """Phase of a grasp."""
+
+    CURL = 1
+    DRAG = 2
+    RELEASE = 3
+
+
+class Grasp(Controller):
+    """Grasp and drag of an object next to the tail (module docstring).
+
+    Attributes:
+        frequency: gait frequency of the dragging segments, Hz.
+        phase: current phase.
+        grip: mean bend by which the holding segments fall short of their free bend, rad.
+    """
+
+    kind = "grasp"
+    state_attributes = ("finished", "phase", "grip", "_since", "_start", "_past", "_readings", "_events")
+    layouts = ("3/2", "in_out")
+    frequency: float
+
+    def __init__(
+        self, frequency: float, *, mode: str = "sensed", side: str = "left", hold: int = 4,
+        curl_s: float = 1.5, drag_after_s: float = 2.0, release_after_s: float | None = None,
+        drag_m: float | None = None, phase_step: float | None = None,
+    ) -> None:  # fmt: skip
+        """Create the controller.
+
+        Args:
+            frequency: gait frequency of the dragging segments, Hz.
+            mode: one of `MODES`.
+            side: side of the object, one of `SIDES`.
+            hold: number of holding segments, at the tail.
+            curl_s: time in which the duty of the curl rises to 1, s.
+            drag_after_s: start of the drag in open loop, s; in the sensed mode the latest start.
+            release_after_s: time of the release after the start of the drag, s; None: never.
+            drag_m: distance of the drag after which the object is released, m; sensed mode only.
+            phase_step: phase lag of the gait per segment, rad; None uses that of the robot.
+
+        Raises:
+            InputError: a name is unknown, or an option does not belong to the mode.
+        """
+        check_choice("mode", mode, MODES)
+        check_choice("side", side, SIDES)
+        if drag_m is not None and mode == "open_loop":
+            raise InputError("drag_m needs mode sensed; in open_loop, set release_after_s")
+        self.frequency, self.mode, self.side, self.hold = frequency, mode, side, hold
+        self.curl_s, self.drag_after_s = curl_s, drag_after_s
+        self.release_after_s, self.drag_m = release_after_s, drag_m
+        self._gait = Gait(frequency, phase_step=phase_step)
+
+    def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
+        """See `Controller.reset`.
+
+        Raises:
+            InputError: the robot has too few segments to hold and to crawl.
+        """
+        if not 1 <= self.hold <= spec.segments - 2:
+            raise InputError(
+                f"{self.hold} holding segments are not allowed; {spec.name} has {spec.segments} segments, of "
+                "which at least two must crawl"
+            )
+        self._gait.reset(spec, tick)
+        self._tick, self._segments = tick, spec.segments
+        self._free_bend = largest_bend(spec, spec.supply.nominal)
+        self.phase, self.grip, self.finished = Phase.CURL, 0.0, False
+        self._since, self._start = 0.0, np.zeros(2)
+        self._past: list[np.ndarray] = []
+        self._readings, self._events = SensorReadings(spec.segments), list[Event]()
+
+    def step(self, state: SnakeState) -> np.ndarray:
+        """Return the valve states of the next tick, shape (slots, segments, 2)."""
+        time = float(state.time)
+        self._events += self._readings.update(time, state.sensed)
+        toward = 1.0 if self.side == "left" else -1.0
+        bends = toward * self._readings.value[-self.hold :]
+        self._past = [*self._past, bends][-max(round(_SETTLING_S / self._tick), 2) :]
+        self.grip = float(self._free_bend - bends.mean())
+        self._change_phase(time, np.asarray(state.com))
+        valves = np.asarray(self._gait.valves_at(max(time - self._since, 0.0)))
+        if valves.ndim == 2:
+            valves = np.repeat(valves[None], _SLOTS, axis=0)
+        if self.phase is Phase.CURL:
+            valves[:] = -1
+        duty = min(time / self.curl_s, 1.0) if self.phase is Phase.CURL else float(self.phase is Phase.DRAG)
+        filled, chamber = round(duty * len(valves)), 0 if self.side == "left" else 1
+        valves[:, -self.hold :] = -1
+        valves[:filled, -self.hold :, chamber] = 1
+        return valves
+
+    def _change_phase(self, time: float, com: np.ndarray) -> None:
+        """Begin the next phase if it is due."""
+        if self.phase is Phase.CURL and time >= self.curl_s:
+            rate = np.abs(self._past[-1] - self._past[0]).max() / (self._tick * (len(self._past) - 1))
+            late = time >= self.drag_after_s
+            if self.mode == "sensed" and (late or rate < _SETTLED_RAD_PER_S) and self.grip < _GRIP_RAD:
+                self._events.append(Event(time, "grasp_missed", "the tail is closed without an object"))
+                self.finished = True
+            elif late or (self.mode == "sensed" and rate < _SETTLED_RAD_PER_S):
+                self._begin(Phase.DRAG, time, com)
+        elif self.phase is Phase.DRAG:
+            timed_out = self.release_after_s is not None and time - self._since >= self.release_after_s
+            moved = self.drag_m is not None and np.hypot(*(com - self._start)) >= self.drag_m
+            if timed_out or moved:
+                self._begin(Phase.RELEASE, time, com)
+
+    def _begin(self, phase: Phase, time: float, com: np.ndarray) -> None:
+        if phase is Phase.DRAG:
+            self._since, self._start = time, com.copy()
+        self.phase = phase
+        text = f"{phase.name.lower()} begins, the grip takes {self.grip:.2g} rad from each holding segment"
+        self._events.append(Event(time, "grasp", text))
+
+    def signals(self) -> dict[str, float]:
+        """Return phase and grip."""
+        return {"grasp_phase": float(self.phase), "grip": self.grip}
+
+    def events(self) -> list[Event]:
+        """Return the events since the last call."""
+        events, self._events = self._events, []
+        return events
