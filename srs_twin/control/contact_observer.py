@@ -109,13 +109,15 @@ def moment_patterns(spec: RobotSpec, bend: np.ndarray, stations: np.ndarray) -> 
     point, angle = along(stations, place), along(stations, heading)
     normal = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
     load = np.column_stack([normal, _cross(point, normal)])
-    forces = -np.einsum("iak,sk->sia", reaction, np.linalg.solve(resistance, load.T).T)
+    accelerations = np.linalg.solve(resistance, load.T).T
+    forces = -np.einsum("iak,sk->sia", reaction, accelerations)
+    couples = -np.outer(accelerations[:, 2], spec.yaw_inertia())
     patterns = np.zeros((len(stations), spec.segments))
     for j in range(spec.segments):
         for share in _CUTS:
             station = np.array([(j + share) * g.pitch])
             cut = along(station, place)[0]
-            moment = _cross(place[: j + 1] - cut, forces[:, : j + 1]).sum(axis=1)
+            moment = (_cross(place - cut, forces) + couples)[:, : j + 1].sum(axis=1)
             moment += np.where(stations < station[0], _cross(point - cut, normal), 0.0)
             patterns[:, j] += moment / len(_CUTS)
     return patterns
