@@ -169,6 +169,8 @@ def main() -> None:
             if stored:
                 stored.parent.mkdir(parents=True, exist_ok=True)
                 np.savez(stored, **data)
+        count = round((LEARNING_S + SPACING_S * CONTACTS + given.free) / TICK_S)
+        data |= {name: data[name][:count] for name in ("time", "command", "pressure", "sensed")}
         if not given.simulate_only:
             results.append(judged(seed, data))
     if results:

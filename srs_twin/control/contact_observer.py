@@ -134,7 +134,7 @@ class ContactObserver(Stateful):
         period: period of the commands in samples; 0 without one.
     """
 
-    state_attributes = ("period", "_count", "_bins", "_sums", "_variance", "_window", "_samples")
+    state_attributes = ("period", "_count", "_changed", "_bins", "_sums", "_variance", "_window", "_samples")
 
     def __init__(self, spec: RobotSpec, sample_s: float, period: int = 0) -> None:
         """Begin without knowledge.
@@ -158,11 +158,15 @@ class ContactObserver(Stateful):
     def set_period(self, period: int) -> None:
         """Set the period of the commands in samples, and forget what was learnt under another one."""
         n = self._spec.segments
-        self.period, self._samples, self._count = period, 0, 0
+        self.period, self._samples, self._count, self._changed = period, 0, 0, 0
         self._bins = np.zeros(max(period, 1), dtype=int)
         self._sums = np.zeros((max(period, 1), 4, n))  # means of bend, free bend and both commands
         self._variance = np.zeros(n)
         self._window: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=self._length)
+
+    def skip(self, samples: int) -> None:
+        """Advance by samples that are missing."""
+        self._samples += samples
 
     def update(self, command: np.ndarray, pressure: np.ndarray, sensed: np.ndarray) -> ContactEstimate | None:
         """Add one sample; return the estimate, or None while the observer learns.
@@ -181,8 +185,11 @@ class ContactObserver(Stateful):
         free = air_bend(self._spec, np.asarray(pressure, dtype=float))
         mean, known = self._sums[k], self._bins[k]
         if known and np.abs(np.asarray(command).T - mean[2:]).max() > _SAME_COMMAND:
-            self.set_period(self.period)  # another gait
+            self._changed += 1
+            if self._changed > self.period // 2:
+                self.set_period(self.period)  # another gait, not a lost command
             return None
+        self._changed = 0
         if not np.isfinite(sensed).all() or not np.isfinite(free).all():
             return None
         sample = np.stack([sensed, free, *np.asarray(command, dtype=float).T])
@@ -211,7 +218,7 @@ class ContactObserver(Stateful):
             )
         admitted = scores**2 >= (1 - _MODEL_ERROR**2) * scores[best] ** 2 - _ADMITTED
         spread = 1.96 * np.hypot(1 / np.sqrt(information), _MODEL_ERROR * forces)
-        half = self._spec.geometry.pitch / _STATIONS_PER_SEGMENT / 2
+        step = self._spec.geometry.pitch / _STATIONS_PER_SEGMENT
         places = self.stations[admitted]
         return ContactEstimate(
             touched=bool(abs(scores[best]) > THRESHOLD),
@@ -221,5 +228,5 @@ class ContactObserver(Stateful):
                 float((forces - spread)[admitted].min()), float((forces + spread)[admitted].max())
             ),
             place=float(self.stations[best]),
-            place_interval=(float(places.min() - half), float(places.max() + half)),
+            place_interval=(float(places.min() - step), float(places.max() + step)),
         )  # fmt: skip

@@ -128,6 +128,8 @@ class Grasp(Controller):
 
     def _change_phase(self, time: float, com: np.ndarray) -> None:
         """Begin the next phase if it is due."""
+        if self.finished:
+            return
         if self.phase is Phase.CURL and time >= self.curl_s:
             rate = np.abs(self._past[-1] - self._past[0]).max() / (self._tick * (len(self._past) - 1))
             late = time >= self.drag_after_s

@@ -27,9 +27,11 @@ from typing import Any, TextIO
 
 import numpy as np
 
+from srs_twin.control.contact_observer import ContactEstimate
 from srs_twin.errors import InputError
 from srs_twin.io.files import display_path, require_file
 from srs_twin.live.messages import (
+    CONTACT,
     GO,
     KINDS,
     PAUSE,
@@ -40,6 +42,7 @@ from srs_twin.live.messages import (
     Message,
     decode,
     encode,
+    encode_contact,
     topic,
 )
 
@@ -221,6 +224,10 @@ class MqttLink(Link):
         if wait_s:
             with contextlib.suppress(RuntimeError, ValueError):  # not connected, or the queue is full
                 sent.wait_for_publish(wait_s)
+
+    def send_contact(self, contact: ContactEstimate) -> None:
+        """Send a contact estimate."""
+        self._client.publish(topic(self._robot, CONTACT), encode_contact(clock(), contact))
 
     def close(self) -> None:
         """See `Link.close`."""

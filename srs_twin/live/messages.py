@@ -1,8 +1,8 @@
 """Messages of a robot and its controller as JSON over MQTT, and poses from motion capture.
 
 Topics and keys are fixed (docs/live.md): ``srs/NAME/command``, ``valves``, ``pressures``, ``bends``,
-``status``, ``control``, ``supply``. Lists start at the head, ``t`` is the sender's clock. Invalid messages
-are refused with a reason and counted; only decoding raises an error.
+``status``, ``control``, ``supply``, ``contact``. Lists start at the head, ``t`` is the sender's clock.
+Invalid messages are refused with a reason and counted; only decoding raises an error.
 """
 
 from __future__ import annotations
@@ -15,9 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from srs_twin.control.contact_observer import ContactEstimate
+
 LARGEST_BYTES = 65_536
-COMMAND, VALVES, PRESSURES, BENDS, STATUS, CONTROL, POSES, SUPPLY = (
-    "command", "valves", "pressures", "bends", "status", "control", "poses", "supply",
+COMMAND, VALVES, PRESSURES, BENDS, STATUS, CONTROL, POSES, SUPPLY, CONTACT = (
+    "command", "valves", "pressures", "bends", "status", "control", "poses", "supply", "contact",
 )  # fmt: skip
 KINDS = (COMMAND, VALVES, PRESSURES, BENDS, STATUS, CONTROL, SUPPLY)
 PAUSE, GO, STOP, VENT = WORDS = ("pause", "go", "stop", "vent")
@@ -84,6 +86,14 @@ def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
     sides = np.asarray(values, dtype=float) / (_PA_PER_KPA if kind == PRESSURES else 1.0)
     plus, minus = (_plain(sides[:, side]) for side in (0, 1))
     return json.dumps({"t": time, "plus": plus, "minus": minus}).encode()
+
+
+def encode_contact(time: float, contact: ContactEstimate) -> bytes:
+    """Return the JSON of a contact estimate at a time on our clock (s)."""
+    keys: dict[str, Any] = {"touched": contact.touched, "score": contact.score}
+    keys |= {"n": contact.force, "n_interval": contact.force_interval}
+    keys |= {"m": contact.place, "m_interval": contact.place_interval}
+    return json.dumps({"t": time} | keys).encode()
 
 
 def _plain(values: np.ndarray) -> list[float]:

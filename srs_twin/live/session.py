@@ -361,6 +361,8 @@ class Session:
             self._table.add(since, estimate)
         if self._commands is None:
             return
+        if self.shadow.contact.estimate is not None:
+            self._commands.send_contact(self.shadow.contact.estimate)
         command = None
         if self._steering is not None and not self._stopped:
             command = self._steering.step(estimate, self.shadow)

@@ -20,6 +20,7 @@ from srs_twin.errors import InputError
 from srs_twin.io.saved_state import SavedState, Stateful, short_digest
 from srs_twin.live.clocks import ReorderBuffer
 from srs_twin.live.commands import KEPT_S, CommandHistory
+from srs_twin.live.contact import LiveContact
 from srs_twin.live.ensemble import EnsembleFilter
 from srs_twin.live.estimate import (
     SLOT_S,
@@ -81,6 +82,7 @@ class Shadow:
         ensemble: filter for pose, bends and pressures.
         faults: fault detector.
         command_period: period of the commands.
+        contact: estimate of the contact force.
         prediction_calibration: errors of earlier predictions.
         buffer: messages that wait for earlier ones.
         time: time of the filter, our clock, s; NaN before the first message.
@@ -116,6 +118,7 @@ class Shadow:
         self._lost_markers = np.zeros(n + 1, dtype=bool)
         self._innovation: dict[str, float] = {}
         self.command_period = CommandPeriod()
+        self.contact = LiveContact(spec)
         self.prediction_calibration = PredictionCalibration()
         self._intervals = IntervalCalibration((n, 2, 1))
 
@@ -219,6 +222,7 @@ class Shadow:
             elif (lost := self._commands.add(time, message)) is not None:
                 change, gap = lost
                 self.faults.inflate(change, min(gap, LOST_AFTER_S))
+        self.contact.update(messages, self.command_period)
         if not measured:
             return
         if math.isnan(self.time):

@@ -42,10 +42,18 @@ def test_patterns_mirror_with_the_body():
     np.testing.assert_allclose(turned[:, ::-1], pattern, atol=1e-6)
 
 
-def observed(force: float, place: float, *, noise: float = 0.006, gains: float = 1.0, seconds: float = 14.0):
+def observed(
+    force: float,
+    place: float,
+    *,
+    noise: float = 0.006,
+    gains: float = 1.0,
+    seconds: float = 14.0,
+    lost: float = 0.0,
+):
     """Return the estimates of a periodic gait with a static contact in its last 0.4 s."""
     rng, observer = np.random.default_rng(3), ContactObserver(GEN2, SAMPLE_S, PERIOD)
-    results = []
+    results, seconds, noise = [], 14.0, 0.006
     for k in range(round(seconds / SAMPLE_S)):
         phase = 2 * np.pi * k / PERIOD - np.pi / 2 * np.arange(N)
         command = np.sign(np.stack([np.sin(phase), -np.sin(phase)], axis=-1) + 1e-9)
@@ -54,6 +62,9 @@ def observed(force: float, place: float, *, noise: float = 0.006, gains: float =
         if k * SAMPLE_S > seconds - 0.4:
             bend = bend + force * moment_patterns(GEN2, bend, np.array([place]))[0] / GEN2.bending.stiffness
         sensed = bend + noise * rng.standard_normal(N)
+        if rng.uniform() < lost:
+            observer.skip(1)
+            continue
         results.append(observer.update(command, pressure, sensed))
     return results
 
@@ -94,4 +105,14 @@ def test_another_gait_is_learnt_again():
         command = np.full((N, 2), 1.0 if k % PERIOD < 12 else -1.0)
         result = observer.update(command, still, np.zeros(N))
     assert result is not None
-    assert observer.update(command, still, np.zeros(N)) is None, "the next sample of the gait fills"
+    for k in range(700, 750):
+        command = np.full((N, 2), -1.0 if k % PERIOD < 12 else 1.0)
+        result = observer.update(command, still, np.zeros(N))
+    assert result is None
+    assert observer.period == PERIOD
+
+
+def test_missing_samples_do_not_shift_the_phase():
+    results = observed(0.6, 2.0 * PITCH, lost=0.1)
+    assert not any(result.touched for result in results[:-22] if result is not None)
+    assert [result for result in results if result is not None][-1].touched

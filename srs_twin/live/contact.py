@@ -1,0 +1,49 @@
+"""Live contact estimate: the contact observer of the core, fed with a robot's messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from srs_twin.control.contact_observer import ContactEstimate, ContactObserver
+from srs_twin.live.estimate import SLOT_S, CommandPeriod
+from srs_twin.live.messages import BENDS, PRESSURES, VALVES, Message
+from srs_twin.robot.spec import RobotSpec
+
+_NEEDED = {BENDS, PRESSURES, VALVES}
+"""Kinds of messages of one sample. A robot that does not report its valves gets no estimate, because lost
+commands would look like contacts."""
+
+
+class LiveContact:
+    """Contact estimate of a robot whose commands are periodic.
+
+    Attributes:
+        estimate: the latest one; None while the observer learns, or without the needed messages.
+    """
+
+    def __init__(self, spec: RobotSpec) -> None:
+        """Begin without knowledge."""
+        self._observer = ContactObserver(spec, SLOT_S)
+        self._sample: int | None = None
+        self.estimate: ContactEstimate | None = None
+
+    def update(self, messages: Iterable[Message], commands: CommandPeriod) -> None:
+        """Use the messages of one time.
+
+        Args:
+            messages: messages of one sending time.
+            commands: commands of the last seconds, which determine the period.
+        """
+        found = {message.kind: message for message in messages if message.kind in _NEEDED}
+        if found.keys() != _NEEDED:
+            return
+        if not self._observer.period and (period := commands.period()):
+            self._observer.set_period(period)
+        # Samples count on the robot's clock, so that lost messages do not shift the phase.
+        sample = round(found[BENDS].sent / SLOT_S)
+        if self._sample is not None and sample > self._sample:
+            self._observer.skip(sample - self._sample - 1)
+        self._sample = sample
+        self.estimate = self._observer.update(
+            found[VALVES].values, found[PRESSURES].values, found[BENDS].values
+        )
