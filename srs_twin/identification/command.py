@@ -91,12 +91,14 @@ def friction(
     """
     output = FitOutput.from_options(context, "friction", robot, fit)
     from srs_twin.identification.friction import (
+        PULL_COLUMNS,
         CoastingTest,
         fit_coasting,
         fit_pulls,
         is_pull_table,
         read_pull_table,
     )
+    from srs_twin.recordings.formats import UnknownFormatError
     from srs_twin.robot.file import load_robot
 
     spec, kept = load_robot(robot), validate or []
@@ -110,7 +112,10 @@ def friction(
     reader = markers.reader()
 
     def coasting_test(path: str) -> CoastingTest:
-        recording = reader.motion(path, spec)
+        try:
+            recording = reader.motion(path, spec)
+        except UnknownFormatError as error:
+            raise InputError(f"{error}; a table of pulls has the columns {PULL_COLUMNS}") from None
         say(recording.summary.text(), quiet=fit.quiet)
         return CoastingTest.from_trajectory(recording.trajectory, path)
 

@@ -175,7 +175,8 @@ _CONSTANTS = ("spring_n_per_m", "mass_kg", "spring_error_n_per_m", "mass_error_k
 _MAX_DEFORMATION_M = 10.0
 """Largest plausible deformation; a larger one has the wrong unit."""
 
-_EXAMPLE = "along_mm,across_mm,spring_n_per_m,mass_kg"
+PULL_COLUMNS = "along_mm,across_mm,spring_n_per_m,mass_kg"
+"""First line of a table of pulls."""
 
 
 def is_pull_table(path: str | os.PathLike[str]) -> bool:
@@ -202,12 +203,12 @@ def read_pull_table(path: str | os.PathLike[str]) -> Pulls:
     columns = {column.name: column for column in table.columns}
     for column in table.columns:
         if column.number or column.letter:
-            raise table.error(column, f"{column.text}: these columns have no numbers; {_EXAMPLE}")
+            raise table.error(column, f"{column.text}: these columns have no numbers; {PULL_COLUMNS}")
     if not columns.keys() & set(_DIRECTIONS):
-        raise table.file.error(f"neither 'along' nor 'across'; a table of pulls has {_EXAMPLE}", 1)
+        raise table.file.error(f"neither 'along' nor 'across'; a table of pulls has {PULL_COLUMNS}", 1)
     for name in _CONSTANTS[:2]:
         if name not in columns:
-            raise table.file.error(f"no column '{name}'; a table of pulls has {_EXAMPLE}", 1)
+            raise table.file.error(f"no column '{name}'; a table of pulls has {PULL_COLUMNS}", 1)
     rows, _ = table.read(table.columns)
     values = {column.name: cells for column, cells in zip(table.columns, rows.T, strict=True)}
     along, across = (

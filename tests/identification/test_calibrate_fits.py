@@ -67,6 +67,13 @@ def test_invalid_tables_of_pulls_are_refused(tmp_path, text, message):
         read_pull_table(pulls_file(tmp_path, text))
 
 
+def test_table_without_columns_of_pulls_is_refused_with_these_columns(tmp_path, capsys):
+    path = pulls_file(tmp_path, "direction,force_n\nahead,0.05\n")
+    with pytest.raises(SystemExit, match="^2$"):
+        main(["calibrate", "friction", str(path), "--robot", "gen2"])
+    assert "a table of pulls has the columns along_mm,across_mm," in capsys.readouterr().err
+
+
 def test_residuals_are_printed_on_one_line_each(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")

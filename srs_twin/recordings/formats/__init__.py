@@ -48,6 +48,10 @@ _OTHERS: tuple[tuple[str | bytes, str, str], ...] = (
 )
 
 
+class UnknownFormatError(InputError):
+    """A file of no known format of motion recordings."""
+
+
 def identify(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> str:
     """Return the format of a recording, one of `FORMATS`, by its first bytes.
 
@@ -107,7 +111,9 @@ def _format(path: str | os.PathLike[str], dialect: Dialect) -> Format:
         else f"its first line is '{start.first_line[:40]}'"
     )
     listed = f"formats: {', '.join(FORMATS)} (first line time,x_1,y_1,x_2,y_2,…)"
-    raise InputError(escape_unprintable(f"{name}:1: not a known motion recording: {description}; {listed}"))
+    raise UnknownFormatError(
+        escape_unprintable(f"{name}:1: not a known motion recording: {description}; {listed}")
+    )
 
 
 def read_topics(path: str | os.PathLike[str]) -> RecordedTopics | None:
