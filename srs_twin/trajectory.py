@@ -127,7 +127,12 @@ class Trajectory(HtmlResult):
         return np.stack(arrays, axis=-1)
 
     def between(self, begin: float, end: float) -> Trajectory:
-        """Return the samples from a time to a later one, both included, s."""
+        """Return the samples of a part of the time.
+
+        Args:
+            begin: first time, included, s.
+            end: last time, included, s.
+        """
         kept = (self.time >= begin - _TIME_ROUNDING_S) & (self.time <= end + _TIME_ROUNDING_S)
         return replace(self, columns={name: column[kept] for name, column in self.columns.items()})
 

@@ -6,6 +6,7 @@ import ast
 import importlib
 import json
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -140,6 +141,9 @@ def test_yaml_loads(page, block, tmp_path, monkeypatch):
     for each in page.blocks:
         if each.file:
             (tmp_path / each.file).write_text(each.text, "utf-8")
+        # A footprint that a command of the page measures; loading a scenario needs any.
+        for name in re.findall(r"calibrate footprint .* --out \. --name (\w+)", each.text):
+            shutil.copy(ROOT / "calibration/footprints/gen2_gait.yaml", tmp_path / f"{name}.yaml")
     yaml = YAML(typ="safe", pure=True)
     document = yaml.load(block.text.replace("{…}", "{}"))
     if block.mark == "map":
