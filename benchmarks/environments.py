@@ -36,7 +36,8 @@ class Vector:
         for env in self._envs.envs:
             assert isinstance(env.task, CrawlTask)
             env.task.arena = replace(OPEN, distances=(2.4, 2.4))
-        self._actions = np.tile(np.float32([OFFSET, FREQUENCY_HZ, PRESSURE_KPA]), (count, 1))
+        action = self._envs.envs[0].task.from_physical([OFFSET, FREQUENCY_HZ, PRESSURE_KPA])
+        self._actions = np.tile(action, (count, 1))
         self._envs.reset(seed=0)
 
     def run(self, seconds: float) -> None:
