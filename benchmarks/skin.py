@@ -1,6 +1,6 @@
 """Snakes on skin: theory from outside, and the twin against the analytical model.
 
-    uv run python benchmarks/skin.py theory plants    # half a minute for the first, ten for the second
+    uv run python benchmarks/skin.py theory plants ellipse    # half a minute, ten minutes, ten minutes
 
 **Theory.** Hu, Nirody, Scott and Shelley (PNAS 106, 10081, 2009) prescribe the curvature κ = 7 cos 2π(s + t)
 of a snake of uniform weight under the law `cosine`, in body lengths and periods. The solver below is
@@ -9,7 +9,8 @@ velocities with which the friction on the whole curve has no force and no moment
 runs so slowly that its inertia is negligible.
 
 **Plants.** The twin and the model `compliant` at matched physics: equally many contact points, load transfer
-across the belly, inertia of its width, and fine hinges and steps.
+across the belly, inertia of its width, and fine hinges and steps. `plants` has the law `cosine`,
+`ellipse` the law of that name.
 """
 
 from __future__ import annotations
@@ -153,7 +154,7 @@ def theory() -> Iterator[str]:
         yield f"| {name} | {coefficients} | {outside:g} | {own:.4f} | {model:.4f} | {model / own - 1:+.2%} |"
 
 
-def matched_robot(ratio: float, waves: int) -> RobotSpec:
+def matched_robot(ratio: float, waves: int, law: str) -> RobotSpec:
     """Return the example robot with a flat body, a friction ratio, and a gait with some waves along it."""
     base, height = load_robot("skin_example"), 0.005
     assert base.skin is not None
@@ -161,17 +162,17 @@ def matched_robot(ratio: float, waves: int) -> RobotSpec:
         base,
         geometry=replace(base.geometry, com_height=height, wheel_radius=height),
         friction=replace(base.friction, mu_t=0.1, mu_back=0.1, mu_n=0.1 * ratio),
-        skin=replace(base.skin, points=12),
+        skin=replace(base.skin, points=12, law=law),
         phase_step=2 * math.pi * waves / base.segments,
     )
 
 
-def plants() -> Iterator[str]:
+def plants(law: str = "cosine") -> Iterator[str]:
     """Yield the table of the twin against the model `compliant`, gait at 1 Hz."""
     yield "| waves | friction ratio | model, mm/s | twin, mm/s | twin/model − 1 |"
     yield "|---|---|---|---|---|"
     for waves, ratio in product((1, 2, 3), (1, 2, 5, 10)):
-        spec = matched_robot(ratio, waves)
+        spec = matched_robot(ratio, waves, law)
         model = AnalyticalSnake(
             spec, model="compliant", inertia="connector", load="momentary", timestep=0.001
         )
@@ -182,4 +183,5 @@ def plants() -> Iterator[str]:
 
 if __name__ == "__main__":
     for table in sys.argv[1:] or ("theory", "plants"):
-        print(*{"theory": theory, "plants": plants}[table](), sep="\n", flush=True)
+        for row in plants(table) if table == "ellipse" else {"theory": theory, "plants": plants}[table]():
+            print(row, flush=True)

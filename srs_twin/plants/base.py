@@ -58,7 +58,7 @@ class SnakeState:
             (segments,), N·m.
         work: work of the torques since the start, ∫ Σ T_j q̇_j dt, J.
         internal_loss: part of the work that segments have dissipated without bending as a whole, J; 0 in the
-            analytical models, whose segments have one bend each.
+            analytical models, whose segments have one bend each or, with a skin, do not record this part.
         air: pneumatic energy drawn from the supply since the start, J, see `Pneumatics.air`.
         qpos: generalised positions of the twin; empty on other plants.
     """

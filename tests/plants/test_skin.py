@@ -159,6 +159,19 @@ def test_twin_agrees_with_the_compliant_model(law):
     assert distance[1] == pytest.approx(distance[0], rel=0.03)
 
 
+def test_work_of_compliant_cells_is_the_integral_of_the_torque_power():
+    """The cells dissipate an eighth of the work in motion that leaves the bends of the segments unchanged."""
+    step = 1e-3
+    plant = AnalyticalSnake(SPEC, model="compliant", inertia="connector", timestep=step)
+    plant.reset()
+    gait = Gait(1.0)
+    gait.reset(SPEC, plant.tick)
+    h = plant.play(gait.script(1.0), round(1.0 / step))
+    torque, bend = (np.concatenate([np.zeros((1, SPEC.segments)), a]) for a in (h.torque, h.bend))
+    expected = np.cumsum(((torque[1:] + torque[:-1]) / 2 * np.diff(bend, axis=0)).sum(axis=1))
+    assert np.abs(h.work - expected).max() < 0.005 * h.work[-1]
+
+
 def test_floor_carries_the_weight_evenly():
     twin = TwinSnake(SPEC)
     run = [twin.step(np.full((SPEC.segments, 2), -1)) for _ in range(5)]

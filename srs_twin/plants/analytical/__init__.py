@@ -159,6 +159,14 @@ class Body(Stateful, ABC):
             `Motion` at the samples, filled as far as they were reached.
         """
 
+    def stored(self, bend: np.ndarray) -> float | np.ndarray:
+        """Return the elastic energy of cells that bend unlike their segment, shape (samples,), J.
+
+        Args:
+            bend: bends of the cells, shape (samples, cells), rad.
+        """
+        return 0.0
+
     @abstractmethod
     def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
         """Return the motion at times for which the trace has one row each."""
@@ -365,6 +373,12 @@ class CompliantBends(Body):
         """See `Body.bends`."""
         bend = self.state[compliant_kernels.BENDS :][: self._bends]
         return self.cells.total(bend), self.cells.total(self.velocity[3:])
+
+    def stored(self, bend: np.ndarray) -> float | np.ndarray:
+        """See `Body.stored`."""
+        relative = bend - self.cells.split(self.cells.total(bend))
+        energy: np.ndarray = (np.ravel(self._spring[0]) * relative**2).sum(axis=-1) / 2
+        return energy
 
     def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
         """See `Body.motion`."""
@@ -732,7 +746,7 @@ class AnalyticalSnake(PneumaticPlant):
             contact_force=force,
             obstacle_force=np.zeros_like(force),
             torque=motion.torque,
-            work=energy + motion.states[:, kernels.ENERGY_LOSS],
+            work=energy + motion.states[:, kernels.ENERGY_LOSS] + self._body.stored(motion.bend),
             internal_loss=np.zeros(count),
             air=trace.air,
             qpos=np.empty((count, 0)),

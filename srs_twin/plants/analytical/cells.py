@@ -28,7 +28,7 @@ class Undivided:
         mass: mass of each connector, or of each end of a cell, shape (points,), kg.
         length: length of the arc of a segment, m, or of each cell, shape (cells,).
         gap: length of the straight part, which belongs to each arc, m.
-        inverse_share: 1/s_c, 1.
+        inverse_share: 1/s_c, shape (segments, cells per segment) for divided segments, 1.
     """
 
     inverse_share: float | np.ndarray = 1.0
@@ -85,7 +85,7 @@ class Cells(Undivided):
         self._behind_head = np.append(0.0, np.cumsum(self.length))
         rigid = cells.share == 0.0
         inverse = np.where(rigid, _RIGID_RATIO, 1.0 / np.where(rigid, 1.0, cells.share))
-        self.inverse_share = np.tile(inverse, spec.segments)
+        self.inverse_share = np.tile(inverse, (spec.segments, 1))
 
     @property
     def com_behind_head(self) -> float:

@@ -36,6 +36,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
+from numba.extending import overload
 
 from srs_twin.compute.compiled import allocating, compiled
 from srs_twin.plants.analytical.floor import (
@@ -149,6 +151,45 @@ def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def
     return fx, fy, moment, power
 
 
+def relative_power(damping, rates):  # type: ignore[no-untyped-def]
+    r"""Return the power that the cells of all segments dissipate in their relative motion, W.
+
+    Cells in series have the damping d_c, their segment 1/Σ 1/d_c. Of the power Σ d_c q̇_c² of the dampers, the
+    net moment of the segment contains the part (Σ q̇_c)² / Σ 1/d_c (`plants.twin.internal_joints`).
+
+    Args:
+        damping: d_c, shape (segments, cells per segment), N·m·s/rad; for undivided segments a number, or one
+            for each.
+        rates: bend rates of the cells, shape (cells,), rad/s.
+    """
+    if np.ndim(damping) < 2:
+        return 0.0
+    rate = np.reshape(rates, damping.shape)
+    return float((damping * rate**2).sum() - (rate.sum(axis=1) ** 2 / (1 / damping).sum(axis=1)).sum())
+
+
+@overload(relative_power)
+def _compile_relative_power(damping, rates):  # type: ignore[no-untyped-def]
+    """Compile `relative_power` with loops; undivided segments have no relative motion."""
+    if not isinstance(damping, types.Array) or damping.ndim == 1:
+        return lambda damping, rates: 0.0
+
+    def sum_over_segments(damping, rates):  # type: ignore[no-untyped-def]
+        power = 0.0
+        segments, cells = damping.shape
+        for j in range(segments):
+            rate = inverse = 0.0
+            for c in range(cells):
+                cell_rate = rates[j * cells + c]
+                power += damping[j, c] * cell_rate * cell_rate
+                rate += cell_rate
+                inverse += 1 / damping[j, c]
+            power -= rate * rate / inverse
+        return power
+
+    return sum_over_segments
+
+
 @compiled
 def balance(q, u, moment, a, model, momentum, force, work):  # type: ignore[no-untyped-def]
     """Evaluate momenta and forces of Lagrange's equations in the frame of the mean heading.
@@ -159,13 +200,14 @@ def balance(q, u, moment, a, model, momentum, force, work):  # type: ignore[no-u
             (3 + segments,).
         moment: moment of the air on each segment, shape (segments,), N·m.
         a: γ h for `solve`, s.
-        model: body; stiffness k (N·m/rad) and damping c (N·m·s/rad), numbers or one for each segment; floor.
+        model: body; stiffness k (N·m/rad) and damping c (N·m·s/rad), numbers, one for each segment, or,
+            for cells, shape (segments, cells per segment); floor.
         momentum: out, p, shape (3 + segments,).
         force: out, dp/dt, shape (3 + segments,).
         work: from `work_arrays`; on return the input of `solve`.
 
     Returns:
-        Power that friction dissipates, W.
+        Power that friction dissipates, and cells in their relative motion, W.
     """
     solid, (stiffness, damping), floor = model
     body, links, loads, _, _ = work
@@ -187,7 +229,7 @@ def balance(q, u, moment, a, model, momentum, force, work):  # type: ignore[no-u
         force[3 + j] += moment[j] - entry(stiffness, j) * q[j] - entry(damping, j) * u[3 + j]
         pm += link[0] * px + link[1] * py
         m += link[0] * x + link[1] * y + link[2] * px + link[3] * py
-    return power
+    return power + relative_power(damping, u[3:])
 
 
 @compiled

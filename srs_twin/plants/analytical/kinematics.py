@@ -50,14 +50,16 @@ class BodyParameters(NamedTuple):
 
 
 def entry(value, j):  # type: ignore[no-untyped-def]
-    """Return entry j of an array, or a number that is the same for all j."""
-    return value if np.ndim(value) == 0 else value[j]
+    """Return entry j of an array, counted through its rows, or a number that is the same for all j."""
+    return value if np.ndim(value) == 0 else value.flat[j]
 
 
 @overload(entry, jit_options={"forceinline": True})
 def _compile_entry(value, j):  # type: ignore[no-untyped-def]
     """Compile `entry` without a branch, so that a number stays a constant of the loop."""
-    return (lambda value, j: value[j]) if isinstance(value, types.Array) else (lambda value, j: value)
+    if not isinstance(value, types.Array):
+        return lambda value, j: value
+    return (lambda value, j: value[j]) if value.ndim == 1 else (lambda value, j: value.flat[j])
 
 
 def mean_pitch(solid):  # type: ignore[no-untyped-def]
