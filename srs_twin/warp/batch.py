@@ -147,7 +147,8 @@ class WarpBatch:
         mujoco.mj_forward(raw, data)
         capacity = {
             "nconmax": _CAPACITY_FACTOR * max(data.ncon, 8),
-            "njmax": _CAPACITY_FACTOR * max(data.nefc, 8),
+            # A contact that just touches has no row yet.
+            "njmax": _CAPACITY_FACTOR * max(data.nefc, data.ncon, 8),
         }
         slot = self._slot = min(valve_slot(self.tick, self.twins[0].spec.scale), self._h)
         self._slots, self._steps = round(self._h / slot), round(self.tick / self._h)

@@ -195,6 +195,21 @@ def test_each_world_has_individual_parameters(contact):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("law", ["cosine", "ellipse"])
+def test_skin_agrees_with_the_cpu_engine(law, capfd):
+    base = load_robot("skin_example")
+    spec = replace(base, skin=replace(base.skin, law=law))
+    other = replace(spec, friction=replace(spec.friction, mu_back=0.2, mu_n=0.3))
+    here, there = both([spec, other], [(1.0, 0.0), (1.0, 0.2)], 0.1)
+    assert "overflow" not in capfd.readouterr().out  # too little room for contacts loses forces
+    for a, b in zip(here, there, strict=True):
+        assert a["work"][-1] > 0.005
+        assert np.hypot(a["com_x"] - b["com_x"], a["com_y"] - b["com_y"]).max() < 1e-5
+        assert np.abs(a["work"] - b["work"]).max() < 1e-5
+        assert np.abs(a["internal_loss"] - b["internal_loss"]).max() < 1e-6
+
+
+@pytest.mark.slow
 def test_obstacle_contact_agrees_with_the_cpu_engine():
     world = World((Circle(0.24, 0.03, 0.04),))
     here, there = both([GEN2], [(2.0, 0.0)], 0.8, contact="loaded", world=world)
