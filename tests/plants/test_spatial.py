@@ -207,6 +207,16 @@ def test_a_clamped_snake_sags_as_the_elastica():
     assert abs(state.bend[:, 0]).max() < 1e-9
 
 
+def test_the_scenario_of_a_run_loads_again_and_a_start_in_motion_is_refused():
+    scenario = load_scenario("spatial_sidewinding")
+    again = parse_scenario(scenario.document, "again")
+    assert again.document == scenario.document
+    with pytest.raises(InputFileError, match="start: spatial_example is spatial"):
+        load_scenario("spatial_sidewinding", set={"start.bend_rad": [0.1] * 8})
+    with pytest.raises(InputFileError, match="world: spatial_example is spatial"):
+        load_scenario("spatial_sidewinding", set={"world.floor.tilt_deg": 5})
+
+
 def test_features_for_planar_robots_refuse_a_spatial_one_by_name():
     planar = load_robot("gen2")
     for refused in (
