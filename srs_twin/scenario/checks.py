@@ -137,7 +137,14 @@ def _check_spatial(document: Document, file: ScenarioFile, robot: RobotFile) -> 
     if file.start.moves:
         text = f"{robot.name} is spatial and starts straight and at rest; set its pose only"
         document.report(("start",), text, at_key=True)
-    if world.steps or world.floor.tilt_deg or world.objects or world.obstacles or world.polygons or world.random:
+    if (
+        world.steps
+        or world.floor.tilt_deg
+        or world.objects
+        or world.obstacles
+        or world.polygons
+        or world.random
+    ):
         text = f"{robot.name} is spatial and crawls on a level floor without obstacles"
         document.report(("world",), text, at_key=True)
     if file.pneumatics.kind != "lag":

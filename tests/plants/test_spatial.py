@@ -12,6 +12,7 @@ from srs_twin.errors import InputError, InputFileError
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics import LagPneumatics, Schedule, make_pneumatics
 from srs_twin.robot.spec import GRAVITY
+from srs_twin.scenario.loading import parse_scenario
 from srs_twin.sensing import make_sensor
 from srs_twin.trajectory import Trajectory
 
@@ -209,7 +210,7 @@ def test_a_clamped_snake_sags_as_the_elastica():
 
 def test_the_scenario_of_a_run_loads_again_and_a_start_in_motion_is_refused():
     scenario = load_scenario("spatial_sidewinding")
-    again = parse_scenario(scenario.document, "again")
+    again = parse_scenario(scenario.document)
     assert again.document == scenario.document
     with pytest.raises(InputFileError, match="start: spatial_example is spatial"):
         load_scenario("spatial_sidewinding", set={"start.bend_rad": [0.1] * 8})
