@@ -239,7 +239,7 @@ class Expectation(Section):
         )
         return (
             f"undecided: published {self.published:.4g} is {distance:.2g} standard errors from the end "
-            f"{end:.4g} (± {error:.2g}) of the interval; from {UNDECIDED_ERRORS:g} on it is decided "
+            f"{end:.4g} (± {error:.2g}) of the interval, and a verdict needs {UNDECIDED_ERRORS:g} "
             "(more --samples and --twin make the error smaller)"
         )
 
