@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import threading
 import time
 import traceback
 from abc import ABC, abstractmethod
@@ -33,12 +35,20 @@ def say(*lines: str, quiet: bool = False) -> None:
 
 @contextmanager
 def interruptible(message: Callable[[], str] | str) -> Iterator[None]:
-    """Exit with `INTERRUPTED` on Ctrl-C, after a message about the saved work."""
+    """Exit with `INTERRUPTED` on Ctrl-C or SIGTERM, after a message about the saved work."""
+    # Pipelines cancel jobs with SIGTERM. A signal that the caller ignores stays ignored.
+    handled = threading.current_thread() is threading.main_thread()
+    handled = handled and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    if handled:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
     except KeyboardInterrupt:
         say(f"interrupted; {message if isinstance(message, str) else message()}")
         raise SystemExit(INTERRUPTED) from None
+    finally:
+        if handled:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def console() -> Console:

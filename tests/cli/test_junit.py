@@ -281,7 +281,8 @@ def test_a_place_that_cannot_be_written_is_refused_before_simulating(tmp_path, s
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
-def test_report_after_an_interrupt_marks_unfinished_runs(tmp_path):
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
+def test_report_after_an_interrupt_marks_unfinished_runs(tmp_path, end):
     (tmp_path / "brief.yaml").write_text(SCENARIO)
     (tmp_path / "long.yaml").write_text(SCENARIO.replace("0.2", "600").replace("{}}", "{}, twin: {}}"))
     (tmp_path / "r.xml").write_text("of an earlier run")
@@ -295,7 +296,7 @@ def test_report_after_an_interrupt_marks_unfinished_runs(tmp_path):
         time.sleep(0.05)
     assert kinds(read(tmp_path / "r.xml")["brief"]) == ["skipped"], "before the end nothing is claimed"
     time.sleep(0.5)
-    os.killpg(child.pid, signal.SIGINT)
+    os.killpg(child.pid, end)
     _, said = child.communicate(timeout=300)
     assert child.returncode == 130, said
     assert "interrupted; complete runs: runs/brief\n" in said
