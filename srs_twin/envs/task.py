@@ -276,6 +276,7 @@ class Task(ABC):
                 raise UnknownNameError("setting of the task or its twin", name, allowed)
         self.limit_s, self._variation, self._twin_settings = limit_s, variation, twin_settings
         self.robot = variation.file.spec()
+        self.robot.require_planar("an environment")
 
     def _set_observations(self, groups: Mapping[str, Signals]) -> None:
         """Set the groups of observations, and select those that the agent gets.

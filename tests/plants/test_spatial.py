@@ -8,12 +8,15 @@ from scipy.integrate import solve_bvp
 
 from srs_twin import AnalyticalSnake, Gait, load_robot, load_scenario, rollout
 from srs_twin.control.gait import PitchWave
+from srs_twin.envs import dm
 from srs_twin.errors import InputError, InputFileError
+from srs_twin.live.shadow import Shadow
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics import LagPneumatics, Schedule, make_pneumatics
 from srs_twin.robot.spec import GRAVITY
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.sensing import make_sensor
+from srs_twin.studies.sweep.task import flat_metrics
 from srs_twin.trajectory import Trajectory
 
 SPEC = load_robot("spatial_example")
@@ -218,12 +221,19 @@ def test_the_scenario_of_a_run_loads_again_and_a_start_in_motion_is_refused():
         load_scenario("spatial_sidewinding", set={"world.floor.tilt_deg": 5})
 
 
+def test_sweeps_record_the_openings_of_every_chamber():
+    columns = flat_metrics("twin", {"valve_switches": [[1, 2, 3, 4], [5, 6, 7, 8]]})
+    assert columns["twin.valve_switches_3_2"] == 7.0 and len(columns) == 8
+
+
 def test_features_for_planar_robots_refuse_a_spatial_one_by_name():
     planar = load_robot("gen2")
     for refused in (
         lambda: make_pneumatics("orifice", SPEC, supply_pa=SUPPLY, layout="3/2"),
         lambda: make_sensor("hall", SPEC),
         lambda: AnalyticalSnake(SPEC),
+        lambda: Shadow(SPEC),
+        lambda: dm.load("GoTo", robot="spatial_example"),
     ):
         with pytest.raises(InputError, match="does not support the spatial robot spatial_example"):
             refused()

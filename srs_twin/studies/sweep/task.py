@@ -134,7 +134,7 @@ def _partial_trajectory(
 
 
 def flat_metrics(prefix: str, metrics: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return metrics as scalars; elements of lists are numbered, chambers are named plus and minus.
+    """Return metrics as scalars; elements of lists are numbered, two chambers named plus and minus.
 
     Args:
         prefix: owner, in front of each name: a plant, "comparison" or "plan".
@@ -160,9 +160,9 @@ def _scalars(value: Any) -> Iterator[tuple[str, float | None]]:
         elif entry and isinstance(entry[0], list | tuple):
             yield from ((f"{ending}_period_{i}", number) for ending, number in _scalars(entry))
         else:
-            yield from (
-                (f"_{side}_{i}", number) for side, number in zip(("plus", "minus"), entry, strict=True)
-            )
+            # A segment of a spatial robot has more chambers than + and −.
+            sides = ("plus", "minus") if len(entry) == len("+-") else range(1, len(entry) + 1)
+            yield from ((f"_{side}_{i}", number) for side, number in zip(sides, entry, strict=True))
 
 
 def _parquet(trajectory: Trajectory) -> bytes:
