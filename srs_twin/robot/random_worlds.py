@@ -9,6 +9,9 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.robot.world import Bounds, Circle, Goal, Pose, World
 
+PEG_DISTANCE_M = 0.2
+"""Default distance of the first pegs ahead of the start at a length unit of 1 (`robot.scale`), m."""
+
 FIG54_START = Pose(0.0, 0.0, math.pi / 4)
 """Start of Section 5.2.1 in the world of Fig. 54."""
 
@@ -43,6 +46,47 @@ def fig54_world(count: int, seed: int) -> World:
         raise InputError(f"{count} obstacles cannot be drawn from {len(FIG54_SITES)} sites")
     drawn = np.random.default_rng((seed, count)).choice(len(FIG54_SITES), count, replace=False)
     return World(tuple(FIG54_SITES[i] for i in sorted(drawn)), FIG54_BOUNDS, FIG54_GOAL)
+
+
+def peg_field(
+    pitch: float,
+    radius: float,
+    rows: int,
+    columns: int,
+    first: tuple[float, float],
+    seed: int,
+    *,
+    jitter: float = 0.0,
+    staggered: bool = False,
+) -> tuple[Circle, ...]:
+    """Return a field of posts on a square grid, symmetric about the line y = first[1], column by column.
+
+    Args:
+        pitch: distance between neighbouring rows and columns, m.
+        radius: radius of all posts, m.
+        rows: number of posts in a column, along y.
+        columns: number of columns, along x.
+        first: x of the first column, and y of the middle of all columns, m.
+        seed: random seed of the displacements.
+        jitter: largest displacement of a post along x and along y, uniformly distributed, m.
+        staggered: shift every second column by half a pitch, to alternate sides.
+
+    Raises:
+        InputError: displaced posts could overlap.
+    """
+    if not 2 * (radius + jitter) < pitch:
+        raise InputError(
+            f"pegs of radius {radius:g} m that are displaced by up to {jitter:g} m overlap at a pitch of "
+            f"{pitch:g} m; the pitch must be above {2 * (radius + jitter):g} m"
+        )
+    shifts = np.random.default_rng(seed).uniform(-jitter, jitter, (columns, rows, 2))
+    pegs = []
+    for i in range(columns):
+        stagger = ((i + 1) % 2 - 0.5) / 2 * pitch if staggered else 0.0
+        for j in range(rows):
+            x, y = first[0] + i * pitch, first[1] + (j - (rows - 1) / 2) * pitch + stagger
+            pegs.append(Circle(x + float(shifts[i, j, 0]), y + float(shifts[i, j, 1]), radius))
+    return tuple(pegs)
 
 
 def random_circles(

@@ -6,6 +6,12 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+OBSTACLE_FRICTION = 0.5
+"""Default friction coefficient of silicone on a smooth obstacle, 1. Estimate; the dissertation gives none."""
+
+WALL_M = 0.001
+"""Radius of the sides of a polygon, by which it is larger than drawn, m."""
+
 
 @dataclass(frozen=True)
 class Pose:
@@ -171,6 +177,7 @@ class World:
         floor: slope of the floor.
         steps: steps of the floor.
         objects: movable objects; on the twin only.
+        friction: coefficient of Coulomb friction between the body and obstacles, 1.
     """
 
     obstacles: tuple[Circle, ...] = ()
@@ -180,6 +187,7 @@ class World:
     floor: Floor = Floor()
     steps: tuple[Step, ...] = ()
     objects: tuple[MovableObject, ...] = ()
+    friction: float = OBSTACLE_FRICTION
 
     @property
     def uneven(self) -> bool:

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from itertools import chain
 from typing import Any
 
+import numpy as np
+
 from srs_twin.comparison.metrics import MEASURED_UNITS
 from srs_twin.control.gait import Gait
 from srs_twin.control.replay import HoldValves
@@ -16,6 +18,8 @@ from srs_twin.pneumatics.base import Pneumatics
 from srs_twin.pneumatics.chambers import largest_bend
 from srs_twin.robot.file import SERVO_PRESSURE_KPA, RobotFile
 from srs_twin.robot.friction import TWO_POINT_LAWS
+from srs_twin.robot.spec import RobotSpec
+from srs_twin.robot.world import World
 from srs_twin.scenario.file import LEAST_RECORD_HZ, MOST_RECORD_HZ, ScenarioFile
 from srs_twin.scenario.plants import TwinFile
 
@@ -76,6 +80,26 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
         return [f"supply.pressure_kpa: {text}"]
     document.report(("supply", "pressure_kpa"), f"{text}; lower it, or set allow_overpressure: true")
     return []
+
+
+def check_start_among_pegs(document: Document, file: ScenarioFile, spec: RobotSpec, world: World) -> None:
+    """Report the first peg that overlaps the straight snake at its start."""
+    if not file.world.pegs:
+        return
+    start, geometry = file.start.build(), spec.geometry
+    c, s = math.cos(start.heading), math.sin(start.heading)
+    stations = geometry.pitch * np.arange(geometry.connectors)
+    ahead = float(spec.mass.array() @ stations) / spec.mass.total
+    for k, peg in enumerate(world.obstacles, start=1):
+        x, y = peg.x - start.x, peg.y - start.y
+        along = c * x + s * y
+        outside = along - min(max(along, ahead - geometry.body_length), ahead)
+        if math.hypot(outside, c * y - s * x) < peg.radius + geometry.width / 2:
+            text = (
+                f"obstacle {k} at ({peg.x:.4g}, {peg.y:.4g}) m overlaps the snake at its start; move the pegs"
+            )
+            document.report(("world", "pegs"), text)
+            return
 
 
 def check_robot(document: Document, file: ScenarioFile, robot: RobotFile) -> None:
@@ -248,11 +272,14 @@ def _check_bench(document: Document, file: ScenarioFile) -> None:
 
 
 def _check_world(document: Document, file: ScenarioFile) -> None:
-    """Report random obstacles without an area, and objects that a plant does not support."""
+    """Report random obstacles without an area, and pegs and objects that a plant does not support."""
     random, bounds = file.world.random, file.world.bounds
     if random and random.kind == "strewn" and not (random.area or bounds):
         document.report(("world", "random"), "strewn needs an area; set area, or bounds of the world")
     plants = file.plants
+    if file.world.pegs and plants.analytical and not plants.analytical.touch:
+        text = "pegs need an analytical plant that touches them; set model: compliant and touch: true"
+        document.report(("plants", "analytical"), text)
     if not file.world.objects:
         return
     if plants.analytical is not None:

@@ -26,6 +26,7 @@ from srs_twin.scenario.checks import (
     check,
     check_controller,
     check_robot,
+    check_start_among_pegs,
     check_supply_pressure,
 )
 from srs_twin.scenario.file import ScenarioFile
@@ -87,12 +88,14 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
     if file and robot:
         file = file.scaled_to(robot.scale)
     if file:
-        with document.report_errors("world", "random"):
-            world = file.world.build_world(file.start.build(), file.seed)
+        with document.report_errors("world", "pegs" if file.world.pegs else "random"):
+            length = robot.scale.length if robot else 1.0
+            world = file.world.build_world(file.start.build(), file.seed, length)
         check(document, file)
     components = _Components()
     if file and robot:
         check_robot(document, file, robot)
+        check_start_among_pegs(document, file, robot.spec(file.seed), world)
         components = _build_components(Loading(document, file, robot, world, {}, warnings), file)
     document.raise_problems(robot_problems)
     assert file is not None and robot is not None, "no problem was reported"

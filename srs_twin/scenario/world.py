@@ -5,17 +5,31 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from srs_twin.errors import InputError
-from srs_twin.robot.random_worlds import fig54_world, random_circles
+from srs_twin.robot.random_worlds import PEG_DISTANCE_M, fig54_world, peg_field, random_circles
 from srs_twin.robot.scale import Scale
-from srs_twin.robot.world import Bounds, Circle, Floor, Goal, MovableObject, Polygon, Pose, Step, World
+from srs_twin.robot.world import (
+    OBSTACLE_FRICTION,
+    Bounds,
+    Circle,
+    Floor,
+    Goal,
+    MovableObject,
+    Polygon,
+    Pose,
+    Step,
+    World,
+)
 from srs_twin.scenario.fields import FilePath, Section, constructor_default, quantity
 from srs_twin.scenario.map_file import read_circles, read_map
 
 Metres = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 Pair = Annotated[tuple[Metres, ...], Field(min_length=2, max_length=2)]
+MAX_PEGS = 1000
+"""Largest number of pegs in a field."""
+
 Radius = Annotated[float, Field(ge=0.001, le=100.0)]
 
 
@@ -132,6 +146,53 @@ class RandomFile(Section):
         return random_circles(bounds=area.build(), **arguments) if area else ()
 
 
+class PegsFile(Section):
+    """Field of posts with rows along y and columns along x."""
+
+    constructors = (peg_field,)
+
+    pitch_m: float = quantity(1e-4, 100.0)
+    """Distance between neighbouring posts."""
+    radius_m: float = quantity(1e-5, 100.0)
+    """Radius of the posts."""
+    rows: int = quantity(1, 1000)
+    """Number of posts in a column, along y."""
+    columns: int = quantity(1, 1000)
+    """Number of columns, along x."""
+    jitter_m: float = quantity(0.0, 100.0)
+    """Largest random displacement of a post along x and along y."""
+    staggered: bool = constructor_default()
+    """Whether every second column is shifted by half a pitch."""
+    x_m: float | None = quantity(-1000.0, 1000.0, None)
+    """x of the first column (default: 0.2 times the robot's length unit beyond the start)."""
+    y_m: float | None = quantity(-1000.0, 1000.0, None)
+    """y of the middle of the columns (default: that of the start)."""
+    seed: int | None = quantity(0, 2**32 - 1, None)
+    """Random seed of the displacements (default: seed of the scenario)."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> PegsFile:
+        if (count := self.rows * self.columns) > MAX_PEGS:
+            raise ValueError(f"{count} pegs are too many; at most {MAX_PEGS} are allowed")
+        return self
+
+    def draw(self, start: Pose, seed: int, length: float) -> tuple[Circle, ...]:
+        """Return the posts.
+
+        Args:
+            start: initial pose of the snake.
+            seed: default of the random seed.
+            length: length unit of the robot, 1.
+
+        Raises:
+            InputError: displaced posts could overlap.
+        """
+        x = start.x + PEG_DISTANCE_M * length if self.x_m is None else self.x_m
+        first = x, start.y if self.y_m is None else self.y_m
+        arguments = self.arguments() | {"first": first, "seed": seed if self.seed is None else self.seed}
+        return peg_field(**arguments)
+
+
 class FloorFile(Section):
     """Slope of the floor; x and y are coordinates in its plane."""
 
@@ -223,6 +284,11 @@ class WorldFile(Section):
     """Polygonal obstacles."""
     random: RandomFile | None = None
     """Random round obstacles."""
+    # None instead of values, so that documents of scenarios without these keys keep their digests.
+    pegs: PegsFile | None = None
+    """Field of posts."""
+    obstacle_friction: float | None = quantity(0.0, 10.0, None)
+    """Coefficient of Coulomb friction between the body and obstacles (default: 0.5, an estimate)."""
     floor: FloorFile = FloorFile()
     """Slope of the floor."""
     steps: Annotated[list[StepFile], Field(max_length=100)] = []
@@ -255,22 +321,24 @@ class WorldFile(Section):
             raise ValueError(str(error)) from None
         return path
 
-    def build_world(self, start: Pose, seed: int) -> World:
+    def build_world(self, start: Pose, seed: int, length: float = 1.0) -> World:
         """Return the world of a snake that starts at a pose.
 
         Args:
             start: initial pose, which random obstacles avoid.
             seed: random seed of the scenario.
+            length: length unit of the robot, 1.
 
         Raises:
-            InputError: random circles do not fit into their area, or a file cannot be used.
+            InputError: random circles or pegs do not fit into their area, or a file cannot be used.
         """
         goal = self.goal.build() if self.goal else None
         places = [start, goal] if goal else [start]
         random = self.random.draw(self.bounds, seed, places) if self.random else ()
+        pegs = self.pegs.draw(start, seed, length) if self.pegs else ()
         listed = read_circles(Path(self.circles)) if self.circles else ()
         return World(
-            obstacles=tuple(circle.build() for circle in self.obstacles) + listed + random,
+            obstacles=tuple(circle.build() for circle in self.obstacles) + listed + random + pegs,
             bounds=self.bounds.build() if self.bounds else None,
             goal=goal,
             polygons=tuple(polygon.build() for polygon in self.polygons)
@@ -278,4 +346,5 @@ class WorldFile(Section):
             floor=self.floor.build(),
             steps=tuple(step.build() for step in self.steps),
             objects=tuple(item.build() for item in self.objects or ()),
+            friction=OBSTACLE_FRICTION if self.obstacle_friction is None else self.obstacle_friction,
         )

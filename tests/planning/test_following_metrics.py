@@ -12,7 +12,7 @@ from synthetic import Snake
 from srs_twin.comparison.metrics import METRIC_UNITS, plant_metrics
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.metrics import FOLLOWING_UNITS, centre_points, following_metrics, legs
-from srs_twin.plants.twin.mjcf.numerics import WALL_M
+from srs_twin.robot.world import WALL_M
 from srs_twin.trajectory import Trajectory
 
 pytestmark = pytest.mark.fast

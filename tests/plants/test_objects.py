@@ -11,9 +11,9 @@ from srs_twin import load_robot
 from srs_twin.control.gait import Gait
 from srs_twin.errors import InputError
 from srs_twin.plants.analytical import AnalyticalSnake
-from srs_twin.plants.twin.mjcf.surroundings import FRICTION
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.spec import GRAVITY, Friction, RobotSpec
+from srs_twin.robot.world import OBSTACLE_FRICTION as FRICTION
 from srs_twin.robot.world import Circle, MovableObject, Polygon, World
 from srs_twin.rollout import rollout
 

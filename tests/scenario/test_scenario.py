@@ -553,6 +553,7 @@ SET = {
     ("world", "map"): str((data_root() / "calibration/examples/room/room.yaml").resolve()),
     ("world", "polygons"): [{"corners_m": [[3.0, 3.0], [4.0, 3.0], [4.0, 5.0]]}],
     ("world", "random"): {"count": 2, "seed": 5, "area": {"x_m": [2.0, 9.0], "y_m": [2.0, 9.0]}},
+    ("world", "pegs"): {"pitch_m": 0.2, "radius_m": 0.02, "rows": 2, "columns": 3, "x_m": 1.0},
     ("world", "floor"): {"tilt_deg": 3.0, "uphill_deg": 90.0},
     ("world", "steps"): [{"x_m": 0.5, "height_m": 0.002}],
     ("world", "objects"): [

@@ -29,10 +29,11 @@ from srs_twin.compute.compiled import allocating
 from srs_twin.errors import DivergedError, InputError, check_choice
 from srs_twin.io.saved_state import Stateful, short_digest
 from srs_twin.plants.analytical import compliant_kernels, kernels
-from srs_twin.plants.analytical.cells import Cells, Undivided
+from srs_twin.plants.analytical.cells import Cells, Undivided, cells_of_skin, cells_of_wheels
 from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
 from srs_twin.plants.analytical.kernels import inverse_dynamics
 from srs_twin.plants.analytical.kinematics import ROWS, BodyParameters, chord_terms, pose_body
+from srs_twin.plants.analytical.obstacles import Obstacles, make_obstacles
 from srs_twin.plants.analytical.steps import Steps, advance
 from srs_twin.plants.base import (
     BASES,
@@ -57,7 +58,8 @@ class Motion(NamedTuple):
     """Motion of a body at several times.
 
     Attributes:
-        states: indices as in `kernels`, shape (samples, STATES or more).
+        states: indices as in `kernels`, shape (samples, STATES or more); in a world with obstacles followed
+            by their mean forces on each point since the previous sample.
         velocities: velocity of the centre of mass in the mean-heading frame (m/s), yaw rate (rad/s) and, for
             compliant bends, bend rates (rad/s), shape (samples, 3 or more).
         bend: bends of the segments, or of the cells of a body with skin, shape (samples, cells), rad.
@@ -81,12 +83,14 @@ class Body(Stateful, ABC):
         solid: constants of the body for the kernels.
         floor: floor for the kernels.
         cells: division of the segments.
+        obstacles: obstacles that the body can touch, or None.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ("state", "velocity")
 
     state: np.ndarray
     velocity: np.ndarray
+    obstacles: Obstacles | None = None
 
     compliant = False
     """Whether the bends are degrees of freedom, instead of the free bends of the chambers."""
@@ -323,20 +327,36 @@ class CompliantBends(Body):
     segment without load obeys Eq. 14; inertia and friction deflect it.
     """
 
+    state_attributes = ("_sampled",)
     compliant = True
 
     def __init__(
-        self, spec: RobotSpec, solid: BodyParameters, floor: FloorFriction, cells: Undivided
+        self,
+        spec: RobotSpec,
+        solid: BodyParameters,
+        floor: FloorFriction,
+        cells: Undivided,
+        obstacles: Obstacles | None = None,
     ) -> None:
         self._bends = len(solid.mass) - 1
         super().__init__(solid, floor, cells, self._bends)
         bending = spec.bending
-        self._spring = bending.stiffness * cells.inverse_share, bending.damping * cells.inverse_share
+        spring = bending.stiffness * cells.inverse_share, bending.damping * cells.inverse_share
+        self.obstacles = obstacles
+        self._model = (solid, spring, floor) if obstacles is None else (solid, spring, floor, obstacles)
+        self._momenta = slice(
+            compliant_kernels.BENDS + self._bends, compliant_kernels.BENDS + 2 * self._bends
+        )
+        # Impulses of the obstacles on each point, and the time, follow the momenta.
+        self._impulses = slice(self._momenta.stop, None)
+        count = 0 if obstacles is None else obstacles.force.size + 1
+        self._shapes = self._momenta.stop + count, self._shapes[1]
         self._spec, self._bias = spec, spec.modules.array("bias")
 
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`."""
         super().reset(pose)
+        self._sampled = self.state[self._impulses].copy()
         bias = self.cells.split(self._bias)
         self.state[compliant_kernels.BENDS :][: self._bends] = bias
         self.state[kernels.HEADING] += self.cells.lead(bias)
@@ -348,26 +368,33 @@ class CompliantBends(Body):
         bend, rate = self.cells.split(bend), self.cells.split(rate)
         self.state[compliant_kernels.BENDS :][: self._bends], self.velocity[3:] = bend, rate
         momentum, force = np.empty((2, len(self.velocity)))
-        model, work = (
-            (self.solid, self._spring, self.floor),
-            compliant_kernels.work_arrays(len(self.solid.mass)),
-        )
+        model, work = self._model[:3], compliant_kernels.work_arrays(len(self.solid.mass))
         compliant_kernels.balance(
             bend, self.velocity, np.zeros(self._bends), 0.0, model, momentum, force, work
         )
-        self.state[compliant_kernels.BENDS + self._bends :] = momentum[3:]
+        self.state[self._momenta] = momentum[3:]
 
     def move(
         self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
     ) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
-        now, model = (self.state, self.velocity), (self.solid, self._spring, self.floor)
-        samples = self._allocate(len(sample_steps))
+        now, samples = (self.state, self.velocity), self._allocate(len(sample_steps))
         # The moment of the air is the same in all cells of a segment.
         each = self._bends // trace.bend.shape[-1]
         moments = np.repeat(self._air_moments(trace)[1:], each, axis=-1).reshape(len(steps), 2, -1)
-        done: int = compliant_kernels.advance(now, steps, moments, sample_steps, model, samples)
+        done: int = compliant_kernels.advance(now, steps, moments, sample_steps, self._model, samples)
+        if self.obstacles is not None:
+            self._average_forces(samples[0][:, self._impulses], sample_steps <= done)
         return done, *samples
+
+    def _average_forces(self, impulses: np.ndarray, reached: np.ndarray) -> None:
+        """Convert impulses and times of samples, in place, to the mean forces since the previous sample."""
+        if not reached.any():
+            return
+        last = impulses[reached][-1].copy()
+        changes = np.diff(impulses[reached], axis=0, prepend=self._sampled[None])
+        impulses[reached] = changes / changes[:, -1:]
+        self._sampled = last
 
     def bends(self) -> tuple[np.ndarray, np.ndarray]:
         """See `Body.bends`."""
@@ -377,7 +404,7 @@ class CompliantBends(Body):
     def stored(self, bend: np.ndarray) -> float | np.ndarray:
         """See `Body.stored`."""
         relative = bend - self.cells.split(self.cells.total(bend))
-        energy: np.ndarray = (np.ravel(self._spring[0]) * relative**2).sum(axis=-1) / 2
+        energy: np.ndarray = (np.ravel(self._model[1][0]) * relative**2).sum(axis=-1) / 2
         return energy
 
     def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
@@ -385,7 +412,8 @@ class CompliantBends(Body):
         bend, rate = states[:, compliant_kernels.BENDS :][:, : self._bends], velocities[:, 3:]
         total, bending = self.cells.total, self._spec.bending
         torque = self._air_moments(trace) - bending.stiffness * total(bend) - bending.damping * total(rate)
-        return Motion(states[:, : kernels.STATES], velocities, bend, rate, torque)
+        columns = np.hstack([states[:, : kernels.STATES], states[:, self._impulses]])
+        return Motion(columns, velocities, bend, rate, torque)
 
     def _air_moments(self, trace: Trace) -> np.ndarray:
         """Return the moments of air and rest bend on each segment, N·m."""
@@ -411,6 +439,8 @@ def default_timestep(tick: float, scale: Scale) -> float:
 
 TIMESTEP_S = 0.002
 """Default longest time step at a time unit of 1 (`robot.scale`), s."""
+CELLS = 8
+"""Default number of cells per segment of a body on wheels among obstacles."""
 TOLERANCE_M_S = 0.0002
 """Default tolerance of a step at a time unit of 1, m/s."""
 SLIP_SPEED_M_S = 0.00025
@@ -495,6 +525,8 @@ class AnalyticalSnake(PneumaticPlant):
         base: str = "free",
         sensor: str | Sensor = "ideal",
         world: World | None = None,
+        touch: bool = False,
+        cells: int = CELLS,
     ) -> None:
         """Build the model.
 
@@ -526,12 +558,15 @@ class AnalyticalSnake(PneumaticPlant):
                 half track for a law at the wheels, and 0, one contact, for other laws.
             base: "free", or "clamped": held at the head, in the air (not with "compliant").
             sensor: curvature sensor: "ideal", "hall" with its defaults, or a `Sensor` object.
-            world: world whose floor slope is used; None for a level floor. Obstacles have no effect.
+            world: slope of the floor, and obstacles. None for a level floor without obstacles.
+            touch: whether the body touches obstacles (`obstacles`), with "compliant" only; otherwise it
+                passes through them.
+            cells: approximate number of cells per segment of a robot on wheels that can touch obstacles.
 
         Raises:
             InputError: unknown model, law, load, inertia or layout; a tick, time step or tolerance that is
                 not positive; no friction torque with another model; momentary loads with a law that does not
-                act at the wheels; a floor with steps; or a tail on two axles.
+                act at the wheels; a floor with steps; a tail on two axles; or touch with another model.
         """
         world, unit = world or World(), spec.scale.time
         tick = TICK_S * unit if tick is None else tick
@@ -540,11 +575,19 @@ class AnalyticalSnake(PneumaticPlant):
         slip_speed = SLIP_SPEED_M_S * unit if slip_speed is None else slip_speed
         friction = spec.skin.law if spec.skin else friction
         _check_options(spec, world, model, friction, load, friction_torque, inertia, base)
+        if touch and model != "compliant":
+            raise InputError(
+                f"model '{model}' has prescribed bends and touches no obstacles; use 'compliant'"
+            )
+        if cells < 1:
+            raise InputError(f"cells {cells} is not allowed; a segment has 1 or more")
         check_positive("tick", tick, "s")
         check_positive("time step", timestep, "s")
         check_positive("tolerance", tolerance, "m/s")
         self.spec, self.tick, self.timestep, self.friction = spec, tick, timestep, friction
         self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
+        self.touches = touch and world.has_obstacles
+        self._world, self._touch, self._cells = world, touch, cells
         self._model, self._inertia, self._friction_torque = model, inertia, friction_torque
         self.base = base
         if track is None:
@@ -659,20 +702,22 @@ class AnalyticalSnake(PneumaticPlant):
                 "slip_speed_m_s": self._floor.slip,
                 "tolerance_m_s": self._tolerance,
             }
+            | ({"touch": True, "cells": self._cells} if self._touch else {})
             | ({} if self.load == "static" else {"load": self.load})
         )
 
     def identity(self) -> dict[str, Any]:
         """See `Plant.identity`."""
-        return super().identity() | {"floor": short_digest(self._floor_plane)}
+        world = {"world": short_digest(self._world)} if self.touches else {}
+        return super().identity() | {"floor": short_digest(self._floor_plane)} | world
 
     def _make_body(self) -> Body:
-        cells = Undivided(self.spec) if self.spec.skin is None else Cells(self.spec)
+        cells = self._divide()
         frozen = 1.0 if self._model == "simplified" else 0.0
         inertia = self._connector_inertia(cells.mass)
         solid, floor = BodyParameters(cells.mass, inertia, cells.length, cells.gap, frozen), self._floor
-        if self.spec.skin is not None:
-            # The floor has the drag on one connector; along a body with skin it acts in smaller parts.
+        if isinstance(cells, Cells):
+            # The floor has the drag on one connector; along a divided body it acts in smaller parts.
             drag = self._floor.drag * self.spec.geometry.connectors / len(cells.mass)
             floor = floor._replace(drag=drag)
         if self.base == "clamped":
@@ -681,7 +726,14 @@ class AnalyticalSnake(PneumaticPlant):
             return PrescribedBends(
                 solid, floor, cells, friction_torque=self._friction_torque, tolerance=self._tolerance
             )
-        return CompliantBends(self.spec, solid, floor, cells)
+        obstacles = make_obstacles(self._world, self.spec, cells, self._floor.slip) if self.touches else None
+        return CompliantBends(self.spec, solid, floor, cells, obstacles)
+
+    def _divide(self) -> Undivided:
+        """Return the division of the segments."""
+        if self.spec.skin is not None:
+            return cells_of_skin(self.spec)
+        return cells_of_wheels(self.spec, self._cells) if self.touches else Undivided(self.spec)
 
     @property
     def _coupled(self) -> bool:
@@ -703,11 +755,15 @@ class AnalyticalSnake(PneumaticPlant):
         A cell of a body with skin is a strip as wide as the body.
         """
         if self._inertia == "connector":
-            strips: np.ndarray = mass * self.spec.geometry.width**2 / 12
-            return self.spec.yaw_inertia() if self.spec.skin is None else strips
+            if self.spec.skin is not None:
+                strips: np.ndarray = mass * self.spec.geometry.width**2 / 12
+                return strips
+            inertia = np.zeros_like(mass)
+            inertia[:: (len(mass) - 1) // self.spec.segments] = self.spec.yaw_inertia()
+            return inertia
         if self._inertia == "point":
             return np.zeros_like(mass)
-        segments = np.full(len(mass), 2.0)
+        segments = np.full(len(mass), 2.0)  # a massless point has no inertia
         segments[[0, -1]] = 1.0
         lumped: np.ndarray = segments * mass * self.spec.geometry.pitch**2 / 3
         return lumped
@@ -725,7 +781,10 @@ class AnalyticalSnake(PneumaticPlant):
         energy = np.empty(count)
         wheels = self._floor._replace(drag=0.0)
         kernels.observe(motion, solid, wheels, position, theta, force, energy)
-        skin, bend = self.spec.skin is not None, cells.total(motion.bend)
+        divided, bend = isinstance(cells, Cells), cells.total(motion.bend)
+        obstacles = np.zeros((count, self.spec.geometry.connectors, 2))
+        if isinstance(cells, Cells) and self.touches:
+            obstacles = cells.obstacle_force(motion.states[:, kernels.STATES : -1].reshape(count, n, 2))
         position, theta, force = (
             cells.at_connectors(position),
             cells.at_connectors(theta),
@@ -735,7 +794,7 @@ class AnalyticalSnake(PneumaticPlant):
             time=time,
             com=motion.states[:, kernels.STATE_X : kernels.STATE_Y + 1],
             com_velocity=motion.states[:, kernels.STATE_VX : kernels.STATE_VY + 1],
-            heading=theta.mean(axis=1) if skin else motion.states[:, kernels.HEADING],
+            heading=theta.mean(axis=1) if divided else motion.states[:, kernels.HEADING],
             position=position,
             theta=theta,
             bend=bend,
@@ -744,7 +803,7 @@ class AnalyticalSnake(PneumaticPlant):
             valves=trace.valves,
             sensed=self.sensor.read(bend, time, self.seed),
             contact_force=force,
-            obstacle_force=np.zeros_like(force),
+            obstacle_force=obstacles,
             torque=motion.torque,
             work=energy + motion.states[:, kernels.ENERGY_LOSS] + self._body.stored(motion.bend),
             internal_loss=np.zeros(count),

@@ -1,4 +1,4 @@
-r"""Cells of a body with skin, with which the analytical models compute as if they were segments.
+r"""Cells of a body with skin, or among obstacles, with which the analytical models compute as with segments.
 
 A segment of constant curvature with the bend q is a chain of cells, arcs with the bends s_c q, where s_c is
 the share of cell c. The masses and contact points of the body are at the ends of the cells: the
@@ -8,12 +8,16 @@ all contact points, differs from the mean over the connectors by a linear functi
 The moment T_j of a segment does the work T_j δq_j, so that with prescribed bends T_j = Σ s_c T_c. In the
 `compliant` model the bends of the cells are degrees of freedom, with the stiffness k/s_c and the damping
 c/s_c: in series those of the segment. Cells of the rigid gap have a stiffness far above that.
+
+A body on wheels among obstacles is divided as well, because a load between two connectors bends a segment
+unevenly. Its masses and wheels stay at the connectors.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from srs_twin.robot.spec import Cells as Division
 from srs_twin.robot.spec import RobotSpec
 
 _RIGID_RATIO = 1e6
@@ -75,12 +79,23 @@ class Undivided:
 
 
 class Cells(Undivided):
-    """Segments of a robot with skin, divided into cells."""
+    """Segments that are divided into cells.
 
-    def __init__(self, spec: RobotSpec) -> None:
+    Attributes:
+        points_per_segment: number of cells of each segment.
+    """
+
+    def __init__(self, spec: RobotSpec, cells: Division, mass: np.ndarray) -> None:
+        """Divide all segments.
+
+        Args:
+            spec: the robot.
+            cells: cells of each segment.
+            mass: masses at the ends of all cells, shape (points,), kg.
+        """
         super().__init__(spec)
-        cells, self._segments = spec.cells, spec.segments
-        self.mass, self.gap = spec.point_masses, 0.0
+        self._segments, self.points_per_segment = spec.segments, len(cells.share)
+        self.mass, self.gap = mass, 0.0
         self.length, self._share = np.tile(cells.length, spec.segments), cells.share
         self._behind_head = np.append(0.0, np.cumsum(self.length))
         rigid = cells.share == 0.0
@@ -118,3 +133,31 @@ class Cells(Undivided):
     def on_connectors(self, force: np.ndarray) -> np.ndarray:
         """See `Undivided.on_connectors`."""
         return np.einsum("ik,skc->sic", self.spec.connector_weights(self._behind_head), force)
+
+    def obstacle_force(self, force: np.ndarray) -> np.ndarray:
+        """Return the forces on each connector and the adjoining halves of its segments.
+
+        Args:
+            force: forces on all points, shape (samples, points, 2), N.
+        """
+        stations = self._behind_head / self.spec.geometry.pitch
+        distance = np.abs(np.arange(self.spec.geometry.connectors)[:, None] - stations)
+        weights = np.clip(0.5 + (0.5 - distance) / _MIDDLE, 0.0, 1.0)
+        return np.einsum("ik,skc->sic", weights, force)
+
+
+_MIDDLE = 1e-6
+"""Width of the transition between two halves of a segment over its length, 1; points there count for both."""
+
+
+def cells_of_skin(spec: RobotSpec) -> Cells:
+    """Return the division of a robot with skin."""
+    return Cells(spec, spec.cells, spec.point_masses)
+
+
+def cells_of_wheels(spec: RobotSpec, count: int) -> Cells:
+    """Return the division of a robot on wheels into about `count` cells per segment."""
+    division = Division.of(spec.geometry, count)
+    mass = np.zeros(spec.segments * len(division.share) + 1)
+    mass[:: len(division.share)] = spec.mass.array()
+    return Cells(spec, division, mass)

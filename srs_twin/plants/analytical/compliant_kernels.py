@@ -73,6 +73,17 @@ from srs_twin.plants.analytical.kinematics import (
     mean_pitch,
     pose_body,
 )
+from srs_twin.plants.analytical.obstacles import (
+    OBSTACLES,
+    add_contacts,
+    begin_evaluation,
+    begin_step,
+    end_stage,
+    touches,
+    update_loads,
+    with_floor,
+)
+from srs_twin.robot.spec import GRAVITY
 
 BENDS = STATES
 """Index of the first bend in the state: those of `kernels`, then the bends, then their momenta."""
@@ -80,6 +91,9 @@ BENDS = STATES
 _NEWTON_STEPS = 1000  # largest number of iterations; many are needed at rest on a slope, at a kink of the law
 _NEWTON_TOLERANCE = 1e-9  # tolerance of the velocities at a time unit of 1, m/s
 _NEWTON_ARM = 0.1  # lever arm that turns rates into velocities, at a length unit of 1, m
+_MOST_PASSES = 10  # largest number of updates of the normal forces that friction of obstacles depends on
+_LOAD_TOLERANCE = 1e-4  # tolerance of these normal forces over the weight, 1
+_MARGIN = SPEED_LIMIT / 10  # speed at which the search for near obstacles leaves room, m/s
 _OVERSHOOT = 0.1  # ratio of the slopes after and before a Newton step above which the step was too long, 1
 
 
@@ -190,6 +204,30 @@ def _compile_relative_power(damping, rates):  # type: ignore[no-untyped-def]
     return sum_over_segments
 
 
+def fill_loads(body, u, a, model, loads):  # type: ignore[no-untyped-def]
+    """Evaluate `_fill_loads`, with the obstacles of a model that has them."""
+    if len(model) > OBSTACLES:
+        return _fill_all_loads(body, u, a, model[0], model[2], model[OBSTACLES], loads)
+    return _fill_loads(body, u, a, model[0], model[2], loads)
+
+
+@overload(fill_loads, jit_options={"forceinline": True})
+def _compile_fill_loads(body, u, a, model, loads):  # type: ignore[no-untyped-def]
+    if touches(model):
+        return lambda body, u, a, model, loads: _fill_all_loads(
+            body, u, a, model[0], model[2], model[OBSTACLES], loads
+        )
+    return lambda body, u, a, model, loads: _fill_loads(body, u, a, model[0], model[2], loads)
+
+
+@compiled
+def _fill_all_loads(body, u, a, solid, floor, obstacles, loads):  # type: ignore[no-untyped-def]
+    """Evaluate `_fill_loads` with the forces of obstacles."""
+    fx, fy, moment, power = _fill_loads(body, u, a, solid, floor, loads)
+    x, y, m, loss = add_contacts(body, u, a, obstacles, loads)
+    return fx + x, fy + y, moment + m, power + loss
+
+
 @compiled
 def balance(q, u, moment, a, model, momentum, force, work):  # type: ignore[no-untyped-def]
     """Evaluate momenta and forces of Lagrange's equations in the frame of the mean heading.
@@ -201,7 +239,8 @@ def balance(q, u, moment, a, model, momentum, force, work):  # type: ignore[no-u
         moment: moment of the air on each segment, shape (segments,), N·m.
         a: γ h for `solve`, s.
         model: body; stiffness k (N·m/rad) and damping c (N·m·s/rad), numbers, one for each segment, or,
-            for cells, shape (segments, cells per segment); floor.
+            for cells, shape (segments, cells per segment); floor; in a world with obstacles also an
+            `Obstacles` with the pose of the body.
         momentum: out, p, shape (3 + segments,).
         force: out, dp/dt, shape (3 + segments,).
         work: from `work_arrays`; on return the input of `solve`.
@@ -209,12 +248,12 @@ def balance(q, u, moment, a, model, momentum, force, work):  # type: ignore[no-u
     Returns:
         Power that friction dissipates, and cells in their relative motion, W.
     """
-    solid, (stiffness, damping), floor = model
+    solid, (stiffness, damping) = model[0], model[1]
     body, links, loads, _, _ = work
     n, weight = solid.mass.shape[0], solid.mass.sum()
     inertia, h = pose_body(q, u[3:], solid, body)
     _fill_propagation(body, q, u, solid, links)
-    fx, fy, floor_moment, power = _fill_loads(body, u, a, solid, floor, loads)
+    fx, fy, floor_moment, power = fill_loads(body, u, a, model, loads)
     momentum[0], momentum[1], momentum[2] = weight * u[0], weight * u[1], inertia * u[2] + h
     force[0], force[1], force[2] = fx, fy, floor_moment
     # Sums over all connectors behind a segment, about the connector at its front end.
@@ -264,7 +303,7 @@ def solve(a, model, residual, step, work):  # type: ignore[no-untyped-def]
         step: out, solution, shape (3 + segments,).
         work: as filled by `balance`.
     """
-    solid, (stiffness, damping), _ = model
+    solid, (stiffness, damping) = model[0], model[1]
     _, links, loads, pivots, matrix = work
     n, weight = solid.mass.shape[0], solid.mass.sum()
     for i in range(7):
@@ -394,11 +433,12 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
     step_share = 0.0  # fraction of the latest Newton step that has been made
     slope_before = 0.0  # slope of the potential along that step at its start
     converged = False
-    power = 0.0
+    passes, power = 0, 0.0
     tolerance, arm = _NEWTON_TOLERANCE * floor.unit, _NEWTON_ARM * floor.unit * floor.unit
     for _ in range(_NEWTON_STEPS):
         for j in range(segments):
             q[j] = known[BENDS + j] + a * u[3 + j]
+        begin_evaluation(model, known, a, u)
         power = balance(q, u, moment, a, model, momentum, force, posed)
         _residual(known, a, u, weight, floor, momentum, force, residual)
         slope_after = 0.0
@@ -418,6 +458,12 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
             slope_before += residual[j] * step[j]
             longest = max(longest, abs(step[j]) * (1.0 if j < 2 else arm))
         if longest < tolerance:
+            if passes < _MOST_PASSES and update_loads(model, _LOAD_TOLERANCE * weight * GRAVITY):
+                passes += 1
+                for j in range(size):
+                    step[j] = 0.0
+                slope_before = 0.0
+                continue
             converged = True
             break
     for j in range(size):
@@ -432,6 +478,7 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
     k[HEADING], k[MOMENT], k[ENERGY_LOSS] = u[2], force[2], power
     for j in range(segments):
         k[BENDS + j], k[BENDS + segments + j] = u[3 + j], force[3 + j]
+    end_stage(model, k)
     return converged
 
 
@@ -448,8 +495,9 @@ def advance(now, steps, moments, marks, model, samples):  # type: ignore[no-unty
     """Advance a body in place over given steps; return the number of completed steps.
 
     Args:
-        now: state, that of `kernels` followed by bends (rad) and their momenta (kg·m²/s), shape
-            (STATES + 2 segments,); and velocities as in `balance`, kept between calls as first guesses.
+        now: state, that of `kernels` followed by bends (rad), their momenta (kg·m²/s) and, with obstacles,
+            the impulses of the obstacles on each point (N·s) and the time (s); and velocities as in
+            `balance`, kept between calls as first guesses.
         steps: lengths of the steps, shape (steps,), s.
         moments: moments of the air at the two stages of each step, shape (steps, 2, segments), N·m.
         marks: number of steps before each sample, ascending, shape (samples,).
@@ -457,7 +505,7 @@ def advance(now, steps, moments, marks, model, samples):  # type: ignore[no-unty
         seen: out, states and velocities at the samples, shapes (samples, …).
     """
     (state, u), (states, velocities) = now, samples
-    solid, spring, floor = model
+    solid, floor = model[0], model[2]
     reach = mean_pitch(solid) / 2
     n, size = solid.mass.shape[0], u.shape[0]
     work = np.empty(size), np.empty(size), work_arrays(n), np.empty(n - 1), np.empty(size), np.zeros(size)
@@ -470,7 +518,8 @@ def advance(now, steps, moments, marks, model, samples):  # type: ignore[no-unty
         fastest = abs(u[0]) + abs(u[1])
         for j in range(2, size):
             fastest = max(fastest, reach * abs(u[j]))
-        model = solid, spring, with_reduced_slip_speed(floor, fastest)
+        model = with_floor(model, with_reduced_slip_speed(floor, fastest))
+        begin_step(model, state, 2 * reach * n + _MARGIN * h)
         # Linear extrapolation of the velocities between stages saves half of the Newton iterations.
         _extrapolate(u, drift, a, last)
         fine = _stage(state, a, moments[i, 0], model, u, k1, work)

@@ -184,7 +184,9 @@ class LoadedStepper(Stateful):
         """
         model, data = self._model, self._data
         contacts, gravity = self._contacts, model.opt.gravity.copy()
-        self._contacts = contacts._replace(coefficients=(0.0, 0.0, *contacts.coefficients[2:4], 0.0))
+        self._contacts = contacts._replace(
+            coefficients=(0.0, 0.0, *contacts.coefficients[2:4], 0.0, contacts.coefficients[5])
+        )
         model.opt.gravity[:2] = 0.0
         self._reset_contact_state()
         self.run(np.zeros((math.ceil(self._sinking_time / self._h), model.nu)))
@@ -257,6 +259,7 @@ def _constants(
     slides = contact.law in ("ellipse", "cosine")
     spin_mass = 0.0 if slides else settings.numerics.wheel_spin * spec.mass.wheel / 2
     zeros, mu = np.zeros(len(hulls)), spec.friction
+    floor = mu.mu_t, mu.mu_n, stated(contact.slip_speed), spin_mass
     sensors = [model.sensor(f"floor_force_{wheel}").adr[0] + 2 for wheel in wheels]
     sensors += [model.sensor(f"obstacle_force_{hull}").adr[0] for hull in hulls]
     contacts = Contacts(
@@ -271,7 +274,7 @@ def _constants(
         sensor=np.array(sensors),
         wheel_radius=spec.geometry.wheel_radius,
         law=LAWS_ON_LOADS.index(contact.law),
-        coefficients=(mu.mu_t, mu.mu_n, stated(contact.slip_speed), spin_mass, mu.backward),
+        coefficients=(*floor, mu.backward, surroundings.friction_of(model)),
     )
     sparsity = Sparsity(
         row_length=model.M_rownnz.astype(int),

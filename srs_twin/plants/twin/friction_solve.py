@@ -40,7 +40,6 @@ import numpy as np
 from numba import types
 
 from srs_twin.compute.compiled import kernel_only
-from srs_twin.plants.twin.mjcf import surroundings
 from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS, LOADS
 from srs_twin.plants.twin.object_contacts import (
     ObjectContacts,
@@ -57,9 +56,6 @@ _ACROSS_ONLY = LOADS.index("across")
 _WHEEL = LAWS_ON_LOADS.index("wheel")
 _ELLIPSE = LAWS_ON_LOADS.index("ellipse")
 _COSINE = LAWS_ON_LOADS.index("cosine")
-
-# Coefficient of the friction between body and obstacle, 1.
-_OBSTACLE_FRICTION = surroundings.FRICTION
 
 _MAX_ITERATIONS = 30  # Newton steps under the final loads
 _MAX_TRIALS = 12  # evaluations of one line search
@@ -164,8 +160,8 @@ class Contacts(NamedTuple):
             application, shape (C,).
         wheel_radius: m.
         law: friction law of the wheels, an index into `numerics.LAWS_ON_LOADS`.
-        coefficients: μ_t, μ_n, slip speed ε (m/s), the added mass of a spinning wheel (kg), and μ_t of a skin
-            for slip towards the tail.
+        coefficients: μ_t, μ_n, slip speed ε (m/s), the added mass of a spinning wheel (kg), μ_t of a skin for
+            slip towards the tail, and the coefficient between body and obstacles.
     """
 
     wheels: int
@@ -179,7 +175,7 @@ class Contacts(NamedTuple):
     sensor: np.ndarray
     wheel_radius: float
     law: int
-    coefficients: tuple[float, float, float, float, float]
+    coefficients: tuple[float, float, float, float, float, float]
 
 
 class ContactState(NamedTuple):
@@ -279,7 +275,7 @@ def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[
     _read_normal_forces(engine, contacts, work)
     locate_objects(engine, sparsity, work, h)
     for w in range(contacts.body.shape[0]):
-        mu = contacts.coefficients[1] if w < contacts.wheels else _OBSTACLE_FRICTION
+        mu = contacts.coefficients[1] if w < contacts.wheels else contacts.coefficients[5]
         # Friction force per slip speed of the previous step (secant slope), N·s/m. It decides whether the
         # contact slides (θ near 1/2) or sticks (θ near 1).
         grip = mu * work.normal_force[w] / max(state.slip_speed[w], contacts.coefficients[2])
@@ -500,7 +496,7 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
     mu_t, mu_n, slip, mass = law[0], law[1], law[2], law[3]
     if w >= contacts.wheels:
         f_t, f_n, tt, tn, nn = stick_slip_friction(
-            along, across, load, _OBSTACLE_FRICTION, _OBSTACLE_FRICTION, slip, force[0], force[1]
+            along, across, load, law[5], law[5], slip, force[0], force[1]
         )
         return f_t, f_n, tt, tn, nn, 0.0
     inertia, drag = mass / h, force[0] - force[2]

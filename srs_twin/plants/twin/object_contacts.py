@@ -116,7 +116,7 @@ def object_contacts(
     place[pairs:] = np.array([item.supports for item in objects]).reshape(-1, 2)
     load[pairs:] = -model.opt.gravity[2] / 4 * mass[pairs:]
     sensors = [model.sensor(object_force_sensor(name, hull)).adr[0] for name in names for hull in hulls]
-    friction = np.full(count, surroundings.FRICTION)
+    friction = np.full(count, surroundings.friction_of(model))
     friction[pairs:] = np.repeat([item.friction for item in objects], 4)
     return ObjectContacts(
         pairs=pairs,

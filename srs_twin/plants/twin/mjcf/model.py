@@ -44,7 +44,11 @@ from srs_twin.robot.world import World
 
 
 def robot_mjcf(
-    spec: RobotSpec, settings: ModelSettings, *, supply_pa: float | None = None, hull: bool = False
+    spec: RobotSpec,
+    settings: ModelSettings,
+    *,
+    supply_pa: float | None = None,
+    obstacle_friction: float | None = None,
 ) -> MjSpec:
     """Build the robot without floor: bodies, joints, tendons and actuators.
 
@@ -52,7 +56,8 @@ def robot_mjcf(
         spec: the robot.
         settings: time step, discretisation, contact.
         supply_pa: upper limit of the controls, Pa; at least the robot's continuous limit is used.
-        hull: whether the body gets hulls that touch obstacles (`surroundings`).
+        obstacle_friction: friction coefficient of hulls that touch obstacles (`surroundings`), 1; None for
+            a body without hulls.
 
     Raises:
         InputError: the time step is too long for the damping time of the segments, or the contact is
@@ -79,8 +84,8 @@ def robot_mjcf(
     _set_options(mj, settings)
     limit = max(spec.supply.continuous_limit, supply_pa or 0.0)
     add_classes(mj, spec, settings, limit_pa=limit)
-    if hull:
-        add_hull_class(mj, spec, settings)
+    if obstacle_friction is not None:
+        add_hull_class(mj, spec, settings, obstacle_friction)
     free = settings.base == "free"
     middle = root_connector(spec) if free else 1
     x = spec.geometry.body_length / 2 - (middle - 1) * spec.geometry.pitch
@@ -122,7 +127,8 @@ def scene_mjcf(
         world: floor and obstacles; None for a level floor without obstacles.
     """
     world = world or World()
-    mj = robot_mjcf(spec, settings, supply_pa=supply_pa, hull=world.is_solid)
+    friction = world.friction if world.is_solid else None
+    mj = robot_mjcf(spec, settings, supply_pa=supply_pa, obstacle_friction=friction)
     mj.option.gravity = [GRAVITY * share for share in world.floor.down]
     add_surroundings(mj, spec.geometry.body_length)
     if world.is_solid:

@@ -24,9 +24,6 @@ SLIP_TIME_S = 0.0003
 AXLE_TIME_S = 0.002
 """Default axle time of a preloaded contact at a time unit of 1, s."""
 
-WALL_M = 0.001
-"""Radius of the capsules along the sides of a polygon, by which it is larger than drawn, m."""
-
 Law = Literal["wheel", "ellipse", "axis", "cosine"]
 LAWS_ON_LOADS: tuple[Law, ...] = get_args(Law)
 """Friction laws for loaded contact."""

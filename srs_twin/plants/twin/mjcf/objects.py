@@ -17,7 +17,7 @@ from mujoco import mjtGeom, mjtObj, mjtSensor
 
 from srs_twin.errors import InputError
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings
-from srs_twin.plants.twin.mjcf.surroundings import CONTACT_BIT, FRICTION, HEIGHT_RATIO, hulls
+from srs_twin.plants.twin.mjcf.surroundings import CONTACT_BIT, HEIGHT_RATIO, hulls
 from srs_twin.plants.twin.mjcf.wheels import add_force_sensor, add_velocity_sensor
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import MovableObject, World
@@ -44,7 +44,7 @@ def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, wor
     hull, solid = mj.find_default("hull").geom, default.geom
     # Hulls have a higher priority, so that their contacts with objects have normal forces only.
     solid.contype = solid.conaffinity = CONTACT_BIT
-    solid.condim, solid.friction, solid.rgba = 3, [FRICTION, 0.005, 0.0001], _COLOR
+    solid.condim, solid.friction, solid.rgba = 3, [world.friction, 0.005, 0.0001], _COLOR
     solid.solref, solid.solimp = hull.solref, hull.solimp
     poses: list[float] = []
     for name, item in zip(_names(len(world.objects)), world.objects, strict=True):

@@ -14,33 +14,33 @@ import numpy as np
 from mujoco import mjtGeom, mjtObj
 
 from srs_twin.plants.twin.mjcf.classes import ROOT
-from srs_twin.plants.twin.mjcf.numerics import WALL_M, ModelSettings
+from srs_twin.plants.twin.mjcf.numerics import ModelSettings
 from srs_twin.plants.twin.mjcf.wheels import add_force_sensor, add_velocity_sensor
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.robot.world import Step, World
-
-FRICTION = 0.5
-"""Friction coefficient of silicone on a smooth obstacle, 1. Estimate; the dissertation gives none."""
+from srs_twin.robot.world import WALL_M, Step, World
 
 CONTACT_BIT = 2  # contype of obstacles and conaffinity of hulls; floor and wheels have explicit pairs
 HEIGHT_RATIO = 2.0  # half height of a round obstacle over the body's width, 1
 _MIN_CONTACT_STEPS = 2.0  # contact time over the time step, 1: the smallest value that MuJoCo uses
 _LEVEL_EXTENT = 100.0  # of the first and the last level beyond the steps, at a length unit of 1, m
+# Impedance of an obstacle at first touch and at full depth, 1. The rods of a segment are so light that with
+# 0.95 and 0.99 a post sinks into them by a quarter of a millimetre per newton.
+_IMPEDANCE = 0.99, 0.999
 _TRANSITION_DEPTH = 0.0005  # depth over which a contact reaches its full stiffness, at a length unit of 1, m
 _GREY = [0.45, 0.47, 0.5, 1]  # RGBA
 _HULL_GROUP = 4  # geom group; viewers do not show it
 _GRADIENT, _CHECKER = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, mujoco.mjtBuiltin.mjBUILTIN_CHECKER
 
 
-def add_hull_class(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings) -> None:
-    """Add the class ``hull`` of the geoms that touch obstacles."""
+def add_hull_class(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, friction: float) -> None:
+    """Add the class ``hull`` of the geoms that touch obstacles with a coefficient of friction."""
     depth = _TRANSITION_DEPTH * spec.scale.length
     hull = mj.add_default("hull", mj.find_default(ROOT)).geom
     hull.type, hull.size = mjtGeom.mjGEOM_CAPSULE, [spec.geometry.width / 2, 0, 0]
     hull.conaffinity, hull.group, hull.priority = CONTACT_BIT, _HULL_GROUP, 1
     # Under loaded contact MuJoCo computes normal forces only.
-    hull.condim, hull.friction = 1 if settings.loaded else 3, [FRICTION, 0.005, 0.0001]
-    hull.solref, hull.solimp = [_MIN_CONTACT_STEPS * settings.timestep, 1], [0.95, 0.99, depth, 0.5, 2]
+    hull.condim, hull.friction = 1 if settings.loaded else 3, [friction, 0.005, 0.0001]
+    hull.solref, hull.solimp = [_MIN_CONTACT_STEPS * settings.timestep, 1], [*_IMPEDANCE, depth, 0.5, 2]
 
 
 def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
@@ -51,7 +51,7 @@ def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     """
     solid = mj.add_default("obstacle", mj.default).geom
     solid.type, solid.contype, solid.conaffinity = mjtGeom.mjGEOM_CAPSULE, CONTACT_BIT, 0
-    solid.condim, solid.friction, solid.rgba = 3, [FRICTION, 0.005, 0.0001], _GREY
+    solid.condim, solid.friction, solid.rgba = 3, [world.friction, 0.005, 0.0001], _GREY
     height = HEIGHT_RATIO * spec.geometry.width
     for k, circle in enumerate(world.obstacles, start=1):
         foot, top = [circle.x, circle.y, -height], [circle.x, circle.y, height]
@@ -105,6 +105,12 @@ def hulls(mj: mujoco.MjSpec | mujoco.MjModel) -> list[str]:
     """Return the names of the geoms of the body that touch obstacles."""
     geoms = mj.geoms if isinstance(mj, mujoco.MjSpec) else [mj.geom(k) for k in range(mj.ngeom)]
     return [geom.name for geom in geoms if geom.name.startswith("hull_")]
+
+
+def friction_of(model: mujoco.MjModel) -> float:
+    """Return the coefficient of friction between the body and obstacles; 0 without hulls."""
+    names = hulls(model)
+    return float(model.geom(names[0]).friction[0]) if names else 0.0
 
 
 def add_surroundings(mj: mujoco.MjSpec, body_length: float) -> None:

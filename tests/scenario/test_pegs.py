@@ -1,0 +1,73 @@
+"""Section `pegs` of a world, and the friction of obstacles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from srs_twin.errors import InputFileError
+from srs_twin.scenario.loading import parse_scenario
+
+PEGS = {"pitch_m": 0.13, "radius_m": 0.015, "rows": 4, "columns": 6, "x_m": -0.2}
+PLANTS = {"analytical": {"model": "compliant", "touch": True}, "twin": {}}
+
+
+def pegs(plants=PLANTS, obstacle_friction=None, **changes):
+    friction = {} if obstacle_friction is None else {"obstacle_friction": obstacle_friction}
+    return parse_scenario(
+        {
+            "title": "Pegs",
+            "robot": "gen2",
+            "duration_s": 1,
+            "seed": 3,
+            "controller": {"kind": "gait", "frequency_hz": 1.0},
+            "world": {"pegs": PEGS | changes, **friction},
+            "plants": plants,
+        },
+    )
+
+
+def test_field_is_a_grid_about_the_line_of_the_start():
+    posts = np.array([(c.x, c.y, c.radius) for c in pegs().world.obstacles]).reshape(6, 4, 3)
+    assert posts[:, 0, 0] == pytest.approx(-0.2 + 0.13 * np.arange(6))
+    assert posts[0, :, 1] == pytest.approx([-0.195, -0.065, 0.065, 0.195])
+    assert (posts[..., 2] == 0.015).all()
+
+
+def test_seed_of_the_scenario_displaces_the_pegs():
+    still, first, again = pegs(), pegs(jitter_m=0.01), pegs(jitter_m=0.01)
+    assert first.world.obstacles == again.world.obstacles
+    other = pegs(jitter_m=0.01, seed=4)
+    moves = [
+        max(abs(a.x - b.x), abs(a.y - b.y))
+        for a, b in zip(still.world.obstacles, first.world.obstacles, strict=True)
+    ]
+    assert 0.005 < max(moves) <= 0.01
+    assert other.world.obstacles != first.world.obstacles
+
+
+def test_first_column_is_ahead_of_the_snake_by_default():
+    assert pegs(x_m=None).world.obstacles[0].x == pytest.approx(0.2)
+
+
+def test_plants_touch_pegs_with_the_stated_friction():
+    scenario = pegs(obstacle_friction=0.2)
+    assert scenario.world.friction == 0.2
+    assert all(scenario.build_plant(kind).touches for kind in ("analytical", "twin"))
+    assert pegs().world.friction == 0.5
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"jitter_m": 0.06}, "the pitch must be above 0.15 m"),
+        ({"y_m": 0.065}, "overlaps the snake at its start; move the pegs"),
+        ({"rows": 100, "columns": 11}, "1100 pegs are too many"),
+        ({"plants": {"analytical": {}}}, "set model: compliant and touch: true"),
+        ({"plants": {"analytical": {"touch": True}}}, "only compliant touches obstacles"),
+        ({"pitch": 0.1}, "did you mean pitch_m?"),
+    ],
+)
+def test_bad_fields_are_refused(changes, words):
+    with pytest.raises(InputFileError, match=words.replace("?", r"\?")):
+        pegs(**changes)
