@@ -35,6 +35,12 @@ _PRESSURE_KPA = 48.3
 _AIR_ML = 45.0
 """Growth of the volume of a chamber up to the full bend, ml."""
 
+_SERVO_BEND_RAD = 0.6
+"""Default largest angle of a servo joint, rad."""
+
+_JOINT_SHARE = 1 / 15
+"""Share of a servo joint in the distance between joints; the rest is a rigid link."""
+
 _SUFFIXES = {".yaml": ".yaml", ".txt": ".py"}
 """Suffix of a template → suffix of the file."""
 
@@ -47,6 +53,7 @@ def robot(
     pressure: Annotated[float | None, option("--pressure KPA")] = None,
     bend: Annotated[float | None, option("--bend RAD")] = None,
     skin: Annotated[bool, option("--skin")] = False,
+    servo: Annotated[bool, option("--servo")] = False,
     out: OutOption = None,
 ) -> None:
     """Write a robot file, scaled from generation 2.
@@ -58,23 +65,29 @@ def robot(
         mass: Mass of the whole robot, kg. [default: scaled from generation 2]
         segments: Number of segments. [default: generation 2]
         pressure: Supply pressure (gauge), kPa. [default: generation 2]
-        bend: Bend of one segment at the supply pressure, rad. [default: generation 2]
+        bend: Bend of one segment at the supply pressure, or of a joint, rad. [default: 1.57; joints 0.6]
         skin: A body that slides on its belly, without wheels.
+        servo: Rigid links with servo joints, without air.
     """
     count = int(_answer("number of segments", segments, 4))
     body_length = _answer("body length, m", length, 4 * _PITCH_M)
     scale = body_length / max(count, 1) / _PITCH_M
     total_mass = _answer("mass of the robot, kg", mass, _rounded(_MASS_KG / 5 * (count + 1) * scale**3))
-    supply = _answer("supply pressure, kPa", pressure, _PRESSURE_KPA)
-    max_bend = _answer("bend of one segment at that pressure, rad", bend, 1.57)
+    if servo and pressure is not None:
+        raise InputError("a robot with servos has no supply; remove --pressure or --servo")
+    supply = _PRESSURE_KPA if servo else _answer("supply pressure, kPa", pressure, _PRESSURE_KPA)
+    of = "largest angle of a joint" if servo else "bend of one segment at that pressure"
+    max_bend = _answer(f"{of}, rad", bend, _SERVO_BEND_RAD if servo else 1.57)
     if count < 1 or not all(0 < value < math.inf for value in (body_length, total_mass, supply, max_bend)):
         raise InputError("length, mass, segments, pressure and bend must be positive")
-    air = _AIR_ML * scale**3
+    air, share = _AIR_ML * scale**3, _JOINT_SHARE if servo else 0.037 / _PITCH_M
     values: dict[str, float | str] = {
         "segments": count,
         "connectors": count + 1,
-        "segment": 0.037 * scale,
-        "gap": 0.018 * scale,
+        "segment": share * scale * _PITCH_M,
+        "gap": (1 - share) * scale * _PITCH_M,
+        "segment_source": "width of a joint" if servo else "0.67 of the pitch, as generation 2",
+        "gap_source": "rigid link" if servo else "0.33 of the pitch, as generation 2",
         "track": 0.015 * scale,
         "radius": 0.008 * scale,
         "height": 0.015 * scale,
@@ -85,6 +98,7 @@ def robot(
         "stiffness": 0.5 * 1e3 * supply * 1e-6 * air / max_bend**2,
         "plane": 0.1 * scale**4,
         "damping": 0.00214 * math.sqrt(scale),
+        "loss": 0.021 * math.sqrt(scale),
         "bend": max_bend,
         "pressure": supply,
         "limit": 1.4 * supply,
@@ -95,6 +109,8 @@ def robot(
     title = f"{name}: {count} segments, {body_length:g} m, {total_mass:g} kg"
     values["wheels"] = "" if skin else _filled("wheels_geometry.txt", values)
     values["contact"] = _filled("skin_contact.txt" if skin else "wheels_contact.txt", values)
+    values["spring"] = "" if servo else _filled("pressure_spring.txt", values)
+    values["drive"] = _filled("servo_drive.txt" if servo else "pressure_drive.txt", values)
     from srs_twin.robot.file import load_robot
 
     path = _write("robot.yaml", name, out, load_robot, title=title, **values)

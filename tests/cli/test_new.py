@@ -6,9 +6,11 @@ import shlex
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
-from srs_twin.robot.file import load_robot
+from srs_twin.robot.file import load_robot, load_robot_file
+from srs_twin.robot.priors import Priors
 from srs_twin.scenario.loading import load_scenario
 
 
@@ -33,6 +35,29 @@ def test_a_new_robot_with_skin_is_valid(srs_twin, tmp_path):
     done = srs_twin("new", "scenario", "crawl", "--robot", str(tmp_path / "worm.yaml"), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert load_scenario(tmp_path / "crawl.yaml").robot.skin == spec.skin
+
+
+def test_a_new_robot_with_servos_asks_for_no_air(srs_twin, tmp_path):
+    done = srs_twin("new", "robot", "arm", "--servo", "--segments", "8", "--length", "0.48", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    record = load_robot_file(tmp_path / "arm.yaml")
+    assert record.has_servos and record.chamber is None and record.supply is None
+    assert load_robot(tmp_path / "arm.yaml").geometry.body_length == pytest.approx(0.48, rel=1e-3)
+
+
+@pytest.mark.parametrize("kinds", [(), ("--skin",), ("--servo",), ("--skin", "--servo")])
+def test_estimates_that_affect_the_motion_have_intervals(kinds, srs_twin, tmp_path):
+    done = srs_twin("new", "robot", "worm", *kinds, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    priors = Priors.from_robot(load_robot_file(tmp_path / "worm.yaml"))
+    skin, wheels = ("contact.forward", "contact.transverse"), ("friction.mu_t", "friction.mu_n")
+    friction = skin if "--skin" in kinds else wheels
+    pneumatic = ("bending.stiffness_nm_per_rad", "bending.damping_time_s", "actuator.tau_fill_s")
+    actuator = ("actuator.response_time_s",) if "--servo" in kinds else pneumatic
+    by_path = {prior.path: prior for prior in priors.parameters}
+    for prior in map(by_path.__getitem__, (*friction, *actuator)):
+        low, high = prior.quantile(np.array([0.0, 1.0]))
+        assert low <= prior.value < high, prior.path
 
 
 def test_the_printed_commands_lead_from_a_robot_to_a_comparison(srs_twin, tmp_path):
@@ -61,6 +86,10 @@ def test_a_new_study_and_controller_are_valid(srs_twin, tmp_path):
         (("robot", "Worm"), "'Worm' is not allowed as a name"),
         (("robot", "worm", "--mass", "-1"), "must be positive"),
         (("robot", "worm", "--segments", "0"), "must be positive"),
+        (
+            ("robot", "worm", "--servo", "--pressure", "40"),
+            "a robot with servos has no supply; remove --pressure",
+        ),
         (("scenario", "walk", "--robot", "gen9"), "gen9"),
         (("scenario", "walk", "--robot", "gen2\nseed: 3"), "control character"),
         (("study", "fast", "--scenario", "nothing"), "nothing"),
