@@ -1,4 +1,4 @@
-"""Both plants against published theory of locomotion: Hirose, Kelly and Murray, Alben.
+"""The model `complete` compared with published theory of locomotion: Hirose, Kelly and Murray, Alben.
 
     uv run python benchmarks/theory.py serpenoid connection rate amplitude
 
@@ -8,7 +8,8 @@ heading is α sin(2π s/λ), it advances by λ J₀(α) per period, the mean cos
 **connection.** Without inertia the velocity of the body is linear in the bend rates (Kelly and Murray 1995).
 `tests/helpers/local_connection.py` integrates it, for wheels that do not slip and for viscous friction.
 
-**rate.** Coulomb friction without inertia does not depend on the rate of a shape change.
+**rate.** Without inertia, the displacement under Coulomb friction does not depend on the rate of a shape
+change.
 
 **amplitude.** The amplitude of the best travelling wave decreases as μ_t^(−1/4) at large transverse friction
 (Alben 2013, arXiv 1304.4479). The best wave has the least work per distance.
@@ -48,7 +49,7 @@ MEASURED = 100
 
 
 def still(spec: RobotSpec, pneumatics: PrescribedBends, period: float, **settings: float | str) -> Plant:
-    """Return the model `complete` with prescribed bends, so slow that inertia is negligible."""
+    """Return the model `complete` with prescribed bends that are so slow that inertia is negligible."""
     return AnalyticalSnake(
         spec, pneumatics=pneumatics, track=0.0, tick=period / 100, timestep=period / 10_000,
         slip_speed=SMALLEST_SLIP / period, tolerance=1e-3 / period, **settings,
@@ -56,7 +57,7 @@ def still(spec: RobotSpec, pneumatics: PrescribedBends, period: float, **setting
 
 
 def periods(plant: Plant, period: float, count: int = 2) -> Trajectory:
-    """Return a run of some periods."""
+    """Return a run of `count` periods."""
     return rollout(plant, HoldValves("vent", "vent"), count * period, record_hz=MEASURED / period)
 
 
@@ -86,7 +87,7 @@ def serpenoid() -> Iterator[str]:
 
 
 def moved(run: Trajectory) -> np.ndarray:
-    """Return the displacement of connector 1 in the last period, in its frame at the start of it."""
+    """Return the displacement of connector 1 in the last period, in its frame at the start of this period."""
     x, y, heading = (run[f"{name}_1"][[-1 - MEASURED, -1]] for name in ("x", "y", "theta"))
     (dx, dy), c, s = (x[1] - x[0], y[1] - y[0]), math.cos(heading[0]), math.sin(heading[0])
     return np.array([c * dx + s * dy, c * dy - s * dx, heading[1] - heading[0]])
@@ -145,7 +146,7 @@ def work_per_distance(ratio: float, winding: float, waves: int = 2) -> float:
 
 
 def work_of_curve(ratio: float, winding: float, waves: int = 2) -> float:
-    """Return the same from the independent solver of `skin.py`."""
+    """Return the work as in `work_per_distance`, from the independent solver of `skin.py`."""
     curve = MasslessCurve((1.0, 1.0, ratio), 2 * math.pi * waves * winding, waves, points=401)
     distance, work = curve.period(100)
     return work / distance

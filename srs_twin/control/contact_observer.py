@@ -10,15 +10,15 @@ deviation
 
 $$ e_j = (q_j - \bar q_j) - (\varphi_j - \bar\varphi_j) $$
 
-is the moment of a contact over k. The measured pressures contain a drift of the supply, and the air that a
-contact compresses in closed chambers.
+is the moment of a contact over k. The pressures are measured, so a drift of the supply and the air that a
+contact compresses in closed chambers are not mistaken for a contact.
 
-**Statics.** A force F at a place s, normal to the body, is balanced by inertia, and by friction against the
-additional slip. Both reactions are taken as proportional to the mass of a connector and to the motion of a
-rigid body; friction acts across the wheels only. This gives the moments F·m_j(s) of the present shape. Two
-unknowns, F and s, are observable from four or more segments. A force along the body is not, and two contacts
-at once appear as one. A force near an end bends the body like a smaller opposite force near the second
-quarter; intervals contain both places.
+**Statics.** Inertia and the friction against the additional slip balance a force F at a place s, normal to
+the body. Both reactions are assumed proportional to the mass of a connector and to the motion of a rigid
+body; friction acts across the wheels only. This gives the moments F·m_j(s) of the present shape. The moments
+of four or more segments determine the two unknowns, F and s. A force along the body is not observable, and
+two simultaneous contacts appear as one. A force near an end bends the body like a smaller opposite force near
+the second quarter from that end; the intervals contain both places.
 
 **Estimate.** For each place s on a grid, F(s) is the weighted least-squares fit over a window. The score of
 a place is F(s) over its standard deviation; the place with the largest score is the estimate. Learning stops
@@ -40,7 +40,7 @@ from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import RobotSpec
 
 WINDOW_S = 0.3
-"""Window of one estimate; the shortest contact that must be found."""
+"""Duration of the window of an estimate; contacts of at least this duration must be detected."""
 SETTLING_S = 2.0
 """Duration of the transient after the start of a gait, which is not learnt."""
 LEARNING_S = 10.0
@@ -137,7 +137,7 @@ class ContactObserver(Stateful):
     state_attributes = ("period", "_count", "_changed", "_bins", "_sums", "_variance", "_window", "_samples")
 
     def __init__(self, spec: RobotSpec, sample_s: float, period: int = 0) -> None:
-        """Begin without knowledge.
+        """Create the observer, without learnt means.
 
         Args:
             spec: the robot.
@@ -156,7 +156,7 @@ class ContactObserver(Stateful):
         self.set_period(period)
 
     def set_period(self, period: int) -> None:
-        """Set the period of the commands in samples, and forget what was learnt under another one."""
+        """Set the period of the commands in samples, and discard the means of another period."""
         n = self._spec.segments
         self.period, self._samples, self._count, self._changed = period, 0, 0, 0
         self._bins = np.zeros(max(period, 1), dtype=int)
@@ -165,7 +165,7 @@ class ContactObserver(Stateful):
         self._window: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=self._length)
 
     def skip(self, samples: int) -> None:
-        """Advance by samples that are missing."""
+        """Advance by a number of missing samples."""
         self._samples += samples
 
     def update(self, command: np.ndarray, pressure: np.ndarray, sensed: np.ndarray) -> ContactEstimate | None:

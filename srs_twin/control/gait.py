@@ -18,15 +18,15 @@ frequency to that of the first wave and its lag λ,
 $$ P_j = \operatorname{sign}
    \sin\bigl(\rho\,(2\pi f t - \beta (j-1) + \psi - \alpha_j) - \lambda\bigr) . $$
 
-Valves only open and close, so a smaller wave is one that rests: the fundamental of a square wave that is 0
-for the fraction r of its period has the amplitude cos(π r/2). The pitch share s, from 0 to 1, is the share of
-the pitch wave in the sum of the two amplitudes: with s < 1/2 the pitch wave rests so that its amplitude is
-s/(1 − s), with s > 1/2 the other wave rests. Chamber c with the direction d_c fills where
+Valves only open and close, so the smaller wave rests, that is, it is 0 for a fraction r of its period. The
+fundamental of this square wave has the amplitude cos(π r/2). The pitch share s, from 0 to 1, is the amplitude
+of the pitch wave over the sum of both amplitudes. With s < 1/2 the pitch wave rests so that its amplitude is
+s/(1 − s); with s > 1/2 the other wave rests. Chamber c with the direction d_c fills where
 d_c · (S_j, P_j) > 0.
 
 | gait | pitch wave |
 |---|---|
-| sidewinding | λ = ± π/2: to the left or right of the heading |
+| sidewinding | λ = π/2: to the right of the heading; λ = −π/2: to the left |
 | rectilinear crawling | s = 1: the wave is vertical |
 | sinus-lifting | ρ = 2: the body lifts where its curvature is largest |
 | rolling | β = 0, s = 1/2, λ = ± π/2: the whole body turns about its axis |

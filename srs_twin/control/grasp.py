@@ -1,10 +1,10 @@
-"""Whole-body grasp: the tail curls around an object, the rest of the body drags it, the tail opens again.
+"""Whole-body grasp: the tail curls around an object, the rest of the body drags it, the tail releases it.
 
 The phases follow each other in open loop at given times, or on the sensed bends:
 
 1. *Curl.* The valves of the holding segments, at the tail, fill one side with a duty that rises from 0 to 1.
    A fast curl would push the object away. The other segments vent and lie still.
-2. *Drag.* The holding segments stay filled; the others make the gait of Eq. 13. In the sensed mode the phase
+2. *Drag.* The holding segments stay filled; the others use the gait of Eq. 13. In the sensed mode the phase
    begins when the readings have settled, and only if the holding segments bend less than they would without
    an object; otherwise the grasp has missed, and the run ends.
 3. *Release.* The holding segments vent, after a time or a distance of the centre of mass.
@@ -32,7 +32,7 @@ SIDES = ("left", "right")
 _SLOTS = 20  # slots of a tick in which the duty of the curl is resolved
 _SETTLED_RAD_PER_S = 0.3  # bend rate below which the curl has ended
 _SETTLING_S = 0.3  # time over which this rate is measured
-_GRIP_RAD = 0.1  # bend that an object takes from a holding segment, mean over the segments
+_GRIP_RAD = 0.1  # smallest decrease of the bend by an object, mean over the holding segments
 
 
 class Phase(IntEnum):

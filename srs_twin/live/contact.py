@@ -1,4 +1,4 @@
-"""Live contact estimate: the contact observer of the core, fed with a robot's messages."""
+"""Live contact estimate: the contact observer of the core, with a robot's messages as its input."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ class LiveContact:
     """
 
     def __init__(self, spec: RobotSpec) -> None:
-        """Begin without knowledge."""
+        """Create the observer of a robot, without learnt means."""
         self._observer = ContactObserver(spec, SLOT_S)
         self._sample: int | None = None
         self.estimate: ContactEstimate | None = None
 
     def update(self, messages: Iterable[Message], commands: CommandPeriod) -> None:
-        """Use the messages of one time.
+        """Update the estimate with the messages of one sending time.
 
         Args:
             messages: messages of one sending time.
@@ -39,7 +39,7 @@ class LiveContact:
             return
         if not self._observer.period and (period := commands.period()):
             self._observer.set_period(period)
-        # Samples count on the robot's clock, so that lost messages do not shift the phase.
+        # The robot's clock numbers the samples, so that lost messages do not shift the phase.
         sample = round(found[BENDS].sent / SLOT_S)
         if self._sample is not None and sample > self._sample:
             self._observer.skip(sample - self._sample - 1)

@@ -1,13 +1,13 @@
 r"""Chambers of a spatial robot, which bend a segment in several directions.
 
-Each chamber fills and vents with the first-order lag of `lag`, and a lag of the time constant τ₂ follows its
+Each chamber fills and vents with the first-order lag of `lag`; a lag with the time constant τ₂ follows its
 pressure. With the directions d_c of the chambers (`Chamber.directions`), the lagged pressures p̂_c and the
-bend law φ of `chambers`, the free bend of a segment is a vector, its components to the left and upwards,
+bend law φ of `chambers`, the free bend of a segment is a vector with the components left and up,
 
 $$ x = G \sum_c g_c\, \hat p_c\, d_c, \qquad q = b + \varphi(|x|)\, x / |x| , $$
 
-so that the limit of the bend holds for its magnitude in every direction. A chamber grows by the bend in its
-direction: V = V₀ + A max(0, q · d_c).
+so that the bend limit applies to the magnitude of the bend. The volume of a chamber grows with the bend in
+its direction: V = V₀ + A max(0, q · d_c).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Motion of a chain of connectors without inertia, from the local connection of its friction.
 
-Independent of the plants. The friction of a connector is linear in its slip, or its wheels do not slip
-sideways at all. Three equations then determine the velocity of the body from the bend rates:
+The module is independent of the plants. Either the friction of a connector is linear in its slip, or its
+wheels do not slip sideways. Three equations then determine the velocity of the body from the bend rates:
 ξ = −A(q) q̇ (Kelly and Murray 1995).
 """
 
@@ -83,7 +83,7 @@ def loop(middle: Sequence[float], radius: float, period: float = 60.0) -> Path:
 def displacement(path: Path, period: float, spec: RobotSpec, *, slips: bool) -> np.ndarray:
     """Return the displacement of connector 1 in a period of a closed path of shapes.
 
-    It is in the frame of the connector at the start: ahead (m), to the left (m) and turn (rad).
+    The components are ahead (m), to the left (m) and turn (rad), in the initial frame of the connector.
     """
 
     def pose_rate(time: float, pose: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 r"""Contact of the `compliant` model with obstacles: unilateral normal forces with Coulomb friction.
 
-**Shapes.** Each point of the chain (`cells`) carries a straight stretch of the body along its heading, which
+**Shapes.** The body at each point of the chain (`cells`) is a straight stretch along the heading, which
 reaches half way to the neighbouring points, with round ends and the half width w. Obstacles are line segments
 with a radius: circles and the sides of polygons. The contact is at the closest points of the two. Its force
 acts on the stretch, and thus changes force and moment at one point only.
@@ -10,8 +10,9 @@ acts on the stretch, and thus changes force and moment at one point only.
 $$ N = k\,δ_+\,(1 - χ v_n)_+, \qquad
    f_t = -μ N \frac{v_t}{\sqrt{v_t^2 + ε^2}}. $$
 
-N never pulls. The factor with χ dissipates energy (Hunt and Crossley, 1975). On the stiffness k the
-whole robot would swing with the time constant T = `CONTACT_TIME_S`, k = m/T²; T → 0 is rigid contact.
+N never pulls. The factor with χ dissipates energy (Hunt and Crossley, 1975). The stiffness is
+k = m/T², on which the robot with its mass m would oscillate with the time constant T = `CONTACT_TIME_S`;
+T → 0 is rigid contact.
 Both are evaluated at the end of each implicit stage, where δ moves by −a v_n with a = γ h, so that
 
 $$ \frac{∂N}{∂v_n} = -k\,\bigl(a\,(1 - χ v_n) + χ δ\bigr) $$
@@ -21,7 +22,7 @@ neglected in the matrix, not in the force. Friction with a constant N has a conv
 Newton's method relies. A stage is therefore solved a few times, each with the normal forces of the previous
 solution in the friction.
 
-MuJoCo is not involved: its twin has rods between hinges, other shapes, and constraint forces.
+The twin shares none of this: it has rods between hinges, other shapes, and MuJoCo's constraint forces.
 """
 
 from __future__ import annotations

@@ -2,19 +2,19 @@ r"""Friction of movable objects on the floor and on the body, as a part of the f
 
 An object touches hulls of the body, and stands on the floor on four points (`MovableObject.supports`). The
 friction of both kinds of contacts is that of `stick_slip`, implicit in the velocities, like that of the
-wheels (`friction_solve`, whose symbols this module uses). The velocity of a hull in the law is relative to
-the object, and the friction on the object is opposite. The points carry constant loads; normal forces of
-hulls stay those of v̂. The vertical friction of a hull does not change the loads of the points.
+wheels (`friction_solve`, whose symbols this module uses). The law uses the velocity of a hull relative to the
+object, and the friction on the object is opposite. The points carry constant loads; the normal forces of
+hulls remain those of v̂. The vertical friction of a hull does not change the loads of the points.
 
-An object is a tree of its own. The slopes of its contacts with hulls couple its motion with that of the
-snake, in a block B of Newton's matrix that M does not have. Block elimination solves for the motion of the
-objects first,
+Each object is a separate kinematic tree. The slopes of its contacts with hulls couple its motion with that of
+the snake. They add a block B to Newton's matrix, which M does not contain. Block elimination solves for
+the motion of the objects first,
 
 $$ (Q - B P^{-1} B^T)\,y = r_o - B P^{-1} r_s, \qquad x = P^{-1} (r_s - B^T y), $$
 
 with the factored matrices P of the snake and Q of the objects without B.
 
-`friction_solve` calls the functions at the places that their docstrings name. They do nothing without
+`friction_solve` calls these functions at the points that their docstrings state. They do nothing without
 objects. Warp omits them.
 """
 
@@ -50,7 +50,7 @@ class ObjectState(NamedTuple):
 
 
 class ObjectContacts(NamedTuple):
-    """Contacts of all objects: C of them, the pairs of an object and a hull before the points.
+    """The C contacts of all objects: first the pairs of an object and a hull, then the support points.
 
     Attributes:
         pairs: number of pairs.
@@ -65,8 +65,8 @@ class ObjectContacts(NamedTuple):
         friction: friction coefficient, shape (C,), 1.
         admittance: change of velocity per impulse, shape (C,), 1/kg.
         force, slip_speed, jacobian: see `ObjectState`; the Jacobian has the spatial vectors that give the
-            velocity along and across, for hull and object, shape (C, 2, 2, 6). Its object's part has a
-            negative sign in a pair.
+            velocity along and across, for hull and object, shape (C, 2, 2, 6). In a pair the part of
+            the object has a negative sign.
         theta: fraction of the step at which friction is evaluated, shape (C,).
         response: force along and across (N), and its slopes along, mixed and across (N·s/m), shape (C, 5).
         coupling: B, one row per degree of freedom of the objects, shape (no, nv).
@@ -162,7 +162,7 @@ def _fill(row, x, y, z, c, s, sign):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def apply_object_friction(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
-    """Add the friction of the previous step to `qfrc_applied`, after that of the wheels is there."""
+    """Add the friction of the previous step to `qfrc_applied`, after that of the wheels was added."""
     o = engine.objects
     for w in range(o.force.shape[0]):
         for side in range(2):
@@ -186,7 +186,7 @@ def locate_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
             x = engine.xpos[body, 0] + m[0] * place[0] + m[1] * place[1] - own[0]
             y = engine.xpos[body, 1] + m[3] * place[0] + m[4] * place[1] - own[1]
             _fill(row[1], x, y, 0.0, 1.0, 0.0, 1.0)
-            # Across is horizontal, too.
+            # The direction across is also horizontal.
             row[1, 1, 0], row[1, 1, 1], row[1, 1, 2] = 0.0, 0.0, x
             row[1, 1, 3], row[1, 1, 4], row[1, 1, 5] = 0.0, 1.0, 0.0
         else:

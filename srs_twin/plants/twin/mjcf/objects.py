@@ -2,9 +2,8 @@
 
 An object is a body with two slide joints and a hinge about z, so that its position in `qpos` is x, y and
 heading in the world. It does not tip. Its weight and its friction on the floor are those of four points
-(`MovableObject.supports`); the friction of the points, and that between object and body, belong to
-`friction_solve`. The engine computes normal forces, and the friction of an object on obstacles and on other
-objects.
+(`MovableObject.supports`). `friction_solve` computes the friction of these points, and that between object
+and body. MuJoCo computes the normal forces, and the friction of an object on obstacles and on other objects.
 """
 
 from __future__ import annotations
@@ -86,7 +85,7 @@ def _names(count: int) -> list[str]:
 
 
 def object_names(model: mujoco.MjModel) -> list[str]:
-    """Return the names of the bodies of all objects, in their order."""
+    """Return the names of the bodies of all objects, in the order of the objects."""
     return _names(sum(model.body(k).name.startswith("object_") for k in range(model.nbody)))
 
 
