@@ -28,7 +28,7 @@ _BEGINNING = {
     "module_step_direct": "control the bend of one module",
     "sensor_up": "read a curvature sensor",
 }
-"""Scenarios to begin with, one per group, and what they show."""
+"""Scenarios to begin with, at most one per group, and what they show."""
 
 _GROUPS = {
     "crawl": r"(gen\d|skin)_(straight|climb)",
@@ -37,6 +37,8 @@ _GROUPS = {
     "learn": "ilc_.*",
     "one module": "module_.*",
     "sensor": "sensor_.*",
+    "touch and move objects": "(pegs|push|grasp)_.*",
+    "three dimensions": "spatial_.*",
 }
 """Title of a group of scenarios → pattern of their names."""
 

@@ -77,6 +77,19 @@ class PitchWave:
         if self.lifted_segments < 0:
             raise InputError(f"{self.lifted_segments} lifted segments are not allowed; use 0 or more")
 
+    def check(self, spec: RobotSpec) -> None:
+        """Check that a robot can have this wave.
+
+        Raises:
+            InputError: the robot bends in one plane, or has too few segments to lift.
+        """
+        if not spec.is_spatial:
+            raise InputError(f"a gait with pitch needs a spatial robot; {spec.name} bends in one plane")
+        if self.lifted_segments > spec.segments:
+            raise InputError(
+                f"{self.lifted_segments} lifted segments, but {spec.name} has {spec.segments} segments"
+            )
+
     @property
     def rest_levels(self) -> tuple[float, float]:
         """Levels sin(π r/2) below which the wave to the left and right, and the pitch wave, rest."""
@@ -176,12 +189,8 @@ class Gait(Controller):
         """
         if len(self._phases) not in (0, spec.segments):
             raise InputError(f"{len(self._phases)} phases, but {spec.name} has {spec.segments} segments")
-        if self.pitch is not None and not spec.is_spatial:
-            raise InputError(f"a gait with pitch needs a spatial robot; {spec.name} bends in one plane")
-        if self.pitch is not None and self.pitch.lifted_segments > spec.segments:
-            raise InputError(
-                f"{self.pitch.lifted_segments} lifted segments, but {spec.name} has {spec.segments} segments"
-            )
+        if self.pitch is not None:
+            self.pitch.check(spec)
         self._axes = spec.chamber.axes if spec.is_spatial else None
         slots = count_slots(tick, spec.scale)
         step = spec.phase_step if self._phase_step is None else self._phase_step

@@ -43,6 +43,19 @@ class Phase(IntEnum):
     RELEASE = 3
 
 
+def check_hold(hold: int, spec: RobotSpec) -> None:
+    """Check that enough segments remain to crawl if some hold.
+
+    Raises:
+        InputError: the robot has too few segments to hold and to crawl.
+    """
+    if not 1 <= hold <= spec.segments - 2:
+        raise InputError(
+            f"{hold} holding segments are not allowed; {spec.name} has {spec.segments} segments, of which "
+            "at least two must crawl"
+        )
+
+
 class Grasp(Controller):
     """Grasp and drag of an object next to the tail (module docstring).
 
@@ -93,11 +106,7 @@ class Grasp(Controller):
         Raises:
             InputError: the robot has too few segments to hold and to crawl.
         """
-        if not 1 <= self.hold <= spec.segments - 2:
-            raise InputError(
-                f"{self.hold} holding segments are not allowed; {spec.name} has {spec.segments} segments, of "
-                "which at least two must crawl"
-            )
+        check_hold(self.hold, spec)
         self._gait.reset(spec, tick)
         self._tick, self._segments = tick, spec.segments
         self._free_bend = largest_bend(spec, spec.supply.nominal)

@@ -132,6 +132,8 @@ class CommandPeriod:
 
     def period(self) -> int:
         """Return the period of the commands in slots, 0 without one."""
+        if not self._duties:
+            return 0
         past = np.array(self._duties)
         recent = past[-_LAGS[-1] // 2 :]
         best = _SAME, 0

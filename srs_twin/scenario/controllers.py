@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from srs_twin.control.base import Controller
 from srs_twin.control.duties import MAX_OFFSET, ChamberPeriods
 from srs_twin.control.gait import Gait, PitchWave
-from srs_twin.control.grasp import Grasp
+from srs_twin.control.grasp import Grasp, check_hold
 from srs_twin.control.learning import ILC, MIN_PULSES
 from srs_twin.control.pwm import PulseWidthModulator
 from srs_twin.control.reference import Constant, Reference, Sine, Square, Staircase, Step
@@ -177,8 +177,7 @@ class GaitFile(ControllerSection):
     def check(self, spec: RobotSpec, tick: float) -> None:
         """See `ControllerSection.check`: a pitch wave needs a spatial robot."""
         if self.pitch is not None:
-            pitch = PitchWave(**self.pitch.arguments())
-            Gait(self.frequency_hz, pitch=pitch).reset(spec, tick)
+            PitchWave(**self.pitch.arguments()).check(spec)
 
 
 class LearningFile(ControllerSection):
@@ -436,7 +435,7 @@ class GraspFile(ControllerSection):
 
     def check(self, spec: RobotSpec, tick: float) -> None:
         """See `ControllerSection.check`: enough segments must hold and crawl."""
-        self.build().reset(spec, tick)
+        check_hold(self.arguments()["hold"], spec)
 
 
 CORE_CONTROLLERS = (GaitFile, LearningFile, DirectFile, IterativeFile, HoldFile, GraspFile)

@@ -89,7 +89,7 @@ POSITIONS = [
     ("offset: 0.0", "offset: 1", "5:53: controller.offset: must be a number from -0.95 to 0.95, not 1"),
     ("duration_s: 1", "duration_s: 1e9", "3:13: duration_s: must be a number from 0.001 to 3600, not 10000"),
     ("duration_s: 1", "duration: 1", "3:1: duration: unknown key; did you mean duration_s?"),
-    ("world: {}", "world: []", "6:8: world: must be a block of keys (obstacles, circles, map, polygons, random, floor, steps, bounds, goal), "),
+    ("world: {}", "world: []", "6:8: world: must be a block of keys (obstacles, circles, map, polygons, random, pegs, obstacle_friction, floor, steps, objects, bounds, goal), "),
     ("world: {}", "world: {floor: {tilt_deg: 90}}", "6:27: world.floor.tilt_deg: must be a number from 0 to 60, not 90"),
     ("world: {}", "world: {steps: [{x_m: 0.5, height_m: 0.002}]}", "6:16: world.steps: the floor of the analytical model is a plane; only the twin has steps"),
     ("friction: axis", "load: momentary", "8:15: plants.analytical: friction axis acts at one point per connector"),
