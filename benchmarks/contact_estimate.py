@@ -1,4 +1,4 @@
-"""Contact forces from valve commands, pressures and bends, on robots that were not used for settings.
+"""Contact forces from valve commands, pressures and bends, on robots that were not used to choose settings.
 
     uv run python benchmarks/contact_estimate.py [--first 0] [--robots 100] [--data FOLDER] [--json FILE]
 

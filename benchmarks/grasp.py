@@ -1,4 +1,4 @@
-"""Grasp and drag of drawn objects by a chain of generation 2's modules.
+"""Grasp and drag of random objects by a chain of generation 2's modules.
 
     uv run python benchmarks/grasp.py [--objects 50] [--mode sensed] [--payload] [--json FILE]
 

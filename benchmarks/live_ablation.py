@@ -106,7 +106,7 @@ ESTIMATE_PARTS: dict[str, tuple[str, Part]] = {
     "nothing, poor cameras": ("poor", unchanged),
     "noise of frames, poor cameras": ("poor", _no_noise_estimate),
 }
-"""What is switched off: cameras and function that switches it off."""
+"""Refinement that is switched off: cameras, and the function that switches it off."""
 _PATIENCE = (fault_hypotheses, "_PATIENCE_FACTOR", 1.0)
 _WEAK = (fault_detector, "_SINGLE_WEAK_FACTOR", 1.0)
 DETECTOR_PARTS: dict[str, tuple[Part, Sequence[tuple[Any, str, Any]], str]] = {
@@ -120,7 +120,7 @@ DETECTOR_PARTS: dict[str, tuple[Part, Sequence[tuple[Any, str, Any]], str]] = {
     "longer time for several suspects": (unchanged, [_PATIENCE], "nwp"),
     "single weak segments are unlikely": (unchanged, [_WEAK], "nwp"),
 }
-"""What is switched off: function that switches it off, changed constants, and initials of the conditions."""
+"""Part that is switched off: function that does so, changed constants, and initials of the conditions."""
 
 
 def outcome(order: tuple[str, int, str]) -> dict[str, Any]:

@@ -37,7 +37,7 @@ RUN_S = 120.0
 """Duration of a run without a fault, s."""
 SLOW_LEAK = "leak:{j}{side}=slow"
 Order = tuple[str, int, str]
-"""What is run ("faults", "alarms"), seed and condition."""
+"""Kind of run ("faults" or "alarms"), seed and condition."""
 
 
 def run(order: Order) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Snakes on skin: theory from outside, and the twin against the analytical model.
+"""Snakes on skin: the models compared with published theory, and the twin with the analytical model.
 
     uv run python benchmarks/skin.py theory plants ellipse    # half a minute, ten minutes, ten minutes
 
