@@ -35,6 +35,9 @@ _PRESSURE_KPA = 48.3
 _AIR_ML = 45.0
 """Growth of the volume of a chamber up to the full bend, ml."""
 
+_BEND_RAD = 1.57
+"""Default bend of a segment at the supply pressure, rad."""
+
 _SERVO_BEND_RAD = 0.6
 """Default largest angle of a servo joint, rad."""
 
@@ -77,7 +80,7 @@ def robot(
         raise InputError("a robot with servos has no supply; remove --pressure or --servo")
     supply = _PRESSURE_KPA if servo else _answer("supply pressure, kPa", pressure, _PRESSURE_KPA)
     of = "largest angle of a joint" if servo else "bend of one segment at that pressure"
-    max_bend = _answer(f"{of}, rad", bend, _SERVO_BEND_RAD if servo else 1.57)
+    max_bend = _answer(f"{of}, rad", bend, _SERVO_BEND_RAD if servo else _BEND_RAD)
     if count < 1 or not all(0 < value < math.inf for value in (body_length, total_mass, supply, max_bend)):
         raise InputError("length, mass, segments, pressure and bend must be positive")
     air, share = _AIR_ML * scale**3, _JOINT_SHARE if servo else 0.037 / _PITCH_M

@@ -87,8 +87,8 @@ class AnalyticalFile(_PlantFile):
     load: Literal["static", "momentary"] = constructor_default()
     """Load of a wheel or skid; static: half the weight of its connector, momentary: with load transfer by
     lateral forces (not with axis). A skin has such pairs along the whole body."""
-    touch: bool = constructor_default()
-    """Whether the body touches obstacles; false: it passes through them. Only with compliant."""
+    touch: bool | None = None
+    """Whether the body touches obstacles (default: false, it passes through them); only with compliant."""
     slip_speed_m_s: float = quantity(1e-9, 1.0, SLIP_SPEED_M_S)
     """Slip speed below which friction deviates from Coulomb friction (default: 0.00025 times the robot's time
     unit)."""

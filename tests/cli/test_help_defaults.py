@@ -61,6 +61,7 @@ def stated() -> Iterator[tuple[str, str, str]]:
 
 def values() -> dict[tuple[str, str], str]:
     """Return command and parameter → default that the command takes, in the help's words."""
+    from srs_twin.cli.new import _BEND_RAD, _SERVO_BEND_RAD
     from srs_twin.comparison.diff import Tolerances
     from srs_twin.identification.command import _FREQUENCY_HZ, _plant_settings
     from srs_twin.identification.footprint import GaitSetup
@@ -74,6 +75,7 @@ def values() -> dict[tuple[str, str], str]:
     return {
         ("diff", "rel"): f"{Tolerances().rel:.0e}".replace("e-0", "e-"),
         ("diff", "abs_"): f"{Tolerances().abs:.0e}".replace("e-0", "e-"),
+        ("new robot", "bend"): f"{_BEND_RAD:g}; joints {_SERVO_BEND_RAD:g}",
         ("replay", "law"): _plants("analytical", "complete", None, False)["analytical"]["friction"],
         ("calibrate locomotion", "law"): fitted["friction"],
         ("calibrate locomotion", "model"): fitted["model"],

@@ -37,7 +37,7 @@ COMMANDS = [
     ("run gen2_straight --plants both", "--plants: 'both' is unknown; allowed: analytical, twin"),
     ("show gen5", "unknown scenario or robot 'gen5'; did you mean gen"),
     ("list robot", "unknown kind 'robot'; did you mean robots?"),
-    ("sweep gen2_straight", "unknown sweep 'gen2_straight' (available: 16 names; `srs-twin list sweeps` lists them)"),
+    ("sweep gen2_straight", "unknown sweep 'gen2_straight' (available: 17 names; `srs-twin list sweeps` lists them)"),
     ("plan gen2_straight", "there is no planner section; add planner, and controller.kind: follow"),
     ("view gen2_straight", "no recording found"),
     ("render gen2_straight", "give exactly one of --video FILE.mp4"),
