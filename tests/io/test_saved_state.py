@@ -165,7 +165,8 @@ def test_state_restores_in_another_process(case, tmp_path):
     plant.save().write(tmp_path / "plant.npz")
     controller.save().write(tmp_path / "controller.npz")
     here = simulate(plant, controller, 10)[-1].position.tobytes().hex()
-    folders = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
+    tests = Path(__file__).parents[1]
+    folders = [str(Path(__file__).parent), str(tests), str(tests / "helpers")]
     script = ELSEWHERE.format(folders=folders, case=case)
     done = subprocess.run(
         [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True
