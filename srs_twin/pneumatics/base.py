@@ -250,6 +250,19 @@ class Pneumatics(Stateful, ABC):
         return {"kind": self.kind, "valve_delay_s": self._delay} | stuck
 
 
+def check_supply(supply_pa: float, max_pa: float) -> None:
+    """Check a supply pressure (Pa) against the largest one, with which the chambers were constructed.
+
+    Raises:
+        InputError: it is out of range.
+    """
+    if not 0 <= supply_pa <= max_pa:
+        raise InputError(
+            f"supply pressure {supply_pa!r} Pa is not allowed; it must be 0 to {max_pa:g} Pa, "
+            "the pressure at construction"
+        )
+
+
 def check_not_negative(**values: float) -> None:
     """Check that numbers are finite and not negative.
 

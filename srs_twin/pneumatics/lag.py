@@ -31,8 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from srs_twin.compute.compiled import allocating, compiled
-from srs_twin.errors import InputError
-from srs_twin.pneumatics.base import OptionalArray, Pneumatics, Trace, check_not_negative
+from srs_twin.pneumatics.base import OptionalArray, Pneumatics, Trace, check_not_negative, check_supply
 from srs_twin.pneumatics.chambers import (
     AMBIENT_PA,
     BendLaw,
@@ -181,11 +180,7 @@ class LagPneumatics(Pneumatics):
 
     def set_supply_pressure(self, supply_pa: float) -> None:
         """See `Pneumatics.set_supply_pressure`; the pressure changes immediately."""
-        if not 0 <= supply_pa <= self._max_supply:
-            raise InputError(
-                f"supply pressure {supply_pa!r} Pa is not allowed; it must be 0 to {self._max_supply:g} Pa, "
-                "the pressure at construction"
-            )
+        check_supply(supply_pa, self._max_supply)
         # A leak lowers the equilibrium pressure below that of the supply.
         self._asymptote[:, 2] = supply_pa / self._tau_fill / self._rate[:, 2]
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)

@@ -27,7 +27,7 @@ import numpy as np
 
 from srs_twin.compute.arrays import check_positive
 from srs_twin.errors import InputError
-from srs_twin.pneumatics.base import OptionalArray, Pneumatics, Trace, check_not_negative
+from srs_twin.pneumatics.base import OptionalArray, Pneumatics, Trace, check_not_negative, check_supply
 from srs_twin.pneumatics.chambers import (
     AMBIENT_PA,
     bend_law,
@@ -187,11 +187,7 @@ class OrificePneumatics(Pneumatics):
 
     def set_supply_pressure(self, supply_pa: float) -> None:
         """See `Pneumatics.set_supply_pressure`."""
-        if not 0 <= supply_pa <= self._max_supply:
-            raise InputError(
-                f"supply pressure {supply_pa!r} Pa is not allowed; it must be 0 to {self._max_supply:g} Pa, "
-                "the pressure at construction"
-            )
+        check_supply(supply_pa, self._max_supply)
         band = REGULATOR_BAND * max(supply_pa, 1.0)
         self._plumbing = self._plumbing._replace(supply=supply_pa + AMBIENT_PA, band=band)
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)

@@ -14,8 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from srs_twin.errors import InputError
-from srs_twin.pneumatics.base import OptionalArray, Pneumatics, Trace, check_not_negative
+from srs_twin.pneumatics.base import OptionalArray, Pneumatics, Trace, check_not_negative, check_supply
 from srs_twin.pneumatics.chambers import AMBIENT_PA, chamber_gains, vector_bends
 from srs_twin.pneumatics.lag import followed, relaxation_of, relaxed
 from srs_twin.pneumatics.valves import Schedule
@@ -57,11 +56,7 @@ class SpatialLagPneumatics(Pneumatics):
 
     def set_supply_pressure(self, supply_pa: float) -> None:
         """See `Pneumatics.set_supply_pressure`; the pressure changes immediately."""
-        if not 0 <= supply_pa <= self._max_supply:
-            raise InputError(
-                f"supply pressure {supply_pa!r} Pa is not allowed; it must be 0 to {self._max_supply:g} Pa, "
-                "the pressure at construction"
-            )
+        check_supply(supply_pa, self._max_supply)
         self._supply = supply_pa
 
     def describe(self) -> dict[str, object]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -219,6 +219,7 @@ class _ObjectFile(Section):
     """Base class of movable objects."""
 
     constructors = (MovableObject,)
+    size_keys: ClassVar[tuple[str, ...]]
 
     mass_kg: float = quantity(1e-4, 1000.0)
     """Mass."""
@@ -231,30 +232,27 @@ class _ObjectFile(Section):
     heading_rad: float = quantity(-6.3, 6.3)
     """Initial heading, counter-clockwise from x."""
 
-    def sides(self) -> tuple[float, ...]:
-        """Return the size of the object, m."""
-        raise NotImplementedError
-
     def build(self) -> MovableObject:
         """Return the object."""
-        return MovableObject(size=self.sides(), **self.arguments())
+        size = tuple(getattr(self, key) for key in self.size_keys)
+        return MovableObject(size=size, **self.arguments())
 
 
 class CylinderFile(_ObjectFile):
     """Cylinder that stands on the floor and slides on it."""
+
+    size_keys = ("radius_m",)
 
     kind: Literal["cylinder"]
     """Shape."""
     radius_m: float = quantity(1e-3, 100.0)
     """Radius."""
 
-    def sides(self) -> tuple[float, ...]:
-        """See `_ObjectFile.sides`."""
-        return (self.radius_m,)
-
 
 class BoxFile(_ObjectFile):
     """Box that stands on the floor and slides on it."""
+
+    size_keys = ("length_m", "width_m")
 
     kind: Literal["box"]
     """Shape."""
@@ -262,10 +260,6 @@ class BoxFile(_ObjectFile):
     """Length, along its heading."""
     width_m: float = quantity(1e-3, 100.0)
     """Width."""
-
-    def sides(self) -> tuple[float, ...]:
-        """See `_ObjectFile.sides`."""
-        return self.length_m, self.width_m
 
 
 ObjectFile = Annotated[CylinderFile | BoxFile, Field(discriminator="kind")]
