@@ -182,7 +182,8 @@ def _turning(kind, spec, run):
 
 def test_analytical_torque_satisfies_lagranges_equation():
     """T = d/dt(∂E/∂q̇) − ∂E/∂q of a chain of three, by finite differences of its kinetic energy."""
-    from srs_twin.plants.analytical import kernels, simulate_clamped
+    from srs_twin.plants.analytical import kernels
+    from srs_twin.plants.analytical.bodies import simulate_clamped
     from srs_twin.plants.analytical.kinematics import BodyParameters
     from srs_twin.pneumatics import Trace
 

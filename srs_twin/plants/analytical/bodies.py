@@ -1,0 +1,405 @@
+r"""Bodies of the planar analytical models: mechanics of connectors on segments of constant curvature.
+
+`PrescribedBends` follow the chambers regardless of load (models `complete` and `simplified`), `ClampedBends`
+are a chain that is held at its head, and `CompliantBends` have stiffness and damping (model `compliant`).
+
+The bends of a clamped chain are the free bends of Eq. 14, as on a test bench. Only the clamp touches the
+chain, so its motion follows from the bends alone. The moments of its segments follow from the recursive
+Newton–Euler algorithm: accelerations from the head to the tail,
+
+$$ a_{j+1} = a_j - (\ddot L - L\dot\psi^2)\,e(\psi) - (L\ddot\psi + 2\dot L\dot\psi)\,e_\perp(\psi), $$
+
+with the direction ψ and the length L of chord j, and moments from the tail to the head: T_j is the
+generalised force of the bend q_j.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from srs_twin.compute.compiled import allocating
+from srs_twin.errors import InputError
+from srs_twin.io.saved_state import Stateful
+from srs_twin.plants.analytical import compliant_kernels, kernels
+from srs_twin.plants.analytical.cells import Undivided
+from srs_twin.plants.analytical.floor import FloorFriction
+from srs_twin.plants.analytical.kernels import inverse_dynamics
+from srs_twin.plants.analytical.kinematics import ROWS, BodyParameters, chord_terms, pose_body
+from srs_twin.plants.analytical.obstacles import Obstacles
+from srs_twin.plants.analytical.steps import advance
+from srs_twin.plants.base import Pose
+from srs_twin.pneumatics import Trace
+from srs_twin.pneumatics.chambers import air_bend
+from srs_twin.robot.spec import RobotSpec
+
+
+class Motion(NamedTuple):
+    """Motion of a body at several times.
+
+    Attributes:
+        states: indices as in `kernels`, shape (samples, STATES or more); in a world with obstacles followed
+            by their mean forces on each point since the previous sample.
+        velocities: velocity of the centre of mass in the mean-heading frame (m/s), yaw rate (rad/s) and, for
+            compliant bends, bend rates (rad/s), shape (samples, 3 or more).
+        bend: bends of the segments, or of the cells of a body with skin, shape (samples, cells), rad.
+        bend_rate: their rates, shape (samples, cells), rad/s.
+        torque: net moment of each segment, shape (samples, segments), N·m.
+    """
+
+    states: np.ndarray
+    velocities: np.ndarray
+    bend: np.ndarray
+    bend_rate: np.ndarray
+    torque: np.ndarray
+
+
+class Body(Stateful, ABC):
+    """Abstract mechanics of an analytical model, driven by the chambers.
+
+    Attributes:
+        state: current state. `kernels` names its indices; compliant bends append further entries.
+        velocity: current velocities, in the format of `Motion.velocities`.
+        solid: constants of the body for the kernels.
+        floor: floor for the kernels.
+        cells: division of the segments.
+        obstacles: obstacles that the body can touch, or None.
+    """
+
+    state_attributes: ClassVar[tuple[str, ...]] = ("state", "velocity")
+
+    state: np.ndarray
+    velocity: np.ndarray
+    obstacles: Obstacles | None = None
+
+    compliant = False
+    """Whether the bends are degrees of freedom, instead of the free bends of the chambers."""
+
+    def __init__(self, solid: BodyParameters, floor: FloorFriction, cells: Undivided, bends: int = 0) -> None:
+        """Set the constants; `bends` is the number of bends that are degrees of freedom."""
+        self.solid, self.floor, self.cells = solid, floor, cells
+        self._shapes = kernels.STATES + 2 * bends, 3 + bends
+
+    def bends(self) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
+        """Return the current bends (rad) and bend rates (rad/s) if they are degrees of freedom, else None."""
+        return None, None
+
+    def reset(self, pose: Pose) -> None:
+        """Lay the body straight and at rest.
+
+        Args:
+            pose: centre of mass x, y (m) and mean heading (rad).
+        """
+        self.state, self.velocity = map(np.zeros, self._shapes)
+        self.state[:3] = pose
+
+    def place(self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
+        """Set velocities, bends and bend rates after `reset`.
+
+        Args:
+            velocity: velocity of the centre of mass in the world frame (m/s) and yaw rate (rad/s), shape
+                (3,).
+            bend: shape (segments,), rad.
+            rate: bend rates, shape (segments,), rad/s.
+        """
+        bend, rate = self.cells.split(bend), self.cells.split(rate)
+        self.state[kernels.HEADING] += self.cells.lead(bend)
+        (x, y, yaw), heading = velocity, float(self.state[kernels.HEADING])
+        yaw += self.cells.lead(rate)
+        c, s = math.cos(heading), math.sin(heading)
+        self.state[kernels.STATE_VX], self.state[kernels.STATE_VY] = x, y
+        self.velocity[:3] = c * x + s * y, c * y - s * x, yaw
+        inertia, moment = pose_body(bend, rate, self.solid, np.empty((ROWS, len(self.solid.mass))))
+        self.state[kernels.MOMENT] = inertia * yaw + moment
+
+    def _allocate(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return arrays for states and velocities of samples."""
+        states, velocities = (np.zeros((samples, count)) for count in self._shapes)
+        return states, velocities
+
+    def _split(self, trace: Trace) -> Trace:
+        """Return a trace with the free bends of the cells."""
+        split = self.cells.split
+        return trace._replace(
+            bend=split(trace.bend),
+            bend_rate=split(trace.bend_rate),
+            bend_acceleration=split(trace.bend_acceleration),
+        )
+
+    @abstractmethod
+    def move(
+        self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
+    ) -> tuple[int, np.ndarray, np.ndarray]:
+        """Advance by several steps.
+
+        Args:
+            steps: lengths of the steps, shape (steps,), s.
+            trace: pressures and free bends of the chambers at the start and the two stages of each step, 1 +
+                2 steps rows.
+            sample_steps: number of steps before each sample, ascending, shape (samples,).
+
+        Returns:
+            The number of completed steps, smaller than requested after a failure; states and velocities as in
+            `Motion` at the samples, filled as far as they were reached.
+        """
+
+    def stored(self, bend: np.ndarray) -> float | np.ndarray:
+        """Return the elastic energy of cells that bend unlike their segment, shape (samples,), J.
+
+        Args:
+            bend: bends of the cells, shape (samples, cells), rad.
+        """
+        return 0.0
+
+    @abstractmethod
+    def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
+        """Return the motion at times for which the trace has one row each."""
+
+
+class PrescribedBends(Body):
+    """Body of `complete` and `simplified`: the bends are the free bends of Eq. 14, regardless of load."""
+
+    state_attributes = ("_state_rate",)
+
+    def __init__(
+        self,
+        solid: BodyParameters,
+        floor: FloorFriction,
+        cells: Undivided,
+        *,
+        friction_torque: bool,
+        tolerance: float,
+    ) -> None:
+        super().__init__(solid, floor, cells)
+        self._model, self._tolerance = (solid, floor, friction_torque), tolerance
+
+    def reset(self, pose: Pose) -> None:
+        """See `Body.reset`."""
+        super().reset(pose)
+        self._state_rate = np.zeros(kernels.STATES)
+
+    def move(
+        self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
+    ) -> tuple[int, np.ndarray, np.ndarray]:
+        """See `Body.move`."""
+        now = self.state, self._state_rate, self.velocity
+        samples, trace = self._allocate(len(sample_steps)), self._split(trace)
+        done, _ = advance(now, steps, trace, sample_steps, self._model, self._tolerance, samples)
+        return done, *samples
+
+    def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
+        """See `Body.motion`."""
+        trace = self._split(trace)
+        torque = np.empty_like(trace.bend)
+        inverse_dynamics(velocities, trace, self._model, torque)
+        return Motion(states, velocities, trace.bend, trace.bend_rate, self.cells.moments(torque))
+
+
+class ClampedBends(Body):
+    """Chain that is held at its head in the air (module docstring)."""
+
+    state_attributes = ("_head_pose",)
+
+    def __init__(self, solid: BodyParameters, floor: FloorFriction, cells: Undivided) -> None:
+        # In the air: no friction.
+        super().__init__(solid, floor._replace(mu_t=0.0, mu_back=0.0, mu_n=0.0, drag=0.0), cells)
+
+    def reset(self, pose: Pose) -> None:
+        """See `Body.reset`; the head stays at its initial pose."""
+        super().reset(pose)
+        (x, y, heading), ahead = pose, self.cells.com_behind_head
+        self._head_pose = np.array([x + ahead * math.cos(heading), y + ahead * math.sin(heading), heading])
+
+    def place(self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
+        """See `Body.place`; a clamped chain can only start at rest."""
+        raise InputError("a snake that is clamped at its head can only start at rest")
+
+    def move(
+        self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
+    ) -> tuple[int, np.ndarray, np.ndarray]:
+        """See `Body.move`; `motion` computes the states."""
+        return len(steps), *self._allocate(len(sample_steps))
+
+    def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
+        """See `Body.motion`; the bends determine the motion."""
+        trace = self._split(trace)
+        torque = np.empty_like(trace.bend)
+        simulate_clamped(trace, self.solid, self._head_pose, states, velocities, torque)
+        return Motion(states, velocities, trace.bend, trace.bend_rate, self.cells.moments(torque))
+
+
+@allocating
+def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: ignore[no-untyped-def]
+    """Fill states, velocities and moments of a chain that is held at its head.
+
+    Args:
+        trace: trace of the chambers; their free bends are the bends of the chain.
+        solid: the chain.
+        head: pose of the head: x, y (m), heading (rad).
+        states: out, pose and velocity of the centre of mass in the world frame, indices as in `kernels`.
+        velocities: out, velocity in the mean-heading frame and mean spin, shape (samples, 3).
+        torque: out, net moments of the segments, shape (samples, segments), N·m.
+    """
+    n, total = solid.mass.shape[0], solid.mass.sum()
+    position, acceleration, alpha = np.empty((n, 2)), np.empty((n, 2)), np.empty(n)
+    lever = np.empty((n - 1, 2))
+    for k in range(trace.bend.shape[0]):
+        angle, spin, mean, mean_spin = head[2], 0.0, head[2], 0.0
+        alpha[0] = 0.0
+        position[0], acceleration[0] = 0.0, 0.0
+        v_x = v_y = com_x = com_y = com_vx = com_vy = 0.0
+        for j in range(n - 1):
+            q, dq, ddq = trace.bend[k, j], trace.bend_rate[k, j], trace.bend_acceleration[k, j]
+            psi, chord_spin, chord_alpha = (
+                angle - q / 2,
+                spin - dq / 2,
+                alpha[j] - ddq / 2,
+            )
+            angle, spin, alpha[j + 1] = angle - q, spin - dq, alpha[j] - ddq
+            _, _, span, slope, curvature = chord_terms(q, solid, j)
+            chord_rate, chord_acceleration = slope * dq, curvature * dq * dq + slope * ddq
+            inward, aside = (
+                chord_acceleration - span * chord_spin * chord_spin,
+                span * chord_alpha + 2 * chord_rate * chord_spin,
+            )
+            c, s = math.cos(psi), math.sin(psi)
+            position[j + 1, 0], position[j + 1, 1] = position[j, 0] - span * c, position[j, 1] - span * s
+            v_x, v_y = (
+                v_x - chord_rate * c + span * chord_spin * s,
+                v_y - chord_rate * s - span * chord_spin * c,
+            )
+            acceleration[j + 1, 0] = acceleration[j, 0] - inward * c + aside * s
+            acceleration[j + 1, 1] = acceleration[j, 1] - inward * s - aside * c
+            # Velocity of all connectors behind segment j per bend rate: the chord shortens, and rotates by
+            # half of the bend.
+            lever[j, 0], lever[j, 1] = -slope * c - span / 2 * s, -slope * s + span / 2 * c
+            share = solid.mass[j + 1] / total
+            com_x, com_y = com_x + share * position[j + 1, 0], com_y + share * position[j + 1, 1]
+            com_vx, com_vy = com_vx + share * v_x, com_vy + share * v_y
+            mean, mean_spin = mean + (angle - head[2]) / n, mean_spin + spin / n
+        states[k, kernels.STATE_X], states[k, kernels.STATE_Y] = head[0] + com_x, head[1] + com_y
+        states[k, kernels.HEADING] = mean
+        states[k, kernels.STATE_VX], states[k, kernels.STATE_VY] = com_vx, com_vy
+        c, s = math.cos(mean), math.sin(mean)
+        velocities[k, 0], velocities[k, 1] = com_vx * c + com_vy * s, com_vy * c - com_vx * s
+        velocities[k, 2] = mean_spin
+        force_x = force_y = moment = 0.0
+        for j in range(n - 2, -1, -1):
+            # Net force on all connectors behind segment j, and its moment about the connector at the rear
+            # end.
+            if j < n - 2:
+                arm_x, arm_y = (
+                    position[j + 2, 0] - position[j + 1, 0],
+                    position[j + 2, 1] - position[j + 1, 1],
+                )
+                moment += arm_x * force_y - arm_y * force_x
+            force_x += solid.mass[j + 1] * acceleration[j + 1, 0]
+            force_y += solid.mass[j + 1] * acceleration[j + 1, 1]
+            moment += solid.inertia[j + 1] * alpha[j + 1]
+            torque[k, j] = lever[j, 0] * force_x + lever[j, 1] * force_y - moment
+
+
+class CompliantBends(Body):
+    """Body of `compliant`: masses on springs with dampers.
+
+    The air exerts the moment k φ(x) + k b on a segment (`pneumatics.chambers`); for a nominal linear segment
+    this is k G (p⁺ − p⁻). The stiffness k and the damping c = k · damping_time act against it. A massless
+    segment without load obeys Eq. 14; inertia and friction deflect it.
+    """
+
+    state_attributes = ("_sampled",)
+    compliant = True
+
+    def __init__(
+        self,
+        spec: RobotSpec,
+        solid: BodyParameters,
+        floor: FloorFriction,
+        cells: Undivided,
+        obstacles: Obstacles | None = None,
+    ) -> None:
+        self._bends = len(solid.mass) - 1
+        super().__init__(solid, floor, cells, self._bends)
+        bending = spec.bending
+        spring = bending.stiffness * cells.inverse_share, bending.damping * cells.inverse_share
+        self.obstacles = obstacles
+        self._model = (solid, spring, floor) if obstacles is None else (solid, spring, floor, obstacles)
+        self._momenta = slice(
+            compliant_kernels.BENDS + self._bends, compliant_kernels.BENDS + 2 * self._bends
+        )
+        # Impulses of the obstacles on each point, and the time, follow the momenta.
+        self._impulses = slice(self._momenta.stop, None)
+        count = 0 if obstacles is None else obstacles.force.size + 1
+        self._shapes = self._momenta.stop + count, self._shapes[1]
+        self._spec, self._bias = spec, spec.modules.array("bias")
+
+    def reset(self, pose: Pose) -> None:
+        """See `Body.reset`."""
+        super().reset(pose)
+        self._sampled = self.state[self._impulses].copy()
+        bias = self.cells.split(self._bias)
+        self.state[compliant_kernels.BENDS :][: self._bends] = bias
+        self.state[kernels.HEADING] += self.cells.lead(bias)
+
+    def place(self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
+        """See `Body.place`."""
+        self.state[kernels.HEADING] -= self.cells.lead(self.cells.split(self._bias))
+        super().place(velocity, bend, rate)
+        bend, rate = self.cells.split(bend), self.cells.split(rate)
+        self.state[compliant_kernels.BENDS :][: self._bends], self.velocity[3:] = bend, rate
+        momentum, force = np.empty((2, len(self.velocity)))
+        model, work = self._model[:3], compliant_kernels.work_arrays(len(self.solid.mass))
+        compliant_kernels.balance(
+            bend, self.velocity, np.zeros(self._bends), 0.0, model, momentum, force, work
+        )
+        self.state[self._momenta] = momentum[3:]
+
+    def move(
+        self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
+    ) -> tuple[int, np.ndarray, np.ndarray]:
+        """See `Body.move`."""
+        now, samples = (self.state, self.velocity), self._allocate(len(sample_steps))
+        # The moment of the air is the same in all cells of a segment.
+        each = self._bends // trace.bend.shape[-1]
+        moments = np.repeat(self._air_moments(trace)[1:], each, axis=-1).reshape(len(steps), 2, -1)
+        done: int = compliant_kernels.advance(now, steps, moments, sample_steps, self._model, samples)
+        if self.obstacles is not None:
+            self._average_forces(samples[0][:, self._impulses], sample_steps <= done)
+        return done, *samples
+
+    def _average_forces(self, impulses: np.ndarray, reached: np.ndarray) -> None:
+        """Convert impulses and times of samples, in place, to the mean forces since the previous sample."""
+        if not reached.any():
+            return
+        last = impulses[reached][-1].copy()
+        changes = np.diff(impulses[reached], axis=0, prepend=self._sampled[None])
+        impulses[reached] = changes / changes[:, -1:]
+        self._sampled = last
+
+    def bends(self) -> tuple[np.ndarray, np.ndarray]:
+        """See `Body.bends`."""
+        bend = self.state[compliant_kernels.BENDS :][: self._bends]
+        return self.cells.total(bend), self.cells.total(self.velocity[3:])
+
+    def stored(self, bend: np.ndarray) -> float | np.ndarray:
+        """See `Body.stored`."""
+        relative = bend - self.cells.split(self.cells.total(bend))
+        energy: np.ndarray = (np.ravel(self._model[1][0]) * relative**2).sum(axis=-1) / 2
+        return energy
+
+    def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
+        """See `Body.motion`."""
+        bend, rate = states[:, compliant_kernels.BENDS :][:, : self._bends], velocities[:, 3:]
+        total, bending = self.cells.total, self._spec.bending
+        torque = self._air_moments(trace) - bending.stiffness * total(bend) - bending.damping * total(rate)
+        columns = np.hstack([states[:, : kernels.STATES], states[:, self._impulses]])
+        return Motion(columns, velocities, bend, rate, torque)
+
+    def _air_moments(self, trace: Trace) -> np.ndarray:
+        """Return the moments of air and rest bend on each segment, N·m."""
+        free_bend = self._bias + air_bend(self._spec, trace.pressure)
+        moments: np.ndarray = self._spec.bending.stiffness * free_bend
+        return moments
