@@ -13,29 +13,23 @@ for the four planar generations of the same laboratory. The intervals are quanti
 from __future__ import annotations
 
 import argparse
-import copy
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from drawn_robots import PREDICTIONS, ROBOTS, ROOT, draw, model_errors, motion, with_values
 from ruamel.yaml import YAML
-from scipy.special import ndtri
-from scipy.stats import qmc
 
-from srs_twin import Gait, rollout
+from srs_twin import Gait
 from srs_twin.control.gait import PitchWave
-from srs_twin.errors import DivergedError
 from srs_twin.io.documents import dump_yaml
-from srs_twin.io.validation import StrictModel
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.file import RobotFile, load_robot_file
-from srs_twin.robot.priors import Priors
 from srs_twin.robot.spec import RobotSpec
 
-ROOT = Path(__file__).parents[1]
-ROBOT = ROOT / "calibration" / "robots" / "others" / "spatial_530mm.yaml"
-OUT = ROOT / "calibration" / "predictions" / "spatial_530mm.yaml"
+ROBOT = ROBOTS / "spatial_530mm.yaml"
+OUT = PREDICTIONS / "spatial_530mm.yaml"
 
 WHEELS_PROBABILITY = 0.75
 """Probability of wheels: the planar generations have them, but a body that lifts itself need not."""
@@ -48,9 +42,6 @@ SKIN_RATIO = (1.0, 1.6)
 THREE_CHAMBERS = [90, 210, 330]
 """Directions of three chambers, deg."""
 
-PUBLISHED_OVER_TWIN = (22 / 39.5, 214 / 186.8, 50 / 80.0, 121 / 157.3)
-"""Published speed over the twin's, generations 1 to 4 (docs/agreement.md), 1."""
-
 FREQUENCIES_HZ = (0.4, 0.8, 1.4)
 SERPENTINE = ((math.pi / 2, None), (math.pi / 3, None))
 SIDEWINDING = (
@@ -59,45 +50,28 @@ SIDEWINDING = (
     (math.pi / 3, PitchWave(0.4, math.pi / 2)),
 )
 NAMES = ("serpentine", "sidewinding")
-PERIODS = 5
-"""Gait periods of a run; the speed is that of the last two."""
 TIMESTEP_S = 0.004
 
 
 def draw_robots(count: int, seed: int) -> list[tuple[RobotFile, dict[str, Any]]]:
     """Return robots and the facts about each of them."""
     file = load_robot_file(ROBOT)
-    priors = Priors.from_robot(file)
-    units = qmc.LatinHypercube(len(priors.parameters) + 4, seed=seed).random(count)
     robots = []
-    for u in units:
-        values = dict(zip(priors.paths, priors.quantile(u[4:]), strict=True))
+    for u, values in zip(*draw(file, count, 4, seed), strict=True):
         wheels, four = bool(u[0] < WHEELS_PROBABILITY), bool(u[1] < FOUR_PROBABILITY)
+        changes: dict[str, Any] = dict(values)
         if not wheels:
-            values["contact.forward"] = np.interp(u[2], (0, 1), SKIN_FORWARD)
-            values["contact.transverse"] = values["contact.forward"] * np.interp(u[3], (0, 1), SKIN_RATIO)
-        data = copy.deepcopy(file.model_dump())
-        for path, value in values.items():
-            section, key = path.split(".")
-            data[section][key] = {**data[section][key], "value": float(value), "uncertain": None}
-        data["correlated"] = None
+            changes["contact.forward"] = np.interp(u[2], (0, 1), SKIN_FORWARD)
+            changes["contact.transverse"] = changes["contact.forward"] * np.interp(u[3], (0, 1), SKIN_RATIO)
         if not four:
-            data["chamber"]["directions_deg"]["value"] = THREE_CHAMBERS
-        model: type[StrictModel] = RobotFile
-        robots.append((model.model_validate(data), {"wheels": wheels, "four_chambers": four}))
+            changes["chamber.directions_deg"] = THREE_CHAMBERS
+        robots.append((with_values(file, changes), {"wheels": wheels, "four_chambers": four}))
     return robots
 
 
 def speed(twin: TwinSnake, frequency: float, step: float, pitch: PitchWave | None) -> float:
     """Return the speed of a gait over its last two periods, m/s; 0 for a run that diverged."""
-    duration = math.ceil(PERIODS / frequency / twin.tick) * twin.tick
-    try:
-        run = rollout(twin, Gait(frequency, phase_step=step, pitch=pitch), duration, record_hz=50)
-    except DivergedError:
-        return 0.0
-    before = int(np.searchsorted(run.time, run.time[-1] - 2 / frequency))
-    moved = run.com[-1] - run.com[before]
-    return float(np.hypot(*moved) / (run.time[-1] - run.time[before]))
+    return motion(twin, Gait(frequency, phase_step=step, pitch=pitch))[0]
 
 
 def fastest(spec: RobotSpec) -> dict[str, Any]:
@@ -109,15 +83,6 @@ def fastest(spec: RobotSpec) -> dict[str, Any]:
         best = max(speeds, key=lambda key: speeds[key])
         result[name] = {"speed_m_s": round(speeds[best], 4), "frequency_hz": best[0], "gait": best[1]}
     return result
-
-
-def model_errors(count: int, seed: int) -> np.ndarray:
-    """Return the true speed over that of the twin for some robots, a lognormal fit to four robots."""
-    logs = np.log(PUBLISHED_OVER_TWIN)
-    n = len(logs)
-    units = qmc.LatinHypercube(1, seed=seed + 1).random(count)[:, 0]
-    draws = ndtri(units) * logs.std(ddof=1) * math.sqrt(1 + 1 / n)
-    return np.exp(logs.mean() + draws)
 
 
 def quantiles(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:

@@ -1,0 +1,77 @@
+"""Robots drawn from the intervals of a robot file, and the speeds of their gaits: shared by predictions."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from srs_twin import Gait, rollout
+from srs_twin.errors import DivergedError
+from srs_twin.io.validation import StrictModel
+from srs_twin.plants.twin.snake import TwinSnake
+from srs_twin.robot.file import RobotFile
+from srs_twin.robot.priors import Priors
+
+ROOT = Path(__file__).parents[1]
+ROBOTS = ROOT / "calibration" / "robots" / "others"
+PREDICTIONS = ROOT / "calibration" / "predictions"
+
+PUBLISHED_OVER_TWIN = (22 / 39.5, 214 / 186.8, 50 / 80.0, 121 / 157.3)
+"""Published speed over the twin's, generations 1 to 4 (docs/agreement.md), 1."""
+
+PERIODS = 5
+"""Gait periods of a run; a motion is that of the last two."""
+
+
+def draw(file: RobotFile, count: int, choices: int, seed: int) -> tuple[np.ndarray, list[dict[str, float]]]:
+    """Draw robots by Latin hypercube.
+
+    Returns:
+        uniform numbers for further choices, shape (count, choices), and the drawn values by path, one
+        dictionary per robot.
+    """
+    priors = Priors.from_robot(file)
+    units = qmc.LatinHypercube(len(priors.parameters) + choices, seed=seed).random(count)
+    values = [dict(zip(priors.paths, priors.quantile(u[choices:]), strict=True)) for u in units]
+    return units[:, :choices], values
+
+
+def with_values(file: RobotFile, values: Mapping[str, Any]) -> RobotFile:
+    """Return a robot file with other numbers, by path, and without distributions."""
+    data = copy.deepcopy(file.model_dump())
+    for path, value in values.items():
+        section, key = path.split(".")
+        plain = value if isinstance(value, list) else float(value)
+        data[section][key] = {**data[section][key], "value": plain, "uncertain": None}
+    data["correlated"] = None
+    model: type[StrictModel] = RobotFile
+    return model.model_validate(data)  # type: ignore[return-value]
+
+
+def motion(twin: TwinSnake, gait: Gait) -> tuple[float, float]:
+    """Return speed, m/s, and yaw rate, rad/s, over the last two periods; zeros for a run that diverged."""
+    duration = math.ceil(PERIODS / gait.frequency / twin.tick) * twin.tick
+    try:
+        run = rollout(twin, gait, duration, record_hz=50)
+    except DivergedError:
+        return 0.0, 0.0
+    before = int(np.searchsorted(run.time, run.time[-1] - 2 / gait.frequency))
+    span = run.time[-1] - run.time[before]
+    turned = run["heading"][-1] - run["heading"][before]
+    return float(np.hypot(*(run.com[-1] - run.com[before])) / span), float(turned / span)
+
+
+def model_errors(count: int, seed: int) -> np.ndarray:
+    """Return the true speed over that of the twin for some robots, a lognormal fit to four robots."""
+    logs = np.log(PUBLISHED_OVER_TWIN)
+    n = len(logs)
+    units = qmc.LatinHypercube(1, seed=seed + 1).random(count)[:, 0]
+    draws = ndtri(units) * logs.std(ddof=1) * math.sqrt(1 + 1 / n)
+    return np.exp(logs.mean() + draws)
