@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from srs_twin.control.base import Controller
-from srs_twin.control.gait import Gait
+from srs_twin.control.gait import Gait, PitchWave
 from srs_twin.control.learning import ILC
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import Stateful
@@ -104,17 +104,18 @@ class CommandedGait(Stateful):
         self.gait.reset(spec, tick)
         pneumatics.set_supply_pressure(command.pressure)
 
-    def valves(self, time: float, command: GaitCommand) -> np.ndarray:
+    def valves(self, time: float, command: GaitCommand, pitch: PitchWave | None = None) -> np.ndarray:
         """Apply a command and return the valve states of the tick that begins at `time` (s).
 
-        The phase of the wave is continuous. The new supply pressure acts immediately.
+        The phase of the wave is continuous. The new supply pressure acts immediately. A spatial robot also
+        has a pitch wave.
 
         Raises:
             InputError: the gait or the supply cannot follow the command.
         """
         if command.frequency != self.gait.frequency:
             self.gait.change_frequency(command.frequency, time)
-        self.gait.offset = command.offset
+        self.gait.offset, self.gait.pitch = command.offset, pitch
         self._pneumatics.set_supply_pressure(command.pressure)
         self.command = command
         return self.gait.valves_at(time)

@@ -30,7 +30,7 @@ d_c · (S_j, P_j) > 0.
 | rectilinear crawling | s = 1: the wave is vertical |
 | sinus-lifting | ρ = 2: the body lifts where its curvature is largest |
 | rolling | β = 0, s = 1/2, λ = ± π/2: the whole body turns about its axis |
-| lifted head | any, with a number of lifted segments, whose upper chambers stay full |
+| lifted head | any, with a number of lifted segments, which take no part in both waves: they bend upwards |
 """
 
 from __future__ import annotations
@@ -246,7 +246,7 @@ class Gait(Controller):
         rest_left, rest_up = (self.rest_level, 1.0) if self.pitch is None else pitch.rest_levels
         left = _three_levels(np.sin(angle) + self._offset, rest_left)
         up = _three_levels(np.sin(pitch.frequency_ratio * angle - pitch.lag_rad), rest_up)
-        up[:, : pitch.lifted_segments] = 1
+        left[:, : pitch.lifted_segments], up[:, : pitch.lifted_segments] = 0, 1
         push = left[..., None] * self._axes[:, 0] + up[..., None] * self._axes[:, 1]
         return np.where(push > 1e-9, 1, -1).astype(np.int8)
 

@@ -1,6 +1,6 @@
 """Reinforcement-learning environments on the twin for Gymnasium and dm_env (docs/environments.md).
 
-Importing this package registers ``SRSTwin/GoTo-v0``, ``SRSTwin/Obstacles-v0`` and ``SRSTwin/Module-v0``.
+Importing this package registers the tasks of `TASKS`, as ``SRSTwin/GoTo-v0`` and so on.
 `gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")` imports it: since version 1.0 Gymnasium does not search
 entry points. `srs_twin.envs.dm.load("GoTo")` returns the same task for dm_env, without Gymnasium.
 """

@@ -11,18 +11,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from srs_twin.control.base import MAX_READING_RAD, SensorReadings
 from srs_twin.control.camera import Camera, CameraFrames
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
+from srs_twin.control.gait import PitchWave
 from srs_twin.envs.task import Episode, RewardTerm, Signal, Signals, Task, numbered_signals
 from srs_twin.errors import InputError
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.random_worlds import random_circles
+from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import Bounds, Goal, World
 
 STEP_S = 0.1
@@ -138,9 +140,9 @@ class CrawlTask(Task):
             )
         self.name, self.arena, self._camera = name, arena, camera
         self.has_obstacles = arena.obstacles > 0
-        self.limits = GaitLimits.for_robot(self.robot)
-        self.actions = gait_signals(self.limits)
-        self._set_observations(_observation_groups(arena, self.robot.segments, self.actions))
+        self.limits = self._gait_limits()
+        self.actions = self._action_signals()
+        self._set_observations(_observation_groups(arena, self.robot, self.actions))
 
     def begin(self, rng: np.random.Generator, last: Episode | None = None) -> CrawlEpisode:
         """See `Task.begin`."""
@@ -153,7 +155,19 @@ class CrawlTask(Task):
         seed = int(rng.integers(2**32))
         world = World(self._obstacles(goal, seed), self.arena.room, goal)
         twin = self._twin(spec, last, world, supply_pa=self.limits.pressure[1])
-        return CrawlEpisode(self, twin, world, heading, CameraFrames(self._camera, seed), seed)
+        return self._episode_class(self, twin, world, heading, CameraFrames(self._camera, seed), seed)
+
+    def _gait_limits(self) -> GaitLimits:
+        """Return the bounds of offset, frequency and pressure."""
+        return GaitLimits.for_robot(self.robot)
+
+    def _action_signals(self) -> Signals:
+        """Return the components of an action."""
+        return gait_signals(self.limits)
+
+    @property
+    def _episode_class(self) -> type[CrawlEpisode]:
+        return CrawlEpisode
 
     def _obstacles(self, goal: Goal, seed: int) -> tuple[Any, ...]:
         area = self.arena.obstacle_area
@@ -170,7 +184,9 @@ class CrawlEpisode(Episode):
         world: obstacles, room and goal.
     """
 
-    state_attributes = ("_gait", "_frames", "_readings", "_distance", "_air", "_offset")
+    state_attributes: ClassVar[tuple[str, ...]] = (
+        "_gait", "_frames", "_readings", "_distance", "_air", "_offset",
+    )  # fmt: skip
 
     def __init__(
         self, task: CrawlTask, twin: TwinSnake, world: World, heading: float, frames: CameraFrames, seed: int
@@ -184,7 +200,7 @@ class CrawlEpisode(Episode):
         mean_command = GaitCommand(0.0, *(sum(pair) / 2 for pair in (limits.frequency, limits.pressure)))
         state = twin.reset(pose=(0.0, 0.0, heading), seed=seed)
         self._gait = CommandedGait(twin.spec, twin.tick, twin.pneumatics, mean_command)
-        self._frames, self._readings = frames, SensorReadings(twin.spec.segments)
+        self._frames, self._readings = frames, SensorReadings(state.sensed.size)
         self._distance, self._air, self._offset = self._goal_distance(state), float(state.air), 0.0
         super().__init__(task, twin, state)
 
@@ -194,27 +210,36 @@ class CrawlEpisode(Episode):
         self._distance, self._air = self._goal_distance(self.state), float(self.state.air)
 
     def _valves(self, action: list[float]) -> np.ndarray:
+        command, pitch = self._command(action)
+        return self._gait.valves(float(self.state.time), command, pitch)
+
+    def _command(self, action: list[float]) -> tuple[GaitCommand, PitchWave | None]:
+        """Return the gait parameters of an action."""
         offset, frequency, pressure_kpa = action
-        command = GaitCommand(offset, frequency, pressure_kpa * _PA_PER_KPA)
-        return self._gait.valves(float(self.state.time), command)
+        return GaitCommand(offset, frequency, pressure_kpa * _PA_PER_KPA), None
+
+    def _last_command(self) -> list[float]:
+        """Return the observations of the last command."""
+        command = self._gait.command
+        return [command.offset, command.frequency, command.pressure / _PA_PER_KPA]
 
     def _measure(self) -> list[float]:
         time = float(self.state.time)
         seen = self._frames.capture(self.state)
         assert seen is not None, "the camera has one frame per step"
-        self._readings.update(time, self.state.sensed)
+        self._readings.update(time, self.state.sensed.T.ravel())  # to the left, then upwards
         c, s = math.cos(seen.heading), math.sin(seen.heading)
 
         def ahead_and_left(x: float, y: float) -> tuple[float, float]:
             dx, dy = x - seen.x, y - seen.y
             return c * dx + s * dy, c * dy - s * dx
 
-        angle, command = self._gait.gait.angle(time), self._gait.command
+        angle = self._gait.gait.angle(time)
         circles = [(*ahead_and_left(circle.x, circle.y), circle.radius) for circle in self.world.obstacles]
         pose = [seen.x, seen.y, c, s, *ahead_and_left(self._goal.x, self._goal.y)]
         gait_and_bends = [math.cos(angle), math.sin(angle), *self._readings.value]
-        last_command = [command.offset, command.frequency, command.pressure / _PA_PER_KPA]
-        return [*pose, *gait_and_bends, *last_command, *(number for circle in circles for number in circle)]
+        obstacles = [number for circle in circles for number in circle]
+        return [*pose, *gait_and_bends, *self._last_command(), *obstacles]
 
     def _reward_values(self) -> dict[str, float]:
         state, room, step_s = self.state, self.world.bounds, self._task.step_s
@@ -266,7 +291,7 @@ def gait_signals(limits: GaitLimits) -> Signals:
     )
 
 
-def _observation_groups(arena: Arena, segments: int, actions: Sequence[Signal]) -> dict[str, Signals]:
+def _observation_groups(arena: Arena, spec: RobotSpec, actions: Sequence[Signal]) -> dict[str, Signals]:
     (left, right), (bottom, top) = arena.room.x, arena.room.y
     margin = 0.5  # margin, m: a step may end outside the room, and the camera has noise
     farthest = math.hypot(right - left, top - bottom) + 1.0
@@ -285,7 +310,13 @@ def _observation_groups(arena: Arena, segments: int, actions: Sequence[Signal]) 
         Signal("gait_sin", "1", -1.0, 1.0, "sine of the gait phase at the first segment"),
     )
     largest = MAX_READING_RAD
-    bends = numbered_signals(segments, "bend_#_rad", "rad", -largest, largest, "sensor reading of a bend")
+    bends = [
+        signal
+        for name, text in (("bend_#_rad", "a bend"), ("pitch_#_rad", "a bend upwards"))[: 1 + spec.is_spatial]
+        for signal in numbered_signals(
+            spec.segments, name, "rad", -largest, largest, f"sensor reading of {text}"
+        )
+    ]
     command = (replace(action, description="last command") for action in actions)
     groups = {"pose": pose, "goal": goal, "gait": gait, "bends": tuple(bends), "command": tuple(command)}
     circles: list[Signal] = []

@@ -113,7 +113,7 @@ def load(task: str, *, seed: int | None = None, **settings: Any) -> SnakeEnviron
     """Return a task as a dm_env environment.
 
     Args:
-        task: "GoTo", "Obstacles" or "Module".
+        task: "GoTo", "Obstacles", "Module" or "Crawl3D".
         seed: random seed of the episodes; None: a different one each time.
         **settings: settings of the task, see `CrawlTask` and `ModuleTask`.
 

@@ -146,7 +146,7 @@ class SnakeEnv(DeepCopied, gymnasium.Env[np.ndarray, np.ndarray]):
         """Create the environment.
 
         Args:
-            task: "GoTo", "Obstacles" or "Module".
+            task: "GoTo", "Obstacles", "Module" or "Crawl3D".
             render_mode: "rgb_array" for images, which need no display; None: no images.
             width: image width, pixels.
             height: image height, pixels.
@@ -266,7 +266,7 @@ class SnakeVectorEnv(DeepCopied, SyncVectorEnv[np.ndarray, np.ndarray]):
         """Create the environments.
 
         Args:
-            task: "GoTo", "Obstacles" or "Module".
+            task: "GoTo", "Obstacles", "Module" or "Crawl3D".
             num_envs: number of environments.
             threads: number of threads; default: one per processor.
             engine: "cpu", or "warp" to step all twins on a device. Warp requires that all episodes have the

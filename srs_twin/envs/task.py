@@ -219,6 +219,7 @@ class Task(ABC):
         limit_s: time limit of an episode, s.
         robot: nominal robot, without random variation.
         has_obstacles: whether each episode draws obstacles.
+        spatial: whether the task is for spatial robots instead of planar ones.
     """
 
     name: str
@@ -228,6 +229,7 @@ class Task(ABC):
     reward_terms: ClassVar[tuple[RewardTerm, ...]]
     step_s: float
     has_obstacles = False
+    spatial = False
 
     def __init__(
         self,
@@ -276,7 +278,13 @@ class Task(ABC):
                 raise UnknownNameError("setting of the task or its twin", name, allowed)
         self.limit_s, self._variation, self._twin_settings = limit_s, variation, twin_settings
         self.robot = variation.file.spec()
-        self.robot.require_planar("an environment")
+        if not self.spatial:
+            self.robot.require_planar("an environment other than Crawl3D")
+        elif not self.robot.is_spatial:
+            raise InputError(
+                f"robot '{self.robot.name}' bends in one plane; this task needs a robot with chambers in "
+                "several directions (chamber.directions_deg)"
+            )
 
     def _set_observations(self, groups: Mapping[str, Signals]) -> None:
         """Set the groups of observations, and select those that the agent gets.

@@ -9,7 +9,7 @@ from srs_twin.errors import UnknownNameError
 if TYPE_CHECKING:
     from srs_twin.envs.task import Task
 
-TASKS = ("GoTo", "Obstacles", "Module")
+TASKS = ("GoTo", "Obstacles", "Module", "Crawl3D")
 
 
 def make_task(name: str, **settings: Any) -> Task:
@@ -17,7 +17,7 @@ def make_task(name: str, **settings: Any) -> Task:
 
     Args:
         name: one of `TASKS`.
-        **settings: settings of the task, see `CrawlTask` and `ModuleTask`.
+        **settings: settings of the task, see `CrawlTask`, `ModuleTask` and `SpatialCrawlTask`.
 
     Raises:
         UnknownNameError: the task does not exist.
@@ -25,9 +25,12 @@ def make_task(name: str, **settings: Any) -> Task:
     """
     from srs_twin.envs.crawling import CIRCLES, OPEN, CrawlTask
     from srs_twin.envs.module import ModuleTask
+    from srs_twin.envs.spatial import SpatialCrawlTask
 
     if name not in TASKS:
         raise UnknownNameError("task", name, TASKS)
     if name == "Module":
         return ModuleTask(**settings)
+    if name == "Crawl3D":
+        return SpatialCrawlTask(**settings)
     return CrawlTask(name, OPEN if name == "GoTo" else CIRCLES, **settings)

@@ -177,6 +177,24 @@ def vector_bends(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
     return np.asarray(linear * free_bends(spec, safe) / safe)
 
 
+def free_extensions(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
+    r"""Return the free extensions of the segments of a spatial robot, m.
+
+    Chambers of equal section pull with forces that are proportional to their pressures. With C chambers and
+    the extension e per mean pressure,
+
+    $$ \Delta l = \frac{e}{C} \sum_c p_c . $$
+
+    Args:
+        spec: the robot.
+        pressure: gauge pressure, shape (…, segments, chambers), Pa.
+
+    Returns:
+        Shape (…, segments).
+    """
+    return np.asarray(spec.actuator.extension * pressure.mean(axis=-1))
+
+
 def equivalent_linear_pressure(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
     """Return the pressures that give the same bends under a linear law, for MuJoCo's linear actuators.
 

@@ -270,6 +270,7 @@ _POSSIBLE: dict[tuple[str, str], tuple[str, ...]] = {
     ("contact", "skin"): ("contact.law", "contact.backward", "contact.points_per_segment"),
     ("actuator", "pressure"): (
         "actuator.bend_limit_rad", "actuator.onset_share", "actuator.onset_rad", "actuator.onset_width_rad",
+        "actuator.extension_m_per_kpa",
     ),
     ("actuator", "position"): (),
 }  # fmt: skip
@@ -342,6 +343,8 @@ class ActuatorFile(Records):
     0.3)."""
     onset_width_rad: Number | None = number_field(0.01, 6.3, optional=True)
     """Width of the transition at the end of the dead zone, as a bend of the linear law (default: 0.1)."""
+    extension_m_per_kpa: Number | None = number_field(0.0, 0.01, optional=True)
+    """Extension of a segment of a spatial robot over the mean pressure of its chambers (default: 0)."""
 
 
 class ChamberFile(Records):
@@ -566,6 +569,9 @@ class RobotFile(StrictModel):
         for key in ("pitch_stiffness_nm_per_rad", "roll_stiffness_nm_per_rad"):
             if not self.is_spatial and is_missing(f"bending.{key}"):
                 yield ("bending", key), "missing; a planar robot needs it"
+        if not self.is_spatial and not is_missing("actuator.extension_m_per_kpa"):
+            text = "segments of a planar robot keep their length; remove it, or give chamber.directions_deg"
+            yield ("actuator", "extension_m_per_kpa"), text
         if self.is_spatial and not self.has_skin:
             text = "a robot that bends in two directions needs contact skin: its wheels would leave the floor"
             yield ("chamber", "directions_deg"), text

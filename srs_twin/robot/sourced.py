@@ -24,6 +24,7 @@ from srs_twin.io.validation import StrictModel, attribute_docstrings
 UNITS = {
     "_nm_per_rad": "N*m/rad",
     "_rad_per_m": "rad/m",
+    "_m_per_kpa": "m/kPa",
     "_rad_per_s": "rad/s",
     "_deg_per_s": "deg/s",
     "_s_per_rad": "s/rad",
@@ -51,6 +52,7 @@ UNITS = {
 # 3.1 / 1000 is the double 0.0031, and 3.1 * 0.001 is not.
 _SI_CONVERSIONS = {
     "kPa": ("Pa", 1000, 1),
+    "m/kPa": ("m/Pa", 1, 1000),
     "mm": ("m", 1, 1000),
     "ml": ("m³", 1, 1e6),
     "µV": ("V", 1, 1e6),

@@ -305,6 +305,7 @@ class Actuator:
         onset_share: s, missing fraction of the gain in the dead zone around zero pressure.
         onset: d, free bend of the linear law at the end of the dead zone, rad.
         onset_width: w, width of the transition at the end of the dead zone, rad.
+        extension: e, extension of a segment of a spatial robot over the mean pressure of its chambers, m/Pa.
     """
 
     tau_fill: float
@@ -315,11 +316,13 @@ class Actuator:
     onset_share: float = 0.0
     onset: float = 0.3
     onset_width: float = 0.1
+    extension: float = 0.0
 
     def __post_init__(self) -> None:
         _positive(self, "tau_fill", "tau_vent", "tau_mode", "gain", "onset", "onset_width")
         _require(0 <= self.onset_share <= 1, "onset_share", self.onset_share, "it must be 0 to 1")
         _require(self.bend_limit > 0, "bend_limit", self.bend_limit, "it must be above 0")
+        _not_negative(self, "extension")
 
 
 @dataclass(frozen=True)
@@ -454,6 +457,10 @@ class RobotSpec:
             _require(count == self.chambers, "modules", count, f"a segment has {self.chambers} chambers")
         if self.is_spatial and self.skin is None:
             raise InputError("a spatial robot needs contact skin: its wheels would leave the floor")
+        if self.actuator.extension and not self.is_spatial:
+            raise InputError(
+                "actuator.extension needs a spatial robot; segments of planar ones keep their length"
+            )
         if (self.skin is None) != (self.mass.segments is None) or (self.skin and self.tail):
             raise InputError("a robot has either a skin and masses of segments, or wheels and perhaps a tail")
         if self.mass.segments is not None:
@@ -474,6 +481,14 @@ class RobotSpec:
     def chambers(self) -> int:
         """Number of chambers of a segment."""
         return len(self.chamber.directions or "+-")
+
+    @property
+    def axial_stiffness(self) -> float:
+        """Stiffness of a segment of a spatial robot along its axis, N/m.
+
+        E A / l = (E I / l) · A / I with A / I = 4 / r² of a solid round section of radius r.
+        """
+        return 4 * self.bending.stiffness / self.geometry.com_height**2
 
     def require_planar(self, feature: str) -> None:
         """Check that the robot is planar.

@@ -32,8 +32,12 @@ class TestModule(_Mixin, absltest.TestCase):
     task = "Module"
 
 
+class TestCrawl3D(_Mixin, absltest.TestCase):
+    task = "Crawl3D"
+
+
 def test_every_task_is_tested_by_the_mixin():
-    assert {TestGoTo.task, TestObstacles.task, TestModule.task} == set(TASKS)
+    assert {case.task for case in _Mixin.__subclasses__()} == set(TASKS)
 
 
 @pytest.mark.parametrize("task", TASKS)

@@ -368,7 +368,7 @@ def test_impossible_initial_state_is_rejected():
         AnalyticalSnake(load_robot("gen4_module"), base="clamped").place(physical(1, 0)[0])
 
 
-@pytest.mark.parametrize("task", ["GoTo", "Obstacles", "Module"])
+@pytest.mark.parametrize("task", ["GoTo", "Obstacles", "Module", "Crawl3D"])
 def test_episode_continues_bit_for_bit_from_a_saved_state(task):
     gymnasium = pytest.importorskip("gymnasium")
     env, other = (gymnasium.make(f"srs_twin.envs:SRSTwin/{task}-v0").unwrapped for _ in range(2))

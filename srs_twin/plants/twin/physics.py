@@ -19,7 +19,7 @@ from srs_twin.plants.base import Pose
 from srs_twin.plants.twin.contact_loaded import LoadedStepper
 from srs_twin.plants.twin.internal_joints import InternalJoints, bend_joints
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
-from srs_twin.pneumatics.chambers import equivalent_linear_pressure, vector_bends
+from srs_twin.pneumatics.chambers import equivalent_linear_pressure, free_extensions, vector_bends
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
 
@@ -424,7 +424,11 @@ class SnakePhysics(dm.Physics, Stateful):
         # Positions are those at the beginning of a step, or at its middle under loaded contact.
         pressure = pressure[:-1] if self.stepper is None else (pressure[:-1] + pressure[1:]) / 2
         if self._spec.is_spatial:  # the actuators take the free bends
-            controls = vector_bends(self._spec, pressure).reshape(len(pressure), -1)
+            controls = vector_bends(self._spec, pressure)
+            if self._spec.actuator.extension:
+                lengths = free_extensions(self._spec, pressure)[..., None]
+                controls = np.concatenate([controls, lengths], axis=-1)
+            controls = controls.reshape(len(pressure), -1)
         else:  # MuJoCo's actuators are linear in their control
             controls = equivalent_linear_pressure(self._spec, pressure).reshape(len(pressure), -1)
         return self._run_engine(controls) if self.stepper is None else self.stepper.run(controls)

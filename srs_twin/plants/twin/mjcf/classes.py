@@ -101,9 +101,13 @@ def _add_joints(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, set
     ]
     if spec.is_spatial:
         joints[1] = ("tilt", [0, 1, 0], n * bending.pitch_stiffness, bending.damping_time)
+        if spec.actuator.extension:
+            joints.append(("stretch", [-1, 0, 0], spec.axial_stiffness, bending.damping_time))
     for name, axis, stiffness, time in joints:
         joint = mj.add_default(name, root).joint
         joint.axis = axis
+        if name == "stretch":
+            joint.type = mujoco.mjtJoint.mjJNT_SLIDE
         joint.stiffness[0] = stiffness
         joint.damping[0] = stiffness * (time - settings.timestep)
     contact = settings.contact

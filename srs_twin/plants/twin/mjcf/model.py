@@ -10,7 +10,9 @@ the tendon ``bend_j``, whose length is the bend q_j of the segment.
 A spatial robot has a tilt hinge at each bending hinge, which turns the head end upwards, and no pitch hinge.
 The two hinges of a place are in the opposite order at every second place, so that the twist which a pair of
 rotations about two axes contains cancels. The actuators ``air_left_j`` and ``air_up_j`` exert k times the
-free bend, which is their control, on the tendons ``bend_j`` and ``tilt_j``.
+free bend, which is their control, on the tendons ``bend_j`` and ``tilt_j``. With `Actuator.extension` the
+link in the middle of a segment has a slide joint ``stretch_j`` with the axial stiffness of a solid round
+section, and the actuator ``air_along_j`` exerts this stiffness times the free extension.
 
 With a clamped base (`ModelSettings.base`) the head is fixed to the world. There is no floor, so the model has
 no wheels and no preload. It has no pitch and roll hinges either: the chain bends in the horizontal plane, in
@@ -69,6 +71,8 @@ def robot_mjcf(
         raise InputError("a robot with skin needs contact 'loaded'; a preload presses on wheels or skids")
     if settings.numerics.constant_curvature:
         spec.require_planar("numerics 'constant_curvature'")
+    if spec.actuator.extension and settings.hinges_per_segment < 2:
+        raise InputError("hinges_per_segment: 1 is not allowed for segments that lengthen; use 2 or more")
     shortest = min(spec.bending.damping_time, spec.bending.out_of_plane_damping_time)
     if not settings.timestep < shortest:
         raise InputError(
@@ -241,6 +245,8 @@ def _add_segment(
         body = body.add_body(name=name, pos=[ahead * (origins[k] - parent_origin), 0, 0])
         parent_origin = origins[k]
         anchor = ahead * (hinges[k] - origins[k])
+        if k == n // 2 and spec.actuator.extension:  # first, along the link in front of it
+            _add_joint(mj, body, "stretch", f"stretch_{j}", anchor, ahead)
         number = k + 1 if ahead < 0 else n - k
         kinds = ["hinge", "tilt"][:: 1 if k % 2 == 0 else -1] if spec.is_spatial else ["hinge"]
         for kind in kinds:
@@ -287,6 +293,11 @@ def _add_actuators(mj: MjSpec, spec: RobotSpec, j: int, settings: ModelSettings)
             actuator.trntype = mujoco.mjtTrn.mjTRN_TENDON
             stiffness = spec.bending.stiffness if name == "bend" else spec.bending.pitch_stiffness
             actuator.gainprm[0] = stiffness
+        if spec.actuator.extension:
+            actuator = mj.add_actuator(
+                mj.find_default("muscle"), name=f"air_along_{j}", target=f"stretch_{j}"
+            )
+            actuator.trntype, actuator.gainprm[0] = mujoco.mjtTrn.mjTRN_JOINT, spec.axial_stiffness
         return
     tendon = mj.add_tendon(name=f"bend_{j}")
     for k in range(1, settings.hinges_per_segment + 1):

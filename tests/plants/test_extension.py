@@ -1,0 +1,86 @@
+"""Segments of a spatial robot that lengthen under the mean pressure of their chambers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from srs_twin import InputError, TwinSnake, load_robot, load_scenario
+from srs_twin.errors import InputFileError
+from srs_twin.robot.spec import GRAVITY
+
+SUPPLY, EXTENSION = 20e3, 2.5e-7
+"""Supply pressure, Pa, and extension, m/Pa: 5 mm when all chambers are full."""
+
+
+def long_robot(connectors=4):
+    spec = load_robot("spatial_example")
+    mass = replace(spec.mass, connectors=spec.mass.connectors[: connectors - 1] + spec.mass.connectors[-1:])
+    mass = replace(mass, segments=spec.mass.segments[: connectors - 1])
+    actuator = replace(spec.actuator, extension=EXTENSION)
+    geometry = replace(spec.geometry, connectors=connectors)
+    return replace(spec, geometry=geometry, mass=mass, actuator=actuator)
+
+
+def friction_error(spec):
+    """Return the largest compression of a segment by friction on the floor, m."""
+    return spec.friction.mu_t * spec.mass.total * GRAVITY / 2 / spec.axial_stiffness
+
+
+def lengths(state):
+    points = np.column_stack([state.position, state.height])
+    return np.linalg.norm(np.diff(points, axis=0), axis=1)
+
+
+def test_all_chambers_lengthen_the_segments_with_their_pressure():
+    spec = long_robot()
+    twin = TwinSnake(spec, supply_pa=SUPPLY)
+    full = np.ones((spec.segments, 4), dtype=np.int8)
+    tau1, tau2 = spec.actuator.tau_fill, spec.bending.damping_time
+    for tick in range(1, 26):
+        state = twin.step(full)
+        if tick in (5, 25):
+            t = 0.02 * tick
+            share = 1 - (tau1 * np.exp(-t / tau1) - tau2 * np.exp(-t / tau2)) / (tau1 - tau2)
+            expected = spec.geometry.pitch + share * EXTENSION * SUPPLY
+            assert lengths(state) == pytest.approx(np.full(3, expected), abs=friction_error(spec) + 2e-5)
+    assert np.abs(state.bend).max() < 0.02
+
+
+def test_one_of_four_chambers_lengthens_the_arc_by_a_quarter_as_much():
+    spec = long_robot()
+    twin = TwinSnake(spec, supply_pa=SUPPLY, hinges_per_segment=4)
+    one = np.full((spec.segments, 4), -1, dtype=np.int8)
+    one[:, 0] = 1
+    for _ in range(50):
+        state = twin.step(one)
+    g, q = spec.geometry, state.bend[:, 0]
+    assert q == pytest.approx(spec.actuator.gain * SUPPLY, rel=0.05)
+    arc = g.segment_length + EXTENSION * SUPPLY / 4
+    chord = arc * np.sin(q / 2) / (q / 2) + g.rigid_gap * np.cos(q / 2)
+    # The link in the middle lengthens, not the whole arc (docs/spatial.md).
+    error = friction_error(spec) + (EXTENSION * SUPPLY / 4) * (q**2).max() / 24
+    assert lengths(state) == pytest.approx(chord, abs=error + 5e-5)
+    assert error < 0.15 * EXTENSION * SUPPLY / 4
+
+
+def test_a_robot_without_extension_has_the_same_model():
+    spec = long_robot()
+    plain = TwinSnake(replace(spec, actuator=replace(spec.actuator, extension=0.0)))
+    longer = TwinSnake(spec)
+    assert longer.physics.model.nv == plain.physics.model.nv + spec.segments
+    joints = [plain.physics.model.ptr.joint(j).name for j in range(plain.physics.model.njnt)]
+    assert not any("stretch" in name for name in joints)
+
+
+def test_planar_robots_and_single_hinges_are_refused():
+    extension = {"robot.actuator.extension_m_per_kpa": 1e-4}
+    with pytest.raises(InputFileError, match="segments of a planar robot keep their length"):
+        load_scenario("gen2_straight", set=extension)
+    spec = load_scenario("spatial_sidewinding", set=extension).robot
+    assert spec.actuator.extension == pytest.approx(1e-7)
+    with pytest.raises(InputError, match="hinges_per_segment: 1 is not allowed for segments that lengthen"):
+        TwinSnake(spec, hinges_per_segment=1)
+    planar = load_robot("skin_example")
+    with pytest.raises(InputError, match="segments of planar ones keep their length"):
+        replace(planar, actuator=replace(planar.actuator, extension=1e-7))
