@@ -1,4 +1,4 @@
-"""Speed among pegs on both plants, over twelve fields, at several steps and numbers of hinges.
+"""Speed and power among pegs on both plants, over twelve fields, at several steps and numbers of hinges.
 
     uv run python benchmarks/pegs.py    # five minutes
 
@@ -34,21 +34,23 @@ CASES = {
 }
 
 
-def speed(kind: str, seed: int, changes: dict[str, object]) -> float:
-    """Return the speed of the centre of mass along its path, m/s."""
+def measure(kind: str, seed: int, changes: dict[str, object]) -> tuple[float, float]:
+    """Return the speed of the centre of mass along its path (m/s), and the mechanical power (W)."""
     scenario = load_scenario("pegs_skin", set={"seed": seed, "duration_s": DURATION_S} | changes)
     plant, controller = scenario.build_plant(kind), scenario.build_controller()
     run = rollout(plant, controller, scenario.duration, pose=scenario.pose, seed=scenario.seed)
-    return float(plant_metrics(run)["com_speed_m_s"])
+    metrics = plant_metrics(run)
+    return metrics["com_speed_m_s"], metrics["mechanical_power_w"]
 
 
 def main() -> None:
-    """Print mean speeds and standard errors."""
-    print("| plant | speed, m/s | standard error |\n|---|---|---|")
+    """Print means and standard errors."""
+    print("| plant | speed, m/s | power, W |\n|---|---|---|")
     for name, (kind, changes) in CASES.items():
-        speeds = np.array([speed(kind, seed, changes) for seed in FIELDS])
+        runs = np.array([measure(kind, seed, changes) for seed in FIELDS])
+        (speed, power), errors = runs.mean(axis=0), runs.std(axis=0, ddof=1) / math.sqrt(len(runs))
         print(
-            f"| {name} | {speeds.mean():.4f} | {speeds.std(ddof=1) / math.sqrt(len(speeds)):.4f} |",
+            f"| {name} | {speed:.4f} ± {errors[0]:.4f} | {power:.3f} ± {errors[1]:.3f} |",
             flush=True,
         )
 

@@ -420,7 +420,8 @@ class AnalyticalSnake(PneumaticPlant):
             contact_force=force,
             obstacle_force=obstacles,
             torque=motion.torque,
-            work=energy + motion.states[:, kernels.ENERGY_LOSS] + self._body.stored(motion.bend),
+            work=motion.states[:, kernels.ENERGY_LOSS]
+            + (0.0 if self.touches else energy + self._body.stored(motion.bend)),
             internal_loss=np.zeros(count),
             air=trace.air,
             qpos=np.empty((count, 0)),

@@ -220,7 +220,7 @@ class LoadedStepper(Stateful):
                 (steps, 1 + nq + nv).
             sensors: shape (steps, nsensordata).
             floor_force: force of the floor on each wheel in the world frame, shape (steps, axles, 2, 3), N.
-            power: power that friction dissipates, shape (steps,), W.
+            power: power that friction and the normal forces on hulls dissipate, shape (steps,), W.
             obstacle_friction: friction of the obstacles, then of each object, on the hulls in the world
                 frame, shape (steps, 1 + objects, hulls, 3), N.
         """

@@ -65,8 +65,8 @@ class ObjectContacts(NamedTuple):
         friction: friction coefficient, shape (C,), 1.
         admittance: change of velocity per impulse, shape (C,), 1/kg.
         force, slip_speed, jacobian: see `ObjectState`; the Jacobian has the spatial vectors that give the
-            velocity along and across, for hull and object, shape (C, 2, 2, 6). In a pair the part of
-            the object has a negative sign.
+            velocity along, across and away from the object, for hull and object, shape (C, 2, 3, 6). In a
+            pair the part of the object has a negative sign.
         theta: fraction of the step at which friction is evaluated, shape (C,).
         response: force along and across (N), and its slopes along, mixed and across (N·s/m), shape (C, 5).
         coupling: B, one row per degree of freedom of the objects, shape (no, nv).
@@ -132,7 +132,7 @@ def object_contacts(
         admittance=1 / mass + np.append(np.tile(hull_admittance, len(names)), np.zeros(count - pairs)),
         force=np.zeros((count, 2)),
         slip_speed=np.zeros(count),
-        jacobian=np.zeros((count, 2, 2, 6)),
+        jacobian=np.zeros((count, 2, 3, 6)),
         theta=np.ones(count),
         response=np.zeros((count, 5)),
         coupling=np.zeros((free, model.nv)),
@@ -153,11 +153,13 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _fill(row, x, y, z, c, s, sign):  # type: ignore[no-untyped-def]
-    """Fill the spatial vectors of a point's velocity along the horizontal axis (c, s), and upward."""
+    """Fill the spatial vectors of a point's velocity along the axis (c, s), upward, and along (s, −c)."""
     row[0, 0], row[0, 1], row[0, 2] = -sign * z * s, sign * z * c, sign * (x * s - y * c)
     row[0, 3], row[0, 4], row[0, 5] = sign * c, sign * s, 0.0
     row[1, 0], row[1, 1], row[1, 2] = sign * y, -sign * x, 0.0
     row[1, 3], row[1, 4], row[1, 5] = 0.0, 0.0, sign
+    row[2, 0], row[2, 1], row[2, 2] = sign * z * c, sign * z * s, -sign * (x * c + y * s)
+    row[2, 3], row[2, 4], row[2, 5] = sign * s, -sign * c, 0.0
 
 
 @kernel_only
@@ -305,7 +307,7 @@ def couple_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def store_object_friction(engine, work, force):  # type: ignore[no-untyped-def]
-    """Store the friction for the next step and return the power that it dissipates, W.
+    """Store the friction for the next step; return the power that it and the normal forces dissipate, W.
 
     Args:
         engine: with the contacts.
@@ -322,4 +324,8 @@ def store_object_friction(engine, work, force):  # type: ignore[no-untyped-def]
         if w < o.pairs:
             along = o.jacobian[w, 0, 0]
             force[w, 0], force[w, 1], force[w, 2] = f_t * along[3], f_t * along[4], f_n
+            for side in range(2):
+                i = o.hull_dof[w] if side == 0 else o.object_dof[w]
+                away = o.jacobian[w, side, 2]
+                power -= o.load[w] * (_dot(away, work.mid_motion[i]) + 0.5 * _dot(away, work.motion[i]))
     return power

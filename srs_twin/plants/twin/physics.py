@@ -265,8 +265,6 @@ class SnakePhysics(dm.Physics, Stateful):
         sensors = [object_force_sensor(name, hull) for name in names for hull in hull_names(raw)]
         # Address of the force of each object on each hull, shape (objects, hulls, 3); its point follows.
         self._object_force = self._addresses(sensors).reshape(len(names), count, 3)
-        self._object_velocity = self._addresses([f"velocity_{name}" for name in names])
-        self._object_spin = self._addresses([f"spin_{name}" for name in names])
 
     @property
     def sensor_addresses(self) -> SensorAddresses:
@@ -275,8 +273,8 @@ class SnakePhysics(dm.Physics, Stateful):
             floor_force=self._force_addresses[..., 0].ravel(),
             foot_velocity=self._foot_addresses[..., 0].ravel(),
             obstacle_force=self._hull_force[:, 0],
-            external_force=np.concatenate([self._hull_force.ravel(), self._drag_force]),
-            external_velocity=np.concatenate([self._hull_velocity.ravel(), self._drag_velocity]),
+            external_force=self._drag_force,
+            external_velocity=self._drag_velocity,
             kinetic_energy=int(self._energy_address),
             connectors=np.array(self._connectors),
             hinges=self.internal_joints.hinges,
@@ -438,7 +436,7 @@ class SnakePhysics(dm.Physics, Stateful):
         states: np.ndarray,
         sensors: np.ndarray,
         floor_force: np.ndarray | None = None,
-        friction_power: np.ndarray | None = None,
+        contact_power: np.ndarray | None = None,
         obstacle_friction: np.ndarray | float = 0.0,
     ) -> StepBatch:
         """Evaluate the latest engine steps.
@@ -447,44 +445,29 @@ class SnakePhysics(dm.Physics, Stateful):
             states: as in `StepBatch`; the last one is the present state.
             sensors: all sensors, shape (steps, nsensordata).
             floor_force: as in `StepBatch`; None to read it from the sensors.
-            friction_power: power that friction with the floor dissipates, shape (steps,), W; None to compute
+            contact_power: power that floor, obstacles and objects take, shape (steps,), W; None to compute
                 it from the sensors.
             obstacle_friction: friction of obstacles, then of each object, on hulls that the sensors do not
                 contain, shape (steps, 1 + objects, hulls, 3), N.
         """
         self.refresh()
-        if floor_force is None or friction_power is None:
+        hull_force = sensors[:, self._hull_force]
+        if floor_force is None or contact_power is None:
             floor_force = self._at_feet(sensors, self._force_addresses)
             # The engine is implicit: a force acts with the velocity at the end of its step, which the sensors
             # report one step later.
             earlier = np.concatenate([self._last_force[None], floor_force[:-1]])[..., :2]
             velocity = self._at_feet(sensors, self._foot_addresses)[..., :2]
-            friction_power = -(earlier * velocity).sum(axis=(1, 2, 3))
-        hull_force = sensors[:, self._hull_force]
-        power = friction_power - (hull_force * sensors[:, self._hull_velocity]).sum(axis=(1, 2))
-        power -= (sensors[:, self._drag_force] * sensors[:, self._drag_velocity]).sum(axis=1)
+            contact_power = -(earlier * velocity).sum(axis=(1, 2, 3))
+            contact_power -= (hull_force * sensors[:, self._hull_velocity]).sum(axis=(1, 2))
+        power = contact_power - (sensors[:, self._drag_force] * sensors[:, self._drag_velocity]).sum(axis=1)
         normal = np.concatenate([hull_force[:, None], sensors[:, self._object_force]], axis=1)
         obstacle_force = self.connector_forces((normal + obstacle_friction).sum(axis=1))
-        power += self._power_to_objects(states, sensors)
         self._floor_force, self._last_force = floor_force.mean(axis=0), floor_force[-1]
         # The engine's dampers act with the velocities at the end of a step.
         internal = self.internal_joints.dissipated(states[:, 1 + self.model.nq :])
         energy = sensors[:, self._energy_address]
         return StepBatch(states, floor_force, energy, obstacle_force, power, internal)
-
-    def _power_to_objects(self, states: np.ndarray, sensors: np.ndarray) -> np.ndarray:
-        """Return the power that contacts of hulls and objects lose to their normal motion, (steps,), W."""
-        force = sensors[:, self._object_force]
-        count = len(self._object_velocity)
-        centre = states[:, 1 + self.model.nq - 3 * count : 1 + self.model.nq].reshape(
-            len(states), count, 1, 3
-        )[..., :2]
-        arm = sensors[:, self._object_force + 3][..., :2] - centre
-        moment = arm[..., 0] * force[..., 1] - arm[..., 1] * force[..., 0]
-        slip = sensors[:, self._hull_velocity][:, None] - sensors[:, self._object_velocity][:, :, None]
-        spin = sensors[:, self._object_spin][:, :, None, 2]
-        power: np.ndarray = -((force * slip).sum(axis=-1) - moment * spin).sum(axis=(1, 2))
-        return power
 
     def _run_engine(self, chamber_controls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Run all steps in one call of the engine; return states and sensors as in `evaluate`."""

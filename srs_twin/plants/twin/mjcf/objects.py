@@ -12,12 +12,12 @@ import math
 
 import mujoco
 import numpy as np
-from mujoco import mjtGeom, mjtObj, mjtSensor
+from mujoco import mjtGeom, mjtObj
 
 from srs_twin.errors import InputError
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings
 from srs_twin.plants.twin.mjcf.surroundings import CONTACT_BIT, HEIGHT_RATIO, hulls
-from srs_twin.plants.twin.mjcf.wheels import add_force_sensor, add_velocity_sensor
+from srs_twin.plants.twin.mjcf.wheels import add_force_sensor
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import MovableObject, World
 
@@ -52,10 +52,6 @@ def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, wor
         for part in hulls(mj):
             sensor = object_force_sensor(name, part)
             add_force_sensor(mj, sensor, mjtObj.mjOBJ_BODY, name, on=part, position=True)
-        add_velocity_sensor(mj, f"velocity_{name}", mjtObj.mjOBJ_BODY, name)
-        mj.add_sensor(
-            name=f"spin_{name}", type=mjtSensor.mjSENS_FRAMEANGVEL, objtype=mjtObj.mjOBJ_BODY, objname=name
-        )
     mj.keys[0].qpos = [*mj.keys[0].qpos, *poses]
 
 
