@@ -16,6 +16,7 @@ from srs_twin.sensing.sensors import (
     FaultySensor,
     IdealSensor,
     Sensor,
+    TwoAxisSensor,
 )
 
 KINDS = (IdealSensor.kind, CurvatureSensor.kind)
@@ -31,6 +32,7 @@ __all__ = [
     "IdealSensor",
     "Sensor",
     "Strip",
+    "TwoAxisSensor",
     "calibrate",
     "make_sensor",
 ]
@@ -40,10 +42,10 @@ _HALL_OPTIONS = {field.name for field in fields(HallSensor)} - {"strip"}
 
 
 def make_sensor(kind: str | Sensor, spec: RobotSpec, *, span: float = SPAN, **options: Any) -> Sensor:
-    """Return the curvature sensors of a robot.
+    """Return the curvature sensors of a robot; those of a spatial robot have two axes.
 
     Args:
-        kind: a name in `KINDS`, or an existing `Sensor`, which is returned unchanged.
+        kind: a name in `KINDS`, or an existing `Sensor`, which is used as it is.
         spec: the robot, which determines the length of the strips and the drift of each module's sensor.
         span: largest bend to both sides for which a Hall sensor is trimmed (unless `gain` is given) and
             calibrated, rad; other sensors ignore it.
@@ -55,21 +57,19 @@ def make_sensor(kind: str | Sensor, spec: RobotSpec, *, span: float = SPAN, **op
     """
     if options and (isinstance(kind, Sensor) or kind == IdealSensor.kind):
         raise InputError(f"this sensor has no options; leave out {', '.join(options)}")
-    if isinstance(kind, Sensor):
-        return kind
     sensor: Sensor
+    if isinstance(kind, Sensor):
+        return TwoAxisSensor(kind) if spec.is_spatial and kind.axes == 1 else kind
     if kind == IdealSensor.kind:
         sensor = IdealSensor()
     elif kind in KINDS:
-        spec.require_planar(f"sensor '{kind}'")
         sensor = _hall_sensor(spec, span, options)
     else:
         raise UnknownNameError("sensor", kind, KINDS)
     modules = spec.modules
     if any(gain != 1 for gain in modules.sensor_gain) or any(modules.sensor_bias):
-        spec.require_planar("drift of a sensor (modules.sensor_gain, sensor_bias_rad)")
-        return DriftedSensor(sensor, modules.sensor_gain, modules.sensor_bias)
-    return sensor
+        sensor = DriftedSensor(sensor, modules.sensor_gain, modules.sensor_bias)
+    return TwoAxisSensor(sensor) if spec.is_spatial else sensor
 
 
 def _hall_sensor(spec: RobotSpec, span: float, options: dict[str, Any]) -> Sensor:

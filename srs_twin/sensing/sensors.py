@@ -35,9 +35,12 @@ class Sensor(ABC):
 
     Attributes:
         kind: short name.
+        axes: number of readings per segment, 1 or 2; with 2, bends and readings have a last axis with the
+            components to the left and upwards.
     """
 
     kind: str
+    axes: int = 1
 
     @abstractmethod
     def read(self, bend: np.ndarray, time: np.ndarray | float, seed: int) -> np.ndarray:
@@ -75,6 +78,8 @@ SLOT = 1e-4
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
+
+_SEED_STEP = 2**63  # between the seeds of two axes; seeds count modulo 2⁶⁴
 
 _MAX_TIME = 2.0**53 * SLOT  # largest time at which slots are exact integers, s
 _BLOCK = 1024  # slots per cached block
@@ -180,6 +185,40 @@ class _AlteredSensor(Sensor):
         """Short name of the sensors whose readings are changed."""
         return self.sensor.kind
 
+    @property
+    def axes(self) -> int:  # type: ignore[override]
+        """Number of readings per segment."""
+        return self.sensor.axes
+
+
+@dataclass(frozen=True)
+class TwoAxisSensor(_AlteredSensor):
+    """Two equal sensors in each segment of a spatial robot, one per direction of bending.
+
+    The strips lie in the neutral axis at right angles, so each of them reads one component of the bend. Their
+    noise is independent; that of the first one is the noise of a planar robot's sensor with the same seed.
+    Drift is the same for both.
+
+    Attributes:
+        sensor: sensors of one direction.
+    """
+
+    @property
+    def axes(self) -> int:  # type: ignore[override]
+        """Number of readings per segment."""
+        return 2
+
+    def read(self, bend: np.ndarray, time: np.ndarray | float, seed: int) -> np.ndarray:
+        """See `Sensor.read`."""
+        bend = np.asarray(bend, dtype=float)
+        return np.stack(
+            [self.sensor.read(bend[..., axis], time, seed + axis * _SEED_STEP) for axis in range(2)], axis=-1
+        )
+
+    def describe(self) -> dict[str, Any]:
+        """See `Sensor.describe`."""
+        return self.sensor.describe() | {"axes": 2}
+
 
 @dataclass(frozen=True)
 class DriftedSensor(_AlteredSensor):
@@ -205,7 +244,7 @@ class DriftedSensor(_AlteredSensor):
 
 @dataclass(frozen=True)
 class DeadSensor:
-    """Fault of one sensor that no longer follows the bend.
+    """Fault of the sensor of one segment, which no longer follows the bend on any axis.
 
     Attributes:
         segment: from 1, at the head.
@@ -235,8 +274,8 @@ class FaultySensor(_AlteredSensor):
         for fault in self.dead:
             # The start of a tick and the sum of its steps may differ by rounding.
             failed = np.asarray(time) >= fault.since - 1e-9
-            column = sensed[..., fault.segment - 1]
-            sensed[..., fault.segment - 1] = np.where(failed, fault.reading, column)
+            segment = sensed if self.axes == 1 else np.moveaxis(sensed, -1, 0)  # a view
+            segment[..., fault.segment - 1] = np.where(failed, fault.reading, segment[..., fault.segment - 1])
         return sensed
 
     def describe(self) -> dict[str, Any]:

@@ -15,7 +15,6 @@ from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics import LagPneumatics, Schedule, make_pneumatics
 from srs_twin.robot.spec import GRAVITY
 from srs_twin.scenario.loading import parse_scenario
-from srs_twin.sensing import make_sensor
 from srs_twin.studies.sweep.task import flat_metrics
 from srs_twin.trajectory import Trajectory
 
@@ -230,7 +229,6 @@ def test_features_for_planar_robots_refuse_a_spatial_one_by_name():
     planar = load_robot("gen2")
     for refused in (
         lambda: make_pneumatics("orifice", SPEC, supply_pa=SUPPLY, layout="3/2"),
-        lambda: make_sensor("hall", SPEC),
         lambda: AnalyticalSnake(SPEC),
         lambda: Shadow(SPEC),
         lambda: dm.load("GoTo", robot="spatial_example"),
