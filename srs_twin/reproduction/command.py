@@ -35,6 +35,7 @@ def reproduce(
     no_figures: Annotated[bool, option("--no-figures")] = False,
     write_baseline: Annotated[bool, option("--write-baseline")] = False,
     scorecard: Annotated[bool, option("--scorecard")] = False,
+    others: Annotated[bool, option("--others")] = False,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -49,7 +50,11 @@ def reproduce(
         no_figures: Omit the figures and their runs.
         write_baseline: Write the verdicts as the new baseline.
         scorecard: Print only the credibility grades according to NASA-STD-7009, without any run.
+        others: Print only predicted and published motion of robots that others built, without any run.
     """
+    if others:
+        _print_others(as_json=as_json)
+        return
     if scorecard:
         _print_scorecard(as_json=as_json)
         return
@@ -110,6 +115,28 @@ def _print_scorecard(*, as_json: bool) -> None:
         )
         print_table((name, "grade", "because"), lines, left=(0, 2))
     print(f"Grades 0 to 4 after NASA-STD-7009. Everything here is {UNVALIDATED}.")
+
+
+def _print_others(*, as_json: bool) -> None:
+    """Print the predicted and published motion of robots that others built."""
+    from srs_twin.cli.options import print_json
+    from srs_twin.identification.fitting import print_table
+    from srs_twin.reproduction.others import load_predicted_quantities
+
+    rows = load_predicted_quantities()
+    if as_json:
+        print_json({"robots": [row.document() for row in rows]})
+        return
+
+    compared = [row for row in rows if row.published is not None]
+    headings = ("robot", "quantity", "95 % interval", "published", "result")
+    print_table(headings, (row.cells() for row in compared), left=(0, 1, 4))
+    for robot in dict.fromkeys(row.robot for row in compared):
+        first = next(row for row in compared if row.robot == robot)
+        commits = [commit or "(none)" for commit in (first.prediction_commit, first.comparison_commit)]
+        print(f"{robot}: predicted in commit {commits[0]}, compared in commit {commits[1]}")
+    print("known: before the prediction; simulated: by the builders of the robot")
+    print(f"{len(rows) - len(compared)} predicted quantities without a published value: --json")
 
 
 @contextmanager

@@ -1,0 +1,115 @@
+"""Robots that others built: descriptions, predictions before results, and their comparison."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+
+import pytest
+
+from srs_twin.cli import main
+from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.io.files import data_root
+from srs_twin.reproduction import others
+from srs_twin.robot.file import load_robot_file
+
+PREDICTION = "quantities: {speed_m_s: {median: 0.1, interval_95: [0.05, 0.2]}}\n"
+PUBLISHED = "values: {%s: {value: %s, of: robot, known: false, source: a paper}}\n"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Return a folder with a prediction, which replaces the shipped data."""
+    calibration = tmp_path / "calibration"
+    (calibration / "predictions").mkdir(parents=True)
+    (calibration / "published/others").mkdir(parents=True)
+    (calibration / "predictions/snake.yaml").write_text(PREDICTION)
+    monkeypatch.setattr(others, "data_root", lambda: tmp_path)
+    return calibration
+
+
+def test_every_prediction_is_of_a_robot_whose_intervals_have_sources():
+    rows = others.load_predicted_quantities()
+    for name in {row.robot for row in rows}:
+        records = load_robot_file(data_root() / f"calibration/robots/others/{name}.yaml").records()
+        uncertain = [record for record in records.values() if record.uncertain is not None]
+        assert len(uncertain) >= 5 and all(record.source for record in records.values())
+    assert all(row.interval_95[0] <= row.median <= row.interval_95[1] for row in rows)
+
+
+@pytest.mark.parametrize(("value", "inside"), [(0.05, True), (0.2, True), (0.049, False), (0.21, False)])
+def test_published_value_is_inside_the_interval_or_not(folder, value, inside):
+    (folder / "published/others/snake.yaml").write_text(PUBLISHED % ("speed_m_s", value))
+    (row,) = others.load_predicted_quantities()
+    assert row.inside is inside
+    assert (row.prediction_commit, row.comparison_commit) == (None, None)
+
+
+def test_prediction_without_published_values_has_no_result(folder):
+    (row,) = others.load_predicted_quantities()
+    assert row.inside is None and row.document()["published"] is None
+
+
+def test_published_quantity_that_was_not_predicted_is_refused(folder):
+    (folder / "published/others/snake.yaml").write_text(PUBLISHED % ("speed_mm_s", 1))
+    with pytest.raises(UnknownNameError, match="speed_m_s"):
+        others.load_predicted_quantities()
+
+
+@pytest.mark.parametrize("value", [".nan", "1e9", "fast"])
+def test_published_value_must_be_a_plausible_number(folder, value):
+    (folder / "published/others/snake.yaml").write_text(PUBLISHED % ("speed_m_s", value))
+    with pytest.raises(InputError, match=r"snake.yaml:1:\d+.*value"):
+        others.load_predicted_quantities()
+
+
+def test_commits_show_that_predictions_came_first(folder):
+    """In a repository of its own: the first published values, and the last change of the prediction."""
+
+    def git(*command):
+        who = ("-c", "user.name=a", "-c", "user.email=a@b.c", "-c", "commit.gpgsign=false")
+        subprocess.run(["git", *who, *command], cwd=folder, check=True, capture_output=True)
+
+    git("init", "-q")
+    published = folder / "published/others/snake.yaml"
+    for path, text in (
+        (folder / "predictions/snake.yaml", PREDICTION),
+        (published, PUBLISHED % ("speed_m_s", 0.1)),
+        (published, PUBLISHED % ("speed_m_s", 0.11)),
+    ):
+        path.write_text(text)
+        git("add", "-A")
+        git("commit", "-q", "-m", "a change")
+    log = subprocess.run(
+        ["git", "log", "--format=%h"], cwd=folder, capture_output=True, text=True, check=True
+    ).stdout.split()
+    (row,) = others.load_predicted_quantities()
+    assert [row.prediction_commit, row.comparison_commit] == [log[2], log[1]]
+
+
+def test_shipped_predictions_were_committed_before_published_values():
+    root = data_root()
+    for row in others.load_predicted_quantities():
+        if row.comparison_commit is None or row.prediction_commit is None:
+            pytest.skip("needs the history of a checkout")
+        command = ["git", "merge-base", "--is-ancestor", row.prediction_commit, row.comparison_commit]
+        assert row.prediction_commit != row.comparison_commit, row.robot
+        assert subprocess.run(command, cwd=root, check=False).returncode == 0, row.robot
+
+
+def test_command_prints_every_compared_quantity(capsys):
+    def printed(*options):
+        with pytest.raises(SystemExit) as done:
+            main(["reproduce", "--others", *options])
+        assert done.value.code == 0
+        return capsys.readouterr().out
+
+    rows = json.loads(printed("--json"))["robots"]
+    lines = printed().splitlines()
+    compared = [row for row in rows if row["published"] is not None]
+    assert len(compared) >= 3
+    for row in compared:
+        low, high = row["interval_95"]
+        assert row["inside"] == (low <= row["published"] <= high)
+        line = next(line for line in lines if f"{row['quantity']} " in line)
+        assert ("inside" if row["inside"] else "outside") in line
