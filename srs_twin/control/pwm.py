@@ -44,17 +44,19 @@ class PulseWidthModulator(Stateful):
         aligned: bool = False,
         allow_long_ticks: bool = False,
         scale: Scale = SHIPPED,
+        chambers: int = 2,
     ) -> None:
         """Create a modulator at the start of a period.
 
         Args:
             carrier_hz: carrier frequency, Hz.
             tick: s.
-            segments: number of segments with two chambers each.
+            segments: number of segments.
             aligned: whether the pulses of both chambers begin at the start of the period.
             allow_long_ticks: whether a tick may be longer than a period, for controllers that do not update
                 the duties in every period.
             scale: units of the robot, for the length of the slots.
+            chambers: number of chambers per segment; other numbers than 2 need `aligned`.
 
         Raises:
             InputError: the carrier frequency or the tick is not above 0, or the tick is longer than a period
@@ -73,7 +75,7 @@ class PulseWidthModulator(Stateful):
         self._periods_per_slot = carrier_hz * slot
         self._ticks = 0
         self._period_number = -1
-        self.duty = np.zeros((segments, 2))
+        self.duty = np.zeros((segments, chambers))
 
     def due(self) -> bool:
         """Return whether a period begins in the next tick, so that `step` uses new duties."""

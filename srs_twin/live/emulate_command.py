@@ -25,7 +25,7 @@ _LONGEST_NAME = 200
 
 def broker_link(
     robot: str, segments: int, address: str, user: str | None, ca: Path | None, *, speaks: str | None = None,
-    kinds: Iterable[str] | None = None,
+    kinds: Iterable[str] | None = None, chambers: int = 0,
 ) -> MqttLink:  # fmt: skip
     """Return the connection to a robot's topics at the broker that the options select.
 
@@ -43,7 +43,7 @@ def broker_link(
         )
     host, port = parsed(address, broker.PORT)
     who = {"user": user, "password": os.environ.get(PASSWORD), "ca": ca, "speaks": speaks}
-    return broker.MqttLink(robot, segments, host, port, kinds=kinds or KINDS, **who)  # type: ignore[arg-type]
+    return broker.MqttLink(robot, segments, host, port, kinds=kinds or KINDS, chambers=chambers, **who)  # type: ignore[arg-type]
 
 
 def emulate(
@@ -55,7 +55,7 @@ def emulate(
     fault: Annotated[list[str] | None, option("--fault FAULT")] = None,
     spread: Annotated[float, option("--gain-spread S", min=0.0, max=0.5)] = 0.1,
     noise: Annotated[float, option("--noise-rad S", min=0.0, max=1.0)] = 0.02,
-    chambers: Annotated[str, option("--chambers NAME")] = "orifice",
+    chambers: Annotated[str | None, option("--chambers NAME")] = None,
     pressure: PressureOption = None,
     start: Annotated[str, option("--start X,Y,HEADING")] = "0,0,0",
     loss: Annotated[float, option("--loss SHARE", min=0.0, max=0.99)] = 0.0,
@@ -81,7 +81,7 @@ def emulate(
         fault: Fault and its time, e.g. stuck_valve:2+@5, dead_sensor:1@8, leak:3-=fast@2; repeatable.
         spread: Standard deviation of the modules' gains.
         noise: Standard deviation of bend readings, rad.
-        chambers: orifice (compressible flow) or lag (first order).
+        chambers: orifice (compressible flow) or lag (first order). [default: orifice; spatial robots: lag]
         start: Initial pose, m and rad, e.g. --start=0.2,-0.1,0.5.
         loss: Fraction of messages that are lost.
         jitter: Largest delay of a message, s.
@@ -105,7 +105,8 @@ def emulate(
     over = threading.Event()
     for ends in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(ends, lambda *_: over.set())
-    with broker_link(known, emulated.segments, mqtt, user, ca, speaks=known, kinds=(COMMAND,)) as link:
+    link_options = {"speaks": known, "kinds": (COMMAND,), "chambers": emulated.spatial_chambers}
+    with broker_link(known, emulated.segments, mqtt, user, ca, **link_options) as link:  # type: ignore[arg-type]
         bodies = {i: f"connector_{i}" for i in range(1, emulated.segments + 2)}
         capture = None
         if natnet is not None:

@@ -25,10 +25,11 @@ from srs_twin.live.links import MqttLink, clock
 from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, SUPPLY, VALVES
 from srs_twin.live.natnet import RigidBody
 from srs_twin.live.optitrack import NatNetServer
-from srs_twin.plants.base import SnakeState
+from srs_twin.plants.base import SnakeState, SpatialState
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics.orifice import OrificePneumatics
 from srs_twin.pneumatics.valves import StuckValve
+from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario.loading import parse_scenario
 
 SILENT_S = 0.2
@@ -111,11 +112,12 @@ class EmulatedRobot:
         supply_pa: nominal supply pressure, gauge, Pa.
         supply_now_pa: current supply pressure, gauge, Pa.
         valves: valve states of the last tick; a stuck valve keeps its state.
+        spatial_chambers: number of chambers per segment of a spatial robot, 0 for a planar one.
     """
 
     def __init__(
         self, robot: str, *, seed: int = 0, faults: Sequence[str] = (), gain_spread: float = 0.1,
-        noise_rad: float = 0.02, tick: float = 0.02, tau_spread: float = 0.0, pneumatics: str = "orifice",
+        noise_rad: float = 0.02, tick: float = 0.02, tau_spread: float = 0.0, pneumatics: str | None = None,
         supply_kpa: float | None = None, start: tuple[float, float, float] = (0.0, 0.0, 0.0),
         changes: Mapping[str, Any] | None = None,
     ) -> None:  # fmt: skip
@@ -129,7 +131,8 @@ class EmulatedRobot:
             noise_rad: standard deviation of bend readings, rad.
             tick: s.
             tau_spread: standard deviation of the time constants.
-            pneumatics: model of the chambers, "orifice" or "lag".
+            pneumatics: model of the chambers, "orifice" or "lag"; None: "orifice", or "lag" for a spatial
+                robot, which has no other.
             supply_kpa: supply pressure, gauge; None: the nominal one.
             start: initial pose: x, y (m), heading (rad).
             changes: changed fields of the robot file, as in `robot` of a scenario.
@@ -137,6 +140,8 @@ class EmulatedRobot:
         Raises:
             InputError: the robot does not exist, or a fault is invalid.
         """
+        if pneumatics is None:
+            pneumatics = "lag" if load_robot_file(robot).is_spatial else "orifice"
         modules = {"gain_spread": gain_spread, "tau_spread": tau_spread}
         changes = dict(changes or {})
         modules |= changes.pop("modules", {})
@@ -153,9 +158,11 @@ class EmulatedRobot:
         assert isinstance(self.twin, TwinSnake)
         self._air = self.twin.pneumatics
         spec = self.twin.spec
-        spec.require_planar("the emulator")
         self.segments, self.tick = spec.segments, tick
+        self.spatial_chambers = spec.chambers if spec.is_spatial else 0
         self.faults = tuple(Fault.parse(fault, spec.segments) for fault in faults)
+        if any(fault.kind == "stuck_valve" for fault in self.faults):
+            spec.require_planar("fault stuck_valve, which names a + or − chamber,")
         self._rng, self._noise = np.random.default_rng((seed, 0xE0)), noise_rad
         self.supply_pa = self.supply_now_pa = asked.supply_pa
         self._share = self._left = 1.0
@@ -167,11 +174,12 @@ class EmulatedRobot:
             raise InputError(f"chambers of pneumatics {pneumatics!r} do not begin to leak; 'orifice' ones do")
         self._pending = [fault for fault in self.faults if fault.kind in ("leak", "starved")]
         self._pulses = PulseWidthModulator(
-            CARRIER_HZ, tick, spec.segments, aligned=True, allow_long_ticks=True, scale=spec.scale
-        )
-        self._frozen = np.full(spec.segments, np.nan)
-        self.valves = np.full((spec.segments, 2), -1, dtype=np.int8)
+            CARRIER_HZ, tick, spec.segments, aligned=True, allow_long_ticks=True, scale=spec.scale,
+            chambers=spec.chambers,
+        )  # fmt: skip
+        self.valves = np.full((spec.segments, spec.chambers), -1, dtype=np.int8)
         self.state = self.twin.reset(pose=start, seed=seed)
+        self._frozen = np.full(self.state.bend.shape, np.nan)
 
     def step(self, command: np.ndarray | None) -> SnakeState:
         """Advance by one tick under a command, valve states or duties; None vents all chambers."""
@@ -183,8 +191,7 @@ class EmulatedRobot:
             else:
                 self._left = fault.how
                 self.regulate(self._share)
-        shape = (self.segments, 2)
-        wanted = np.full(shape, -1.0) if command is None else np.asarray(command, dtype=float)
+        wanted = np.full(self.valves.shape, -1.0) if command is None else np.asarray(command, dtype=float)
         states = np.isin(wanted, (-1.0, 1.0)).all()
         duties = self._pulses.step(np.where(states, (wanted + 1) / 2, np.clip(wanted, 0.0, 1.0)))
         obeyed = wanted.astype(np.int8) if states else duties
@@ -202,14 +209,14 @@ class EmulatedRobot:
         """Return the bend readings, rad; NaN without a reading."""
         time, readings = (
             float(self.state.time),
-            self.state.bend + self._noise * self._rng.normal(size=self.segments),
+            self.state.bend + self._noise * self._rng.normal(size=self.state.bend.shape),
         )
         for fault in self.faults:
             if fault.since > time:
                 continue
             j = fault.number - 1
             if fault.kind == "dead_sensor":
-                self._frozen[j] = readings[j] if np.isnan(self._frozen[j]) else self._frozen[j]
+                self._frozen[j] = np.where(np.isnan(self._frozen[j]), readings[j], self._frozen[j])
                 readings[j] = math.nan if fault.how else self._frozen[j]
             elif fault.kind == "drifting_sensor":
                 readings[j] += fault.how * _DRIFT_RAD_PER_S * (time - fault.since)
@@ -222,6 +229,11 @@ class EmulatedRobot:
         noise = _CAMERA_NOISE_M * self._rng.normal(size=(len(self.state.position), 3))
         for i, (x, y) in enumerate(self.state.position):
             dx, dy, dz = noise[i].tolist()
+            if isinstance(self.state, SpatialState):
+                place = float(x) + dx, float(self.state.height[i]) + dz, -(float(y) + dy)
+                w, a, b, c = map(float, self.state.orientation[i])
+                bodies[i + 1] = RigidBody(place, (a, c, -b, w), tracked=i + 1 not in lost)
+                continue
             turn = float(self.state.theta[i]) + dz / 0.02  # markers 20 mm from the centre
             # Motive's y axis points up, so our y axis is its −z axis.
             place = float(x) + dx, _HEIGHT_M, -(float(y) + dy)

@@ -163,7 +163,7 @@ class MqttLink(Link):
     def __init__(
         self, robot: str, segments: int, host: str = LOOPBACK, port: int = PORT, *,
         kinds: Iterable[str] = KINDS, user: str | None = None, password: str | None = None,
-        ca: Path | None = None, wait_s: float = 5.0, speaks: str | None = None,
+        ca: Path | None = None, wait_s: float = 5.0, speaks: str | None = None, chambers: int = 0,
     ) -> None:  # fmt: skip
         """Connect and subscribe.
 
@@ -178,6 +178,7 @@ class MqttLink(Link):
             ca: CA certificate of the broker; it enables TLS.
             wait_s: longest wait for the first answer of the broker, s.
             speaks: robot whose `status` becomes `LOST` if this connection breaks; None: no status.
+            chambers: number of chambers per segment of a spatial robot; 0: the robot is planar.
 
         Raises:
             InputError: paho-mqtt is not installed, or no broker answers or admits us.
@@ -187,7 +188,8 @@ class MqttLink(Link):
             from paho.mqtt import client as mqtt
         except ImportError as error:
             raise InputError("MQTT needs paho-mqtt: pip install 'srs-twin[live]'") from error
-        self._robot, self._segments, self._topics = robot, segments, {topic(robot, k): k for k in kinds}
+        self._robot, self._topics = robot, {topic(robot, k): k for k in kinds}
+        self._shape = {"segments": segments, "chambers": chambers}
         self.connected, self._answered, self._why = False, threading.Event(), ""
         self._client = client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
         client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
@@ -254,9 +256,7 @@ class MqttLink(Link):
             kind = self._topics.get(message.topic, "")
             if message.retain and kind != STATUS:
                 raise BadMessageError("retained by the broker from earlier")
-            self._take(
-                decode(kind, message.payload, source=self._robot, arrived=arrived, segments=self._segments)
-            )
+            self._take(decode(kind, message.payload, source=self._robot, arrived=arrived, **self._shape))
         except Exception as error:  # the edge of the client's thread: no message may end it
             self._refuse(error)
 

@@ -2,6 +2,7 @@
 
 Topics and keys are fixed (docs/live.md): ``srs/NAME/command``, ``valves``, ``pressures``, ``bends``,
 ``status``, ``control``, ``supply``, ``contact``. Lists start at the head, ``t`` is the sender's clock.
+Messages of a spatial robot have one list per chamber (``chamber_1``…) and also the bends upwards.
 Invalid messages are refused with a reason and counted; only decoding raises an error.
 """
 
@@ -32,6 +33,7 @@ _PA_PER_KPA = 1000.0
 _BOUNDS = {COMMAND: (-1.0, 1.0), VALVES: (-1.0, 1.0), PRESSURES: (-100.0, 1000.0),
            SUPPLY: (0.0, 1000.0)}  # fmt: skip
 _BEND = 2 * math.pi
+_SIDES, _BEND_KEYS = ("plus", "minus"), ("rad", "pitch_rad")
 _PLAIN_WORDS = tuple(word.encode() for word in WORDS)
 _LONGEST_TEXT = 1000
 
@@ -49,9 +51,10 @@ class Message:
         source: sender whose clock `sent` is on: the robot of the topic, or a motion capture system.
         sent: sending time on the sender's clock, s.
         arrived: arrival time on our monotonic clock, s.
-        values: commands and valves (segments, 2); pressures the same, Pa; of the supply (), Pa; bends
-            (segments,), rad, NaN where
-            none; poses (bodies, 4): x, y, z (m, z up) and heading (rad, NaN where unknown); else empty.
+        values: commands and valves (segments, 2), or (segments, chambers) of a spatial robot; pressures the
+            same, Pa; of the supply (), Pa; bends (segments,), or (segments, 2) to the left and upwards, rad,
+            NaN where none; poses (bodies, 4): x, y, z (m, z up) and heading (rad, NaN where unknown); else
+            empty.
         names: names of the bodies; for `status` and `control` the text.
     """
 
@@ -79,13 +82,19 @@ def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
     if isinstance(values, str):
         return json.dumps({"t": time, "text": values}).encode()
     if kind == BENDS:
-        bends = [None if math.isnan(bend) else bend for bend in np.ravel(values).tolist()]
-        return json.dumps({"t": time, "rad": bends}).encode()
+        axes = np.atleast_2d(np.asarray(values).T).tolist()
+        bends = ([None if math.isnan(bend) else bend for bend in axis] for axis in axes)
+        return json.dumps({"t": time, **dict(zip(_BEND_KEYS, bends, strict=False))}).encode()
     if kind == SUPPLY:
         return json.dumps({"t": time, "kpa": round(float(values) / _PA_PER_KPA, 6)}).encode()
     sides = np.asarray(values, dtype=float) / (_PA_PER_KPA if kind == PRESSURES else 1.0)
-    plus, minus = (_plain(sides[:, side]) for side in (0, 1))
-    return json.dumps({"t": time, "plus": plus, "minus": minus}).encode()
+    keys = _chamber_keys(0 if sides.shape[1] == len(_SIDES) else sides.shape[1])
+    return json.dumps({"t": time, **dict(zip(keys, map(_plain, sides.T), strict=True))}).encode()
+
+
+def _chamber_keys(chambers: int) -> tuple[str, ...]:
+    """Return the keys of the lists of a message by chamber; 0 chambers: those of a planar robot."""
+    return tuple(f"chamber_{c}" for c in range(1, chambers + 1)) or _SIDES
 
 
 def encode_contact(time: float, contact: ContactEstimate) -> bytes:
@@ -100,7 +109,9 @@ def _plain(values: np.ndarray) -> list[float]:
     return [int(value) if value == int(value) else round(value, 6) for value in values.tolist()]
 
 
-def decode(kind: str, payload: bytes, *, source: str, arrived: float, segments: int) -> Message:
+def decode(
+    kind: str, payload: bytes, *, source: str, arrived: float, segments: int, chambers: int = 0
+) -> Message:
     """Return the message in a payload.
 
     Args:
@@ -109,6 +120,7 @@ def decode(kind: str, payload: bytes, *, source: str, arrived: float, segments: 
         source: sender.
         arrived: arrival time on our clock, s.
         segments: number of segments of the robot.
+        chambers: number of chambers per segment of a spatial robot; 0: the robot is planar.
 
     Raises:
         BadMessageError: the payload is invalid, or has another number of segments.
@@ -136,13 +148,16 @@ def decode(kind: str, payload: bytes, *, source: str, arrived: float, segments: 
             raise BadMessageError(f"a control is one of {', '.join(WORDS)}")
         return Message(kind, source, sent, arrived, names=(text,))
     if kind == BENDS:
-        rad = _numbers(document, "rad", segments, -_BEND, _BEND, gaps=True)
-        return Message(kind, source, sent, arrived, np.array(rad))
+        axes = [
+            _numbers(document, key, segments, -_BEND, _BEND, gaps=True)
+            for key in (_BEND_KEYS if chambers else _BEND_KEYS[:1])
+        ]
+        return Message(kind, source, sent, arrived, np.array(axes).T if chambers else np.array(axes[0]))
     low, high = _BOUNDS[kind]
     if kind == SUPPLY:
         pressure = _PA_PER_KPA * _number(document, "kpa", low, high)
         return Message(kind, source, sent, arrived, np.array(pressure))
-    sides = [_numbers(document, side, segments, low, high) for side in ("plus", "minus")]
+    sides = [_numbers(document, key, segments, low, high) for key in _chamber_keys(chambers)]
     values = np.array(sides).T * (_PA_PER_KPA if kind == PRESSURES else 1.0)
     return Message(kind, source, sent, arrived, values)
 
