@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import fields, replace
 from typing import Any
 
@@ -23,6 +23,10 @@ from srs_twin import (
 FREQUENCY_HZ, OFFSET = 2.0, 0.2
 PERIODS, MEASURED_PERIODS = 3, 2
 TICK_S = 0.02
+SETTINGS = ("timestep", "tolerance", "slip_speed", "slip_time", "axle_time")
+"""Numerical settings of the plants that can be given."""
+
+Builder = Callable[[RobotSpec, float, Collection[str]], Plant]
 
 
 def scaled(spec: RobotSpec, s: float) -> RobotSpec:
@@ -56,31 +60,30 @@ def scaled(spec: RobotSpec, s: float) -> RobotSpec:
     )
 
 
-def _analytical(**options: Any) -> Callable[[RobotSpec, float, bool], Plant]:
-    def build(spec: RobotSpec, s: float, explicit: bool) -> Plant:
+def _analytical(**options: Any) -> Builder:
+    def build(spec: RobotSpec, s: float, explicit: Collection[str]) -> Plant:
         time = math.sqrt(s)
-        numerics = {"timestep": 0.002 * time, "tolerance": 0.0002 * time, "slip_speed": 0.00025 * time}
-        return AnalyticalSnake(spec, tick=TICK_S * time, **options, **(numerics if explicit else {}))
+        numerics = {"timestep": 0.002, "tolerance": 0.0002, "slip_speed": 0.00025}
+        chosen = {name: value * time for name, value in numerics.items() if name in explicit}
+        return AnalyticalSnake(spec, tick=TICK_S * time, **options, **chosen)
 
     return build
 
 
-def _twin(
-    contact: type[LoadedContact] | type[PreloadedContact], kind: Any
-) -> Callable[[RobotSpec, float, bool], Plant]:
-    def build(spec: RobotSpec, s: float, explicit: bool) -> Plant:
+def _twin(contact: type[LoadedContact] | type[PreloadedContact], kind: Any) -> Builder:
+    def build(spec: RobotSpec, s: float, explicit: Collection[str]) -> Plant:
         time = math.sqrt(s)
-        numerics = {"slip_speed": 0.001 * time}
+        numerics = {"slip_speed": 0.001, "timestep": 0.001}
         if contact is PreloadedContact:
-            numerics |= {"slip_time": 0.0003 * time, "axle_time": 0.002 * time}
-        floor = contact(kind, **(numerics if explicit else {}))
-        steps = {"timestep": 0.001 * time} if explicit else {}
-        return TwinSnake(spec, contact=floor, tick=TICK_S * time, **steps)
+            numerics |= {"slip_time": 0.0003, "axle_time": 0.002}
+        chosen = {name: value * time for name, value in numerics.items() if name in explicit}
+        steps = {"timestep": chosen.pop("timestep")} if "timestep" in chosen else {}
+        return TwinSnake(spec, contact=contact(kind, **chosen), tick=TICK_S * time, **steps)
 
     return build
 
 
-PLANTS: dict[str, Callable[[RobotSpec, float, bool], Plant]] = {
+PLANTS: dict[str, Builder] = {
     "simplified, axis": _analytical(model="simplified"),
     "complete, axis": _analytical(),
     "complete, wheel, momentary": _analytical(friction="wheel", load="momentary"),
@@ -90,7 +93,7 @@ PLANTS: dict[str, Callable[[RobotSpec, float, bool], Plant]] = {
     "twin, preloaded, rolling": _twin(PreloadedContact, "rolling"),
     "twin, preloaded, skid": _twin(PreloadedContact, "skid"),
 }
-"""Constructors of the plants, from the robot, its scale, and whether numerical settings are given."""
+"""Constructors of the plants, from the robot, its scale, and the names of the settings that scale with it."""
 
 
 def motion(plant: Plant, s: float) -> np.ndarray:
@@ -103,7 +106,9 @@ def motion(plant: Plant, s: float) -> np.ndarray:
     return np.array([math.hypot(*way) / s, run["heading"][-1] - run["heading"][first]]) / span
 
 
-def deviations(name: str, spec: RobotSpec, s: float, explicit: bool, reference: np.ndarray) -> np.ndarray:
+def deviations(
+    name: str, spec: RobotSpec, s: float, explicit: Collection[str], reference: np.ndarray
+) -> np.ndarray:
     """Return the relative deviations of speed and yaw rate of a scaled robot from a reference, shape (2,)."""
     difference: np.ndarray = motion(PLANTS[name](scaled(spec, s), s, explicit), s) / reference - 1
     return difference

@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scaled_robots import PLANTS, deviations, motion, scaled
+from scaled_robots import PLANTS, SETTINGS, deviations, motion, scaled
 
 from srs_twin import AnalyticalSnake, InputError, PreloadedContact, TwinSnake, load_robot
 from srs_twin.pneumatics.valves import count_slots
@@ -24,7 +24,7 @@ SPEC = replace(GEN2, friction=replace(GEN2.friction, drag=0.02))
 
 
 @cache
-def reference(name: str, explicit: bool) -> np.ndarray:
+def reference(name: str, explicit: tuple[str, ...]) -> np.ndarray:
     return motion(PLANTS[name](SPEC, 1.0, explicit), 1.0)
 
 
@@ -35,21 +35,37 @@ NEAR = [pytest.param(s, marks=pytest.mark.slow) for s in (1 / 4, 4.0)]
 @pytest.mark.parametrize("s", FAR + NEAR)
 @pytest.mark.parametrize("name", PLANTS)
 def test_default_settings_scale_with_the_robot(name, s):
-    found = deviations(name, SPEC, s, False, reference(name, False))
+    found = deviations(name, SPEC, s, (), reference(name, ()))
     assert np.abs(found).max() < (1e-6 if name.startswith("twin") else 1e-12)
 
 
 @pytest.mark.parametrize("s", [0.05, 20.0])
 @pytest.mark.parametrize("name", PLANTS)
 def test_explicit_settings_admit_every_scale(name, s):
-    assert np.abs(deviations(name, SPEC, s, True, reference(name, True))).max() < 1e-4
+    assert np.abs(deviations(name, SPEC, s, SETTINGS, reference(name, SETTINGS))).max() < 1e-4
 
 
 @pytest.mark.parametrize("s", [0.05, 20.0])
 @pytest.mark.parametrize("name", ["complete, wheel, momentary", "twin, loaded, wheel"])
 def test_default_settings_between_the_powers_are_of_similar_accuracy(name, s):
     """The settings differ by 12 % from those that scale."""
-    assert np.abs(deviations(name, SPEC, s, False, reference(name, False))).max() < 5e-3
+    assert np.abs(deviations(name, SPEC, s, (), reference(name, ()))).max() < 5e-3
+
+
+@pytest.mark.parametrize("s", [0.05, 20.0])
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("simplified, axis", ("slip_speed", "tolerance")),
+        ("complete, wheel, momentary", ("slip_speed", "tolerance")),
+        ("compliant, ellipse", ("slip_speed",)),
+        ("twin, loaded, wheel", ("slip_speed",)),
+        ("twin, loaded, ellipse", ("slip_speed",)),
+    ],
+)
+def test_settings_that_differ_between_the_powers_are_known(name, settings, s):
+    """Slip speed and tolerance alone explain the deviations of default settings at other scales."""
+    assert np.abs(deviations(name, SPEC, s, settings, reference(name, settings))).max() < 1e-6
 
 
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4", "gen4_module"])
