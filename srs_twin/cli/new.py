@@ -44,6 +44,9 @@ _SERVO_BEND_RAD = 0.6
 _JOINT_SHARE = 1 / 15
 """Share of a servo joint in the distance between joints; the rest is a rigid link."""
 
+_SERVO_PLANE_RATIO = 0.1
+"""Default stiffness of a servo joint in pitch and roll, over weight times body length, 1."""
+
 _SUFFIXES = {".yaml": ".yaml", ".txt": ".py"}
 """Suffix of a template → suffix of the file."""
 
@@ -81,8 +84,19 @@ def robot(
     supply = _PRESSURE_KPA if servo else _answer("supply pressure, kPa", pressure, _PRESSURE_KPA)
     of = "largest angle of a joint" if servo else "bend of one segment at that pressure"
     max_bend = _answer(f"{of}, rad", bend, _SERVO_BEND_RAD if servo else _BEND_RAD)
-    if count < 1 or not all(0 < value < math.inf for value in (body_length, total_mass, supply, max_bend)):
-        raise InputError("length, mass, segments, pressure and bend must be positive")
+    given = {
+        "segments": count,
+        "length": body_length,
+        "mass": total_mass,
+        "pressure": supply,
+        "bend": max_bend,
+    }
+    for option_name, number in given.items():
+        if not 0 < number < math.inf:
+            raise InputError(f"--{option_name} {number:g} is not allowed; it must be positive")
+    from srs_twin.robot.file import load_robot
+    from srs_twin.robot.spec import GRAVITY
+
     air, share = _AIR_ML * scale**3, _JOINT_SHARE if servo else 0.037 / _PITCH_M
     values: dict[str, float | str] = {
         "segments": count,
@@ -99,7 +113,10 @@ def robot(
         "segment_mass": total_mass / count,
         "wheel": 0.0015 * scale**3,
         "stiffness": 0.5 * 1e3 * supply * 1e-6 * air / max_bend**2,
-        "plane": 0.1 * scale**4,
+        "plane": _SERVO_PLANE_RATIO * GRAVITY * total_mass * body_length if servo else 0.1 * scale**4,
+        "plane_source": "assumption: a tenth of weight times length" if servo else "scaled from generation 2",
+        "plane_interval": "assumption" if servo else "generations 1 and 4, scaled: 0.7 and 0.3 of it",
+        "plane_damping": "assumption" if servo else "loss factor of silicone",
         "damping": 0.00214 * math.sqrt(scale),
         "loss": 0.021 * math.sqrt(scale),
         "bend": max_bend,
@@ -114,8 +131,6 @@ def robot(
     values["contact"] = _filled("skin_contact.txt" if skin else "wheels_contact.txt", values)
     values["spring"] = "" if servo else _filled("pressure_spring.txt", values)
     values["drive"] = _filled("servo_drive.txt" if servo else "pressure_drive.txt", values)
-    from srs_twin.robot.file import load_robot
-
     path = _write("robot.yaml", name, out, load_robot, title=title, **values)
     _print_next_command(path, f"srs-twin new scenario {name}_straight --robot {path}")
 

@@ -43,6 +43,7 @@ def test_a_new_robot_with_servos_asks_for_no_air(srs_twin, tmp_path):
     record = load_robot_file(tmp_path / "arm.yaml")
     assert record.has_servos and record.chamber is None and record.supply is None
     assert load_robot(tmp_path / "arm.yaml").geometry.body_length == pytest.approx(0.48, rel=1e-3)
+    assert "silicone" not in (tmp_path / "arm.yaml").read_text("utf-8")
 
 
 @pytest.mark.parametrize("kinds", [(), ("--skin",), ("--servo",), ("--skin", "--servo")])
@@ -84,8 +85,9 @@ def test_a_new_study_and_controller_are_valid(srs_twin, tmp_path):
     ("words", "message"),
     [
         (("robot", "Worm"), "'Worm' is not allowed as a name"),
-        (("robot", "worm", "--mass", "-1"), "must be positive"),
-        (("robot", "worm", "--segments", "0"), "must be positive"),
+        (("robot", "worm", "--mass", "-1"), "--mass -1 is not allowed; it must be positive"),
+        (("robot", "worm", "--servo", "--bend", "0"), "--bend 0 is not allowed; it must be positive"),
+        (("robot", "worm", "--segments", "0"), "--segments 0 is not allowed; it must be positive"),
         (
             ("robot", "worm", "--servo", "--pressure", "40"),
             "a robot with servos has no supply; remove --pressure",
