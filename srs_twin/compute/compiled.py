@@ -14,18 +14,25 @@ from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
-from numba import njit
+from numba import njit, typeof
 from numba.core.caching import FunctionCache
+from numba.extending import overload
 
 from srs_twin.errors import CacheWarning
 
 # Allowed optimisations: they may change the order of sums, but not the treatment of infinities and NaN.
 _FASTMATH = {"contract", "reassoc", "arcp", "nsz"}
-_OPTIONS: Any = {"nogil": True, "error_model": "numpy", "forceinline": True, "fastmath": _FASTMATH}
+_OPTIONS: Any = {
+    "nogil": True,
+    "error_model": "numpy",
+    "forceinline": True,
+    "fastmath": _FASTMATH,
+    "no_cfunc_wrapper": True,  # no kernel is called from C
+}
 # Disable reference counts, which take most of a small kernel's time; a kernel that creates no arrays does not
 # need them.
 _NO_REFCOUNTS: Any = {"_nrt": False}
-_NO_WRAPPERS: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_NO_WRAPPER: Any = {"no_cpython_wrapper": True}
 _CONSTANT_TYPES = (bool, int, float, complex, str, type(None))
 _warned = False
 _notices: list[Callable[[], None]] = []
@@ -60,7 +67,42 @@ def kernel_only(function: Callable[..., Any]) -> Callable[..., Any]:
 
     The wrapper of a function with records of arrays as arguments takes longer to compile than the function.
     """
-    return _with_cache(njit(**_OPTIONS, **_NO_REFCOUNTS, **_NO_WRAPPERS)(function), function)
+    return _with_cache(njit(**_OPTIONS, **_NO_REFCOUNTS, **_NO_WRAPPER)(function), function)
+
+
+def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a long function as a part of the one kernel that calls it.
+
+    Other kernels are optimised alone, and again within each kernel around them.
+    """
+    kernel: Callable[..., Any] = njit(inline="always", **_OPTIONS, **_NO_REFCOUNTS)(function)
+    return kernel
+
+
+def compiled_if(condition: Callable[..., bool], otherwise: Any = None) -> Callable[..., Any]:
+    """Return a decorator that compiles a function of four arguments, as `kernel_only`, where it is needed.
+
+    Args:
+        condition: decides on the numba type of the first argument. If false, the call is compiled to nothing.
+        otherwise: number that such a call returns.
+    """
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        kernel = kernel_only(function)
+
+        def call(a, b, c, d):  # type: ignore[no-untyped-def]
+            return kernel(a, b, c, d) if condition(typeof(a)) else otherwise
+
+        @overload(call, jit_options={"forceinline": True, **_NO_REFCOUNTS, **_NO_WRAPPER})
+        def choose(a, b, c, d):  # type: ignore[no-untyped-def]
+            if condition(a):
+                return lambda a, b, c, d: kernel(a, b, c, d)
+            return lambda a, b, c, d: otherwise
+
+        call.py_func = function  # type: ignore[attr-defined]  # for the digest of callers, and for Warp
+        return call
+
+    return decorate
 
 
 def _with_cache(dispatcher: Any, function: Callable[..., Any]) -> Callable[..., Any]:

@@ -31,7 +31,7 @@ from functools import cached_property
 
 import numpy as np
 
-from srs_twin.compute.compiled import compiled
+from srs_twin.compute.compiled import compiled, kernel_only
 from srs_twin.errors import InputError
 from srs_twin.robot.world import Pose
 
@@ -83,7 +83,7 @@ def arc_collides(x, y, heading, curvature, length, ahead, behind, left, right, g
     return False
 
 
-@compiled
+@kernel_only
 def _region_collides(middle, region, grid):  # type: ignore[no-untyped-def]
     """Return whether a region touches a circle or a polygon side.
 
@@ -104,7 +104,7 @@ def _region_collides(middle, region, grid):  # type: ignore[no-untyped-def]
     return False
 
 
-@compiled
+@kernel_only
 def _item_collides(k, circles, sides, middle, region):  # type: ignore[no-untyped-def]
     """Return whether item k touches a region; the items are first all circles, then all polygon sides."""
     x, y, c, s = middle
@@ -123,14 +123,14 @@ def _item_collides(k, circles, sides, middle, region):  # type: ignore[no-untype
     return _side_crosses(c * ax + s * ay, c * ay - s * ax, c * bx + s * by, c * by - s * bx, *region)
 
 
-@compiled
+@kernel_only
 def _cell_range(position, reach, cell, count):  # type: ignore[no-untyped-def]
     """Return the range of cells (end exclusive) along an axis within `reach` of a position."""
     first, last = np.floor((position - reach) / cell), np.floor((position + reach) / cell)
     return np.int64(min(max(first, 0), count)), np.int64(min(max(last + 1, 0), count))
 
 
-@compiled
+@kernel_only
 def path_coordinates(u, w, curvature):  # type: ignore[no-untyped-def]
     """Return n and s of a point u ahead and w to the left of a point on an arc, m (module docstring)."""
     ku, kw = curvature * u, 1 - curvature * w
@@ -138,7 +138,7 @@ def path_coordinates(u, w, curvature):  # type: ignore[no-untyped-def]
     return n, np.arctan2(ku, kw) / curvature if abs(curvature) > _STRAIGHT else u
 
 
-@compiled
+@kernel_only
 def _region_distance(u, w, curvature, h, left, right, end_u, end_w, ec, es):  # type: ignore[no-untyped-def]
     """Return the distance of a point (u ≥ 0) from the region, m; 0 inside."""
     n, s = path_coordinates(u, w, curvature)
@@ -151,7 +151,7 @@ def _region_distance(u, w, curvature, h, left, right, end_u, end_w, ec, es):  # 
     return np.sqrt(beyond * beyond + outside * outside)
 
 
-@compiled
+@kernel_only
 def _distance_from_origin(ax, ay, bx, by):  # type: ignore[no-untyped-def]
     """Return the distance of a line segment from the origin, m."""
     dx, dy = bx - ax, by - ay
@@ -161,7 +161,7 @@ def _distance_from_origin(ax, ay, bx, by):  # type: ignore[no-untyped-def]
     return np.sqrt(px * px + py * py)
 
 
-@compiled
+@kernel_only
 def _side_crosses(au, aw, bu, bw, curvature, h, left, right, end_u, end_w, ec, es):  # type: ignore[no-untyped-def]
     """Return whether a line segment from (au, aw) to (bu, bw) enters the region."""
     du, dw = bu - au, bw - aw
@@ -187,14 +187,14 @@ def _side_crosses(au, aw, bu, bw, curvature, h, left, right, end_u, end_w, ec, e
     return False
 
 
-@compiled
+@kernel_only
 def _fraction(numerator, denominator):  # type: ignore[no-untyped-def]
     """Return a quotient if it is between 0 and 1, otherwise 0."""
     t = numerator / denominator if denominator != 0 else 0.0
     return t if 0 < t < 1 else 0.0
 
 
-@compiled
+@kernel_only
 def _roots(a, b, c):  # type: ignore[no-untyped-def]
     """Return the roots of a t² + 2 b t + c between 0 and 1, and 0 instead of other roots; a may be 0."""
     square = b * b - a * c
@@ -205,7 +205,7 @@ def _roots(a, b, c):  # type: ignore[no-untyped-def]
     return _fraction(q, a), _fraction(c, q)
 
 
-@compiled
+@kernel_only
 def _leaves_bounds(x, y, heading, curvature, h, left, right, bounds):  # type: ignore[no-untyped-def]
     """Return whether the region leaves the bounds, at a corner or where an edge is parallel to an axis."""
     for k in range(6):

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import allocating, compiled
+from srs_twin.compute.compiled import allocating, kernel_only
 from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.collision import Checker, ObstacleGrid
 from srs_twin.planning.dubins import ArcSequence, dubins_path
@@ -323,7 +323,7 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
     return new_indices[:size], new_lengths[:size]
 
 
-@compiled
+@kernel_only
 def _append_arc(indices, lengths, size, move, length):  # type: ignore[no-untyped-def]
     """Append an arc to a path or extend its last arc if the moves are equal; return the number of arcs."""
     if size > 0 and indices[size - 1] == move:

@@ -21,7 +21,7 @@ import math
 
 import numpy as np
 
-from srs_twin.compute.compiled import compiled
+from srs_twin.compute.compiled import compiled, kernel_only
 from srs_twin.robot.world import Pose
 
 _FULL_TURN = 2 * math.pi
@@ -78,7 +78,7 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
     return first, middle, last, radius * t, radius * p, radius * q
 
 
-@compiled
+@kernel_only
 def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return the shortest of `best` and the words that begin with L (`side` 1) or R (`side` -1).
 
@@ -111,7 +111,7 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
     return best
 
 
-@compiled
+@kernel_only
 def _shortest_to_point(best, side, u, w):  # type: ignore[no-untyped-def]
     """Return the shortest of `best`, LS and RL (`side` -1: RS and LR) to a point (u, w), in radii.
 
@@ -132,7 +132,7 @@ def _shortest_to_point(best, side, u, w):  # type: ignore[no-untyped-def]
     return best
 
 
-@compiled
+@kernel_only
 def _shorter(best, first, middle, last, t, p, q):  # type: ignore[no-untyped-def]
     """Return the shorter of two paths, each with its turns and lengths."""
     if t + p + q < best[3] + best[4] + best[5]:
@@ -140,7 +140,7 @@ def _shorter(best, first, middle, last, t, p, q):  # type: ignore[no-untyped-def
     return best
 
 
-@compiled
+@kernel_only
 def _wrapped(angle):  # type: ignore[no-untyped-def]
     """Return an angle in [0, 2 pi); a full turn within rounding is 0."""
     angle = angle - _FULL_TURN * np.floor(angle / _FULL_TURN)

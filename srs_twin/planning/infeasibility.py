@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import allocating, compiled
+from srs_twin.compute.compiled import allocating, kernel_only
 from srs_twin.planning.collision import ObstacleGrid
 from srs_twin.planning.footprint import Footprint
 from srs_twin.robot.world import Goal, Pose, World
@@ -336,7 +336,7 @@ def _exhausts_cells(end, other, curvature, clearance, step, cell, marked, boxes,
     return True
 
 
-@compiled
+@kernel_only
 def _body_end(end, curvature):  # type: ignore[no-untyped-def]
     """Return x and y of the body's end at an end of the path, and their uncertainty, m."""
     reach = end[5]
@@ -344,7 +344,7 @@ def _body_end(end, curvature):  # type: ignore[no-untyped-def]
     return end[0] - reach * np.cos(end[2]), end[1] - reach * np.sin(end[2]), loose
 
 
-@compiled
+@kernel_only
 def _obstacle_distance(x, y, grid):  # type: ignore[no-untyped-def]
     """Return the distance of a point from the nearest obstacle or bound, m.
 

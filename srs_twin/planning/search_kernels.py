@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import compiled
+from srs_twin.compute.compiled import compiled, kernel_only
 from srs_twin.planning.arcs import arc_collides, arc_end
 from srs_twin.planning.collision import ObstacleGrid
 from srs_twin.planning.dubins import dubins_path
@@ -151,7 +151,7 @@ def cell_slot(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped
     return _key_slot(frontier, (layer << (2 * _INDEX_BITS)) | (row << _INDEX_BITS) | column)
 
 
-@compiled
+@kernel_only
 def _key_slot(frontier, key):  # type: ignore[no-untyped-def]
     """Return the slot of a cell's key by linear probing."""
     # Fibonacci hashing (the constant is 2⁶⁴ divided by the golden ratio); the product may overflow.
@@ -309,7 +309,7 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
     return EXHAUSTED, -1
 
 
-@compiled
+@kernel_only
 def _try_arc(frontier, node, move, spec, best):  # type: ignore[no-untyped-def]
     """Add the child at the end of an arc if it is free, improves its cell and may improve the best plan."""
     state, cost = _arc_state(frontier, node, spec)
@@ -331,7 +331,7 @@ def _try_arc(frontier, node, move, spec, best):  # type: ignore[no-untyped-def]
     push(frontier, child, cost + spec.weight * max(bound, grid_distance(spec.heuristic, to_x, to_y)))
 
 
-@compiled
+@kernel_only
 def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[no-untyped-def]
     """Add the child at the exit of a narrow passage, as `_try_arc` does, if a Dubins path leads into it.
 
@@ -366,7 +366,7 @@ def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[n
     push(frontier, child, cost + spec.weight * max(bound, grid_distance(spec.heuristic, to_x, to_y)))
 
 
-@compiled
+@kernel_only
 def _add_node(frontier, slot, x, y, heading, cost, bound, left, right, lasting):  # type: ignore[no-untyped-def]
     """Add a node as the owner of its cell and return its number."""
     # The new node replaces the former owner of the cell, which is skipped when it is popped.
@@ -379,7 +379,7 @@ def _add_node(frontier, slot, x, y, heading, cost, bound, left, right, lasting):
     return child
 
 
-@compiled
+@kernel_only
 def _arc_state(frontier, node, spec):  # type: ignore[no-untyped-def]
     """Return the arc state at a node and the length of the path to it, m."""
     x, y, heading, cost, _, left, right, lasting = frontier.nodes[node]
@@ -389,7 +389,7 @@ def _arc_state(frontier, node, spec):  # type: ignore[no-untyped-def]
     return (x, y, heading, before, left, right, lasting), cost
 
 
-@compiled
+@kernel_only
 def _in_goal(x, y, heading, target):  # type: ignore[no-untyped-def]
     """Return whether a pose is within the tolerances of the goal."""
     dx, dy = target.x - x, target.y - y
@@ -401,7 +401,7 @@ def _in_goal(x, y, heading, target):  # type: ignore[no-untyped-def]
     )
 
 
-@compiled
+@kernel_only
 def _connects_to_goal(frontier, node, spec, best):  # type: ignore[no-untyped-def]
     """Return whether the Dubins path from a node to the goal is free and improves the best plan."""
     state, cost = _arc_state(frontier, node, spec)

@@ -33,7 +33,7 @@ import math
 import numpy as np
 from scipy.optimize import brentq
 
-from srs_twin.compute.compiled import compiled
+from srs_twin.compute.compiled import compiled, kernel_only
 from srs_twin.errors import InputError
 from srs_twin.robot.spec import RobotSpec
 
@@ -77,7 +77,7 @@ def bend_law(spec: RobotSpec) -> BendLaw:
     return actuator.bend_limit, actuator.onset_share, actuator.onset, actuator.onset_width
 
 
-@compiled
+@kernel_only
 def _log_cosh(z):  # type: ignore[no-untyped-def]
     # Omit the constant −ln 2, which cancels in the difference of two such terms.
     return abs(z) + np.log(1.0 + np.exp(-2.0 * abs(z)))

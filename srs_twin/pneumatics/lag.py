@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import allocating, compiled
+from srs_twin.compute.compiled import allocating, compiled, kernel_only
 from srs_twin.pneumatics.base import OptionalArray, Pneumatics, Trace, check_not_negative, check_supply
 from srs_twin.pneumatics.chambers import (
     AMBIENT_PA,
@@ -328,7 +328,7 @@ def _decay_factors(t, rates, tau, decay, lag):  # type: ignore[no-untyped-def]
     return mode
 
 
-@compiled
+@kernel_only
 def advance_segment(state, kind, pressure, linear, asymptotes, gain, decay, lag, mode):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return the pressures (Pa) and the linear bend (rad) of a segment after a time without valve events.
 
@@ -353,7 +353,7 @@ def advance_segment(state, kind, pressure, linear, asymptotes, gain, decay, lag,
     )
 
 
-@compiled
+@kernel_only
 def filling_content(state, plus, minus, bend, space, ambient):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return the sum of (p + ambient) V over those chambers of a segment that fill, J.
 
@@ -374,7 +374,7 @@ def filling_content(state, plus, minus, bend, space, ambient):  # type: ignore[n
     return total
 
 
-@compiled
+@kernel_only
 def _exponential_response(rate, tau, t, decay, mode):  # type: ignore[no-untyped-def]
     """Return y(t) of τ ẏ + y = e^{−at} with y(0) = 0: (e^{−at} − e^{−t/τ})/(1 − aτ).
 

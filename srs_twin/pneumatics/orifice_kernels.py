@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import allocating, compiled
+from srs_twin.compute.compiled import allocating, compiled, kernel_only
 from srs_twin.pneumatics.chambers import AMBIENT_PA, BendLaw, apply_bend_law, volume
 from srs_twin.pneumatics.flow import flow
 
@@ -111,7 +111,7 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
     )
 
 
-@compiled
+@kernel_only
 def supply_flow(line, air):  # type: ignore[no-untyped-def]
     """Return the supply's flow into a line at a pressure (J/s), and its derivative by that pressure."""
     opening = (air.supply - line) / air.band
@@ -183,7 +183,7 @@ def _newton(y, amounts, base, line_base, weight, state, coupled, bend, air, line
     return _apply_correction(y, amounts, linear, -line_residual / line_slope if air.limited else 0.0, air)
 
 
-@compiled
+@kernel_only
 def _apply_correction(y, amounts, linear, change, air):  # type: ignore[no-untyped-def]
     """Add the corrections for a change of the line's pressure (Pa) in place; return the largest one."""
     amounts[0] += change * air.line_volume
@@ -197,7 +197,7 @@ def _apply_correction(y, amounts, linear, change, air):  # type: ignore[no-untyp
     return largest
 
 
-@compiled
+@kernel_only
 def _rates(y, line_amount, state, coupled, bend, air, dy):  # type: ignore[no-untyped-def]
     """Fill dy with ẏ; return the flow from the supply, the total inflow and the total outflow, J/s."""
     line = line_amount / air.line_volume if air.limited else air.supply
@@ -215,14 +215,14 @@ def _rates(y, line_amount, state, coupled, bend, air, dy):  # type: ignore[no-un
     return supply_flow(line, air)[0] if air.limited else total_inflow, total_inflow, total_outflow
 
 
-@compiled
+@kernel_only
 def _extrapolate_bends(bend, actual, time):  # type: ignore[no-untyped-def]
     """Fill the actual bends at a time after the start of the schedule (s)."""
     for j in range(bend.shape[0]):
         bend[j] = actual[0, j] + actual[1, j] * time
 
 
-@compiled
+@kernel_only
 def _step(y, amounts, h, begun, state, coupled, actual, air, work):  # type: ignore[no-untyped-def]  # noqa: D417
     """Advance y and amounts in place by one step of SDIRK2.
 

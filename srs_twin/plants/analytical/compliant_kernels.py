@@ -39,7 +39,7 @@ import numpy as np
 from numba import types
 from numba.extending import overload
 
-from srs_twin.compute.compiled import allocating, compiled
+from srs_twin.compute.compiled import allocating, compiled, kernel_only
 from srs_twin.plants.analytical.floor import (
     connector_friction,
     has_no_potential,
@@ -97,7 +97,7 @@ _MARGIN = SPEED_LIMIT / 10  # speed at which the search for near obstacles leave
 _OVERSHOOT = 0.1  # ratio of the slopes after and before a Newton step above which the step was too long, 1
 
 
-@compiled
+@kernel_only
 def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
     """Fill the coefficients τ and t that propagate z from each connector to the next.
 
@@ -313,7 +313,7 @@ def balance(q, u, moment, a, model, momentum, force, work):  # type: ignore[no-u
     return power + relative_power(damping, u[3:])
 
 
-@compiled
+@kernel_only
 def _add_connector(matrix, load, mass, weight, share, a, residual):  # type: ignore[no-untyped-def]
     """Add B of a connector, the multipliers, and its contribution to the momentum residual of the body."""
     matrix[0, 0] += load[6]
@@ -394,7 +394,7 @@ def solve(a, model, residual, step, work):  # type: ignore[no-untyped-def]
         ax, ay, m = ax + link[2] * m + link[6] * bend, ay + link[3] * m + link[7] * bend, m - bend
 
 
-@compiled
+@kernel_only
 def _eliminate(matrix):  # type: ignore[no-untyped-def]
     """Solve for the last column in place; no pivoting: the symmetric part is positive semidefinite."""
     for j in range(7):
@@ -440,7 +440,7 @@ def work_arrays(n):  # type: ignore[no-untyped-def]
     )
 
 
-@compiled
+@kernel_only
 def _residual(known, a, u, weight, floor, momentum, force, out):  # type: ignore[no-untyped-def]  # noqa: D417
     """Fill the residual p(u) − p_known − a dp/dt in the frame of the mean heading.
 
@@ -466,7 +466,7 @@ def _residual(known, a, u, weight, floor, momentum, force, out):  # type: ignore
         out[j] -= known[BENDS + size - 6 + j]
 
 
-@compiled
+@kernel_only
 def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
     """Solve one implicit stage Y = known + a f(Y) from the guess `u`; fill k = f(Y); return the success."""
     momentum, force, posed, q, residual, step = work
@@ -524,7 +524,7 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
     return converged
 
 
-@compiled
+@kernel_only
 def _extrapolate(u, rate, time, last):  # type: ignore[no-untyped-def]
     """Copy u to `last`, and add rate · time to u."""
     for j in range(u.shape[0]):

@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from srs_twin.compute.compiled import compiled
+from srs_twin.compute.compiled import compiled, kernel_only
 from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, X, Y
 from srs_twin.robot import friction
 from srs_twin.robot.friction import LAWS
@@ -182,7 +182,7 @@ def floor_friction(
     )
 
 
-@compiled
+@kernel_only
 def with_reduced_slip_speed(floor, speed):  # type: ignore[no-untyped-def]
     """Return a floor on which a body at rest does not creep down a slope.
 
@@ -249,7 +249,7 @@ def has_no_potential(floor):  # type: ignore[no-untyped-def]
     return len(floor.case) % _COUNT == _COSINE
 
 
-@compiled
+@kernel_only
 def slopes_of_force(tt, tn, nt, nn, c, s):  # type: ignore[no-untyped-def]
     """Return the slopes xx, xy, yx, yy of the force at a heading with the cosine c and the sine s."""
     t_x, n_x, t_y, n_y = tt * c - tn * s, nt * c - nn * s, tt * s + tn * c, nt * s + nn * c
@@ -265,7 +265,7 @@ def _compile_connector_friction(along, across, spin, weight, floor):  # type: ig
     )
 
 
-@compiled
+@kernel_only
 def floor_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyped-def]  # noqa: D417
     """Sum the friction on a body with prescribed bends, under a law with a potential.
 
@@ -440,27 +440,27 @@ def _fill_positions(along, across, times, floor, position):  # type: ignore[no-u
         position[k, 0], position[k, 1] = x, y
 
 
-@compiled
+@kernel_only
 def _deceleration(along, across, floor):  # type: ignore[no-untyped-def]
     """Return the accelerations along and across, m/s²."""
     forces = connector_friction(along, across, 0.0, GRAVITY, floor)
     return forces[0], forces[1]
 
 
-@compiled
+@kernel_only
 def _stop_at_zero(speed, change):  # type: ignore[no-untyped-def]
     """Return a velocity after a change, or 0 if the change would reverse it."""
     after = speed + change
     return after if after * speed > 0.0 else 0.0
 
 
-@compiled
+@kernel_only
 def _mean_velocity(speed, change):  # type: ignore[no-untyped-def]
     """Return the mean velocity during a step, or during the part of it before the body stops."""
     return speed + change / 2 if (speed + change) * speed > 0.0 else speed / 2
 
 
-@compiled
+@kernel_only
 def _distance(speed, acceleration, h):  # type: ignore[no-untyped-def]
     """Return the distance in a step with constant acceleration, or the distance until the body stops."""
     if speed == 0.0:

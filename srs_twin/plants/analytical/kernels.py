@@ -40,7 +40,7 @@ import math
 
 import numpy as np
 
-from srs_twin.compute.compiled import allocating, compiled
+from srs_twin.compute.compiled import allocating, kernel_only
 from srs_twin.plants.analytical.floor import fill_forces, forces_and_slopes
 from srs_twin.plants.analytical.kinematics import COS, ROWS, SIN, SPIN, VX, VY, X, Y, chord_terms, pose_body
 
@@ -74,7 +74,7 @@ def inverse_dynamics(velocities, trace, model, torque):  # type: ignore[no-untyp
         _sum_moments(chords, load, remainder, torque[k])
 
 
-@compiled
+@kernel_only
 def _fill_accelerations(body, q, rate, acceleration, yaw, solid, chords, motion):  # type: ignore[no-untyped-def]  # noqa: D417
     """Fill the accelerations of the connectors, and the chords, from head to tail.
 
@@ -111,7 +111,7 @@ def _fill_accelerations(body, q, rate, acceleration, yaw, solid, chords, motion)
         chords[j, _SPAN], chords[j, _SPAN + 1] = span * c, span * s
 
 
-@compiled
+@kernel_only
 def _balance_loads(body, inertia, solid, friction_moment, friction, load):  # type: ignore[no-untyped-def]
     """Convert accelerations of the connectors to the loads on them, with those of the whole body.
 
@@ -146,7 +146,7 @@ def _balance_loads(body, inertia, solid, friction_moment, friction, load):  # ty
     return remainder
 
 
-@compiled
+@kernel_only
 def _sum_moments(chords, load, remainder, torque):  # type: ignore[no-untyped-def]
     """Fill the moments of the segments from tail to head.
 
@@ -189,7 +189,7 @@ _NEWTON_ARM = 0.1  # lever arm that turns the yaw rate into a velocity, at a len
 _OVERSHOOT = 0.1  # ratio of the slopes after and before a Newton step above which the step was too long, 1
 
 
-@compiled
+@kernel_only
 def _solve3(a, b, c, p, q, r):  # type: ignore[no-untyped-def]
     """Solve the system with the rows a, b, c and the right side p, q, r by Cramer's rule."""
     c0 = b[1] * c[2] - b[2] * c[1]
@@ -203,7 +203,7 @@ def _solve3(a, b, c, p, q, r):  # type: ignore[no-untyped-def]
     )
 
 
-@compiled
+@kernel_only
 def _rotate(c, s, angle):  # type: ignore[no-untyped-def]
     """Return cosine and sine of an angle plus an increment; small increments use a series."""
     if abs(angle) > 0.1:  # rad; up to it the neglected terms are below 1e-17
@@ -215,14 +215,14 @@ def _rotate(c, s, angle):  # type: ignore[no-untyped-def]
     return c * dc - s * ds, s * dc + c * ds
 
 
-@compiled
+@kernel_only
 def copy(values, out):  # type: ignore[no-untyped-def]
     """Copy one array into another. A loop: numba would check an assignment to a slice for overlap."""
     for j in range(out.shape[0]):
         out[j] = values[j]
 
 
-@compiled
+@kernel_only
 def _stage(known, a, q, rate, heading, model, u, k, body):  # type: ignore[no-untyped-def]  # noqa: D417
     """Solve one implicit stage Y = known + a f(Y) from the guess `u`; fill k = f(Y).
 
@@ -292,7 +292,7 @@ def _stage(known, a, q, rate, heading, model, u, k, body):  # type: ignore[no-un
     return converged
 
 
-@compiled
+@kernel_only
 def step(state, h, bends, rates, model, u, drift, k1, k2, after, body):  # type: ignore[no-untyped-def]  # noqa: D417
     """Make one step of SDIRK2.
 

@@ -13,7 +13,7 @@ import numpy as np
 from numba import types
 from numba.extending import overload
 
-from srs_twin.compute.compiled import compiled
+from srs_twin.compute.compiled import compiled, kernel_only
 from srs_twin.robot import geometry
 
 # Rows of a posed body, an array of shape (ROWS, N) with one column per connector.
@@ -75,7 +75,7 @@ def _compile_mean_pitch(solid):  # type: ignore[no-untyped-def]
     return lambda solid: solid.length + solid.gap
 
 
-@compiled
+@kernel_only
 def chord_terms(q, solid, j):  # type: ignore[no-untyped-def]
     """Return cos q/2, sin q/2, and the chord L, dL/dq, d²L/dq² of segment j with the bend q.
 
@@ -139,7 +139,7 @@ def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
     return _transform_to_mean(out, solid, (cx, cy, cvx, cvy), lead, lead_rate)
 
 
-@compiled
+@kernel_only
 def _transform_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-untyped-def]
     """Transform a body posed in the frame of its head to the centre of mass and the mean heading.
 

@@ -34,7 +34,7 @@ from typing import NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from srs_twin.compute.compiled import compiled
+from srs_twin.compute.compiled import compiled, kernel_only
 from srs_twin.plants.analytical.cells import Undivided
 from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, X, Y
 from srs_twin.robot.spec import RobotSpec
@@ -144,7 +144,7 @@ def set_pose(known, a, u, obstacles):  # type: ignore[no-untyped-def]
     pose[2], pose[3] = c, s
 
 
-@compiled
+@kernel_only
 def _closest(px, py, ux, uy, lowest, highest, ax, ay, bx, by):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return the places of the closest points of two line segments.
 
@@ -234,7 +234,7 @@ def add_contacts(body, u, a, obstacles, loads):  # type: ignore[no-untyped-def]
     return fx, fy, moment, power
 
 
-@compiled
+@kernel_only
 def _add_load(load, nx, ny, lx, ly, a, normal, tangential, n_n, t_t):  # type: ignore[no-untyped-def]
     """Add a contact with the normal (nx, ny) and the lever arm (lx, ly) to the load of a point."""
     n_m, t_m = lx * ny - ly * nx, lx * nx + ly * ny

@@ -27,7 +27,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from srs_twin.compute.compiled import allocating, compiled
+from srs_twin.compute.compiled import allocating, compiled, kernel_only
 from srs_twin.plants.analytical.floor import with_reduced_slip_speed
 from srs_twin.plants.analytical.kernels import (
     GAMMA,
@@ -119,7 +119,7 @@ _QUARTER_ABOVE = 4.0
 _DOUBLE_BELOW = 0.5
 
 
-@compiled
+@kernel_only
 def _cubic(at, span, q0, q1, r0, r1, q, r):  # type: ignore[no-untyped-def]  # noqa: D417
     """Fill bends and rates at a fraction of an interval from those at its ends (cubic Hermite polynomial).
 
@@ -158,7 +158,7 @@ def bend_within(at, h, bends, rates, q, r):  # type: ignore[no-untyped-def]
         _cubic((at - GAMMA) / (1 - GAMMA), (1 - GAMMA) * h, bends[1], bends[2], rates[1], rates[2], q, r)
 
 
-@compiled
+@kernel_only
 def _step_error(h, k0, k1, k2, weight, arm):  # type: ignore[no-untyped-def]
     """Return η of a step (module docstring), m/s."""
     x = k1[STATE_VX] - (1 - GAMMA) * k0[STATE_VX] - GAMMA * k2[STATE_VX]

@@ -49,7 +49,7 @@ import scipy.linalg
 from numba import types
 
 from srs_twin.compute.arrays import one_blas_thread
-from srs_twin.compute.compiled import compiled, kernel_only
+from srs_twin.compute.compiled import compiled, inlined, kernel_only
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import Stateful
 from srs_twin.plants.twin.friction_solve import (
@@ -123,7 +123,9 @@ class LoadedStepper(Stateful):
         self._contacts, self._sparsity = _constants(model, spec, settings, air)
         views = (getattr(data, name) for name in EngineData._fields[3:])
         hull_admittance = self._contacts.admittance[self._contacts.wheels :]
-        pairs = object_contacts(model, objects, self._contacts.coefficients[2], hull_admittance)
+        slip = self._contacts.coefficients[2]
+        self._objects = object_contacts(model, objects, slip, hull_admittance)
+        pairs = self._objects if objects else None
         self._engine = EngineData(model._address, data._address, pairs, *views)
         self._inputs = StepInputs(data.ctrl, data.qacc_warmstart)
         self._model, self._data = model, data  # keep references: the kernels hold only addresses
@@ -158,7 +160,7 @@ class LoadedStepper(Stateful):
     @property
     def object_state(self) -> ObjectState:
         """State of the contacts of objects, views of the arrays that the kernels use."""
-        return ObjectState(*(getattr(self._engine.objects, name) for name in ObjectState._fields))
+        return ObjectState(*(getattr(self._objects, name) for name in ObjectState._fields))
 
     @object_state.setter
     def object_state(self, state: ObjectState) -> None:
@@ -228,7 +230,7 @@ class LoadedStepper(Stateful):
         states = np.full((steps, 1 + model.nq + model.nv), np.nan)
         sensors = np.zeros((steps, model.nsensordata))
         force = np.zeros((steps, len(self._contacts.static_load), 3))
-        power, pairs = np.zeros(steps), np.zeros((steps, self._engine.objects.pairs, 3))
+        power, pairs = np.zeros(steps), np.zeros((steps, self._objects.pairs, 3))
         out = states, sensors, force, power, pairs
         friction = self._contacts, self._sparsity, self.contact_state, self._work, self._h
         _run(self._inputs, self._engine, *friction, controls, out)
@@ -350,7 +352,7 @@ def _run(inputs, engine, contacts, sparsity, state, work, h, controls, out):  # 
         engine.qfrc_applied[i] = 0.0
 
 
-@compiled
+@inlined
 def _begin_step(inputs, engine, contacts, sparsity, state, work, h, control):  # type: ignore[no-untyped-def]
     """Move to mid-step and apply the friction of the previous step."""
     _copy(control, inputs.ctrl)
@@ -360,7 +362,7 @@ def _begin_step(inputs, engine, contacts, sparsity, state, work, h, control):  #
     apply_stored_friction(engine, contacts, sparsity, state, work, h)
 
 
-@compiled
+@inlined
 def _end_step(inputs, engine, contacts, sparsity, state, work, h, step, out):  # type: ignore[no-untyped-def]
     """Solve for friction, move to the end of the step and record it; return whether the step is finite."""
     states, sensors, force, power, pairs = out
@@ -383,7 +385,7 @@ def _end_step(inputs, engine, contacts, sparsity, state, work, h, step, out):  #
     _copy(engine.qvel, states[step, 1 + nq :])
     _copy(engine.sensordata, sensors[step])
     power[step] = store_friction(contacts, state, work, force[step])
-    power[step] += store_object_friction(engine, work, pairs[step])
+    power[step] += store_object_friction(engine, sparsity, work, pairs[step])
     return True
 
 

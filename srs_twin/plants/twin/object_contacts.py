@@ -14,8 +14,8 @@ $$ (Q - B P^{-1} B^T)\,y = r_o - B P^{-1} r_s, \qquad x = P^{-1} (r_s - B^T y), 
 
 with the factored matrices P of the snake and Q of the objects without B.
 
-`friction_solve` calls these functions at the points that their docstrings state. They do nothing without
-objects. Warp omits them.
+`friction_solve` calls these functions at the points that their docstrings state. Without objects they are not
+compiled. Warp omits them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import mujoco
 import numpy as np
 from numba import types
 
-from srs_twin.compute.compiled import kernel_only
+from srs_twin.compute.compiled import compiled_if, kernel_only
 from srs_twin.plants.twin.mjcf import surroundings
 from srs_twin.plants.twin.mjcf.objects import object_force_sensor, object_names
 from srs_twin.plants.twin.stick_slip import stick_slip_friction
@@ -141,6 +141,11 @@ def object_contacts(
     )
 
 
+def has_objects(engine: types.NamedTuple) -> bool:
+    """Return whether a record of the engine, as a numba type, has the contacts of objects."""
+    return not isinstance(engine[engine.fields.index("objects")], types.NoneType)
+
+
 def _last_dof(model: mujoco.MjModel, body: np.ndarray) -> np.ndarray:
     last: np.ndarray = model.body_dofadr[body] + model.body_dofnum[body] - 1
     return last
@@ -162,7 +167,7 @@ def _fill(row, x, y, z, c, s, sign):  # type: ignore[no-untyped-def]
     row[2, 3], row[2, 4], row[2, 5] = sign * s, -sign * c, 0.0
 
 
-@kernel_only
+@compiled_if(has_objects)
 def apply_object_friction(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
     """Add the friction of the previous step to `qfrc_applied`, after that of the wheels was added."""
     o = engine.objects
@@ -176,7 +181,7 @@ def apply_object_friction(engine, sparsity, work, h):  # type: ignore[no-untyped
                 i = sparsity.parent[i]
 
 
-@kernel_only
+@compiled_if(has_objects)
 def locate_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
     """Locate the contacts and read their normal forces, after those of the wheels are known."""
     o, com, sensors = engine.objects, engine.subtree_com[1], engine.sensordata
@@ -220,7 +225,7 @@ def _velocity(o, work, w, theta):  # type: ignore[no-untyped-def]
     return u_t, u_n
 
 
-@kernel_only
+@compiled_if(has_objects)
 def add_object_impulses(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
     """Evaluate the friction at the velocities `motion`, and subtract its impulses from `impulse`."""
     o = engine.objects
@@ -238,7 +243,7 @@ def add_object_impulses(engine, sparsity, work, h):  # type: ignore[no-untyped-d
                     work.impulse[i, k] -= change
 
 
-@kernel_only
+@compiled_if(has_objects)
 def add_object_slopes(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
     """Add the slopes of friction to the spatial matrices `slope` of hulls and objects, and fill B."""
     o = engine.objects
@@ -268,7 +273,7 @@ def add_object_slopes(engine, sparsity, work, h):  # type: ignore[no-untyped-def
                 i = sparsity.parent[i]
 
 
-@kernel_only
+@compiled_if(has_objects)
 def couple_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
     """Correct Newton's direction, which was solved without B."""
     o, first, direction = engine.objects, engine.objects.first, work.direction
@@ -305,12 +310,13 @@ def couple_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
             direction[j] -= direction[first + i] * o.solved[i, j]
 
 
-@kernel_only
-def store_object_friction(engine, work, force):  # type: ignore[no-untyped-def]
+@compiled_if(has_objects, otherwise=0.0)
+def store_object_friction(engine, sparsity, work, force):  # type: ignore[no-untyped-def]
     """Store the friction for the next step; return the power that it and the normal forces dissipate, W.
 
     Args:
         engine: with the contacts.
+        sparsity: not used.
         work: workspace after the friction solve.
         force: out, friction on the hull of each pair in the world frame, shape (pairs, 3), N.
     """
