@@ -17,13 +17,14 @@ from pathlib import Path
 import numpy as np
 from grid import table
 
-from srs_twin.sensing.calibration import calibrate, fit_line
 from srs_twin.sensing.hall import (
     GAUSS,
     ORIENTATIONS,
     HallSensor,
     Strip,
+    calibrate,
     field,
+    fit_line,
 )
 
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))

@@ -13,8 +13,8 @@ from importlib.util import find_spec
 from typing import Any
 
 COMMANDS = {
-    "export": "srs_twin.recordings.export_command:export",
-    "inspect": "srs_twin.recordings.inspect_command:inspect",
+    "export": "srs_twin.recordings.commands:export",
+    "inspect": "srs_twin.recordings.commands:inspect",
     "plan": "srs_twin.planning.command:plan",
     "replay": "srs_twin.identification.replay_command:replay",
     "sweep": "srs_twin.studies.sweep.command:sweep",
@@ -37,12 +37,12 @@ SECTIONS = {
     "recording": "srs_twin.recordings.scenario:RECORDING",
     "planner": "srs_twin.planning.scenario:PLANNER",
 }
-"""Additional sections of a scenario (`scenario.sections.SectionEntry`)."""
+"""Additional sections of a scenario (`scenario.fields.SectionEntry`)."""
 
 METRICS = {
     "following": "srs_twin.planning.metrics:METRICS",
 }
-"""Metrics of runs (`comparison.group.MetricGroup`)."""
+"""Metrics of runs (`comparison.sampling.MetricGroup`)."""
 
 PICTURES = {"following": "srs_twin.planning.pictures:PICTURES"}
 """Additions to the pictures of runs (`viewing.additions.RunPictures`)."""
@@ -78,8 +78,8 @@ LOADERS = {"study": "srs_twin.studies.optimization.loading:load_study"}
 """Functions that read and check a kind of file."""
 
 SCHEMAS = {
-    "sweep": "srs_twin.studies.sweep.file:sweep_json_schema",
-    "study": "srs_twin.studies.optimization.file:study_json_schema",
+    "sweep": "srs_twin.studies.sweep.points:sweep_json_schema",
+    "study": "srs_twin.studies.optimization.loading:study_json_schema",
     "setup": "srs_twin.live.setup_file:setup_json_schema",
     "inspect": "srs_twin.recordings.facts:facts_json_schema",
 }

@@ -17,8 +17,8 @@ from srs_twin import load_robot
 from srs_twin.identification.parameters import free_parameters, parameter_names
 from srs_twin.live.ensemble import ModelError
 from srs_twin.scenario.loading import scenario_json_schema
-from srs_twin.studies.optimization.file import study_json_schema
-from srs_twin.studies.sweep.file import sweep_json_schema
+from srs_twin.studies.optimization.loading import study_json_schema
+from srs_twin.studies.sweep.points import sweep_json_schema
 
 pytestmark = pytest.mark.fast
 

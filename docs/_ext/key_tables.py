@@ -11,7 +11,7 @@ from srs_twin.io.validation import describe_schema
 from srs_twin.recordings.facts import RecordingFacts
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.file import ScenarioFile
-from srs_twin.studies.sweep.file import SweepFile
+from srs_twin.studies.sweep.points import SweepFile
 
 Schema = Mapping[str, Any]
 

@@ -10,20 +10,20 @@ import numpy as np
 
 from srs_twin.comparison.gait import (
     ENERGY_METRICS,
+    SPATIAL_UNITS,
     GaitWindow,
     energy_metrics,
     running_rates,
+    spatial_metrics,
     turning_radius,
 )
-from srs_twin.comparison.group import metric_groups
 from srs_twin.comparison.learning import (
     LEARNING_LIST_UNITS,
     LEARNING_UNITS,
     is_learning,
     learning_metrics,
 )
-from srs_twin.comparison.sampling import body_length, check_columns, units_of
-from srs_twin.comparison.spatial import SPATIAL_UNITS, spatial_metrics
+from srs_twin.comparison.sampling import body_length, check_columns, metric_groups, units_of
 from srs_twin.comparison.tracking import READING_UNITS, TRACKING_UNITS, reading_metrics, tracking_metrics
 from srs_twin.trajectory import Trajectory
 

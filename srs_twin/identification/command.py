@@ -31,14 +31,18 @@ from srs_twin.cli.options import (
 from srs_twin.errors import InputError
 from srs_twin.identification.fitting import (
     NOTHING_WRITTEN,
+    FilesArgument,
+    FindOption,
+    FitOptions,
     FitOutput,
+    RobotOption,
+    ValidateOption,
     check_name,
     parse_names,
     print_table,
 )
-from srs_twin.identification.options import FilesArgument, FindOption, FitOptions, RobotOption, ValidateOption
 from srs_twin.io.files import display_path
-from srs_twin.recordings.options import FrequencyOption, OffsetOption, ReadingOptions, ValvesOption
+from srs_twin.recordings.commands import FrequencyOption, OffsetOption, ReadingOptions, ValvesOption
 
 if TYPE_CHECKING:
     from srs_twin.identification.footprint import FootprintMeasurement

@@ -1,4 +1,4 @@
-"""Shared parts of the fitting commands: progress on stderr, output files, printed results."""
+"""Shared parts of the fitting commands: options, progress on stderr, output files, printed results."""
 
 from __future__ import annotations
 
@@ -10,18 +10,47 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from srs_twin.cli.console import Display, console, interruptible, new_table, say
-from srs_twin.cli.options import print_json
+from srs_twin.cli.options import JsonOption, QuietOption, argument, option, print_json
 from srs_twin.errors import InputError
-from srs_twin.identification.options import FITS, FitOptions
 
 if TYPE_CHECKING:
     from srs_twin.identification.estimate import FitEstimate, Role
     from srs_twin.identification.fit_file import Data, FitFile, Method
+
+
+FITS = "calibration/fits"
+"""Default folder of fit files."""
+
+FilesArgument = Annotated[list[str], argument("FILE", "Recordings or tables to fit.")]
+RobotOption = Annotated[str, option("--robot -r ROBOT", "Initial robot, shipped or a file.")]
+
+_VALIDATE = "Recording or table for validation, not used by the fit (repeatable)."
+ValidateOption = Annotated[list[str] | None, option("--validate FILE", _VALIDATE)]
+
+_FIND = "Parameters to fit, e.g. friction.mu_t,friction.mu_n."
+FindOption = Annotated[str | None, option("--find NAMES", _FIND)]
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """Output files of a fit, and how it is reported.
+
+    Options:
+        name: Name of the fit and its file. [default: ROBOT_WHAT]
+        out: Fit file. [default: calibration/fits/NAME.yaml]
+        overwrite: Replace an existing fit that another command wrote.
+    """
+
+    name: Annotated[str | None, option("--name NAME")] = None
+    out: Annotated[str | None, option("--out FILE.yaml")] = None
+    overwrite: Annotated[bool, option("--overwrite")] = False
+    quiet: QuietOption = False
+    as_json: JsonOption = False
 
 
 class FitProgress(Display):

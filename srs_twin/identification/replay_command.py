@@ -24,7 +24,7 @@ from srs_twin.cli.options import (
 )
 from srs_twin.cli.run import RUNS_FOLDER, failing_verdicts, run_all
 from srs_twin.errors import InputError
-from srs_twin.recordings.options import FrequencyOption, OffsetOption, ReadingOptions
+from srs_twin.recordings.commands import FrequencyOption, OffsetOption, ReadingOptions
 
 if TYPE_CHECKING:
     from srs_twin.robot.file import RobotFile

@@ -11,8 +11,7 @@ import numpy as np
 
 from srs_twin.comparison.centre_line import hull_lines, offset_to_sides
 from srs_twin.comparison.contacts import TOUCH_N, obstacle_force, touches
-from srs_twin.comparison.group import MetricGroup
-from srs_twin.comparison.sampling import positive_number, rms, units_of
+from srs_twin.comparison.sampling import MetricGroup, positive_number, rms, units_of
 from srs_twin.robot.world import WALL_M
 from srs_twin.trajectory import Trajectory
 

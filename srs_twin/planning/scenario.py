@@ -27,16 +27,18 @@ from srs_twin.planning.steering import BearingLaw, PathLaw, Steering
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import Goal, Pose, World
-from srs_twin.scenario.controllers import (
+from srs_twin.scenario.controllers import ControllerContext, ControllerSection, GaitFile, LearningFile
+from srs_twin.scenario.fields import (
     Contradiction,
-    ControllerContext,
-    ControllerSection,
+    ExtensionSection,
     FileSections,
-    GaitFile,
-    LearningFile,
+    Loading,
+    PathOrName,
+    Section,
+    SectionEntry,
+    constructor_default,
+    quantity,
 )
-from srs_twin.scenario.fields import PathOrName, Section, constructor_default, quantity
-from srs_twin.scenario.sections import ExtensionSection, Loading, SectionEntry
 
 Turn = Annotated[float, Field(ge=-math.pi, le=math.pi)]
 

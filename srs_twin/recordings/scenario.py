@@ -28,9 +28,18 @@ from srs_twin.recordings.takes import (
     starts_at_rest,
 )
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.scenario.controllers import Contradiction, ControllerContext, ControllerSection, FileSections
-from srs_twin.scenario.fields import FilePath, Line, constructor_default, quantity
-from srs_twin.scenario.sections import ExtensionSection, Loading, SectionEntry
+from srs_twin.scenario.controllers import ControllerContext, ControllerSection
+from srs_twin.scenario.fields import (
+    Contradiction,
+    ExtensionSection,
+    FilePath,
+    FileSections,
+    Line,
+    Loading,
+    SectionEntry,
+    constructor_default,
+    quantity,
+)
 from srs_twin.trajectory import Trajectory
 
 _ROUNDING_S = 1e-6

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -20,7 +20,7 @@ from srs_twin.control.replay import STATES, HoldValves, layouts_for
 from srs_twin.control.smc import DirectSMC, IterativeSMC
 from srs_twin.pneumatics.chambers import largest_bend
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.scenario.fields import Section, constructor_default, quantity
+from srs_twin.scenario.fields import Contradiction, FileSections, Section, constructor_default, quantity
 
 _RIGHT_ANGLE = math.pi / 2
 """Largest bend, rad."""
@@ -33,30 +33,6 @@ _CARRIER = quantity(1.0, 1000.0)
 _SLOPE = quantity(0.001, 1000.0)
 
 Bend = Annotated[float, Field(ge=-_RIGHT_ANGLE, le=_RIGHT_ANGLE)]
-
-
-Contradiction = tuple[tuple[str, ...], str, bool]
-"""Path in the file, message, and whether the message refers to the key instead of its value."""
-
-
-class FileSections(Protocol):
-    """Sections of a scenario file that other sections may read; see `scenario.file.ScenarioFile`."""
-
-    bench: bool
-    seed: int
-    duration_s: float
-    controller: Any
-    start: Any
-    world: Any
-    pneumatics: Any
-    plants: Any
-
-    @property
-    def model_fields_set(self) -> set[str]:
-        """Names of the fields that are set in the file."""
-
-    def section(self, name: str) -> Any:
-        """Return the section of an extension by its name; None without one."""
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,9 @@ from srs_twin.robot.scale import Scale
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.controllers import CORE_CONTROLLERS, ControllerSection
 from srs_twin.scenario.expectation import Expectation
-from srs_twin.scenario.fields import Line, Section, quantity
+from srs_twin.scenario.fields import ExtensionSection, Line, Section, quantity, section_entries
 from srs_twin.scenario.modified import ChangedField
 from srs_twin.scenario.plants import BENCH_TICK_S, AnalyticalFile, PlantsFile, TwinFile
-from srs_twin.scenario.sections import ExtensionSection, section_entries
 from srs_twin.scenario.start import StartFile
 from srs_twin.scenario.world import WorldFile
 from srs_twin.sensing import DeadSensor, HallSensor, Sensor, Strip, make_sensor

@@ -29,11 +29,11 @@ from srs_twin.scenario.checks import (
     check_start_among_pegs,
     check_supply_pressure,
 )
+from srs_twin.scenario.fields import Loading
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.scenario.modified import changed_fields, marked
 from srs_twin.scenario.plants import PRESET, with_preset
 from srs_twin.scenario.scenario import Scenario
-from srs_twin.scenario.sections import Loading
 from srs_twin.scenario.start import InitialState
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from srs_twin import __version__
 from srs_twin.compute.arrays import blas_kernels, one_blas_thread
 from srs_twin.extensions import CONTROLLERS, FORMATS, METRICS, SECTIONS, installed, module_of
-from srs_twin.scenario.sections import input_files
+from srs_twin.scenario.fields import input_files
 
 NOT_PHYSICS = ("name", "title", "expect", "changes")
 """Keys of a scenario that name or judge results."""

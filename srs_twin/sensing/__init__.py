@@ -7,8 +7,7 @@ from typing import Any
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.sensing.calibration import Calibration, calibrate
-from srs_twin.sensing.hall import SPAN, HallSensor, Strip
+from srs_twin.sensing.hall import SPAN, Calibration, HallSensor, Strip, calibrate
 from srs_twin.sensing.sensors import (
     CurvatureSensor,
     DeadSensor,

@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.sensing.calibration import Calibration, calibrate
-from srs_twin.sensing.hall import SPAN, HallSensor
+from srs_twin.sensing.hall import SPAN, Calibration, HallSensor, calibrate
 
 
 class Sensor(ABC):

@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 from synthetic import Snake, backwards, mirrored, moved, sampled, with_columns, with_metadata
 
 from srs_twin.comparison import metrics
-from srs_twin.comparison.gait import GaitWindow
-from srs_twin.comparison.group import metric_groups
+from srs_twin.comparison.gait import SPATIAL_UNITS, GaitWindow
 from srs_twin.comparison.learning import LEARNING_LIST_UNITS, LEARNING_UNITS
 from srs_twin.comparison.metrics import LIST_METRIC_UNITS, MEASURED_UNITS, METRIC_UNITS, plant_metrics
-from srs_twin.comparison.spatial import SPATIAL_UNITS
+from srs_twin.comparison.sampling import metric_groups
 from srs_twin.comparison.tracking import READING_UNITS, TRACKING_UNITS
 from srs_twin.errors import InputError
 from srs_twin.planning.metrics import FOLLOWING_UNITS

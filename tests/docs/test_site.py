@@ -18,7 +18,7 @@ import srs_twin
 from srs_twin.cli.app import command
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.file import ScenarioFile
-from srs_twin.studies.sweep.file import SweepFile
+from srs_twin.studies.sweep.points import SweepFile
 
 # Attributes that make a browser load a resource automatically; `href` only in these elements.
 FETCHED = {"src", "srcset", "data", "poster", "action", "background"}

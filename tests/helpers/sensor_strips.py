@@ -5,8 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from srs_twin import load_robot
-from srs_twin.sensing.calibration import Calibration, fit_line
-from srs_twin.sensing.hall import GAUSS, MAGNET_DIAMETER, MAGNET_HEIGHT, Strip, element_place, field
+from srs_twin.sensing.hall import (
+    GAUSS,
+    MAGNET_DIAMETER,
+    MAGNET_HEIGHT,
+    Calibration,
+    Strip,
+    element_place,
+    field,
+    fit_line,
+)
 
 MM = 1e-3
 LENGTH = load_robot("gen4").geometry.segment_length

@@ -30,8 +30,8 @@ from srs_twin.plants.twin.mjcf.check import check_mjcf
 from srs_twin.robot.file import RobotFile, load_robot_file
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.scenario.loading import load_scenario, parse_scenario
-from srs_twin.studies.sweep.file import SweepFile
 from srs_twin.studies.sweep.loading import load_sweep
+from srs_twin.studies.sweep.points import SweepFile
 from srs_twin.trajectory import Trajectory
 
 ROBOT = (shipped_folder("robot") / "gen2.yaml").read_bytes()

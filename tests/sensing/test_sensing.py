@@ -17,8 +17,16 @@ from scipy import stats
 from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, rollout
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.sensing import CurvatureSensor, HallSensor, IdealSensor, Strip, calibrate, make_sensor
-from srs_twin.sensing.calibration import fit_line
-from srs_twin.sensing.hall import MOMENT, RAIL_SHARE, ROUNDING_BEND_RAD, SPAN, dipole, element_place, field
+from srs_twin.sensing.hall import (
+    MOMENT,
+    RAIL_SHARE,
+    ROUNDING_BEND_RAD,
+    SPAN,
+    dipole,
+    element_place,
+    field,
+    fit_line,
+)
 from srs_twin.sensing.sensors import SLOT, _splitmix, standard_normal
 
 MU0_4PI = 1e-7

@@ -28,7 +28,7 @@ from numba import types
 
 from srs_twin.compute.compiled import compiled_if, kernel_only
 from srs_twin.plants.twin.mjcf import surroundings
-from srs_twin.plants.twin.mjcf.objects import object_force_sensor, object_names
+from srs_twin.plants.twin.mjcf.surroundings import object_force_sensor, object_names
 from srs_twin.plants.twin.stick_slip import stick_slip_friction
 from srs_twin.robot.world import MovableObject
 

@@ -32,8 +32,8 @@ from mujoco import rollout as mujoco_rollout  # noqa: E402
 
 from srs_twin.plants.twin.mjcf.model import scene_mjcf  # noqa: E402
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings, PreloadedContact  # noqa: E402
-from srs_twin.plants.twin.mjcf.objects import object_force_sensor, object_names  # noqa: E402
 from srs_twin.plants.twin.mjcf.surroundings import hulls as hull_names  # noqa: E402
+from srs_twin.plants.twin.mjcf.surroundings import object_force_sensor, object_names  # noqa: E402
 from srs_twin.plants.twin.mjcf.wheels import preload_force, static_loads, treads  # noqa: E402
 
 

@@ -23,8 +23,7 @@ from srs_twin.scenario.modified import Changes, affects, changed_fields, marked,
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import NOT_PHYSICS, versions
 from srs_twin.scenario.scenario import Scenario
-from srs_twin.studies.sweep.file import RangeFile, SweepFile
-from srs_twin.studies.sweep.points import Experiment, Sweep, Value, leaf_names, sample
+from srs_twin.studies.sweep.points import Experiment, RangeFile, Sweep, SweepFile, Value, leaf_names, sample
 from srs_twin.studies.sweep.table import ColumnValues, Published
 
 

@@ -14,8 +14,7 @@ from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.files import shipped_names
 from srs_twin.scenario.loading import load_scenario, parse_scenario
-from srs_twin.studies.optimization.file import VariableFile
-from srs_twin.studies.optimization.loading import DesignSpace, load_study
+from srs_twin.studies.optimization.loading import DesignSpace, VariableFile, load_study
 from srs_twin.studies.optimization.report import bound_lines, write_result
 from srs_twin.studies.optimization.result import StudyResult
 from srs_twin.studies.optimization.runs import StudyRuns

@@ -16,8 +16,8 @@ from small import SMALL, write
 from srs_twin.cli import main
 from srs_twin.io.files import shipped_names
 from srs_twin.studies.sweep.execution import local, open_sweep
-from srs_twin.studies.sweep.file import SweepFile
 from srs_twin.studies.sweep.loading import load_sweep
+from srs_twin.studies.sweep.points import SweepFile
 
 PAGE = (ROOT / "docs" / "sweeps.md").read_text("utf-8")
 FENCES = dict(reversed(re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.M | re.S)))  # the first of each kind

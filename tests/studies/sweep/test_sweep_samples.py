@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from srs_twin.errors import InputError
-from srs_twin.studies.sweep.file import RangeFile, SamplingFile
-from srs_twin.studies.sweep.points import sample
+from srs_twin.studies.sweep.points import RangeFile, SamplingFile, sample
 
 pytestmark = pytest.mark.fast
 

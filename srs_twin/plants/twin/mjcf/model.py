@@ -31,8 +31,13 @@ from srs_twin.errors import InputError
 from srs_twin.plants.twin.mjcf.belly import add_belly, root_connector
 from srs_twin.plants.twin.mjcf.classes import add_classes, drawn_height
 from srs_twin.plants.twin.mjcf.numerics import LoadedContact, ModelSettings, PreloadedContact, hinge_stations
-from srs_twin.plants.twin.mjcf.objects import add_objects
-from srs_twin.plants.twin.mjcf.surroundings import add_hull_class, add_obstacles, add_steps, add_surroundings
+from srs_twin.plants.twin.mjcf.surroundings import (
+    add_hull_class,
+    add_objects,
+    add_obstacles,
+    add_steps,
+    add_surroundings,
+)
 from srs_twin.plants.twin.mjcf.wheels import (
     add_contacts,
     add_drag,

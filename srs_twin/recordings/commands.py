@@ -1,0 +1,231 @@
+"""`srs-twin inspect` and `export`, and the options of commands that read recordings.
+
+`inspect` describes recordings, without a robot or a log; `export` writes a run for other tools.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from srs_twin.cli.console import say
+from srs_twin.cli.options import JsonOption, OverwriteOption, QuietOption, argument, option, print_json
+from srs_twin.errors import InputError, UnknownNameError
+
+if TYPE_CHECKING:
+    from srs_twin.recordings.takes import RecordingReader
+
+
+_LOGS = "Logs: one for each FILE, then one for each --validate. [default: NAME.valves.csv in the same folder]"
+
+
+ValvesOption = Annotated[list[str] | None, option("--valves LOG", _LOGS)]
+
+
+_OFFSET = "Clock offset added to the times of the logs, s. [default: estimated]"
+
+
+OffsetOption = Annotated[float | None, option("--offset S", _OFFSET)]
+
+
+FrequencyOption = Annotated[
+    float | None, option("--frequency HZ", "Gait frequency, Hz. [default: that of the valve pattern]")
+]
+
+
+@dataclass(frozen=True)
+class ReadingOptions:
+    """Options of `RecordingReader`.
+
+    Options:
+        up: Upward axis of the files: x, y, z, -x, -y, -z or auto.
+        layout: Markers: auto, single, head, pair, middles or head_middles.
+        head: Name of the marker at the head. [default: the end in the direction of motion]
+        longest_gap: Longest gap that is interpolated, s. [default: 0.2]
+        map: Recording map: quantities of markers and columns (docs/logs.md).
+        units: Unit of lengths if the file states none: m, cm, mm, in, ft.
+        rate: Frames per second if the file has no time.
+        columns: Column names of a plain file without a header, e.g. time,x_1,y_1.
+        separator: Cell separator of a plain file: , ; | tab or space. [default: detected]
+        decimal: Decimal mark of a plain file. [default: detected]
+        marker: Position of a marker, e.g. "tip=connector 3" or "m1=middle 1" (repeatable).
+    """
+
+    up: Annotated[str, option("--up AXIS")] = "auto"
+    layout: Annotated[str, option("--layout NAME")] = "auto"
+    head: Annotated[str | None, option("--head MARKER")] = None
+    longest_gap: Annotated[float | None, option("--longest-gap S")] = None
+    map: Annotated[str | None, option("--map FILE.yaml")] = None
+    units: Annotated[str | None, option("--units UNIT")] = None
+    rate: Annotated[float | None, option("--rate HZ")] = None
+    columns: Annotated[str | None, option("--columns NAMES")] = None
+    separator: Annotated[str | None, option("--separator CHARACTER")] = None
+    decimal: Annotated[str | None, option("--decimal CHARACTER")] = None
+    marker: Annotated[list[str] | None, option("--marker NAME=PLACE")] = None
+
+    def given(self) -> dict[str, Any]:
+        """Return the given options by the names of `RecordingReader`'s attributes; a map is plain data."""
+        from srs_twin.recordings.recording_map import given_map
+
+        options = {
+            "units": self.units, "rate_hz": self.rate, "columns": self.columns, "separator": self.separator,
+            "decimal": self.decimal,
+        }  # fmt: skip
+        values = {
+            "up": self.up, "layout": self.layout, "head": self.head, "longest_gap_s": self.longest_gap,
+            "map": given_map(self.map, options, self.marker or ()),
+        }  # fmt: skip
+        return {name: value for name, value in values.items() if value is not None}
+
+    def reader(self, **more: Any) -> RecordingReader:
+        """Return a reader with these options.
+
+        Raises:
+            InputFileError: the map is invalid.
+        """
+        from srs_twin.recordings.recording_map import read_map
+        from srs_twin.recordings.takes import RecordingReader
+
+        given = self.given()
+        return RecordingReader(**given | {"map": read_map(given.get("map", {}))}, **more)
+
+
+def inspect(
+    files: Annotated[list[str], argument("FILE", "Recordings of markers, or logs.")],
+    robot: Annotated[str | None, option("--robot -r ROBOT")] = None,
+    map: Annotated[str | None, option("--map FILE.yaml")] = None,
+    units: Annotated[str | None, option("--units UNIT")] = None,
+    rate: Annotated[float | None, option("--rate HZ")] = None,
+    columns: Annotated[str | None, option("--columns NAMES")] = None,
+    separator: Annotated[str | None, option("--separator CHARACTER")] = None,
+    decimal: Annotated[str | None, option("--decimal CHARACTER")] = None,
+    picture: Annotated[str | None, option("--picture FILE.png")] = None,
+    write_map: Annotated[str | None, option("--write-map FILE.yaml")] = None,
+    overwrite: OverwriteOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Describe recordings and propose a map.
+
+    A robot or a log is not needed. With a robot, the output also states whether the files can be read as its
+    recording.
+
+    Options:
+        robot: Shipped robot or robot file with which the recording is checked.
+        map: Recording map with the known columns and markers (docs/logs.md).
+        units: Unit of lengths if the file states none: m, cm, mm, in, ft.
+        rate: Frames per second if the file has no time.
+        columns: Column names of a plain file without a header, e.g. time,x_1,y_1.
+        separator: Cell separator of a plain file: , ; | tab or space. [default: detected]
+        decimal: Decimal mark of a plain file. [default: detected]
+        picture: Output picture of the markers from above; with several files, the name of each is put in
+            front.
+        write_map: File for the proposed map.
+    """
+    from srs_twin.io.files import check_output_folder, escape_unprintable, write_text
+    from srs_twin.recordings.facts import in_words, proposed_map
+    from srs_twin.recordings.inspection import inspect_file
+    from srs_twin.recordings.recording_map import given_map, read_map
+    from srs_twin.robot.file import load_robot
+
+    options = {"units": units, "rate_hz": rate}
+    options |= {"columns": columns, "separator": separator, "decimal": decimal}
+    known = read_map(given_map(map, options, ()) or {})
+    spec = None if robot is None else load_robot(robot)
+    for name, target in (("--picture", picture), ("--write-map", write_map)):
+        if target is not None:
+            check_output_folder(Path(target).parent, (Path(target).name,), option=name)
+    if write_map is not None and os.path.lexists(write_map) and not overwrite:
+        raise InputError(f"{write_map}: exists; give --overwrite, or another name")
+    found, failed = [], []
+    for path in files:
+        try:
+            facts, scene = inspect_file(path, known, spec)
+        except InputError as error:
+            said = str(error)
+            failed.append(said if Path(path).name in said else f"{path}: {said}")
+            continue
+        found.append(facts)
+        if not as_json:
+            print(escape_unprintable(in_words(facts), keep="\n"))
+        if picture is not None and scene is not None:
+            from srs_twin.recordings.pictures import markers_view
+            from srs_twin.viewing.plots.style import save
+
+            place = Path(picture)
+            place = place if len(files) == 1 else place.with_name(f"{Path(path).stem}_{place.name}")
+            save(markers_view(scene), place)
+            say(f"picture in {place}")
+    if as_json:
+        print_json([facts.document() for facts in found])
+    if write_map is not None and found:
+        write_text(Path(write_map), proposed_map(found))
+        say(f"proposed map in {write_map}")
+    if failed:
+        raise InputError("\n".join(failed))
+
+
+_FORMATS = ("mcap", "csv", "npz")
+
+
+def export(
+    run: Annotated[str, argument("RUN")],
+    mcap: Annotated[bool, option("--mcap")] = False,
+    csv: Annotated[bool, option("--csv")] = False,
+    npz: Annotated[bool, option("--npz")] = False,
+    plant: Annotated[str | None, option("--plant NAME")] = None,
+    out: Annotated[str | None, option("--out FILE")] = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Write a run as MCAP (ROS 2), CSV or NumPy archive.
+
+    MCAP holds all plants. A recording map, with which `inspect` and `replay` read the file, and a Foxglove
+    layout are written next to it.
+
+    Options:
+        run: Folder of a run, or its name in ./runs.
+        mcap: ROS 2 messages, for Foxglove, PlotJuggler and ros2 bag.
+        csv: Columns of the trajectory in SI units.
+        npz: Columns of the trajectory as a NumPy archive.
+        plant: analytical, twin or measured. [default: all in MCAP, else the twin]
+        out: File to write. [default: RUN/twin.csv, RUN/run.mcap]
+    """
+    from srs_twin.experiment import load_run
+    from srs_twin.io.files import check_output_folder, display_path, write_text
+
+    chosen = [name for name, wanted in zip(_FORMATS, (mcap, csv, npz), strict=True) if wanted]
+    if len(chosen) != 1:
+        raise InputError(f"give one format: --{', --'.join(_FORMATS)}")
+    (kind,) = chosen
+    finished = load_run(run)
+    runs = dict(finished.trajectories)
+    if plant is not None:
+        if plant not in runs:
+            raise UnknownNameError("plant", plant, runs)
+        runs = {plant: runs[plant]}
+    first = "twin" if "twin" in runs else next(iter(runs))
+    path = Path(out) if out else finished.folder / f"{'run' if kind == 'mcap' else first}.{kind}"
+    if path.suffix != f".{kind}":
+        raise InputError(f"{path.name}: a file of --{kind} ends in .{kind}")
+    beside = [path.with_suffix(".map.yaml"), path.with_suffix(".foxglove.json")] if kind == "mcap" else []
+    for target in (path, *beside):
+        if target.exists() and not overwrite:
+            raise InputError(f"{display_path(target)} exists; --overwrite replaces it")
+    check_output_folder(path.parent, tuple(target.name for target in (path, *beside)))
+    from srs_twin.recordings import export as exporting
+
+    if kind == "csv":
+        exporting.write_csv(path, runs[first])
+    elif kind == "npz":
+        exporting.write_npz(path, runs[first])
+    else:
+        from ruamel.yaml import YAML
+
+        exporting.write_mcap(path, runs)
+        with beside[0].open("w", encoding="utf-8") as file:
+            YAML(typ="safe").dump(exporting.recording_map(first, runs[first]), file)
+        write_text(beside[1], json.dumps(exporting.foxglove_layout(runs), indent=2) + "\n")
+    say(f"wrote {', '.join(display_path(target) for target in (path, *beside))}", quiet=quiet)
