@@ -26,6 +26,7 @@ by Simpson's rule between the requested times.
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -123,11 +124,10 @@ _SAME = 1e-6
 """Value of 1 − a τ₂ below which the two time constants count as equal."""
 
 
-class LagPneumatics(Pneumatics):
-    """Chambers with a first-order lag (module docstring)."""
+class LagChambers(Pneumatics):
+    """Common settings of chambers with a first-order lag."""
 
     kind = "lag"
-    state_attributes = ("_linear", "_asymptote", "_energy_per_amount")
 
     def __init__(
         self,
@@ -151,22 +151,37 @@ class LagPneumatics(Pneumatics):
             InputError: the layout is unknown, or leak or delay are negative.
         """
         check_not_negative(leak_per_s=leak_per_s)
-        actuator, chamber = spec.actuator, spec.chamber
-        self._leak = leak_per_s
-        fill = actuator.tau_fill * spec.modules.array("tau_fill")
-        vent = actuator.tau_vent * spec.modules.array("tau_vent")
-        # Chambers of one kind have the same time constants and share the evaluation of exponentials.
-        kinds, kind = np.unique(np.stack([fill.ravel(), vent.ravel()]), axis=1, return_inverse=True)
-        self._kind = kind.reshape(fill.shape)
-        # Relaxation rate a and asymptote P, by kind and valve state + 1.
-        self._rate = np.stack([1 / kinds[1], np.zeros_like(kinds[0]), 1 / kinds[0]], axis=1) + leak_per_s
-        self._asymptote = np.zeros_like(self._rate)
-        self._tau_fill, self._max_supply = kinds[0], supply_pa
+        self._leak, self._max_supply = leak_per_s, supply_pa
+        tau_fill, tau_vent = (spec.modules.array(name) for name in ("tau_fill", "tau_vent"))
+        self._prepare(spec, spec.actuator.tau_fill * tau_fill, spec.actuator.tau_vent * tau_vent)
         self.set_supply_pressure(supply_pa)
+        super().__init__(spec, layout=layout, valve_delay_s=valve_delay_s)
+
+    @abstractmethod
+    def _prepare(self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray) -> None:
+        """Prepare the laws for the time constants of the chambers, shape (segments, chambers), s."""
+
+    def describe(self) -> dict[str, Any]:
+        """See `Pneumatics.describe`."""
+        return super().describe() | {"leak_per_s": self._leak}
+
+
+class LagPneumatics(LagChambers):
+    """Chambers with a first-order lag (module docstring)."""
+
+    state_attributes = ("_linear", "_asymptote", "_energy_per_amount")
+
+    def _prepare(self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray) -> None:
+        actuator, chamber = spec.actuator, spec.chamber
+        # Chambers of one kind have the same time constants and share the evaluation of exponentials.
+        kinds, kind = np.unique(np.stack([tau_fill.ravel(), tau_vent.ravel()]), axis=1, return_inverse=True)
+        self._kind = kind.reshape(tau_fill.shape)
+        # Relaxation rate a and asymptote P, by kind and valve state + 1.
+        self._rate = np.stack([1 / kinds[1], np.zeros_like(kinds[0]), 1 / kinds[0]], axis=1) + self._leak
+        self._asymptote, self._tau_fill = np.zeros_like(self._rate), kinds[0]
         self._tau_mode, self._gain = actuator.tau_mode, chamber_gains(spec)
         self._law = bend_law(spec)
         self._volume_law = chamber.dead_volume, chamber.displacement
-        super().__init__(spec, layout=layout, valve_delay_s=valve_delay_s)
 
     def reset(self) -> None:
         """See `Pneumatics.reset`."""
@@ -184,10 +199,6 @@ class LagPneumatics(Pneumatics):
         # A leak lowers the equilibrium pressure below that of the supply.
         self._asymptote[:, 2] = supply_pa / self._tau_fill / self._rate[:, 2]
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
-
-    def describe(self) -> dict[str, Any]:
-        """See `Pneumatics.describe`."""
-        return super().describe() | {"leak_per_s": self._leak}
 
     def relaxation(self, time: float) -> Relaxation:
         """Return the propagation over a time (s), in which each chamber is a kind of its own."""

@@ -14,43 +14,28 @@ from __future__ import annotations
 
 import numpy as np
 
-from srs_twin.pneumatics.base import OptionalArray, Pneumatics, Trace, check_not_negative, check_supply
+from srs_twin.pneumatics.base import OptionalArray, Trace, check_supply
 from srs_twin.pneumatics.chambers import AMBIENT_PA, chamber_gains, vector_bends
-from srs_twin.pneumatics.lag import followed, relaxation_of, relaxed
+from srs_twin.pneumatics.lag import LagChambers, followed, relaxation_of, relaxed
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
 
 
-class SpatialLagPneumatics(Pneumatics):
+class SpatialLagPneumatics(LagChambers):
     """Chambers with a first-order lag in several directions (module docstring).
 
     `bend`, `rest_bend` and the bends of a `Trace` have the shape (…, segments, 2): to the left, upwards.
     """
 
-    kind = "lag"
     state_attributes = ("_lagged", "_supply")
 
-    def __init__(
-        self,
-        spec: RobotSpec,
-        *,
-        supply_pa: float,
-        layout: str = "3/2",
-        leak_per_s: float = 0.0,
-        valve_delay_s: float = 0.0,
-    ) -> None:
-        """Construct the chambers; arguments and errors as in `LagPneumatics`."""
-        check_not_negative(leak_per_s=leak_per_s)
-        self._spec, self._leak, self._max_supply = spec, leak_per_s, supply_pa
-        self._fill = 1 / (spec.actuator.tau_fill * spec.modules.array("tau_fill"))
-        self._vent = 1 / (spec.actuator.tau_vent * spec.modules.array("tau_vent"))
-        self.set_supply_pressure(supply_pa)
-        super().__init__(spec, layout=layout, valve_delay_s=valve_delay_s)
-        self.rest_bend = np.stack([self.rest_bend, np.zeros_like(self.rest_bend)], axis=-1)
-        self.reset()
+    def _prepare(self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray) -> None:
+        self._spec, self._fill, self._vent = spec, 1 / tau_fill, 1 / tau_vent
 
     def reset(self) -> None:
         """See `Pneumatics.reset`."""
+        if self.rest_bend.ndim == 1:  # modules have a rest bend to the left only
+            self.rest_bend = np.stack([self.rest_bend, np.zeros_like(self.rest_bend)], axis=-1)
         super().reset()
         self._lagged = np.zeros_like(self.pressure)
 
@@ -58,10 +43,6 @@ class SpatialLagPneumatics(Pneumatics):
         """See `Pneumatics.set_supply_pressure`; the pressure changes immediately."""
         check_supply(supply_pa, self._max_supply)
         self._supply = supply_pa
-
-    def describe(self) -> dict[str, object]:
-        """See `Pneumatics.describe`."""
-        return super().describe() | {"leak_per_s": self._leak}
 
     def rest_trace(self) -> Trace:
         """See `Pneumatics.rest_trace`."""
