@@ -56,13 +56,23 @@ def check_hold(hold: int, spec: RobotSpec) -> None:
         )
 
 
+def check_release(mode: str, drag_m: float | None) -> None:
+    """Check that the mode can measure the distance of a drag.
+
+    Raises:
+        InputError: a distance is given in open loop.
+    """
+    if drag_m is not None and mode == "open_loop":
+        raise InputError("drag_m needs mode sensed; in open_loop, set release_after_s")
+
+
 class Grasp(Controller):
     """Grasp and drag of an object next to the tail (module docstring).
 
     Attributes:
         frequency: gait frequency of the dragging segments, Hz.
         phase: current phase.
-        grip: mean bend by which the holding segments fall short of their free bend, rad.
+        grip: free bend of the holding segments minus their sensed bend, mean, rad.
     """
 
     kind = "grasp"
@@ -93,8 +103,7 @@ class Grasp(Controller):
         """
         check_choice("mode", mode, MODES)
         check_choice("side", side, SIDES)
-        if drag_m is not None and mode == "open_loop":
-            raise InputError("drag_m needs mode sensed; in open_loop, set release_after_s")
+        check_release(mode, drag_m)
         self.frequency, self.mode, self.side, self.hold = frequency, mode, side, hold
         self.curl_s, self.drag_after_s = curl_s, drag_after_s
         self.release_after_s, self.drag_m = release_after_s, drag_m

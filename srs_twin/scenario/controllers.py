@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from srs_twin.control.base import Controller
 from srs_twin.control.duties import MAX_OFFSET, ChamberPeriods
 from srs_twin.control.gait import Gait, PitchWave
-from srs_twin.control.grasp import Grasp, check_hold
+from srs_twin.control.grasp import Grasp, check_hold, check_release
 from srs_twin.control.learning import ILC, MIN_PULSES
 from srs_twin.control.pwm import PulseWidthModulator
 from srs_twin.control.reference import Constant, Reference, Sine, Square, Staircase, Step
@@ -403,15 +403,10 @@ class GraspFile(ControllerSection):
     phase_step_rad: float | None = _PHASE_STEP
     """Lag of each segment behind the one before it (default: the robot's)."""
 
-    @model_validator(mode="after")
-    def _fits(self) -> GraspFile:
-        if self.drag_m is not None and self.mode == "open_loop":
-            raise ValueError("drag_m needs mode sensed; in open_loop, set release_after_s")
-        return self
-
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `ControllerSection.check`: enough segments must hold and crawl."""
+        """See `ControllerSection.check`: enough segments hold and crawl, and the mode fits the release."""
         check_hold(self.arguments()["hold"], spec)
+        check_release(self.mode, self.drag_m)
 
 
 CORE_CONTROLLERS = (GaitFile, LearningFile, DirectFile, IterativeFile, HoldFile, GraspFile)
