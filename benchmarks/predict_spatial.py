@@ -1,4 +1,4 @@
-"""Fastest serpentine and sidewinding speed of a spatial snake that is known from one paragraph.
+"""Predicted fastest serpentine and sidewinding speed of a spatial snake with few published parameters.
 
     uv run python benchmarks/predict_spatial.py [--robots 40] [--seed 0] [--out FILE] [--runs FILE]
 

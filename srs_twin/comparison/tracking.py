@@ -344,7 +344,7 @@ class ReadingCurve:
 
 
 def reading_metrics(trajectory: Trajectory) -> dict[str, float | None]:
-    """Compute the metrics of the first segment's sensor; None without a sensor or with an ideal one.
+    """Return metrics of the first segment's sensor, all None for an ideal sensor or without one.
 
     - ``reading_r_squared``: R² of a linear relation between reading and bend.
     - ``reading_error_rad``: largest magnitude of mean reading minus mean bend, in which noise is averaged

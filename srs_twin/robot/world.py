@@ -10,7 +10,7 @@ OBSTACLE_FRICTION = 0.5
 """Default friction coefficient of silicone on a smooth obstacle, 1. Estimate; the dissertation gives none."""
 
 WALL_M = 0.001
-"""Radius of the sides of a polygon, by which it is larger than drawn, m."""
+"""Rounding radius of the sides of a polygon, m; the solid polygon extends this far beyond its corners."""
 
 
 @dataclass(frozen=True)

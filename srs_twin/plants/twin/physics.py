@@ -229,8 +229,8 @@ class SnakePhysics(dm.Physics, Stateful):
         self._drag_force, self._drag_velocity = (self._addresses(names)[:, 0] for names in drags)
         self._set_up_hulls(raw, spec)
         self._set_up_objects(raw)
-        # A bend is the sum of hinge angles: matrices from qpos to bends and from qvel to bend rates.
-        # The components of the bends of a spatial robot are rows of their own: to the left, then upwards.
+        # A bend is the sum of hinge angles: matrices from qpos to bends and from qvel to bend rates. The rows
+        # of a spatial robot are all bends to the left, then all bends upwards.
         kinds = bend_joints(spec)
         rows = len(kinds) * spec.segments
         self._angles, self._rates = np.zeros((rows, raw.nq)), np.zeros((rows, raw.nv))
