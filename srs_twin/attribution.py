@@ -456,8 +456,10 @@ def main_cause(scenario: Scenario, trajectories: Mapping[str, Trajectory]) -> di
 
     Returns:
         `name` of the assumption and its effects on `com_speed_m_s` and `yaw_rate_rad_s`; None if the run has
-        no gait or the model is compliant already.
+        no gait, the model is compliant already, or the robot is spatial.
     """
+    if scenario.robot.is_spatial:
+        return None
     variants, model = PlantVariants(scenario), plant_metrics(trajectories["analytical"])
     differs = "compliance" in [switch.name for switch in variants.switches]
     if not differs or scenario.planner is not None or model["com_speed_m_s"] is None:

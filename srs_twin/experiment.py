@@ -125,6 +125,8 @@ class PreparedRun:
             InputError: a file cannot be written, or the difference cannot be attributed.
         """
         scenario = self.scenario
+        if explain is not None:
+            scenario.robot.require_planar("the attribution of a difference")
         trajectories: dict[str, Trajectory] = {}
         walls: dict[str, float] = {}
         diverged: list[DivergedError] = []

@@ -91,7 +91,7 @@ METRICS = {
         inlet_openings outlet_openings amplitude_growth_rel periods_to_converge amplitude_error_end_rel
         path_bend_left_rel path_radius_spread_rel duty_lowest duty_highest reading_r_squared plan_found
         plan_nodes goal_reached inside_share inside_50mm_share contacts replans measured_com_speed_rel
-        realtime_factor contact_share""",
+        realtime_factor contact_share supports roll_turns""",
 }
 LISTS = {
     "rad": "bend_amplitude_rad bend_bias_rad amplitude_error_rad heading_drift_by_period_rad",
@@ -99,9 +99,9 @@ LISTS = {
 }
 COMPARISON = {
     "m": "shape_rms_m path_rms_m",
-    "rad": "bend_rms_rad heading_rms_rad",
+    "rad": "bend_rms_rad heading_rms_rad travel_direction_abs",
     "rad/s": "yaw_rate_abs",
-    "1": "com_speed_rel gap_factor shape_rms_body bend_rms_rel",
+    "1": "com_speed_rel gap_factor shape_rms_body bend_rms_rel travel_speed_rel contact_agreement",
 }
 PLANNING = {"m": "plan_length_m", "rad": "plan_kink_rad", "s": "plan_s", "1": "plan_found plan_nodes"}
 

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from srs_twin.comparison.gait import spatial_differences
 from srs_twin.comparison.metrics import MEASURED_UNITS, plant_metrics
 from srs_twin.comparison.sampling import body_length, check_columns, interpolant, label, rms, segment_lengths
 from srs_twin.errors import InputError
@@ -35,7 +36,8 @@ class Comparison(HtmlResult):
             time; ``shape_rms_body`` is that divided by the body length of the reference. ``path_rms_m`` is
             the distance of the centres of mass at equal times. Further metrics are ``bend_rms_rad``,
             ``bend_rms_rel`` (divided by the root mean square bend of the reference) and ``heading_rms_rad``.
-            A metric is None if a plant has no gait metrics or a denominator is zero.
+            A metric is None if a plant has no gait metrics or a denominator is zero. Spatial snakes also have
+            those of `gait.spatial_differences`.
         time: compared times, which are those of the reference, shape (T,), s.
         shape_error: root mean square over the connectors at each time, (T,), m.
         path_error: distance of the centres of mass, (T,), m.
@@ -93,6 +95,7 @@ def compare(reference: Trajectory, candidate: Trajectory, *, gap_factor: bool = 
         "bend_rms_rad": rms(bend_error),
         "bend_rms_rel": _ratio(rms(bend_error), rms(reference_bend)),
         "heading_rms_rad": rms(heading_error),
+        **spatial_differences(reference, candidate, time),
     }
     shape_error = np.sqrt((distance**2).mean(axis=-1))
     return Comparison(metrics, time, shape_error, path_error, bend_error, heading_error)

@@ -272,8 +272,15 @@ def _mean_rate(trajectory: Trajectory, window: GaitWindow, name: str) -> float:
     return float((end - start) / (window.end - window.start))
 
 
-SPATIAL_UNITS = units_of("travel_speed_m_s travel_direction_rad body_height_m contact_share")
+SPATIAL_UNITS = units_of(
+    "travel_speed_m_s travel_direction_rad body_height_m contact_share supports roll_turns"
+)
 """Metrics of a spatial snake; each is one number or None."""
+
+SPATIAL_DIFFERENCES = units_of("travel_speed_rel travel_direction_abs contact_agreement") | {
+    "travel_direction_abs": "rad"
+}
+"""Differences between two runs of a spatial snake."""
 
 
 def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
@@ -285,6 +292,9 @@ def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
       −π to π.
     - ``body_height_m``: largest height of a connector in the same periods.
     - ``contact_share``: mean share of connectors that press on the floor.
+    - ``supports``: mean number of separate parts of the body that press on the floor; with two, it can roll
+      over.
+    - ``roll_turns``: turns of the body about its axis over the whole run, mean over the connectors.
 
     The first two are None without a gait of at least three whole periods.
     """
@@ -303,5 +313,42 @@ def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
         metrics["travel_direction_rad"] = math.atan2(left, ahead)
         used = slice(int(np.searchsorted(trajectory.time, window.start)), None)
     metrics["body_height_m"] = float(trajectory.stack("z")[used].max())
-    metrics["contact_share"] = float((trajectory.stack("load")[used] > 0.0).mean())
+    touches = trajectory.stack("load")[used] > 0.0
+    metrics["contact_share"] = float(touches.mean())
+    metrics["supports"] = float((np.diff(touches, axis=1, prepend=False) & touches).sum(axis=1).mean())
+    w, x, y, z = (trajectory.stack(f"quaternion_{axis}") for axis in "wxyz")
+    # Heights of the tips of the left and the upper axis of a connector.
+    roll = np.unwrap(np.arctan2(2 * (y * z + w * x), 1 - 2 * (x**2 + y**2)), axis=0)
+    metrics["roll_turns"] = float(abs(roll[-1] - roll[0]).mean() / (2 * math.pi))
     return metrics
+
+
+def spatial_differences(
+    reference: Trajectory, candidate: Trajectory, time: np.ndarray
+) -> dict[str, float | None]:
+    """Compare two runs of a spatial snake; planar ones have none of these differences.
+
+    - ``travel_speed_rel``: (candidate − reference) / reference.
+    - ``travel_direction_abs``: magnitude of the difference of the directions of travel, 0 to π.
+    - ``contact_agreement``: share of the samples of all connectors in which both or neither press on the
+      floor, in whole gait periods if there are any.
+
+    Args:
+        reference: run of the analytical model.
+        candidate: run of the twin.
+        time: compared times, s.
+    """
+    if not (reference.has("z") and candidate.has("z")):
+        return {}
+    differences: dict[str, float | None] = dict.fromkeys(SPATIAL_DIFFERENCES)
+    before, after = spatial_metrics(reference), spatial_metrics(candidate)
+    speed, other = before["travel_speed_m_s"], after["travel_speed_m_s"]
+    if speed and other is not None:
+        turn = (after["travel_direction_rad"] or 0.0) - (before["travel_direction_rad"] or 0.0)
+        differences["travel_speed_rel"] = other / speed - 1
+        differences["travel_direction_abs"] = abs(math.remainder(turn, 2 * math.pi))
+    window = GaitWindow.from_trajectory(reference)
+    used = time[time >= window.start] if window else time
+    touches = [interpolant(run, run.stack("load"))(used) > 0.0 for run in (reference, candidate)]
+    differences["contact_agreement"] = float((touches[0] == touches[1]).mean())
+    return differences

@@ -10,6 +10,7 @@ import numpy as np
 
 from srs_twin.comparison.gait import (
     ENERGY_METRICS,
+    SPATIAL_DIFFERENCES,
     SPATIAL_UNITS,
     GaitWindow,
     energy_metrics,
@@ -29,7 +30,7 @@ from srs_twin.trajectory import Trajectory
 
 RELATIVE = set(
     """
-    com_speed_m_s turning_radius_m path_length_m mean_bend_amplitude_rad final_bend_rad
+    com_speed_m_s travel_speed_m_s turning_radius_m path_length_m mean_bend_amplitude_rad final_bend_rad
     mechanical_power_w cost_of_transport pneumatic_power_w pneumatic_cost_of_transport
     rise_time_s settling_2_s settling_5_s ripple_pp_rad ripple_rms_rad sensed_ripple_pp_rad steady_rms_rad
     error_rms_rad amplitude_rel fit_residual_rad inlet_openings outlet_openings
@@ -97,10 +98,14 @@ METRIC_UNITS = {
 LIST_METRIC_UNITS = units_of("bend_amplitude_rad bend_bias_rad valve_switches") | LEARNING_LIST_UNITS
 """Metrics of a plant that are lists, head first; those of iterative learning have one list per period."""
 
-COMPARISON_UNITS = units_of("""
+COMPARISON_UNITS = (
+    units_of("""
     com_speed_rel gap_factor yaw_rate_abs shape_rms_m shape_rms_body path_rms_m
     bend_rms_rad bend_rms_rel heading_rms_rad
-""") | {"yaw_rate_abs": "rad/s"}
+""")
+    | {"yaw_rate_abs": "rad/s"}
+    | SPATIAL_DIFFERENCES
+)
 """Metrics of `compare`, each one number. They are defined here, so that listing them does not import
 `compare`."""
 
@@ -167,6 +172,8 @@ travel_speed_m_s: speed of a spatial snake in any direction, mean over whole gai
 travel_direction_rad: direction of travel relative to the mean heading; positive to the left
 body_height_m: largest height of a connector of a spatial snake
 contact_share: mean share of connectors that press on the floor
+supports: mean number of separate parts of the body that press on the floor
+roll_turns: turns of the body about its axis over the whole run, mean over the connectors
 measured_com_speed_rel: speed minus that of the recorded robot, divided by the latter
 measured_yaw_rate_abs: magnitude of the difference of the yaw rates
 measured_shape_rms_m: RMS distance of the connectors from the recorded ones, with centre and heading aligned
@@ -184,6 +191,9 @@ path_rms_m: RMS distance of the centres of mass at equal times
 bend_rms_rad: RMS difference of the bends
 bend_rms_rel: RMS difference of the bends divided by the RMS bend of the analytical model
 heading_rms_rad: RMS difference of the headings
+travel_speed_rel: travel speed of the twin minus that of the analytical model, divided by the latter
+travel_direction_abs: magnitude of the difference of the directions of travel
+contact_agreement: share of samples in which a connector touches the floor on both plants or on neither
 """
 
 
@@ -231,9 +241,7 @@ def _summary(metrics: Mapping[str, Any]) -> str:
         return _summary_of_both(metrics, model, twin)
     name = "twin" if twin else "model"
     if (travel := one.get("travel_speed_m_s")) is not None:
-        direction = math.degrees(one["travel_direction_rad"])
-        side = "left" if direction > 0 else "right"
-        return f"The {name} travels at {travel:.3g} m/s, {abs(direction):.0f}° to the {side} of its heading."
+        return f"The {name} travels at {travel:.3g} m/s, {_direction(one)} of its heading."
     if one.get("com_speed_m_s") is not None:
         turn = one.get("yaw_rate_rad_s") or 0.0
         how = "straight on" if abs(turn) < _STRAIGHT_RAD_S else f"turning by {turn:.3g} rad/s"
@@ -251,6 +259,9 @@ def _summary_of_both(metrics: Mapping[str, Any], model: Mapping[str, Any], twin:
     if model.get("error_rms_rad") is not None and twin.get("error_rms_rad") is not None:
         errors = f"{twin['error_rms_rad']:.2g} rad RMS, the model within {model['error_rms_rad']:.2g}"
         return f"The twin follows its reference within {errors}."
+    if model.get("travel_speed_m_s") is not None and twin.get("travel_speed_m_s") is not None:
+        text = _compared(metrics, "travel_speed_m_s", "slower", "faster", "m/s")
+        return f"The twin travels {text}, {_direction(twin)}; the model {_direction(model)}."
     if model.get("com_speed_m_s") is None or twin.get("com_speed_m_s") is None:
         bend_rms = (metrics.get("comparison") or {}).get("bend_rms_rad") or 0.0
         return f"The bends of twin and model differ by {bend_rms:.2g} rad RMS."
@@ -258,6 +269,11 @@ def _summary_of_both(metrics: Mapping[str, Any], model: Mapping[str, Any], twin:
     if max(abs(run.get("yaw_rate_rad_s") or 0.0) for run in (model, twin)) >= _STRAIGHT_RAD_S:
         text += f", and turns {_compared(metrics, 'yaw_rate_rad_s', 'slower', 'faster', 'rad/s')}"
     return f"{text}."
+
+
+def _direction(plant: Mapping[str, Any]) -> str:
+    direction = math.degrees(plant["travel_direction_rad"])
+    return f"{abs(direction):.0f}° to the {'left' if direction > 0 else 'right'}"
 
 
 def _arrives(plant: Mapping[str, Any]) -> str:
@@ -316,7 +332,7 @@ def _causes(metrics: Mapping[str, Any], metric: str) -> list[tuple[str, float]]:
 _MEASURED = "measured_shape_rms_m measured_path_rms_m measured_bend_rms_rad measured_heading_rms_rad"
 _GAIT = f"""
     com_speed_m_s yaw_rate_rad_s turning_radius_m path_length_m mean_bend_amplitude_rad
-    travel_speed_m_s travel_direction_rad body_height_m contact_share
+    travel_speed_m_s travel_direction_rad body_height_m contact_share supports roll_turns
     periods_to_converge amplitude_error_end_rel path_speed_m_s path_curvature_before_per_m
     path_curvature_per_m mechanical_power_w cost_of_transport pneumatic_power_w {_MEASURED} realtime_factor
 """.split()
@@ -326,7 +342,7 @@ _BENCH = f"""
     steady_rms_rad ripple_pp_rad error_rms_rad amplitude_rel phase_lag_rad fit_residual_rad inlet_openings
     outlet_openings reading_r_squared reading_error_rad reading_backstep_rad reading_range_t realtime_factor
 """.split()
-_COMPARISON = ("shape_rms_m", "path_rms_m", "bend_rms_rad")
+_COMPARISON = ("shape_rms_m", "path_rms_m", "bend_rms_rad", *SPATIAL_DIFFERENCES)
 
 
 def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:

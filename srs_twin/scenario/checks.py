@@ -130,6 +130,9 @@ def _check_contact(document: Document, file: ScenarioFile, robot: RobotFile) -> 
     model, twin = file.plants.analytical, file.plants.twin
     if robot.is_spatial:
         _check_spatial(document, file, robot)
+    elif model and model.model == "quasistatic":
+        text = f"{robot.name} bends in one plane; quasistatic needs chamber.directions_deg"
+        document.report(("plants", "analytical", "model"), text)
     if not robot.has_skin:
         if model and model.load == "momentary" and model.friction not in TWO_POINT_LAWS:
             text = f"friction {model.friction} acts at one point per connector; momentary loads need two"
@@ -155,8 +158,8 @@ def _check_contact(document: Document, file: ScenarioFile, robot: RobotFile) -> 
 def _check_spatial(document: Document, file: ScenarioFile, robot: RobotFile) -> None:
     """Report sections that do not support a robot whose segments bend in two directions."""
     model, world = file.plants.analytical, file.world
-    if model is not None:
-        text = f"{robot.name} is spatial; the analytical models are planar: remove analytical"
+    if model is not None and model.model != "quasistatic":
+        text = f"{robot.name} is spatial; only model: quasistatic bends in two directions"
         document.report(("plants", "analytical"), text, at_key=True)
     if file.start.moves:
         text = f"{robot.name} is spatial and starts straight and at rest; set its pose only"

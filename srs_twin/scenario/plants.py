@@ -73,9 +73,10 @@ class AnalyticalFile(_PlantFile):
 
     timestep_s: float = quantity(1e-6, 1.0, TIMESTEP_S)
     """Largest time step of the integrator (default: 0.002 times the robot's time unit)."""
-    model: Literal["complete", "simplified", "compliant"] = constructor_default()
+    model: Literal["complete", "simplified", "compliant", "quasistatic"] = constructor_default()
     """complete: prescribed bends; simplified: prescribed bends, and chords of constant length; compliant:
-    bends that depend on load and inertia."""
+    bends that depend on load and inertia; quasistatic: bends in two directions without inertia, for robots
+    with chamber.directions_deg only."""
     friction_torque: bool = constructor_default()
     """Whether friction exerts a moment about the centre of mass; false only with simplified."""
     inertia: Literal["point", "connector", "lumped"] = constructor_default()

@@ -37,7 +37,8 @@ def lines(text: str, name: str = "f.yaml") -> tuple[str, ...]:
 
 
 def test_shipped_names_are_sorted():
-    assert shipped_names("robot") == [*ROBOTS, "gen4_module", "skin_example", "spatial_example"]
+    shipped = ["skin_example", "spatial_example", "spatial_slender"]
+    assert shipped_names("robot") == [*ROBOTS, "gen4_module", *shipped]
     assert "gen2_straight" in shipped_names("scenario")
 
 

@@ -10,7 +10,6 @@ with the mean of the body's tangents ⟨t⟩ and the tangent t_c of the parts th
 """
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,36 +17,17 @@ import pytest
 from srs_twin import Gait, load_robot, rollout
 from srs_twin.control.gait import PitchWave
 from srs_twin.plants.twin.snake import TwinSnake
-from srs_twin.robot.spec import Mass
 
 FREQUENCY_HZ = 0.25
 WAVE_SEGMENTS = 8
 SETTLED_S = 8.0
 
 
-def stiff_snake():
-    """Return a snake of two waves that is stiff and thin, with slow chambers that make smooth waves."""
-    spec = load_robot("spatial_example")
-    geometry = replace(
-        spec.geometry, com_height=0.004, wheel_radius=0.004, half_track=4e-6, width=0.008, connectors=17
-    )
-    return replace(
-        spec,
-        geometry=geometry,
-        mass=Mass.along_body((0.025,) * 16),
-        bending=replace(
-            spec.bending, stiffness=20.0, pitch_stiffness=20.0, roll_stiffness=40 / 3, damping_time=0.01
-        ),
-        actuator=replace(spec.actuator, tau_fill=2.0, tau_vent=2.0),
-        friction=replace(spec.friction, mu_t=0.6, mu_n=0.6, mu_back=0.6),
-    )
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.3, 0.15])
 def test_a_stiff_sidewinder_travels_as_the_kinematics_without_slip_predict(share):
-    spec = stiff_snake()
-    gait = Gait(FREQUENCY_HZ, phase_step=2 * math.pi / WAVE_SEGMENTS, pitch=PitchWave(share, math.pi / 2))
+    spec = load_robot("spatial_slender")
+    gait = Gait(FREQUENCY_HZ, pitch=PitchWave(share, math.pi / 2))
     twin = TwinSnake(spec, supply_pa=30e3, timestep=0.002)
     run = rollout(twin, gait, SETTLED_S + 3 / FREQUENCY_HZ, record_hz=50)
     used = run.time >= SETTLED_S

@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_bvp
 
 from srs_twin import AnalyticalSnake, Gait, load_robot, load_scenario, rollout
+from srs_twin.comparison.gait import spatial_metrics
 from srs_twin.control.gait import PitchWave
 from srs_twin.envs import dm
 from srs_twin.errors import InputError, InputFileError
@@ -244,3 +245,16 @@ def test_features_for_planar_robots_refuse_a_spatial_one_by_name():
     with pytest.raises(InputError, match="does not support the spatial robot"):
         twin = TwinSnake(small())
         twin.place(twin.state)
+
+
+def test_supports_and_turns_about_the_axis_are_counted():
+    count, times = 6, np.linspace(0.0, 2.0, 41)
+    load = np.zeros((len(times), count))
+    load[:, [0, 1, 3, 5]] = 1.0  # three separate parts
+    roll = 2 * np.pi * 0.75 * times
+    columns = {f"load_{i + 1}": load[:, i] for i in range(count)}
+    for name, values in zip("wxyz", (np.cos(roll / 2), np.sin(roll / 2), 0 * roll, 0 * roll), strict=True):
+        columns |= {f"quaternion_{name}_{i + 1}": values for i in range(count)}
+    columns |= {f"z_{i + 1}": 0 * times for i in range(count)}
+    metrics = spatial_metrics(Trajectory({"time": times} | columns, {}))
+    assert metrics["supports"] == 3.0 and metrics["roll_turns"] == pytest.approx(1.5)

@@ -1,6 +1,7 @@
 r"""AnalyticalSnake: the dissertation's planar model, and its variants, as a plant.
 
-The mechanics are those of a `Body` (`bodies`). Bodies with skin are divided into `cells`.
+The mechanics are those of a `Body`: `bodies` has those of planar snakes, `quasistatic` that of a snake whose
+segments bend in two directions. Planar bodies with skin are divided into `cells`.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from srs_twin.plants.analytical.cells import Cells, Undivided, cells_of_skin, ce
 from srs_twin.plants.analytical.floor import floor_friction
 from srs_twin.plants.analytical.kinematics import BodyParameters
 from srs_twin.plants.analytical.obstacles import make_obstacles
+from srs_twin.plants.analytical.quasistatic import QuasistaticArcs
 from srs_twin.plants.analytical.steps import Steps
 from srs_twin.plants.base import (
     BASES,
@@ -37,7 +39,7 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor
 
-MODELS = ("complete", "simplified", "compliant")
+MODELS = ("complete", "simplified", "compliant", "quasistatic")
 LOADS = ("static", "momentary")
 INERTIAS = ("point", "connector", "lumped")
 
@@ -78,7 +80,12 @@ def _check_options(
 ) -> None:
     """Check names and combinations of the options of `AnalyticalSnake`."""
     check_choice("model", model, MODELS)
-    spec.require_planar(f"the analytical model {model!r}")
+    if model != "quasistatic":
+        spec.require_planar(f"the analytical model {model!r}")
+    elif not spec.is_spatial:
+        raise InputError(f"model 'quasistatic' needs a spatial robot; {spec.name} bends in one plane")
+    if spec.is_spatial and (world.uneven or world.is_solid):
+        raise InputError("model 'quasistatic' needs a level floor without obstacles; use the twin")
     check_choice("friction law", friction, LAWS)
     check_choice("load", load, LOADS)
     check_choice("inertia", inertia, INERTIAS)
@@ -148,7 +155,8 @@ class AnalyticalSnake(PneumaticPlant):
         Args:
             spec: the robot.
             model: "complete" (prescribed bends), "simplified" (prescribed bends, chords frozen at l + L_o) or
-                "compliant" (bends deflected by load and inertia). A body with skin is not "simplified".
+                "compliant" (bends deflected by load and inertia); "quasistatic" (`quasistatic`) for a robot
+                whose segments bend in two directions, and only for it. A body with skin is not "simplified".
             friction: law of a robot on wheels, "axis" (one contact per connector, the law of the
                 dissertation), "wheel" (two wheels at the track), "ellipse" or "cosine" (two skids at the
                 track) or "viscous" (for tests); a skin has its own law, along the whole body.
@@ -181,7 +189,8 @@ class AnalyticalSnake(PneumaticPlant):
         Raises:
             InputError: unknown model, law, load, inertia or layout; a tick, time step or tolerance that is
                 not positive; no friction torque with another model; momentary loads with a law that does not
-                act at the wheels; a floor with steps; a tail on two axles; or touch with another model.
+                act at the wheels; a floor with steps; a tail on two axles; touch with another model; or a
+                model that does not fit the segments of the robot.
         """
         world, unit = world or World(), spec.scale.time
         tick = TICK_S * unit if tick is None else tick
@@ -302,6 +311,11 @@ class AnalyticalSnake(PneumaticPlant):
         for begin, end, piece in steps.chunks(self._coupling_step):
             yield schedule.slice(begin, end), piece
 
+    @property
+    def jumps(self) -> int:
+        """Number of jumps between resting poses since `reset`; 0 unless the model is "quasistatic"."""
+        return self._body.jumps
+
     def describe(self) -> dict[str, Any]:
         """Return the settings for the provenance of a run."""
         return (
@@ -327,6 +341,8 @@ class AnalyticalSnake(PneumaticPlant):
         return super().identity() | {"floor": short_digest(self._floor_plane)} | world
 
     def _make_body(self) -> Body:
+        if self.spec.is_spatial:
+            return QuasistaticArcs(self.spec, self._floor.slip, self.base)
         cells = self._divide()
         frozen = 1.0 if self._model == "simplified" else 0.0
         inertia = self._connector_inertia(cells.mass)
@@ -390,6 +406,9 @@ class AnalyticalSnake(PneumaticPlant):
 
     def _observe(self, time: np.ndarray, motion: Motion, trace: Trace) -> SnakeState:
         """Return the history of a motion."""
+        if isinstance(self._body, QuasistaticArcs):
+            sensed = self.sensor.read(motion.bend, time, self.seed)
+            return self._body.observe(time, motion, trace, sensed)
         cells, solid = self._body.cells, self._body.solid
         count, n = len(time), len(solid.mass)
         position, theta, force = np.empty((count, n, 2)), np.empty((count, n)), np.empty((count, n, 2))

@@ -83,6 +83,11 @@ class Body(Stateful, ABC):
         self.solid, self.floor, self.cells = solid, floor, cells
         self._shapes = kernels.STATES + 2 * bends, 3 + bends
 
+    @property
+    def jumps(self) -> int:
+        """Number of jumps between resting poses since `reset`; a planar body has one resting pose."""
+        return 0
+
     def bends(self) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
         """Return the current bends (rad) and bend rates (rad/s) if they are degrees of freedom, else None."""
         return None, None

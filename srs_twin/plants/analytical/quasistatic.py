@@ -1,0 +1,248 @@
+r"""Spatial body without inertia, model `quasistatic`: an arc per segment that rests on the floor and slides.
+
+A segment is an arc of constant curvature and twist, with the rotation vector w from its rear connector to the
+front one: the bends to the left and upwards and the twist are the components z, −y and x of w. The
+coordinates are the pose of the head connector and the bends q and twists of all segments. Weight and
+contacts are at points along the axis, a radius r above the lowest point of the body.
+
+**Equilibrium.** Without inertia, the forces of every moment balance. With the free bends q̂ of the chambers,
+stiffness k, damping c, the heights z_i, masses m_i and loads N_i of the points, and the velocity u of all
+coordinates, a step of length h minimises
+
+$$ \tfrac12 k\,(q + h\dot q - \hat q)^2 + \tfrac h2 c\,\dot q^2
+   + \sum_i m_i g\,h \dot z_i + \tfrac{\kappa_i}2 \max(0, r - z_i - h\dot z_i)^2
+   + h \sum_i N_i D(s_i) + \tfrac h2 \sum_i \frac{m_i}{\tau}(\dot z_i^2 + \dot\rho_i^2), $$
+
+divided by h. The terms are the elastic energy, the dissipation of the segments, the weight, a floor with the
+stiffness κ_i = m_i g/δ, in which a resting point sinks by δ, and the dissipation potential D of a friction
+law for the slip s_i, the velocity of the material vertically below the axis. So the pose at rest has the
+least potential energy, and the body moves along the floor with the least dissipated power. Friction bends the
+segments as well.
+
+The loads in front of D are those of the solution: the step is solved up to four times, each time with the
+loads of the last solution. A friction law without a potential, such as `cosine`, has no such minimum.
+
+**Jumps.** The resting pose can become unstable; the body then topples within a time that its inertia would
+determine. The drag of vertical motion and of rolling (surface velocity ρ̇) with the time τ takes the place of
+the inertia. It changes loads by the fraction ż/(g τ) in between, which is below 0.01. A step in which a point
+moves too far is divided. A jump is counted where a point becomes faster than √(g r)/4.
+
+**Validity.** Inertia may be neglected if the inertia number (2πf)² A/(μ g) is small, with the amplitude A of
+the lateral motion. The sag number m g λ²/(k p), with the wavelength λ along the body, the mass m in it and
+the pitch p, shows how far the weight bends the body between its supports.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+
+from srs_twin.errors import InputError
+from srs_twin.plants.analytical import quasistatic_kernels as kernels
+from srs_twin.plants.analytical.bodies import Body, Motion
+from srs_twin.plants.base import Pose, SpatialState
+from srs_twin.pneumatics import Trace
+from srs_twin.pneumatics.chambers import vector_bends
+from srs_twin.robot.spec import GRAVITY, RobotSpec
+
+_DEPTH_RATIO = 1 / 2000
+"""Depth of a resting point in the floor over the radius of the body, 1."""
+_DRAG_TIME_S = 0.5
+"""Time τ of the drag of vertical motion and of rolling at a time unit of 1 (`robot.scale`), s."""
+_MOVE_RATIO = 0.05
+"""Longest motion of a point in a substep over the radius of the body, 1."""
+_JUMP_RATIO = 0.25
+"""Speed of a point in a jump over √(g r), 1."""
+
+
+def make_constants(spec: RobotSpec, slip_speed: float, base: str) -> kernels.QuasistaticBody:
+    """Return the constants of a robot on a level floor, or of one that is held at its head.
+
+    Args:
+        spec: a spatial robot.
+        slip_speed: ε of the friction law, m/s.
+        base: "free" or "clamped".
+
+    Raises:
+        InputError: the friction law has no potential, or segments lengthen.
+    """
+    g, bending, mu, skin = spec.geometry, spec.bending, spec.friction, spec.skin
+    assert skin is not None and spec.mass.segments is not None, "spatial robots have a skin"
+    if skin.law != "ellipse":
+        raise InputError(
+            f"model 'quasistatic' needs a friction law with a potential, 'ellipse', not {skin.law!r}"
+        )
+    if spec.actuator.extension:
+        raise InputError("model 'quasistatic' has segments of constant length; remove actuator.extension")
+    place = (np.arange(skin.points) + 0.5) / skin.points * g.pitch
+    half_gap, radius = g.rigid_gap / 2, g.com_height
+    stiffness = np.array([bending.stiffness, bending.pitch_stiffness, bending.roll_stiffness])
+    times = np.array([bending.damping_time, bending.damping_time, bending.out_of_plane_damping_time])
+    return kernels.QuasistaticBody(
+        share=np.clip((place - half_gap) / g.segment_length, 0.0, 1.0),
+        front=np.minimum(place, half_gap),
+        rear=np.maximum(0.0, place - half_gap - g.segment_length),
+        mass=np.repeat(np.array(spec.mass.segments) / skin.points, skin.points),
+        length=g.segment_length,
+        gap=half_gap,
+        stiffness=stiffness,
+        damping=stiffness * times,
+        radius=radius,
+        depth=radius * _DEPTH_RATIO,
+        friction=(mu.mu_t, mu.backward, mu.mu_n, slip_speed),
+        drag_time=_DRAG_TIME_S * spec.scale.time,
+        longest_move=radius * _MOVE_RATIO,
+        jump_speed=_JUMP_RATIO * math.sqrt(GRAVITY * radius),
+        free=1.0 if base == "free" else 0.0,
+    )
+
+
+class QuasistaticArcs(Body):
+    """Body of `quasistatic` (module docstring); indices of its state as in `quasistatic_kernels`."""
+
+    state_attributes: ClassVar[tuple[str, ...]] = ("_sampled", "_theta")
+
+    def __init__(self, spec: RobotSpec, slip_speed: float, base: str) -> None:
+        """Set the constants; arguments and errors as in `make_constants`."""
+        self._spec, self._constants = spec, make_constants(spec, slip_speed, base)
+        points = len(self._constants.mass)
+        self._work = kernels.work_arrays(spec.segments, points // spec.segments)
+        self._impulses = slice(
+            kernels.BENDS + 3 * spec.segments, kernels.BENDS + 3 * (spec.segments + points)
+        )
+        self._shapes = self._impulses.stop + points, 6 + 3 * spec.segments
+        stations = (np.arange(points) + 0.5) * spec.geometry.body_length / points
+        self._weights = spec.connector_weights(stations)
+
+    @property
+    def jumps(self) -> int:
+        """See `Body.jumps`."""
+        return int(self.state[kernels.JUMPS])
+
+    def reset(self, pose: Pose) -> None:
+        """See `Body.reset`; with the rest bends of the modules."""
+        self.state, self.velocity = map(np.zeros, self._shapes)
+        constants, segments = self._constants, self._spec.segments
+        bends = self.state[kernels.BENDS :][: 3 * segments].reshape(segments, 3)
+        bends[:, 0] = self._spec.modules.array("bias")
+        self.state[self._impulses.stop :] = constants.mass * GRAVITY * constants.free
+        self._turn_head(0.0)
+        self._pose(self.state)
+        turn = pose[2] - self._headings().mean()
+        self._turn_head(turn)
+        self._pose(self.state)
+        self.state[:2] = np.array(pose[:2]) - self._com()[:2]
+        self.state[2] = constants.radius - constants.depth
+        self._sampled = self._exchanged(self.state[None])[0]
+        self._theta = np.full(segments + 1, float(pose[2]))
+
+    def place(self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
+        """See `Body.place`; a body without inertia starts as `reset` lays it."""
+        raise InputError("model 'quasistatic' can only start straight and at rest")
+
+    def move(
+        self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
+    ) -> tuple[int, np.ndarray, np.ndarray]:
+        """See `Body.move`."""
+        samples, free = self._allocate(len(sample_steps)), self._free_bends(trace.pressure[::2])
+        now = self.state, self.velocity
+        done: int = kernels.advance(now, steps, free, sample_steps, self._constants, self._work, samples)
+        return done, *samples
+
+    def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
+        """See `Body.motion`; bends, rates and torques have the shape (samples, segments, 2)."""
+        shape = len(states), self._spec.segments, 3
+        bend = states[:, kernels.BENDS : self._impulses.start].reshape(shape)[..., :2]
+        rate = velocities[:, 6:].reshape(shape)[..., :2]
+        stiffness, damping = self._constants.stiffness[:2], self._constants.damping[:2]
+        torque = stiffness * (self._free_bends(trace.pressure) - bend) - damping * rate
+        return Motion(states, velocities, bend, rate, torque)
+
+    def _free_bends(self, pressure: np.ndarray) -> np.ndarray:
+        """Return the bends without load, shape (times, segments, 2), rad."""
+        free: np.ndarray = vector_bends(self._spec, pressure)
+        free[..., 0] += self._spec.modules.array("bias")
+        return free
+
+    def observe(self, time: np.ndarray, motion: Motion, trace: Trace, sensed: np.ndarray) -> SpatialState:
+        """Return the history of a motion.
+
+        Args:
+            time: shape (samples,), s.
+            motion: motion at these times.
+            trace: trace of the chambers.
+            sensed: readings of the bends.
+        """
+        count, n = len(time), self._spec.geometry.connectors
+        com, velocity = np.empty((count, 3)), np.empty((count, 3))
+        position, frame, theta = np.empty((count, n, 3)), np.empty((count, n, 3, 3)), np.empty((count, n))
+        for k, state in enumerate(motion.states):
+            self._pose(state)
+            position[k], frame[k], theta[k] = self._work.position, self._work.frame, self._headings()
+            com[k] = self._com()
+            velocity[k] = self._mean(self._work.motion[:, :3] @ motion.velocities[k])
+        theta = np.unwrap(np.concatenate([self._theta[None], theta]), axis=0)[1:]
+        exchanged = self._exchanged(motion.states)
+        interval = np.diff(exchanged, axis=0, prepend=self._sampled[None])
+        if count:
+            self._theta, self._sampled = theta[-1].copy(), exchanged[-1]
+        impulse = interval[:, :-1].reshape(count, -1, 3) / np.maximum(interval[:, -1:, None], 1e-12)
+        force = np.einsum("ik,skc->sic", self._weights, impulse)
+        return SpatialState(
+            time=time,
+            com=com[:, :2],
+            com_velocity=velocity[:, :2],
+            heading=theta.mean(axis=1),
+            position=position[..., :2],
+            theta=theta,
+            bend=motion.bend,
+            bend_rate=motion.bend_rate,
+            pressure=trace.pressure,
+            valves=trace.valves,
+            sensed=sensed,
+            contact_force=force[..., :2],
+            obstacle_force=np.zeros((count, n, 2)),
+            torque=motion.torque,
+            work=motion.states[:, kernels.WORK],
+            internal_loss=motion.states[:, kernels.INTERNAL_LOSS],
+            air=trace.air,
+            qpos=np.empty((count, 0)),
+            height=position[..., 2],
+            orientation=quaternions(frame),
+            load=force[..., 2],
+        )
+
+    def _pose(self, state: np.ndarray) -> None:
+        kernels.pose(state, self._constants, self._work)
+
+    def _turn_head(self, heading: float) -> None:
+        c, s = math.cos(heading), math.sin(heading)
+        self.state[kernels.ROTATION :][:9] = c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0
+
+    def _headings(self) -> np.ndarray:
+        return np.arctan2(self._work.frame[:, 1, 0], self._work.frame[:, 0, 0])
+
+    def _com(self) -> np.ndarray:
+        return self._mean(self._work.point)
+
+    def _mean(self, values: np.ndarray) -> np.ndarray:
+        """Return the mean over the mass of values at the points, shape (points, 3)."""
+        mass = self._constants.mass
+        mean: np.ndarray = mass @ values / mass.sum()
+        return mean
+
+    def _exchanged(self, states: np.ndarray) -> np.ndarray:
+        """Return the impulses of the floor and the time of states, shape (samples, 3 points + 1)."""
+        return np.hstack([states[:, self._impulses], states[:, kernels.CLOCK :][:, :1]])
+
+
+def quaternions(frames: np.ndarray) -> np.ndarray:
+    """Return the quaternions of rotation matrices, w first and not negative, shape (…, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    turns: np.ndarray = Rotation.from_matrix(frames.reshape(-1, 3, 3)).as_quat(
+        canonical=True, scalar_first=True
+    )
+    return turns.reshape(*frames.shape[:-2], 4)
