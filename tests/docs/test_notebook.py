@@ -40,7 +40,7 @@ def test_notebook_is_valid_and_has_no_outputs():
 @pytest.mark.slow
 def test_plots_have_content(ran):
     cells, _ = ran
-    for name in ("plot", "bends", "errors"):
+    for name in ("plot", "bends", "errors", "sidewinding"):
         (picture,) = (out.data["image/png"] for out in cells[name].outputs if "data" in out)
         assert len(picture) > 10_000
 

@@ -224,6 +224,25 @@ def test_stage_restores_recorded_positions(runs, opengl_here):
             assert (x, y) == pytest.approx((twin[f"x_{i}"][row], twin[f"y_{i}"][row]), abs=1e-9)
 
 
+def test_contacts_of_a_spatial_snake_are_marked_up_to_the_time_of_the_picture(tmp_path):
+    scenario = shortened("spatial_sidewinding", 1.0)
+    run_scenario(scenario, tmp_path / "run", plants=["twin"])
+    run = load_run(tmp_path / "run").trajectories["twin"]
+    stage = Stage(scenario, run)
+    counts = []
+    for row in (0, 50, len(run) - 1):
+        scene = mujoco.MjvScene(stage.model, maxgeom=5000)
+        stage._add_marks(scene, row)
+        counts.append(scene.ngeom)
+        places = np.array([scene.geoms[k].pos[:2] for k in range(scene.ngeom)])
+        places = places.reshape(-1, 2)
+        touches = run.stack("load")[: row + 1] > 0.0
+        assert len(places) == touches.sum()
+        xy = np.stack([run.stack("x")[: row + 1], run.stack("y")[: row + 1]], axis=-1)
+        assert places == pytest.approx(xy[touches], abs=1e-6)
+    assert counts[0] < counts[1] < counts[2] < 0.8 * run.stack("load").size
+
+
 def test_a_ghost_a_scale_and_a_legend_are_in_the_picture(runs, opengl_here, tmp_path):
     """The orange body is where the other plant was; the boxes below are there with room for them alone."""
     run = load_run(runs / "gen2_straight")

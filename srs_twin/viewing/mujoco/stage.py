@@ -17,6 +17,7 @@ from srs_twin.viewing.additions import added_to
 from srs_twin.viewing.mujoco.canvas import Canvas, Label
 from srs_twin.viewing.plots.signals import body_line, pressure_difference
 from srs_twin.viewing.plots.style import (
+    CONTACT_COLOR,
     MINUS_COLOR,
     PLUS_COLOR,
     STYLES,
@@ -29,6 +30,10 @@ Ghost = tuple[str, Trajectory]
 """Name and trajectory of a plant that is drawn translucently."""
 
 _MAX_TRAIL_POINTS = 400
+_MAX_MARKS = 2000
+"""Largest number of marks of contacts on the floor."""
+_MARK_RATIO = 0.005
+"""Radius of a mark over the body length, 1."""
 _OBSTACLE_ALPHA = 0.35
 _TEXT_COLOR = "#30333a"
 _GHOST_ALPHA = 0.13
@@ -89,6 +94,8 @@ class Stage:
         step = max(1, -(-len(run) // _MAX_TRAIL_POINTS))
         self._trail_rows = np.arange(0, len(run), step)
         self._floor_lines = _floor_lines(run)
+        self._marks = contact_marks(run)
+        self._mark_radius = _MARK_RATIO * scenario.robot.geometry.body_length
 
     @property
     def duration(self) -> float:
@@ -119,6 +126,7 @@ class Stage:
 
         def add(scene: mujoco.MjvScene) -> None:
             self.add_lines(scene, row)
+            self._add_marks(scene, row)
             self._add_scale_bar(scene, camera)
             self._add_ghost(scene, row)
 
@@ -132,6 +140,17 @@ class Stage:
             add_line(scene, self.run.com[rows], STYLES["twin"].color, half_width, level=2)
         for points, color in self._floor_lines:
             add_line(scene, points, color, half_width)
+
+    def _add_marks(self, scene: mujoco.MjvScene, row: int) -> None:
+        """Add the places where connectors of a spatial snake pressed on the floor up to a sample."""
+        rows, points = self._marks
+        disc, rgba = mujoco.mjtGeom.mjGEOM_CYLINDER, np.array(unit_rgba(CONTACT_COLOR), dtype=np.float32)
+        size = [self._mark_radius, self._mark_radius, _LINE_M / 2]
+        for x, y in points[rows <= row]:
+            if scene.ngeom == scene.maxgeom:
+                return
+            mujoco.mjv_initGeom(scene.geoms[scene.ngeom], disc, size, [x, y, 0.0], np.eye(3).ravel(), rgba)
+            scene.ngeom += 1
 
     def _add_scale_bar(self, scene: mujoco.MjvScene, camera: mujoco.MjvCamera) -> None:
         """Add a scale bar of 0.1 m with a label, between the camera and its target."""
@@ -164,6 +183,20 @@ class Stage:
             scene.ngeom += 1
 
 
+def contact_marks(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Return the places where connectors of a spatial snake press on the floor; none for a planar one.
+
+    Returns:
+        Samples, shape (marks,), and points, shape (marks, 2), m; the samples are thinned out to `_MAX_MARKS`.
+    """
+    if not run.has("load"):
+        return np.empty(0, dtype=int), np.empty((0, 2))
+    touches = run.stack("load") > 0.0
+    step = max(1, -(-int(touches.sum()) // _MAX_MARKS))
+    rows, connectors = np.nonzero(touches[::step])
+    return rows * step, np.stack([run.stack("x"), run.stack("y")], axis=-1)[rows * step, connectors]
+
+
 def add_line(
     scene: mujoco.MjvScene, points: np.ndarray, color: str, half_width: float, level: int = 1
 ) -> None:
@@ -193,8 +226,10 @@ def add_line(
 
 def _legend(run: Trajectory, ghost: Ghost | None, *, bench: bool) -> list[Label]:
     """Return the labels that explain the colours."""
-    labels = [Label("p+ > p-", PLUS_COLOR), Label("p+ < p-", MINUS_COLOR)]
+    sides = [Label("p+ > p-", PLUS_COLOR), Label("p+ < p-", MINUS_COLOR)]
+    labels = sides if run.has("pressure_plus") else []
     labels += [] if bench else [Label("twin, CoM", STYLES["twin"].color)]
+    labels += [Label("contacts", CONTACT_COLOR)] if run.has("load") else []
     if pictures := added_to(run):
         labels += [Label(name, color) for name, color in pictures.legend.items()]
     return labels + ([] if ghost is None else [Label(ghost[0], style_of(ghost[0]).color)])

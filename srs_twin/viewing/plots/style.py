@@ -29,6 +29,8 @@ MINUS_COLOR = "#009e73"
 """Colour of a higher pressure in the − chamber."""
 
 GOAL_COLOR = "#b03030"
+CONTACT_COLOR = "#55607a"
+"""Marks of places where a lifted snake touches the floor."""
 
 
 def rgb(color: str) -> tuple[int, int, int]:
