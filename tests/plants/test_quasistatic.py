@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from srs_twin import AnalyticalSnake, Gait, load_robot, load_scenario, rollout
 from srs_twin.control.gait import PitchWave
 from srs_twin.errors import InputError, InputFileError
-from srs_twin.plants.analytical import quasistatic_kernels as kernels
+from srs_twin.plants.analytical import quasistatic_kernels
+from srs_twin.plants.analytical import spatial_kinematics as kernels
 from srs_twin.plants.analytical.quasistatic import make_constants
 from srs_twin.robot.spec import GRAVITY, Skin
 from srs_twin.robot.world import Floor, World
@@ -75,7 +76,9 @@ def test_velocities_of_all_points_are_the_derivatives_of_their_positions():
             moved = state.copy()
             work.bend[:] = work.load[:] = 0.0
             kernels.pose(state, constants, work)
-            kernels._move_state(velocity, moved, constants, work, step, np.empty((3, 3)), np.empty(9))
+            quasistatic_kernels._move_state(
+                velocity, moved, constants, work, step, np.empty((3, 3)), np.empty(9)
+            )
             kernels.pose(moved, constants, work)
             places.append(work.point.copy())
         assert (places[0] - places[1]) / 2e-6 == pytest.approx(motion[:, :, row], abs=1e-7)
@@ -213,7 +216,7 @@ def test_a_heavy_snake_that_stands_on_its_bend_falls_over_and_the_jump_is_counte
     up[:, 2] = 1
     for _ in range(100):
         state = snake.step(up)
-    # All segments bent upwards form a ring, which stands on one place and topples.
+    # All segments bent upwards form a ring with a single support, which topples.
     assert snake.jumps >= 1 and abs(state.height - SPEC.geometry.com_height).min() < 1e-3
 
 

@@ -40,8 +40,9 @@ from typing import ClassVar
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.plants.analytical import quasistatic_kernels as kernels
+from srs_twin.plants.analytical import spatial_kinematics as kinematics
 from srs_twin.plants.analytical.bodies import Body, Motion
+from srs_twin.plants.analytical.quasistatic_kernels import advance
 from srs_twin.plants.base import Pose, SpatialState
 from srs_twin.pneumatics import Trace
 from srs_twin.pneumatics.chambers import vector_bends
@@ -57,7 +58,7 @@ _JUMP_RATIO = 0.25
 """Speed of a point in a jump over √(g r), 1."""
 
 
-def make_constants(spec: RobotSpec, slip_speed: float, base: str) -> kernels.QuasistaticBody:
+def make_constants(spec: RobotSpec, slip_speed: float, base: str) -> kinematics.QuasistaticBody:
     """Return the constants of a robot on a level floor, or of one that is held at its head.
 
     Args:
@@ -80,7 +81,7 @@ def make_constants(spec: RobotSpec, slip_speed: float, base: str) -> kernels.Qua
     half_gap, radius = g.rigid_gap / 2, g.com_height
     stiffness = np.array([bending.stiffness, bending.pitch_stiffness, bending.roll_stiffness])
     times = np.array([bending.damping_time, bending.damping_time, bending.out_of_plane_damping_time])
-    return kernels.QuasistaticBody(
+    return kinematics.QuasistaticBody(
         share=np.clip((place - half_gap) / g.segment_length, 0.0, 1.0),
         front=np.minimum(place, half_gap),
         rear=np.maximum(0.0, place - half_gap - g.segment_length),
@@ -100,7 +101,7 @@ def make_constants(spec: RobotSpec, slip_speed: float, base: str) -> kernels.Qua
 
 
 class QuasistaticArcs(Body):
-    """Body of `quasistatic` (module docstring); indices of its state as in `quasistatic_kernels`."""
+    """Body of `quasistatic` (module docstring); indices of its state as in `spatial_kinematics`."""
 
     state_attributes: ClassVar[tuple[str, ...]] = ("_sampled", "_theta")
 
@@ -108,9 +109,9 @@ class QuasistaticArcs(Body):
         """Set the constants; arguments and errors as in `make_constants`."""
         self._spec, self._constants = spec, make_constants(spec, slip_speed, base)
         points = len(self._constants.mass)
-        self._work = kernels.work_arrays(spec.segments, points // spec.segments)
+        self._work = kinematics.work_arrays(spec.segments, points // spec.segments)
         self._impulses = slice(
-            kernels.BENDS + 3 * spec.segments, kernels.BENDS + 3 * (spec.segments + points)
+            kinematics.BENDS + 3 * spec.segments, kinematics.BENDS + 3 * (spec.segments + points)
         )
         self._shapes = self._impulses.stop + points, 6 + 3 * spec.segments
         stations = (np.arange(points) + 0.5) * spec.geometry.body_length / points
@@ -119,13 +120,13 @@ class QuasistaticArcs(Body):
     @property
     def jumps(self) -> int:
         """See `Body.jumps`."""
-        return int(self.state[kernels.JUMPS])
+        return int(self.state[kinematics.JUMPS])
 
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`; with the rest bends of the modules."""
         self.state, self.velocity = map(np.zeros, self._shapes)
         constants, segments = self._constants, self._spec.segments
-        bends = self.state[kernels.BENDS :][: 3 * segments].reshape(segments, 3)
+        bends = self.state[kinematics.BENDS :][: 3 * segments].reshape(segments, 3)
         bends[:, 0] = self._spec.modules.array("bias")
         self.state[self._impulses.stop :] = constants.mass * GRAVITY * constants.free
         self._turn_head(0.0)
@@ -148,13 +149,13 @@ class QuasistaticArcs(Body):
         """See `Body.move`."""
         samples, free = self._allocate(len(sample_steps)), self._free_bends(trace.pressure[::2])
         now = self.state, self.velocity
-        done: int = kernels.advance(now, steps, free, sample_steps, self._constants, self._work, samples)
+        done: int = advance(now, steps, free, sample_steps, self._constants, self._work, samples)
         return done, *samples
 
     def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
         """See `Body.motion`; bends, rates and torques have the shape (samples, segments, 2)."""
         shape = len(states), self._spec.segments, 3
-        bend = states[:, kernels.BENDS : self._impulses.start].reshape(shape)[..., :2]
+        bend = states[:, kinematics.BENDS : self._impulses.start].reshape(shape)[..., :2]
         rate = velocities[:, 6:].reshape(shape)[..., :2]
         stiffness, damping = self._constants.stiffness[:2], self._constants.damping[:2]
         torque = stiffness * (self._free_bends(trace.pressure) - bend) - damping * rate
@@ -205,8 +206,8 @@ class QuasistaticArcs(Body):
             contact_force=force[..., :2],
             obstacle_force=np.zeros((count, n, 2)),
             torque=motion.torque,
-            work=motion.states[:, kernels.WORK],
-            internal_loss=motion.states[:, kernels.INTERNAL_LOSS],
+            work=motion.states[:, kinematics.WORK],
+            internal_loss=motion.states[:, kinematics.INTERNAL_LOSS],
             air=trace.air,
             qpos=np.empty((count, 0)),
             height=position[..., 2],
@@ -215,11 +216,11 @@ class QuasistaticArcs(Body):
         )
 
     def _pose(self, state: np.ndarray) -> None:
-        kernels.pose(state, self._constants, self._work)
+        kinematics.pose(state, self._constants, self._work)
 
     def _turn_head(self, heading: float) -> None:
         c, s = math.cos(heading), math.sin(heading)
-        self.state[kernels.ROTATION :][:9] = c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0
+        self.state[kinematics.ROTATION :][:9] = c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0
 
     def _headings(self) -> np.ndarray:
         return np.arctan2(self._work.frame[:, 1, 0], self._work.frame[:, 0, 0])
@@ -235,7 +236,7 @@ class QuasistaticArcs(Body):
 
     def _exchanged(self, states: np.ndarray) -> np.ndarray:
         """Return the impulses of the floor and the time of states, shape (samples, 3 points + 1)."""
-        return np.hstack([states[:, self._impulses], states[:, kernels.CLOCK :][:, :1]])
+        return np.hstack([states[:, self._impulses], states[:, kinematics.CLOCK :][:, :1]])
 
 
 def quaternions(frames: np.ndarray) -> np.ndarray:

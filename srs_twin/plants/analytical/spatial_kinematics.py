@@ -1,0 +1,301 @@
+"""Compiled kinematics of a spatial body: arcs of constant curvature and twist (`quasistatic`).
+
+Velocities are ordered as the position and the rotation of the head connector in the world frame, then the
+rates of the bends to the left and upwards and of the twist of each segment, head first.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from srs_twin.compute.compiled import allocating, compiled
+
+# Layout of a state: position and rotation matrix (by rows) of the head connector, accumulated quantities,
+# then the bends. The impulses of the floor on all points, shape (points, 3), and their loads follow.
+ROTATION = 3
+WORK = 12  # work of the torques, J
+FRICTION_LOSS = 13  # energy that the floor dissipates, J
+INTERNAL_LOSS = 14  # energy that twisting dissipates, J
+DRAG_LOSS = 15  # energy that the drag of vertical and rolling motion dissipates, J
+CLOCK = 16  # time, s
+JUMPS = 17  # number of jumps between resting poses, 1
+IS_JUMPING = 18  # 1 during a jump, otherwise 0
+BENDS = 19
+
+ROWS = 4  # of `Work.rows`: velocity of a contact along and across the body, and upwards, and rolling velocity
+ALONG, ACROSS, UP, ROLL = range(ROWS)
+
+
+class QuasistaticBody(NamedTuple):
+    """Constants of the body and of the floor. P points per segment, S segments.
+
+    Attributes:
+        share: fraction of the arc ahead of a point, shape (P,), 1.
+        front: straight length between the connector and the arc, shape (P,), m.
+        rear: straight length between the arc and the point, shape (P,), m.
+        mass: masses of the points, shape (S P,), kg.
+        length: length of an arc, m.
+        gap: straight length at each end of an arc, m.
+        stiffness: against bends and twist, shape (3,), N·m/rad.
+        damping: same order, shape (3,), N·m·s/rad.
+        radius: m.
+        depth: depth of the resting points in the floor, m.
+        friction: coefficients forwards, backwards and across, 1, and the slip speed, m/s.
+        drag_time: mass over the drag of vertical and rolling motion, s.
+        longest_move: longest motion of a point in a substep, m.
+        jump_speed: speed of a point in a jump, m/s.
+        free: 1 for a body on the floor, 0 for one that is held at its head in the air.
+    """
+
+    share: np.ndarray
+    front: np.ndarray
+    rear: np.ndarray
+    mass: np.ndarray
+    length: float
+    gap: float
+    stiffness: np.ndarray
+    damping: np.ndarray
+    radius: float
+    depth: float
+    friction: tuple[float, float, float, float]
+    drag_time: float
+    longest_move: float
+    jump_speed: float
+    free: float
+
+
+class Work(NamedTuple):
+    """Arrays of a step.
+
+    Attributes:
+        position: of the connectors, shape (S + 1, 3), m.
+        frame: rotation matrices of the connectors, shape (S + 1, 3, 3).
+        point: shape (S P, 3), m.
+        heading: cosine and sine of the horizontal direction of the body at each point, shape (S P, 2).
+        motion: velocity of each point and its angular velocity per velocity, shape (S P, 6, velocities).
+        rows: see `ROWS`, shape (S P, ROWS, velocities).
+        load: normal force on each point, shape (S P,), N.
+        law_load: normal force in the friction law, shape (S P,), N.
+        force: friction along and across, shape (S P, 2), N.
+        linear: slope of the residual without contacts, shape (velocities, velocities).
+        at_rest: residual without contacts and velocities, shape (velocities,).
+        matrix: Newton's matrix, lower triangle, shape (velocities, velocities).
+        residual: shape (velocities,).
+        direction: shape (velocities,).
+        trial: shape (velocities,).
+        bend: free bends and twist (0), shape (S, 3), rad.
+        base: spatial velocity of the rear connector of each segment per rate of bends, shape (S, 6, 3).
+    """
+
+    position: np.ndarray
+    frame: np.ndarray
+    point: np.ndarray
+    heading: np.ndarray
+    motion: np.ndarray
+    rows: np.ndarray
+    load: np.ndarray
+    law_load: np.ndarray
+    force: np.ndarray
+    linear: np.ndarray
+    at_rest: np.ndarray
+    matrix: np.ndarray
+    residual: np.ndarray
+    direction: np.ndarray
+    trial: np.ndarray
+    bend: np.ndarray
+    base: np.ndarray
+
+
+def work_arrays(segments: int, points: int) -> Work:
+    """Return arrays for a body with a number of segments and points per segment."""
+    n, count, velocities = segments + 1, segments * points, 6 + 3 * segments
+    shapes = [(n, 3), (n, 3, 3), (count, 3), (count, 2), (count, 6, velocities), (count, ROWS, velocities)]
+    square, vector = (velocities, velocities), (velocities,)
+    shapes += [(count,), (count,), (count, 2), square, vector, square, vector, vector, vector]
+    shapes += [(segments, 3), (segments, 6, 3)]
+    return Work(*map(np.zeros, shapes))
+
+
+@compiled
+def rotate(turn, out):  # type: ignore[no-untyped-def]
+    """Fill the rotation matrix exp([turn]) of a rotation vector, rad."""
+    x, y, z = turn
+    square = x * x + y * y + z * z
+    angle = math.sqrt(square)
+    if angle > 1e-4:
+        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
+    else:
+        a, b = 1.0 - square / 6.0, 0.5 - square / 24.0
+    out[0, 0], out[0, 1], out[0, 2] = 1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
+    out[1, 0], out[1, 1], out[1, 2] = b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x
+    out[2, 0], out[2, 1], out[2, 2] = b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)
+
+
+@compiled
+def _spin(turn, axis):  # type: ignore[no-untyped-def]
+    """Return the angular velocity of exp([turn]) per rate of one component of `turn` (left Jacobian)."""
+    x, y, z = turn
+    square = x * x + y * y + z * z
+    angle = math.sqrt(square)
+    if angle > 1e-3:
+        b, c = (1.0 - math.cos(angle)) / square, (angle - math.sin(angle)) / (square * angle)
+    else:
+        b, c = 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
+    part = (x, y, z)[axis]
+    e_x, e_y, e_z = 1.0 * (axis == 0), 1.0 * (axis == 1), 1.0 * (axis == 2)
+    # e + b t × e + c t × (t × e), with t × (t × e) = t (t · e) − e t²
+    return (
+        e_x + b * (y * e_z - z * e_y) + c * (x * part - e_x * square),
+        e_y + b * (z * e_x - x * e_z) + c * (y * part - e_y * square),
+        e_z + b * (x * e_y - y * e_x) + c * (z * part - e_z * square),
+    )
+
+
+@compiled
+def _arc(w, u, lengths, offset, turn, slopes):  # type: ignore[no-untyped-def]
+    """Fill the place behind a connector, in its frame, and its derivatives by the components of w.
+
+    Args:
+        w: rotation vector of the front connector relative to the rear one, rad.
+        u: fraction of the arc, 1.
+        lengths: straight length ahead of the arc, length of the arc, and straight length behind, m.
+        offset: out, shape (3,), m.
+        turn: out, rotation matrix, shape (3, 3).
+        slopes: out, velocity and angular velocity per rate of each component of w, shape (6, 3).
+    """
+    front, length, rear = lengths
+    x, y, z = w
+    half = (-u / 2 * x, -u / 2 * y, -u / 2 * z)
+    rotate(half, turn)
+    m_x, m_y, m_z = turn[0, 0], turn[1, 0], turn[2, 0]
+    # The chord of an arc with the bend b is sin(b/2)/(b/2) of its length, along the middle of the arc.
+    bend = math.sqrt(y * y + z * z)
+    a = u * bend / 2
+    if a > 1e-3:
+        ratio, slope = math.sin(a) / a, (math.cos(a) - math.sin(a) / a) / a
+    else:
+        ratio, slope = 1.0 - a * a / 6, -a / 3
+    chord = length * u
+    rotate((2 * half[0], 2 * half[1], 2 * half[2]), turn)
+    t_x, t_y, t_z = turn[0, 0], turn[1, 0], turn[2, 0]
+    offset[0] = -front - chord * ratio * m_x - rear * t_x
+    offset[1] = -chord * ratio * m_y - rear * t_y
+    offset[2] = -chord * ratio * m_z - rear * t_z
+    for i in range(3):
+        s_x, s_y, s_z = _spin(half, i)
+        h_x, h_y, h_z = -u / 2 * s_x, -u / 2 * s_y, -u / 2 * s_z
+        s_x, s_y, s_z = _spin((2 * half[0], 2 * half[1], 2 * half[2]), i)
+        e_x, e_y, e_z = -u * s_x, -u * s_y, -u * s_z
+        stretch = 0.0
+        if bend > 0.0 and i > 0:
+            stretch = slope * u / 2 * w[i] / bend
+        slopes[0, i] = -chord * (stretch * m_x + ratio * (h_y * m_z - h_z * m_y))
+        slopes[1, i] = -chord * (stretch * m_y + ratio * (h_z * m_x - h_x * m_z))
+        slopes[2, i] = -chord * (stretch * m_z + ratio * (h_x * m_y - h_y * m_x))
+        slopes[0, i] -= rear * (e_y * t_z - e_z * t_y)
+        slopes[1, i] -= rear * (e_z * t_x - e_x * t_z)
+        slopes[2, i] -= rear * (e_x * t_y - e_y * t_x)
+        slopes[3, i], slopes[4, i], slopes[5, i] = e_x, e_y, e_z
+
+
+@compiled
+def _turned(frame, x, y, z):  # type: ignore[no-untyped-def]
+    """Return a vector in the world frame."""
+    return (
+        frame[0, 0] * x + frame[0, 1] * y + frame[0, 2] * z,
+        frame[1, 0] * x + frame[1, 1] * y + frame[1, 2] * z,
+        frame[2, 0] * x + frame[2, 1] * y + frame[2, 2] * z,
+    )
+
+
+@compiled
+def _fill_motion(motion, place, j, work, slopes):  # type: ignore[no-untyped-def]
+    """Fill velocity and angular velocity of a place on segment j per velocity of the body.
+
+    Args:
+        motion: out, shape (6, velocities).
+        place: shape (3,), m.
+        j: segment.
+        work: posed body ahead of the place.
+        slopes: as in `_arc`.
+    """
+    x, y, z = place[0], place[1], place[2]
+    r_x, r_y, r_z = x - work.position[0, 0], y - work.position[0, 1], z - work.position[0, 2]
+    for i in range(3):
+        for row in range(6):
+            motion[row, i] = motion[row, 3 + i] = 0.0
+        motion[i, i] = motion[3 + i, 3 + i] = 1.0
+    motion[0, 4], motion[0, 5] = r_z, -r_y
+    motion[1, 3], motion[1, 5] = -r_z, r_x
+    motion[2, 3], motion[2, 4] = r_y, -r_x
+    for k in range(j):
+        base, rear = work.base[k], work.position[k + 1]
+        r_x, r_y, r_z = x - rear[0], y - rear[1], z - rear[2]
+        for i in range(3):
+            column = 6 + 3 * k + i
+            s_x, s_y, s_z = base[3, i], base[4, i], base[5, i]
+            motion[0, column] = base[0, i] + s_y * r_z - s_z * r_y
+            motion[1, column] = base[1, i] + s_z * r_x - s_x * r_z
+            motion[2, column] = base[2, i] + s_x * r_y - s_y * r_x
+            motion[3, column], motion[4, column], motion[5, column] = s_x, s_y, s_z
+    _turn_slopes(slopes, work.frame[j], motion, 6 + 3 * j)
+
+
+@compiled
+def _turn_slopes(slopes, frame, out, column):  # type: ignore[no-untyped-def]
+    """Write the derivatives by w in the world frame, by bend to the left, bend upwards and twist.
+
+    These are the components z, −y and x of w.
+    """
+    for i in range(3):
+        source, sign = 2 - i, -1.0 if i == 1 else 1.0
+        v = _turned(frame, slopes[0, source], slopes[1, source], slopes[2, source])
+        s = _turned(frame, slopes[3, source], slopes[4, source], slopes[5, source])
+        for row in range(3):
+            out[row, column + i] = sign * v[row]
+            out[3 + row, column + i] = sign * s[row]
+
+
+@allocating
+def pose(state, body, work):  # type: ignore[no-untyped-def]
+    """Fill positions, frames, points and their motions in the workspace for a state."""
+    segments, count = work.bend.shape[0], body.share.shape[0]
+    offset, turn, slopes = np.empty(3), np.empty((3, 3)), np.empty((6, 3))
+    for i in range(3):
+        work.position[0, i] = state[i]
+        for k in range(3):
+            work.frame[0, i, k] = state[ROTATION + 3 * i + k]
+    for j in range(segments):
+        frame, here = work.frame[j], work.position[j]
+        w = (state[BENDS + 3 * j + 2], -state[BENDS + 3 * j + 1], state[BENDS + 3 * j])
+        for m in range(count):
+            p = j * count + m
+            _arc(w, body.share[m], (body.front[m], body.length, body.rear[m]), offset, turn, slopes)
+            x, y, z = _turned(frame, offset[0], offset[1], offset[2])
+            work.point[p, 0], work.point[p, 1], work.point[p, 2] = here[0] + x, here[1] + y, here[2] + z
+            t_x, t_y, t_z = _turned(frame, turn[0, 0], turn[1, 0], turn[2, 0])
+            flat = max(math.sqrt(t_x * t_x + t_y * t_y), 1e-12)
+            c, s = t_x / flat, t_y / flat
+            work.heading[p, 0], work.heading[p, 1] = c, s
+            motion, rows = work.motion[p], work.rows[p]
+            _fill_motion(motion, work.point[p], j, work, slopes)
+            for i in range(9 + 3 * j):
+                # Velocity of the material vertically below the axis, and rolling velocity of the surface.
+                v_x = motion[0, i] - body.radius * motion[4, i]
+                v_y = motion[1, i] + body.radius * motion[3, i]
+                rows[ALONG, i], rows[ACROSS, i] = c * v_x + s * v_y, c * v_y - s * v_x
+                rows[UP, i] = motion[2, i]
+                rows[ROLL, i] = body.radius * (t_x * motion[3, i] + t_y * motion[4, i] + t_z * motion[5, i])
+        _arc(w, 1.0, (body.gap, body.length, body.gap), offset, turn, slopes)
+        x, y, z = _turned(frame, offset[0], offset[1], offset[2])
+        there, base = work.position[j + 1], work.base[j]
+        there[0], there[1], there[2] = here[0] + x, here[1] + y, here[2] + z
+        _turn_slopes(slopes, frame, base, 0)
+        for i in range(3):
+            for row in range(3):
+                work.frame[j + 1, row, i] = (
+                    frame[row, 0] * turn[0, i] + frame[row, 1] * turn[1, i] + frame[row, 2] * turn[2, i]
+                )
