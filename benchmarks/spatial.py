@@ -5,7 +5,8 @@
 The robot is `spatial_slender`, with chambers as slow as the gait (time constants of half a period), so that
 the wave has the same shape at every frequency. 16 points: four frequencies, and four pairs of pitch share and
 lag. A run has two periods of warm-up and three that count. The inertia number (2πf)² A/(μ g) uses the lateral
-amplitude A of the middle connector. FILE collects the finished points, one line of JSON each; they are not repeated.
+amplitude A of the middle connector. FILE collects the finished
+points, one line of JSON each; they are not repeated.
 """
 
 from __future__ import annotations
