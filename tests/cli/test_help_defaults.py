@@ -41,7 +41,7 @@ PHRASES = {
     "the end in the direction of motion",
     "free", "none", "no motion capture", "run until Ctrl-C", "this machine's",
     "the run's folder", "ROBOT_WHAT", "ROBOT_CONTROLLER", "3; 1 with the twin's shapes", "local",
-    "generation 2", "scaled from generation 2", "NAME.yaml, NAME.py",
+    "orifice; spatial robots: lag", "generation 2", "scaled from generation 2", "NAME.yaml, NAME.py",
     "all in MCAP, else the twin", "RUN/twin.csv, RUN/run.mcap",
 }  # fmt: skip
 
