@@ -8,16 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from scipy.spatial.transform import Rotation
 from screenshot import screenshots
 from synthetic import Snake, numbered, with_columns
 from viewing_runs import pair, robot
 
+from srs_twin import Gait, TwinSnake, load_robot, rollout
 from srs_twin.comparison.contacts import touches
+from srs_twin.control.gait import PitchWave
 from srs_twin.errors import InputError
 from srs_twin.planning.metrics import following_metrics
 from srs_twin.trajectory import Event, Trajectory
 from srs_twin.viewing.plots.signals import kind_of, wheel_turns
 from srs_twin.viewing.plots.style import STYLES
+from srs_twin.viewing.rerun import scene
 from srs_twin.viewing.rerun.recording import events_of, subsample, write_recording
 
 
@@ -209,3 +213,17 @@ def test_recording_with_all_signals_is_small(tmp_path):
     path = tmp_path / "r.rrd"
     write_recording(path, spec=robot(), trajectories=runs)
     assert path.stat().st_size < 5e6
+
+
+def test_a_spatial_snake_is_drawn_above_the_floor_where_it_lifts_itself():
+    spec = load_robot("spatial_example")
+    run = rollout(TwinSnake(spec, supply_pa=20e3), Gait(0.5, pitch=PitchWave(0.4)), 1.0, record_hz=10)
+    lines = scene._lines(run, spec.geometry)
+    ends = np.concatenate([run.position, run.stack("z")[..., None]], axis=-1)
+    assert np.ptp(run.stack("z")[-1]) > 0.01
+    assert lines[:, :, 0] == pytest.approx(ends[:, :-1]) and lines[:, :, -1] == pytest.approx(ends[:, 1:])
+    length = np.linalg.norm(np.diff(lines, axis=2), axis=-1).sum(axis=2)
+    assert length == pytest.approx(np.full_like(length, spec.geometry.pitch), rel=0.03)
+    steps = np.diff(lines[-1, 0], axis=0)
+    turned = Rotation.from_quat(scene._along(steps)).apply([0.0, 0.0, 1.0])
+    assert turned == pytest.approx(steps / np.linalg.norm(steps, axis=1, keepdims=True), abs=1e-6)

@@ -15,7 +15,7 @@ from srs_twin.robot.spec import Geometry, RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import FloorLine
-from srs_twin.viewing.plots.signals import body_line, pressure_difference, wheel_centres, wheel_turns
+from srs_twin.viewing.plots.signals import pressure_difference, wheel_centres, wheel_turns
 from srs_twin.viewing.plots.style import Style, pressure_colors, rgb
 from srs_twin.viewing.rerun.blueprint import TIMELINE
 
@@ -139,6 +139,8 @@ CHORDS = 6
 
 Rgba = tuple[int, int, int, int]
 _GHOST_ALPHA = 120
+_MAX_TRACKS = 20_000
+"""Largest number of points that mark where a spatial snake pressed on the floor."""
 _CONNECTOR_COLOR: Rgba = (70, 74, 82, 255)
 _WHEEL_COLOR: Rgba = (28, 30, 34, 255)
 _SPOKE_COLOR: Rgba = (200, 202, 206, 255)
@@ -160,23 +162,69 @@ def send_snake(to: Entities, snake: Trajectory, spec: RobotSpec, style: Style, *
         _send_wheels(to, snake, geometry, wheels)
     if wheeled and not ghost:
         _send_spokes(to, snake, geometry)
+    if spec.is_spatial:
+        _send_tracks(to, snake, style)
     _send_trail(to, snake, style)
+
+
+def _send_tracks(to: Entities, snake: Trajectory, style: Style) -> None:
+    """Log the places where connectors press on the floor during the whole run."""
+    places = snake.position[snake.stack("load") > 0.0]
+    points = _at_height(places[:: -(-len(places) // _MAX_TRACKS) or 1], _LINE_HEIGHT_M)
+    to.static("tracks", rr.Points3D(points, colors=[style.rgb], radii=[_FORCE_RADIUS_M]))
+
+
+def _heights(snake: Trajectory, geometry: Geometry) -> np.ndarray:
+    """Return the heights of the drawn connectors, shape (samples, N), m."""
+    raised = line_height(geometry) - geometry.com_height
+    return (
+        snake.stack("z") + raised if snake.has("z") else np.full_like(snake.stack("x"), line_height(geometry))
+    )
+
+
+def _lines(snake: Trajectory, geometry: Geometry) -> np.ndarray:
+    """Return the centre line of every segment, front first, shape (samples, segments, points, 3), m.
+
+    Segments of a spatial snake are cubic curves between the connectors, along the axes of both.
+    """
+    if not snake.has("z"):
+        flat = centre_lines(snake, geometry, CHORDS)
+        return np.concatenate([flat, np.full_like(flat[..., :1], line_height(geometry))], axis=-1)
+    place = np.concatenate([snake.position, _heights(snake, geometry)[..., None]], axis=-1)
+    x, y, z, w = np.moveaxis(_orientations(snake), -1, 0)
+    axis = np.stack([1 - 2 * (y**2 + z**2), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=-1)
+    t = np.linspace(0.0, 1.0, CHORDS + 3)[:, None]
+    front, rear = place[:, :-1, None], place[:, 1:, None]
+    tangents = -geometry.pitch * axis
+    blend = t**2 * (3 - 2 * t)
+    curve = t * (1 - t) ** 2 * tangents[:, :-1, None] + t**2 * (t - 1) * tangents[:, 1:, None]
+    line: np.ndarray = front + blend * (rear - front) + curve
+    return line
+
+
+def _orientations(snake: Trajectory) -> np.ndarray:
+    """Return the quaternions of the connectors, xyzw, shape (samples, N, 4)."""
+    if snake.has("quaternion_w"):
+        return np.stack([snake.stack(f"quaternion_{axis}") for axis in "xyzw"], axis=-1)
+    half = snake.stack("theta") / 2
+    zero = np.zeros_like(half)
+    return np.stack([zero, zero, np.sin(half), np.cos(half)], axis=-1)
 
 
 def _send_tubes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
     """Log each segment as capsules along its centre line, coloured by its pressure difference."""
-    lines = centre_lines(snake, geometry, CHORDS)
+    lines = _lines(snake, geometry)
     colors = pressure_colors(pressure_difference(snake))
     for j in range(geometry.segments):
         name, line = f"body/segment_{j + 1}", lines[:, j]
         step = np.diff(line, axis=1)
         # The chord lengths change by only 0.3 % up to a bend of 90°, so they are static.
-        lengths = np.hypot(*step[0].T)
+        lengths = np.linalg.norm(step[0], axis=-1)
         tube = rr.Capsules3D.from_fields(lengths=lengths, radii=[geometry.width / 2], fill_mode="solid")
         to.static(name, tube)
         poses = rr.Capsules3D.columns(
-            translations=_at_height(line[:, :-1], line_height(geometry)),
-            quaternions=_yaw_quaternions(np.arctan2(step[..., 1], step[..., 0])),
+            translations=line[:, :-1].reshape(-1, 3).astype(np.float32),
+            quaternions=_along(step),
         )
         to.send(name, poses, step.shape[1])
         to.send(name, rr.Capsules3D.columns(colors=_packed(colors[:, j])))
@@ -184,16 +232,20 @@ def _send_tubes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
 
 def _send_hull(to: Entities, snake: Trajectory, geometry: Geometry, color: Rgba) -> None:
     """Log the body as one hexagonal tube; overlapping capsules would not look translucent."""
-    line = body_line(snake, geometry, CHORDS)
+    lines = _lines(snake, geometry)
+    # Segments share their ends, and without a rigid gap the ends of an arc coincide with the connectors.
+    unique = slice(0, -1) if geometry.rigid_gap or snake.has("z") else slice(1, -2)
+    inner = lines[:, :, unique].reshape(len(lines), -1, 3)
+    line = np.concatenate([inner, lines[:, -1, -1:]], axis=1)
     tangent = np.gradient(line, axis=1)
-    length = np.linalg.norm(tangent, axis=-1, keepdims=True)
-    left = np.stack([-tangent[..., 1], tangent[..., 0]], axis=-1) / length
-    angle = np.arange(6) * np.pi / 3
+    tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
+    left = np.cross([0.0, 0.0, 1.0], tangent)
+    left /= np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-9)
+    up = np.cross(tangent, left)
     # Slightly thinner than the other body, so that coincident surfaces do not flicker.
-    radius = 0.46 * geometry.width
-    side = line[:, :, None] + radius * np.cos(angle)[:, None] * left[:, :, None]
-    up = np.broadcast_to(line_height(geometry) + radius * np.sin(angle), side.shape[:-1])
-    vertices = np.concatenate([side, up[..., None]], axis=-1).astype(np.float32)
+    radius, angle = 0.46 * geometry.width, np.arange(6)[:, None] * np.pi / 3
+    around = np.cos(angle) * left[:, :, None] + np.sin(angle) * up[:, :, None]
+    vertices = (line[:, :, None] + radius * around).astype(np.float32)
     triangles = _tube_triangles(line.shape[1])
     hull = rr.Mesh3D.from_fields(triangle_indices=triangles, albedo_factor=color, face_rendering="front")
     to.static("body", hull)
@@ -209,12 +261,11 @@ def _tube_triangles(rings: int) -> np.ndarray:
 
 
 def _send_connectors(to: Entities, snake: Trajectory, geometry: Geometry, colors: list[Rgba]) -> None:
-    track, radius = geometry.half_track, geometry.wheel_radius
-    half = [max(geometry.rigid_gap / 4, 0.1 * track), track - 0.2 * radius, 0.35 * geometry.width]
-    theta = snake.stack("theta")
-    zero = np.zeros_like(theta)
-    rotation = np.stack([zero, zero, np.sin(theta / 2), np.cos(theta / 2)], axis=-1)
-    centres = _at_height(snake.position, line_height(geometry))
+    track, radius, width = geometry.half_track, geometry.wheel_radius, 0.35 * geometry.width
+    half = [max(geometry.rigid_gap / 4, 0.1 * track), max(track - 0.2 * radius, width), width]
+    centres = np.concatenate([snake.position, _heights(snake, geometry)[..., None]], axis=-1)
+    centres = centres.reshape(-1, 3).astype(np.float32)
+    rotation = _orientations(snake)
     _send_solids(to, "connectors", rr.Boxes3D, centres, rotation, half_sizes=[half], colors=colors)
 
 
@@ -280,6 +331,14 @@ def _at_height(points: np.ndarray, height: float) -> np.ndarray:
     """Return points (…, 2) with a common height as an array (n, 3) of float32."""
     flat = points.reshape(-1, 2)
     return np.column_stack([flat, np.full(len(flat), height)]).astype(np.float32)
+
+
+def _along(steps: np.ndarray) -> np.ndarray:
+    """Return quaternions (n, 4), xyzw, that rotate +z (the axis of capsules) to the steps (…, 3)."""
+    x, y, z = np.moveaxis(steps / np.linalg.norm(steps, axis=-1, keepdims=True), -1, 0)
+    turn = np.stack([-y, x, 0.0 * x, 1.0 + z], axis=-1)
+    turn /= np.maximum(np.linalg.norm(turn, axis=-1, keepdims=True), 1e-9)
+    return turn.reshape(-1, 4).astype(np.float32)
 
 
 def _yaw_quaternions(yaw: np.ndarray) -> np.ndarray:
