@@ -13,6 +13,9 @@ _NEEDED = {BENDS, PRESSURES, VALVES}
 """Kinds of messages of one sample. A robot that does not report its valves gets no estimate, because lost
 commands would look like contacts."""
 
+_STEADY_S = 0.5
+"""Time without a change after which a period is used, s."""
+
 
 class LiveContact:
     """Contact estimate of a robot whose commands are periodic.
@@ -25,6 +28,7 @@ class LiveContact:
         """Create the observer of a robot, without learnt means."""
         self._observer = ContactObserver(spec, SLOT_S)
         self._sample: int | None = None
+        self._period, self._repeated = 0, 0
         self.estimate: ContactEstimate | None = None
 
     def update(self, messages: Iterable[Message], commands: CommandPeriod) -> None:
@@ -37,8 +41,7 @@ class LiveContact:
         found = {message.kind: message for message in messages if message.kind in _NEEDED}
         if found.keys() != _NEEDED:
             return
-        if not self._observer.period and (period := commands.period()):
-            self._observer.set_period(period)
+        self._update_period(commands.period())
         # The robot's clock numbers the samples, so that lost messages do not shift the phase.
         sample = round(found[BENDS].sent / SLOT_S)
         if self._sample is not None and sample > self._sample:
@@ -47,3 +50,15 @@ class LiveContact:
         self.estimate = self._observer.update(
             found[VALVES].values, found[PRESSURES].values, found[BENDS].values
         )
+
+    def _update_period(self, period: int) -> None:
+        """Use a period of the commands that has been the same for half a second; 0 is unknown.
+
+        Until enough commands are known for the true period, a similar shorter one is found.
+        """
+        if not period:
+            return
+        self._repeated = self._repeated + 1 if period == self._period else 0
+        self._period = period
+        if self._repeated * SLOT_S >= _STEADY_S and period != self._observer.period:
+            self._observer.set_period(period)

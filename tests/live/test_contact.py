@@ -1,0 +1,44 @@
+"""Live contact estimate: the period of the commands, and the published message."""
+
+import json
+
+import numpy as np
+import pytest
+
+from srs_twin import load_robot
+from srs_twin.control.contact_observer import ContactEstimate
+from srs_twin.live.contact import LiveContact
+from srs_twin.live.estimate import SLOT_S, CommandPeriod
+from srs_twin.live.messages import BENDS, PRESSURES, VALVES, Message, encode_contact
+from srs_twin.pneumatics.chambers import air_bend
+
+GEN2 = load_robot("gen2")
+N, PERIOD = GEN2.segments, 25
+
+
+def test_square_wave_gets_estimates_after_learning_although_a_shorter_period_fits_at_first():
+    rng, contact, commands = np.random.default_rng(1), LiveContact(GEN2), CommandPeriod()
+    first = None
+    for k in range(900):
+        wave = np.sin(2 * np.pi * (k + 0.5) / PERIOD - np.pi / 2 * np.arange(N))
+        valves = np.sign(np.stack([wave, -wave], axis=-1) + 1e-9)
+        pressure = 24000.0 * (1 + np.stack([wave, -wave], axis=-1))
+        bend = air_bend(GEN2, pressure) + 0.006 * rng.standard_normal(N)
+        commands.add((k + 0.5) * SLOT_S, (valves + 1) / 2)
+        values = {VALVES: valves, PRESSURES: pressure, BENDS: bend}
+        sent = [Message(kind, "gen2", k * SLOT_S, k * SLOT_S, value) for kind, value in values.items()]
+        contact.update(sent, commands)
+        if first is None and contact.estimate is not None:
+            first = k * SLOT_S
+    # The period is known after three seconds; learning takes 12 s, the window 0.3 s.
+    assert first is not None and first < 16.0
+    assert not contact.estimate.touched
+
+
+def test_message_has_null_for_force_and_place_without_a_contact():
+    free = json.loads(encode_contact(1.5, ContactEstimate(touched=False, score=2.0)))
+    assert free == {"t": 1.5, "touched": False, "score": 2.0} | dict.fromkeys(
+        ["n", "n_interval", "m", "m_interval"]
+    )
+    held = ContactEstimate(True, 9.0, 0.7, (0.5, 0.9), 0.11, (0.1, 0.12))
+    assert json.loads(encode_contact(1.5, held))["n"] == pytest.approx(0.7)
