@@ -1,11 +1,13 @@
 """Contact forces from valve commands, pressures and bends, on robots that were not used to choose settings.
 
-    uv run python benchmarks/contact_estimate.py [--first 0] [--robots 100] [--data FOLDER] [--json FILE]
+    uv run python benchmarks/contact_estimate.py [--robot gen2] [--first 0] [--robots 36] [--free 300]
+        [--data FOLDER] [--json FILE] [--picture]
 
-docs/contact-forces.md states the conditions, which were fixed before the evaluation. A robot crawls freely
-for 12 s; then a known force presses on its body every 4 s. After that it crawls freely for `--free` seconds,
-for false alarms: the twin's gait is periodic, so its last two seconds before the first contact are repeated
-with new noise. Seeds from 1000 are robots for the choice of settings. `--data` keeps the simulated robots.
+docs/contact-forces.md states the conditions, which were fixed before the evaluation. A twin crawls freely for
+12 s; then a known force presses on its body every 4 s. False alarms are counted while the same robot crawls
+freely for `--free` seconds on the analytical model `compliant`, the cheapest plant with bends that deflect.
+Robots with seeds from 1000 serve to choose settings. `--data` stores the records of the twins, and
+`--picture` writes docs/images/contact_roc.png.
 """
 
 from __future__ import annotations
@@ -13,34 +15,41 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 from grid import table
+from matplotlib.figure import Figure
 
-from srs_twin import load_robot
-from srs_twin.control.contact_observer import THRESHOLD, WINDOW_S, ContactObserver
+from srs_twin import AnalyticalSnake, load_robot
+from srs_twin.control.contact_observer import COVERAGE, THRESHOLD, WINDOW_S, ContactObserver
 from srs_twin.control.gait import Gait
+from srs_twin.plants.base import Plant
 from srs_twin.plants.twin.mjcf.numerics import hinge_stations
 from srs_twin.plants.twin.snake import TwinSnake
-from srs_twin.robot.spec import Modules, RobotSpec
+from srs_twin.robot.spec import GRAVITY, Modules, RobotSpec
 
-NOMINAL = load_robot("gen2")
-LEAST_FORCE_N = 0.55
-TICK_S, LEARNING_S, SPACING_S, CONTACTS, REPEATED_S = 0.02, 12.0, 4.0, 3, 2.0
+IMAGE = Path(__file__).parents[1] / "docs" / "images" / "contact_roc.png"
+FRICTIONS = 3.28
+"""Smallest force as a multiple of the mean floor friction of a connector; 0.55 N for generation 2."""
+TICK_S, LEARNING_S, SPACING_S, CONTACTS = 0.02, 12.0, 4.0, 3
 SPREAD, BIAS_RAD, PRESSURE_NOISE_PA = 0.1, 0.03, 100.0
-PERIOD_SAMPLES = {1.0: 50, 1.5: 100, 2.0: 25}  # by frequency, Hz; 1.5 Hz repeats after three periods
-FREQUENCIES_HZ, CHAMBERS = tuple(PERIOD_SAMPLES), ("lag", "orifice")
-RECOVERY_S = 1.0  # after a contact, in which alarms count neither way
+FREQUENCIES_HZ = {"gen2": (1.0, 1.5, 2.0), "gen3": (1.0,), "gen4": (1.0, 1.5)}
+CHAMBERS = ("lag", "orifice")
+RECOVERY_S = 0.1
+"""Time after the end of a contact in which its estimate may still appear, s."""
 HINGES = 2
+THRESHOLDS = (3.5, 4.0, 4.5, 5.0, 5.5, 6.0, 7.0, 8.0)
 
 
-def drawn_robot(seed: int) -> RobotSpec:
-    """Return generation 2 with modules that differ by 10 %."""
-    n, rng = NOMINAL.segments, np.random.default_rng((seed, 1))
+def drawn_robot(nominal: RobotSpec, seed: int) -> RobotSpec:
+    """Return a robot with modules that differ by 10 %."""
+    n, rng = nominal.segments, np.random.default_rng((seed, 1))
 
     def factors(*shape: int) -> np.ndarray:
         return np.exp(SPREAD * rng.standard_normal(shape))
@@ -49,7 +58,16 @@ def drawn_robot(seed: int) -> RobotSpec:
         gain=factors(n, 2), bias=BIAS_RAD * rng.standard_normal(n), tau_fill=factors(n, 2),
         tau_vent=factors(n, 2), sensor_gain=np.ones(n), sensor_bias=np.zeros(n),
     )  # fmt: skip
-    return replace(NOMINAL, variation=modules)
+    return replace(nominal, variation=modules)
+
+
+def gait_of(robot: str, seed: int) -> tuple[float, int, str]:
+    """Return frequency (Hz), period in samples, and kind of chambers of a seed."""
+    choices = FREQUENCIES_HZ[robot]
+    frequency = choices[seed % len(choices)]
+    # The smallest whole number of periods that is a whole number of samples.
+    period = Fraction(1 / TICK_S / frequency).limit_denominator(100)
+    return frequency, period.numerator, CHAMBERS[seed // (2 if len(choices) == 2 else 1) % 2]
 
 
 class Finger:
@@ -81,49 +99,54 @@ class Finger:
         data.xfrc_applied[body] = [*vector, *np.cross(point - data.xipos[body], vector)]
 
 
-def recorded(seed: int, free_s: float) -> dict[str, np.ndarray]:
-    """Return samples of one robot, and its contacts: begin, duration (s), force (N), place (m)."""
-    spec, rng = drawn_robot(seed), np.random.default_rng((seed, 2))
-    frequency, chambers = FREQUENCIES_HZ[seed % 3], CHAMBERS[seed % 2]
-    twin, gait = TwinSnake(spec, pneumatics=chambers, sensor="hall"), Gait(frequency)
-    gait.reset(spec, twin.tick)
-    state, finger = twin.reset(seed=seed), Finger(twin)
+def crawl(
+    plant: Plant, frequency: float, seconds: float, seed: int, press: Callable[[float], None]
+) -> dict[str, np.ndarray]:
+    """Return the samples of a crawling robot: time, command, pressure with noise, reading."""
+    gait, rng = Gait(frequency), np.random.default_rng((seed, 3))
+    gait.reset(plant.spec, plant.tick)
+    state, rows = plant.reset(seed=seed), []
+    for _ in range(round(seconds / TICK_S)):
+        press(float(state.time))
+        valves = gait.step(state)
+        state = plant.step(valves)
+        mean = np.asarray(valves, dtype=float).reshape(-1, *valves.shape[-2:]).mean(axis=0)
+        rows.append((np.asarray(state.time), mean, state.pressure, state.sensed))
+    time, command, pressure, sensed = (np.array(column) for column in zip(*rows, strict=True))
+    pressure = np.maximum(pressure + PRESSURE_NOISE_PA * rng.standard_normal(pressure.shape), 0.0)
+    return {"time": time, "command": command, "pressure": pressure, "sensed": sensed}
+
+
+def touched(robot: str, seed: int) -> dict[str, np.ndarray]:
+    """Return samples of a twin, and its contacts: begin, duration (s), force (N), place (m)."""
+    nominal, rng = load_robot(robot), np.random.default_rng((seed, 2))
+    frequency, _, chambers = gait_of(robot, seed)
+    twin = TwinSnake(drawn_robot(nominal, seed), pneumatics=chambers, sensor="hall", tick=TICK_S)
+    least = FRICTIONS * nominal.friction.mu_n * np.mean(nominal.mass.connectors) * GRAVITY
     begins = LEARNING_S + SPACING_S * np.arange(CONTACTS) + rng.uniform(0.0, 1.0, CONTACTS)
-    force = rng.uniform(LEAST_FORCE_N, 1.5 * LEAST_FORCE_N, CONTACTS) * rng.choice([-1, 1], CONTACTS)
+    force = rng.uniform(least, 1.5 * least, CONTACTS) * rng.choice([-1, 1], CONTACTS)
     contacts = np.stack(
         [begins, rng.uniform(0.3, 0.6, CONTACTS), force,
-         rng.uniform(0.0, spec.geometry.body_length, CONTACTS)], axis=1
+         rng.uniform(0.0, nominal.geometry.body_length, CONTACTS)], axis=1
     )  # fmt: skip
-    rows: list[tuple[np.ndarray, ...]] = []
-    for _ in range(round((LEARNING_S + SPACING_S * CONTACTS) / TICK_S)):
-        now = [c for c in contacts if c[0] <= float(state.time) < c[0] + c[1]]
-        finger.press(*(now[0][2:] if now else (0.0, 0.0)))
-        valves = gait.step(state)
-        state = twin.step(valves)
-        mean = np.asarray(valves, dtype=float).reshape(-1, *valves.shape[-2:]).mean(axis=0)
-        rows.append((np.asarray(state.time), mean, state.pressure, state.sensed, state.bend))
-    time, command, pressure, sensed, bend = (np.array(column) for column in zip(*rows, strict=True))
-    # The free gait from before the first contact is repeated as a whole number of periods.
-    first, last = round((LEARNING_S - REPEATED_S) / TICK_S), round(LEARNING_S / TICK_S)
-    copies = math.ceil(free_s / REPEATED_S)
-    later = time[-1] + TICK_S * np.arange(1, copies * (last - first) + 1)
-    again = np.tile(bend[first:last], (copies, 1))
-    sensed = np.concatenate([sensed, twin.sensor.read(again, later, seed)])
-    pressure = np.concatenate([pressure, np.tile(pressure[first:last], (copies, 1, 1))])
-    pressure = np.maximum(pressure + PRESSURE_NOISE_PA * rng.standard_normal(pressure.shape), 0.0)
-    command = np.concatenate([command, np.tile(command[first:last], (copies, 1, 1))])
-    return {
-        "time": np.append(time, later), "command": command, "pressure": pressure, "sensed": sensed,
-        "contacts": contacts, "period": np.array(PERIOD_SAMPLES[frequency]),
-    }  # fmt: skip
+    finger: list[Finger] = []
+
+    def press(time: float) -> None:
+        if not finger:
+            finger.append(Finger(twin))
+        now = [c for c in contacts if c[0] <= time < c[0] + c[1]]
+        finger[0].press(*(now[0][2:] if now else (0.0, 0.0)))
+
+    samples = crawl(twin, frequency, LEARNING_S + SPACING_S * CONTACTS, seed, press)
+    return samples | {"contacts": contacts}
 
 
-def estimates(data: dict[str, np.ndarray]) -> np.ndarray:
+def estimates(robot: str, seed: int, samples: dict[str, np.ndarray]) -> np.ndarray:
     """Return score, force, place and their intervals over time, shape (samples, 7); NaN while learning."""
-    observer = ContactObserver(NOMINAL, TICK_S, int(data["period"]))
+    observer = ContactObserver(load_robot(robot), TICK_S, gait_of(robot, seed)[1])
     rows = []
-    for command, pressure, sensed in zip(data["command"], data["pressure"], data["sensed"], strict=True):
-        e = observer.update(command, pressure, sensed)
+    for sample in zip(samples["command"], samples["pressure"], samples["sensed"], strict=True):
+        e = observer.update(*sample)
         row = (math.nan,) * 7 if e is None else (
             e.score, e.force, e.place, *e.force_interval, *e.place_interval
         )  # fmt: skip
@@ -131,16 +154,23 @@ def estimates(data: dict[str, np.ndarray]) -> np.ndarray:
     return np.array(rows)
 
 
-def judged(seed: int, data: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Return the estimates of the contacts of one robot, and the scores of its free crawling."""
-    time, rows, contacts = data["time"], estimates(data), []
-    busy = np.isnan(rows[:, 0])
-    for begin, duration, force, place in data["contacts"]:
-        during = (time > begin) & (time <= begin + duration + WINDOW_S / 3)
+def judged(robot: str, seed: int, samples: dict[str, np.ndarray]) -> list[list[float]]:
+    """Return the contacts of one robot with the estimates at their largest score."""
+    time, rows, contacts = samples["time"], estimates(robot, seed, samples), []
+    for begin, duration, force, place in samples["contacts"]:
+        during = (time > begin) & (time <= begin + duration + RECOVERY_S)
         best = rows[np.flatnonzero(during)[np.nanargmax(rows[during, 0])]]
         contacts.append([force, place, duration, *best.tolist()])
-        busy |= (time > begin) & (time <= begin + duration + RECOVERY_S)
-    return {"seed": seed, "contacts": contacts, "free": rows[~busy, 0].tolist()}
+    return contacts
+
+
+def free_scores(robot: str, seed: int, seconds: float) -> np.ndarray:
+    """Return the scores of a robot that crawls freely on the model `compliant`."""
+    spec = drawn_robot(load_robot(robot), seed)
+    plant = AnalyticalSnake(spec, model="compliant", friction="wheel", sensor="hall", tick=TICK_S)
+    samples = crawl(plant, gait_of(robot, seed)[0], LEARNING_S + WINDOW_S + seconds, seed, lambda _: None)
+    scores = estimates(robot, seed, samples)[:, 0]
+    return np.asarray(scores[np.isfinite(scores)])
 
 
 def alarms(scores: np.ndarray, threshold: float) -> int:
@@ -152,62 +182,88 @@ def alarms(scores: np.ndarray, threshold: float) -> int:
 def main() -> None:
     """Simulate, estimate and print."""
     words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words.add_argument("--robot", default="gen2", choices=FREQUENCIES_HZ)
     words.add_argument("--first", type=int, default=0)
-    words.add_argument("--robots", type=int, default=100)
-    words.add_argument("--free", type=float, default=120.0, metavar="S")
+    words.add_argument("--robots", type=int, default=36)
+    words.add_argument("--free", type=float, default=300.0, metavar="S")
     words.add_argument("--data", type=Path, metavar="FOLDER")
-    words.add_argument("--simulate-only", action="store_true")
     words.add_argument("--json", type=Path, metavar="FILE")
+    words.add_argument("--picture", action="store_true")
     given = words.parse_args()
     results = []
     for seed in range(given.first, given.first + given.robots):
-        stored = given.data / f"{seed}.npz" if given.data else None
+        stored = given.data / f"{given.robot}_{seed}.npz" if given.data else None
         if stored and stored.exists():
-            data = dict(np.load(stored))
+            samples = dict(np.load(stored))
         else:
-            data = recorded(seed, given.free)
+            samples = touched(given.robot, seed)
             if stored:
                 stored.parent.mkdir(parents=True, exist_ok=True)
-                np.savez(stored, **data)
-        count = round((LEARNING_S + SPACING_S * CONTACTS + given.free) / TICK_S)
-        data |= {name: data[name][:count] for name in ("time", "command", "pressure", "sensed")}
-        if not given.simulate_only:
-            results.append(judged(seed, data))
-    if results:
-        report(results)
+                np.savez(stored, **samples)  # type: ignore[arg-type]
+        free = free_scores(given.robot, seed, given.free).tolist() if given.free else []
+        gait = gait_of(given.robot, seed)
+        results.append({"gait": gait, "contacts": judged(given.robot, seed, samples), "free": free})
     if given.json:
         given.json.write_text(json.dumps(results) + "\n", "utf-8")
+    print_detection(results, given.picture)
+    print_errors(results, load_robot(given.robot).geometry.pitch)
 
 
-def report(results: list[dict[str, Any]]) -> None:
-    """Print detection over threshold, and the errors of force and place."""
-    pitch, rows = NOMINAL.geometry.pitch, np.array([row for r in results for row in r["contacts"]])
-    force, place, score = rows[:, 0], rows[:, 1] / pitch, rows[:, 3]
+def print_detection(results: list[dict[str, Any]], picture: bool) -> None:
+    """Print detected contacts and false alarms over the threshold, and draw them."""
+    scores = np.array([row[3] for r in results for row in r["contacts"]])
     hours = sum(len(r["free"]) for r in results) * TICK_S / 3600
-    lines = [
-        [f"{threshold:g}", f"{100 * (score > threshold).mean():.1f}",
-         f"{sum(alarms(np.array(r['free']), threshold) for r in results) / hours:.1f}"]
-        for threshold in (3.5, 4.0, 4.5, 5.0, 5.5, 6.0, 7.0, 8.0)
-    ]  # fmt: skip
-    print(f"{len(results)} robots, {len(rows)} contacts of {LEAST_FORCE_N} N and more, {hours:.2f} h free")
+    print(f"{len(results)} robots, {len(scores)} contacts, {hours:.2f} h of free crawling")
+    levels = np.linspace(2.5, 15.0, 51)
+    free = [np.array(r["free"]) for r in results]
+    false = [sum(alarms(row, level) for row in free) / max(hours, 1e-9) for level in levels]
+    found = [100 * (scores > level).mean() for level in levels], false
+    lines = [[f"{t:g}", *(f"{np.interp(t, levels, row):.1f}" for row in found)] for t in THRESHOLDS]
     print(table(["threshold", "detected, %", "false alarms per hour"], lines))
+    print(f"largest score without contact {max(max(r['free'], default=0) for r in results):.2f}, "
+          f"smallest of a contact {scores.min():.2f}")  # fmt: skip
+    if picture:
+        figure = Figure(figsize=(6.4, 3.2), layout="constrained")
+        curve, both = figure.subplots(1, 2)
+        curve.plot(found[1], found[0], "o-", ms=3)
+        curve.set(
+            xlabel="false alarms per hour", ylabel="detected contacts, %", xscale="symlog", ylim=(0, 103)
+        )
+        both.semilogy(levels, np.maximum(found[1], 0.1 / hours), label="false alarms per hour")
+        both.semilogy(levels, found[0], label="detected contacts, %")
+        both.axvline(THRESHOLD, color="0.6", lw=1)
+        both.set(xlabel="threshold of the score")
+        both.legend(fontsize="small")
+        figure.savefig(IMAGE, dpi=120)
+
+
+def print_errors(results: list[dict[str, Any]], pitch: float) -> None:
+    """Print the errors of force and place, and the coverage of the intervals."""
+    rows = np.array([row for r in results for row in r["contacts"]])
+    gaits = [(f"{r['gait'][0]:g} Hz", r["gait"][2]) for r in results for _ in r["contacts"]]
+    force, place = rows[:, 0], rows[:, 1] / pitch
     error, off = np.abs(rows[:, 4] / force - 1), np.abs(rows[:, 5] / pitch - place)
+    groups = [("all", np.ones(len(rows), dtype=bool))]
+    groups += [(f"{a} to {a + 1} segments from the head", (place >= a) & (place < a + 1))
+               for a in range(int(place.max()) + 1)]  # fmt: skip
+    for names in zip(*gaits, strict=True):
+        groups += [(name, np.array(names) == name) for name in sorted(set(names))]
     lines = []
-    for name, chosen in [("all", score > 0)] + [
-        (f"{a} to {a + 1}", (place >= a) & (place < a + 1)) for a in range(NOMINAL.segments)
-    ]:
-        share = [
-            (score > THRESHOLD)[chosen].mean(), (off <= 1)[chosen].mean(),
+    for name, chosen in groups:
+        shares = [
+            (rows[:, 3] > THRESHOLD)[chosen].mean(), (off <= 1)[chosen].mean(),
             ((rows[:, 6] <= force) & (force <= rows[:, 7]))[chosen].mean(),
             ((rows[:, 8] <= rows[:, 1]) & (rows[:, 1] <= rows[:, 9]))[chosen].mean(),
         ]  # fmt: skip
-        medians = [100 * np.median(error[chosen]), np.median(off[chosen])]
+        width = np.nanmedian(((rows[:, 7] - rows[:, 6]) / np.abs(force))[chosen])
+        medians = np.nanmedian(error[chosen]), np.nanmedian(off[chosen])
         lines.append([
-            name, str(chosen.sum()), f"{100 * share[0]:.0f}", f"{medians[0]:.0f}", f"{medians[1]:.2f}",
-            *(f"{100 * value:.0f}" for value in share[1:]),
+            name, str(chosen.sum()), f"{100 * shares[0]:.0f}", f"{100 * medians[0]:.0f}", f"{medians[1]:.2f}",
+            *(f"{100 * value:.0f}" for value in shares[1:]), f"{width:.2f}",
         ])  # fmt: skip
-    heads = ["place, segments", "contacts", "detected, %", "median force error, %", "median place error",
-             "within one segment, %", "force in interval, %", "place in interval, %"]  # fmt: skip
+    heads = ["contacts", "number", "detected, %", "median force error, %", "median place error, segments",
+             "within one segment, %", f"force in {COVERAGE:.0%} interval", "place in interval",
+             "width of the force interval over the force"]  # fmt: skip
     print(table(heads, lines))
 
 

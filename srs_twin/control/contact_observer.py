@@ -13,118 +13,129 @@ $$ e_j = (q_j - \bar q_j) - (\varphi_j - \bar\varphi_j) $$
 is the moment of a contact over k. The pressures are measured, so a drift of the supply and the air that a
 contact compresses in closed chambers are not mistaken for a contact.
 
-**Statics.** Inertia and the friction against the additional slip balance a force F at a place s, normal to
-the body. Both reactions are assumed proportional to the mass of a connector and to the motion of a rigid
-body; friction acts across the wheels only. This gives the moments F·m_j(s) of the present shape. The moments
-of four or more segments determine the two unknowns, F and s. A force along the body is not observable, and
-two simultaneous contacts appear as one. A force near an end bends the body like a smaller opposite force near
-the second quarter from that end; the intervals contain both places.
+**Detection.** At the beginning of a contact its moments are proportional to the force F. For each place on a
+grid, F is the weighted least-squares fit over a window; the score of a place is F over its standard
+deviation. A contact is detected if the largest score exceeds a threshold.
 
-**Estimate.** For each place s on a grid, F(s) is the weighted least-squares fit over a window. The score of
-a place is F(s) over its standard deviation; the place with the largest score is the estimate. Learning stops
-while the score is high.
+**Estimate.** A force comparable to the friction of the floor pushes the snake aside and turns it, which
+changes the friction and adds inertia. `PushedBody` predicts this motion for hypotheses about place, force and
+time of the first touch. The estimate is the posterior mean of the force at the most probable place. The
+variance is that of the noise, multiplied by the mean square of the residuals of the best hypothesis, which
+contain the errors of the model. Learning stops while the score is high.
+
+A force along the body is not observable, two simultaneous contacts appear as one, and the force is assumed
+constant during a contact.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from srs_twin.control.pushed_body import PushedBody
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import Stateful
 from srs_twin.pneumatics.chambers import air_bend
-from srs_twin.robot.geometry import body_shape, relative_headings
-from srs_twin.robot.spec import RobotSpec
+from srs_twin.robot.spec import GRAVITY, RobotSpec
 
+# All times are for a robot with a time unit of 1 (`robot.scale`), and multiplied by that of the robot.
 WINDOW_S = 0.3
-"""Duration of the window of an estimate; contacts of at least this duration must be detected."""
+"""Duration of the window of the score; contacts of at least this duration must be detected, s."""
 SETTLING_S = 2.0
-"""Duration of the transient after the start of a gait, which is not learnt."""
+"""Duration of the transient after the start of a gait, which is not learnt, s."""
 LEARNING_S = 10.0
-"""Duration of free crawling before estimates begin."""
+"""Duration of free crawling before estimates begin, s."""
 THRESHOLD = 6.0
 """Score above which a contact is detected; benchmarks/contact_estimate.py, robots with seeds from 1000."""
-_LEARNING_SCORE = 4.0  # score above which the means are kept
+COVERAGE = 0.9
+"""Nominal probability of the intervals of force and place."""
+_LEARNING_SCORE = 4.0  # score above which the means are kept and hypotheses are compared
 _MEMORY = 20  # periods over which the means are taken
+_RESOLUTION = 1e-12  # smallest variance of a deviation, for readings without noise, rad²
 _SAME_COMMAND = 0.1  # largest change of a duty within the same gait
-_STATIONS_PER_SEGMENT = 4
-_CUTS = (0.25, 0.75)  # fractions of a segment at which its moment is averaged
-_ADMITTED = 3.84  # decrease of the squared score within a 95 % interval of the place
-_MODEL_ERROR = 0.25  # relative error of the moments due to the assumed reactions
+_STATIONS_PER_SEGMENT = 8
+_FILTER_S = 0.09  # time constant that removes the oscillation of the segments from deviations and predictions
+_ONSET_S = 0.3  # longest time from the first touch to the start of the comparison
+_ONSET_STEP_S = 0.06  # between neighbouring hypotheses
+_LEAST_FORCE = 0.25  # smallest force of a hypothesis, multiple of the largest floor friction
+_FORCE_RATIO = 1.3  # between neighbouring forces
+_POWERS = np.arange(12)
+_PRUNED = 25.0  # cost over the smallest one, in variances, above which a hypothesis is dropped
+_CORRELATION = 2.0  # factor on the variance of the model error for its correlation in time
 
 
 @dataclass(frozen=True)
 class ContactEstimate:
-    """Estimated contact in the last window.
+    """Estimated contact.
 
     Attributes:
         touched: whether a contact is detected.
-        score: force over its standard deviation by sensor noise.
-        force: normal force, positive to the left of the body, N.
-        force_interval: 95 % interval of the force, N.
-        place: distance behind the first connector along the body, m.
-        place_interval: 95 % interval of the place, m.
+        score: largest force of a window over its standard deviation by sensor noise.
+        force: normal force, positive to the left of the body, N; NaN without a contact.
+        force_interval: interval of the force with the probability `COVERAGE`, N.
+        place: distance behind the first connector along the body, m; NaN without a contact.
+        place_interval: interval of the place with the same probability, m.
     """
 
     touched: bool
     score: float
-    force: float
-    force_interval: tuple[float, float]
-    place: float
-    place_interval: tuple[float, float]
+    force: float = math.nan
+    force_interval: tuple[float, float] = (math.nan, math.nan)
+    place: float = math.nan
+    place_interval: tuple[float, float] = (math.nan, math.nan)
 
 
-def moment_patterns(spec: RobotSpec, bend: np.ndarray, stations: np.ndarray) -> np.ndarray:
-    """Return the moments on the segments per normal force at places of the body, (stations, segments), m.
+@dataclass(frozen=True)
+class Hypotheses:
+    """Possible contacts, their predictions and costs.
 
-    Args:
-        spec: the robot.
-        bend: shape (segments,), rad.
-        stations: distances behind the first connector, m.
+    Attributes:
+        station: index of the place, shape (hypotheses,).
+        force: N, shape (hypotheses,).
+        velocity: velocities of `PushedBody`, shape (hypotheses, 3).
+        bend: filtered prediction of the deviation, shape (hypotheses, segments), rad.
+        cost: sum of squared residuals over the variance of the noise, shape (hypotheses,).
+        compared: number of samples in the cost.
     """
-    g, mass = spec.geometry, spec.mass.array()
-    place = body_shape(bend, mass, g.segment_length, g.rigid_gap)
-    heading = relative_headings(bend)
 
-    def along(station: np.ndarray, values: np.ndarray) -> np.ndarray:
-        j = np.minimum((station / g.pitch).astype(int), spec.segments - 1)
-        share = (station / g.pitch - j).reshape(-1, *[1] * (values.ndim - 1))
-        return np.asarray(values[j] + share * (values[j + 1] - values[j]))
+    station: np.ndarray
+    force: np.ndarray
+    velocity: np.ndarray
+    bend: np.ndarray
+    cost: np.ndarray
+    compared: int = 0
 
-    # Reaction of each connector per generalised motion (x, y, rotation) of the rigid body, shape (N, 2, 3).
-    ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    aside = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
-    # Inertia resists in all directions, friction of wheels mostly across: equal parts of both.
-    axial = (1 + spec.friction.mu_t / spec.friction.mu_n) / 2
-    grip = np.einsum("ia,ib->iab", aside, aside) + axial * np.einsum("ia,ib->iab", ahead, ahead)
-    motion = np.zeros((len(mass), 2, 3))
-    motion[:, 0, 0] = motion[:, 1, 1] = 1.0
-    motion[:, 0, 2], motion[:, 1, 2] = -place[:, 1], place[:, 0]
-    reaction = np.einsum("i,iab,ibk->iak", mass, grip, motion)
-    resistance = np.einsum("iak,ial->kl", motion, reaction)
-    resistance[2, 2] += spec.yaw_inertia().sum()
-    point, angle = along(stations, place), along(stations, heading)
-    normal = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
-    load = np.column_stack([normal, _cross(point, normal)])
-    accelerations = np.linalg.solve(resistance, load.T).T
-    forces = -np.einsum("iak,sk->sia", reaction, accelerations)
-    couples = -np.outer(accelerations[:, 2], spec.yaw_inertia())
-    patterns = np.zeros((len(stations), spec.segments))
-    for j in range(spec.segments):
-        for share in _CUTS:
-            station = np.array([(j + share) * g.pitch])
-            cut = along(station, place)[0]
-            moment = (_cross(place - cut, forces) + couples)[:, : j + 1].sum(axis=1)
-            moment += np.where(stations < station[0], _cross(point - cut, normal), 0.0)
-            patterns[:, j] += moment / len(_CUTS)
-    return patterns
+    @classmethod
+    def none(cls, segments: int) -> Hypotheses:
+        """Return an empty set of hypotheses."""
+        return cls(
+            np.zeros(0, dtype=int), np.zeros(0), np.zeros((0, 3)), np.zeros((0, segments)), np.zeros(0)
+        )
 
+    def joined(self, other: Hypotheses) -> Hypotheses:
+        """Return these hypotheses and other ones."""
+        names = "station", "force", "velocity", "bend", "cost"
+        arrays = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in names}
+        return Hypotheses(**arrays, compared=self.compared)
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+    def inflation(self, independent: float) -> float:
+        """Return the mean square of the residuals of the best hypothesis over that of the noise, at least 1.
+
+        Args:
+            independent: number of independent values per sample.
+        """
+        return max(float(self.cost.min()) / max(self.compared * independent, 1.0), 1.0)
+
+    def pruned(self, limit: float) -> Hypotheses:
+        """Return the hypotheses whose cost exceeds the smallest one by at most `limit`."""
+        kept = self.cost <= self.cost.min() + limit
+        return Hypotheses(
+            self.station[kept], self.force[kept], self.velocity[kept], self.bend[kept], self.cost[kept],
+            self.compared,
+        )  # fmt: skip
 
 
 class ContactObserver(Stateful):
@@ -134,7 +145,10 @@ class ContactObserver(Stateful):
         period: period of the commands in samples; 0 without one.
     """
 
-    state_attributes = ("period", "_count", "_changed", "_bins", "_sums", "_variance", "_window", "_samples")
+    state_attributes = (
+        "period", "_samples", "_changed", "_bins", "_sums", "_count", "_variance", "_window", "_shape",
+        "_filtered", "_recent", "_hypotheses",
+    )  # fmt: skip
 
     def __init__(self, spec: RobotSpec, sample_s: float, period: int = 0) -> None:
         """Create the observer, without learnt means.
@@ -150,9 +164,18 @@ class ContactObserver(Stateful):
         if spec.segments < 2:
             raise InputError("contact estimates need a robot with two or more segments")
         self._spec, self._sample = spec, sample_s
-        g = spec.geometry
+        g, in_samples = spec.geometry, spec.scale.time / sample_s
         self.stations = np.linspace(0.0, g.body_length, _STATIONS_PER_SEGMENT * spec.segments + 1)
-        self._length = max(round(WINDOW_S / sample_s), 1)
+        self._length = max(round(WINDOW_S * in_samples), 1)
+        self._settled = round(SETTLING_S * in_samples)
+        self._learnt = round((SETTLING_S + LEARNING_S) * in_samples)
+        self._past = max(round(_ONSET_S * in_samples), 1)
+        self._onset_step = max(round(_ONSET_STEP_S * in_samples), 1)
+        self._gain = 1 - math.exp(-1 / (_FILTER_S * in_samples))
+        # The filter divides the variance of white noise, and the number of independent values, by (2 - g)/g.
+        self._independent = spec.segments * self._gain / (2 - self._gain)
+        # Largest friction of the floor on the whole robot, N.
+        self._friction = spec.friction.mu_n * spec.mass.total * GRAVITY
         self.set_period(period)
 
     def set_period(self, period: int) -> None:
@@ -161,12 +184,19 @@ class ContactObserver(Stateful):
         self.period, self._samples, self._count, self._changed = period, 0, 0, 0
         self._bins = np.zeros(max(period, 1), dtype=int)
         self._sums = np.zeros((max(period, 1), 4, n))  # means of bend, free bend and both commands
-        self._variance = np.zeros(n)
+        self._variance, self._filtered = np.zeros(n), np.zeros(n)
         self._window: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=self._length)
+        self._recent: deque[np.ndarray | None] = deque(maxlen=self._past + 1)  # filtered deviations
+        self._shape = np.zeros((0, n))  # mean bends when learning ended
+        self._body: tuple[np.ndarray, PushedBody, np.ndarray] | None = None
+        self._hypotheses: Hypotheses | None = None
 
     def skip(self, samples: int) -> None:
         """Advance by a number of missing samples."""
-        self._samples += samples
+        for _ in range(min(samples, self._past + 1)):
+            self._samples += 1
+            self._compare(None)
+        self._samples += max(samples - self._past - 1, 0)
 
     def update(self, command: np.ndarray, pressure: np.ndarray, sensed: np.ndarray) -> ContactEstimate | None:
         """Add one sample; return the estimate, or None while the observer learns.
@@ -180,7 +210,7 @@ class ContactObserver(Stateful):
             return None
         k = self._samples % self.period
         self._samples += 1
-        if self._samples * self._sample < SETTLING_S:
+        if self._samples < self._settled:
             return None
         free = air_bend(self._spec, np.asarray(pressure, dtype=float))
         mean, known = self._sums[k], self._bins[k]
@@ -188,45 +218,126 @@ class ContactObserver(Stateful):
             self._changed += 1
             if self._changed > self.period // 2:
                 self.set_period(self.period)  # another gait, not a lost command
+            self._compare(None)
             return None
         self._changed = 0
         if not np.isfinite(sensed).all() or not np.isfinite(free).all():
+            self._compare(None)
             return None
         sample = np.stack([sensed, free, *np.asarray(command, dtype=float).T])
-        estimate = self._estimate(sample, mean, known) if known else None
+        estimate = self._estimate(sample, k) if self._samples >= self._learnt and self._bins.all() else None
         if estimate is None or estimate.score < _LEARNING_SCORE:
-            self._bins[k] = min(known + 1, _MEMORY)
-            mean += (sample - mean) / self._bins[k]
-        learnt = self._samples * self._sample >= SETTLING_S + LEARNING_S
-        return estimate if learnt and len(self._window) == self._length else None
+            self._learn(sample, k)
+        return estimate if len(self._window) == self._length else None
 
-    def _estimate(self, sample: np.ndarray, mean: np.ndarray, known: int) -> ContactEstimate:
-        # The mean of few samples is uncertain, too.
-        error = (sample[0] - mean[0] - sample[1] + mean[1]) * math.sqrt(known / (known + 1))
-        variance = self._variance if self._variance.all() else error**2 + 1e-12
-        patterns = moment_patterns(self._spec, sample[0], self.stations) / self._spec.bending.stiffness
-        weighted = patterns * math.sqrt(known / (known + 1)) / variance
-        fit = weighted @ error, (weighted * patterns).sum(axis=1) * math.sqrt(known / (known + 1))
-        self._window.append(fit)
-        moment, information = (np.sum(values, axis=0) for values in zip(*self._window, strict=True))
-        forces, scores = moment / information, moment / np.sqrt(information)
-        best = int(np.argmax(np.abs(scores)))
-        if abs(scores[best]) < _LEARNING_SCORE or self._samples * self._sample < SETTLING_S + LEARNING_S:
+    def _learn(self, sample: np.ndarray, k: int) -> None:
+        """Add a sample to the means and to the variance of the deviation from them."""
+        mean, known = self._sums[k], self._bins[k]
+        if known:
+            # The mean of few samples is uncertain, too.
+            error = (sample[0] - mean[0] - sample[1] + mean[1]) * math.sqrt(known / (known + 1))
             self._count += 1
-            self._variance = self._variance + (error**2 - self._variance) / min(
-                self._count, round(LEARNING_S / self._sample)
-            )
-        admitted = scores**2 >= (1 - _MODEL_ERROR**2) * scores[best] ** 2 - _ADMITTED
-        spread = 1.96 * np.hypot(1 / np.sqrt(information), _MODEL_ERROR * forces)
+            weight = 1 / min(self._count, self._learnt - self._settled)
+            self._variance = self._variance + (error**2 + _RESOLUTION - self._variance) * weight
+        self._bins[k] = min(known + 1, _MEMORY)
+        mean += (sample - mean) / self._bins[k]
+
+    def _pushed_body(self) -> tuple[PushedBody, np.ndarray]:
+        """Return the model of the gait, and bends per force (rad/N), shape (period, stations, segments)."""
+        if not len(self._shape):
+            self._shape = self._sums[:, 0].copy()
+        if self._body is None or self._body[0] is not self._shape:
+            body = PushedBody(self._spec, self._shape, self._sample, self.stations)
+            station, patterns = np.tile(np.arange(len(self.stations)), 2), []
+            force = np.repeat([self._friction, -self._friction], len(self.stations))
+            for k in range(self.period):
+                moment = body.step(k, np.tile(body.free_velocity[k - 1], (len(force), 1)), force, station)[1]
+                per_force = (moment - body.free_moment[k]) / (force[:, None] * self._spec.bending.stiffness)
+                patterns.append(per_force.reshape(2, len(self.stations), -1).mean(axis=0))
+            self._body = self._shape, body, np.array(patterns)
+        return self._body[1:]
+
+    def _estimate(self, sample: np.ndarray, k: int) -> ContactEstimate:
+        mean, share = self._sums[k], math.sqrt(self._bins[k] / (self._bins[k] + 1))
+        error = sample[0] - mean[0] - sample[1] + mean[1]
+        pattern = self._pushed_body()[1][k]
+        weighted = pattern * share**2 / self._variance
+        self._window.append((weighted @ error, (weighted * pattern).sum(axis=1)))
+        moment, information = (np.sum(values, axis=0) for values in zip(*self._window, strict=True))
+        score = float(np.abs(moment / np.sqrt(information)).max())
+        self._filtered = self._filtered + self._gain * (error - self._filtered)
+        if score < _LEARNING_SCORE:
+            self._hypotheses = None
+        self._compare(self._filtered)
+        if score >= _LEARNING_SCORE and self._hypotheses is None and len(self._recent) > self._past:
+            self._start()
+        touched = score > THRESHOLD and self._hypotheses is not None
+        return self._contact(score) if touched else ContactEstimate(touched=False, score=score)
+
+    def _compare(self, filtered: np.ndarray | None) -> None:
+        """Compare the hypotheses with the filtered deviation of a sample, None if it is missing."""
+        self._recent.append(filtered)
+        if self._hypotheses is not None:
+            self._hypotheses = self._compared(self._hypotheses, self._samples - 1, filtered)
+
+    def _start(self) -> None:
+        """Compare hypotheses with contact from each possible onset on with the recent samples."""
+        first, size = self._samples - len(self._recent), self._friction * _LEAST_FORCE * _FORCE_RATIO**_POWERS
+        grid = np.meshgrid(np.arange(len(self.stations)), np.concatenate([size, -size]), indexing="ij")
+        station, force = (values.ravel() for values in grid)
+        nothing = np.zeros((len(force), self._spec.segments))
+        now, cost_before = Hypotheses.none(self._spec.segments), 0.0
+        for i, filtered in enumerate(self._recent):
+            if i % self._onset_step == 0:
+                start = self._pushed_body()[0].free_velocity[(first + i - 1) % self.period]
+                velocity, cost = np.tile(start, (len(force), 1)), np.full(len(force), cost_before)
+                now = now.joined(Hypotheses(station, force, velocity, nothing, cost))
+            if filtered is not None:
+                cost_before += float((filtered**2 / self._variance).sum())
+            now = self._compared(now, first + i, filtered)
+        self._hypotheses = now
+
+    def _compared(self, now: Hypotheses, i: int, filtered: np.ndarray | None) -> Hypotheses:
+        """Return the hypotheses after sample i."""
+        body = self._pushed_body()[0]
+        velocity, moment = body.step(i, now.velocity, now.force, now.station)
+        if filtered is None:
+            return replace(now, velocity=velocity)
+        bend = (moment - body.free_moment[i % self.period]) / self._spec.bending.stiffness
+        bend = now.bend + self._gain * (bend - now.bend)
+        cost = now.cost + ((filtered - bend) ** 2 / self._variance).sum(axis=1)
+        later = replace(now, velocity=velocity, bend=bend, cost=cost, compared=now.compared + 1)
+        return later.pruned(_PRUNED * later.inflation(self._independent))
+
+    def _contact(self, score: float) -> ContactEstimate:
+        """Return the estimate from the remaining hypotheses."""
+        now = self._hypotheses
+        assert now is not None
+        variance = 2 * now.inflation(self._independent)
+        weight = np.exp((now.cost.min() - now.cost) / variance)
+        best = int(now.cost.argmin())
+        same = (now.station == now.station[best]) & (now.force * now.force[best] > 0)
+        wide = np.exp((now.cost.min() - now.cost) / (_CORRELATION * variance))
         step = self._spec.geometry.pitch / _STATIONS_PER_SEGMENT
-        places = self.stations[admitted]
+        places = _interval(self.stations[now.station], wide)
+        forces = _interval(now.force, wide)
+        ratio = math.sqrt(_FORCE_RATIO)
         return ContactEstimate(
-            touched=bool(abs(scores[best]) > THRESHOLD),
-            score=float(abs(scores[best])),
-            force=float(forces[best]),
+            touched=True,
+            score=score,
+            force=float((weight * now.force)[same].sum() / weight[same].sum()),
             force_interval=(
-                float((forces - spread)[admitted].min()), float((forces + spread)[admitted].max())
+                forces[0] * (ratio if forces[0] < 0 else 1 / ratio),
+                forces[1] * (ratio if forces[1] > 0 else 1 / ratio),
             ),
-            place=float(self.stations[best]),
-            place_interval=(float(places.min() - step), float(places.max() + step)),
-        )  # fmt: skip
+            place=float(self.stations[now.station[best]]),
+            place_interval=(places[0] - step, places[1] + step),
+        )
+
+
+def _interval(values: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
+    """Return the central interval of weighted values with the probability `COVERAGE`."""
+    order = np.argsort(values)
+    share = np.cumsum(weight[order]) / weight.sum()
+    low, high = np.searchsorted(share, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
+    return float(values[order[low]]), float(values[order[min(high, len(values) - 1)]])
