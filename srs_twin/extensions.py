@@ -28,6 +28,7 @@ COMMANDS = {
 """Commands: functions, or typer applications with subcommands."""
 
 CONTROLLERS = {
+    "compliant_gait": "srs_twin.scenario.compliant_gait:CompliantGaitFile",
     "replay": "srs_twin.recordings.scenario:ReplayFile",
     "follow": "srs_twin.planning.scenario:FollowFile",
 }

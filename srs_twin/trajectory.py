@@ -19,7 +19,7 @@ _COLUMNS_OF_UNIT = {
     "s": "time",
     "m": "com_x com_y x y z cross_track estimate_x estimate_y object_x object_y",
     "rad": "heading theta bend pitch sensed sensed_pitch heading_error estimate_heading object_heading"
-    " reference error target_plus target_minus amplitude_plus amplitude_minus grip",
+    " reference error target_plus target_minus amplitude_plus amplitude_minus grip phase_step",
     "rad/s": "sigma rate",
     "Pa": "pressure_plus pressure_minus pressure",
     "N": "obstacle_force_x obstacle_force_y load",

@@ -38,6 +38,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -113,10 +114,10 @@ class Gait(Controller):
     """
 
     kind = "gait"
-    state_attributes = ("frequency", "_offset", "phase_lag")
+    state_attributes: ClassVar[tuple[str, ...]] = ("frequency", "_offset", "phase_lag")
     frequency: float
     phase_lag: np.ndarray
-    layouts = ("3/2", "in_out")
+    layouts: tuple[str, ...] = ("3/2", "in_out")
     spatial = True
 
     def __init__(
