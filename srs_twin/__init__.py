@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import sys
 from types import ModuleType
-from typing import Any
 
 __version__ = "0.1.0"
 
@@ -47,7 +46,7 @@ _HOME = {
 __all__ = ["__version__", *_HOME]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name not in _HOME:
         raise AttributeError(f"module 'srs_twin' has no attribute '{name}'")
     return getattr(importlib.import_module(_HOME[name]), name)
@@ -60,7 +59,7 @@ def __dir__() -> list[str]:
 class _Package(ModuleType):
     """Module class that keeps public names from being shadowed: `rollout` is the function of rollout.py."""
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: object) -> None:
         if isinstance(value, ModuleType) and _HOME.get(name) == value.__name__:
             value = getattr(value, name)
         super().__setattr__(name, value)

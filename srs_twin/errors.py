@@ -44,7 +44,7 @@ class SrsError(Exception):
 
     exit_code = 4
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         """Pickle class, arguments and attributes: `Exception` would call __init__ with the message alone."""
         return _restore_error, (type(self), self.args, self.__dict__)
 
@@ -156,7 +156,7 @@ class WorkerDiedError(SrsError):
         super().__init__(f"the worker process {describe_exit(exit_code)}{times}; {_exit_cause(exit_code)}")
 
 
-def _restore_error(kind: type[SrsError], args: tuple[Any, ...], attributes: dict[str, Any]) -> SrsError:
+def _restore_error(kind: type[SrsError], args: tuple[object, ...], attributes: dict[str, object]) -> SrsError:
     error = kind.__new__(kind)
     error.args = args
     error.__dict__.update(attributes)

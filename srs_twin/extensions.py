@@ -117,7 +117,7 @@ def _has_package(name: str) -> bool:
     return find_spec(name) is not None
 
 
-def lazy(entries: Mapping[str, str]) -> Callable[[str], Any]:
+def lazy(entries: Mapping[str, str]) -> Callable[[str], object]:
     """Return a module-level ``__getattr__`` that imports names when they are used.
 
     Args:

@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -128,7 +128,7 @@ def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
         )
 
 
-def _add_outcome(test: TestCase, row: Mapping[str, Any], fails: Set[str]) -> TestCase:
+def _add_outcome(test: TestCase, row: Mapping[str, object], fails: Set[str]) -> TestCase:
     """Return the test case of an expectation with its outcome."""
     from srs_twin.scenario.expectation import result_text, verdict
 

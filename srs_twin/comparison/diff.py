@@ -136,7 +136,7 @@ class Difference:
                 "same": self.same}  # fmt: skip
 
 
-def _json_value(value: Any) -> Any:
+def _json_value(value: object) -> object:
     if not isinstance(value, float) or math.isfinite(value):
         return value
     return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"

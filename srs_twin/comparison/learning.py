@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -185,7 +184,7 @@ def is_learning(trajectory: Trajectory) -> bool:
     return all(trajectory.has(name) for name in ("sensed", "duty_plus", "target_plus"))
 
 
-def learning_metrics(trajectory: Trajectory) -> dict[str, Any]:
+def learning_metrics(trajectory: Trajectory) -> dict[str, object]:
     """Compute the metrics of a run with iterative learning; None for those that do not apply.
 
     Amplitudes refer to the periods of each chamber, which are numbered from 1; a period that began before
@@ -324,7 +323,7 @@ def _turn_by_period(trajectory: Trajectory, period: float) -> np.ndarray:
     return np.diff(np.interp(starts, trajectory.time, trajectory["heading"]))
 
 
-def _nested_lists(values: np.ndarray) -> list[Any]:
+def _nested_lists(values: np.ndarray) -> list[object]:
     """Return nested lists, with None in place of NaN."""
     if values.ndim > 1:
         return [_nested_lists(row) for row in values]

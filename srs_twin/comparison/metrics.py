@@ -294,7 +294,7 @@ def _compared(metrics: Mapping[str, Any], metric: str, less: str, more: str, uni
     return f"{abs(100 * share):.0f} % {less if share < 0 else more} than the model ({both}{why})"
 
 
-def _main_cause(metrics: Mapping[str, Any], metric: str, reference: float, share: float) -> str:
+def _main_cause(metrics: Mapping[str, object], metric: str, reference: float, share: float) -> str:
     """Return the main cause of a relative difference as text, in whole per cents that add up to it.
 
     If a cause was switched alone, the text states the effect with "would". The contributions of an
@@ -490,7 +490,7 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
     }
 
 
-def _gait_metrics(trajectory: Trajectory, window: GaitWindow) -> dict[str, Any]:
+def _gait_metrics(trajectory: Trajectory, window: GaitWindow) -> dict[str, object]:
     speeds, yaw_rates = running_rates(trajectory, window)
     speed, yaw_rate = float(speeds.mean()), float(yaw_rates.mean())
     bend = trajectory.stack("bend")

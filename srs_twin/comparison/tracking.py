@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -378,11 +377,11 @@ def reading_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     return metrics
 
 
-def _sensor(trajectory: Trajectory) -> Mapping[str, Any]:
+def _sensor(trajectory: Trajectory) -> Mapping[str, object]:
     return _mapping(trajectory.metadata.get("sensor"))
 
 
-def _field_per_rad(sensor: Mapping[str, Any]) -> float | None:
+def _field_per_rad(sensor: Mapping[str, object]) -> float | None:
     """Return the change of the field at the Hall element per sensed bend, T/rad; None if it is not known."""
     hall, line = _mapping(sensor.get("hall")), _mapping(sensor.get("calibration"))
     values = (hall.get("gain"), hall.get("gain_error"), hall.get("sensitivity"), line.get("slope"))
@@ -394,5 +393,5 @@ def _field_per_rad(sensor: Mapping[str, Any]) -> float | None:
     return abs(1 / rad_per_tesla) if rad_per_tesla else None
 
 
-def _mapping(value: Any) -> Mapping[str, Any]:
+def _mapping(value: object) -> Mapping[str, object]:
     return value if isinstance(value, Mapping) else {}

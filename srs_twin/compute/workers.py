@@ -63,7 +63,7 @@ class Workers:
         # Idle threads end when the pool is garbage-collected.
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return Workers, (self.threads,)
 
     def run(
@@ -343,7 +343,7 @@ class _Worker:
         self.process = _start_process(_worker_main, (remote_pipe, program))
         remote_pipe.close()
 
-    def receive(self) -> tuple[Any, Exception | None]:
+    def receive(self) -> tuple[object, Exception | None]:
         """Return result and error of the task, one of them None.
 
         Raises:
@@ -351,7 +351,7 @@ class _Worker:
         """
         if not self.pipe.poll():  # if the fork server has died, the pipe reports no end of file
             raise EOFError
-        answer: tuple[Any, Exception | None] = pickle.loads(self.pipe.recv_bytes())
+        answer: tuple[object, Exception | None] = pickle.loads(self.pipe.recv_bytes())
         return answer
 
     def end(self, deadline: float) -> int:
@@ -365,7 +365,7 @@ class _Worker:
         return code or 0
 
 
-def _start_process(target: Callable[..., None], arguments: tuple[Any, ...]) -> BaseProcess:
+def _start_process(target: Callable[..., None], arguments: tuple[object, ...]) -> BaseProcess:
     """Start a process that ignores Ctrl-C; retry for a while, because the fork server may have just died."""
     deadline = time.monotonic() + GRACE_S
     while True:
@@ -430,6 +430,6 @@ def _receive_arguments(pipe: Connection, arguments: queue.SimpleQueue[bytes]) ->
     os._exit(1)
 
 
-def _raise_exit(number: int, frame: Any) -> None:
+def _raise_exit(number: int, frame: object) -> None:
     """Raise SystemExit in the current task, so that its clean-up code runs."""
     raise SystemExit(128 + number)

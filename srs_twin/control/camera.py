@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -54,11 +54,11 @@ class CameraFrames(Stateful):
         self._next_frame = 0
 
     @property
-    def _noise_state(self) -> dict[str, Any]:
+    def _noise_state(self) -> dict[str, object]:
         return dict(self._rng.bit_generator.state)
 
     @_noise_state.setter
-    def _noise_state(self, state: dict[str, Any]) -> None:
+    def _noise_state(self, state: dict[str, object]) -> None:
         self._rng.bit_generator.state = state
 
     def capture(self, state: SnakeState) -> Pose | None:

@@ -149,7 +149,7 @@ def _record_key(name: str) -> str:
     return re.sub(r"(_plus|_minus)?_\d+$", "", name)
 
 
-def _prior(parameter: ParameterEntry) -> dict[str, Any]:
+def _prior(parameter: ParameterEntry) -> dict[str, object]:
     """Return the `uncertain` entry of a robot file's record; list elements have none."""
     numbers = (parameter.value, parameter.low, parameter.high)
     if parameter.name.startswith(("modules.", "mass.")) or None in numbers:
@@ -163,7 +163,7 @@ def _prior(parameter: ParameterEntry) -> dict[str, Any]:
     return {"uncertain": {"kind": "normal", "sd": (high - low) / _STDS_IN_INTERVAL}} if high > low else {}
 
 
-def _correlations(fit: FitFile, names: Sequence[str]) -> list[dict[str, Any]]:
+def _correlations(fit: FitFile, names: Sequence[str]) -> list[dict[str, object]]:
     """Return the `correlated` entries of a robot file."""
     known = [parameter.name for parameter in fit.parameters if parameter.value is not None]
     entries = []

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -297,7 +297,7 @@ def command_line(context: typer.Context) -> str:
     words = ["srs-twin", *context.command_path.split()[1:]]
     arguments: list[str] = []
     for parameter in context.command.params:
-        value: Any = context.params.get(parameter.name or "")
+        value: object = context.params.get(parameter.name or "")
         # Ignore output options, because they do not change the result.
         if value in (None, (), [], parameter.default) or parameter.name in ("quiet", "overwrite", "as_json"):
             continue

@@ -440,7 +440,7 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
     def record(value: object, unit: str, source: str) -> dict[str, object]:
         return {"value": value, "unit": unit, "status": "calibrated", "source": source}
 
-    content: dict[str, Any] = {
+    content: dict[str, object] = {
         "name": name,
         "title": f"{setup.spec.title.split(':')[0]}, {setup.frequency:g} Hz, "
         f"{setup.supply_pa / 1000:.4g} kPa, as measured on {_plant_text(setup)}",
@@ -509,7 +509,7 @@ def robot_hash(spec: RobotSpec) -> str:
     A new parameter whose default has no effect does not change the hash.
     """
 
-    def non_defaults(section: Any) -> Any:
+    def non_defaults(section: object) -> object:
         if not is_dataclass(section):
             return section
         values = {field: getattr(section, field.name) for field in fields(section)}

@@ -127,7 +127,7 @@ class Document:
         data[key] = override.value
         self._set_positions(override.loc, override.value, position)
 
-    def _set_positions(self, loc: Loc, value: Any, position: Position) -> None:
+    def _set_positions(self, loc: Loc, value: object, position: Position) -> None:
         """Set the position of a value and of all values inside it."""
         self.keys[loc] = self.values[loc] = position
         if isinstance(value, dict | list):
@@ -240,7 +240,7 @@ def parse_yaml(text: str, name: str) -> Document:
     return reader.document
 
 
-def dump_yaml(data: Any, *, compact: bool = False) -> str:
+def dump_yaml(data: object, *, compact: bool = False) -> str:
     """Return plain data as YAML text; `parse_yaml` reads it back as equal data.
 
     Args:
@@ -392,7 +392,7 @@ class _Representer(SafeRepresenter):
     """Writer of text that quotes and escapes unusual characters: plain U+0085 would be read as a blank."""
 
 
-def _represent_text(representer: SafeRepresenter, text: str) -> Any:
+def _represent_text(representer: SafeRepresenter, text: str) -> object:
     style = '"' if _UNUSUAL.search(text) else None
     return representer.represent_scalar("tag:yaml.org,2002:str", text, style=style)
 

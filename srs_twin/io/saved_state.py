@@ -81,7 +81,7 @@ class DeepCopied:
         return super().__reduce_ex__(protocol)
 
 
-def _why_not_copyable(value: Any) -> str | None:
+def _why_not_copyable(value: object) -> str | None:
     """Return the reason that a value can be neither copied nor pickled, or None.
 
     Nested functions are not copyable, because a copy would share the variables of the enclosing function.
@@ -114,7 +114,7 @@ class Stateful(DeepCopied):
             warnings.warn(message, DeprecationWarning, stacklevel=2)
             cls.state_attributes = vars(cls)["memory"]
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, object]:
         """Return a copy of the state, attribute name → value or nested state."""
         return {name: _copy_state(getattr(self, name)) for name in self._state_names()}
 
@@ -158,7 +158,7 @@ class Stateful(DeepCopied):
         return tuple(dict.fromkeys(names))
 
 
-def _copy_state(value: Any) -> Any:
+def _copy_state(value: object) -> object:
     return value.state_dict() if isinstance(value, Stateful) else copy.deepcopy(value)
 
 
@@ -173,12 +173,12 @@ class SavedState:
         version: version of the format of `content`.
     """
 
-    owner: Mapping[str, Any]
+    owner: Mapping[str, object]
     content: Mapping[str, Any]
     version: int = VERSION
 
     @property
-    def of(self) -> Mapping[str, Any]:
+    def of(self) -> Mapping[str, object]:
         """Deprecated name of `owner`."""
         warnings.warn("SavedState.of is now SavedState.owner", DeprecationWarning, stacklevel=2)
         return self.owner
@@ -239,17 +239,17 @@ class SavedState:
             raise InputError(f"{display_path(path)}: not a saved state ({reason})") from error
 
 
-def _check_version(label: str, version: Any) -> None:
+def _check_version(label: str, version: object) -> None:
     if version != VERSION:
         raise InputError(f"{label}: saved state of version {version}; this program reads version {VERSION}")
 
 
-def short_digest(*values: Any) -> str:
+def short_digest(*values: object) -> str:
     """Return the first 16 hexadecimal digits of the SHA-256 digest of the `repr` of values."""
     return hashlib.sha256(repr(values).encode()).hexdigest()[:16]
 
 
-def _encode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+def _encode(value: object, arrays: dict[str, np.ndarray]) -> object:
     """Return a value as JSON data; arrays are added to `arrays` and replaced by their names."""
     if isinstance(value, np.ndarray):
         name = f"array_{len(arrays)}"

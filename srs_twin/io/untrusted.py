@@ -87,7 +87,7 @@ def _integer(text: str) -> int | float:
     return int(text) if len(text) < 19 else _number(text)
 
 
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
     mapping = dict(pairs)
     if len(mapping) < len(pairs):
         names = [name for name, _ in pairs]
@@ -96,7 +96,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return mapping
 
 
-def _depth(data: Any) -> int:
+def _depth(data: object) -> int:
     """Return the depth of nested lists and objects, at most one more than is allowed."""
     layer, depth = [data], 0
     while layer and depth <= MAX_DEPTH:
@@ -105,7 +105,7 @@ def _depth(data: Any) -> int:
     return depth
 
 
-def _children(value: Any) -> Iterator[Any]:
+def _children(value: object) -> Iterator[object]:
     if isinstance(value, dict):
         yield from value.values()
     elif isinstance(value, list):

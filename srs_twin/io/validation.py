@@ -193,7 +193,7 @@ def _message(item: Any, schema: Schema, loc: Loc, data: Any) -> str:
     return f"must be {words}, not {_describe_value(value)}{close or _suggest_unit(value, loc, flat)}"
 
 
-def _suggest_unit(value: Any, loc: Loc, options: Iterable[Schema]) -> str:
+def _suggest_unit(value: object, loc: Loc, options: Iterable[Schema]) -> str:
     """Return '; did you mean 48.3?' for a number that would be allowed after a common change of unit."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < abs(value) < 1e300:
         return ""
@@ -208,7 +208,7 @@ def _suggest_unit(value: Any, loc: Loc, options: Iterable[Schema]) -> str:
     return ""
 
 
-def _existing_path(loc: Loc, data: Any) -> Loc:
+def _existing_path(loc: Loc, data: object) -> Loc:
     """Return a path from pydantic without components that are not in the data, such as union members."""
     existing: list[str | int] = []
     for key in loc:
@@ -322,7 +322,7 @@ def _allowed_keys(root: Schema, loc: Loc, data: Any) -> list[str]:
     return [key for s in schemas for o in _matching_options(s, root, data) for key in o.get("properties", {})]
 
 
-def _matching_options(schema: Schema, root: Schema, data: Any) -> list[Schema]:
+def _matching_options(schema: Schema, root: Schema, data: object) -> list[Schema]:
     """Return the alternatives of a schema; with a discriminator, those that match the data."""
     while "$ref" in schema:
         schema = root["$defs"][schema["$ref"].rsplit("/", 1)[1]]

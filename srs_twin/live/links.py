@@ -247,7 +247,7 @@ class MqttLink(Link):
                 client.subscribe([(each, 0) for each in self._topics])
         self._answered.set()
 
-    def _on_disconnect(self, *_: Any) -> None:
+    def _on_disconnect(self, *_: object) -> None:
         self.connected = False
 
     def _on_message(self, _client: Any, _data: Any, message: Any) -> None:

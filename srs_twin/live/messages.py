@@ -99,7 +99,7 @@ def _chamber_keys(chambers: int) -> tuple[str, ...]:
 
 def encode_contact(time: float, contact: ContactEstimate) -> bytes:
     """Return the JSON of a contact estimate at a time on our clock, s; null: no contact."""
-    keys: dict[str, Any] = {"t": time, "touched": contact.touched, "score": contact.score}
+    keys: dict[str, object] = {"t": time, "touched": contact.touched, "score": contact.score}
     values = {"n": contact.force, "n_interval": contact.force_interval}
     values |= {"m": contact.place, "m_interval": contact.place_interval}
     return json.dumps(keys | (values if contact.touched else dict.fromkeys(values))).encode()

@@ -77,7 +77,7 @@ class EstimateTable:
         return Trajectory(columns, units, metadata={"robot": self._spec.name})
 
 
-def summary(shadow: Shadow, links: Sequence[Link], e: Estimate | None) -> dict[str, Any]:
+def summary(shadow: Shadow, links: Sequence[Link], e: Estimate | None) -> dict[str, object]:
     """Return message counts, clocks and the last estimate as JSON values."""
     counts: Counter[str] = Counter()
     for link in links:
@@ -90,7 +90,7 @@ def summary(shadow: Shadow, links: Sequence[Link], e: Estimate | None) -> dict[s
         sender: {"offset_s": clock.offset, "jitter_s": clock.jitter}
         for sender, clock in shadow.buffer.clocks.items()
     }
-    found: dict[str, Any] = {
+    found: dict[str, object] = {
         "robot": shadow.spec.name, "messages": dict(counts), "dropped": dict(dropped), "clocks": clocks,
     }  # fmt: skip
     if e is not None:
@@ -114,7 +114,7 @@ def timing(ticks: Iterable[float], latency: Iterable[float]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def write_results(folder: Path, found: Mapping[str, Any], table: EstimateTable) -> None:
+def write_results(folder: Path, found: Mapping[str, object], table: EstimateTable) -> None:
     """Write summary and estimates to a folder."""
     with replace_files(folder, (SUMMARY, ESTIMATE)) as fresh:
         if len(table):

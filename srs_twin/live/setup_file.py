@@ -118,7 +118,7 @@ def load_setup(path: Path) -> SetupFile:
     return load_model(SetupFile, require_file(path))
 
 
-def setup_json_schema() -> dict[str, Any]:
+def setup_json_schema() -> dict[str, object]:
     """Return a schema (draft 2020-12) that knows every key with its title, description, unit and range."""
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | SetupFile.model_json_schema()
 

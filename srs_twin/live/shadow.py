@@ -12,7 +12,6 @@ import itertools
 import math
 import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -197,7 +196,7 @@ class Shadow:
     def _saved_parts(self) -> tuple[Stateful, ...]:
         return self.ensemble.connection, self.faults
 
-    def _identity(self) -> dict[str, Any]:
+    def _identity(self) -> dict[str, object]:
         rows = len(self.ensemble.connection.weights)
         return {
             "shadow": short_digest(self.spec), "supply_pa": self._supply, "learns": _SAVED, "products": rows,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import fields, is_dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -67,7 +66,7 @@ def differences(one: RobotSpec, other: RobotSpec) -> list[str]:
     return texts
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
@@ -146,7 +145,7 @@ class EstimateSteering:
             self._given_up = ending
             self._log(ending)
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, object]:
         """Return ending, duration and events as JSON values."""
         return {
             "ending": self._given_up or self.follower.ending or STOPPED, "seconds": self._steps * self._tick,

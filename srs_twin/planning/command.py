@@ -96,7 +96,7 @@ def plan(
         raise typer.Exit(EXPECTATION_FAILED)
 
 
-def _check_expectations(scenario: Scenario, metrics: dict[str, Any]) -> list[dict[str, Any]]:
+def _check_expectations(scenario: Scenario, metrics: dict[str, object]) -> list[dict[str, object]]:
     """Return the results of the scenario's expectations of its plan, without duplicates."""
     expected = {(item.metric, item.allowed): item for item in scenario.expect if item.metric in metrics}
     return [item.check({"plants": {item.subject: metrics}}) for item in expected.values()]

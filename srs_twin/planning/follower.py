@@ -419,7 +419,7 @@ def _new_plan(replan: Replan, pose: Pose, least: float) -> Renewal:
     return Renewal(None, reasons[0], 0.0)
 
 
-def _recorded(time: float, plan: Plan) -> dict[str, Any]:
+def _recorded(time: float, plan: Plan) -> dict[str, object]:
     """Return a plan as JSON values for `planning.metrics`."""
     return {
         "time": time,

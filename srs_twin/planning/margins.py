@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -51,7 +51,7 @@ class ConditionsFile(StrictModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _state_contact(cls, data: Any) -> Any:
+    def _state_contact(cls, data: object) -> object:
         if isinstance(data, dict) and data.get("plant") == "twin" and data.get("contact") is None:
             return {**data, "contact": UNSTATED_CONTACT}
         return data

@@ -87,7 +87,7 @@ def following_plot(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> F
 
 
 def plan_plot(
-    metadata: Mapping[str, Any], segments: Sequence[Segment], footprint: Footprint, title: str
+    metadata: Mapping[str, object], segments: Sequence[Segment], footprint: Footprint, title: str
 ) -> Figure:
     """Return a plot of a plan without runs.
 
@@ -103,7 +103,7 @@ def plan_plot(
 
 
 def search_plot(
-    metadata: Mapping[str, Any], segments: Sequence[Segment], footprint: Footprint, trace: SearchTrace
+    metadata: Mapping[str, object], segments: Sequence[Segment], footprint: Footprint, trace: SearchTrace
 ) -> Figure:
     """Return a plot of a plan with the arcs of its search; other arguments as for `plan_plot`."""
     figure, axes = _sheet(metadata, segments, footprint)

@@ -474,7 +474,7 @@ class FollowFile(ControllerSection):
         return self.gait.warnings(limit)
 
 
-def _input_files(section: Mapping[str, Any]) -> Iterator[str]:
+def _input_files(section: Mapping[str, object]) -> Iterator[str]:
     """Yield the path of the footprint file; its name if it is not found."""
     if isinstance(name := section.get("footprint"), str):
         try:

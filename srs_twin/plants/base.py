@@ -435,7 +435,7 @@ def check_before_step(plant: str, time: float, *state: Any) -> None:
         raise DivergedError(plant, time, reason)
 
 
-def check_commands(source: str, time: float, valves: Any) -> None:
+def check_commands(source: str, time: float, valves: object) -> None:
     """Check that valve commands have not diverged; the chambers report invalid finite commands.
 
     Args:

@@ -91,7 +91,7 @@ def write_mcap(path: Path, runs: Mapping[str, Trajectory]) -> None:
         writer.finish()
 
 
-def recording_map(plant: str, run: Trajectory) -> dict[str, Any]:
+def recording_map(plant: str, run: Trajectory) -> dict[str, object]:
     """Return the recording map with which `inspect` and `replay` read an exported MCAP file back."""
     connectors = range(1, run.position.shape[1] + 1)
     log = {
@@ -105,7 +105,7 @@ def recording_map(plant: str, run: Trajectory) -> dict[str, Any]:
     }
 
 
-def foxglove_layout(runs: Mapping[str, Trajectory]) -> dict[str, Any]:
+def foxglove_layout(runs: Mapping[str, Trajectory]) -> dict[str, object]:
     """Return a Foxglove layout: the snakes in 3D, bends and pressures over time."""
     bends, pressures = [], []
     for plant, run in runs.items():
@@ -130,7 +130,7 @@ def foxglove_layout(runs: Mapping[str, Trajectory]) -> dict[str, Any]:
     }
 
 
-def _messages(runs: Mapping[str, Trajectory], store: Any) -> Iterator[tuple[str, str, int, Any]]:
+def _messages(runs: Mapping[str, Trajectory], store: object) -> Iterator[tuple[str, str, int, object]]:
     """Yield topic, type, time (ns) and message, in the order of time."""
     times = sorted(
         (round(time * _NS), plant, k) for plant, run in runs.items() for k, time in enumerate(run.time)
@@ -157,7 +157,7 @@ class _Sample:
         valves = run.has("valve_plus") and run.has("valve_minus")
         self._valves = np.stack([run.stack(f"valve_{s}") for s in _SIDES], axis=-1) if valves else None
 
-    def messages(self, k: int, time: int) -> Iterator[tuple[str, str, Any]]:
+    def messages(self, k: int, time: int) -> Iterator[tuple[str, str, object]]:
         """Yield topic, type and message of a sample; time in ns."""
         make, plant = self._types, self._plant
         stamp = make["Time"](sec=time // _NS, nanosec=time % _NS)

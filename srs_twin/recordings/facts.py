@@ -16,7 +16,7 @@ from srs_twin.io.validation import StrictModel
 from srs_twin.recordings.recording_map import LOG_NAME, Up, canonical_key
 
 
-def _unit(unit: str) -> Any:
+def _unit(unit: str) -> object:
     return Field(json_schema_extra={"unit": unit})
 
 
@@ -182,7 +182,7 @@ class RecordingFacts(_Facts):
         return self.model_dump(mode="json", exclude_unset=True)
 
 
-def facts_json_schema() -> dict[str, Any]:
+def facts_json_schema() -> dict[str, object]:
     """Return the JSON Schema (draft 2020-12) of `inspect --json`, with descriptions and units."""
     schema = TypeAdapter(list[RecordingFacts]).json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema

@@ -153,7 +153,7 @@ PA_PER_KPA = 1000.0
 M3_PER_ML = 1e-6
 
 
-def _mass_tag(value: Any) -> str:
+def _mass_tag(value: object) -> str:
     return "each" if isinstance(value, list) else "all"
 
 
@@ -690,7 +690,7 @@ def section_units(section: str) -> dict[str, str]:
     field = RobotFile.model_fields.get(section)
     types = (get_args(field.annotation) or (field.annotation,)) if field else ()
     sections = [kind for kind in types if isinstance(kind, type) and issubclass(kind, Records)]
-    keys: Mapping[str, Any] = sections[0].model_fields if sections else {}
+    keys: Mapping[str, object] = sections[0].model_fields if sections else {}
     return {key: split_unit(key)[1] for key in keys if key not in _PLAIN_KEYS}
 
 

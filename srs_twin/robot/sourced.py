@@ -216,7 +216,7 @@ class Records(StrictModel):
                 text = f"{'' if unit == '1' else f', {unit}'}, {field.low:.10g} to {field.high:.10g}"
                 setattr(cls, key, Field(None if field.optional else ..., description=text))
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         """Pickle as plain data, because pickle cannot find the parametrised record classes by name."""
         return type(self).model_validate, (self.model_dump(exclude_unset=True),)
 

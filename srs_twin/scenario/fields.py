@@ -136,7 +136,7 @@ class Section(StrictModel):
             keys: keys of numbers, or of tuples of numbers.
             factor: 1.
         """
-        changed: dict[str, Any] = {}
+        changed: dict[str, object] = {}
         for key in set(keys) - self.model_fields_set:
             value = getattr(self, key)
             changed[key] = tuple(factor * x for x in value) if isinstance(value, tuple) else factor * value
@@ -237,7 +237,7 @@ class ExtensionSection(Section):
         """
 
 
-def _no_files(section: Mapping[str, Any]) -> Iterator[str]:
+def _no_files(section: Mapping[str, object]) -> Iterator[str]:
     return iter(())
 
 

@@ -21,7 +21,7 @@ import re
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field, field_validator
@@ -72,12 +72,12 @@ class MapFile(StrictModel):
 
     @field_validator("mode", mode="before")
     @classmethod
-    def _any_case(cls, mode: Any) -> Any:
+    def _any_case(cls, mode: object) -> object:
         return mode.lower() if isinstance(mode, str) else mode
 
     @field_validator("negate", mode="before")
     @classmethod
-    def _boolean(cls, text: Any) -> bool:
+    def _boolean(cls, text: object) -> bool:
         """Return the value of a YAML 1.1 boolean, quoted or not, as ROS does."""
         if (value := _BOOLEANS.get(str(text).lower())) is None:
             raise ValueError(f"must be true, yes, on, 1 or false, no, off, 0, not {text!r:.50}")

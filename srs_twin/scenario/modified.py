@@ -115,7 +115,7 @@ def changes_text(changes: Changes) -> str:
     return text
 
 
-def text_of(value: Any) -> str:
+def text_of(value: object) -> str:
     """Return the text of a value of a field in one line."""
     match value:
         case None:
@@ -195,7 +195,7 @@ def _leaves(loc: Loc, before: Any, after: Any) -> Iterator[Loc]:
             yield from _leaves((*loc, key), before, after)
 
 
-def _is_block(value: Any) -> bool:
+def _is_block(value: object) -> bool:
     """Return whether a value is a block of keys, not a record of a number with unit and source."""
     return isinstance(value, Mapping) and not {"value", "unit"} <= value.keys()
 
@@ -206,7 +206,7 @@ def _at(document: Any, loc: Loc) -> Any:
     return document
 
 
-def _value(document: Any, loc: Loc) -> Any:
+def _value(document: object, loc: Loc) -> object:
     """Return the value at a path for display.
 
     That is the name of a robot, the names of plants, the number of a record, or a digest of many values.

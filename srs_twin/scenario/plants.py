@@ -179,7 +179,7 @@ class TwinFile(_PlantFile):
         return self
 
 
-def preset_keys(preset: Any) -> dict[str, Any]:
+def preset_keys(preset: object) -> dict[str, object]:
     """Return the keys and values of a preset; the defaults without one, nothing for an unknown one."""
     values = PRESETS.get(str(preset), {}) if preset else {"timestep": ModelSettings.timestep}
     return {f"{name}_s": value for name, value in values.items()}

@@ -74,7 +74,7 @@ def arithmetic() -> str:
     return "-".join((processor, *blas_kernels(), digest))
 
 
-def run_key(document: Mapping[str, Any], plants: Iterable[str], runner: str) -> str:
+def run_key(document: Mapping[str, object], plants: Iterable[str], runner: str) -> str:
     """Return the key of a run.
 
     Args:
@@ -91,7 +91,7 @@ def run_key(document: Mapping[str, Any], plants: Iterable[str], runner: str) -> 
     )
 
 
-def run_sources(document: Mapping[str, Any], runner: str) -> dict[str, str]:
+def run_sources(document: Mapping[str, object], runner: str) -> dict[str, str]:
     """Return the source digests of the runner and of the extensions that a scenario uses, by module."""
     sections = {name: entry for name, entry in SECTIONS.items() if document.get(name)}
     used = installed(METRICS) | installed(sections)
@@ -104,7 +104,7 @@ def run_sources(document: Mapping[str, Any], runner: str) -> dict[str, str]:
     return {name: digest for module in modules for name, digest in source_digests(module).items()}
 
 
-def judged_digest(document: Mapping[str, Any]) -> str:
+def judged_digest(document: Mapping[str, object]) -> str:
     """Return a digest of a scenario with its robot and input files, to check stored intervals.
 
     Code, duration and seed are not included: their effect on a result is visible in its value. Texts that
@@ -117,19 +117,19 @@ def judged_digest(document: Mapping[str, Any]) -> str:
     )
 
 
-def _without_words(data: Any) -> Any:
+def _without_words(data: object) -> object:
     """Return nested data without the texts that explain its values."""
     if isinstance(data, Mapping):
         return {key: _without_words(value) for key, value in data.items() if key not in WORDS}
     return [_without_words(item) for item in data] if isinstance(data, list | tuple) else data
 
 
-def digest_of(**data: Any) -> str:
+def digest_of(**data: object) -> str:
     """Return the SHA-256 of plain data, hexadecimal."""
     return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
 
-def file_digests(document: Mapping[str, Any]) -> dict[str, str]:
+def file_digests(document: Mapping[str, object]) -> dict[str, str]:
     """Return the SHA-256 of the files that a run reads in addition to its document, by path, hexadecimal.
 
     The robot is part of the document; footprints, recordings and logs are given by name or path. The digest

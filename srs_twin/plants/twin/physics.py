@@ -181,7 +181,7 @@ class SnakePhysics(dm.Physics, Stateful):
         physics._set_up(spec, settings, chambers, world)
         return physics
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         """Copy the model and the state; the engine's data are created again, because they hold addresses."""
         arguments = self.model.ptr, self._spec, self._settings, self._pneumatics, self._world
         # The model may have been changed since these constants were taken from it: copy them, too.
@@ -365,7 +365,7 @@ class SnakePhysics(dm.Physics, Stateful):
                 spin = velocity[3:] @ ahead / (self._spec.geometry.wheel_radius * (ahead @ ahead))
                 data.qvel[raw.jnt_dofadr[joint]] = spin
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, object]:
         """Return the saved state; the engine's part is MuJoCo's integration state."""
         engine = np.empty(mujoco.mj_stateSize(self.model.ptr, _SAVED_STATE))
         mujoco.mj_getState(self.model.ptr, self.data.ptr, engine, _SAVED_STATE)

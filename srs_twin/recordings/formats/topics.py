@@ -232,7 +232,9 @@ class _Topics:
             for name, value in _joints(content) if kind.endswith("JointState") else _leaves("", content):
                 self._append(self.signals, f"{topic}{escape_unprintable(name)}", content, message, (value,))
 
-    def _append(self, series: _Series, label: str, content: Any, message: Message, values: _Numbers) -> None:
+    def _append(
+        self, series: _Series, label: str, content: object, message: Message, values: _Numbers
+    ) -> None:
         """Add a row at the header stamp of a message, or else at its log time."""
         stamp, time = getattr(getattr(content, "header", None), "stamp", None), message.log_time
         whole, part = getattr(stamp, "sec", None), getattr(stamp, "nanosec", None)

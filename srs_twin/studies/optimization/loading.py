@@ -123,7 +123,7 @@ class StudyFile(Section):
         return self
 
 
-def study_json_schema() -> dict[str, Any]:
+def study_json_schema() -> dict[str, object]:
     """Return the JSON Schema (draft 2020-12) of study files."""
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | StudyFile.model_json_schema()
 

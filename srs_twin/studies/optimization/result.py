@@ -116,7 +116,7 @@ class StudyResult:
             "seed": study.file.seed, "versions": versions(),
         }  # fmt: skip
 
-    def on_bound(self, k: int) -> dict[str, dict[str, Any]]:
+    def on_bound(self, k: int) -> dict[str, dict[str, object]]:
         """Return the variables of a best design that are on a bound.
 
         Returns:
@@ -162,10 +162,10 @@ class StudyResult:
         this, following = (self._samples(index, objective.metric) for index in (k + 1, k + 2))
         return float(np.mean(this > following if objective.goal == "maximize" else this < following))
 
-    def gain(self, k: int, name: str) -> dict[str, Any]:
+    def gain(self, k: int, name: str) -> dict[str, object]:
         """Return the relative gain of a best design over the initial scenario, and its 95 % interval."""
         value, before = self.optimum.best[k].metric(name), metric_of(self.initial, "twin", name)
-        gain: dict[str, Any] = {"share": _number(value / before - 1), "interval_95": None}
+        gain: dict[str, object] = {"share": _number(value / before - 1), "interval_95": None}
         if self.samples:
             gain["interval_95"] = _interval_95(self._samples(k + 1, name) / self._samples(0, name) - 1)
         return gain

@@ -241,7 +241,7 @@ class OpenSweep:
             titles[name] = f"{name}: {title}"
         return titles
 
-    def _document(self, summary: Summary) -> dict[str, Any]:
+    def _document(self, summary: Summary) -> dict[str, object]:
         return {
             "sweep": self.sweep.name,
             "title": self.sweep.title,
@@ -370,7 +370,7 @@ def on_device(device: str | None = None, workers: int | None = None) -> Engine:
     return run
 
 
-def _group_key(experiment: Experiment, scenario: Scenario) -> tuple[Any, ...]:
+def _group_key(experiment: Experiment, scenario: Scenario) -> tuple[object, ...]:
     """Return the timing that runs of one batch must share.
 
     Raises:

@@ -68,7 +68,9 @@ def _check_lengths(document: Document, published: Published) -> None:
             document.report(("beside", "at"), f"{named} is given twice; give it once")
 
 
-def _check_published_fields(document: Document, file: SweepFile, field: str, values: Sequence[Any]) -> None:
+def _check_published_fields(
+    document: Document, file: SweepFile, field: str, values: Sequence[object]
+) -> None:
     """Report published texts and booleans that no point has; `unmatched_values` warns about numbers."""
     varied = file.vary[field]
     has_numbers = isinstance(varied, RangeFile) or any(_is_number(value) for value in varied)
@@ -96,7 +98,7 @@ def unmatched_values(sweep: Sweep) -> tuple[str, ...]:
     return tuple(warnings)
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 

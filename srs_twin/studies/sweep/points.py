@@ -50,7 +50,7 @@ class RangeFile(Section):
         return self
 
 
-def _values_or_range(value: Any) -> str:
+def _values_or_range(value: object) -> str:
     return "range" if isinstance(value, dict | RangeFile) else "values"
 
 
@@ -112,7 +112,7 @@ class SweepFile(Section):
     """Published values to compare with."""
 
 
-def sweep_json_schema() -> dict[str, Any]:
+def sweep_json_schema() -> dict[str, object]:
     """Return the JSON Schema (draft 2020-12) of sweep files."""
     schema = SweepFile.model_json_schema(by_alias=True)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema
@@ -156,7 +156,7 @@ class Experiment:
     base: Mapping[str, Any] = field(repr=False)
     plants: tuple[str, ...]
     periods: float | None = None
-    robots: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    robots: Mapping[str, object] = field(default_factory=dict, repr=False)
     trajectories: bool = False
 
     def document(self, changes: Changes) -> dict[str, Any]:
@@ -260,7 +260,7 @@ def with_value(data: Any, loc: Loc, value: Value | list[Value]) -> Any:
     return {**inner, first: with_value(inner.get(first), rest, value)}
 
 
-def leaf_names(data: Any, prefix: str = "") -> Iterator[str]:
+def leaf_names(data: object, prefix: str = "") -> Iterator[str]:
     """Yield the dotted names of all scalar values in plain data; a robot record counts as one."""
     if isinstance(data, Mapping) and not {"value", "unit"} <= data.keys():
         for key, value in data.items():

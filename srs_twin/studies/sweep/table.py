@@ -132,7 +132,7 @@ class SweepTable:
     columns: Mapping[str, Sequence[Any]]
 
     @staticmethod
-    def from_columns(table: pa.Table | Mapping[str, Iterable[Any]]) -> SweepTable:
+    def from_columns(table: pa.Table | Mapping[str, Iterable[object]]) -> SweepTable:
         """Return the table of a pyarrow table or a mapping of columns."""
         if isinstance(table, Mapping):
             return SweepTable(
@@ -230,7 +230,7 @@ class SweepTable:
         ]
 
 
-def _field(name: str, column: Sequence[Any]) -> ColumnValues:
+def _field(name: str, column: Sequence[object]) -> ColumnValues:
     known = [value for value in column if value is not None]
     if all(isinstance(value, int | float) and not isinstance(value, bool) for value in known):
         return ColumnValues(field_label(name), _numbers(column))

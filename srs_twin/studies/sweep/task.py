@@ -133,7 +133,7 @@ def _partial_trajectory(
     return {} if trajectory is None or plant is None else {plant: trajectory}
 
 
-def flat_metrics(prefix: str, metrics: Mapping[str, Any]) -> dict[str, float | None]:
+def flat_metrics(prefix: str, metrics: Mapping[str, object]) -> dict[str, float | None]:
     """Return metrics as scalars; elements of lists are numbered, two chambers named plus and minus.
 
     Args:

@@ -196,7 +196,7 @@ class Propagation:
                 )
         return sorted(entries, key=lambda entry: entry["width"])
 
-    def swings(self) -> list[dict[str, Any]]:
+    def swings(self) -> list[dict[str, object]]:
         """Return the effect of each uncertain quantity alone on the target, by total index.
 
         An entry has the `parameter`, the metric with it at the `low` and the `high` end of its 95 % interval

@@ -127,7 +127,7 @@ class UncertaintyStudy:
         return dict(parse_scenario(document, name=self.scenario.name).document)
 
 
-def compliant_scenario(scenario: Scenario) -> Mapping[str, Any] | None:
+def compliant_scenario(scenario: Scenario) -> Mapping[str, object] | None:
     """Return a scenario with `compliant` as its only plant, as plain data; None if that cannot run it."""
     twin = scenario.plants.get("twin") or TwinFile()
     assert isinstance(twin, TwinFile), "the scenario's model ensures this type"
@@ -141,7 +141,7 @@ def compliant_scenario(scenario: Scenario) -> Mapping[str, Any] | None:
     return compliant.document
 
 
-def _field_value(document: Any, name: str) -> Any:
+def _field_value(document: object, name: str) -> object:
     """Return the value of a dotted field of plain data.
 
     Raises:

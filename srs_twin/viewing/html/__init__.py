@@ -77,7 +77,7 @@ def _environment() -> Environment:
     )
 
 
-def _clean(value: Any) -> Any:
+def _clean(value: object) -> object:
     # HTML does not allow control characters, and a terminal that prints the file would execute them.
     return value if isinstance(value, Markup) else escape_unprintable(str(value), keep="\t\n")
 

@@ -93,8 +93,8 @@ def send_objects(to: Entities, run: Trajectory, world: World) -> None:
         half, x, y = _OBSTACLE_HEIGHT_M / 2, run[f"object_x_{k}"], run[f"object_y_{k}"]
         turn = run[f"object_heading_{k}"] / 2
         rotation = np.stack([0 * turn, 0 * turn, np.sin(turn), np.cos(turn)], axis=-1)
-        shape: Any = rr.Boxes3D if item.is_box else rr.Cylinders3D
-        size: dict[str, Any] = {"lengths": [2 * half], "radii": [item.size[0]]}
+        shape: object = rr.Boxes3D if item.is_box else rr.Cylinders3D
+        size: dict[str, object] = {"lengths": [2 * half], "radii": [item.size[0]]}
         if item.is_box:
             size = {"half_sizes": [[item.size[0] / 2, item.size[1] / 2, half]]}
         centres = _at_height(np.stack([x, y], axis=-1), half)
@@ -272,7 +272,7 @@ def _send_connectors(to: Entities, snake: Trajectory, geometry: Geometry, colors
 def _send_wheels(to: Entities, snake: Trajectory, geometry: Geometry, color: Rgba) -> None:
     radius, axle = geometry.wheel_radius, np.repeat(snake.stack("theta") + np.pi / 2, 2, axis=1)
     centres = _at_height(wheel_centres(snake, geometry), radius)
-    size: dict[str, Any] = {"lengths": [0.4 * radius], "radii": [radius]}
+    size: dict[str, object] = {"lengths": [0.4 * radius], "radii": [radius]}
     _send_solids(to, "wheels", rr.Cylinders3D, centres, _yaw_quaternions(axle), colors=[color], **size)
 
 

@@ -21,8 +21,6 @@ which gravity does no work.
 
 from __future__ import annotations
 
-from typing import Any
-
 import mujoco
 import numpy as np
 from mujoco import MjsBody, MjsJoint, MjSpec
@@ -168,7 +166,7 @@ def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
 
 
 def _set_link_inertia(
-    body: MjsBody, spec: RobotSpec, mass: float, extra: tuple[float, Any] = (0.0, 0.0), x: float = 0.0
+    body: MjsBody, spec: RobotSpec, mass: float, extra: tuple[float, object] = (0.0, 0.0), x: float = 0.0
 ) -> None:
     """Set mass and inertia of a body with the gyration of a connector.
 
