@@ -76,7 +76,7 @@ class Case:
         """Name of the scenario with its overridden fields."""
         return self.name if self.scenario is None else self.scenario.label
 
-    def document(self) -> Mapping[str, Any]:
+    def document(self) -> Mapping[str, object]:
         """Return the result as JSON data: `metrics.json` or the errors."""
         result = self.result or CaseResult(None)
         if result.errors:

@@ -9,7 +9,7 @@ they differ.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -232,7 +232,7 @@ class MeasuredDifference:
         """Root mean square of the bend differences over the segments at each time, (T,), rad."""
         return np.asarray(np.sqrt((self.comparison.bend_error**2).mean(axis=1)))
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> dict[str, object]:
         """Return the entry of metrics.json: the RMS of each signal over the run and over equal intervals."""
         time = self.comparison.time
         edges = np.linspace(0, len(time), min(_MAX_INTERVALS, len(time)) + 1).round().astype(int)
@@ -307,7 +307,7 @@ class Attribution:
         """The window as text; empty if the attribution refers to the whole runs."""
         return "" if self.window_s is None else f"first {self.window_s:g} s of the runs"
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> dict[str, object]:
         """Return the entry of metrics.json."""
         return {"measures": tuple(MEASURES), **asdict(self)}
 

@@ -129,7 +129,7 @@ class Difference:
     wheres: tuple[str, ...]
     versions: Mapping[str, tuple[str | None, str | None]]
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> dict[str, object]:
         """Return JSON values, in which numbers that JSON lacks are "NaN", "Infinity" and "-Infinity"."""
         moved = [asdict(change) | {"rel": change.rel} for change in self.moved]
         return {"moved": [{key: _json_value(value) for key, value in row.items()} for row in moved],

@@ -76,7 +76,7 @@ class Controller(Stateful, ABC):
         state.check(f"controller '{self.kind}'", self.identity())
         self.load_state_dict(state.content)
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> dict[str, object]:
         """Return the properties that a saved state must share with this controller, as JSON values."""
         return {"controller": self.kind, "class": type(self).__name__}
 
@@ -98,7 +98,7 @@ class Controller(Stateful, ABC):
         """Return the events since the last call."""
         return []
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """Return the settings and results to record, as JSON values."""
         return {}
 

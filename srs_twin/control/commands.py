@@ -182,6 +182,6 @@ class ScheduledOffset(Controller):
         events, self._events = self._events + self._inner.events(), []
         return events
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """See `Controller.describe`."""
         return self._inner.describe() | {"changes": [list(change) for change in self.changes]}

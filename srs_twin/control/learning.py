@@ -199,7 +199,7 @@ class ILC(Controller):
         events, self._events = self._events + self.faults.events(), []
         return events
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """Return the settings, the first fill of each chamber, A, and the detected faults."""
         return {
             "k_per_rad": self._k,

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -208,7 +207,7 @@ class ExperimentDesign:
             if (widths or (self.before[name],))[-1] > self.targets[name]
         )
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> dict[str, object]:
         """Return the design as JSON values."""
         rows = [
             {

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
@@ -88,7 +88,7 @@ class SetupFile(Section):
             raise ValueError("the name cannot be part of a topic: it has /, + or #")
         return given
 
-    def options(self) -> dict[str, Any]:
+    def options(self) -> dict[str, object]:
         """Return the file's values by the names of the options of `srs-twin shadow`; without absent ones."""
         broker, capture = self.broker, self.motion_capture
         values = {

@@ -248,7 +248,7 @@ class Follower(Controller):
         events, self._events = self.gait.events() + self._events, []
         return events
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """Return the description of the gait, with plans, footprint, world and ending."""
         goal, conditions = asdict(self.goal), asdict(self.conditions)
         return self.gait.describe() | {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import asdict
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -244,7 +244,7 @@ class Pneumatics(Stateful, ABC):
         """
         raise InputError(f"pneumatics '{self.kind}' has no pressure regulator; use 'lag' or 'orifice'")
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """Return the settings for the provenance of a run (JSON values)."""
         stuck = {"stuck_valves": [asdict(valve) for valve in self.stuck]} if self.stuck else {}
         return {"kind": self.kind, "valve_delay_s": self._delay} | stuck

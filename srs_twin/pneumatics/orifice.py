@@ -21,7 +21,6 @@ sub-steps end on valve events; between their ends, states are cubic Hermite poly
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -219,7 +218,7 @@ class OrificePneumatics(Pneumatics):
         """Amount of air vented and leaked since `reset`, P V, J."""
         return float(self._amounts[2])
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """See `Pneumatics.describe`."""
         return super().describe() | self._settings
 

@@ -11,8 +11,6 @@ Valve commands have no effect, and the pneumatic energy is unknown; it stays 0.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from srs_twin.compute.compiled import compiled
@@ -67,7 +65,7 @@ class RecordedPressures(Pneumatics):
         trace = self._at(np.zeros(1))
         self.pressure, self.bend = trace.pressure[0], trace.bend[0]
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """See `Pneumatics.describe`."""
         return super().describe() | {"samples": len(self._time), "from_s": float(self._time[0])}
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter
 
@@ -177,7 +177,7 @@ class RecordingFacts(_Facts):
     notes: list[str]
     """Notes on results, conversions, assumptions and data that were left out."""
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> dict[str, object]:
         """Return the facts as plain data for JSON, without those that do not apply to the file."""
         return self.model_dump(mode="json", exclude_unset=True)
 

@@ -78,7 +78,7 @@ class Modules:
         return np.array(getattr(self, name), dtype=float)
 
 
-def _tuples(values: np.ndarray) -> tuple[Any, ...]:
+def _tuples(values: np.ndarray) -> tuple[object, ...]:
     return tuple(_tuples(row) if np.ndim(row) else float(row) for row in values)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from itertools import chain
-from typing import Any
 
 import numpy as np
 
@@ -179,7 +178,7 @@ def _check_spatial(document: Document, file: ScenarioFile, robot: RobotFile) -> 
 
 
 def check_controller(
-    document: Document, file: ScenarioFile, robot: RobotFile, supply_pa: float, products: Mapping[str, Any]
+    document: Document, file: ScenarioFile, robot: RobotFile, supply_pa: float, products: Mapping[str, object]
 ) -> tuple[str, list[str]]:
     """Return the layout of the valves and warnings; report why a controller does not suit the scenario."""
     spec, controller = robot.spec(), file.controller

@@ -77,11 +77,11 @@ class ControllerSection(Section):
         """Yield contradictions with other sections of the file."""
         return iter(())
 
-    def is_ready(self, products: Mapping[str, Any]) -> bool:
+    def is_ready(self, products: Mapping[str, object]) -> bool:
         """Return whether the products that the controller needs are available."""
         return True
 
-    def layouts(self, products: Mapping[str, Any]) -> tuple[str, ...]:
+    def layouts(self, products: Mapping[str, object]) -> tuple[str, ...]:
         """Return the valve layouts that the controller can drive.
 
         Args:
@@ -372,7 +372,7 @@ class HoldFile(ControllerSection):
     minus: Literal["fill", "hold", "vent"] = constructor_default()
     """Valve state of the - chambers."""
 
-    def layouts(self, products: Mapping[str, Any]) -> tuple[str, ...]:
+    def layouts(self, products: Mapping[str, object]) -> tuple[str, ...]:
         """See `ControllerSection.layouts`."""
         return layouts_for([STATES[self.plus], STATES[self.minus]])
 

@@ -178,7 +178,7 @@ def _set(document: Document, change: Override) -> None:
     document.apply(change)
 
 
-def _resolved_or_raw(data: Any, products: Mapping[str, Any]) -> dict[str, Any]:
+def _resolved_or_raw(data: Any, products: Mapping[str, object]) -> dict[str, Any]:
     """Return the resolved data of an unmodified scenario, or the data unchanged if they are not valid.
 
     Args:
@@ -208,7 +208,7 @@ def _check_field(change: Override) -> None:
 
 
 def _resolved(
-    file: ScenarioFile, robot: RobotFile, name: str, layout: str, products: Mapping[str, Any]
+    file: ScenarioFile, robot: RobotFile, name: str, layout: str, products: Mapping[str, object]
 ) -> dict[str, Any]:
     """Return the plain data of a scenario with all defaults and the robot written out.
 

@@ -62,7 +62,7 @@ class Scenario:
     file: ScenarioFile
     document: Mapping[str, Any] = field(repr=False)
     warnings: tuple[str, ...] = ()
-    products: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    products: Mapping[str, object] = field(default_factory=dict, compare=False, repr=False)
     source: str = field(default="", compare=False)
 
     @property

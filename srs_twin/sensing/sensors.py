@@ -18,7 +18,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import asdict, dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -55,7 +54,7 @@ class Sensor(ABC):
             InputError: a time is not finite, with a noisy sensor.
         """
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """Return the settings for the provenance of a run (JSON values)."""
         return {"kind": self.kind}
 
@@ -164,7 +163,7 @@ class CurvatureSensor(Sensor):
         noise = standard_normal(seed, time, bend.shape[-1]) if self.hall.noise > 0 else 0.0
         return self.calibration.angle(self.hall.voltage(bend, noise))
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """See `Sensor.describe`."""
         return super().describe() | asdict(self)
 
@@ -214,7 +213,7 @@ class TwoAxisSensor(_AlteredSensor):
             [self.sensor.read(bend[..., axis], time, seed + axis * _SEED_STEP) for axis in range(2)], axis=-1
         )
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """See `Sensor.describe`."""
         return self.sensor.describe() | {"axes": 2}
 
@@ -236,7 +235,7 @@ class DriftedSensor(_AlteredSensor):
         """See `Sensor.read`."""
         return np.asarray(np.array(self.gain) * self.sensor.read(bend, time, seed) + np.array(self.bias))
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """See `Sensor.describe`."""
         return self.sensor.describe() | {"drift_gain": list(self.gain), "drift_bias_rad": list(self.bias)}
 
@@ -277,7 +276,7 @@ class FaultySensor(_AlteredSensor):
             segment[..., fault.segment - 1] = np.where(failed, fault.reading, segment[..., fault.segment - 1])
         return sensed
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """See `Sensor.describe`."""
         dead = [asdict(fault) for fault in self.dead]
         for fault in dead:

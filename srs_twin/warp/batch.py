@@ -638,7 +638,7 @@ def _check_supported(twin: TwinSnake, first: TwinSnake) -> None:
     unsupported = {
         f"pneumatics {air.kind!r}": not isinstance(air, LagPneumatics),
         "leak_per_s": getattr(air, "leaks", False),
-        "valve_delay_s": air.describe().get("valve_delay_s", 0.0) > 0,
+        "valve_delay_s": bool(air.describe().get("valve_delay_s")),
         f"layout {twin.layout!r}": twin.layout != "3/2",
         "stuck valves": bool(air.stuck),
         "base 'clamped'": not twin.physics.free,

@@ -190,7 +190,7 @@ class TwinBatch(DeepCopied):
         """Return the number of openings of each chamber's inlet, shape (runs, segments, 2)."""
         return np.array([twin.openings() for twin in self.twins])
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """Return the settings of the batch for the provenance of a run, in addition to those of its twins."""
         return {}
 

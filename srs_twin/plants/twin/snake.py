@@ -203,7 +203,7 @@ class TwinSnake(PneumaticPlant):
         """See `Plant.sample_step`."""
         return self.timestep
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> dict[str, object]:
         """See `Plant.identity`."""
         return super().identity() | {"world": self._world}
 
@@ -226,7 +226,7 @@ class TwinSnake(PneumaticPlant):
         self._ticks += ticks
         return check_plausible(self.name, SnakeState.history(histories))
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """Return the settings for the provenance of a run."""
         settings = self._settings
         contact = settings.contact

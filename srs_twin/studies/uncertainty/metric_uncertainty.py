@@ -120,7 +120,7 @@ class MetricUncertainty:
             for above, below in zip(is_larger.sum(axis=0), is_larger.sum(axis=1), strict=True)
         ]
 
-    def document(self, names: tuple[str, ...]) -> dict[str, Any]:
+    def document(self, names: tuple[str, ...]) -> dict[str, object]:
         """Return the distribution as JSON values.
 
         Args:

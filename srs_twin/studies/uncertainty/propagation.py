@@ -261,7 +261,7 @@ class Propagation:
         samples = _fill_missing(self.plants[plant][metric].samples)[:, None]
         return self._expansions.setdefault((plant, metric), PolynomialChaos.fit(self.study.shares, samples))
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> dict[str, object]:
         """Return the result as JSON values, as `--json` prints it."""
         names = self.study.names
         plants = {
