@@ -324,7 +324,7 @@ class ComparedRuns(Comparison):
 
     title: str
     trajectories: Mapping[str, Trajectory]
-    results: Mapping[str, Any]
+    results: Mapping[str, object]
     spec: RobotSpec
 
     def __str__(self) -> str:
@@ -350,7 +350,7 @@ def compare(
     reference: Trajectory | Scenario | str | Path,
     candidate: Trajectory | None = None,
     *,
-    set: Mapping[str, Any] | None = None,
+    set: Mapping[str, object] | None = None,
     gap_factor: bool = False,
 ) -> Comparison:
     """Compare two trajectories, or run a scenario on both plants and compare the plants.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -149,7 +149,7 @@ class MetricGroup:
     """
 
     meanings: Mapping[str, str]
-    measure: Callable[[Trajectory], dict[str, Any]]
+    measure: Callable[[Trajectory], dict[str, float | None]]
     why_undefined: Callable[[str, Trajectory], str] = _no_reason
     relative: frozenset[str] = frozenset()
     main: str = ""

@@ -20,6 +20,8 @@ from numba.extending import overload
 
 from srs_twin.errors import CacheWarning
 
+Function = Callable[..., Any]
+
 # Allowed optimisations: they may change the order of sums, but not the treatment of infinities and NaN.
 _FASTMATH = {"contract", "reassoc", "arcp", "nsz"}
 _OPTIONS: Any = {
@@ -44,7 +46,7 @@ def notify_first_compilation(notice: Callable[[], None]) -> None:
     _notices[:] = [notice]
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+def compiled(function: Function) -> Function:
     """Compile a function that creates no arrays, on its first call, and cache the machine code on disk.
 
     The kernel runs without the interpreter's lock.
@@ -57,12 +59,12 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     return _with_cache(njit(**_OPTIONS, **_NO_REFCOUNTS)(function), function)
 
 
-def allocating(function: Callable[..., Any]) -> Callable[..., Any]:
+def allocating(function: Function) -> Function:
     """Compile a function that creates arrays; otherwise as `compiled`."""
     return _with_cache(njit(**_OPTIONS)(function), function)
 
 
-def kernel_only(function: Callable[..., Any]) -> Callable[..., Any]:
+def kernel_only(function: Function) -> Function:
     """Compile a function that only kernels call, without a wrapper for calls from Python.
 
     The wrapper of a function with records of arrays as arguments takes longer to compile than the function.
@@ -70,16 +72,16 @@ def kernel_only(function: Callable[..., Any]) -> Callable[..., Any]:
     return _with_cache(njit(**_OPTIONS, **_NO_REFCOUNTS, **_NO_WRAPPER)(function), function)
 
 
-def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
+def inlined(function: Function) -> Function:
     """Compile a long function as a part of the one kernel that calls it.
 
     Other kernels are optimised alone, and again within each kernel around them.
     """
-    kernel: Callable[..., Any] = njit(inline="always", **_OPTIONS, **_NO_REFCOUNTS)(function)
+    kernel: Function = njit(inline="always", **_OPTIONS, **_NO_REFCOUNTS)(function)
     return kernel
 
 
-def compiled_if(condition: Callable[..., bool], otherwise: Any = None) -> Callable[..., Any]:
+def compiled_if(condition: Callable[..., bool], otherwise: float | None = None) -> Function:
     """Return a decorator that compiles a function of four arguments, as `kernel_only`, where it is needed.
 
     Args:
@@ -87,7 +89,7 @@ def compiled_if(condition: Callable[..., bool], otherwise: Any = None) -> Callab
         otherwise: number that such a call returns.
     """
 
-    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+    def decorate(function: Function) -> Function:
         kernel = kernel_only(function)
 
         def call(a, b, c, d):  # type: ignore[no-untyped-def]
@@ -105,13 +107,13 @@ def compiled_if(condition: Callable[..., bool], otherwise: Any = None) -> Callab
     return decorate
 
 
-def _with_cache(dispatcher: Any, function: Callable[..., Any]) -> Callable[..., Any]:
+def _with_cache(dispatcher: Any, function: Function) -> Function:
     """Attach a cache to a dispatcher."""
     try:
         dispatcher._cache = _Cache(function)
     except RuntimeError:  # numba found no writable folder
         _warn("no cache folder is writable")
-    kernel: Callable[..., Any] = dispatcher
+    kernel: Function = dispatcher
     return kernel
 
 
@@ -121,7 +123,7 @@ class _Cache(FunctionCache):
     The cache files are pickles, which can execute code. A folder that other users can write to is not used.
     """
 
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
+    def load_overload(self, sig: object, target_context: object) -> Any:
         """Return the cached machine code for a signature, or None.
 
         The digest is computed here, at the first call, because all names that the function uses exist then.
@@ -179,7 +181,7 @@ def _warn(reason: str, requirement: str = "that you can write to") -> None:
 
 
 @functools.cache
-def _source_stamp(function: Any) -> str:
+def _source_stamp(function: FunctionType) -> str:
     """Return a digest of the computation of a function; comments and docstrings do not change it."""
     digest = hashlib.sha256(f"{function.__module__} {sorted(_FASTMATH)} {sorted(_NO_REFCOUNTS)}".encode())
     for text in _code_parts(function.__code__, function.__globals__, set()):
@@ -187,7 +189,7 @@ def _source_stamp(function: Any) -> str:
     return digest.hexdigest()
 
 
-def _code_parts(code: CodeType, names: Mapping[str, Any], seen: set[CodeType]) -> Iterator[str]:
+def _code_parts(code: CodeType, names: Mapping[str, object], seen: set[CodeType]) -> Iterator[str]:
     """Yield the bytecode of a function and the values of its names, recursively for called functions."""
     if code in seen:
         return
@@ -206,7 +208,7 @@ def _code_parts(code: CodeType, names: Mapping[str, Any], seen: set[CodeType]) -
             yield from _value_parts(name, [value], seen)
 
 
-def _value_parts(name: str, values: Iterable[Any], seen: set[CodeType]) -> Iterator[str]:
+def _value_parts(name: str, values: Iterable[object], seen: set[CodeType]) -> Iterator[str]:
     """Yield the values of a name as text; for functions the same as `_code_parts`."""
     for value in values:
         function = getattr(value, "py_func", value)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,14 +36,14 @@ class Reference(ABC):
         """Largest magnitude of the reference, rad."""
 
     @abstractmethod
-    def value(self, time: ArrayLike) -> Any:
+    def value(self, time: ArrayLike) -> np.ndarray:
         """Return the bend at a time (s), rad."""
 
-    def rate(self, time: ArrayLike) -> Any:
+    def rate(self, time: ArrayLike) -> np.ndarray:
         """Return the rate of change at a time (s), rad/s; 0 at jumps."""
         return np.zeros_like(np.asarray(time, dtype=float))[()]
 
-    def is_clipped(self, time: ArrayLike) -> Any:
+    def is_clipped(self, time: ArrayLike) -> np.ndarray:
         """Return whether the reference is clipped to the range of the module at a time (s)."""
         return np.zeros(np.shape(time), dtype=bool)[()]
 
@@ -94,7 +94,7 @@ class Constant(Reference):
         """See `Reference.peak`."""
         return abs(self.level)
 
-    def value(self, time: ArrayLike) -> Any:
+    def value(self, time: ArrayLike) -> np.ndarray:
         """See `Reference.value`."""
         return np.full_like(np.asarray(time, dtype=float), self.level)[()]
 
@@ -124,7 +124,7 @@ class Staircase(Reference):
         """See `Reference.peak`."""
         return max(abs(level) for level in self.levels)
 
-    def value(self, time: ArrayLike) -> Any:
+    def value(self, time: ArrayLike) -> np.ndarray:
         """See `Reference.value`."""
         number = np.floor(np.asarray(time) / self.hold + _ROUNDING).astype(int)
         return np.asarray(self.levels)[np.clip(number, 0, len(self.levels) - 1)]
@@ -149,7 +149,7 @@ class Step(Reference):
         """See `Reference.peak`."""
         return max(abs(self.before), abs(self.after))
 
-    def value(self, time: ArrayLike) -> Any:
+    def value(self, time: ArrayLike) -> np.ndarray:
         """See `Reference.value`."""
         return np.where(np.asarray(time) > self.time - _ROUNDING, self.after, self.before)[()]
 
@@ -191,11 +191,11 @@ class Sine(_Periodic):
         offset: rad.
     """
 
-    def value(self, time: ArrayLike) -> Any:
+    def value(self, time: ArrayLike) -> np.ndarray:
         """See `Reference.value`."""
         return self.offset + self.amplitude * np.sin(self._angle(time))
 
-    def rate(self, time: ArrayLike) -> Any:
+    def rate(self, time: ArrayLike) -> np.ndarray:
         """See `Reference.rate`."""
         return 2 * math.pi * self.frequency * self.amplitude * np.cos(self._angle(time))
 
@@ -211,7 +211,7 @@ class Square(_Periodic):
         offset: rad.
     """
 
-    def value(self, time: ArrayLike) -> Any:
+    def value(self, time: ArrayLike) -> np.ndarray:
         """See `Reference.value`."""
         fraction = (self._angle(time) / (2 * math.pi) + _ROUNDING) % 1.0
         return self.offset + np.where(fraction < 0.5, self.amplitude, -self.amplitude)[()]
@@ -239,14 +239,14 @@ class ClippedReference(Reference):
         """See `Reference.peak`."""
         return min(self.unclipped.peak, self.limit)
 
-    def value(self, time: ArrayLike) -> Any:
+    def value(self, time: ArrayLike) -> np.ndarray:
         """See `Reference.value`."""
         return np.clip(self.unclipped.value(time), -self.limit, self.limit)
 
-    def rate(self, time: ArrayLike) -> Any:
+    def rate(self, time: ArrayLike) -> np.ndarray:
         """See `Reference.rate`."""
         return np.where(self.is_clipped(time), 0.0, self.unclipped.rate(time))[()]
 
-    def is_clipped(self, time: ArrayLike) -> Any:
+    def is_clipped(self, time: ArrayLike) -> np.ndarray:
         """See `Reference.is_clipped`."""
         return np.abs(self.unclipped.value(time)) > self.limit

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -58,7 +57,7 @@ class FollowerRun:
         seed: random seed of modules, noise and path.
     """
 
-    document: dict[str, Any]
+    document: dict[str, object]
     run_up: float
     plant: str
     seed: int

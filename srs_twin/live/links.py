@@ -23,7 +23,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
@@ -45,6 +45,9 @@ from srs_twin.live.messages import (
     encode_contact,
     topic,
 )
+
+if TYPE_CHECKING:
+    from paho.mqtt import client as mqtt
 
 LOOPBACK = "127.0.0.1"
 _MOST_WAITING = 100_000
@@ -236,7 +239,9 @@ class MqttLink(Link):
         self._client.disconnect()
         self._client.loop_stop()
 
-    def _on_connect(self, client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+    def _on_connect(
+        self, client: Any, _data: object, _flags: object, reason: Any, _properties: object
+    ) -> None:
         self.connected, self._why = not reason.is_failure, str(reason)
         if self.connected:
             self.counts["connected"] += 1
@@ -250,7 +255,7 @@ class MqttLink(Link):
     def _on_disconnect(self, *_: object) -> None:
         self.connected = False
 
-    def _on_message(self, _client: Any, _data: Any, message: Any) -> None:
+    def _on_message(self, _client: object, _data: object, message: Any) -> None:
         arrived = clock()
         try:
             kind = self._topics.get(message.topic, "")
@@ -261,7 +266,7 @@ class MqttLink(Link):
             self._refuse(error)
 
 
-def _trust(client: Any, ca: Path) -> None:
+def _trust(client: mqtt.Client, ca: Path) -> None:
     """Encrypt a client's connection; trust a broker whose certificate this authority has signed.
 
     Raises:

@@ -105,7 +105,7 @@ def summary(shadow: Shadow, links: Sequence[Link], e: Estimate | None) -> dict[s
     return found
 
 
-def timing(ticks: Iterable[float], latency: Iterable[float]) -> dict[str, Any]:
+def timing(ticks: Iterable[float], latency: Iterable[float]) -> dict[str, object]:
     """Return quantiles of tick durations and latencies (s), in ms, and the number of ticks that overran."""
     ticks = list(ticks)
     return {
@@ -241,9 +241,9 @@ class Session:
         self._pool = ThreadPoolExecutor(2)
         self._predicting: Future[Prediction] | None = None
         self._saving: Future[None] | None = None
-        self._summary: dict[str, Any] = {}
+        self._summary: dict[str, object] = {}
 
-    def run(self, duration: float = math.inf, stop: Callable[[], bool] = lambda: False) -> dict[str, Any]:
+    def run(self, duration: float = math.inf, stop: Callable[[], bool] = lambda: False) -> dict[str, object]:
         """Run until the session is stopped, a journal ends, or the steering ends; return the summary.
 
         However the run ends, a steered robot is vented and the files are written.

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -96,7 +96,7 @@ def plan(
         raise typer.Exit(EXPECTATION_FAILED)
 
 
-def _check_expectations(scenario: Scenario, metrics: dict[str, object]) -> list[dict[str, object]]:
+def _check_expectations(scenario: Scenario, metrics: Mapping[str, object]) -> list[dict[str, object]]:
     """Return the results of the scenario's expectations of its plan, without duplicates."""
     expected = {(item.metric, item.allowed): item for item in scenario.expect if item.metric in metrics}
     return [item.check({"plants": {item.subject: metrics}}) for item in expected.values()]
@@ -147,7 +147,9 @@ def _quality(result: Plan) -> dict[str, float | None]:
     }
 
 
-def _write(folder: Path, scenario: Scenario, problem: Problem, result: Plan, metrics: dict[str, Any]) -> None:
+def _write(
+    folder: Path, scenario: Scenario, problem: Problem, result: Plan, metrics: Mapping[str, object]
+) -> None:
     """Write the plan as a JSON document and a picture."""
     from srs_twin.planning.pictures import plan_plot
 

@@ -111,7 +111,7 @@ def footprint_of(metadata: Mapping[str, Any]) -> Footprint:
     return Footprint(data["name"], data["title"], **columns, ahead=data["ahead"], behind=data["behind"])
 
 
-def following_metrics(trajectory: Trajectory) -> dict[str, Any]:
+def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     """Return the metrics of a run that followed a plan; all None for other runs.
 
     Relative to the plan in force at each sample:
@@ -154,7 +154,7 @@ def following_metrics(trajectory: Trajectory) -> dict[str, Any]:
     }
 
 
-def plan_metrics(found: bool, segments: tuple[Segment, ...], nodes: int) -> dict[str, Any]:
+def plan_metrics(found: bool, segments: tuple[Segment, ...], nodes: int) -> dict[str, float | None]:
     """Return the metrics of a plan without a run."""
     from srs_twin.planning.problem import Outcome, Plan
 
@@ -167,7 +167,9 @@ def plan_metrics(found: bool, segments: tuple[Segment, ...], nodes: int) -> dict
     }
 
 
-def _arrival(trajectory: Trajectory, metadata: Mapping[str, Any], *, overlapped: bool) -> dict[str, Any]:
+def _arrival(
+    trajectory: Trajectory, metadata: Mapping[str, Any], *, overlapped: bool
+) -> dict[str, float | None]:
     """Return the metrics of arrival at the goal."""
     goal = metadata["goal"]
     error = float(np.hypot(*(trajectory.com[-1] - (goal["x"], goal["y"]))))
@@ -194,7 +196,7 @@ def _mean_heading(trajectory: Trajectory) -> float:
     return float(np.trapezoid(values, at) / period + (values[-1] - values[0]) / 2)
 
 
-def _deviation(trajectory: Trajectory, metadata: Mapping[str, Any]) -> dict[str, Any]:
+def _deviation(trajectory: Trajectory, metadata: Mapping[str, Any]) -> dict[str, float | None]:
     """Return the metrics of deviation from the path."""
     deviations = list(_path_deviations(trajectory))
     if not deviations:
@@ -273,7 +275,7 @@ def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def _contacts(trajectory: Trajectory) -> dict[str, Any]:
+def _contacts(trajectory: Trajectory) -> dict[str, float | None]:
     """Return number and duration of contacts with obstacles."""
     force = obstacle_force(trajectory)
     if force is None:

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -161,7 +161,7 @@ class LagChambers(Pneumatics):
     def _prepare(self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray) -> None:
         """Prepare the laws for the time constants of the chambers, shape (segments, chambers), s."""
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """See `Pneumatics.describe`."""
         return super().describe() | {"leak_per_s": self._leak}
 

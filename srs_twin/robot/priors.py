@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -143,7 +142,7 @@ class Priors:
         columns = [prior.quantile(ndtr(normal[..., i])) for i, prior in enumerate(self.parameters)]
         return np.stack(columns, axis=-1)
 
-    def document(self) -> list[dict[str, Any]]:
+    def document(self) -> list[dict[str, object]]:
         """Return plain data for digests and results."""
         rows = [
             {

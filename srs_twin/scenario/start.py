@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -83,7 +83,7 @@ class StartFile(Section):
         return self.run is not None or any(getattr(self, name) is not None for name in _AT_REST)
 
     def initial_state(
-        self, segments: int, supply_pa: float, plants: Mapping[str, Any]
+        self, segments: int, supply_pa: float, plants: Mapping[str, object]
     ) -> InitialState | None:
         """Return the initial state of each plant; None: straight and at rest.
 

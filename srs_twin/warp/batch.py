@@ -10,12 +10,13 @@ import copy
 import warnings
 from collections.abc import Sequence
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, NoReturn, SupportsIndex
 
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
 from srs_twin.errors import DivergedError, EngineWarning, InputError, count_steps
 from srs_twin.plants.base import Pose, SnakeState
@@ -121,7 +122,7 @@ class WarpBatch:
         """Return whether there is a GPU."""
         return bool(wp.get_preferred_device().is_cuda)
 
-    def __reduce_ex__(self, protocol: Any) -> Any:
+    def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
         """Refuse to be copied: the states of the runs are on the device.
 
         Raises:
@@ -222,7 +223,7 @@ class WarpBatch:
         }  # fmt: skip
         return structs
 
-    def _view(self, name: str) -> Any:
+    def _view(self, name: str) -> wp.array:
         """Return an array of vectors or matrices of the engine's data as an array of numbers."""
         array = getattr(self._data, name)
         size = wp.types.type_size(array.dtype)
@@ -390,7 +391,7 @@ class WarpBatch:
                 )
         return np.where(far[:, None], places[:, :2], 0.0)
 
-    def _set(self, array: Any, chosen: np.ndarray, value: Any) -> None:
+    def _set(self, array: wp.array, chosen: np.ndarray, value: ArrayLike) -> None:
         """Set the rows of the given worlds in an array on the device."""
         if len(chosen) == len(self):
             full = np.broadcast_to(np.asarray(value), (len(self), *array.shape[1:]))
@@ -509,7 +510,7 @@ class WarpBatch:
         """Return the number of openings of each inlet, shape (runs, segments, 2)."""
         return np.asarray(self._structs["chambers"].openings.numpy())
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """Return the settings of the batch for the provenance of a run, in addition to those of its twins."""
         return {"engine": "warp", "device": self.device.name}
 

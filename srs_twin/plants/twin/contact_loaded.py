@@ -40,7 +40,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn, SupportsIndex
 
 import llvmlite.binding as llvm
 import mujoco
@@ -138,7 +138,7 @@ class LoadedStepper(Stateful):
         self._work = Workspace(*map(np.zeros, shapes))._replace(newton_matrix=data.M)
         self._reset_contact_state()
 
-    def __reduce_ex__(self, protocol: Any) -> Any:
+    def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
         """Refuse to be copied: a copy would hold addresses in the data of the original.
 
         Raises:

@@ -342,7 +342,7 @@ def on_device(device: str | None = None, workers: int | None = None) -> Engine:
         unsupported: dict[int, str] = {}
         for first in range(0, len(points), BATCH_SIZE):
             chunk = range(first, min(first + BATCH_SIZE, len(points)))
-            groups: dict[Any, list[tuple[int, Scenario, Any]]] = defaultdict(list)
+            groups: dict[object, list[tuple[int, Scenario, object]]] = defaultdict(list)
             for k in chunk:
                 try:
                     scenario = parse_scenario(experiment.document(points[k].changes))
@@ -384,7 +384,7 @@ def _group_key(experiment: Experiment, scenario: Scenario) -> tuple[object, ...]
     return tuple(timing[name] for name in ("duration", "seed", "record_hz"))
 
 
-def _run(batch_class: Any, device: str | None, group: Sequence[tuple[int, Scenario, Any]]) -> list[Any]:
+def _run(batch_class: Any, device: str | None, group: Sequence[tuple[int, Scenario, object]]) -> list[Any]:
     """Run scenarios with the same timing in one batch; raises InputError if the device cannot."""
     scenarios = [scenario for _, scenario, _ in group]
     timing = scenarios[0].timing

@@ -107,7 +107,7 @@ def failed_row(key: str, error: Exception | None, wall_s: float = 0.0) -> Row:
     return Row(key, FAILED, {}, wall_s, escape_unprintable(" ".join(str(error).split())), code)
 
 
-def _plan_metrics(scenario: Scenario) -> dict[str, Any]:
+def _plan_metrics(scenario: Scenario) -> dict[str, object]:
     """Return the metrics of a plan, and its planning time.
 
     Raises:

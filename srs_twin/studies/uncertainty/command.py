@@ -97,7 +97,7 @@ def uncertainty(
         check_output_folder(INTERVALS, (f"{loaded.name}.json",), option="")
 
     @contextmanager
-    def counting(part: str, count: int) -> Iterator[Callable[[Row], Any]]:
+    def counting(part: str, count: int) -> Iterator[Callable[[Row], object]]:
         with RunCounter(f"{loaded.name}, {part}", count, quiet=quiet) as progress:
             yield lambda row: progress(failed=row.exit_code != 0)
 

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.stats import bootstrap
@@ -126,7 +125,7 @@ class MetricUncertainty:
         Args:
             names: names of the uncertain quantities.
         """
-        row: dict[str, Any] = {"value": self.value}
+        row: dict[str, object] = {"value": self.value}
         row |= {name: list(self.interval(name)) for name in RANGES}
         row |= {"interval_50_error": self.errors[:2].tolist(), "interval_95_error": self.errors[2:].tolist()}
         row |= {"median": self.median}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -236,7 +236,7 @@ class ModelSettings:
 _CONTACT_RATIO = 10.0  # damping time of pitch and roll over the contact time under a preload, 1
 
 Preset = Literal["reference", "fast"]
-PRESETS: dict[str, dict[str, Any]] = {"reference": {"timestep": 0.00025}, "fast": {"timestep": 0.002}}
+PRESETS: dict[str, dict[str, float]] = {"reference": {"timestep": 0.00025}, "fast": {"timestep": 0.002}}
 """Preset → settings of a twin, for `TwinSnake(spec, **PRESETS["fast"])`.
 
 benchmarks/presets.py measures their errors. 2 ms is the longest step below the damping time of the segments.
