@@ -77,28 +77,7 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
     unmodified = copy.deepcopy(document.data) if changes else None
     for change in changes:
         _set(document, change)
-    file = validate(ScenarioFile, document, document.data)
-    robot, robot_problems = _robot(document)
-    warnings = check_supply_pressure(document, robot) if robot else []
-    if robot:
-        warnings += [
-            f"robot.{format_path(loc)}: {text}" for loc, text in find_unit_mistakes(document.get("robot"))
-        ]
-    world = World()
-    if file and robot:
-        file = file.scaled_to(robot.scale)
-    if file:
-        with document.report_errors("world", "pegs" if file.world.pegs else "random"):
-            length = robot.scale.length if robot else 1.0
-            world = file.world.build_world(file.start.build(), file.seed, length)
-        check(document, file)
-    components = _Components()
-    if file and robot:
-        check_robot(document, file, robot)
-        check_start_among_pegs(document, file, robot.spec(file.seed), world)
-        components = _build_components(Loading(document, file, robot, world, {}, warnings), file)
-    document.raise_problems(robot_problems)
-    assert file is not None and robot is not None, "no problem was reported"
+    file, robot, world, components, warnings = _checked(document)
     uses_goal = any(section.uses_goal for section in file.sections().values())
     if not uses_goal and (world.goal or world.bounds):
         warnings.append("world: goal and bounds have no effect; only a controller of kind: follow uses them")
@@ -128,6 +107,40 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
         products=components.products,
         source=document.name,
     )
+
+
+def _checked(document: Document) -> tuple[ScenarioFile, RobotFile, World, _Components, list[str]]:
+    """Validate a document and build what its checks need; all problems are raised together.
+
+    Returns:
+        Validated sections, robot, world, components, and warnings.
+
+    Raises:
+        InputFileError: all problems of the document.
+    """
+    file = validate(ScenarioFile, document, document.data)
+    robot, robot_problems = _robot(document)
+    warnings = check_supply_pressure(document, robot) if robot else []
+    if robot:
+        warnings += [
+            f"robot.{format_path(loc)}: {text}" for loc, text in find_unit_mistakes(document.get("robot"))
+        ]
+    world = World()
+    if file and robot:
+        file = file.scaled_to(robot.scale)
+    if file:
+        with document.report_errors("world", "pegs" if file.world.pegs else "random"):
+            length = robot.scale.length if robot else 1.0
+            world = file.world.build_world(file.start.build(), file.seed, length)
+        check(document, file)
+    components = _Components()
+    if file and robot:
+        check_robot(document, file, robot)
+        check_start_among_pegs(document, file, robot.spec(file.seed), world)
+        components = _build_components(Loading(document, file, robot, world, {}, warnings), file)
+    document.raise_problems(robot_problems)
+    assert file is not None and robot is not None, "no problem was reported"
+    return file, robot, world, components, warnings
 
 
 @dataclass
