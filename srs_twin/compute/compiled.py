@@ -72,15 +72,6 @@ def kernel_only(function: Function) -> Function:
     return _with_cache(njit(**_OPTIONS, **_NO_REFCOUNTS, **_NO_WRAPPER)(function), function)
 
 
-def inlined(function: Function) -> Function:
-    """Compile a long function as a part of the one kernel that calls it.
-
-    Other kernels are optimised alone, and again within each kernel around them.
-    """
-    kernel: Function = njit(inline="always", **_OPTIONS, **_NO_REFCOUNTS)(function)
-    return kernel
-
-
 def compiled_if(condition: Callable[..., bool], otherwise: float | None = None) -> Function:
     """Return a decorator that compiles a function of four arguments, as `kernel_only`, where it is needed.
 

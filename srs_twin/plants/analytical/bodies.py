@@ -397,9 +397,7 @@ class CompliantBends(Body):
 
     def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
         """See `Body.motion`."""
-        # Contiguous, so that `observe` is compiled for one memory layout.
-        bend = np.ascontiguousarray(states[:, compliant_kernels.BENDS :][:, : self._bends])
-        rate = np.ascontiguousarray(velocities[:, 3:])
+        bend, rate = states[:, compliant_kernels.BENDS :][:, : self._bends], velocities[:, 3:]
         total, bending = self.cells.total, self._spec.bending
         torque = self._air_moments(trace) - bending.stiffness * total(bend) - bending.damping * total(rate)
         columns = np.hstack([states[:, : kernels.STATES], states[:, self._impulses]])

@@ -49,7 +49,7 @@ import scipy.linalg
 from numba import types
 
 from srs_twin.compute.arrays import one_blas_thread
-from srs_twin.compute.compiled import compiled, inlined, kernel_only
+from srs_twin.compute.compiled import compiled, kernel_only
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import Stateful
 from srs_twin.plants.twin.friction_solve import (
@@ -352,7 +352,7 @@ def _run(inputs, engine, contacts, sparsity, state, work, h, controls, out):  # 
         engine.qfrc_applied[i] = 0.0
 
 
-@inlined
+@kernel_only
 def _begin_step(inputs, engine, contacts, sparsity, state, work, h, control):  # type: ignore[no-untyped-def]
     """Move to mid-step and apply the friction of the previous step."""
     _copy(control, inputs.ctrl)
@@ -362,7 +362,7 @@ def _begin_step(inputs, engine, contacts, sparsity, state, work, h, control):  #
     apply_stored_friction(engine, contacts, sparsity, state, work, h)
 
 
-@inlined
+@kernel_only
 def _end_step(inputs, engine, contacts, sparsity, state, work, h, step, out):  # type: ignore[no-untyped-def]
     """Solve for friction, move to the end of the step and record it; return whether the step is finite."""
     states, sensors, force, power, pairs = out

@@ -39,7 +39,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from srs_twin.compute.compiled import inlined, kernel_only
+from srs_twin.compute.compiled import kernel_only
 from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS, LOADS
 from srs_twin.plants.twin.object_contacts import (
     ObjectContacts,
@@ -259,7 +259,7 @@ def set_mid_velocity(engine, work):  # type: ignore[no-untyped-def]
         engine.qvel[i] = 0.5 * (work.v_start[i] + work.v_predicted[i])
 
 
-@inlined
+@kernel_only
 def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
     """Solve for the friction of a step and set `qvel` to the velocity at its end.
 
@@ -526,7 +526,7 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
     return f_t - inertia * (along - rim), f_n, tt - inertia, 0.0, nn, along
 
 
-@inlined
+@kernel_only
 def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
     """Solve r(δ) = 0 by Newton's method with a line search."""
     change, direction = work.v_change, work.direction
@@ -560,7 +560,7 @@ def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-unty
                 work.residual[i] = work.trial_residual[i]
 
 
-@inlined
+@kernel_only
 def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
     """Move along Newton's direction until the residual is nearly normal to it; return its square.
 
