@@ -110,7 +110,13 @@ def _print_plan(scenario: Scenario, result: Plan) -> None:
             f"length {result.length:.3f} m, {result.duration:.1f} s at the footprint's speeds, "
             f"{_counted(len(result.segments), 'segment')}, kink {result.kink:.3g} rad"
         )
-        print(_quality_words(_quality(result)))
+        edges = "the footprint and margin" if result.touches is None else "the edges that must stay free"
+        print(_quality_words(_quality(result), edges))
+        for touch in result.touches or ():
+            print(
+                f"leans on {touch.obstacle} from {touch.begin:.2f} to {touch.end:.2f} m: footprint and "
+                f"margin overlap by {1000 * touch.depth:.0f} mm, estimated mean force {touch.force:.2g} N"
+            )
     print(f"{_counted(result.expanded, 'node')}, {1000 * result.seconds:.1f} ms")
 
 
@@ -118,8 +124,8 @@ def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
-def _quality_words(quality: Mapping[str, float | None]) -> str:
-    """Return the values of `_quality` as a sentence."""
+def _quality_words(quality: Mapping[str, float | None], edges: str) -> str:
+    """Return the values of `_quality` as a sentence; `edges` names the edges with the clearance."""
     from srs_twin.planning.collision import CLEARANCE_ERROR_M, MAX_CLEARANCE_M
 
     ratio, clearance = quality["length_over_least"], quality["clearance_m"] or 0.0
@@ -129,7 +135,7 @@ def _quality_words(quality: Mapping[str, float | None]) -> str:
     more = (
         "at least " if clearance > MAX_CLEARANCE_M - CLEARANCE_ERROR_M else ""
     )  # clearances above this are not measured
-    return f"{length}, {more}{1000 * clearance:.0f} mm of clearance beyond the footprint and margin"
+    return f"{length}, {more}{1000 * clearance:.0f} mm of clearance beyond {edges}"
 
 
 def _quality(result: Plan) -> dict[str, float | None]:
@@ -161,6 +167,7 @@ def _write(
         "start": asdict(problem.start),
         **data,
         "segments": [asdict(segment) for segment in result.segments],
+        **({} if result.touches is None else {"touches": [asdict(touch) for touch in result.touches]}),
         "quality": _quality(result) if result.found else None,
         "metrics": metrics,
         "changes": list(scenario.changes),

@@ -136,6 +136,7 @@ class Follower(Controller):
         submit: runs the planner in another thread while the snake moves; None: the snake waits.
         least_margin: smallest fraction of the margin in a new plan. Above 0, the run ends (`no_room`) if no
             such plan exists, or if the body approaches an obstacle and no new plan is left.
+        leans: whether the body may lean on obstacles, so that approaching one requires no new plan.
         finished: whether the run has ended.
         ending: key of `ENDINGS`; None before the end.
         plans: time (s) and plan of each plan, the first at 0.
@@ -162,6 +163,7 @@ class Follower(Controller):
     replan: Replan | None = None
     submit: Callable[[Callable[[], Renewal]], Future[Renewal]] | None = None
     least_margin: float = 0.0
+    leans: bool = False
 
     def __post_init__(self) -> None:
         if not hasattr(self.gait, "offset") or not self.gait.frequency:
@@ -318,7 +320,7 @@ class Follower(Controller):
 
     def _approaches_obstacle(self, here: Pose, point: PathPoint) -> bool:
         """Return whether the body approaches an obstacle on its expected return to the path."""
-        if not self.world.has_obstacles or self._reserve == 0:
+        if not self.world.has_obstacles or self._reserve == 0 or self.leans:
             return False
         slope = math.remainder(here.heading - point.heading, 2 * math.pi)
         piece = min(_HORIZON_M, max(self._path.length - point.s, 1e-3)) / _CHECKED_PIECES

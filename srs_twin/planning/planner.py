@@ -30,6 +30,7 @@ from srs_twin.planning.footprint import Footprint, Transient, validate_footprint
 from srs_twin.planning.path import Segment, path_from_arcs
 from srs_twin.planning.problem import Plan, Problem, Settings
 from srs_twin.planning.reference_planners import greedy, rrt_connect
+from srs_twin.planning.touch import narrowed, plan_with_touch
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 PLANNERS: dict[str, Callable[[Problem, Settings], Plan]] = {
@@ -70,13 +71,20 @@ def plan(problem: Problem, settings: Settings | None = None, *, planner: str = "
     """
     if planner not in PLANNERS:
         raise UnknownNameError("planner", planner, PLANNERS)
-    _check_problem(problem)
+    touch = settings.touch_limits if settings else None
+    if touch and planner != "best_first":
+        raise InputError(f"planner '{planner}' keeps clear of obstacles; best_first can plan with touch")
+    firm = narrowed(problem, touch, 1.0) if touch else problem
+    _check_problem(firm)
     _compile()
     begun = time.perf_counter()
-    result = PLANNERS[planner](problem, settings or Settings())
+    if touch and settings:
+        result = plan_with_touch(best_first, problem, settings)
+    else:
+        result = PLANNERS[planner](problem, settings or Settings())
     if result.found and settings and settings.clearance_weight > 0:
         result = _lowest_cost(result, problem, settings)
-    return replace(result, seconds=time.perf_counter() - begun, problem=problem)
+    return replace(result, seconds=time.perf_counter() - begun, problem=firm)
 
 
 def _lowest_cost(first: Plan, problem: Problem, settings: Settings) -> Plan:

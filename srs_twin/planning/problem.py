@@ -27,6 +27,42 @@ _KINK_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
+class TouchLimits:
+    """Limits and cost of leaning on obstacles, see `touch`.
+
+    Attributes:
+        hard: footprint whose edges must stay free of obstacles.
+        core: half the width of the body, m.
+        stiffness: force that displaces one connector by a unit length, N/m.
+        floor: friction of the body on the floor across its heading, N.
+    """
+
+    hard: Footprint
+    core: float
+    stiffness: float
+    floor: float
+
+
+@dataclass(frozen=True)
+class Touch:
+    """Part of a path on which the footprint overlaps an obstacle.
+
+    Attributes:
+        obstacle: name of the obstacle, such as "obstacle 2".
+        begin: path length at the beginning, m.
+        end: path length at the end, m.
+        depth: largest overlap, m.
+        force: estimated contact force, mean over time, N.
+    """
+
+    obstacle: str
+    begin: float
+    end: float
+    depth: float
+    force: float
+
+
+@dataclass(frozen=True)
 class Settings:
     """Budget and options of a search.
 
@@ -42,6 +78,7 @@ class Settings:
             factor e per body width of clearance. Above 0, the search is repeated for wider bodies.
         keep: whether to keep the search trees in the plan, to display them.
         improve: whether to continue at finer levels for a shorter path while the budget lasts.
+        touch_limits: limits and cost of leaning on obstacles, with `best_first` only; None: keep clear.
     """
 
     nodes: int = 200_000
@@ -52,6 +89,7 @@ class Settings:
     improve: bool = False
     clearance_weight: float = 0.0
     keep: bool = False
+    touch_limits: TouchLimits | None = None
 
     def __post_init__(self) -> None:
         if self.nodes < 1 or self.levels < 1 or not (1 <= self.weight < math.inf):
@@ -61,6 +99,8 @@ class Settings:
             raise InputError(f"planner: clearance_weight {self.clearance_weight:g} must not be below 0")
         if self.levels > _MAX_LEVELS:
             raise InputError(f"planner: levels {self.levels} must be at most {_MAX_LEVELS}")
+        if self.touch_limits is not None and self.clearance_weight > 0:
+            raise InputError("planner: clearance_weight must be 0 if touch is allowed")
         if self.seconds is not None and not self.seconds > 0:
             raise InputError(f"planner: seconds {self.seconds:g} must be above 0")
 
@@ -110,8 +150,9 @@ class Plan(HtmlResult):
         expanded: number of expanded nodes.
         cell: side (m) and heading width (rad) of the finest cells that were searched; None for `greedy`,
             `ompl` and proofs of infeasibility.
+        touches: parts of the path that lean on obstacles; None unless `Settings.touch_limits` is set.
         seconds: wall time, s; not compared.
-        problem: the problem; not compared.
+        problem: the problem, with the edges that must stay free; not compared.
         trees: trees of the last search if `Settings.keep` is set, otherwise empty; not compared.
     """
 
@@ -122,6 +163,7 @@ class Plan(HtmlResult):
     segments: tuple[Segment, ...] = ()
     expanded: int = 0
     cell: tuple[float, float] | None = None
+    touches: tuple[Touch, ...] | None = None
     seconds: float = field(default=0.0, compare=False)
     problem: Problem | None = field(default=None, compare=False, repr=False)
     trees: tuple[SearchTree, ...] = field(default=(), compare=False, repr=False)

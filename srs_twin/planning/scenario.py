@@ -22,8 +22,9 @@ from srs_twin.planning.footprint import Footprint, FootprintFile, load_footprint
 from srs_twin.planning.margins import SPREADS, ConditionsFile, Margin, margin_for
 from srs_twin.planning.path import Segment, path_from_arcs
 from srs_twin.planning.planner import plan, plan_with_transitions
-from srs_twin.planning.problem import Outcome, Plan, Problem, Settings
+from srs_twin.planning.problem import Outcome, Plan, Problem, Settings, TouchLimits
 from srs_twin.planning.steering import BearingLaw, PathLaw, Steering
+from srs_twin.planning.touch import touch_limits
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import Goal, Pose, World
@@ -72,11 +73,15 @@ class _PlannerFile(ExtensionSection):
     margin_probability: float | None = quantity(0.5, 0.999, None)
     """Probability that a whole run stays within the margin, by the excursions in the footprint file;
     instead of margin_m."""
+    touch: Literal["allowed"] | None = None
+    """allowed: the path may lean on obstacles where the body can pass (best_first; default: keep clear)."""
 
     @model_validator(mode="after")
-    def _has_one_margin(self) -> _PlannerFile:
+    def _keys_agree(self) -> _PlannerFile:
         if self.margin_m is not None and self.margin_probability is not None:
             raise ValueError("margin_m and margin_probability both set the margin; remove one")
+        if self.touch and self.kind != "best_first":
+            raise ValueError(f"kind: {self.kind} cannot lean on obstacles; remove touch, or use best_first")
         return self
 
     def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
@@ -87,6 +92,10 @@ class _PlannerFile(ExtensionSection):
             yield ("planner",), "there is no motion to plan on a bench; remove planner or bench", True
         if self.kind != "given" and file.world.goal is None:
             yield ("planner",), f"kind: {self.kind} needs world.goal", True
+        analytical = file.plants.analytical
+        if self.touch and analytical and not analytical.touch:
+            text = "touch: allowed needs plants that touch obstacles; set model: compliant and touch: true"
+            yield ("plants", "analytical"), f"{text}, or remove analytical", True
 
     def prepare(self, loading: Loading) -> ScenarioPlanner | None:
         """See `ExtensionSection.prepare`."""
@@ -106,7 +115,7 @@ class _PlannerFile(ExtensionSection):
             if file.plants.twin and (text := footprint.mismatch(file.plants.twin.contact)):
                 loading.warnings.append(f"planner.footprint: {text}")
             return ScenarioPlanner.from_section(
-                self, footprint, file.start.build(), loading.world, conditions
+                self, footprint, file.start.build(), loading.world, conditions, loading.robot.spec()
             )
         except InputError as error:
             document.report(key, str(error) if len(key) == 1 else str(error).splitlines()[0])
@@ -147,10 +156,11 @@ class _SearchFile(_PlannerFile):
     run_up_m: float = quantity(0.0, 100.0, 0.0)
     """Length of a straight run-up at the start of the path, over which the gait becomes steady."""
     _keep: bool = PrivateAttr(False)
+    _touch_limits: TouchLimits | None = PrivateAttr(None)
 
     def settings(self) -> Settings:
         """Return the settings of the search."""
-        return replace(self.build(), keep=self._keep)
+        return replace(self.build(), keep=self._keep, touch_limits=self._touch_limits)
 
     def find(self, problem: Problem, wider: float = 0.0) -> Plan:
         """See `_PlannerFile.find`."""
@@ -169,7 +179,13 @@ class _SearchFile(_PlannerFile):
     def search(self, problem: Problem, begin: tuple[Segment, ...]) -> Plan:
         """Return the plan of a problem, with fixed first segments `begin`."""
         result = plan(problem, self.settings(), planner=self.kind)
-        return replace(result, segments=(*begin, *result.segments)) if result.found else result
+        if not result.found:
+            return result
+        done = math.fsum(segment.length for segment in begin)
+        touches = result.touches and tuple(
+            replace(touch, begin=touch.begin + done, end=touch.end + done) for touch in result.touches
+        )
+        return replace(result, segments=(*begin, *result.segments), touches=touches)
 
 
 class BestFirstFile(_SearchFile):
@@ -195,6 +211,13 @@ class BestFirstFile(_SearchFile):
     """Plan with transition arcs, the measured response to changes of offset, instead of curvature jumps."""
     improve: bool = constructor_default()
     """Continue at finer resolutions for a shorter path while the budget lasts."""
+
+    @model_validator(mode="after")
+    def _leans_alone(self) -> BestFirstFile:
+        for name in ("clearance_weight", "shape_changes"):
+            if self.touch and getattr(self, name):
+                raise ValueError(f"touch: allowed and {name} exclude each other; remove one")
+        return self
 
     def search(self, problem: Problem, begin: tuple[Segment, ...]) -> Plan:
         """See `_SearchFile.search`."""
@@ -279,6 +302,7 @@ class ScenarioPlanner:
         start: Pose,
         world: World,
         conditions: Sequence[ConditionsFile] = (),
+        spec: RobotSpec | None = None,
     ) -> ScenarioPlanner:
         """Return the planner of a section.
 
@@ -288,6 +312,7 @@ class ScenarioPlanner:
             start: pose of the snake at the start.
             world: obstacles, bounds and goal.
             conditions: conditions of following, one per plant.
+            spec: robot; required if the path may lean on obstacles.
 
         Raises:
             InputError: a turn is tighter than the footprint allows, the edges are too wide, there is no goal,
@@ -299,6 +324,10 @@ class ScenarioPlanner:
         reduced = validate_footprint(robot.reduced(file.turn_share, wider.path))
         arcs = getattr(file, "primitives", None)
         goal = file.goal(start, world.goal, reduced)
+        if file.touch:
+            assert isinstance(file, BestFirstFile) and spec is not None, "only it has the key"
+            file = file.model_copy()
+            file._touch_limits = touch_limits(spec, robot)
         problem = Problem(start, goal, world, reduced, arcs.build() if arcs else None)
         return cls(file, robot, problem, wider)
 
@@ -425,6 +454,7 @@ class FollowFile(ControllerSection):
             body=problem.footprint,
             world=problem.world,
             replan=None if planner.file.kind == "given" else planner.plan_from,
+            leans=planner.file.touch is not None,
         )
 
     def conditions(

@@ -1,0 +1,167 @@
+r"""Plans that lean on obstacles (`planner: {touch: allowed}`).
+
+A footprint contains the side-to-side motion of the gait. Where its edge overlaps an obstacle, the obstacle
+limits this motion, and the body presses against it. The planner may therefore use narrower edges, at least
+
+$$ e_{hard} = c + (1 - σ)(e - c), $$
+
+where e is the edge of the footprint, c half the width of the body and σ = `TOUCH_SHARE`. Since e_hard ≥ c,
+the body itself never passes through an obstacle.
+
+The overlap is limited by the estimated contact force. A connector that is displaced by δ between two
+neighbours that stay in place bends both adjacent segments by 2δ/L, with the distance L between connectors.
+The elastic energy 4kδ²/L² of both bends gives the force Kδ with K = 8k/L². The body is pushed aside as soon
+as this force exceeds its friction on the floor, μ_n m g. The wave of amplitude A = e − c reaches an obstacle
+that it overlaps by δ in a fraction arccos(1 − δ/A)/π of the period. The mean force on one side is therefore
+
+$$ F = \frac1π \arccos\Bigl(1 - \frac{δ}{A}\Bigr) \min(Kδ,\, μ_n m g), $$
+
+and a metre of path with the forces of both sides costs 1 + (F_l + F_r)/(μ_n m g) metres. Edges and overlaps
+include the margin of the plan, because the body may leave its path by that much.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.path import Segment, path_from_arcs
+from srs_twin.planning.problem import Plan, Problem, Settings, Touch, TouchLimits
+from srs_twin.robot.spec import GRAVITY, RobotSpec
+from srs_twin.robot.world import Bounds
+
+TOUCH_SHARE = 0.5
+"""Largest fraction σ of the free space between body and edge that may overlap an obstacle. Generation 2
+passes a gap of 0.75 footprint widths on both plants, but not one of 0.6 (docs/contact.md)."""
+
+_LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Overlaps that are tried in turn, as fractions of the largest one."""
+_MAX_NODES = 10_000
+"""Largest number of nodes of the search for each overlap below the largest one."""
+_SPACING_M = 0.01
+"""Largest distance between the points of a path at which the overlap is evaluated, m."""
+_MIN_DEPTH_M = 1e-4
+"""Smallest overlap that is reported, m."""
+
+Search = Callable[[Problem, Settings], Plan]
+
+
+def touch_limits(spec: RobotSpec, footprint: Footprint) -> TouchLimits:
+    """Return the limits of leaning for a robot and its footprint without margin."""
+    core = spec.geometry.width / 2
+    hard_left, hard_right = (
+        tuple(core + (1 - TOUCH_SHARE) * max(edge - core, 0.0) for edge in edges)
+        for edges in (footprint.left, footprint.right)
+    )
+    stiffness = 8 * spec.bending.stiffness / spec.geometry.pitch**2
+    floor = spec.friction.mu_n * sum(spec.mass.connectors) * GRAVITY
+    return TouchLimits(replace(footprint, left=hard_left, right=hard_right), core, stiffness, floor)
+
+
+def narrowed(problem: Problem, limits: TouchLimits, level: float) -> Problem:
+    """Return a problem whose edges overlap by a fraction `level` of the largest overlap.
+
+    The bounds of the world are not obstacles to lean on, so they become narrower by as much. The overlap is
+    therefore equal at all curvatures.
+    """
+    body, world = problem.footprint, problem.world
+    hard = [limits.hard.at(curvature) for curvature in body.curvatures]
+    free = [edge - row.left for edge, row in zip(body.left, hard, strict=True)]
+    free += [edge - row.right for edge, row in zip(body.right, hard, strict=True)]
+    overlap = level * max(min(free), 0.0)
+    if (old := world.bounds) is not None:
+        x, y = ((low + overlap, high - overlap) for low, high in (old.x, old.y))
+        world = replace(world, bounds=Bounds(x, y))
+    return replace(problem, footprint=body.reduced(margin=-overlap), world=world)
+
+
+def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Plan:
+    """Return the plan with the lowest cost (module docstring) of those with increasing overlap.
+
+    Args:
+        search: planner for one footprint.
+        problem: start, goal, world and body with its full edges.
+        settings: settings of the search, with `touch_limits`.
+    """
+    limits = settings.touch_limits
+    assert limits is not None, "the caller plans with touch"
+    best, lowest = None, np.inf
+    short = replace(settings, nodes=min(settings.nodes, _MAX_NODES))
+    for level in _LEVELS:
+        result = search(narrowed(problem, limits, level), short if level < 1 else settings)
+        if result.found:
+            # Offsets and speeds are those of the body with its full edges.
+            arcs = [(segment.curvature, segment.length) for segment in result.segments]
+            segments = path_from_arcs(problem.start, arcs, problem.footprint)
+            overlaps = _overlaps(segments, problem, limits)
+            cost = float(overlaps.steps @ (1 + overlaps.force.sum(axis=0) / limits.floor))
+            if cost < lowest:
+                touches = overlaps.touches()
+                reason = "a path on which the body leans on obstacles" if touches else result.reason
+                best, lowest = replace(result, segments=segments, touches=touches, reason=reason), cost
+    # Without a path, the search with the narrowest edges has the reason.
+    return replace(result, touches=()) if best is None else best
+
+
+@dataclass(frozen=True)
+class _Overlaps:
+    """Overlaps of the footprint with obstacles along a path.
+
+    Attributes:
+        names: names of the obstacles, as in messages.
+        s: path length in the middle of each step, m, shape (steps,).
+        steps: length of each step, m, shape (steps,).
+        depth: overlap with each obstacle, 0 without one, m, shape (obstacles, steps).
+        force: mean force of each obstacle, N, shape (obstacles, steps).
+    """
+
+    names: list[str]
+    s: np.ndarray
+    steps: np.ndarray
+    depth: np.ndarray
+    force: np.ndarray
+
+    def touches(self) -> tuple[Touch, ...]:
+        """Return the parts of the path that lean on an obstacle, in their order along the path."""
+        found = []
+        for name, depth, force in zip(self.names, self.depth, self.force, strict=True):
+            edges = np.flatnonzero(np.diff(np.r_[False, depth > _MIN_DEPTH_M, False]))
+            for begin, end in edges.reshape(-1, 2).tolist():
+                part = slice(begin, end)
+                low, high = self.s[part][[0, -1]] + self.steps[part][[0, -1]] * (-0.5, 0.5)
+                mean = float(np.average(force[part], weights=self.steps[part]))
+                found.append(Touch(name, float(low), float(high), float(depth[part].max()), mean))
+        return tuple(sorted(found, key=lambda touch: touch.begin))
+
+
+def _overlaps(segments: Sequence[Segment], problem: Problem, limits: TouchLimits) -> _Overlaps:
+    """Return the overlaps of the full edges of a problem along a path, and the estimated forces."""
+    import shapely
+
+    world, body = problem.world, problem.footprint
+    poses, rows, steps = [], [], []
+    for segment in segments:
+        count = max(math.ceil(segment.length / _SPACING_M), 1)
+        poses += [tuple(segment.pose((k + 0.5) / count * segment.length)) for k in range(count)]
+        rows += [body.at(segment.curvature)] * count
+        steps += [segment.length / count] * count
+    x, y, heading = np.array(poses, dtype=float).reshape(-1, 3).T
+    points, lengths = shapely.points(x, y), np.array(steps)
+    left, right = (np.array([getattr(row, name) for row in rows]) for name in ("left", "right"))
+    shapes = [(shapely.Point(c.x, c.y), c.radius) for c in world.obstacles]
+    shapes += [(shapely.Polygon(p.corners), 0.0) for p in world.polygons]
+    depth, force = np.zeros((2, len(shapes), len(lengths)))
+    for k, (shape, radius) in enumerate(shapes):
+        nearest = shapely.get_coordinates(shapely.shortest_line(points, shape)).reshape(-1, 2, 2)[:, 1]
+        dx, dy = nearest[:, 0] - x, nearest[:, 1] - y
+        edge = np.where(np.cos(heading) * dy > np.sin(heading) * dx, left, right)
+        depth[k] = np.maximum(edge - (np.hypot(dx, dy) - radius), 0.0)
+        share = np.arccos(np.clip(1 - depth[k] / np.maximum(edge - limits.core, 1e-9), -1, 1)) / np.pi
+        force[k] = share * np.minimum(limits.stiffness * depth[k], limits.floor)
+    names = [f"obstacle {k}" for k in range(1, len(world.obstacles) + 1)]
+    names += [f"polygon {k}" for k in range(1, len(world.polygons) + 1)]
+    return _Overlaps(names, np.cumsum(lengths) - lengths / 2, lengths, depth, force)

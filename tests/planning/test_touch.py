@@ -1,0 +1,221 @@
+"""Plans that lean on obstacles: the body stays free, forces follow from mechanics, refusals have names."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plan_sampling import TOUCH, deepest, misses
+from scipy.optimize import minimize
+from snakes import robot
+
+from srs_twin.errors import InputError
+from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.planner import plan
+from srs_twin.planning.problem import Plan, Problem, Settings
+from srs_twin.planning.touch import touch_limits
+from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
+from srs_twin.rollout import rollout
+from srs_twin.scenario.loading import parse_scenario
+
+SPEC = robot("gen2")
+BODY = load_footprint("gen2_gait").reduced(turn_share=0.5)
+LIMITS = touch_limits(SPEC, BODY)
+LEANING = Settings(touch_limits=LIMITS)
+RADIUS, X = 0.06, 0.8
+
+
+def row(gap: float, shift: float = 0.0, count: int = 9, x: float = X) -> tuple[Circle, ...]:
+    """Return a row of posts across the room, with one gap in its middle."""
+    pitch = gap + 2 * RADIUS
+    return tuple(Circle(x, shift + (k + 0.5) * pitch, RADIUS) for k in range(-count, count))
+
+
+def across(gap: float, shift: float = 0.0, **world: object) -> Problem:
+    goal = Goal(1.6, 0.0, None, 0.05)
+    posts = World(row(gap, shift), Bounds((-1.0, 3.0), (-0.8, 0.8)), goal)
+    return Problem(Pose(0.0, 0.0, 0.0), goal, replace(posts, **world), BODY)
+
+
+def hard(problem: Problem) -> Problem:
+    return replace(problem, footprint=LIMITS.hard)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_edges_that_must_stay_free_are_free(seed):
+    """Sampling shares no code with the planner; the edges contain the body everywhere."""
+    rng = np.random.default_rng(seed)
+    problem = across(rng.uniform(0.072, 0.095), rng.uniform(-0.1, 0.1))
+    result = plan(problem, LEANING)
+    assert result.found and result.touches
+    assert deepest(result, hard(problem)) <= TOUCH
+    assert not misses(result, problem)
+    assert deepest(result, problem) > 0.001  # with its full edges it does lean
+    assert min(*LIMITS.hard.left, *LIMITS.hard.right) >= SPEC.geometry.width / 2
+
+
+def test_gaps_narrower_than_the_hard_edges_have_no_plan():
+    narrow = 2 * LIMITS.hard.narrowest
+    assert plan(across(narrow + 0.002), LEANING).found
+    result = plan(across(narrow - 0.002), LEANING)
+    assert result.proven and result.touches == ()
+    assert not plan(across(narrow + 0.002)).found
+
+
+def test_clear_worlds_have_the_plan_without_touch():
+    for problem in (across(0.3), replace(across(0.2), world=World())):
+        leaning, clear = plan(problem, LEANING), plan(problem)
+        assert leaning.touches == () and clear.touches is None
+        assert leaning.length <= clear.length + 1e-9
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_touches_are_where_sampled_edges_overlap(sign):
+    """The overlaps agree with a straight path beside one post, whose geometry is known."""
+    straight = BODY.at(0.0)
+    edge, depth = straight.left if sign > 0 else straight.right, 0.008
+    post = Circle(0.8, sign * (edge + RADIUS - depth), RADIUS)
+    goal = Goal(1.6, 0.0, 0.0, 0.0, 0.0)
+    # Walls along the path leave no other path.
+    walls = [Polygon(((-0.5, y), (3.0, y), (3.0, y + 0.01), (-0.5, y + 0.01))) for y in (-0.061, 0.051)]
+    result = plan(Problem(Pose(0, 0, 0), goal, World((post,), polygons=tuple(walls)), BODY), LEANING)
+    (touch,) = result.touches
+    half = math.sqrt((RADIUS + edge) ** 2 - (edge + RADIUS - depth) ** 2)
+    assert touch.obstacle == "obstacle 1"
+    assert touch.depth == pytest.approx(depth, abs=3e-4)
+    # The post is nearest to the path where the path passes it.
+    assert (touch.begin, touch.end) == pytest.approx((0.8 - half, 0.8 + half), abs=0.011)
+    assert 0 < touch.force <= LIMITS.floor
+
+
+def test_stiffness_is_that_of_a_chain_with_fixed_neighbours():
+    """Minimise the elastic energy of two segments, discretised into many hinges, without the formula."""
+    k, pitch, pushed, count = SPEC.bending.stiffness, SPEC.geometry.pitch, 1e-4, 40
+
+    def shape(parameters):
+        turns = np.concatenate([np.full(count, parameters[1]), np.full(count, parameters[2])]) / count
+        heading = parameters[0] + np.cumsum(turns) - turns / 2
+        return np.cumsum(np.sin(heading)) * pitch / count
+
+    def energy(parameters):
+        return 0.5 * k * (parameters[1] ** 2 + parameters[2] ** 2) * 1e6
+
+    held = [
+        {"type": "eq", "fun": lambda p: (shape(p)[count - 1] - pushed) * 1e4},
+        {"type": "eq", "fun": lambda p: shape(p)[-1] * 1e4},
+    ]
+    solved = minimize(energy, np.zeros(3), constraints=held, options={"ftol": 1e-14})
+    assert solved.success
+    assert 2 * solved.fun / 1e6 / pushed**2 == pytest.approx(LIMITS.stiffness, rel=0.01)
+
+
+def test_force_is_the_mean_over_a_sinusoidal_period():
+    """A gap of known overlap: the fraction of contact agrees with a sampled wave."""
+    problem = across(0.09)
+    result = plan(problem, LEANING)
+    first = result.touches[0]
+    amplitude = BODY.at(0.0).left - LIMITS.core
+    wave = amplitude * np.sin(np.linspace(0, 2 * np.pi, 100_001)[:-1])
+    largest = np.mean(wave > amplitude - first.depth) * LIMITS.floor
+    assert 0.3 * largest < first.force <= largest
+
+
+def test_mirrored_worlds_have_mirrored_touches():
+    even = replace(
+        BODY, left=tuple(np.maximum(BODY.left, BODY.right[::-1])), curvatures=tuple(
+            (np.array(BODY.curvatures) - np.array(BODY.curvatures)[::-1]) / 2), transients=(),
+    )  # fmt: skip
+    even = replace(even, right=even.left[::-1])
+    limits = touch_limits(SPEC, even)
+    ours = [
+        plan(replace(across(0.085, sign * 0.03), footprint=even), Settings(touch_limits=limits))
+        for sign in (1, -1)
+    ]
+    depths = [sorted(touch.depth for touch in result.touches) for result in ours]
+    assert ours[0].length == pytest.approx(ours[1].length, abs=1e-6)
+    assert depths[0] == pytest.approx(depths[1], abs=1e-6)
+
+
+def test_bounds_are_no_obstacles_to_lean_on():
+    wide = 2 * BODY.narrowest + 0.004
+    problem = replace(across(0.3), world=World(bounds=Bounds((-1.0, 3.0), (-wide / 2, wide / 2))))
+    inside = plan(problem, LEANING)
+    assert inside.found and deepest(inside, problem) <= TOUCH
+    tight = replace(problem, world=World(bounds=Bounds((-1.0, 3.0), (-0.045, 0.045))))
+    with pytest.raises(InputError, match="leaves the bounds"):
+        plan(tight, LEANING)
+
+
+def scenario(**changes: object) -> dict:
+    posts = [{"x_m": c.x, "y_m": c.y, "radius_m": c.radius} for c in row(0.085, count=5)]
+    planner = {"kind": "best_first", "footprint": "gen2_gait", "turn_share": 0.5, "touch": "allowed"}
+    world = {
+        "bounds": {"x_m": [-1, 3], "y_m": [-0.8, 0.8]}, "obstacles": posts,
+        "goal": {"x_m": 1.2, "y_m": 0, "radius_m": 0.08},
+    }  # fmt: skip
+    follow = {"kind": "follow", "follower": "path", "gait": {"kind": "gait", "frequency_hz": 2.0}}
+    return {
+        "robot": "gen2", "duration_s": 15, "record_hz": 50, "supply": {"pressure_kpa": 48.3}, "world": world,
+        "planner": planner | changes, "controller": follow, "plants": {"twin": {}},
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"kind": "greedy"}, "kind: greedy cannot lean on obstacles"),
+        ({"kind": "ompl"}, "kind: ompl cannot lean on obstacles"),
+        ({"kind": "given", "turns_rad": [0], "step_m": 1}, "kind: given cannot lean on obstacles"),
+        ({"clearance_weight": 1}, "touch: allowed and clearance_weight exclude each other"),
+        ({"shape_changes": True}, "touch: allowed and shape_changes exclude each other"),
+        ({"touch": "yes"}, "planner.touch"),
+    ],
+)
+def test_touch_is_refused_by_name(changes, message):
+    with pytest.raises(InputError, match=message):
+        parse_scenario(scenario(**changes))
+
+
+def test_a_plant_without_contact_is_refused():
+    with pytest.raises(InputError, match="set model: compliant and touch: true, or remove analytical"):
+        parse_scenario(scenario() | {"plants": {"analytical": {}, "twin": {}}})
+
+
+def test_other_planners_refuse_touch_in_python():
+    with pytest.raises(InputError, match="best_first can plan with touch"):
+        plan(across(0.3), LEANING, planner="greedy")
+    with pytest.raises(InputError, match="clearance_weight must be 0"):
+        replace(LEANING, clearance_weight=1.0)
+
+
+def test_the_command_states_where_the_path_leans(srs_twin, tmp_path):
+    (tmp_path / "lean.yaml").write_text(json.dumps(scenario(run_up_m=0.2)))
+    done = srs_twin("plan", "lean.yaml", "--out", "out", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "leans on obstacle 5 from 0.7" in done.stdout and "leans on obstacle 6 from 0.7" in done.stdout
+    touches = json.loads((tmp_path / "out/plan.json").read_text())["touches"]
+    # Path lengths include the straight run-up.
+    assert all(touch["begin"] < 0.8 < touch["end"] for touch in touches)
+    done = srs_twin("plan", "lean.yaml", "--out", "out", "--set", "planner.touch=null", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "touches" not in json.loads((tmp_path / "out/plan.json").read_text())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plant", ["twin", "analytical"])
+def test_a_snake_passes_a_gap_narrower_than_its_footprint(plant):
+    models = {
+        "twin": {"twin": {"hinges_per_segment": 3}},
+        "analytical": {
+            "analytical": {"model": "compliant", "friction": "ellipse", "load": "momentary", "touch": True}
+        },
+    }
+    loaded = parse_scenario(scenario() | {"plants": models[plant]})
+    plan_ = loaded.planner.plan()
+    assert isinstance(plan_, Plan) and plan_.touches
+    run = rollout(loaded.build_plant(plant), loaded.build_controller(), 15.0, seed=0, record_hz=50)
+    assert run.metadata["control"]["following"]["ending"] == "goal_reached"
+    assert np.linalg.norm(run.com[-1] - (1.2, 0.0)) <= 0.08
