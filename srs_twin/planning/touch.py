@@ -36,7 +36,7 @@ from srs_twin.robot.world import Bounds
 
 TOUCH_SHARE = 0.5
 """Largest fraction σ of the free space between body and edge that may overlap an obstacle. Generation 2
-passes a gap of 0.75 footprint widths on both plants, but not one of 0.6 (docs/contact.md)."""
+passes gaps of 0.75 footprint widths on both plants, but not reliably one of 0.6 (docs/planning.md)."""
 
 _LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Overlaps that are tried in turn, as fractions of the largest one."""
