@@ -38,7 +38,7 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write, display_path
 
-VERSION = 2
+VERSION = 3
 """Version of the state format; increased when the format or the module of a saved class changes."""
 
 _DOCUMENT = "state"

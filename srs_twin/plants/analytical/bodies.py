@@ -315,7 +315,7 @@ class CompliantBends(Body):
     segment without load obeys Eq. 14; inertia and friction deflect it.
     """
 
-    state_attributes = ("_sampled",)
+    state_attributes = ("_sampled", "_contact_loads")
     compliant = True
 
     def __init__(
@@ -345,6 +345,7 @@ class CompliantBends(Body):
         """See `Body.reset`."""
         super().reset(pose)
         self._sampled = self.state[self._impulses].copy()
+        self._contact_loads = np.zeros_like(self._contact_loads)
         bias = self.cells.split(self._bias)
         self.state[compliant_kernels.BENDS :][: self._bends] = bias
         self.state[kernels.HEADING] += self.cells.lead(bias)
@@ -361,6 +362,18 @@ class CompliantBends(Body):
             bend, self.velocity, np.zeros(self._bends), 0.0, model, momentum, force, work
         )
         self.state[self._momenta] = momentum[3:]
+
+    @property
+    def _contact_loads(self) -> np.ndarray:
+        """Normal forces of the latest stage, from which the next one starts; empty without obstacles."""
+        return (
+            np.empty(0) if self.obstacles is None else np.stack([self.obstacles.normal, self.obstacles.load])
+        )
+
+    @_contact_loads.setter
+    def _contact_loads(self, loads: np.ndarray) -> None:
+        if self.obstacles is not None:
+            self.obstacles.normal[:], self.obstacles.load[:] = loads
 
     def move(
         self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray

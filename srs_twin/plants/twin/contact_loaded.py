@@ -94,9 +94,10 @@ class LoadedStepper(Stateful):
     Attributes:
         contact_state: friction, rim speeds and loads that the contacts keep from step to step.
         object_state: the same of the contacts of objects.
+        hull_jacobian: Jacobians of the stored friction of the hulls, shape (hulls, 4, 6).
     """
 
-    state_attributes = ("contact_state", "object_state")
+    state_attributes = ("contact_state", "object_state", "hull_jacobian")
 
     def __init__(
         self,
@@ -168,6 +169,15 @@ class LoadedStepper(Stateful):
             mine[:] = given
 
     @property
+    def hull_jacobian(self) -> np.ndarray:
+        """Jacobians of the hulls, a view; those of the wheels follow from the state of each step."""
+        return self._work.jacobian[self._contacts.wheels :]
+
+    @hull_jacobian.setter
+    def hull_jacobian(self, given: np.ndarray) -> None:
+        self.hull_jacobian[:] = given
+
+    @property
     def records(self) -> dict[str, Any]:
         """Arguments of `friction_solve` by name, for another engine that steps the bodies."""
         return {
@@ -200,6 +210,7 @@ class LoadedStepper(Stateful):
         load = self._contacts.static_load
         zeros = np.zeros(len(load))
         self.contact_state = ContactState(np.zeros((len(load), 3)), zeros, load.copy(), zeros.copy())
+        self.hull_jacobian[:] = 0.0
         for array in self.object_state:
             array[:] = 0.0
 
