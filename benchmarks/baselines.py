@@ -18,8 +18,7 @@ import numpy as np
 from grid import table
 
 from srs_twin.envs import TASKS, make_task
-from srs_twin.envs.baseline import PathFollowing, ProportionalIntegral, Score, play_episode
-from srs_twin.envs.module import ModuleTask
+from srs_twin.envs.baseline import Score, baseline, play_episode
 from srs_twin.envs.policy import load_policy
 
 
@@ -29,8 +28,7 @@ def score(name: str, seed: int, policy_file: str | None = None) -> Score:
     generator = np.random.default_rng(seed)
     if policy_file is not None:
         return play_episode(task, load_policy(policy_file).bind(task), generator)
-    controller = ProportionalIntegral if isinstance(task, ModuleTask) else PathFollowing
-    return play_episode(task, controller(task), generator)  # type: ignore[arg-type]
+    return play_episode(task, baseline(task), generator)
 
 
 def row(name: str, scores: list[Score]) -> list[str]:

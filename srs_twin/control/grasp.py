@@ -66,6 +66,22 @@ def check_release(mode: str, drag_m: float | None) -> None:
         raise InputError("drag_m needs mode sensed; in open_loop, set release_after_s")
 
 
+def hold_with(valves: np.ndarray, hold: int, duty: float, pulses: int = 1) -> None:
+    """Set the valves of the holding segments, at the tail, to a duty.
+
+    Args:
+        valves: valve states of a tick, shape (slots, segments, 2); changed in place.
+        hold: number of holding segments.
+        duty: fraction of the slots in which a chamber fills, from -1 (right chambers) to 1 (left ones).
+        pulses: number of equal pulses in the tick.
+    """
+    slots, chamber = len(valves) // pulses, 0 if duty >= 0 else 1
+    valves[:, -hold:] = -1
+    for pulse in range(pulses):
+        begin = pulse * slots
+        valves[begin : begin + round(abs(duty) * slots), -hold:, chamber] = 1
+
+
 class Grasp(Controller):
     """Grasp and drag of an object next to the tail (module docstring).
 
@@ -73,10 +89,21 @@ class Grasp(Controller):
         frequency: gait frequency of the dragging segments, Hz.
         phase: current phase.
         grip: free bend of the holding segments minus their sensed bend, mean, rad.
+        duty: present duty of the holding segments, -1 to 1, positive on the left.
     """
 
     kind = "grasp"
-    state_attributes = ("finished", "phase", "grip", "_since", "_start", "_past", "_readings", "_events")
+    state_attributes = (
+        "finished",
+        "phase",
+        "grip",
+        "duty",
+        "_since",
+        "_start",
+        "_past",
+        "_readings",
+        "_events",
+    )
     layouts = ("3/2", "in_out")
     frequency: float
 
@@ -119,7 +146,7 @@ class Grasp(Controller):
         self._gait.reset(spec, tick)
         self._tick, self._segments = tick, spec.segments
         self._free_bend = largest_bend(spec, spec.supply.nominal)
-        self.phase, self.grip, self.finished = Phase.CURL, 0.0, False
+        self.phase, self.grip, self.duty, self.finished = Phase.CURL, 0.0, 0.0, False
         self._since, self._start = 0.0, np.zeros(2)
         self._past: list[np.ndarray] = []
         self._readings, self._events = SensorReadings(spec.segments), list[Event]()
@@ -139,9 +166,8 @@ class Grasp(Controller):
         if self.phase is Phase.CURL:
             valves[:] = -1
         duty = min(time / self.curl_s, 1.0) if self.phase is Phase.CURL else float(self.phase is Phase.DRAG)
-        filled, chamber = round(duty * len(valves)), 0 if self.side == "left" else 1
-        valves[:, -self.hold :] = -1
-        valves[:filled, -self.hold :, chamber] = 1
+        self.duty = toward * duty
+        hold_with(valves, self.hold, self.duty)
         return valves
 
     def _change_phase(self, time: float, com: np.ndarray) -> None:

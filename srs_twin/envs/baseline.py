@@ -3,20 +3,23 @@
 `PathFollowing` plans a path at the start of an episode and steers with an unmodified
 `planning.follower.Follower` from the observed pose. The gait has the frequency and pressure at which its
 footprint was measured. `ProportionalIntegral` sets the difference between the two duties of a module by a PI
-law, to which Eq. 30 reduces at a constant reference.
+law, to which Eq. 30 reduces at a constant reference. `OpenLoopWave` and `SensedGrasp` are the controllers of
+the scenarios pegs_skin and grasp_cylinder.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
 import numpy as np
 
 from srs_twin.control.base import Controller
 from srs_twin.control.camera import Camera
+from srs_twin.control.grasp import Grasp, Phase
+from srs_twin.envs.contact import GRASP_FREQUENCY_HZ, HOLD, GraspTask, PegsTask
 from srs_twin.envs.crawling import STEP_S, CrawlTask
 from srs_twin.envs.module import ModuleTask
 from srs_twin.envs.task import Task
@@ -124,6 +127,55 @@ class ProportionalIntegral:
         self._integral = _clip_to_unit(self._integral + self.rate_per_rad_s * error * self._step)
         difference = _clip_to_unit(self._integral + self.gain_per_rad * error)
         return self._task.from_physical([(1 + difference) / 2, (1 - difference) / 2])
+
+
+class OpenLoopWave:
+    """Straight wave of the gait at a constant frequency and pressure, the controller of pegs_skin."""
+
+    frequency_hz, pressure_kpa = 1.0, 48.3
+
+    def __init__(self, task: PegsTask) -> None:
+        """Initialise for an episode of Pegs."""
+        self._action = task.from_physical([0.0, self.frequency_hz, self.pressure_kpa])
+
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        """See `Policy`."""
+        return self._action
+
+
+class SensedGrasp:
+    """The unmodified controller `control.grasp.Grasp` in its sensed mode."""
+
+    def __init__(self, task: GraspTask) -> None:
+        """Initialise for an episode of Grasp."""
+        self._task, self._names, self._steps = task, _observation_names(task), 0
+        self._grasp: Grasp | None = None
+
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        """See `Policy`."""
+        values = dict(zip(self._names, map(float, observation), strict=True))
+        if self._grasp is None:
+            side = "left" if values["object_left_m"] > 0 else "right"
+            self._grasp = Grasp(GRASP_FREQUENCY_HZ, side=side, hold=HOLD)
+            self._grasp.reset(self._task.robot, self._task.step_s)
+        pose = Pose(values["x_m"], values["y_m"], math.atan2(values["heading_sin"], values["heading_cos"]))
+        bends = np.array([values[f"bend_{k + 1}_rad"] for k in range(self._task.robot.segments)])
+        state = _state_with_pose(self._steps * self._task.step_s, pose)
+        self._grasp.step(replace(state, sensed=bends))
+        self._steps += 1
+        return self._task.from_physical([self._grasp.duty, float(self._grasp.phase is Phase.DRAG), 0.0])
+
+
+def baseline(task: Task) -> Policy:
+    """Return the project's controller of a task as a policy for one episode."""
+    if isinstance(task, GraspTask):
+        return SensedGrasp(task)
+    if isinstance(task, PegsTask):
+        return OpenLoopWave(task)
+    if isinstance(task, ModuleTask):
+        return ProportionalIntegral(task)
+    assert isinstance(task, CrawlTask), "no other task has a baseline"
+    return PathFollowing(task)
 
 
 @dataclass(frozen=True)

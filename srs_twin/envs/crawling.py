@@ -19,7 +19,7 @@ from srs_twin.control.base import MAX_READING_RAD, SensorReadings
 from srs_twin.control.camera import Camera, CameraFrames
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
 from srs_twin.control.gait import PitchWave
-from srs_twin.envs.task import Episode, RewardTerm, Signal, Signals, Task, numbered_signals
+from srs_twin.envs.task import Episode, RewardTerm, Robot, Signal, Signals, Task, numbered_signals
 from srs_twin.errors import InputError
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
@@ -97,7 +97,7 @@ class CrawlTask(Task):
     """
 
     step_s = STEP_S
-    reward_terms = (
+    reward_terms: ClassVar[tuple[RewardTerm, ...]] = (
         RewardTerm("progress_m", 1.0, "decrease of the distance from the centre of mass to the goal"),
         RewardTerm("touching_s", -0.5, "time in contact with an obstacle"),
         RewardTerm("goal_reached", 1.0, "1 in the step that reaches the goal"),
@@ -112,7 +112,7 @@ class CrawlTask(Task):
         name: str,
         arena: Arena,
         *,
-        robot: str = "gen2",
+        robot: Robot = "gen2",
         limit_s: float = 30.0,
         camera: Camera = CAMERA,
         **settings: Any,
@@ -122,7 +122,7 @@ class CrawlTask(Task):
         Args:
             name: name of the task, as registered.
             arena: floor, and distributions of start and goal.
-            robot: name or path of the robot.
+            robot: name, path or keys of the robot.
             limit_s: time limit, s.
             camera: frame rate and noise of the camera; at least one frame per step.
             **settings: `fit`, `ranges`, `rewards`, `observations`, `action_range` and settings of the twin,
@@ -248,7 +248,7 @@ class CrawlEpisode(Episode):
         air_before, self._air = self._air, air
         offset_before, self._offset = self._offset, offset
         x, y = state.com
-        if distance <= self._goal.radius:
+        if self._has_arrived(distance):
             self.ending = "goal_reached"
         elif room and not (room.x[0] <= x <= room.x[1] and room.y[0] <= y <= room.y[1]):
             self.ending = "room_left"
@@ -276,6 +276,10 @@ class CrawlEpisode(Episode):
 
     def _touching(self) -> bool:
         return bool(np.any(self.state.obstacle_force))
+
+    def _has_arrived(self, distance: float) -> bool:
+        """Return whether the episode ends at a distance from the goal (m)."""
+        return distance <= self._goal.radius
 
     def _goal_distance(self, state: SnakeState) -> float:
         return math.hypot(self._goal.x - float(state.com[0]), self._goal.y - float(state.com[1]))

@@ -113,9 +113,9 @@ def load(task: str, *, seed: int | None = None, **settings: Any) -> SnakeEnviron
     """Return a task as a dm_env environment.
 
     Args:
-        task: "GoTo", "Obstacles", "Module" or "Crawl3D".
+        task: name of a task, one of `TASKS`.
         seed: random seed of the episodes; None: a different one each time.
-        **settings: settings of the task, see `CrawlTask` and `ModuleTask`.
+        **settings: settings of the task, see `make_task`.
 
     Raises:
         UnknownNameError: the task does not exist.

@@ -146,11 +146,11 @@ class SnakeEnv(DeepCopied, gymnasium.Env[np.ndarray, np.ndarray]):
         """Create the environment.
 
         Args:
-            task: "GoTo", "Obstacles", "Module" or "Crawl3D".
+            task: name of a task, one of `TASKS`.
             render_mode: "rgb_array" for images, which need no display; None: no images.
             width: image width, pixels.
             height: image height, pixels.
-            **settings: settings of the task, see `CrawlTask` and `ModuleTask`.
+            **settings: settings of the task, see `make_task`.
 
         Raises:
             UnknownNameError: the task or render mode does not exist.
@@ -266,7 +266,7 @@ class SnakeVectorEnv(DeepCopied, SyncVectorEnv[np.ndarray, np.ndarray]):
         """Create the environments.
 
         Args:
-            task: "GoTo", "Obstacles", "Module" or "Crawl3D".
+            task: name of a task, one of `TASKS`.
             num_envs: number of environments.
             threads: number of threads; default: one per processor.
             engine: "cpu", or "warp" to step all twins on a device. Warp requires that all episodes have the

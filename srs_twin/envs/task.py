@@ -27,10 +27,11 @@ import numpy as np
 from srs_twin.errors import DivergedError, InputError, UnknownNameError, check_choice, count_steps
 from srs_twin.identification.fit_file import FitFile, load_fit
 from srs_twin.identification.parameters import free_parameters, with_values
+from srs_twin.io.documents import Document
 from srs_twin.io.saved_state import SavedState, Stateful
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
-from srs_twin.robot.file import RobotFile, load_robot_file
+from srs_twin.robot.file import RobotFile, load_robot_file, resolve_robot
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import Goal, World
 
@@ -70,6 +71,7 @@ class RewardTerm:
 
 
 Path = str | os.PathLike[str]
+Robot = Path | Mapping[str, Any]
 Signals = tuple[Signal, ...]
 Ranges = Mapping[str, tuple[float, float]]
 
@@ -233,7 +235,7 @@ class Task(ABC):
 
     def __init__(
         self,
-        robot: Path,
+        robot: Robot,
         limit_s: float,
         *,
         fit: Path | None = None,
@@ -246,7 +248,8 @@ class Task(ABC):
         """Initialise the robot distribution, the time limit, the reward and the settings of the twin.
 
         Args:
-            robot: name or path of a robot file; the tolerances of its modules are drawn for each episode.
+            robot: name or path of a robot file, or its keys with `base`, as in a scenario; the tolerances of
+                its modules are drawn for each episode.
             limit_s: time limit, s.
             fit: path of a fit file, from whose intervals robots are drawn (`Variation`).
             ranges: parameter name → lower and upper limit of a uniform distribution.
@@ -507,11 +510,11 @@ class Variation:
     ranges: Ranges = field(default_factory=dict)
 
     @classmethod
-    def load(cls, robot: Path, fit: Path | None = None, ranges: Ranges | None = None) -> Variation:
+    def load(cls, robot: Robot, fit: Path | None = None, ranges: Ranges | None = None) -> Variation:
         """Load the variation of a robot.
 
         Args:
-            robot: name or path of a robot file.
+            robot: name or path of a robot file, or its keys with `base`.
             fit: path of a fit file for this robot.
             ranges: see the attribute.
 
@@ -519,11 +522,11 @@ class Variation:
             InputError: a file does not exist, the fit is for another robot, or a range is not allowed.
         """
         fit_file = None if fit is None else load_fit(fit)
-        if fit_file is not None and fit_file.robot != os.fspath(robot):
-            raise InputError(
-                f"fit {fit_file.name} is for robot '{fit_file.robot}', not for '{os.fspath(robot)}'"
-            )
-        variation = cls(load_robot_file(robot), fit_file, dict(ranges or {}))
+        file = _changed_robot(robot) if isinstance(robot, Mapping) else load_robot_file(robot)
+        name = file.name if isinstance(robot, Mapping) else os.fspath(robot)
+        if fit_file is not None and fit_file.robot != name:
+            raise InputError(f"fit {fit_file.name} is for robot '{fit_file.robot}', not for '{name}'")
+        variation = cls(file, fit_file, dict(ranges or {}))
         spec = variation.file.spec()
         for name, (low, high) in variation.ranges.items():
             if not low <= high:
@@ -540,6 +543,19 @@ class Variation:
         if self.fit is not None:
             spec = with_values(spec, _draw_fitted_values(self.fit, spec, rng))
         return with_values(spec, {name: float(rng.uniform(*limits)) for name, limits in self.ranges.items()})
+
+
+def _changed_robot(keys: Mapping[str, Any]) -> RobotFile:
+    """Return the robot of a mapping with `base` and changed keys.
+
+    Raises:
+        InputError: the base does not exist, or a key is invalid.
+    """
+    document = Document("robot", keys)
+    file = resolve_robot(document, keys, prefix=())
+    document.raise_problems()
+    assert file is not None, "without problems"
+    return file
 
 
 def _draw_fitted_values(fit: FitFile, spec: RobotSpec, rng: np.random.Generator) -> dict[str, float]:

@@ -9,7 +9,7 @@ from srs_twin.errors import UnknownNameError
 if TYPE_CHECKING:
     from srs_twin.envs.task import Task
 
-TASKS = ("GoTo", "Obstacles", "Module", "Crawl3D")
+TASKS = ("GoTo", "Obstacles", "Module", "Crawl3D", "Pegs", "Grasp")
 
 
 def make_task(name: str, **settings: Any) -> Task:
@@ -17,20 +17,23 @@ def make_task(name: str, **settings: Any) -> Task:
 
     Args:
         name: one of `TASKS`.
-        **settings: settings of the task, see `CrawlTask`, `ModuleTask` and `SpatialCrawlTask`.
+        **settings: settings of the task, see `CrawlTask`, `ModuleTask`, `SpatialCrawlTask`, `PegsTask` and
+            `GraspTask`.
 
     Raises:
         UnknownNameError: the task does not exist.
         InputError: a setting is invalid.
     """
+    from srs_twin.envs.contact import GraspTask, PegsTask
     from srs_twin.envs.crawling import CIRCLES, OPEN, CrawlTask
     from srs_twin.envs.module import ModuleTask
     from srs_twin.envs.spatial import SpatialCrawlTask
 
     if name not in TASKS:
         raise UnknownNameError("task", name, TASKS)
-    if name == "Module":
-        return ModuleTask(**settings)
-    if name == "Crawl3D":
-        return SpatialCrawlTask(**settings)
-    return CrawlTask(name, OPEN if name == "GoTo" else CIRCLES, **settings)
+    if name in ("GoTo", "Obstacles"):
+        return CrawlTask(name, OPEN if name == "GoTo" else CIRCLES, **settings)
+    tasks: dict[str, type[Task]] = {
+        "Module": ModuleTask, "Crawl3D": SpatialCrawlTask, "Pegs": PegsTask, "Grasp": GraspTask
+    }  # fmt: skip
+    return tasks[name](**settings)

@@ -36,6 +36,14 @@ class TestCrawl3D(_Mixin, absltest.TestCase):
     task = "Crawl3D"
 
 
+class TestPegs(_Mixin, absltest.TestCase):
+    task = "Pegs"
+
+
+class TestGrasp(_Mixin, absltest.TestCase):
+    task = "Grasp"
+
+
 def test_every_task_is_tested_by_the_mixin():
     assert {case.task for case in _Mixin.__subclasses__()} == set(TASKS)
 

@@ -1,0 +1,120 @@
+"""Tasks Pegs and Grasp: rewards follow from the motion, observations from places; changed robot keys."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from srs_twin.control.grasp import hold_with
+from srs_twin.envs import make_task
+from srs_twin.envs.baseline import baseline, play_episode
+from srs_twin.envs.contact import DRAG_M, FIELD_RADIUS_M, HOLD
+from srs_twin.envs.gymnasium import SnakeEnv
+from srs_twin.errors import InputError
+
+
+def named(env: SnakeEnv, observation: np.ndarray) -> dict[str, float]:
+    return dict(zip([signal.name for signal in env.task.observations], observation.tolist(), strict=True))
+
+
+def test_observed_posts_are_the_nearest_ones():
+    env = SnakeEnv("Pegs")
+    observation, info = env.reset(seed=4)
+    values, posts = named(env, observation), env.episode.world.obstacles
+    places = np.array([(post.x - info["com_x_m"], post.y - info["com_y_m"]) for post in posts])
+    nearest = places[np.argsort(np.hypot(*places.T))[:4]]
+    seen = [(values[f"peg_{k}_ahead_m"], values[f"peg_{k}_left_m"]) for k in range(1, 5)]
+    # The camera has 1 mm and 5 mrad of noise.
+    assert np.array(sorted(map(tuple, nearest))) == pytest.approx(np.array(sorted(seen)), abs=0.006)
+    assert not any(name.startswith(("goal", "obstacle")) for name in values)
+
+
+def test_posts_leave_room_for_the_snake_at_the_start():
+    for seed in range(20):
+        episode = make_task("Pegs", limit_s=0.1).begin(np.random.default_rng(seed))
+        assert not np.any(episode.state.obstacle_force)
+        half = episode.twin.spec.geometry.width / 2
+        assert min(abs(post.y) - post.radius for post in episode.world.obstacles) > half
+
+
+def test_progress_among_posts_is_the_distance_from_the_start():
+    env = SnakeEnv("Pegs")
+    _, info = env.reset(seed=0)
+    first, total = math.hypot(info["com_x_m"], info["com_y_m"]), 0.0
+    policy = baseline(env.task)
+    for _ in range(12):
+        observation, reward, *_, info = env.step(policy(np.zeros(0)))
+        total += reward
+    distance = math.hypot(info["com_x_m"], info["com_y_m"])
+    assert total == pytest.approx(distance - first, abs=1e-9)
+    assert info["goal_distance_m"] == pytest.approx(FIELD_RADIUS_M - distance)
+    assert distance > 0.02 and env.task.weights["touching_s"] == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "ending"), [("Pegs", "goal_reached"), ("Grasp", "dragged")])
+def test_baseline_succeeds_and_resting_does_not(name, ending):
+    task = make_task(name)
+    score = play_episode(task, baseline(task), np.random.default_rng(0))
+    assert score.ending == ending
+    vented = task.from_physical([0.0, 0.0, 0.0]) if name == "Grasp" else None
+    if vented is not None:
+        rest = play_episode(make_task(name, limit_s=2.0), lambda _: vented, np.random.default_rng(0))
+        assert rest.ending == "time_up" and abs(rest.reward) < 1e-3
+        assert DRAG_M + 1 <= score.reward <= DRAG_M + 1.1
+
+
+def test_grip_fills_the_chambers_of_one_side_of_the_tail():
+    env = SnakeEnv("Grasp")
+    for sign in (1, -1):
+        env.reset(seed=1)
+        for _ in range(3):
+            env.step(env.task.from_physical([0.6 * sign, 0.0, 0.0]))
+        pressure = np.asarray(env.episode.state.pressure)
+        full, empty = (pressure[-HOLD:, k] for k in ((0, 1) if sign > 0 else (1, 0)))
+        assert (full > 1e4).all() and (empty < 1.0).all()
+        assert (pressure[:-HOLD] < 1.0).all()
+
+
+def test_object_is_observed_at_its_place_and_lost_when_far():
+    env = SnakeEnv("Grasp")
+    observation, info = env.reset(seed=2)
+    values, item = named(env, observation), env.episode._item
+    assert (info["object_x_m"], info["object_y_m"]) == pytest.approx((item.x, item.y), abs=1e-4)
+    seen = values["object_ahead_m"] + info["com_x_m"], values["object_left_m"] + info["com_y_m"]
+    assert seen == pytest.approx((item.x, item.y), abs=0.006)
+    for _ in range(30):
+        *_, info = env.step(env.task.from_physical([0.0, 1.0, 0.0]))  # crawls away without a grip
+        if info["ending"]:
+            break
+    assert info["ending"] == "object_lost" and info["reward_object_lost"] == -1
+
+
+@given(st.floats(-1, 1), st.sampled_from([1, 2, 5]), st.integers(1, 4))
+def test_holding_duty_is_the_share_of_filled_slots(duty, pulses, hold):
+    valves = np.ones((100, 6, 2), dtype=np.int8)
+    hold_with(valves, hold, duty, pulses)
+    filled, other = (0, 1) if duty >= 0 else (1, 0)
+    assert (valves[:, :-hold] == 1).all() and (valves[:, -hold:, other] == -1).all()
+    share = (valves[:, -hold:, filled] == 1).mean(axis=0)
+    assert share == pytest.approx(abs(duty), abs=0.5 * pulses / 100 + 1e-9)
+    pieces = np.split(valves, pulses)
+    assert all((piece == pieces[0]).all() for piece in pieces)
+
+
+def test_robots_may_have_changed_keys():
+    stiff = {"base": "gen2", "bending": {"stiffness_nm_per_rad": 0.5}, "modules": {"gain_spread": 0.2}}
+    task = make_task("GoTo", robot=stiff)
+    assert task.robot.bending.stiffness == 0.5
+    drawn = [task.begin(np.random.default_rng(seed)).twin.spec for seed in range(2)]
+    assert drawn[0] != drawn[1]
+    with pytest.raises(InputError, match="unknown robot 'gen9'"):
+        make_task("GoTo", robot={"base": "gen9"})
+    with pytest.raises(InputError, match="stiffnes"):
+        make_task("GoTo", robot={"base": "gen2", "bending": {"stiffnes_nm_per_rad": 1}})
+    with pytest.raises(InputError, match="4 holding segments are not allowed"):
+        make_task("Grasp", robot="gen2")
