@@ -194,6 +194,41 @@ def planner_success(planner: str, draws: int) -> Numbers:
     return numbers | {"alone.trend": None if math.isnan(trend) else trend}
 
 
+def contact_force(robot: str, frequency_hz: float, force_n: float, connector: float) -> Numbers:
+    """Return the estimate of a force on a connector without force sensors (Section 6.2).
+
+    Args:
+        robot: name of the robot.
+        frequency_hz: gait frequency, Hz; a period must be a whole number of ticks.
+        force_n: force to the left, for 0.5 s after 12 s of free crawling, N.
+        connector: number of the connector, from the head.
+
+    Returns:
+        ``score`` of the detection, and ``ratio`` of the estimated to the applied force.
+    """
+    from srs_twin.control.contact_observer import ContactObserver
+    from srs_twin.control.gait import Gait
+    from srs_twin.plants.twin.snake import TwinSnake
+
+    twin, gait = TwinSnake(load_robot(robot), sensor="hall"), Gait(frequency_hz)
+    gait.reset(twin.spec, twin.tick)
+    observer = ContactObserver(twin.spec, twin.tick, round(1 / (frequency_hz * twin.tick)))
+    state, k, best = twin.reset(), round(connector) - 1, (0.0, 0.0)
+    body = twin.physics.model.ptr.body(f"connector_{k + 1}").id
+    while state.time < 12.6:
+        heading, pressed = float(state.theta[k]), 12.0 <= state.time < 12.5
+        twin.physics.data.ptr.xfrc_applied[body, :2] = (
+            np.array([-math.sin(heading), math.cos(heading)]) * force_n * pressed
+        )
+        valves = gait.step(state)
+        state = twin.step(valves)
+        mean = np.asarray(valves, dtype=float).reshape(-1, *np.shape(valves)[-2:]).mean(axis=0)
+        estimate = observer.update(mean, state.pressure, state.sensed)
+        if estimate is not None and state.time > 12.0:
+            best = max(best, (estimate.score, estimate.force / force_n))
+    return {"twin.score": best[0], "twin.ratio": best[1]}
+
+
 def bend_at(robot: str, pressure_psi: float) -> Numbers:
     """Return the bend of an unloaded module at a pressure by the robot's gain, degrees (Section 2.1)."""
     actuator = load_robot(robot).actuator
