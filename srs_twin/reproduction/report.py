@@ -57,6 +57,7 @@ _CAPABILITIES = {
     "control of a module": ("smc-",),
     "planning": ("plan-", "eq33"),
     "following": ("follow-", "experiments", "table9"),
+    "future work": ("wish.",),
 }
 _OTHER_GROUPS: dict[Category, str] = {
     "own_tolerance": "own tolerance",
