@@ -192,7 +192,10 @@ class Grasp(Controller):
         if phase is Phase.DRAG:
             self._since, self._start = time, com.copy()
         self.phase = phase
-        text = f"{phase.name.lower()} begins, the grip takes {self.grip:.2g} rad from each holding segment"
+        name = phase.name.lower()
+        text = (
+            f"{name} begins; the object keeps the holding segments {self.grip:.2g} rad from their free bend"
+        )
         self._events.append(Event(time, "grasp", text))
 
     def signals(self) -> dict[str, float]:

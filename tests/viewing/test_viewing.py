@@ -26,7 +26,7 @@ from srs_twin.comparison.compare import compare
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import InputError
 from srs_twin.robot.world import Circle, Polygon, World
-from srs_twin.trajectory import Trajectory
+from srs_twin.trajectory import Event, Trajectory
 from srs_twin.viewing.html.report import write_report
 from srs_twin.viewing.plots.from_above import plan_view, strobe_times
 from srs_twin.viewing.plots.runs import bend_plot, error_plot, pressure_plot, speed_plot
@@ -299,6 +299,16 @@ def test_unusual_runs_have_recording_and_report(tmp_path, name):
     )
     assert (tmp_path / "r.html").read_text("utf-8").count("<figure>") == (5 if both else 4)
     write_plan_animation(tmp_path / "plan.webp", runs, spec, seconds=0.1)
+
+
+def test_report_lists_events_in_the_order_of_time(tmp_path, spec):
+    events = Event(0.4, "grasp", "drag begins"), Event(0.2, "reading_lost", "segment 2")
+    run_ = replace(Snake().trajectory("twin"), events=events)
+    metrics = {"plants": {"twin": plant_metrics(run_)}, "comparison": None}
+    path = tmp_path / "r.html"
+    write_report(path, scenario_title="", spec=spec, trajectories={"twin": run_}, metrics=metrics)
+    text = path.read_text("utf-8")
+    assert 0 < text.find("reading lost") < text.find("drag begins")
 
 
 @pytest.mark.parametrize("trajectories", [{}, {"twin": sampled(Snake().trajectory("twin"), slice(0))}])

@@ -28,6 +28,7 @@ from srs_twin.scenario.expectation import allowed_text, tally, verdict
 from srs_twin.scenario.modified import Changes, left_out_line, text_of
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import added_to
+from srs_twin.viewing.events import events_of
 from srs_twin.viewing.html import Picture, Table, cell, colored, notebook_output, picture, render
 from srs_twin.viewing.plots.from_above import lines_plot, plan_view
 from srs_twin.viewing.plots.labels import metric_title
@@ -97,6 +98,7 @@ def write_report(
         left_out=left_out_line(metrics.get("left_out") or ()),
         **_attribution(attribution),
         plots=_plots(trajectories, spec, comparison, measured, tracked=tracked),
+        events=_events(trajectories),
         kind="tracking" if tracked else kind_of(trajectories),
         settings=_settings(spec, trajectories, metrics.get("versions") or {}),
     )
@@ -242,6 +244,14 @@ def _settings(
         f"Robot {spec.name}": robot_table(spec),
         "Versions": Table(["package", "version"], list(versions.items())),
     }
+
+
+def _events(trajectories: Mapping[str, Trajectory]) -> Table:
+    """Return the table of the events of all plants, ordered by time."""
+    rows = [(event.time, plant, event.kind.replace("_", " "), event.text)
+            for plant, run in trajectories.items() for event in events_of(run)]  # fmt: skip
+    ordered = [[f"{time:.2f}", *rest] for time, *rest in sorted(rows)]
+    return Table(["time, s", "plant", "event", "details"], ordered, [0])
 
 
 def robot_table(spec: RobotSpec) -> Table:

@@ -24,13 +24,13 @@ import numpy as np
 import rerun as rr
 from rerun.blueprint import Blueprint
 
-from srs_twin.comparison.contacts import touches
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
-from srs_twin.trajectory import Event, Trajectory
+from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import FloorLine, RunPictures, added_to, additions
+from srs_twin.viewing.events import events_of
 from srs_twin.viewing.plots.signals import (
     check_drawable,
     forward_speed,
@@ -310,11 +310,6 @@ def _speed(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     return (run.time, forward_speed(run)) if period is None else period_speed(run, period)
 
 
-def events_of(run: Trajectory) -> list[Event]:
-    """Return the events of a run and its contacts with obstacles, ordered by time."""
-    return sorted([*run.events, *_contacts(run), *_end(run)], key=lambda event: event.time)
-
-
 def _send_events(log: rr.RecordingStream, plant: str, run: Trajectory, style: Style) -> None:
     """Log the events of a run as `events/<plant>`; nothing without events."""
     events = events_of(run)
@@ -326,20 +321,6 @@ def _send_events(log: rr.RecordingStream, plant: str, run: Trajectory, style: St
         color=[style.rgb] * len(events),
     )
     Entities(log, np.array([event.time for event in events])).send(f"events/{plant}", columns)
-
-
-def _contacts(run: Trajectory) -> Iterator[Event]:
-    for touch in touches(run):
-        # The duration of a contact in a single sample is unknown.
-        duration = f", for {touch.end - touch.begin:.2g} s" if touch.end > touch.begin else ""
-        text = f"connector {touch.connector}, at most {touch.force:.2g} N{duration}"
-        yield Event(touch.begin, "contact", text)
-
-
-def _end(run: Trajectory) -> Iterator[Event]:
-    by = run.metadata.get("ended_by")
-    if by is not None:
-        yield Event(float(run.time[-1]), "ended", f"the run, by its {by}")
 
 
 @dataclass(frozen=True)
