@@ -151,6 +151,7 @@ def test_no_import_cycles():
             sorter = TopologicalSorter(edges)
 
 
+@pytest.mark.slow
 def test_the_core_runs_without_extensions(root, tmp_path):
     """A copy of the package without the folders of the extensions imports and does the main job."""
     hidden = shutil.ignore_patterns("__pycache__", "_data")

@@ -119,6 +119,7 @@ def test_variants_under_a_controller_with_sensors_are_the_same_in_worker_process
         assert all((here[column] == run[column]).all() for column in ("com_x", "bend_1", "duty_plus_1"))
 
 
+@pytest.mark.slow
 def test_remainder_is_small_for_speed_and_yaw_rate(explained):
     """The remainder of the difference was 0.03 % of the speed and 4 % of the yaw rate."""
     attribution, progress = explained
@@ -131,6 +132,7 @@ def test_remainder_is_small_for_speed_and_yaw_rate(explained):
     assert attribution.same == ("rigid gaps", "frozen chords", "damping")
 
 
+@pytest.mark.slow
 @pytest.mark.slow
 def test_compliance_dominates_and_matched_plants_agree(explained):
     attribution, _ = explained
@@ -173,6 +175,7 @@ def test_shares_equal_the_changes_of_switches_and_refinements():
         assert np.abs(value[:2]).min() > 1e-4 and shares[name] == pytest.approx(value), name
 
 
+@pytest.mark.slow
 @pytest.mark.slow
 def test_document_is_plain_data_and_names_its_measures(explained):
     document = json.loads(json.dumps(explained[0].document()))

@@ -98,6 +98,7 @@ def test_lost_readings_and_pressures_leave_the_wave_finite():
     assert math.isfinite(gait.amplitude)
 
 
+@pytest.mark.slow
 def test_gain_zero_is_the_open_loop_gait():
     world = World((Circle(0.25, 0.03, 0.02),))
     runs = [

@@ -36,10 +36,12 @@ class TestCrawl3D(_Mixin, absltest.TestCase):
     task = "Crawl3D"
 
 
+@pytest.mark.slow
 class TestPegs(_Mixin, absltest.TestCase):
     task = "Pegs"
 
 
+@pytest.mark.slow
 class TestGrasp(_Mixin, absltest.TestCase):
     task = "Grasp"
 

@@ -27,6 +27,11 @@ from srs_twin.errors import DivergedError
 from srs_twin.plants.base import SnakeState
 from srs_twin.robot.world import Bounds
 
+MARKED_TASKS = [
+    pytest.param(task, marks=pytest.mark.slow) if task in ("Grasp", "Pegs") else task for task in TASKS
+]
+"""All tasks; those with many contacts are slow."""
+
 SHORT = {"limit_s": 0.3}
 """Three steps of a snake, six of a module."""
 
@@ -265,7 +270,7 @@ def test_invalid_settings_are_refused_at_construction(task, settings, words):
         SnakeEnv(task, **settings)
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", MARKED_TASKS)
 def test_vector_environment_equals_single_environments(task):
     """The reference is Gymnasium's SyncVectorEnv, over ends and resets of episodes."""
     vector = gymnasium.make_vec(f"srs_twin.envs:SRSTwin/{task}-v0", num_envs=3, threads=2, **SHORT)

@@ -82,7 +82,7 @@ BENCH_MALFORMED = edited(BENCH, [
     ("in_out", "3/2", ":6:18: valves.layout: direct_smc drives valves of layout in_out, not 3/2; 3/2 va"),
     ("{kind: direct_smc, d_per_s: 20,", "{kind: iterative_smc, carrier_hz: 60,", ":6:18: valves.layout: iterative_smc drives valves of layout 3/2, not in_out"),
     ("kind: direct_smc, ", "", ":8:13: controller.kind: missing; it selects"),
-    ("direct_smc", "direct_smd", ":8:20: controller.kind: must be one of gait, ilc, direct_smc, iterative_smc, hold_valves, grasp, replay"),
+    ("direct_smc", "direct_smd", ":8:20: controller.kind: must be one of gait, ilc, direct_smc, iterative_smc, hold_valves, grasp, compliant_gait, replay"),
     (BENCH.decode().splitlines()[7], "controller: [1]", ":8:13: controller: must be a block of keys"),
     ("d_per_s: 20", "carrier_hz: 60", ":8:32: controller.carrier_hz: unknown key"),
     ("d_per_s: 20", "d_per_s: 0", ":8:41: controller.d_per_s: must be a number from 0.001 to 1000, not 0"),

@@ -217,6 +217,7 @@ def test_polygon_wall_between_bounds_is_proven_impassable():
     assert plan(replace(problem, world=World((), Bounds((-1, 3), (-3, 3)), None, (wall,)))).found
 
 
+@pytest.mark.slow
 def test_niche_too_small_to_turn_in_is_proven_unreachable():
     """The goal is at a wall that must be approached at right angles, with its heading along the wall."""
     left, right = (Polygon(((x, -0.3), (x + 0.1, -0.3), (x + 0.1, 0.3), (x, 0.3))) for x in (1.3, 1.6))

@@ -190,7 +190,8 @@ def test_only_simplified_allows_no_friction_torque(model):
         ({"inertia": "heavy"}, "inertia 'heavy' is unknown; allowed: point, connector, lumped"),
         (
             {"model": "simple"},
-            "model 'simple' is unknown; allowed: complete, simplified, compliant; did you mean simplified?",
+            "model 'simple' is unknown; allowed: complete, simplified, compliant, quasistatic; did you mean "
+            "simplified?",
         ),
         (
             {"friction": "coulomb"},

@@ -121,6 +121,7 @@ def test_no_shipped_scenario_uses_the_fast_preset(root):
     assert settings(load_scenario("gen2_turn")) == DEFAULT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gen2_turn", "gen3_turn"])
 def test_fast_preset_has_the_stated_error(name):
     fast = PRESETS["fast"]

@@ -55,6 +55,7 @@ def test_plants_agree_on_a_gait_of_a_wheeled_rigid_snake(write):
     assert model_run.com[-1, 0] > 0.3
 
 
+@pytest.mark.slow
 def test_plants_agree_on_a_rigid_snake_with_skin(write):
     skin = "contact:\n  kind: skin\n" + "".join(
         f'  {key}: {{value: {mu}, unit: "1", status: estimated, source: test}}\n'

@@ -198,6 +198,7 @@ def test_stated_ranges_of_ranks_contain_the_true_rank():
     assert wide[0] > 1 > wide[1]
 
 
+@pytest.mark.slow
 def test_the_order_is_resolved_only_with_enough_samples():
     weights = np.array([4.0, 2.0, 1.0])
     assert spread_of(study_of(3, 512), weighted(weights)).ranks() == [(1, 1), (2, 2), (3, 3)]

@@ -129,6 +129,7 @@ def test_a_set_parameter_is_not_uncertain():
     assert "uncertain" in result.document["robot"]["friction"]["mu_n"]
 
 
+@pytest.mark.slow
 def test_sensitivities_of_ishigamis_function():
     """With a = 7 and b = 0.1: S = 0.3139, 0.4424, 0; T = 0.5576, 0.4424, 0.2437."""
     shares = stats.qmc.Sobol(3, rng=1).random(1024)
