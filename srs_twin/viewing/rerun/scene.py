@@ -335,7 +335,8 @@ def _at_height(points: np.ndarray, height: float) -> np.ndarray:
 
 def _along(steps: np.ndarray) -> np.ndarray:
     """Return quaternions (n, 4), xyzw, that rotate +z (the axis of capsules) to the steps (…, 3)."""
-    x, y, z = np.moveaxis(steps / np.linalg.norm(steps, axis=-1, keepdims=True), -1, 0)
+    # Without a rigid gap the first and the last step of a segment have no length.
+    x, y, z = np.moveaxis(steps / np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-12), -1, 0)
     turn = np.stack([-y, x, 0.0 * x, 1.0 + z], axis=-1)
     turn /= np.maximum(np.linalg.norm(turn, axis=-1, keepdims=True), 1e-9)
     return turn.reshape(-1, 4).astype(np.float32)
