@@ -74,7 +74,7 @@ def test_clear_worlds_have_the_plan_without_touch():
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_touches_are_where_sampled_edges_overlap(sign):
-    """The overlaps agree with a straight path beside one post, whose geometry is known."""
+    """The overlaps agree with a straight path next to one post, whose geometry is known."""
     straight = BODY.at(0.0)
     edge, depth = straight.left if sign > 0 else straight.right, 0.008
     post = Circle(0.8, sign * (edge + RADIUS - depth), RADIUS)

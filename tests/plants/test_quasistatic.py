@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from srs_twin import AnalyticalSnake, Gait, load_robot, load_scenario, rollout
 from srs_twin.control.gait import PitchWave
-from srs_twin.errors import InputError, InputFileError
+from srs_twin.errors import DivergedError, InputError, InputFileError
 from srs_twin.plants.analytical import quasistatic_kernels
 from srs_twin.plants.analytical import spatial_kinematics as kernels
 from srs_twin.plants.analytical.quasistatic import make_constants
@@ -218,6 +218,17 @@ def test_a_heavy_snake_that_stands_on_its_bend_falls_over_and_the_jump_is_counte
         state = snake.step(up)
     # All segments bent upwards form a ring with a single support, which topples.
     assert snake.jumps >= 1 and abs(state.height - SPEC.geometry.com_height).min() < 1e-3
+
+
+def test_a_step_that_cannot_be_made_short_enough_ends_the_run():
+    snake = AnalyticalSnake(SPEC, model="quasistatic", timestep=0.01)
+    snake._body._constants = snake._body._constants._replace(longest_move=1e-12)
+    up = np.full((SEGMENTS, 4), -1, dtype=np.int8)
+    up[:, 2] = 1
+    before = snake._body.state.copy()
+    with pytest.raises(DivergedError, match="step 1 of"):
+        snake.step(up)
+    assert (snake._body.state == before).all()
 
 
 def test_robots_worlds_and_laws_that_have_no_solution_are_refused():

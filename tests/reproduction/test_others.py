@@ -64,7 +64,7 @@ def test_published_value_must_be_a_plausible_number(folder, value):
 
 
 def test_commits_show_that_predictions_came_first(folder):
-    """In a repository of its own: the first published values, and the last change of the prediction."""
+    """In a separate repository: the first published values, and the last change of the prediction."""
 
     def git(*command):
         who = ("-c", "user.name=a", "-c", "user.email=a@b.c", "-c", "commit.gpgsign=false")

@@ -189,7 +189,8 @@ class QuasistaticArcs(Body):
         interval = np.diff(exchanged, axis=0, prepend=self._sampled[None])
         if count:
             self._theta, self._sampled = theta[-1].copy(), exchanged[-1]
-        impulse = interval[:, :-1].reshape(count, -1, 3) / np.maximum(interval[:, -1:, None], 1e-12)
+        impulse = interval[:, :-1].reshape(count, len(self._constants.mass), 3)
+        impulse /= np.maximum(interval[:, -1:, None], 1e-12)
         force = np.einsum("ik,skc->sic", self._weights, impulse)
         return SpatialState(
             time=time,

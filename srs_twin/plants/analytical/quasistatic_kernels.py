@@ -37,6 +37,10 @@ _MAX_TRIALS = 14
 _MAX_SLOPE_RATIO = 0.5
 """A line search ends where the slope is below this fraction of the first one, 1."""
 _MAX_HALVINGS = 14
+_TOLERANCE = 1e-6
+"""Residual power over the power of friction at the slip speed at which a solve ends, 1."""
+_LOAD_TOLERANCE = 1e-4
+"""Change of a load over the weight of the body at which no further sweep is made, 1."""
 _ellipse = compiled(friction.ellipse)
 
 
@@ -159,7 +163,7 @@ def _minimise(velocity, body, work, h, slip, tolerance):  # type: ignore[no-unty
         _solve(work.matrix, d)
         first = _product(g, d)
         if not first < -tolerance:
-            return first == first
+            return np.isfinite(first)
         # The slope along the direction rises; find where it is nearly 0.
         low, high, t = 0.0, 0.0, 1.0
         slope_low, slope_high = first, 0.0
@@ -189,8 +193,9 @@ def _solve_step(velocity, state, body, work, h, weight):  # type: ignore[no-unty
     _begin_step(state, body, work, h)
     converged = True
     for _ in range(_MAX_SWEEPS):
-        tolerance = 1e-6 * weight * slip
-        if not _minimise(velocity, body, work, h, slip, tolerance):
+        tolerance = _TOLERANCE * weight * slip
+        converged = _minimise(velocity, body, work, h, slip, tolerance)
+        if not converged:
             # Newton's method overshoots where sticking points are far from it: begin with smoother friction.
             for i in range(velocity.shape[0]):
                 velocity[i] = 0.0
@@ -201,7 +206,7 @@ def _solve_step(velocity, state, body, work, h, weight):  # type: ignore[no-unty
         for p in range(work.load.shape[0]):
             largest = max(largest, abs(work.load[p] - work.law_load[p]))
             work.law_load[p] = work.load[p]
-        if largest < 1e-4 * weight:
+        if largest < _LOAD_TOLERANCE * weight:
             break
     return converged
 
@@ -324,7 +329,9 @@ def advance(now, steps, free, sample_steps, body, work, samples):  # type: ignor
                 fastest = _fastest_point(velocity, work, body.share.shape[0]) if converged else np.inf
                 if h * fastest <= body.longest_move:
                     break
+                # Rejected: solve a shorter step from the same velocity.
                 h /= 2
+                fastest = np.inf
                 copy(start, velocity)
             if not np.isfinite(fastest):
                 return step
