@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 
@@ -37,21 +38,16 @@ from srs_twin.live.air_balance import (
 )
 from srs_twin.live.fault_hypotheses import (
     CHAMBERS,
-    DRIFTS,
-    FROZEN,
     HAS_NAME,
     HYPOTHESES,
     LEAK_RATES,
-    LEAKS,
-    OBEYS,
-    READS,
     SENSORS,
-    SILENT,
     SUPPLY_SHARES,
-    VENTS,
     WEAK,
+    Chamber,
     FaultNaming,
     NamingSettings,
+    Sensor,
     valve_duty,
 )
 from srs_twin.live.pressure_table import PressureLevels
@@ -76,10 +72,22 @@ _AT_REST_RAD = 1e-6
 _LEAST_PROBABILITY = 1e-12
 _FROZEN_NOISE = 0.1
 """Largest difference of successive readings of a frozen sensor, share of the noise."""
-_SUPPLY_EXPLAINS = (SUPPLY_SHARES < 1.0) | np.isin(CHAMBERS, (LEAKS, VENTS)).any(axis=1)
+_SUPPLY_EXPLAINS = (SUPPLY_SHARES < 1.0) | np.isin(CHAMBERS, (Chamber.LEAKS, Chamber.VENTS)).any(axis=1)
 """Hypotheses with which filling chambers have a lower pressure, as with a lower supply pressure."""
-_BIAS, _PLUS, _MINUS, _LOAD, _SENSOR, _SCALE = range(6)
-_MODULE = [_PLUS, _MINUS, _BIAS]
+
+
+class _State(IntEnum):
+    """Index of a state: b, g⁺, g⁻, d, s and e of the module docstring."""
+
+    BIAS = 0
+    PLUS = 1
+    MINUS = 2
+    LOAD = 3
+    OFFSET = 4
+    SCALE = 5
+
+
+_MODULE = [_State.PLUS, _State.MINUS, _State.BIAS]
 
 
 @dataclass(frozen=True)
@@ -169,10 +177,10 @@ class FaultDetector(Stateful):
         self._levels = PressureLevels(count, settings.pressure[0])
         s = settings
         self.mean = np.zeros((count, kinds, 6))
-        self.mean[..., _PLUS] = self.mean[..., _MINUS] = 1.0
+        self.mean[..., _State.PLUS] = self.mean[..., _State.MINUS] = 1.0
         self._largest = largest_bend(spec, supply_pa)
         self._load = s.load * self._largest
-        self._obeys = np.isin(CHAMBERS, (OBEYS, LEAKS))
+        self._obeys = np.isin(CHAMBERS, (Chamber.OBEYS, Chamber.LEAKS))
         inflows = [(h.inflow(h.plus), h.inflow(h.minus)) for h in HYPOTHESES]
         variants = list(dict.fromkeys(inflow for pair in inflows for inflow in pair))
         self._variant = np.array([[variants.index(inflow) for inflow in pair] for pair in inflows])
@@ -210,7 +218,7 @@ class FaultDetector(Stateful):
         """
         self.leaks.drop(switched > 0)
         change = self._largest * switched.sum(axis=1) / 2 * (1 - math.exp(-dt / self._fill))
-        self._covariance[..., _LOAD, _LOAD] += change[:, None] ** 2
+        self._covariance[..., _State.LOAD, _State.LOAD] += change[:, None] ** 2
 
     def most_likely(self) -> np.ndarray:
         """Return the most likely hypothesis of each segment that agrees with its detected fault."""
@@ -227,9 +235,9 @@ class FaultDetector(Stateful):
     def corrected(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return readings (rad) without the errors of their sensors, and standard deviations of these."""
         mean = np.einsum("sm,smk->sk", self.probability, self.mean)
-        bends = (readings - mean[:, _SENSOR]) / (1 + mean[:, _SCALE])
+        bends = (readings - mean[:, _State.OFFSET]) / (1 + mean[:, _State.SCALE])
         rows = np.zeros_like(mean)
-        rows[:, _SENSOR], rows[:, _SCALE] = 1.0, np.nan_to_num(bends)
+        rows[:, _State.OFFSET], rows[:, _State.SCALE] = 1.0, np.nan_to_num(bends)
         variance = np.einsum("sm,sk,smkl,sl->s", self.probability, rows, self._covariance, rows)
         return bends, np.sqrt(variance)
 
@@ -270,16 +278,16 @@ class FaultDetector(Stateful):
         drive = self._gain[:, None] * self._delayed
         drive = drive * self._bend_share(drive)
         rows = np.ones((*self.probability.shape, 6))
-        rows[..., _PLUS], rows[..., _MINUS] = drive[..., 0], -drive[..., 1]
-        rows[..., [_SENSOR, _SCALE]] = 0.0
+        rows[..., _State.PLUS], rows[..., _State.MINUS] = drive[..., 0], -drive[..., 1]
+        rows[..., [_State.OFFSET, _State.SCALE]] = 0.0
         log_likelihood = np.zeros(self.probability.shape)
         if readings is not None:
             readings = np.asarray(readings, dtype=float)
-            reads = np.isin(SENSORS, (READS, DRIFTS))
+            reads = np.isin(SENSORS, (Sensor.READS, Sensor.DRIFTS))
             log_likelihood += self._sensor_log_likelihood(readings)
             bends = np.einsum("smk,smk->sm", rows, self.mean)
             sensed = rows.copy()
-            sensed[..., _SENSOR], sensed[..., _SCALE] = 1.0, bends
+            sensed[..., _State.OFFSET], sensed[..., _State.SCALE] = 1.0, bends
             log_likelihood += self._correct(sensed, readings, self.settings.noise, reads)
             self._last = np.where(np.isnan(readings), self._last, readings)
         if markers is not None:
@@ -309,7 +317,7 @@ class FaultDetector(Stateful):
     def _advance_chambers(self, duty: np.ndarray, dt: float) -> None:
         """Advance the pressures of all hypotheses, and the pressures after the lag τ₂."""
         duty = valve_duty(duty[:, None], CHAMBERS)
-        leak = np.where(CHAMBERS == LEAKS, LEAK_RATES[:, None], 0.0)
+        leak = np.where(CHAMBERS == Chamber.LEAKS, LEAK_RATES[:, None], 0.0)
         supply = self.supply.pressure * SUPPLY_SHARES[:, None]
         relaxation = relaxation_of(duty / self._fill, (1 - duty) / self._vent, supply, leak)
         self._delayed = followed(self._delayed, self._pressure, relaxation, self._tau, dt)
@@ -333,9 +341,9 @@ class FaultDetector(Stateful):
         np.fill_diagonal(transition, 1 - transition.sum(axis=1))
         decay = np.array([1.0, 1.0, 1.0, math.exp(-dt / s.load_time), 1.0, 1.0])
         bias, gain, offset, drift = (walk * math.sqrt(dt) for walk in (*s.wander, *s.drift))
-        load = self._load * math.sqrt(1 - decay[_LOAD] ** 2)
+        load = self._load * math.sqrt(1 - decay[_State.LOAD] ** 2)
         noise = np.tile(np.diag([bias, gain, gain, load, offset, 0.0]) ** 2, (len(HYPOTHESES), 1, 1))
-        noise[SENSORS == DRIFTS, _SENSOR, _SENSOR] = drift**2
+        noise[SENSORS == Sensor.DRIFTS, _State.OFFSET, _State.OFFSET] = drift**2
         joint = self.probability[:, :, None] * transition
         predicted = joint.sum(axis=1)
         share = joint / np.maximum(predicted[:, None, :], 1e-300)
@@ -378,7 +386,7 @@ class FaultDetector(Stateful):
         """Return log-likelihoods of missing readings (silent sensor) and equal ones (frozen sensor)."""
         log_likelihood, lost = np.zeros(self.probability.shape), np.isnan(readings)[:, None]
         loss = self.settings.loss
-        silent, frozen = SENSORS == SILENT, SENSORS == FROZEN
+        silent, frozen = SENSORS == Sensor.SILENT, SENSORS == Sensor.FROZEN
         log_likelihood[:, ~silent] = np.where(lost, math.log(loss), math.log(1 - loss))
         log_likelihood[:, silent] = np.where(lost, math.log(0.999), math.log(1e-3 / (2 * math.pi)))
         narrow = self.settings.noise * _FROZEN_NOISE
@@ -398,7 +406,7 @@ class FaultDetector(Stateful):
         spread = np.where(self._obeys, sd[:, None] + least, first)
         log = _log_student((residual / spread) ** 2) - np.log(spread)
         # With enough strokes, the balance of air replaces this evidence for leaks.
-        balanced = (self.leaks.learnt >= _BALANCED_STROKES)[:, None] & (CHAMBERS == LEAKS)
+        balanced = (self.leaks.learnt >= _BALANCED_STROKES)[:, None] & (CHAMBERS == Chamber.LEAKS)
         log = np.where(balanced, log.max(axis=1, keepdims=True), log)
         self._levels.update(residual[:, 0], ~np.isnan(pressures) & (self.probability[:, :1] > 0.9))
         return np.asarray(log.sum(axis=-1) * min(dt / self.settings.pressure_time, 1.0))

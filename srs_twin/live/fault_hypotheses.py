@@ -3,18 +3,33 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 
 from srs_twin.io.saved_state import Stateful
 
-OBEYS, FILLS, VENTS, LEAKS = range(4)
-"""Behaviour of a chamber."""
-READS, SILENT, FROZEN, DRIFTS = range(4)
-"""Behaviour of a bend sensor."""
 STARVED = "starved"
 """Name of the fault of the supply."""
+
+
+class Chamber(IntEnum):
+    """Behaviour of a chamber."""
+
+    OBEYS = 0
+    FILLS = 1
+    VENTS = 2
+    LEAKS = 3
+
+
+class Sensor(IntEnum):
+    """Behaviour of a bend sensor."""
+
+    READS = 0
+    SILENT = 1
+    FROZEN = 2
+    DRIFTS = 3
 
 
 class Hypothesis(NamedTuple):
@@ -30,29 +45,29 @@ class Hypothesis(NamedTuple):
     """
 
     name: str
-    plus: int = OBEYS
-    minus: int = OBEYS
-    sensor: int = READS
+    plus: Chamber = Chamber.OBEYS
+    minus: Chamber = Chamber.OBEYS
+    sensor: Sensor = Sensor.READS
     leak: float = 0.0
     weak: float = 1.0
 
-    def inflow(self, chamber: int) -> tuple[float, float]:
+    def inflow(self, chamber: Chamber) -> tuple[float, float]:
         """Return leak (1/s) and share of the supply pressure of a chamber, given its behaviour."""
-        return self.leak if chamber == LEAKS else 0.0, 0.0 if chamber == VENTS else self.weak
+        return self.leak if chamber == Chamber.LEAKS else 0.0, 0.0 if chamber == Chamber.VENTS else self.weak
 
 
 HYPOTHESES = (
     Hypothesis(""),
-    Hypothesis("stuck_valve +=open", plus=FILLS),
-    Hypothesis("stuck_valve +=closed", plus=VENTS),
-    Hypothesis("stuck_valve -=open", minus=FILLS),
-    Hypothesis("stuck_valve -=closed", minus=VENTS),
-    *(Hypothesis("leak +", plus=LEAKS, leak=rate) for rate in (2.0, 6.0)),
-    *(Hypothesis("leak -", minus=LEAKS, leak=rate) for rate in (2.0, 6.0)),
+    Hypothesis("stuck_valve +=open", plus=Chamber.FILLS),
+    Hypothesis("stuck_valve +=closed", plus=Chamber.VENTS),
+    Hypothesis("stuck_valve -=open", minus=Chamber.FILLS),
+    Hypothesis("stuck_valve -=closed", minus=Chamber.VENTS),
+    *(Hypothesis("leak +", plus=Chamber.LEAKS, leak=rate) for rate in (2.0, 6.0)),
+    *(Hypothesis("leak -", minus=Chamber.LEAKS, leak=rate) for rate in (2.0, 6.0)),
     *(Hypothesis("weak", weak=share) for share in (0.5, 0.15)),
-    Hypothesis("dead_sensor", sensor=SILENT),
-    Hypothesis("dead_sensor frozen", sensor=FROZEN),
-    Hypothesis("drifting_sensor", sensor=DRIFTS),
+    Hypothesis("dead_sensor", sensor=Sensor.SILENT),
+    Hypothesis("dead_sensor frozen", sensor=Sensor.FROZEN),
+    Hypothesis("drifting_sensor", sensor=Sensor.DRIFTS),
 )
 
 NAMES = tuple(dict.fromkeys(hypothesis.name for hypothesis in HYPOTHESES))
@@ -72,7 +87,7 @@ SUPPLY_SHARES = np.array([hypothesis.weak for hypothesis in HYPOTHESES])
 
 def valve_duty(duty: np.ndarray, chambers: np.ndarray) -> np.ndarray:
     """Return the duty of the valves (share of time in which they fill), given the chambers' behaviour."""
-    return np.where(chambers == FILLS, 1.0, np.where(chambers == VENTS, 0.0, duty))
+    return np.where(chambers == Chamber.FILLS, 1.0, np.where(chambers == Chamber.VENTS, 0.0, duty))
 
 
 _DOUBT = 0.5

@@ -19,11 +19,22 @@ import numpy as np
 from srs_twin.control.contact_observer import ContactEstimate
 
 LARGEST_BYTES = 65_536
-COMMAND, VALVES, PRESSURES, BENDS, STATUS, CONTROL, POSES, SUPPLY, CONTACT = (
-    "command", "valves", "pressures", "bends", "status", "control", "poses", "supply", "contact",
-)  # fmt: skip
+COMMAND = "command"
+VALVES = "valves"
+PRESSURES = "pressures"
+BENDS = "bends"
+STATUS = "status"
+CONTROL = "control"
+POSES = "poses"
+SUPPLY = "supply"
+CONTACT = "contact"
 KINDS = (COMMAND, VALVES, PRESSURES, BENDS, STATUS, CONTROL, SUPPLY)
-PAUSE, GO, STOP, VENT = WORDS = ("pause", "go", "stop", "vent")
+"""Kinds of messages that a link receives over MQTT."""
+PAUSE = "pause"
+GO = "go"
+STOP = "stop"
+VENT = "vent"
+WORDS = (PAUSE, GO, STOP, VENT)
 """Texts of a `control` message."""
 PREFIX = "srs"
 """Prefix of all topics."""
@@ -33,7 +44,8 @@ _PA_PER_KPA = 1000.0
 _BOUNDS = {COMMAND: (-1.0, 1.0), VALVES: (-1.0, 1.0), PRESSURES: (-100.0, 1000.0),
            SUPPLY: (0.0, 1000.0)}  # fmt: skip
 _BEND = 2 * math.pi
-_SIDES, _BEND_KEYS = ("plus", "minus"), ("rad", "pitch_rad")
+_SIDES = ("plus", "minus")
+_BEND_KEYS = ("rad", "pitch_rad")
 _PLAIN_WORDS = tuple(word.encode() for word in WORDS)
 _LONGEST_TEXT = 1000
 

@@ -9,17 +9,17 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
 
 from srs_twin.live.messages import LATEST_S, BadMessageError
 
-CONNECT, SERVER_INFO, REQUEST, RESPONSE, REQUEST_MODELDEF, MODELDEF = 0, 1, 2, 3, 4, 5
-FRAME, KEEPALIVE, UNRECOGNIZED = 7, 10, 100
-COMMAND_PORT, DATA_PORT, GROUP = 1510, 1511, "239.255.42.99"
+COMMAND_PORT = 1510
+DATA_PORT = 1511
 VERSIONS = ((2, 6), (2, 7), (2, 9), (2, 10), (2, 11), (3, 0), (3, 1), (4, 0), (4, 1), (4, 2))
 _MOST = 10_000  # of anything in a frame
 _TRACKED = 0x01
@@ -30,6 +30,20 @@ _LENGTH_TOLERANCE = 0.1
 """Largest deviation of a quaternion's length from 1 that rounding and averaging explain."""
 
 Version = tuple[int, int]
+
+
+class Packet(IntEnum):
+    """Kind of a packet."""
+
+    CONNECT = 0
+    SERVER_INFO = 1
+    REQUEST = 2
+    RESPONSE = 3
+    REQUEST_MODELDEF = 4
+    MODELDEF = 5
+    FRAME = 7
+    KEEPALIVE = 10
+    UNRECOGNIZED = 100
 
 
 @dataclass(frozen=True)
@@ -150,12 +164,12 @@ def read_server(content: bytes) -> tuple[Version, tuple[str, int] | None]:
 
 
 def write_server(version: Version, *, group: str | None = None, port: int = DATA_PORT) -> bytes:
-    """Return a server's answer to `CONNECT`."""
+    """Return a server's answer to `Packet.CONNECT`."""
     content = b"srs_twin".ljust(_NAME, b"\0") + bytes([1, 0, 0, 0]) + bytes([*version, 0, 0])
     if version >= (3, 0):
         octets = map(int, (group or "0.0.0.0").split("."))
         content += struct.pack("<QH?4B", 10**9, port, group is not None, *octets)
-    return closed(SERVER_INFO, content)
+    return closed(Packet.SERVER_INFO, content)
 
 
 def read_models(content: bytes, version: Version) -> dict[int, str]:
@@ -199,7 +213,7 @@ def write_models(names: Mapping[int, str], version: Version) -> bytes:
         body = name.encode() + b"\0" + struct.pack("<ii3f", number, -1, 0, 0, 0) + turn + markers
         size = struct.pack("<i", len(body)) if version >= (4, 1) else b""
         content += struct.pack("<i", 1) + size + body
-    return closed(MODELDEF, content)
+    return closed(Packet.MODELDEF, content)
 
 
 def read_frame(content: bytes, version: Version) -> Frame:
@@ -210,18 +224,14 @@ def read_frame(content: bytes, version: Version) -> Frame:
     """
     packet = _Reader(content)
     (number,) = packet.read("i")
-    for read_one in (_marker_set, _place):  # unlabelled markers have no name
-        _skip(packet, version, read_one)
+    _skip(packet, version, _marker_set)
+    _skip(packet, version, _place)  # unlabelled markers
     count, end = packet.listed(version)
     bodies = dict(_body(packet, version) for _ in range(count))
     packet.at = packet.at if end is None else end
-    for read_one, since in ((_skeleton, (2, 1)), (_asset, (4, 1))):
+    for read_one, since in _AFTER_BODIES:
         if version >= since:
             _skip(packet, version, read_one)
-    _skip(packet, version, _labelled)
-    for since in ((2, 9), (2, 11)):  # force plates, devices
-        if version >= since:
-            _skip(packet, version, _channels)
     # Time code, which is not used.
     packet.read("II")
     (time,) = packet.read("d" if version >= (2, 7) else "f")
@@ -230,7 +240,8 @@ def read_frame(content: bytes, version: Version) -> Frame:
     return Frame(number, time, bodies)
 
 
-def _skip(packet: _Reader, version: Version, read_one: Any) -> None:
+def _skip(packet: _Reader, version: Version, read_one: Callable[[_Reader, Version], object]) -> None:
+    """Skip a list: to its stated end, or entry by entry."""
     count, end = packet.listed(version)
     if end is None:
         for _ in range(count):
@@ -281,6 +292,16 @@ def _channels(packet: _Reader, version: Version) -> None:
         packet.read("f" * packet.count())
 
 
+_AFTER_BODIES: Sequence[tuple[Callable[[_Reader, Version], object], Version]] = (
+    (_skeleton, (2, 6)),
+    (_asset, (4, 1)),
+    (_labelled, (2, 6)),
+    (_channels, (2, 9)),  # force plates
+    (_channels, (2, 11)),  # devices
+)
+"""Lists that follow the rigid bodies: reader of an entry, and first version with the list."""
+
+
 def write_frame(frame: Frame, version: Version) -> bytes:
     """Return the packet of a frame."""
 
@@ -304,7 +325,7 @@ def write_frame(frame: Frame, version: Version) -> bytes:
         content += struct.pack("<3Q", 0, 0, 0)
     if version >= (4, 1):
         content += struct.pack("<II", 0, 0)
-    return closed(FRAME, content + struct.pack("<Hi", 0, 0))
+    return closed(Packet.FRAME, content + struct.pack("<Hi", 0, 0))
 
 
 def is_place(place: Sequence[float]) -> bool:

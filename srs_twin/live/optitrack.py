@@ -8,6 +8,7 @@ import struct
 import threading
 import time
 from abc import abstractmethod
+from collections import Counter
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -80,36 +81,30 @@ class _UdpLink(Link):
 
 
 class FrameNumbers:
-    """Count of lost, late and repeated frames, from their frame numbers.
-
-    Attributes:
-        lost: number of frames that have not arrived.
-        reordered: number of frames that arrived after later ones.
-        repeated: number of frames that arrived again.
-    """
+    """Numbers of the frames that have arrived, which show lost, late and repeated ones."""
 
     def __init__(self) -> None:
-        """Create the counts before the first frame."""
-        self.lost = self.reordered = self.repeated = 0
+        """Begin before the first frame."""
         self._newest: int | None = None
         self._missing: set[int] = set()
 
-    def take(self, number: int) -> None:
+    def count(self, number: int, counts: Counter[str]) -> None:
         """Count a frame by its number; a late frame is no longer lost."""
         newest = self._newest
         if newest is None or not -_WINDOW < number - newest < _WINDOW:
             self._newest, self._missing = number, set()
         elif number > newest:
+            if number > newest + 1:
+                counts["frames lost"] += number - newest - 1
             self._missing.update(range(newest + 1, number))
-            self.lost += number - newest - 1
             self._newest = number
             self._missing = {missing for missing in self._missing if missing > number - _WINDOW}
         elif number in self._missing:
             self._missing.remove(number)
-            self.lost -= 1
-            self.reordered += 1
+            counts["frames lost"] -= 1
+            counts["frames reordered"] += 1
         else:
-            self.repeated += 1
+            counts["frames repeated"] += 1
 
 
 class NatNetLink(_UdpLink):
@@ -157,23 +152,23 @@ class NatNetLink(_UdpLink):
             return
         self._asked = now
         silent = self.version is None or now - self._last > 2 * _ASKS_EVERY_S
-        content = natnet.CONNECT, b"Ping\0"
+        content = natnet.Packet.CONNECT, b"Ping\0"
         # A restarted server has forgotten its clients and must be asked again.
-        asked = [content] if silent else [(natnet.KEEPALIVE, b"\0")]
+        asked = [content] if silent else [(natnet.Packet.KEEPALIVE, b"\0")]
         if self.version is not None and (
             not self.names or self._unknown or now - self._asked_names > _ASKS_NAMES_EVERY_S
         ):
             self._asked_names = now
-            asked.append((natnet.REQUEST_MODELDEF, b""))
+            asked.append((natnet.Packet.REQUEST_MODELDEF, b""))
         for kind, text in asked:
             with contextlib.suppress(OSError):
                 self._sockets[0].sendto(natnet.closed(kind, text), self._server)
 
     def _packet(self, kind: int, content: bytes, sender: tuple[str, int], arrived: float) -> None:
         # The server sends frames and answers from different ports.
-        if sender[0] != self._server[0] or (kind != natnet.FRAME and sender != self._server):
+        if sender[0] != self._server[0] or (kind != natnet.Packet.FRAME and sender != self._server):
             raise BadMessageError("a packet from elsewhere")
-        if kind == natnet.SERVER_INFO:
+        if kind == natnet.Packet.SERVER_INFO:
             version, group = natnet.read_server(content)
             first = self.version is None
             self.version = version
@@ -186,9 +181,9 @@ class NatNetLink(_UdpLink):
                 self._asked = 0.0
         elif self.version is None:
             raise BadMessageError("a packet before the server said its version")
-        elif kind == natnet.MODELDEF:
+        elif kind == natnet.Packet.MODELDEF:
             self.names, self._unknown = natnet.read_models(content, self.version), False
-        elif kind == natnet.FRAME:
+        elif kind == natnet.Packet.FRAME:
             frame = natnet.read_frame(content, self.version)
             self._last = arrived
             self._count(frame)
@@ -203,14 +198,7 @@ class NatNetLink(_UdpLink):
     def _count(self, frame: natnet.Frame) -> None:
         """Count a frame and its unusable bodies; note whether a body has no name."""
         self._unknown |= bool(self.names) and not frame.bodies.keys() <= self.names.keys()
-        numbers = self._numbers
-        numbers.take(frame.number)
-        for name, number in (
-            ("frames lost", numbers.lost), ("frames reordered", numbers.reordered),
-            ("frames repeated", numbers.repeated),
-        ):  # fmt: skip
-            if number or name in self.counts:
-                self.counts[name] = number
+        self._numbers.count(frame.number, self.counts)
         useless = sum(
             natnet.unit_quaternion(body.turn) is None or not natnet.is_place(body.place)
             for body in frame.bodies.values()
@@ -298,12 +286,14 @@ class NatNetServer(_UdpLink):
 
     def _packet(self, kind: int, content: bytes, sender: tuple[str, int], arrived: float) -> None:
         self._clients[sender] = arrived
-        answers = {
-            natnet.CONNECT: natnet.write_server(self._version, group=self._group, port=self._data_port),
-            natnet.REQUEST_MODELDEF: natnet.write_models(self._names, self._version),
-            natnet.REQUEST: natnet.closed(natnet.UNRECOGNIZED),
+        answers: dict[int, bytes] = {
+            natnet.Packet.CONNECT: natnet.write_server(
+                self._version, group=self._group, port=self._data_port
+            ),
+            natnet.Packet.REQUEST_MODELDEF: natnet.write_models(self._names, self._version),
+            natnet.Packet.REQUEST: natnet.closed(natnet.Packet.UNRECOGNIZED),
         }
         if kind in answers:
             self._sockets[0].sendto(answers[kind], sender)
-        elif kind != natnet.KEEPALIVE:
+        elif kind != natnet.Packet.KEEPALIVE:
             raise BadMessageError(f"a packet of kind {kind}")

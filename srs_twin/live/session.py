@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from pydantic_core import from_json, to_json
 
 from srs_twin.errors import InputError, SessionWarning
 from srs_twin.io.file_sets import replace_files
@@ -42,7 +42,8 @@ from srs_twin.trajectory import Trajectory
 TICK_S = 0.02
 """Interval between updates of the live twin."""
 STATE = "state.npz"
-SUMMARY, ESTIMATE = "shadow.json", "estimate.parquet"
+SUMMARY = "shadow.json"
+ESTIMATE = "estimate.parquet"
 KEPT = (SUMMARY, ESTIMATE, STATE)
 """Files in the session's folder that the next session replaces; journals and recordings are numbered."""
 _MOST_ROWS = 1_000_000
@@ -122,15 +123,6 @@ def write_results(folder: Path, found: Mapping[str, object], table: EstimateTabl
         (fresh / SUMMARY).write_text(json.dumps(found, indent=1) + "\n", "utf-8")
 
 
-def finite(value: Any) -> Any:
-    """Return JSON values with null for each number that is not finite."""
-    if isinstance(value, Mapping):
-        return {key: finite(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def _quantiles(values: Iterable[float]) -> Mapping[str, float | None]:
     durations = np.array(list(values)) * 1e3
     if not len(durations):
@@ -140,12 +132,14 @@ def _quantiles(values: Iterable[float]) -> Mapping[str, float | None]:
 
 PREDICTION_INTERVAL_S = 0.5
 VIEW_INTERVAL_S = 0.12
-FLUSH_INTERVAL_S, SAVE_INTERVAL_S = 1.0, 5.0
+FLUSH_INTERVAL_S = 1.0
+SAVE_INTERVAL_S = 5.0
 STALE_S = 0.2
 """Age of an estimate above which the chambers are vented."""
 TOO_SLOW_S = 1.0
 """Age of an estimate above which the steering ends."""
-JOURNALS, RECORDINGS = "journal-{}.mcap", "recording-{}.rrd"
+JOURNALS = "journal-{}.mcap"
+RECORDINGS = "recording-{}.rrd"
 _WATCHED_S = 1.0
 """Interval over which slow ticks are counted, s."""
 _MOST_OVERRUNS = 0.5
@@ -157,8 +151,10 @@ _KEPT = 1_000_000
 _MOST_PROBLEMS = 100
 _GOODBYE_S = 1.0
 """Longest wait for the broker to accept the last message."""
-_WARM_UP_S, _STROKE_S = 0.6, 0.16
-"""Duration and half period of the commands of `warm_up`."""
+_WARM_UP_S = 0.6
+"""Duration of `warm_up` in simulated time, s."""
+_STROKE_S = 0.16
+"""Half period of its commands, s."""
 
 View = Callable[[Estimate, Prediction | None], None]
 Keys = Callable[[], Iterable[str]]
@@ -421,7 +417,8 @@ class Session:
         }  # fmt: skip
         if self._steering is not None:
             document["following"] = self._steering.summary()
-        self._summary = finite(document)
+        # JSON has no number that is not finite.
+        self._summary = from_json(to_json(document, inf_nan_mode="null"))
 
     def _write(self) -> None:
         """Write the summary and the estimates."""

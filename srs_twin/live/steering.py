@@ -10,7 +10,7 @@ from srs_twin.control.camera import Camera
 from srs_twin.errors import InputError
 from srs_twin.live.commands import DELAY_S
 from srs_twin.live.estimate import Estimate
-from srs_twin.live.fault_hypotheses import CHAMBERS, FILLS, VENTS
+from srs_twin.live.fault_hypotheses import CHAMBERS, Chamber
 from srs_twin.live.messages import GO, PAUSE, VENT
 from srs_twin.live.shadow import Shadow
 from srs_twin.planning.follower import Follower
@@ -22,8 +22,11 @@ PATIENCE_S = 3.0
 """Time without an estimate or a supply after which the steering ends."""
 PAUSE_LIMIT_S = 30.0
 """Longest pause; afterwards the chambers are vented, so a forgotten robot loses its pressure."""
-LOST, EMPTY, STOPPED, TOO_SLOW = "estimate_lost", "supply_empty", "stopped", "estimate_too_old"
-"""Endings in addition to those of the follower; `STOPPED`: the session ended first."""
+# Endings in addition to those of the follower.
+LOST = "estimate_lost"
+EMPTY = "supply_empty"
+STOPPED = "stopped"  # the session ended first
+TOO_SLOW = "estimate_too_old"
 LEAST_MARGIN = 0.25
 """Share of the plan's margin that a new plan needs at least; without such a plan the robot is stopped.
 
@@ -35,8 +38,10 @@ _LARGEST_SD_M = 0.0125
 """Largest position uncertainty at which steering is allowed: half of the usual margin to obstacles."""
 _SETTLING_S = 1.0
 """Time at the start in which the robot stands and its pose is estimated."""
-_NEAR_M, _NEAR_RAD = 0.03, 0.05
-"""Deviation from the scenario's initial pose above which a new plan is made."""
+_NEAR_M = 0.03
+"""Distance from the scenario's initial pose above which a new plan is made, m."""
+_NEAR_RAD = 0.05
+"""Difference from its heading above which a new plan is made, rad."""
 _EMPTY_BELOW = 0.3
 """Fraction of the nominal supply pressure below which steering is impossible; half of the pressure still
 suffices."""
@@ -182,8 +187,8 @@ class EstimateSteering:
             return self.vented()
         # Segments with a leak still bend, so they take part in the gait as before.
         chambers = CHAMBERS[shadow.faults.most_likely()]
-        stuck = np.where((chambers == FILLS).any(axis=1), FILLS, 0)
-        stuck = np.where((chambers == VENTS).any(axis=1), VENTS, stuck)
+        stuck = np.where((chambers == Chamber.FILLS).any(axis=1), Chamber.FILLS, 0)
+        stuck = np.where((chambers == Chamber.VENTS).any(axis=1), Chamber.VENTS, stuck)
         if (stuck != self._stuck).any():
             self._stuck = stuck
             self.follower.renew("fault")
@@ -193,7 +198,7 @@ class EstimateSteering:
         # The robot has its own carrier, so it gets duties instead of the states within a tick.
         duty = (valves.mean(axis=0) if valves.ndim == 3 else valves + 0.0) / 2 + 0.5
         # With equal pressures on both sides, a segment with a stuck valve remains straight.
-        duty[stuck == FILLS], duty[stuck == VENTS] = 1.0, 0.0
+        duty[stuck == Chamber.FILLS], duty[stuck == Chamber.VENTS] = 1.0, 0.0
         return 2 * duty - 1 if np.isin(duty, (0.0, 1.0)).all() else duty
 
     def _begin(self, estimate: Estimate, shadow: Shadow) -> None:

@@ -91,7 +91,7 @@ def packet(draw: Random, server: tuple[str, int]) -> tuple[bytes, tuple[str, int
         return struct.pack("<HH", 7, 65_000) + draw.randbytes(draw.randrange(500)), server
     if how == 2:
         _, content = natnet.opened(frame(draw))
-        return natnet.closed(natnet.FRAME, content[: draw.randrange(len(content) // 2)]), server
+        return natnet.closed(natnet.Packet.FRAME, content[: draw.randrange(len(content) // 2)]), server
     if how == 3:
         return frame(draw, draw.choice([math.nan, math.inf, 1e11, -1e300])), server
     if how == 4:
@@ -105,10 +105,10 @@ def packet(draw: Random, server: tuple[str, int]) -> tuple[bytes, tuple[str, int
         group = draw.choice(["10.0.0.1", "0.0.0.0", "255.255.255.255", "192.0.2.7"])
         return natnet.write_server(VERSION, group=group, port=draw.choice([1511, 1600])), server
     if how == 8:
-        kind = draw.choice([natnet.FRAME, natnet.MODELDEF])
+        kind = draw.choice([natnet.Packet.FRAME, natnet.Packet.MODELDEF])
         counts = [draw.choice([-1, -(2**31), 2**31 - 1, 20_000])]
-        head = [draw.randrange(1000)] if kind == natnet.FRAME else []
+        head = [draw.randrange(1000)] if kind == natnet.Packet.FRAME else []
         content = struct.pack(f"<{len(head) + 1}i", *head, *counts)
         return natnet.closed(kind, content + draw.randbytes(200)), server
-    kinds = [natnet.REQUEST, natnet.RESPONSE, natnet.UNRECOGNIZED, 8, 42, 65_535]
+    kinds = [natnet.Packet.REQUEST, natnet.Packet.RESPONSE, natnet.Packet.UNRECOGNIZED, 8, 42, 65_535]
     return natnet.closed(draw.choice(kinds), draw.randbytes(draw.randrange(100))), server

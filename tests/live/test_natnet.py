@@ -28,7 +28,7 @@ FRAME = Frame(41, 12.25, BODIES)
 
 def read(packet: bytes, version: natnet.Version) -> Frame:
     kind, content = natnet.opened(packet)
-    assert kind == natnet.FRAME
+    assert kind == natnet.Packet.FRAME
     return natnet.read_frame(content, version)
 
 
@@ -47,9 +47,9 @@ def test_a_frame_comes_back(version):
 def test_names_and_versions_come_back(version):
     names = {1: "connector_1", 2: "Körper"}
     kind, content = natnet.opened(natnet.write_models(names, version))
-    assert (kind, natnet.read_models(content, version)) == (natnet.MODELDEF, names)
+    assert (kind, natnet.read_models(content, version)) == (natnet.Packet.MODELDEF, names)
     kind, content = natnet.opened(natnet.write_server(version))
-    assert (kind, natnet.read_server(content)) == (natnet.SERVER_INFO, (version, None))
+    assert (kind, natnet.read_server(content)) == (natnet.Packet.SERVER_INFO, (version, None))
     _, content = natnet.opened(natnet.write_server(version, group="239.255.42.99", port=1600))
     assert natnet.read_server(content)[1] == (("239.255.42.99", 1600) if version >= (3, 0) else None)
 
@@ -90,7 +90,7 @@ def strange(version: natnet.Version) -> bytes:
     content += listed(label)
     content += listed(channels) * ((version >= (2, 9)) + (version >= (2, 11)))
     content += struct.pack("<II", 0, 0) + struct.pack("<d" if version >= (2, 7) else "<f", 2.5)
-    return natnet.closed(natnet.FRAME, content + b"\0" * 40)
+    return natnet.closed(natnet.Packet.FRAME, content + b"\0" * 40)
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -123,7 +123,7 @@ def test_no_packet_does_more_than_be_refused(version, data):
         packet = data.draw(st.binary(max_size=200))
     try:
         kind, content = natnet.opened(packet)
-        {natnet.SERVER_INFO: lambda: natnet.read_server(content)}.get(
+        {natnet.Packet.SERVER_INFO: lambda: natnet.read_server(content)}.get(
             kind, lambda: natnet.read_frame(content, version)
         )()
         natnet.read_models(content, version)
@@ -302,15 +302,15 @@ def test_models_are_asked_for_again_when_an_unknown_body_appears_and_now_and_the
     feed(natnet.write_models({1: "head"}, (4, 1)), 0.1)
     asked.clear()
     feed(packet_of(1, 1), 1.5)
-    assert natnet.REQUEST_MODELDEF not in asked
+    assert natnet.Packet.REQUEST_MODELDEF not in asked
     feed(packet_of(2, 1, 2), 3.0)
-    assert natnet.REQUEST_MODELDEF in asked
+    assert natnet.Packet.REQUEST_MODELDEF in asked
     feed(natnet.write_models({1: "head", 2: "tail"}, (4, 1)), 3.1)
     asked.clear()
     feed(packet_of(3, 1, 2), 4.5)
-    assert natnet.REQUEST_MODELDEF not in asked
+    assert natnet.Packet.REQUEST_MODELDEF not in asked
     feed(packet_of(4, 1, 2), 20.0)
-    assert natnet.REQUEST_MODELDEF in asked
+    assert natnet.Packet.REQUEST_MODELDEF in asked
     feed(natnet.write_models({1: "nose", 2: "tail"}, (4, 1)), 20.1)
     feed(packet_of(5, 1, 2), 20.2)
     assert link.received()[-1].names == ("nose", "tail")
