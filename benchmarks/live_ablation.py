@@ -64,7 +64,7 @@ def _no_noise_estimate(shadow: Shadow) -> None:
 
 
 def _no_connection(shadow: Shadow) -> None:
-    shadow.ensemble.connection.learn = _none  # type: ignore[method-assign]
+    shadow.ensemble.odometry.connection.learn = _none  # type: ignore[method-assign]
 
 
 def _no_modules(shadow: Shadow) -> None:

@@ -69,14 +69,15 @@ class SenderClock:
 
     def delay_quantile(self, share: float) -> float:
         """Return a quantile of the jitter, s."""
-        excess = np.array([delay for _, delay in self._seen]) - self.offset
-        return float(np.quantile(excess, share)) if len(excess) else 0.0
+        return float(np.quantile(self._excess(), share)) if self._seen else 0.0
 
     @property
     def jitter(self) -> float:
         """RMS of the excess delay, s."""
-        excess = np.array([delay for _, delay in self._seen]) - self.offset
-        return float(np.sqrt(np.mean(excess**2))) if len(excess) else math.nan
+        return float(np.sqrt(np.mean(self._excess() ** 2))) if self._seen else math.nan
+
+    def _excess(self) -> np.ndarray:
+        return np.array([delay for _, delay in self._seen]) - self.offset
 
 
 class ReorderBuffer:

@@ -1,11 +1,11 @@
-"""CommandHistory: duties of the valves over time, from commands and from reports of the robot."""
+"""CommandHistory and CommandPeriod: duties of the valves over time, and their period."""
 
 from __future__ import annotations
 
 import bisect
 import math
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -25,11 +25,14 @@ _GAP_FACTOR = 1.5
 """Ratio of an interval between commands to the usual interval above which commands were lost."""
 
 
-def duty(message: Message) -> np.ndarray:
+def are_states(values: np.ndarray) -> bool:
+    """Return whether the values of a command are valve states (−1 or 1), not duties."""
+    return bool(np.isin(values, (-1.0, 1.0)).all())
+
+
+def duty(values: np.ndarray) -> np.ndarray:
     """Return the fraction of time in which each valve fills, from valve states or duties."""
-    if np.isin(message.values, (-1.0, 1.0)).all():
-        return np.asarray((message.values + 1) / 2)
-    return np.clip(message.values, 0.0, 1.0)
+    return np.asarray((values + 1) / 2) if are_states(values) else np.clip(values, 0.0, 1.0)
 
 
 class CommandHistory:
@@ -49,7 +52,7 @@ class CommandHistory:
             before this one were lost; otherwise None.
         """
         if message.kind == COMMAND:
-            self._carrier = not np.isin(message.values, (-1.0, 1.0)).all()
+            self._carrier = not are_states(message.values)
         elif self._carrier:  # the states at one time do not determine the duty of a carrier
             return None
         if message.kind == VALVES:
@@ -58,7 +61,7 @@ class CommandHistory:
                 self._report_s = message.sent - self._reported
             self._reported = message.sent
         start = time + DELAY_S if message.kind == COMMAND else time - self._report_s
-        new = duty(message)
+        new = duty(message.values)
         k = bisect.bisect(self._times, start)
         gap, change = start - self._times[k - 1], np.abs(new - self._duties[k - 1])
         lost = len(self._times) > 2 and gap > _GAP_FACTOR * np.median(np.diff(self._times))
@@ -86,11 +89,54 @@ class CommandHistory:
         for time, message in waiting:
             k = bisect.bisect(starts, time + DELAY_S)
             starts.insert(k, time + DELAY_S)
-            duties.insert(k, duty(message))
-        return _sampled(times, starts, duties)
+            duties.insert(k, duty(message.values))
+        rows = np.searchsorted(starts, times, side="right") - 1
+        silent = times - np.asarray(starts)[rows] > SILENT_S
+        return np.where(silent[:, None, None], 0.0, np.array([duties[k] for k in rows]))
 
 
-def _sampled(times: np.ndarray, starts: Sequence[float], duties: Sequence[np.ndarray]) -> np.ndarray:
-    rows = np.searchsorted(starts, times, side="right") - 1
-    silent = times - np.asarray(starts)[rows] > SILENT_S
-    return np.where(silent[:, None, None], 0.0, np.array([duties[k] for k in rows]))
+SLOT_S = 0.02
+"""Interval of the samples in which a period is found, s."""
+_KEPT = 250
+"""Number of slots with commands that are kept."""
+_LAGS = range(10, 126)
+"""Possible periods, slots."""
+_SAME = 0.1
+"""Mean difference of the duties below which commands are the same."""
+
+
+class CommandPeriod:
+    """Commands of the last seconds in equal slots, and their period."""
+
+    def __init__(self) -> None:
+        """Begin without a command."""
+        self._slot = -1
+        self._duties: deque[np.ndarray] = deque(maxlen=_KEPT)
+
+    def add(self, time: float, duty: np.ndarray) -> None:
+        """Add the duty of the valves in the slot of a time (s), shape (segments, 2)."""
+        slot = math.floor(time / SLOT_S)
+        if slot > self._slot + 1:  # after a gap, earlier commands have another lag
+            self._duties.clear()
+        if slot > self._slot:
+            self._duties.append(duty)
+            self._slot = slot
+
+    def commands(self, slots: int) -> np.ndarray:
+        """Return the duties of the next slots, repeated or constant, shape (slots, segments, 2)."""
+        past, lag = np.array(self._duties), self.period()
+        return past[-lag:][np.arange(slots) % lag] if lag else np.repeat(past[-1:], slots, axis=0)
+
+    def period(self) -> int:
+        """Return the period of the commands in slots, 0 without one."""
+        if not self._duties:
+            return 0
+        past = np.array(self._duties)
+        recent = past[-_LAGS[-1] // 2 :]
+        best = _SAME, 0
+        for lag in _LAGS:
+            before = past[-len(recent) - lag : -lag]
+            if len(before) == len(recent):
+                best = min(best, (float(np.abs(recent - before).mean()), lag))
+        # Constant commands have no period.
+        return best[1] if np.ptp(recent, axis=0).any() else 0

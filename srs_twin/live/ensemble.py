@@ -44,8 +44,10 @@ _MOVED_SD = 6.0
 """Median innovation of a frame, in standard deviations, above which someone may have moved the robot."""
 _MOVED_FRAMES = 5
 """Number of successive such frames after which the members are initialised at the measured pose."""
-_PLACE_FACTOR, _HEADING_FACTOR = 5.0, 2.0
-"""Initial standard deviations of position and heading, as multiples of the noise of a frame."""
+_PLACE_FACTOR = 5.0
+"""Initial standard deviation of the position, as a multiple of the noise of a frame."""
+_HEADING_FACTOR = 2.0
+"""Initial standard deviation of the heading, as a multiple of the noise of a frame."""
 _POSE = slice(0, 3)
 
 
@@ -135,17 +137,6 @@ class EnsembleFilter:
         self.odometry = Odometry(connection, self._of("bend"), self._rng)
         self._restart()
         self._moved_frames = 0
-        self._compile()
-
-    @property
-    def connection(self) -> LocalConnection:
-        """Local connection of the robot."""
-        return self.odometry.connection
-
-    @property
-    def twist(self) -> np.ndarray:
-        """Forward and lateral velocity (m/s) and yaw rate (rad/s)."""
-        return self.odometry.twist
 
     @property
     def heading_noise_scale(self) -> float:
@@ -299,14 +290,6 @@ class EnsembleFilter:
             return np.array(poses)
 
         return forecast
-
-    def _compile(self) -> None:
-        """Compile all kernels, which may take seconds, before the robot sends messages."""
-        n = self._segments
-        self.forecaster(2)([ValveInput(np.zeros((1, n, 2)), np.zeros(n), np.zeros((n, 2)))], STEP_S)
-        nothing = np.zeros((len(self.members), n)), np.full(n, np.nan), np.ones(n)
-        for name in ("bend", "pose"):
-            correct(self.members.copy(), *nothing, self._masks[name][:n], name == "pose")
 
     def _of(self, name: str) -> np.ndarray:
         return self.members[:, self.columns[name]]

@@ -1,15 +1,19 @@
-"""Estimates and predictions of a live twin, and the calibration of their intervals."""
+"""Estimates of a live twin: state, prediction, calibration of their intervals, and contact."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from srs_twin.control.contact_observer import ContactEstimate, ContactObserver
+from srs_twin.live.commands import SLOT_S, CommandPeriod
+from srs_twin.live.messages import BENDS, PRESSURES, VALVES, Message
 from srs_twin.plants.base import SnakeState
+from srs_twin.robot.spec import RobotSpec
 
 
 @dataclass(frozen=True)
@@ -61,21 +65,16 @@ class Estimate:
         )  # fmt: skip
 
 
-SLOT_S = 0.02
-_KEPT = 250
-"""Number of slots with commands that are kept."""
-_LAGS = range(10, 126)
-"""Possible periods, slots."""
-_SAME = 0.1
-"""Mean difference of the duties below which commands are the same."""
 _MEMORY = 8
 """Number of predictions that the mean error is taken over."""
 _ADAPTATION_RATE = 5.0
 """Rate r at which the scale of intervals adapts, 1/s."""
 _LONGEST_COMPARED_S = 0.2
 """Longest interval that one comparison counts for, s."""
-_SQUARES = 0.1, 10.0
-"""Range of the squared scale of intervals."""
+_LEAST_SQUARE = 0.1
+"""Lower limit of the squared scale of intervals."""
+_LARGEST_SQUARE = 10.0
+"""Upper limit of the squared scale of intervals."""
 _T95 = 2.1
 """Half of a 95 % interval over its standard deviation, which is estimated from few predictions."""
 
@@ -106,43 +105,6 @@ class Prediction:
     def contains(self, poses: np.ndarray) -> np.ndarray:
         """Return whether poses are in the 95 % intervals, shape (times, 3)."""
         return np.asarray(np.abs(self.error(poses)) <= _T95 * self.pose_sd)
-
-
-class CommandPeriod:
-    """Commands of the last seconds in equal slots, and their period."""
-
-    def __init__(self) -> None:
-        """Begin without a command."""
-        self._slot = -1
-        self._duties: deque[np.ndarray] = deque(maxlen=_KEPT)
-
-    def add(self, time: float, duty: np.ndarray) -> None:
-        """Add the duty of the valves in the slot of a time (s), shape (segments, 2)."""
-        slot = math.floor(time / SLOT_S)
-        if slot > self._slot + 1:  # after a gap, earlier commands have another lag
-            self._duties.clear()
-        if slot > self._slot:
-            self._duties.append(duty)
-            self._slot = slot
-
-    def commands(self, slots: int) -> np.ndarray:
-        """Return the duties of the next slots, repeated or constant, shape (slots, segments, 2)."""
-        past, lag = np.array(self._duties), self.period()
-        return past[-lag:][np.arange(slots) % lag] if lag else np.repeat(past[-1:], slots, axis=0)
-
-    def period(self) -> int:
-        """Return the period of the commands in slots, 0 without one."""
-        if not self._duties:
-            return 0
-        past = np.array(self._duties)
-        recent = past[-_LAGS[-1] // 2 :]
-        best = _SAME, 0
-        for lag in _LAGS:
-            before = past[-len(recent) - lag : -lag]
-            if len(before) == len(recent):
-                best = min(best, (float(np.abs(recent - before).mean()), lag))
-        # Constant commands have no period.
-        return best[1] if np.ptp(recent, axis=0).any() else 0
 
 
 class PredictionCalibration:
@@ -233,4 +195,60 @@ class IntervalCalibration:
         share = np.add.reduceat(outside.astype(float), self._starts) / self._counts
         dt = np.where(measured, np.minimum(time - self._compared, _LONGEST_COMPARED_S), 0.0)
         self._compared = np.where(measured, time, self._compared)
-        self._square = np.clip(self._square * np.exp(_ADAPTATION_RATE * dt * (share - 0.05)), *_SQUARES)
+        square = self._square * np.exp(_ADAPTATION_RATE * dt * (share - 0.05))
+        self._square = np.clip(square, _LEAST_SQUARE, _LARGEST_SQUARE)
+
+
+_NEEDED = {BENDS, PRESSURES, VALVES}
+"""Kinds of messages of one sample. A robot that does not report its valves gets no estimate, because lost
+commands would look like contacts."""
+
+_STEADY_S = 0.5
+"""Time without a change after which a period is used, s."""
+
+
+class LiveContact:
+    """Contact estimate of a robot whose commands are periodic, by the contact observer of the core.
+
+    Attributes:
+        estimate: the latest one; None while the observer learns, or without the needed messages.
+    """
+
+    def __init__(self, spec: RobotSpec) -> None:
+        """Create the observer of a robot, without learnt means."""
+        self._observer = ContactObserver(spec, SLOT_S)
+        self._sample: int | None = None
+        self._period, self._repeated = 0, 0
+        self.estimate: ContactEstimate | None = None
+
+    def update(self, messages: Iterable[Message], commands: CommandPeriod) -> None:
+        """Update the estimate with the messages of one sending time.
+
+        Args:
+            messages: messages of one sending time.
+            commands: commands of the last seconds, which determine the period.
+        """
+        found = {message.kind: message for message in messages if message.kind in _NEEDED}
+        if found.keys() != _NEEDED:
+            return
+        self._update_period(commands.period())
+        # The robot's clock numbers the samples, so that lost messages do not shift the phase.
+        sample = round(found[BENDS].sent / SLOT_S)
+        if self._sample is not None and sample > self._sample:
+            self._observer.skip(sample - self._sample - 1)
+        self._sample = sample
+        self.estimate = self._observer.update(
+            found[VALVES].values, found[PRESSURES].values, found[BENDS].values
+        )
+
+    def _update_period(self, period: int) -> None:
+        """Use a period of the commands that has been the same for half a second; 0 is unknown.
+
+        Until enough commands are known for the true period, a similar shorter one is found.
+        """
+        if not period:
+            return
+        self._repeated = self._repeated + 1 if period == self._period else 0
+        self._period = period
+        if self._repeated * SLOT_S >= _STEADY_S and period != self._observer.period:
+            self._observer.set_period(period)

@@ -18,14 +18,12 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import SavedState, Stateful, short_digest
 from srs_twin.live.clocks import ReorderBuffer
-from srs_twin.live.commands import KEPT_S, CommandHistory
-from srs_twin.live.contact import LiveContact
+from srs_twin.live.commands import KEPT_S, SLOT_S, CommandHistory, CommandPeriod
 from srs_twin.live.ensemble import EnsembleFilter
 from srs_twin.live.estimate import (
-    SLOT_S,
-    CommandPeriod,
     Estimate,
     IntervalCalibration,
+    LiveContact,
     Prediction,
     PredictionCalibration,
 )
@@ -33,10 +31,10 @@ from srs_twin.live.fault_detector import FaultDetector
 from srs_twin.live.fault_hypotheses import (
     CHAMBERS,
     LEAK_RATES,
-    LEAKS,
-    READS,
     SENSORS,
     STARVED,
+    Chamber,
+    Sensor,
     valve_duty,
 )
 from srs_twin.live.member_dynamics import STEP_S, ValveInput
@@ -69,8 +67,6 @@ _PRESENT_STEP_S = 0.005
 """Step of the prediction from the last message to the present."""
 _KINDS = (COMMAND, VALVES, BENDS, PRESSURES, POSES, SUPPLY)
 _MEASURED = (BENDS, PRESSURES, POSES, SUPPLY)
-_SAVED = ["connection", "bank"]
-"""Names of the saved parts in a state file."""
 
 
 class Shadow:
@@ -177,10 +173,8 @@ class Shadow:
     def save(self) -> SavedState:
         """Return the learnt values and detected faults for `restore`; the pose is not saved."""
         # The robot may be moved between two sessions, so a saved pose would mislead.
-        content = {"gone": self._lost_markers} | {
-            name: part.state_dict() for name, part in zip(_SAVED, self._saved_parts(), strict=True)
-        }
-        return SavedState(self._identity(), content)
+        parts = {name: part.state_dict() for name, part in self._saved_parts().items()}
+        return SavedState(self._identity(), {"gone": self._lost_markers} | parts)
 
     def restore(self, state: SavedState) -> None:
         """Restore learnt values and detected faults.
@@ -189,17 +183,18 @@ class Shadow:
             InputError: the state belongs to another robot.
         """
         state.check("shadow", self._identity())
-        for name, part in zip(_SAVED, self._saved_parts(), strict=True):
+        for name, part in self._saved_parts().items():
             part.load_state_dict(state.content[name])
         self._lost_markers = np.array(state.content["gone"])
 
-    def _saved_parts(self) -> tuple[Stateful, ...]:
-        return self.ensemble.connection, self.faults
+    def _saved_parts(self) -> dict[str, Stateful]:
+        """Return the saved parts by their names in a state file."""
+        return {"connection": self.ensemble.odometry.connection, "bank": self.faults}
 
     def _identity(self) -> dict[str, object]:
-        rows = len(self.ensemble.connection.weights)
         return {
-            "shadow": short_digest(self.spec), "supply_pa": self._supply, "learns": _SAVED, "products": rows,
+            "shadow": short_digest(self.spec), "supply_pa": self._supply, "learns": [*self._saved_parts()],
+            "products": len(self.ensemble.odometry.connection.weights),
         }  # fmt: skip
 
     def _needed(self, message: Message) -> bool:
@@ -313,14 +308,14 @@ class Shadow:
         """Return the input of the chambers, given commanded duties and the detected faults."""
         likely = self.faults.most_likely()
         chambers = CHAMBERS[likely]
-        leak = np.where(chambers == LEAKS, LEAK_RATES[likely][:, None], 0.0)
+        leak = np.where(chambers == Chamber.LEAKS, LEAK_RATES[likely][:, None], 0.0)
         return ValveInput(
             valve_duty(duties, chambers), np.full(len(likely), self.faults.supply.pressure), leak
         )
 
     def _working_sensors(self) -> np.ndarray:
         """Return whether the bend sensor of each segment has no detected fault."""
-        return np.asarray(SENSORS[self.faults.most_likely()] == READS)
+        return np.asarray(SENSORS[self.faults.most_likely()] == Sensor.READS)
 
     def detected(self) -> Iterator[tuple[str, str, float]]:
         """Yield part, name and probability of each detected fault."""
@@ -352,7 +347,7 @@ class Shadow:
         # Errors of sensors and transport delays are constant, so they do not average out in the ensemble.
         _, sensor_sd = self.faults.corrected(value[:n])
         delay_sd = TRANSPORT_DELAY_S * ensemble.mean("motion")[3:]
-        (x, y, turn), (c, s) = ensemble.twist, (math.cos(pose[2]), math.sin(pose[2]))
+        (x, y, turn), (c, s) = ensemble.odometry.twist, (math.cos(pose[2]), math.sin(pose[2]))
         return Estimate(
             time=now,
             bend=value[:n],

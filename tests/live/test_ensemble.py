@@ -167,9 +167,9 @@ def test_repeated_odometry_changes_nothing():
         ensemble.predict(air, 0.02)
         ensemble.members[:, ensemble.columns["bend"]] += [0.1, 0.0, -0.1, 0.0]
     twice.apply_odometry()
-    went = twice.twist.copy()
+    went = twice.odometry.twist.copy()
     twice.apply_odometry()
     once.apply_odometry()
     assert np.abs(went).max() > 0
-    assert twice.twist == pytest.approx(went)
+    assert twice.odometry.twist == pytest.approx(went)
     assert once.members[:, :3] == pytest.approx(twice.members[:, :3])

@@ -17,7 +17,7 @@ from srs_twin.live import emulator
 from srs_twin.live.links import MqttLink, clock
 from srs_twin.live.messages import BENDS, COMMAND, CONTROL, encode, topic
 from srs_twin.live.optitrack import NatNetLink, NatNetServer
-from srs_twin.live.session import Session
+from srs_twin.live.session import Session, warm_up
 from srs_twin.live.shadow import Shadow
 
 SEGMENTS = 4
@@ -73,6 +73,7 @@ def test_a_session_ignores_hostile_messages_and_obeys_a_stop(link, monkeypatch, 
         sender = "127.0.0.1", server.port
         eyes._threads.clear()
         eyes._arrived(hostile.natnet.write_server(hostile.VERSION), sender)
+        warm_up(load_robot("gen4"))
         shadow = Shadow(load_robot("gen4"), members=8)
         session = Session(shadow, [wire, link, eyes], steering=Steering(), commands=link)
         told = {"messages": 0, "packets": 0, "times": 0, "stop": 0.0}

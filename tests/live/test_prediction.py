@@ -5,13 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from srs_twin.live.estimate import (
-    SLOT_S,
-    CommandPeriod,
-    IntervalCalibration,
-    Prediction,
-    PredictionCalibration,
-)
+from srs_twin.live.commands import SLOT_S, CommandPeriod
+from srs_twin.live.estimate import IntervalCalibration, Prediction, PredictionCalibration
 
 
 @pytest.mark.parametrize("seconds", [0.5, 1 / 1.5, 1.0])

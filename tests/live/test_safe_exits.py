@@ -82,6 +82,11 @@ class Following:
     ending, finished, submit = None, False, None
 
 
+@pytest.fixture(scope="module", autouse=True)
+def compiled():
+    sessions.warm_up(load_robot("gen4"))
+
+
 def session(out: Path | None = None, **more) -> tuple[Session, Wire]:
     wire = Wire()
     shadow = Shadow(load_robot("gen4"), members=8)
@@ -204,7 +209,7 @@ def test_a_forecast_does_not_see_what_is_learnt_meanwhile():
     shadow.update(1.2, [])
     runs = [shadow.prediction_task() for _ in range(2)]
     before = runs[0]().pose
-    shadow.ensemble.connection.weights = shadow.ensemble.connection.weights + 1.0
+    shadow.ensemble.odometry.connection.weights = shadow.ensemble.odometry.connection.weights + 1.0
     assert np.array_equal(runs[1]().pose, before)
 
 

@@ -159,8 +159,8 @@ def test_what_was_learnt_survives_a_restart(tmp_path):
     new.restore(SavedState.read(tmp_path / "state.npz"))
     assert new.faults.named == shadow.faults.named
     assert part == f"segment {next(iter(new.faults.named))}"
-    weights = (each.ensemble.connection.weights for each in (new, shadow))
-    assert np.array_equal(*weights) and shadow.ensemble.connection.weights.any()
+    weights = (each.ensemble.odometry.connection.weights for each in (new, shadow))
+    assert np.array_equal(*weights) and shadow.ensemble.odometry.connection.weights.any()
     assert new.faults.parameters()["gain"][0] == pytest.approx(shadow.faults.parameters()["gain"][0])
     with pytest.raises(InputError, match="the saved state has other settings"):
         Shadow(load_robot("gen2"), members=8).restore(SavedState.read(tmp_path / "state.npz"))
