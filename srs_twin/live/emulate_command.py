@@ -16,6 +16,7 @@ from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
     from srs_twin.live.links import MqttLink
+    from srs_twin.live.optitrack import NatNetServer
 
 PASSWORD = "SRS_TWIN_MQTT_PASSWORD"  # noqa: S105  # the name of a variable
 
@@ -44,6 +45,14 @@ def broker_link(
     host, port = parsed(address, broker.PORT)
     who = {"user": user, "password": os.environ.get(PASSWORD), "ca": ca, "speaks": speaks}
     return broker.MqttLink(robot, segments, host, port, kinds=kinds or KINDS, chambers=chambers, **who)  # type: ignore[arg-type]
+
+
+def interruption() -> threading.Event:
+    """Return an event that Ctrl-C and signals that end the process set from now on."""
+    over = threading.Event()
+    for ends in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(ends, lambda *_: over.set())
+    return over
 
 
 def emulate(
@@ -90,35 +99,24 @@ def emulate(
         user: MQTT user name.
         ca: CA certificate file (PEM); enables TLS.
     """
-    from srs_twin.live import natnet as protocol
     from srs_twin.live.emulator import EmulatedRobot, Transport
     from srs_twin.live.emulator import emulate as run
-    from srs_twin.live.links import address
     from srs_twin.live.messages import COMMAND
-    from srs_twin.live.optitrack import NatNetServer
 
     emulated = EmulatedRobot(
         robot, seed=seed, faults=fault or (), gain_spread=spread, noise_rad=noise, pneumatics=chambers,
         supply_kpa=pressure, start=_pose(start),
     )  # fmt: skip
-    known = name or Path(robot).stem
-    over = threading.Event()
-    for ends in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(ends, lambda *_: over.set())
+    known, over = name or Path(robot).stem, interruption()
     link_options = {"speaks": known, "kinds": (COMMAND,), "chambers": emulated.spatial_chambers}
     with broker_link(known, emulated.segments, mqtt, user, ca, **link_options) as link:  # type: ignore[arg-type]
-        bodies = {i: f"connector_{i}" for i in range(1, emulated.segments + 2)}
-        capture = None
-        if natnet is not None:
-            at, asked = address(natnet, protocol.COMMAND_PORT)
-            capture = NatNetServer(bodies, host=at, port=asked)
+        capture = None if natnet is None else _motion_capture(natnet, emulated.segments + 1)
         if not quiet:
             seen = f", seen at {natnet}" if natnet else ""
             say(f"{known} is on the air at {mqtt}{seen}; Ctrl-C ends it")
-        length = math.inf if duration is None else duration
         result = run(
-            emulated, link, capture, transport=Transport(loss, jitter), duration=length, stop=over.is_set,
-            seed=seed, tells_supply=tell_supply,
+            emulated, link, capture, transport=Transport(loss, jitter, seed), stop=over.is_set,
+            duration=math.inf if duration is None else duration, tells_supply=tell_supply,
         )  # fmt: skip
         if capture is not None:
             capture.close()
@@ -126,6 +124,20 @@ def emulate(
         print_json(result)
     elif not quiet:
         say(f"{result['ticks']:.0f} ticks of {emulated.tick:g} s, {result['late']:.0f} of them late")
+
+
+def _motion_capture(given: str, connectors: int) -> NatNetServer:
+    """Return the server of the motion capture at an address, HOST or HOST:PORT.
+
+    Raises:
+        InputError: the address is malformed or in use.
+    """
+    from srs_twin.live import natnet
+    from srs_twin.live.links import address
+    from srs_twin.live.optitrack import NatNetServer
+
+    host, port = address(given, natnet.COMMAND_PORT)
+    return NatNetServer({i: f"connector_{i}" for i in range(1, connectors + 1)}, host=host, port=port)
 
 
 def _pose(text: str) -> tuple[float, float, float]:

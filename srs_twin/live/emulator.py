@@ -15,12 +15,14 @@ import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from srs_twin.control.pwm import PulseWidthModulator
 from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.live.commands import SILENT_S, are_states, duty
 from srs_twin.live.links import MqttLink, clock
 from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, SUPPLY, VALVES
 from srs_twin.live.natnet import RigidBody
@@ -32,11 +34,10 @@ from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario.loading import parse_scenario
 
-SILENT_S = 0.2
-"""Age of a command above which all chambers are vented."""
-
 CARRIER_HZ = 60.0
+"""Carrier frequency of duties, Hz."""
 _LATE_S = 1.0
+"""Delay above which missed ticks are skipped, s."""
 _SIDES = {"+": 0, "-": 1}
 _FAULT = re.compile(r"(\w+)(?::(\d+)([+-])?)?(?:=(\w+))?@([\d.]+)")
 _FORM = "KIND[:NUMBER[+|-]][=HOW]@SECONDS, such as stuck_valve:2+=closed@5"
@@ -52,8 +53,13 @@ KINDS: dict[str, tuple[str, dict[str, float]]] = {
 """Kinds of faults: affected part and variants, the first by default; leaks in 1/s."""
 
 _DRIFT_RAD_PER_S = 0.1
+"""Rate of a drifting sensor, rad/s."""
 _CAMERA_NOISE_M = 0.0003
+"""Standard deviation of a marker's coordinates, m."""
+_MARKER_DISTANCE_M = 0.02
+"""Distance of the markers from the centre of their connector, m."""
 _HEIGHT_M = 0.02
+"""Height of the connectors of a planar robot, m."""
 
 
 @dataclass(frozen=True)
@@ -192,9 +198,8 @@ class EmulatedRobot:
                 self._left = fault.how
                 self.regulate(self._share)
         wanted = np.full(self.valves.shape, -1.0) if command is None else np.asarray(command, dtype=float)
-        states = np.isin(wanted, (-1.0, 1.0)).all()
-        duties = self._pulses.step(np.where(states, (wanted + 1) / 2, np.clip(wanted, 0.0, 1.0)))
-        obeyed = wanted.astype(np.int8) if states else duties
+        pulses = self._pulses.step(duty(wanted))
+        obeyed = wanted.astype(np.int8) if are_states(wanted) else pulses
         self.valves = obeyed[-1] if obeyed.ndim == 3 else obeyed
         self.state = self.twin.step(obeyed)
         return self.state
@@ -207,10 +212,8 @@ class EmulatedRobot:
 
     def bends(self) -> np.ndarray:
         """Return the bend readings, rad; NaN without a reading."""
-        time, readings = (
-            float(self.state.time),
-            self.state.bend + self._noise * self._rng.normal(size=self.state.bend.shape),
-        )
+        time = float(self.state.time)
+        readings = self.state.bend + self._noise * self._rng.normal(size=self.state.bend.shape)
         for fault in self.faults:
             if fault.since > time:
                 continue
@@ -229,16 +232,16 @@ class EmulatedRobot:
         noise = _CAMERA_NOISE_M * self._rng.normal(size=(len(self.state.position), 3))
         for i, (x, y) in enumerate(self.state.position):
             dx, dy, dz = noise[i].tolist()
-            if isinstance(self.state, SpatialState):
-                place = float(x) + dx, float(self.state.height[i]) + dz, -(float(y) + dy)
-                w, a, b, c = map(float, self.state.orientation[i])
-                bodies[i + 1] = RigidBody(place, (a, c, -b, w), tracked=i + 1 not in lost)
-                continue
-            turn = float(self.state.theta[i]) + dz / 0.02  # markers 20 mm from the centre
             # Motive's y axis points up, so our y axis is its −z axis.
-            place = float(x) + dx, _HEIGHT_M, -(float(y) + dy)
-            body = RigidBody(place, (0.0, math.sin(turn / 2), 0.0, math.cos(turn / 2)))
-            bodies[i + 1] = RigidBody(body.place, body.turn, tracked=i + 1 not in lost)
+            if isinstance(self.state, SpatialState):
+                height = float(self.state.height[i]) + dz
+                w, a, b, c = map(float, self.state.orientation[i])
+                turn = a, c, -b, w
+            else:
+                height, half = _HEIGHT_M, (float(self.state.theta[i]) + dz / _MARKER_DISTANCE_M) / 2
+                turn = 0.0, math.sin(half), 0.0, math.cos(half)
+            place = float(x) + dx, height, -(float(y) + dy)
+            bodies[i + 1] = RigidBody(place, turn, tracked=i + 1 not in lost)
         return bodies
 
 
@@ -247,19 +250,39 @@ _GOODBYE_S = 1.0
 _LETS_GO_S = 0.001
 """Pause before the next tick, s, in which the broker's thread can run; compiled kernels hold the interpreter
 lock."""
+_POLL_S = 0.002
+"""Longest pause while messages wait, s."""
 
 
-@dataclass(frozen=True)
 class Transport:
-    """Loss and delay of published messages.
+    """Queue of messages that are lost or delayed before they are sent."""
 
-    Attributes:
-        loss: share of messages that are lost.
-        jitter: largest delay, uniformly distributed, s.
-    """
+    def __init__(self, loss: float = 0.0, jitter: float = 0.0, seed: int = 0) -> None:
+        """Begin without messages.
 
-    loss: float = 0.0
-    jitter: float = 0.0
+        Args:
+            loss: share of messages that are lost.
+            jitter: largest delay, uniformly distributed, s.
+            seed: random seed.
+        """
+        self._loss, self._jitter, self._rng = loss, jitter, np.random.default_rng((seed, 0xA1))
+        self._waiting: list[tuple[float, int, partial[None]]] = []
+        self._number = itertools.count()
+
+    def add(self, due: float, send: Callable[..., None], *values: object, **named: object) -> None:
+        """Add a call of `send` at a time of our clock (s)."""
+        if self._rng.random() >= self._loss:
+            delayed, call = due + self._rng.random() * self._jitter, partial(send, *values, **named)
+            heapq.heappush(self._waiting, (delayed, next(self._number), call))
+
+    def send_until(self, due: float) -> None:
+        """Send the messages that are due, and wait until a time of our clock (s)."""
+        while True:
+            while self._waiting and self._waiting[0][0] <= clock():
+                heapq.heappop(self._waiting)[2]()
+            if (left := due - clock()) <= 0:
+                return
+            time.sleep(min(left, _POLL_S) if self._waiting else left)
 
 
 def emulate(
@@ -267,10 +290,9 @@ def emulate(
     link: MqttLink,
     capture: NatNetServer | None,
     *,
-    transport: Transport = Transport(),
+    transport: Transport | None = None,
     duration: float = math.inf,
     stop: Callable[[], bool] = lambda: False,
-    seed: int = 0,
     tells_supply: bool = False,
 ) -> dict[str, float]:
     """Run a robot in real time.
@@ -279,55 +301,38 @@ def emulate(
         robot: the simulated robot.
         link: connection to its topics, which also delivers commands.
         capture: server of motion capture; None: no motion capture.
-        transport: loss and delay of messages.
+        transport: loss and delay of messages; None: messages are neither lost nor delayed.
         duration: s.
         stop: called in every tick; returns whether the run ends.
-        seed: random seed of the transport.
         tells_supply: whether the supply pressure is published.
 
     Returns:
         ``ticks``, and ``late``: number of ticks that began more than a tick late.
     """
-    rng = np.random.default_rng((seed, 0xA1))
-    waiting: list[tuple[float, int, Callable[[], None]]] = []
-    number = itertools.count()
+    transport = transport or Transport()
     begun, tick, done, late = clock(), robot.tick, 0, 0
     command, heard = None, -math.inf
-
-    def later(due: float, send: Callable[[], None]) -> None:
-        if rng.random() >= transport.loss:
-            heapq.heappush(waiting, (due + rng.random() * transport.jitter, next(number), send))
-
-    def sent() -> None:
-        while waiting and waiting[0][0] <= clock():
-            heapq.heappop(waiting)[2]()
-
     link.send(STATUS, "running")
     try:
         while done * tick < duration and not stop():
             for message in link.received():
                 if message.kind == COMMAND:
                     command, heard = message.values, message.arrived
-            now = clock()
-            state = robot.step(command if now - heard <= SILENT_S else None)
+            state = robot.step(command if clock() - heard <= SILENT_S else None)
             done += 1
             # The state is that at the end of the tick, so it is published then.
             due = begun + done * tick
-            values_now = [(BENDS, robot.bends()), (PRESSURES, state.pressure), (VALVES, robot.valves)]
+            messages = {BENDS: robot.bends(), PRESSURES: state.pressure, VALVES: robot.valves}
             if tells_supply:
-                values_now.append((SUPPLY, np.array(robot.supply_now_pa)))
-            for kind, values in values_now:
-                later(due, lambda kind=kind, values=values, due=due: link.send(kind, values, at=due))  # type: ignore[misc]
+                messages[SUPPLY] = np.array(robot.supply_now_pa)
+            for kind, values in messages.items():
+                transport.add(due, link.send, kind, values, at=due)
             if capture is not None:
-                bodies = robot.bodies()
-                later(due, lambda bodies=bodies, due=due: capture.send(due, bodies))  # type: ignore[misc]
+                transport.add(due, capture.send, due, robot.bodies())
             late += clock() > due + tick
             if clock() - due > _LATE_S:
                 begun = clock() - done * tick  # missed ticks are skipped
-            while (left := due - clock()) > 0:
-                sent()
-                time.sleep(min(left, 0.002) if waiting else left)
-            sent()
+            transport.send_until(due)
             time.sleep(_LETS_GO_S)
     finally:
         link.send(STATUS, "stopped", wait_s=_GOODBYE_S)

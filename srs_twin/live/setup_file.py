@@ -8,40 +8,47 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, Field, field_validator
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import require_file
 from srs_twin.io.validation import load_model
 from srs_twin.live import links, natnet
-from srs_twin.live.links import address
 from srs_twin.scenario.fields import FilePath, Line, PathOrName, Section, quantity
 
 Connector = Annotated[int, Field(ge=1, le=999)]
 
 
+def _address_with(port: int) -> AfterValidator:
+    """Return a validator of addresses with a default port."""
+
+    def check(given: str) -> str:
+        try:
+            links.address(given, port)
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        return given
+
+    return AfterValidator(check)
+
+
 class BrokerFile(Section):
     """MQTT broker; the password is in the environment variable SRS_TWIN_MQTT_PASSWORD."""
 
-    address: Line
+    address: Annotated[Line, _address_with(links.PORT)]
     """HOST or HOST:PORT."""
     user: Line | None = None
     """User name."""
     ca: FilePath | None = None
     """CA certificate file (PEM); enables TLS."""
 
-    @field_validator("address")
-    @classmethod
-    def _is_one(cls, given: str) -> str:
-        return _checked(given, links.PORT)
-
 
 class MotionCaptureFile(Section):
     """NatNet server, such as Motive."""
 
-    address: Line
+    address: Annotated[Line, _address_with(natnet.COMMAND_PORT)]
     """HOST or HOST:PORT of the server's command port."""
     local: Line = "127.0.0.1"
     """Address of this machine on which frames arrive."""
@@ -49,11 +56,6 @@ class MotionCaptureFile(Section):
     """Axis that points up in the frames."""
     bodies: dict[Line, Connector] = {}
     """Rigid body → connector, 1 at the head (default: connector_1 → 1 and so on)."""
-
-    @field_validator("address")
-    @classmethod
-    def _is_one(cls, given: str) -> str:
-        return _checked(given, natnet.COMMAND_PORT)
 
 
 class LimitsFile(Section):
@@ -88,7 +90,7 @@ class SetupFile(Section):
             raise ValueError("the name cannot be part of a topic: it has /, + or #")
         return given
 
-    def options(self) -> dict[str, object]:
+    def options(self) -> dict[str, Any]:
         """Return the file's values by the names of the options of `srs-twin shadow`; without absent ones."""
         broker, capture = self.broker, self.motion_capture
         values = {
@@ -121,11 +123,3 @@ def load_setup(path: Path) -> SetupFile:
 def setup_json_schema() -> dict[str, object]:
     """Return a schema (draft 2020-12) that knows every key with its title, description, unit and range."""
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | SetupFile.model_json_schema()
-
-
-def _checked(given: str, port: int) -> str:
-    try:
-        address(given, port)
-    except InputError as error:
-        raise ValueError(str(error)) from None
-    return given

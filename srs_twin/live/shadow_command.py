@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import signal
-import threading
 from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,40 +13,78 @@ import typer
 from srs_twin.cli.console import say
 from srs_twin.cli.options import JsonOption, PressureOption, QuietOption, argument, option, print_json
 from srs_twin.errors import InputError
-from srs_twin.live.emulate_command import broker_link
+from srs_twin.live.emulate_command import broker_link, interruption
 
 if TYPE_CHECKING:
     from srs_twin.live.links import Link, MqttLink
     from srs_twin.live.session import Session
     from srs_twin.live.shadow import Shadow
     from srs_twin.live.steering import EstimateSteering
+    from srs_twin.robot.spec import RobotSpec
 
 BROKER = "127.0.0.1:1883"
 
 
+@dataclass(frozen=True)
+class LabOptions:
+    """Options of `srs-twin shadow` that a set-up file may have, too (`setup_file`).
+
+    Options:
+        robot: Shipped robot or robot file. [default: that of --setup]
+        mqtt: MQTT broker. [default: 127.0.0.1:1883, or none with --mcap]
+        natnet: NatNet server of the motion capture. [default: none]
+        name: Robot's name in topics. [default: ROBOT]
+        body: Body of the motion capture and its connector, repeatable. [default: connector_1=1 …]
+        local: Address of this machine on which frames arrive.
+        up: Upward axis of the frames, y or z.
+        press_on: Continue without any margin to obstacles instead of stopping (docs/live.md#steering).
+        duration: Stop after S seconds. [default: run until Ctrl-C]
+        user: MQTT user name.
+        ca: CA certificate file (PEM); enables TLS.
+    """
+
+    robot: Annotated[str | None, argument("ROBOT", shipped=["robot"])] = None
+    mqtt: Annotated[str | None, option("--mqtt HOST:PORT")] = None
+    natnet: Annotated[str | None, option("--natnet HOST:PORT")] = None
+    name: Annotated[str | None, option("--name NAME")] = None
+    body: Annotated[list[str] | None, option("--body BODY=CONNECTOR")] = None
+    local: Annotated[str, option("--local ADDRESS")] = "127.0.0.1"
+    up: Annotated[str, option("--up AXIS")] = "y"
+    pressure: PressureOption = None
+    press_on: Annotated[bool, option("--press-on")] = False
+    duration: Annotated[float | None, option("--duration-s S", min=0.02)] = None
+    user: Annotated[str | None, option("--user NAME")] = None
+    ca: Annotated[Path | None, option("--ca FILE")] = None
+
+    def with_setup(self, path: Path, context: typer.Context) -> LabOptions:
+        """Return the options with those of a set-up file that the command line does not give.
+
+        Raises:
+            InputError: the file cannot be read or has mistakes.
+        """
+        from srs_twin.live.setup_file import load_setup
+
+        values = load_setup(path).options()
+        return replace(self, **{name: values[name] for name in values if not _is_given(context, name)})
+
+    @property
+    def topic_name(self) -> str:
+        """Robot's name in topics."""
+        return self.name or Path(str(self.robot)).stem
+
+
 def shadow(
     context: typer.Context,
-    robot: Annotated[str | None, argument("ROBOT", shipped=["robot"])] = None,
+    lab: LabOptions,
     setup: Annotated[Path | None, option("--setup FILE.yaml")] = None,
-    mqtt: Annotated[str | None, option("--mqtt HOST:PORT")] = None,
-    natnet: Annotated[str | None, option("--natnet HOST:PORT")] = None,
     mcap: Annotated[Path | None, option("--mcap FILE")] = None,
+    speed: Annotated[float, option("--speed X", min=0.01, max=1000.0)] = 1.0,
     out: Annotated[Path | None, option("--out DIR")] = None,
     follow: Annotated[str | None, option("--follow SCENARIO")] = None,
-    press_on: Annotated[bool, option("--press-on")] = False,
-    name: Annotated[str | None, option("--name NAME")] = None,
-    body: Annotated[list[str] | None, option("--body BODY=CONNECTOR")] = None,
-    local: Annotated[str, option("--local ADDRESS")] = "127.0.0.1",
-    up: Annotated[str, option("--up AXIS")] = "y",
-    speed: Annotated[float, option("--speed X", min=0.01, max=1000.0)] = 1.0,
-    pressure: PressureOption = None,
     members: Annotated[int, option("--members N", min=8, max=256)] = 32,
     seed: Annotated[int, option("--seed N", min=0)] = 0,
     window: Annotated[bool, option("--window")] = False,
     web: Annotated[bool, option("--web")] = False,
-    duration: Annotated[float | None, option("--duration-s S", min=0.02)] = None,
-    user: Annotated[str | None, option("--user NAME")] = None,
-    ca: Annotated[Path | None, option("--ca FILE")] = None,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -59,80 +96,53 @@ def shadow(
     messages. The environment variable SRS_TWIN_MQTT_PASSWORD contains the password of --user.
 
     Options:
-        robot: Shipped robot or robot file. [default: that of --setup]
         setup: Set-up file of the lab (`srs-twin schema setup`); other options override it. [default: none]
-        mqtt: MQTT broker. [default: 127.0.0.1:1883, or none with --mcap]
-        natnet: NatNet server of the motion capture. [default: none]
         mcap: Journal of an earlier session, processed instead of live messages.
+        speed: Playback speed of a journal; 2: twice as fast.
         out: Output folder; the learnt state of an earlier session in it is restored.
         follow: Scenario with the path to steer along.
-        press_on: Continue without any margin to obstacles instead of stopping (docs/live.md#steering).
-        name: Robot's name in topics. [default: ROBOT]
-        body: Body of the motion capture and its connector, repeatable. [default: connector_1=1 …]
-        local: Address of this machine on which frames arrive.
-        up: Upward axis of the frames, y or z.
-        speed: Playback speed of a journal; 2: twice as fast.
         members: Ensemble size.
         seed: Random seed.
         window: Show the live view in Rerun's window.
         web: Show the live view on a page of this machine.
-        duration: Stop after S seconds. [default: run until Ctrl-C]
-        user: MQTT user name.
-        ca: CA certificate file (PEM); enables TLS.
     """
     from threadpoolctl import threadpool_limits
 
     from srs_twin.io.files import check_output_folder, make_folder
     from srs_twin.live.session import KEPT
+    from srs_twin.robot.file import load_robot
 
-    if mcap is not None and (mqtt is not None or natnet is not None or follow is not None):
+    if mcap is not None and (lab.mqtt is not None or lab.natnet is not None or follow is not None):
         raise InputError("--mcap plays what has been; --mqtt, --natnet and --follow are for a running robot")
-    lab: dict[str, Any] = {
-        "robot": robot, "mqtt": mqtt, "natnet": natnet, "press_on": press_on, "name": name, "body": body,
-        "local": local, "up": up, "pressure": pressure, "duration": duration, "user": user, "ca": ca,
-    }  # fmt: skip
     if setup is not None:
-        from srs_twin.live.setup_file import load_setup
-
-        lab |= {
-            key: value for key, value in load_setup(setup).options().items() if not _is_given(context, key)
-        }
-    if lab["robot"] is None:
+        lab = lab.with_setup(setup, context)
+    if lab.robot is None:
         raise InputError("which robot? Give ROBOT, or a file with --setup")
     if out is not None:
         check_output_folder(out, KEPT)
     threadpool_limits(limits=1, user_api="blas")  # several threads wait for each other on a busy machine
-    known = lab["name"] or Path(lab["robot"]).stem
-    twin, steering = _twin(lab, follow, members, seed)
-    over = threading.Event()
-    for ends in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(ends, lambda *_: over.set())
-    play = None if mcap is None else (mcap, speed)
+    twin, steering = _twin(load_robot(lab.robot), lab, follow, members, seed)
+    over = interruption()
     with ExitStack() as stack:
         if out is not None:
             stack.enter_context(make_folder(out))
-        session, shown = _session(stack, lab, known, play, twin, steering, out, (window, web))
+        play = None if mcap is None else (mcap, speed)
+        session, shown = _session(stack, lab, play, twin, steering, out, (window, web))
         if not quiet:
-            keys = (
-                ""
-                if mcap is not None
-                else "; s stops"
-                if not follow
-                else "; p pauses, v vents, g goes on, s stops"
-            )
+            keys = "" if mcap else "; p pauses, v vents, g goes on, s stops" if follow else "; s stops"
             restored = ", with what was learnt before" if session.resumed else ""
-            say(f"beside {known}{restored}; Ctrl-C ends it{keys}")
+            say(f"beside {lab.topic_name}{restored}; Ctrl-C ends it{keys}")
             if shown:
                 say(f"open {shown} in a browser")
-        result = session.run(math.inf if lab["duration"] is None else lab["duration"], over.is_set)
+        result = session.run(math.inf if lab.duration is None else lab.duration, over.is_set)
     if as_json:
         print_json(result)
     elif not quiet:
         _print_result(result)
     if "estimate" not in result:
-        sources = " and ".join(filter(None, (lab["mqtt"] or BROKER, lab["natnet"])))
+        sources = " and ".join(filter(None, (lab.mqtt or BROKER, lab.natnet)))
         raise InputError(
-            f"nothing was heard of '{known}' in {result['seconds']:.0f} s from {mcap or sources}: "
+            f"nothing was heard of '{lab.topic_name}' in {result['seconds']:.0f} s from {mcap or sources}: "
             "is it running, under that name, with that number of segments?"
         )
 
@@ -144,12 +154,13 @@ def _is_given(context: typer.Context, name: str) -> bool:
 
 
 def _twin(
-    lab: dict[str, Any], follow: str | None, members: int, seed: int
+    spec: RobotSpec, lab: LabOptions, follow: str | None, members: int, seed: int
 ) -> tuple[Shadow, EstimateSteering | None]:
     """Return the live twin of the robot and its steering, both with compiled kernels.
 
     Args:
-        lab: values of the options that a set-up file may have.
+        spec: the robot.
+        lab: options that a set-up file may have.
         follow: scenario to follow; None: no steering.
         members: ensemble size.
         seed: random seed.
@@ -157,30 +168,27 @@ def _twin(
     from srs_twin.live.session import TICK_S, warm_up
     from srs_twin.live.shadow import Shadow, frames_of
     from srs_twin.live.steering import EstimateSteering
-    from srs_twin.robot.file import load_robot
     from srs_twin.scenario.loading import load_scenario
 
-    spec = load_robot(lab["robot"])
-    frames = frames_of(lab["body"], spec.geometry.connectors) if lab["body"] else None
-    supply = None if lab["pressure"] is None else lab["pressure"] * 1000
+    frames = frames_of(lab.body, spec.geometry.connectors) if lab.body else None
+    supply = None if lab.pressure is None else lab.pressure * 1000
     twin = Shadow(spec, supply_pa=supply, members=members, seed=seed, frames=frames)
     steering = (
-        EstimateSteering(load_scenario(follow), twin, TICK_S, press_on=lab["press_on"]) if follow else None
+        EstimateSteering(load_scenario(follow), twin, TICK_S, press_on=lab.press_on) if follow else None
     )
     warm_up(spec)
     return twin, steering
 
 
 def _session(
-    stack: ExitStack, lab: dict[str, Any], known: str, play: tuple[Path, float] | None, twin: Shadow,
+    stack: ExitStack, lab: LabOptions, play: tuple[Path, float] | None, twin: Shadow,
     steering: EstimateSteering | None, out: Path | None, shows: tuple[bool, bool],
 ) -> tuple[Session, str]:  # fmt: skip
     """Return a session and the address of the live view's page; the stack closes what is opened here.
 
     Args:
         stack: receives all links, files and views that must be closed.
-        lab: values of the options that a set-up file may have.
-        known: name of the robot in topics.
+        lab: options that a set-up file may have.
         play: journal and playback speed; None: a running robot.
         twin: shadow of the robot.
         steering: steering of the robot; None: the session only listens.
@@ -194,7 +202,7 @@ def _session(
     from srs_twin.live.optitrack import NatNetLink
     from srs_twin.live.session import RECORDINGS, Session
 
-    spec, (window, web) = twin.spec, shows
+    spec, known, (window, web) = twin.spec, lab.topic_name, shows
     links: list[Link] = []
     commands: MqttLink | None = None
     keys: Any = tuple
@@ -202,14 +210,12 @@ def _session(
         links.append(stack.enter_context(McapLink(play[0], known, spec.segments, speed=play[1])))
     else:
         speaks = known if steering else None
-        broker = broker_link(
-            known, spec.segments, lab["mqtt"] or BROKER, lab["user"], lab["ca"], speaks=speaks
-        )
+        broker = broker_link(known, spec.segments, lab.mqtt or BROKER, lab.user, lab.ca, speaks=speaks)
         commands = stack.enter_context(broker)
         links.append(commands)
-        if lab["natnet"] is not None:
-            host, port = address(lab["natnet"], protocol.COMMAND_PORT)
-            links.append(stack.enter_context(NatNetLink(host, port, local=lab["local"], up=lab["up"])))
+        if lab.natnet is not None:
+            host, port = address(lab.natnet, protocol.COMMAND_PORT)
+            links.append(stack.enter_context(NatNetLink(host, port, local=lab.local, up=lab.up)))
         keys = stack.enter_context(typed_words())
     views, shown = [], ""
     if window or web or out is not None:

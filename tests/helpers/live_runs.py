@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from srs_twin import Gait, RobotSpec, load_robot, load_scenario
-from srs_twin.live.emulator import SILENT_S, EmulatedRobot
+from srs_twin.live.commands import SILENT_S
+from srs_twin.live.emulator import EmulatedRobot
 from srs_twin.live.estimate import Estimate, Prediction
 from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, SUPPLY, VALVES, Message
 from srs_twin.live.shadow import Shadow

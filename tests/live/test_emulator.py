@@ -178,9 +178,8 @@ def test_robot_vents_a_fifth_of_a_second_after_the_last_command(monkeypatch):
 def test_messages_are_lost_and_late_as_the_air_says(monkeypatch):
     """Five standard errors of 3000 messages; messages leave when the emulator wakes, every 2 ms."""
     bench = Bench(monkeypatch)
-    emulator.emulate(
-        bench, bench, None, transport=emulator.Transport(loss=0.3, jitter=0.05), duration=20.0, seed=3
-    )
+    transport = emulator.Transport(loss=0.3, jitter=0.05, seed=3)
+    emulator.emulate(bench, bench, None, transport=transport, duration=20.0)
     late = np.array([now - at for _, at, now in bench.sent])
     assert len(late) == pytest.approx(0.7 * 3000, abs=5 * 25)
     assert late.min() >= -1e-9 and late.max() <= 0.05 + 0.0031
