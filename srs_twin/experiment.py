@@ -230,6 +230,7 @@ class PreparedRun:
             "trajectories": drawn,
             "comparison": comparison,
             "measured": differences,
+            "world": scenario.world,
         }
 
     def _write(
@@ -242,7 +243,7 @@ class PreparedRun:
 
         title = self.scenario.title
         write_report(fresh / REPORT, scenario_title=title, metrics=metrics, attribution=attribution, **shared)
-        write_recording(fresh / RECORDING, title=title, world=self.scenario.world, **shared)
+        write_recording(fresh / RECORDING, title=title, **shared)
         (fresh / METRICS).write_text(json.dumps(metrics, indent=2, allow_nan=False) + "\n", "utf-8")
 
 

@@ -18,7 +18,7 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import FloorLine, FollowedSignal, RunPictures
 from srs_twin.viewing.html import Table, cell, notebook_output, picture
-from srs_twin.viewing.plots.from_above import draw_run, lines_plot, strobe_times
+from srs_twin.viewing.plots.from_above import draw_run, lines_plot, obstacle_patches, strobe_times
 from srs_twin.viewing.plots.signals import goal_ring
 from srs_twin.viewing.plots.style import GOAL_COLOR, STYLES, finish, panels, style_of
 
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 _SPACING_M = 0.01
 """Distance between drawn points of a path, m."""
 
-_OBSTACLE_COLOUR = "0.35"
 _FOOTPRINT_COLOUR = "#c9dcec"
 _PATH_COLOUR = STYLES["plan"].color
 _EDGE_COLOUR = "#78a5cd"
@@ -134,11 +133,9 @@ def _sheet(
             Polygon(_band(segment, footprint), facecolor=_FOOTPRINT_COLOUR, edgecolor="none", zorder=0)
         )
     world, goal = metadata["world"], metadata["goal"]
-    for circle in world["obstacles"]:
-        centre = circle["x"], circle["y"]
-        axes.add_patch(Circle(centre, circle["radius"], facecolor=_OBSTACLE_COLOUR, zorder=1))
-    for polygon in world["polygons"]:
-        axes.add_patch(Polygon(np.array(polygon["corners"]), facecolor=_OBSTACLE_COLOUR, zorder=1))
+    circles = ((circle["x"], circle["y"], circle["radius"]) for circle in world["obstacles"])
+    for patch in obstacle_patches(circles, (polygon["corners"] for polygon in world["polygons"])):
+        axes.add_patch(patch)
     if bounds := world["bounds"]:
         (x0, x1), (y0, y1) = bounds["x"], bounds["y"]
         axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="0.6", linestyle="--"))

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import rerun as rr
 from hero import write_plan_animation
+from matplotlib import patches
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from screenshot import screenshots
@@ -25,7 +26,7 @@ from srs_twin.comparison.centre_line import centre_lines
 from srs_twin.comparison.compare import compare
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import InputError
-from srs_twin.robot.world import Circle, Polygon, World
+from srs_twin.robot.world import Circle, MovableObject, Polygon, World
 from srs_twin.trajectory import Event, Trajectory
 from srs_twin.viewing.html.report import write_report
 from srs_twin.viewing.plots.from_above import plan_view, strobe_times
@@ -377,6 +378,21 @@ def test_plan_view_keeps_the_scale(spec, runs):
     assert across == pytest.approx(up)
     (path,) = lines_of(figure, "analytical")
     assert np.array_equal(path.get_xdata(), runs["analytical"]["com_x"])
+
+
+def test_plan_view_shows_obstacles_and_objects_where_they_are(spec):
+    twin = run("twin", Snake(duration=2.0))
+    path = np.linspace(0.3, 0.5, len(twin))
+    twin = with_columns(twin, object_x_1=path, object_y_1=0 * path, object_heading_1=0 * path)
+    item = MovableObject((0.08, 0.04), mass=0.1, friction=0.3, x=0.3, y=0.0)
+    world = World((Circle(0.2, 0.1, 0.03), Circle(50.0, 0.0, 0.1)), objects=(item,))
+    (axes,) = plan_view({"twin": twin}, spec, world).axes
+    boxes = [patch.get_xy()[:4] for patch in axes.patches if isinstance(patch, patches.Polygon)]
+    assert np.allclose(boxes[0].mean(axis=0), [0.3, 0.0]) and np.allclose(boxes[-1].mean(axis=0), [0.5, 0.0])
+    assert np.allclose(np.ptp(boxes[0], axis=0), item.size)
+    circles = [artist.center for artist in axes.get_children() if isinstance(artist, patches.Circle)]
+    assert circles == [(0.2, 0.1), (50.0, 0.0)]
+    assert axes.get_xlim()[1] < 2.0  # an obstacle far away does not shrink the picture
 
 
 TITLE = "<script>alert('x')</script> & Co"

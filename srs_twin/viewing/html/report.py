@@ -24,6 +24,7 @@ from srs_twin.comparison.metrics import (
 from srs_twin.robot.file import RobotFile, section_units
 from srs_twin.robot.sourced import si_unit, split_unit
 from srs_twin.robot.spec import RobotSpec
+from srs_twin.robot.world import World
 from srs_twin.scenario.expectation import allowed_text, tally, verdict
 from srs_twin.scenario.modified import Changes, left_out_line, text_of
 from srs_twin.trajectory import Trajectory
@@ -64,6 +65,7 @@ def write_report(
     comparison: Comparison | None = None,
     attribution: Attribution | None = None,
     measured: Mapping[str, MeasuredDifference] | None = None,
+    world: World | None = None,
 ) -> None:
     """Write the report of one run as a single file without external resources.
 
@@ -76,6 +78,7 @@ def write_report(
         comparison: adds the plot of the differences over time.
         attribution: adds the attribution of the differences.
         measured: plant → difference from the measured robot; adds a plot.
+        world: adds obstacles and objects to the plan view.
 
     Raises:
         InputError: there is no trajectory, or a trajectory is empty.
@@ -97,7 +100,7 @@ def write_report(
         expectations=_expectations(expectations, verdicts),
         left_out=left_out_line(metrics.get("left_out") or ()),
         **_attribution(attribution),
-        plots=_plots(trajectories, spec, comparison, measured, tracked=tracked),
+        plots=_plots(trajectories, spec, comparison, measured, world, tracked=tracked),
         events=_events(trajectories),
         kind="tracking" if tracked else kind_of(trajectories),
         settings=_settings(spec, trajectories, metrics.get("versions") or {}),
@@ -208,6 +211,7 @@ def _plots(
     spec: RobotSpec,
     comparison: Comparison | None,
     measured: Mapping[str, MeasuredDifference] | None,
+    world: World | None,
     *,
     tracked: bool,
 ) -> list[Picture]:
@@ -221,7 +225,7 @@ def _plots(
         **(added.figures(runs, spec) if added else {}),
         learning: learning_plot(runs) if is_learning_run else None,
         "Bend of the first segment and its reference.": tracking_plot(runs) if tracked else None,
-        "Paths and bodies from above. Forward is from tail to head.": plan_view(runs, spec),
+        "Paths and bodies from above. Forward is from tail to head.": plan_view(runs, spec, world),
         "Speed of the centre of mass.": None if tracked else speed_plot(runs),
         "Bend of each segment; positive bends the head end to the left.": bend_plot(runs),
         "Pressure of the + chamber minus that of the − chamber.": pressure_plot(runs),

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Patch, PathPatch, Polygon
+from matplotlib.path import Path
 from shapely import LineString
 
 from srs_twin.robot.spec import Geometry, RobotSpec
+from srs_twin.robot.world import World
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.plots.signals import body_line
-from srs_twin.viewing.plots.style import Style, finish, panels, style_of
+from srs_twin.viewing.plots.style import OBJECT_COLOR, Style, finish, panels, style_of
 
 _MAX_BODIES = 6
 """Largest number of bodies in a plan view."""
@@ -21,19 +25,31 @@ _MIN_SPACING = 1.35
 """Distance between drawn bodies in body lengths, below which they overlap."""
 
 
-def plan_view(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> Figure:
+def plan_view(trajectories: Mapping[str, Trajectory], spec: RobotSpec, world: World | None = None) -> Figure:
     """Plot the paths of the centres of mass, with the bodies at a few equal times (after Fig. 36).
 
     Args:
         trajectories: plant → trajectory; bodies of the twin are filled, those of other plants are outlines.
         spec: robot.
+        world: adds the obstacles in view, and the movable objects at the times of the bodies.
     """
+    world = world or World()
     times = strobe_times(trajectories, spec.geometry)
     low, high = bounds(trajectories, spec.geometry, times)
+    objects = [line for run in trajectories.values() for line in object_outlines(run, times, world)]
+    if objects:
+        points = np.concatenate(objects)
+        low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
     height = float(np.clip(8.0 * (high[1] - low[1]) / (high[0] - low[0]) + 1.2, 2.4, 7.0))
     figure, (axes,) = panels(height)
     for index, (plant, run) in enumerate(trajectories.items()):
         draw_run(axes, run, style_of(plant, index), spec.geometry, times, filled=plant == "twin")
+    for outline in objects:
+        axes.add_patch(Polygon(outline, fill=False, edgecolor=OBJECT_COLOR, linewidth=1.2))
+    axes.autoscale_view()
+    circles = ((item.x, item.y, item.radius) for item in world.obstacles)
+    for patch in obstacle_patches(circles, (item.corners for item in world.polygons)):
+        axes.add_artist(patch)  # unlike add_patch, leaves far obstacles out of view
     axes.set_aspect("equal", adjustable="datalim")
     listed = ", ".join(f"{time:.3g}" for time in times)
     title = f"Plan view: paths of the centre of mass, bodies (dot: head) at t = {listed} s"
@@ -73,12 +89,45 @@ def draw_run(
     axes.plot(*run.com.T, **style.line)
 
 
+def obstacle_patches(
+    circles: Iterable[tuple[float, float, float]], polygons: Iterable[Iterable[tuple[float, float]]]
+) -> list[Patch]:
+    """Return patches of round obstacles (x, y and radius, m) and of polygons (corners, m)."""
+    style: dict[str, Any] = {"facecolor": "0.35", "zorder": 1}
+    round_ones = [Circle((x, y), radius, **style) for x, y, radius in circles]
+    return [*round_ones, *(Polygon(np.array(list(corners)), **style) for corners in polygons)]
+
+
+def object_outlines(run: Trajectory, times: list[float], world: World) -> list[np.ndarray]:
+    """Return the outlines of the movable objects at given times, s; each of shape (k, 2), m.
+
+    A radius in the outline of a cylinder shows its rotation.
+    """
+    if not run.has("object_x_1"):
+        return []
+    outlines = []
+    for sample in samples_at(run, times):
+        for k, item in enumerate(world.objects, start=1):
+            turn = float(sample[f"object_heading_{k}"][0])
+            angle = np.linspace(0.0, 2 * np.pi, 49)
+            line = np.vstack([np.zeros(2), item.size[0] * np.column_stack([np.cos(angle), np.sin(angle)])])
+            if item.is_box:
+                line = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * np.array(item.size) / 2
+            axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+            outlines.append(line @ axes + [sample[f"object_x_{k}"][0], sample[f"object_y_{k}"][0]])
+    return outlines
+
+
 def draw_body(axes: Axes, sample: Trajectory, geometry: Geometry, style: Style, *, filled: bool) -> None:
     """Draw the outline of a body, with a dot at the head."""
-    shape = np.asarray(LineString(body_line(sample, geometry)[0]).buffer(geometry.width / 2).exterior.coords)
+    shape = LineString(body_line(sample, geometry)[0]).buffer(geometry.width / 2)
+    # A body that touches itself encloses holes.
+    rings = [np.asarray(ring.coords) for ring in (shape.exterior, *shape.interiors)]
     if filled:
-        axes.fill(*shape.T, facecolor=style.color, alpha=0.25, linewidth=0)
-    axes.plot(*shape.T, color=style.color, linestyle=style.dash, linewidth=1.0, zorder=5)
+        outline = Path.make_compound_path(*map(Path, rings))
+        axes.add_patch(PathPatch(outline, facecolor=style.color, alpha=0.25, linewidth=0))
+    for ring in rings:
+        axes.plot(*ring.T, color=style.color, linestyle=style.dash, linewidth=1.0, zorder=5)
     axes.plot(*sample.position[0, 0], "o", color=style.color, markersize=2.5, zorder=5)
 
 

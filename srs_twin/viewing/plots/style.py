@@ -29,6 +29,7 @@ MINUS_COLOR = "#009e73"
 """Colour of a higher pressure in the − chamber."""
 
 GOAL_COLOR = "#b03030"
+OBJECT_COLOR = "#db8f38"
 CONTACT_COLOR = "#55607a"
 """Marks of places where a lifted snake touches the floor."""
 

@@ -16,7 +16,7 @@ from srs_twin.robot.world import World
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import FloorLine
 from srs_twin.viewing.plots.signals import pressure_difference, wheel_centres, wheel_turns
-from srs_twin.viewing.plots.style import Style, pressure_colors, rgb
+from srs_twin.viewing.plots.style import OBJECT_COLOR, Style, pressure_colors, rgb
 from srs_twin.viewing.rerun.blueprint import TIMELINE
 
 METRES_PER_NEWTON = 0.05
@@ -25,7 +25,6 @@ METRES_PER_NEWTON = 0.05
 FORCE_COLOR = "#d02020"
 _FORCE_RADIUS_M = 0.002
 _OBSTACLE_COLOR = (90, 90, 90)
-_OBJECT_COLOR = (219, 143, 56)
 _OBSTACLE_HEIGHT_M = 0.06
 
 
@@ -98,7 +97,7 @@ def send_objects(to: Entities, run: Trajectory, world: World) -> None:
         if item.is_box:
             size = {"half_sizes": [[item.size[0] / 2, item.size[1] / 2, half]]}
         centres = _at_height(np.stack([x, y], axis=-1), half)
-        _send_solids(to, f"object_{k}", shape, centres, rotation, colors=[_OBJECT_COLOR], **size)
+        _send_solids(to, f"object_{k}", shape, centres, rotation, colors=[rgb(OBJECT_COLOR)], **size)
 
 
 def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
