@@ -24,7 +24,7 @@ from srs_twin.planning.route import Route
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.compute.workers import run_tasks
 from srs_twin.io.files import atomic_write
-from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.metrics import following_metrics, legs
 from srs_twin.rollout import rollout
 from srs_twin.scenario.loading import load_scenario, parse_scenario

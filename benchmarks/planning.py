@@ -28,7 +28,7 @@ from grid import table
 from timing import machine
 
 from srs_twin.io.files import atomic_write
-from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Plan, Problem, Settings
 from srs_twin.robot.random_worlds import (

@@ -23,7 +23,8 @@ from srs_twin.planning.free_space import disconnected
 from srs_twin.planning.pockets import COARSE, FINE, shut_in
 
 from srs_twin.planning.collision import obstacle_grid
-from srs_twin.planning.footprint import Footprint, load_footprint
+from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Problem
 from srs_twin.robot.world import Polygon, Pose, World

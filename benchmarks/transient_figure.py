@@ -19,7 +19,8 @@ from transient import Turned, turned
 
 from srs_twin.io.files import atomic_write
 from srs_twin.planning.arcs import arc_end
-from srs_twin.planning.footprint import Footprint, load_footprint
+from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.viewing.plots.style import finish, style_of
 
 CASE = ("ilc_curve", -0.3, 0.3, 24.0)

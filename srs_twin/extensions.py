@@ -30,7 +30,7 @@ COMMANDS = {
 CONTROLLERS = {
     "compliant_gait": "srs_twin.scenario.compliant_gait:CompliantGaitFile",
     "replay": "srs_twin.recordings.scenario:ReplayFile",
-    "follow": "srs_twin.planning.scenario:FollowFile",
+    "follow": "srs_twin.planning.follow_file:FollowFile",
 }
 """Kinds of `controller` in a scenario, as sections that build the controller."""
 

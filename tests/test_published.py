@@ -14,7 +14,7 @@ from published_tables import TABLES, ParameterTable, RunTable, load_table, publi
 from srs_twin.errors import InputFileError, UnknownNameError
 from srs_twin.io.documents import load_yaml
 from srs_twin.io.files import data_root
-from srs_twin.planning.footprint import load_footprint_file
+from srs_twin.planning.footprint_file import load_footprint_file
 from srs_twin.reproduction.claims import CLAIMS_BYTES, claims_file
 from srs_twin.robot.file import load_robot, load_robot_file, robot_sources
 

@@ -24,7 +24,7 @@ from srs_twin.envs.crawling import STEP_S, CrawlTask
 from srs_twin.envs.module import ModuleTask
 from srs_twin.envs.task import Task
 from srs_twin.planning.follower import Conditions, Follower
-from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Problem, Settings
 from srs_twin.planning.steering import PathLaw

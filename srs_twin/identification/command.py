@@ -451,7 +451,7 @@ def footprint(
         header_lines,
     )
     from srs_twin.io.files import check_output_folder
-    from srs_twin.planning.footprint import save_footprint
+    from srs_twin.planning.footprint_file import save_footprint
     from srs_twin.robot.file import load_robot
     from srs_twin.scenario.provenance import versions
 
@@ -504,8 +504,8 @@ def margin(
     from srs_twin.identification.excursions import measure_excursions
     from srs_twin.io.documents import Override
     from srs_twin.io.files import check_output_folder, find_file, read_text
-    from srs_twin.planning.footprint import load_footprint_file, save_footprint
-    from srs_twin.planning.margins import excursion_quantile
+    from srs_twin.planning.footprint_file import load_footprint_file, save_footprint
+    from srs_twin.planning.footprint_file import excursion_quantile
     from srs_twin.scenario.loading import load_scenario
 
     # Remove the margin of the scenario, which would hide the excursions to be measured.

@@ -32,7 +32,8 @@ from srs_twin.identification.paths import (
     measure_transient,
 )
 from srs_twin.io.files import display_path, read_text
-from srs_twin.planning.footprint import FootprintFile, Transient
+from srs_twin.planning.footprint import Transient
+from srs_twin.planning.footprint_file import FootprintFile
 from srs_twin.plants.base import Plant
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings, as_contact
 from srs_twin.pneumatics import KINDS

@@ -15,6 +15,6 @@ __getattr__ = lazy(
         "Problem": "srs_twin.planning.problem:Problem",
         "Segment": "srs_twin.planning.path:Segment",
         "Settings": "srs_twin.planning.problem:Settings",
-        "load_footprint": "srs_twin.planning.footprint:load_footprint",
+        "load_footprint": "srs_twin.planning.footprint_file:load_footprint",
     }
 )

@@ -52,19 +52,21 @@ def arc_end(x, y, heading, curvature, length):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def arc_collides(x, y, heading, curvature, length, ahead, behind, left, right, grid):  # type: ignore[no-untyped-def]  # noqa: D417
+def arc_collides(pose, curvature, length, extent, grid):  # type: ignore[no-untyped-def]
     """Return whether the swept region of an arc touches an obstacle or leaves the bounds.
 
     Args:
-        x, y, heading: pose of the centre of mass at the start, m and rad.
-        curvature, length: curvature and length of the arc, 1/m and m.
-        ahead, behind: extent of the body along the arc from the centre of mass, m.
-        left, right: distances of the footprint's edges from the path, m.
+        pose: x, y and heading of the centre of mass at the start, m and rad.
+        curvature: curvature of the arc, 1/m.
+        length: length of the arc, m.
+        extent: extent of the body ahead of and behind the centre of mass along the arc, and distances of the
+            footprint's left and right edge from the path, m.
         grid: obstacles and bounds, see `collision.ObstacleGrid`.
     """
+    ahead, behind, left, right = extent
     bounds, origin = grid[2], grid[3]
     h = (length + ahead + behind) / 2 + ROUNDING_MARGIN
-    x, y, heading = arc_end(x, y, heading, curvature, (length + ahead - behind) / 2)
+    x, y, heading = arc_end(pose[0], pose[1], pose[2], curvature, (length + ahead - behind) / 2)
     left, right = left + ROUNDING_MARGIN, right + ROUNDING_MARGIN
     # Test a bounding square first: most regions are far from the bounds.
     reach = h + max(left, right)
@@ -115,12 +117,12 @@ def _item_collides(k, circles, sides, middle, region):  # type: ignore[no-untype
         if dx * dx + dy * dy >= (reach + radius) * (reach + radius):
             return False
         # The region is symmetric about the line across its middle, so u can be taken as positive.
-        return _region_distance(abs(c * dx + s * dy), c * dy - s * dx, *region) < radius
+        return _region_distance(abs(c * dx + s * dy), c * dy - s * dx, region) < radius
     k -= circles.shape[0]
     ax, ay, bx, by = sides[k, 0] - x, sides[k, 1] - y, sides[k, 2] - x, sides[k, 3] - y
     if _distance_from_origin(ax, ay, bx, by) >= reach:
         return False
-    return _side_crosses(c * ax + s * ay, c * ay - s * ax, c * bx + s * by, c * by - s * bx, *region)
+    return _side_crosses(c * ax + s * ay, c * ay - s * ax, c * bx + s * by, c * by - s * bx, region)
 
 
 @kernel_only
@@ -139,8 +141,9 @@ def path_coordinates(u, w, curvature):  # type: ignore[no-untyped-def]
 
 
 @kernel_only
-def _region_distance(u, w, curvature, h, left, right, end_u, end_w, ec, es):  # type: ignore[no-untyped-def]
+def _region_distance(u, w, region):  # type: ignore[no-untyped-def]
     """Return the distance of a point (u ≥ 0) from the region, m; 0 inside."""
+    curvature, h, left, right, end_u, end_w, ec, es = region
     n, s = path_coordinates(u, w, curvature)
     if abs(s) <= h:
         return max(n - left, -right - n, 0.0)
@@ -162,8 +165,9 @@ def _distance_from_origin(ax, ay, bx, by):  # type: ignore[no-untyped-def]
 
 
 @kernel_only
-def _side_crosses(au, aw, bu, bw, curvature, h, left, right, end_u, end_w, ec, es):  # type: ignore[no-untyped-def]
+def _side_crosses(au, aw, bu, bw, region):  # type: ignore[no-untyped-def]
     """Return whether a line segment from (au, aw) to (bu, bw) enters the region."""
+    curvature, h, left, right, end_u, end_w, ec, es = region
     du, dw = bu - au, bw - aw
     # n = e where κ(u² + w²) - 2w + 2e - κe² = 0, with u and w linear in t.
     a = curvature * (du * du + dw * dw)

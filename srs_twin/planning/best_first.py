@@ -14,32 +14,17 @@ from dataclasses import dataclass, field
 from itertools import count
 from typing import NamedTuple
 
-import numpy as np
-
-from srs_twin.compute.compiled import allocating, kernel_only
 from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.collision import Checker, ObstacleGrid
-from srs_twin.planning.dubins import ArcSequence, dubins_path
+from srs_twin.planning.dubins import ArcSequence
 from srs_twin.planning.guidance import NO_HEURISTIC, NO_PASSAGES, find_passages, grid_heuristic
 from srs_twin.planning.infeasibility import COARSE, FINE, Resolution, is_disconnected, prove_unreachable
+from srs_twin.planning.moves import MoveSet, make_move_set, shorten_path
 from srs_twin.planning.path import Segment, path_from_arcs
 from srs_twin.planning.problem import Outcome, Plan, Problem, Settings
-from srs_twin.planning.search_kernels import (
-    MoveSet,
-    SearchSpec,
-    follow_arc,
-    follow_dubins_path,
-    initial_state,
-)
-from srs_twin.planning.search_tree import (
-    SearchTree,
-    goal_poses,
-    make_move_set,
-    make_target,
-    reverse_moves,
-    turned_around,
-)
-from srs_twin.robot.world import Goal, Pose
+from srs_twin.planning.search_kernels import SearchSpec
+from srs_twin.planning.search_tree import SearchTree, goal_poses, make_target, turned_around
+from srs_twin.robot.world import Goal
 
 
 class Cells(NamedTuple):
@@ -65,14 +50,6 @@ _FIRST_TURN_NODES = 1000
 """Number of nodes that each tree expands in its first turn; it doubles with every turn."""
 _MAX_TURN_NODES = 16_000
 """Largest number of nodes in a turn, so that time limits are checked often enough."""
-
-_SHORTENING_ROUNDS = 4
-"""Largest number of shortening rounds."""
-_MIN_SAVING = 1e-4
-"""Saved fraction of the path length below which shortening ends."""
-_RETREAT = 0.97
-"""Ratio of the distances of successive tries; their number then grows only with the logarithm of the
-distance."""
 
 
 @dataclass
@@ -221,7 +198,7 @@ def _start_trees(
         end = turned_around(start)
         home = make_target(Goal(end.x, end.y, end.heading, radius=0.0, heading_tolerance=0.0), body)
         roots = [turned_around(pose) for pose in goal_poses(problem.goal, cells.sector)]
-        backward = spec._replace(moves=reverse_moves(moves), target=home)
+        backward = spec._replace(moves=make_move_set(arcs, body.backward), target=home)
         trees.append(SearchTree(roots, backward, backward=True))
     return trees
 
@@ -251,99 +228,3 @@ def _finish(
 
 def _path_length(path: tuple[Segment, ...] | None) -> float:
     return math.inf if path is None else math.fsum(s.length for s in path)
-
-
-def shorten_path(
-    start: Pose, path: ArcSequence, moves: MoveSet, grid: ObstacleGrid, radius: float
-) -> ArcSequence:
-    """Return a collision-free path with the same ends that is not longer.
-
-    Args:
-        start: pose at the start.
-        path: collision-free path, with curvatures of the moves.
-        moves: arcs that the snake can follow.
-        grid: obstacles and bounds.
-        radius: turning radius of Dubins paths, m.
-    """
-    arcs = [(c, length) for c, length in path if length > 0]
-    indices = np.array([np.argmin(abs(moves.curvatures - c)) for c, _ in arcs], dtype=np.int64)
-    lengths = np.array([length for _, length in arcs])
-    for turn in range(_SHORTENING_ROUNDS):
-        before = math.fsum(lengths)
-        # Divide the path more finely in each round, so that short cuts can begin and end at other poses.
-        counts = np.ceil(lengths * (2 + turn) / radius).astype(np.int64)
-        pieces = np.repeat(indices, counts), np.repeat(lengths / counts, counts)
-        indices, lengths = _cut_corners(*start, *pieces, moves, grid, radius)
-        if math.fsum(lengths) > before * (1 - _MIN_SAVING):
-            break
-    return list(zip(moves.curvatures[indices].tolist(), lengths.tolist(), strict=True))
-
-
-@allocating
-def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Follow a path and take the longest free short cut from each pose; return moves and lengths (m).
-
-    Args:
-        x, y, heading: pose at the start, m and rad.
-        indices: move of each piece, shape (n,).
-        lengths: length of each piece, m, shape (n,).
-        moves, grid, radius: as for `shorten_path`.
-    """
-    count = len(indices)
-    state, distances = initial_state(x, y, heading, moves), np.zeros(count + 1)
-    states = [state]  # arc states of the original path, at the ends of its pieces
-    for k in range(count):
-        _, state = follow_arc(state, indices[k], lengths[k], moves, grid)
-        states.append(state)
-        distances[k + 1] = distances[k] + lengths[k]
-    new_indices, new_lengths, size = np.empty(3 * count, dtype=np.int64), np.empty(3 * count), 0
-    state, k = initial_state(x, y, heading, moves), 0
-    while k < count:
-        last = count
-        while last > k:
-            pose = states[last]
-            path = dubins_path(state[0], state[1], state[2], pose[0], pose[1], pose[2], False, radius)
-            if path[3] + path[4] + path[5] < distances[last] - distances[k] - 1e-9:
-                free, end = follow_dubins_path(state, path, moves, grid)
-                # The transient of the last change widens the edges on the path that follows.
-                if free and _stays_free(end, last, indices, lengths, states, moves, grid):
-                    break
-            # Try nearer poses, in steps that shrink with the distance.
-            last = k + min(last - k - 1, int(_RETREAT * (last - k)))
-        if last > k:
-            for piece in range(3):
-                if path[3 + piece] > 0:
-                    move = moves.dubins_moves[0, 1 + int(path[piece])]
-                    size = _append_arc(new_indices, new_lengths, size, move, path[3 + piece])
-            state, k = end, last
-        else:
-            size = _append_arc(new_indices, new_lengths, size, indices[k], lengths[k])
-            _, state = follow_arc(state, indices[k], lengths[k], moves, grid)
-            k += 1
-    return new_indices[:size], new_lengths[:size]
-
-
-@kernel_only
-def _append_arc(indices, lengths, size, move, length):  # type: ignore[no-untyped-def]
-    """Append an arc to a path or extend its last arc if the moves are equal; return the number of arcs."""
-    if size > 0 and indices[size - 1] == move:
-        lengths[size - 1] += length
-        return size
-    indices[size], lengths[size] = move, length
-    return size + 1
-
-
-@allocating
-def _stays_free(state, k, indices, lengths, states, moves, grid):  # type: ignore[no-untyped-def]
-    """Return whether the path from piece k on stays free if it begins with another arc state."""
-    while k < len(indices):
-        before, left, right, lasting = state[3], state[4], state[5], state[6]
-        original = states[k]
-        covered = left <= original[4] and right <= original[5] and lasting <= original[6]
-        if before == original[3] and (lasting <= 0 or covered):
-            return True
-        free, state = follow_arc(state, indices[k], lengths[k], moves, grid)
-        if not free:
-            return False
-        k += 1
-    return True

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from srs_twin.planning.arcs import arc_collides
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.path import Segment
 from srs_twin.robot.world import Bounds, Pose, World
+
+if TYPE_CHECKING:
+    import shapely
 
 MAX_CLEARANCE_M = 1.0
 """Largest clearance that is measured, m."""
@@ -121,8 +124,8 @@ class Checker:
         """
         body, motion = self.footprint, self.footprint.at(curvature)
         left, right = motion.left + wider[0], motion.right + wider[1]
-        reach = body.ahead, body.behind
-        return not arc_collides(*pose, curvature, length, *reach, left, right, self.grid)
+        extent = body.ahead, body.behind, left, right
+        return not arc_collides(tuple(pose), curvature, length, extent, self.grid)
 
     def is_path_free(self, segments: Sequence[Segment]) -> bool:
         """Return whether a path is free, with edges widened by the transients after changes of offset."""
@@ -161,15 +164,47 @@ class Checker:
             length: length of the straight path, m.
             wider: width added to both edges, m.
         """
-        body, motion = self.footprint, self.footprint.at(0.0)
-        edges = body.ahead, body.behind, motion.left + wider, motion.right + wider
+        both = (wider, wider)
         # Test the whole world first; only a collision needs the name of the obstacle.
-        if not arc_collides(*pose, 0.0, length, *edges, self.grid):
+        if self.is_arc_free(pose, 0.0, length, both):
             return ""
-        for name, world in _named_obstacles(self.world):
-            if arc_collides(*pose, 0.0, length, *edges, obstacle_grid(world)):
-                return name
-        return ""
+        parts = ((name, Checker(world, self.footprint)) for name, world in _named_obstacles(self.world))
+        return next((name for name, part in parts if not part.is_arc_free(pose, 0.0, length, both)), "")
+
+
+def obstacle_shapes(world: World) -> list[tuple[str, shapely.Geometry, float]]:
+    """Return name, core and radius of each obstacle: all points within the radius (m) of the core."""
+    import shapely
+
+    shapes: list[tuple[str, shapely.Geometry, float]] = [
+        (f"obstacle {k}", shapely.Point(c.x, c.y), c.radius) for k, c in enumerate(world.obstacles, start=1)
+    ]
+    polygons = (shapely.Polygon(polygon.corners) for polygon in world.polygons)
+    return shapes + [(f"polygon {k}", polygon, 0.0) for k, polygon in enumerate(polygons, start=1)]
+
+
+def nearest_obstacles(world: World, points: np.ndarray) -> list[str]:
+    """Return the nearest obstacle of each point: "bounds", "obstacle 2", "polygon 1".
+
+    Args:
+        world: obstacles and bounds.
+        points: shape (k, 2), m.
+
+    Returns:
+        Names; empty strings in an empty world.
+    """
+    import shapely
+
+    x, y = points.T
+    names, distances = [""], [np.full(len(points), np.inf)]
+    if world.bounds is not None:
+        (west, east), (south, north) = world.bounds.x, world.bounds.y
+        names.append("bounds")
+        distances.append(np.min([x - west, east - x, y - south, north - y], axis=0))
+    for name, core, radius in obstacle_shapes(world):
+        names.append(name)
+        distances.append(shapely.distance(shapely.points(points), core) - radius)
+    return [names[k] for k in np.argmin(distances, axis=0)]
 
 
 def obstacle_at(world: World, x: float, y: float) -> str:
@@ -183,26 +218,9 @@ def obstacle_at(world: World, x: float, y: float) -> str:
     for name, part in _named_obstacles(world):
         if (b := part.bounds) and not (b.x[0] <= x <= b.x[1] and b.y[0] <= y <= b.y[1]):
             return name
-        if any(math.hypot(x - c.x, y - c.y) <= c.radius for c in part.obstacles):
-            return name
-        if any(shapely.Polygon(p.corners).intersects(point) for p in part.polygons):
+        if any(shapely.distance(point, core) <= radius for _, core, radius in obstacle_shapes(part)):
             return name
     return ""
-
-
-def nearest_obstacle(world: World, x: float, y: float) -> str:
-    """Return the nearest obstacle: "bounds", "obstacle 2", "polygon 1", or "" in an empty world."""
-    import shapely
-
-    point, distances = shapely.Point(x, y), [(math.inf, "")]
-    if world.bounds is not None:
-        (west, east), (south, north) = world.bounds.x, world.bounds.y
-        distances.append((min(x - west, east - x, y - south, north - y), "bounds"))
-    for k, circle in enumerate(world.obstacles, start=1):
-        distances.append((math.hypot(x - circle.x, y - circle.y) - circle.radius, f"obstacle {k}"))
-    for k, polygon in enumerate(world.polygons, start=1):
-        distances.append((shapely.distance(point, shapely.Polygon(polygon.corners)), f"polygon {k}"))
-    return min(distances)[1]
 
 
 def _named_obstacles(world: World) -> list[tuple[str, World]]:

@@ -26,8 +26,10 @@ from srs_twin.errors import InputError
 from srs_twin.io.files import display_path
 
 if TYPE_CHECKING:
-    from srs_twin.planning.problem import Plan, Problem
+    from srs_twin.planning.problem import Plan
     from srs_twin.scenario.scenario import Scenario
+
+Quality = Mapping[str, float | None]
 
 _ROUNDING = 1e-9
 """Lengths below this count as 0, m."""
@@ -74,15 +76,16 @@ def plan(
     with loaded.named_in_errors():
         result = loaded.planner.plan_uncached(keep=True) if search else loaded.planner.plan()
     metrics = plan_metrics(result.found, result.segments, result.expanded)
+    quality = _quality(result) if result.found else None
     checked = _check_expectations(loaded, metrics)
     with replace_files(folder, (PLAN, PICTURE, SEARCH, RECORDING)) as fresh:
-        _write(fresh, loaded, loaded.planner.problem, result, metrics)
+        _write(fresh, loaded, result, {"quality": quality, "metrics": metrics})
         if search:
             _write_search(fresh, loaded.title, result)
     if as_json:
         print((folder / PLAN).read_text("utf-8"), end="")
     elif not quiet:
-        _print_plan(loaded, result)
+        _print_plan(loaded, result, quality)
     say(f"files in {display_path(folder)}: {', '.join(files)}", quiet=quiet)
     write = say if as_json else print  # stdout is for the JSON document
     missed = [row for row in checked if verdict(row) == "missed"]
@@ -102,16 +105,16 @@ def _check_expectations(scenario: Scenario, metrics: Mapping[str, object]) -> li
     return [item.check({"plants": {item.subject: metrics}}) for item in expected.values()]
 
 
-def _print_plan(scenario: Scenario, result: Plan) -> None:
+def _print_plan(scenario: Scenario, result: Plan, quality: Quality | None) -> None:
     """Print the outcome of a plan, with its length and quality if there is a path."""
     print(f"{scenario.label}: {result.outcome.value}: {result.reason}")
-    if result.found:
+    if quality is not None:
         print(
             f"length {result.length:.3f} m, {result.duration:.1f} s at the footprint's speeds, "
             f"{_counted(len(result.segments), 'segment')}, kink {result.kink:.3g} rad"
         )
         edges = "the footprint and margin" if result.touches is None else "the edges that must stay free"
-        print(_quality_words(_quality(result), edges))
+        print(_quality_words(quality, edges))
         for touch in result.touches or ():
             print(
                 f"leans on {touch.obstacle} from {touch.begin:.2f} to {touch.end:.2f} m: footprint and "
@@ -124,7 +127,7 @@ def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
-def _quality_words(quality: Mapping[str, float | None], edges: str) -> str:
+def _quality_words(quality: Quality, edges: str) -> str:
     """Return the values of `_quality` as a sentence; `edges` names the edges with the clearance."""
     from srs_twin.planning.collision import CLEARANCE_ERROR_M, MAX_CLEARANCE_M
 
@@ -132,13 +135,12 @@ def _quality_words(quality: Mapping[str, float | None], edges: str) -> str:
     length = "least length 0: the start is within the goal's radius"
     if ratio is not None:
         length = f"{ratio:.2f} times the least length around the obstacles"
-    more = (
-        "at least " if clearance > MAX_CLEARANCE_M - CLEARANCE_ERROR_M else ""
-    )  # clearances above this are not measured
+    # Clearances above the largest one are not measured.
+    more = "at least " if clearance > MAX_CLEARANCE_M - CLEARANCE_ERROR_M else ""
     return f"{length}, {more}{1000 * clearance:.0f} mm of clearance beyond {edges}"
 
 
-def _quality(result: Plan) -> dict[str, float | None]:
+def _quality(result: Plan) -> Quality:
     """Return the length of a path relative to the least length, and its clearance, m.
 
     The relative length is None if the least length is 0: the start is within the goal's radius.
@@ -153,26 +155,25 @@ def _quality(result: Plan) -> dict[str, float | None]:
     }
 
 
-def _write(
-    folder: Path, scenario: Scenario, problem: Problem, result: Plan, metrics: Mapping[str, object]
-) -> None:
-    """Write the plan as a JSON document and a picture."""
+def _write(folder: Path, scenario: Scenario, result: Plan, values: Mapping[str, object]) -> None:
+    """Write the plan and its values as a JSON document, and a picture."""
     from srs_twin.planning.pictures import plan_plot
 
-    data = {"world": asdict(problem.world), "goal": asdict(problem.goal)}
+    assert scenario.planner is not None, "checked by the command"
+    problem = scenario.planner.problem
     document = {
         "scenario": scenario.name,
         "outcome": result.outcome.value,
         "reason": result.reason,
         "start": asdict(problem.start),
-        **data,
+        "world": asdict(problem.world),
+        "goal": asdict(problem.goal),
         "segments": [asdict(segment) for segment in result.segments],
         **({} if result.touches is None else {"touches": [asdict(touch) for touch in result.touches]}),
-        "quality": _quality(result) if result.found else None,
-        "metrics": metrics,
+        **values,
         "changes": list(scenario.changes),
     }
-    figure = plan_plot(data, result.segments, problem.footprint, f"{scenario.title}: {result.outcome.value}")
+    figure = plan_plot(problem, result.segments, f"{scenario.title}: {result.outcome.value}")
     (folder / PLAN).write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", "utf-8")
     figure.savefig(folder / PICTURE, format="png", dpi=150)
 
@@ -183,8 +184,7 @@ def _write_search(folder: Path, title: str, result: Plan) -> None:
     from srs_twin.planning.search_tree import trace_search
 
     assert result.problem is not None, "set by plan()"
-    problem, trace = result.problem, trace_search(result.trees, result.problem.world)
-    data = {"world": asdict(problem.world), "goal": asdict(problem.goal)}
-    figure = search_plot(data, result.segments, problem.footprint, trace)
+    trace = trace_search(result.trees, result.problem.world)
+    figure = search_plot(result.problem, result.segments, trace)
     figure.savefig(folder / SEARCH, format="png", dpi=150)
     write_search(folder / RECORDING, result, trace, title)

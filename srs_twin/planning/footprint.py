@@ -8,32 +8,21 @@ $$ -r(κ) ≤ n ≤ l(κ) $$
 where n is the distance to the left of the path, l the left and r the right edge. Along the arc, the footprint
 extends from `behind` the centre of mass (the tail) to `ahead` of it (the head).
 
-Offset, speed and edges are tabulated by curvature, with linear interpolation between the rows. A footprint
-file contains such a table in the form of Table 8; each column has a unit, a status and a source. The
-published footprints are in calibration/footprints; `srs-twin calibrate footprint` measures new ones.
+Offset, speed and edges are tabulated by curvature, with linear interpolation between the rows.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
-from typing import Annotated, Any, Literal
+from itertools import chain, pairwise
 
 import numpy as np
-from pydantic import Field
 
 from srs_twin.errors import InputError
-from srs_twin.io.documents import Document, dump_yaml, load_yaml
-from srs_twin.io.files import atomic_write, find_file
-from srs_twin.io.validation import StrictModel, validate
-from srs_twin.planning.margins import ExcursionsFile
-from srs_twin.plants.twin.mjcf.numerics import UNSTATED_CONTACT, ContactName
-from srs_twin.robot.sourced import Record, Status, bounded
 
-MEASURED_ON_TWIN = "measured on the twin"
-"""First words of the source of curvatures that were measured on a twin."""
+COLUMNS = ("offsets", "curvatures", "speeds", "left", "right")
+"""Columns of a footprint table, one value per offset."""
 
 CURVATURE_TOLERANCE = 1e-9
 """Tolerance for curvatures beyond the ends of the table, 1/m."""
@@ -154,6 +143,21 @@ class Footprint:
         """Smallest distance of an edge from the path at any curvature, m."""
         return min(*self.left, *self.right)
 
+    @property
+    def backward(self) -> Footprint:
+        """Footprint of a body without transients that follows the same paths in the opposite direction."""
+        return replace(
+            self,
+            offsets=tuple(-value for value in reversed(self.offsets)),
+            curvatures=tuple(-value for value in reversed(self.curvatures)),
+            speeds=self.speeds[::-1],
+            left=self.right[::-1],
+            right=self.left[::-1],
+            ahead=self.behind,
+            behind=self.ahead,
+            transients=(),
+        )
+
     def reduced(self, turn_share: float = 1.0, margin: float = 0.0) -> Footprint:
         """Return the footprint with a smaller range of curvatures and wider edges.
 
@@ -199,22 +203,16 @@ class Footprint:
         direction has the widths of the largest measured change. Of several measured changes of equal size the
         widest one is used.
         """
-        change = after - before
-        same = [t for t in self.transients if (t.after - t.before) * change > 0]
-        if not same:
+        measured = self._measured(after - before)
+        if not measured:
             return 0.0, 0.0, 0.0
-        widest: dict[float, tuple[float, float]] = {0.0: (0.0, 0.0)}
-        for t in same:
-            # Compare rounded sizes, because 0.3 − 0.2 is not exactly 0.1.
-            size = round(abs(t.after - t.before), 9)
-            old = widest.get(size, (0.0, 0.0))
-            widest[size] = max(old[0], t.left), max(old[1], t.right)
-        sizes = sorted(widest)
-        edges = zip(*(widest[size] for size in sizes), strict=True)
-        left, right = (float(np.interp(abs(change), sizes, edge)) for edge in edges)
+        widest = {0.0: (0.0, 0.0)}
+        for size, t in measured:
+            left, right = widest.get(size, (0.0, 0.0))
+            widest[size] = max(left, t.left), max(right, t.right)
         # The length does not depend on the size of the change, because the response is that of a linear
         # system.
-        return left, right, max(t.length for t in same)
+        return *_interpolated(abs(after - before), widest), max(t.length for _, t in measured)
 
     @property
     def settle(self) -> float | None:
@@ -233,37 +231,50 @@ class Footprint:
         Both are interpolated by the size of the change, constant beyond the measured sizes; (0, 0) without
         measured changes in that direction.
         """
-        change = after - before
         known: dict[float, list[tuple[float, float]]] = {}
-        for t in self.transients:
+        for size, t in self._measured(after - before):
             step = self._curvature(t.after) - self._curvature(t.before)
-            if (t.after - t.before) * change > 0 and t.dheading * step < 0:
+            if t.dheading * step < 0:
                 delay, moment = -t.dheading / step, 2 * t.dy / step
                 # The arc cannot be shorter than its delay, see the curvature κ_t.
-                lag = delay, max(moment / delay, delay)
-                known.setdefault(round(abs(t.after - t.before), 9), []).append(lag)
+                known.setdefault(size, []).append((delay, max(moment / delay, delay)))
         if not known:
             return 0.0, 0.0
-        sizes = sorted(known)
-        means = zip(*(np.mean(known[size], axis=0) for size in sizes), strict=True)
-        delay, length = (float(np.interp(abs(change), sizes, mean)) for mean in means)
-        return delay, length
+        means = {size: np.mean(lags, axis=0) for size, lags in known.items()}
+        return _interpolated(abs(after - before), means)
+
+    def _measured(self, change: float) -> list[tuple[float, Transient]]:
+        """Return size and transient of the measured changes in the direction of a change."""
+        # Round the sizes, because 0.3 − 0.2 is not exactly 0.1.
+        return [
+            (round(abs(t.after - t.before), 9), t)
+            for t in self.transients
+            if (t.after - t.before) * change > 0
+        ]
 
     def _curvature(self, offset: float) -> float:
         return float(np.interp(offset, self.offsets, self.curvatures))
+
+
+def _interpolated(size: float, values: Mapping[float, Sequence[float] | np.ndarray]) -> tuple[float, float]:
+    """Return two quantities, tabulated by the size of a change, at another size."""
+    sizes = sorted(values)
+    columns = zip(*(values[known] for known in sizes), strict=True)
+    first, second = (float(np.interp(size, sizes, column)) for column in columns)
+    return first, second
 
 
 def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
     """Return the errors of a footprint as pairs of field and message."""
     problems = []
     rows = len(footprint.offsets)
-    for name in ("curvatures", "speeds", "left", "right"):
-        if len(getattr(footprint, name)) != rows:
-            problems.append((name, f"{len(getattr(footprint, name))} values for {rows} offsets"))
+    for name in COLUMNS[1:]:
+        if len(values := getattr(footprint, name)) != rows:
+            problems.append((name, f"{len(values)} values for {rows} offsets"))
     for name in ("offsets", "curvatures"):
         values = getattr(footprint, name)
         # Interpolation over a column needs increasing values.
-        if any(b <= a for a, b in zip(values, values[1:], strict=False)):
+        if any(b <= a for a, b in pairwise(values)):
             problems.append((name, "must increase from row to row: a larger offset turns more to the left"))
     if problems:
         return problems
@@ -294,7 +305,7 @@ def validate_footprint(footprint: Footprint) -> Footprint:
     Raises:
         InputError: the footprint is inconsistent, or a number is not finite.
     """
-    columns = (getattr(footprint, name) for name in _KEYS)
+    columns = (getattr(footprint, name) for name in COLUMNS)
     numbers = [*chain.from_iterable(columns), footprint.ahead, footprint.behind]
     if not np.isfinite(numbers).all():
         raise InputError(f"footprint {footprint.name}: a number is not finite")
@@ -305,176 +316,3 @@ def validate_footprint(footprint: Footprint) -> Footprint:
     for field, message in find_problems(footprint):
         raise InputError(f"footprint {footprint.name}: {field}: {message}")
     return footprint
-
-
-Rows = Field(min_length=3, max_length=101)
-Offsets = Record[Annotated[list[Annotated[float, bounded(-1.0, 1.0)]], Rows], Literal["1"]]
-Curvatures = Record[Annotated[list[Annotated[float, bounded(-100.0, 100.0)]], Rows], Literal["1/m"]]
-Speeds = Record[Annotated[list[Annotated[float, bounded(1e-3, 10.0)]], Rows], Literal["m/s"]]
-Edges = Record[Annotated[list[Annotated[float, bounded(1e-3, 10.0)]], Rows], Literal["m"]]
-Reach = Record[Annotated[float, bounded(0.0, 10.0)], Literal["m"]]
-
-Offset = Annotated[float, bounded(-1.0, 1.0)]
-Metres = Annotated[float, bounded(0.0, 10.0)]
-Shift = Annotated[float, bounded(-10.0, 10.0)]
-Spreads = Annotated[list[Annotated[float, bounded(0.0, 100.0)]], Rows]
-
-
-class TransientFile(StrictModel):
-    """Deviation from the steady footprint after one change of offset."""
-
-    from_offset: Offset = Field(description="Offset before, -1 to 1.")
-    to_offset: Offset = Field(description="Offset after, -1 to 1.")
-    left_m: Metres = Field(description="Extra width of the left edge, m, 0 to 10.")
-    right_m: Metres = Field(description="Extra width of the right edge, m, 0 to 10.")
-    length_m: Metres = Field(description="Length of the path with wider edges, m, 0 to 10.")
-    dx_m: Shift = Field(0.0, description="Jump of the path along itself, m, -10 to 10 (default 0).")
-    dy_m: Shift = Field(0.0, description="Jump of the path to its left, m, -10 to 10 (default 0).")
-    dheading_rad: Annotated[float, bounded(-3.15, 3.15)] = Field(
-        0.0, description="Turn of the path to the left, rad, -3.15 to 3.15 (default 0)."
-    )
-
-    def transient(self) -> Transient:
-        """Return the change as a `Transient`."""
-        return Transient(*self.model_dump().values())
-
-
-class TransientsFile(StrictModel):
-    """Measured changes of offset."""
-
-    status: Status = Field(description="Status of the numbers.")
-    source: str = Field(min_length=1, max_length=1000, description="Source of the measurements.")
-    changes: Annotated[list[TransientFile], Field(min_length=1, max_length=200)] = Field(
-        description="List of changes of offset."
-    )
-
-
-class SpreadFile(StrictModel):
-    """Standard deviations of repeated measurements of the columns, one per offset."""
-
-    source: str = Field(
-        min_length=1, max_length=1000, description="Repeated measurement and definition of the spread."
-    )
-    curvature_per_m: Spreads = Field(description="Spread of the curvature, 1/m, 0 to 100.")
-    speed_m_s: Spreads = Field(description="Spread of the speed, m/s, 0 to 100.")
-    left_m: Spreads = Field(description="Spread of the left edge, m, 0 to 100.")
-    right_m: Spreads = Field(description="Spread of the right edge, m, 0 to 100.")
-
-
-class FootprintFile(StrictModel):
-    """Footprint file; its columns have one value per offset."""
-
-    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60, description="Short name.")
-    title: str = Field(min_length=1, max_length=200, description="Title of one line.")
-    robot: str = Field(min_length=1, max_length=200, description="Robot of this footprint.")
-    contact: ContactName | None = Field(
-        None, description="Contact of the twin of the measurement (default: none, not measured on a twin)."
-    )
-    offset: Offsets = Field(description="Gait offsets, rising, -1 to 1; positive turns left.")
-    curvature_per_m: Curvatures = Field(
-        description="Curvature of the path, 1/m, positive to the left, -100 to 100."
-    )
-    speed_m_s: Speeds = Field(description="Speed of the centre of mass, m/s, 0.001 to 10.")
-    left_m: Edges = Field(description="Distance of the left edge from the path, m, 0.001 to 10.")
-    right_m: Edges = Field(description="Distance of the right edge from the path, m, 0.001 to 10.")
-    ahead_m: Reach = Field(
-        description="Distance from the centre of mass to the head along the path, m, 0 to 10."
-    )
-    behind_m: Reach = Field(
-        description="Distance from the centre of mass to the tail along the path, m, 0 to 10."
-    )
-    spread: SpreadFile | None = Field(None, description="Repeatability, if measured.")
-    transients: TransientsFile | None = Field(None, description="Changes of offset, if measured.")
-    excursions: Annotated[list[ExcursionsFile], Field(max_length=100)] | None = Field(
-        None, description="Excursions of followers, if measured, for margins with a probability."
-    )
-
-    @property
-    def twin_contact(self) -> ContactName | None:
-        """Contact of the twin of the measurement; None: not measured on a twin."""
-        measured = self.curvature_per_m.source.startswith(MEASURED_ON_TWIN)
-        return self.contact or (UNSTATED_CONTACT if measured else None)
-
-    def mismatch(self, contact: ContactName) -> str | None:
-        """Return a warning if the contact of a twin differs from that of the measurement, or None."""
-        own = self.twin_contact
-        if own in (None, contact):
-            return None
-        return (
-            f"{self.name} was measured on a twin with contact {own}, but this twin has contact "
-            f"{contact}; `srs-twin calibrate footprint {self.robot} --contact {contact}` measures one"
-        )
-
-    def footprint(self) -> Footprint:
-        """Return the footprint without sources."""
-        columns = [tuple(getattr(self, key).value) for key in _KEYS.values()]
-        values: list[Any] = [self.name, self.title, *columns, self.ahead_m.value, self.behind_m.value]
-        changes = self.transients.changes if self.transients else []
-        values.append(tuple(change.transient() for change in changes))
-        return Footprint(*values)
-
-
-_KEYS = {
-    "offsets": "offset",
-    "curvatures": "curvature_per_m",
-    "speeds": "speed_m_s",
-    "left": "left_m",
-    "right": "right_m",
-}
-"""Columns of `Footprint`, in its order → keys in the file."""
-
-
-def load_footprint_file(name_or_path: str | os.PathLike[str]) -> FootprintFile:
-    """Load and check a footprint file, given by a shipped name (gen4_table8) or a path.
-
-    Raises:
-        InputError: the file is not found or cannot be read.
-        InputFileError: the file is not valid; lists all problems.
-    """
-    document = load_yaml(find_file("footprint", name_or_path))
-    file = validate(FootprintFile, document, document.data)
-    if file:
-        _report(file, document)
-    document.raise_problems()
-    assert file is not None, "no problem was reported"
-    return file
-
-
-def load_footprint(name_or_path: str | os.PathLike[str]) -> Footprint:
-    """Load a footprint, given by a shipped name (gen4_table8) or a path.
-
-    Raises:
-        InputError, InputFileError: as `load_footprint_file`.
-    """
-    return load_footprint_file(name_or_path).footprint()
-
-
-def save_footprint(file: FootprintFile, path: str | os.PathLike[str], *, header: Sequence[str] = ()) -> None:
-    """Write a footprint file atomically.
-
-    Args:
-        file: the footprint file.
-        path: path of the file.
-        header: lines of a comment at the top.
-
-    Raises:
-        InputFileError: the table is not a valid footprint.
-        InputError: the file cannot be written.
-    """
-    document = Document(os.fspath(path))
-    _report(file, document)
-    document.raise_problems()
-    with atomic_write(path) as part:
-        comment = "".join(f"# {line}\n" for line in header)
-        text = dump_yaml(file.model_dump(mode="json", exclude_none=True), compact=True)
-        part.write_text(comment + text, "utf-8")
-
-
-def _report(file: FootprintFile, document: Document) -> None:
-    """Report all problems of a footprint file to its document."""
-    for name in ("curvature_per_m", "speed_m_s", "left_m", "right_m") if file.spread else ():
-        values = getattr(file.spread, name)
-        if len(values) != len(file.offset.value):
-            document.report(("spread", name), f"{len(values)} values for {len(file.offset.value)} offsets")
-    for name, message in find_problems(file.footprint()):
-        document.report((_KEYS[name], "value"), message)

@@ -203,11 +203,11 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
 def _thick_lines(world: World) -> tuple[np.ndarray, np.ndarray]:
     """Return obstacles and bounds as line segments, shape (n, 2, 2), with half widths, shape (n,), m."""
     segments = [((c.x, c.y), (c.x, c.y)) for c in world.obstacles]
-    for polygon in world.polygons:
-        segments += zip(polygon.corners, polygon.corners[1:] + polygon.corners[:1], strict=True)
+    rings = [polygon.corners for polygon in world.polygons]
     if world.bounds is not None:
         (west, east), (south, north) = world.bounds.x, world.bounds.y
-        corners = ((west, south), (east, south), (east, north), (west, north))
+        rings.append(((west, south), (east, south), (east, north), (west, north)))
+    for corners in rings:
         segments += zip(corners, corners[1:] + corners[:1], strict=True)
     radii = np.zeros(len(segments))
     radii[: len(world.obstacles)] = [c.radius for c in world.obstacles]

@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from srs_twin.compute.compiled import allocating, kernel_only
-from srs_twin.planning.collision import ObstacleGrid
+from srs_twin.planning.collision import ObstacleGrid, obstacle_shapes
 from srs_twin.planning.footprint import Footprint
 from srs_twin.robot.world import Goal, Pose, World
 
@@ -76,6 +76,22 @@ COARSE = Resolution(6, 8, 1.5, 30_000)
 """Fast resolution, tried first."""
 FINE = Resolution(10, 16, 4.0, 40_000)
 """Slow resolution for dead ends that `COARSE` does not prove."""
+
+
+class _Reach(NamedTuple):
+    """Steps and cells of the proof by curvature.
+
+    Attributes:
+        curvature: largest curvature K, 1/m.
+        clearance: clearance w, m.
+        step: length L of a step, m.
+        cell: side of a cell, m.
+    """
+
+    curvature: float
+    clearance: float
+    step: float
+    cell: float
 
 
 def is_disconnected(start: Pose, goal: Goal, world: World, clearance: float) -> bool:
@@ -153,8 +169,7 @@ def _free_component(
         here.buffer(2 * clearance * around, quad_segs=chords),
         there.buffer((2 * clearance + goal.radius) * around, quad_segs=chords),
     ]
-    grown = [shapely.Point(c.x, c.y).buffer(c.radius + clearance, quad_segs=chords) for c in world.obstacles]
-    grown += [shapely.Polygon(p.corners).buffer(clearance, quad_segs=chords) for p in world.polygons]
+    grown = [core.buffer(radius + clearance, quad_segs=chords) for _, core, radius in obstacle_shapes(world)]
     blocked = shapely.union_all(grown)
     box = _reduced_bounds(world, shapely.union_all([blocked, *ends]).bounds, clearance)
     free = shapely.union_all([box.difference(blocked), *ends])
@@ -193,6 +208,7 @@ def prove_unreachable(
     step = min(_MAX_TURN / curvature, 2 * clearance)
     sectors = math.ceil(2 * math.pi / (curvature * step / resolution.sectors))
     boxes, cell = _step_boxes(curvature, step, 2 * math.pi / sectors), step / resolution.cells
+    reach = _Reach(curvature, clearance, step, cell)
     # An end: x, y, heading away from it, position and heading tolerance, reach of the body behind it.
     first = np.array([start.x, start.y, start.heading, 0.0, 0.0, body.behind])
     # From the goal the path is followed backwards.
@@ -205,9 +221,7 @@ def prove_unreachable(
         side = math.ceil((resolution.exit_radii / curvature + end[3] + end[5]) / cell)
         # A large array, of which the operating system allocates only the few pages that are used.
         marked = np.zeros((2 * side + 1, 2 * side + 1, sectors), dtype=np.bool_)
-        if _exhausts_cells(
-            end, other, curvature, clearance, step, cell, marked, boxes, resolution.max_cells, grid
-        ):
+        if _exhausts_cells(end, other, reach, boxes, marked, resolution.max_cells, grid):
             return name
     return ""
 
@@ -243,46 +257,34 @@ def _step_boxes(curvature: float, step: float, sector: float) -> np.ndarray:
 
 
 @allocating
-def _exhausts_cells(end, other, curvature, clearance, step, cell, marked, boxes, max_cells, grid):  # type: ignore[no-untyped-def]
+def _exhausts_cells(end, other, reach, boxes, marked, max_cells, grid):  # type: ignore[no-untyped-def]
     """Return whether all cells reachable from an end stay in its surroundings, away from the other end.
 
     Args:
         end: end to start from, see `prove_unreachable`, shape (6,).
         other: the other end, shape (6,).
-        curvature: largest curvature K, 1/m.
-        clearance: clearance w, m.
-        step: length of a step, m.
-        cell: side of a cell, m.
-        marked: reached cells, initially False, shape (columns, rows, sectors).
+        reach: steps and cells.
         boxes: bounding boxes of the steps, as `_step_boxes`, shape (n, 5).
+        marked: reached cells, initially False, shape (columns, rows, sectors).
         max_cells: largest number of cells; without a proof if it is reached.
         grid: obstacles and bounds.
     """
     sectors, side = marked.shape[2], marked.shape[0] // 2
-    sector = 2 * np.pi / sectors
+    sector, cell = 2 * np.pi / sectors, reach.cell
     west, south = end[0] - side * cell, end[1] - side * cell
     distances = np.full((2 * side + 1, 2 * side + 1), np.nan)  # computed when needed
     stack = np.empty((max_cells, 3), dtype=np.int32)
-    count = 0
-    # Mark the cells of all poses within the tolerances of the end.
-    rim, fan = int(np.ceil(end[3] / cell)) + 1, min(int(np.ceil(end[4] / sector)) + 1, sectors // 2)
-    middle = int(np.floor((end[2] / (2 * np.pi) - np.floor(end[2] / (2 * np.pi))) * sectors))
-    for i in range(side - rim, side + rim + 1):
-        for j in range(side - rim, side + rim + 1):
-            if np.hypot(i - side, j - side) * cell <= end[3] + cell:
-                for k in range(middle - fan, middle + fan + 1):
-                    if not marked[i, j, k % sectors]:
-                        marked[i, j, k % sectors] = True
-                        stack[count, 0], stack[count, 1], stack[count, 2] = i, j, k % sectors
-                        count += 1
-                        if count + 1 >= max_cells:
-                            return False
+    count = _mark_end(end, cell, marked, stack)
+    if count < 0:
+        return False
     # Point E of the module docstring, with its uncertainty, for both ends.
-    end_x, end_y, loose = _body_end(end, curvature)
-    far_x, far_y, far_loose = _body_end(other, curvature)
-    slack = curvature * step * step / 8 + np.sqrt(2.0) * cell  # chord deviation and rounding to cells
-    near = far_loose + 2 * clearance + step + slack
-    arrival = other[3] + step + slack
+    body = _body_end(end, reach.curvature)
+    far_x, far_y, far_loose = _body_end(other, reach.curvature)
+    # Deviation from the chord, and rounding to cells.
+    slack = reach.curvature * reach.step * reach.step / 8 + np.sqrt(2.0) * cell
+    near = far_loose + 2 * reach.clearance + reach.step + slack
+    arrival = other[3] + reach.step + slack
+    extra = reach.step * sector / 2 + cell / 2  # rounding of heading and position
     total = count
     # Depth-first: the order does not matter, because all reachable cells are marked.
     while count > 0:
@@ -293,39 +295,19 @@ def _exhausts_cells(end, other, curvature, clearance, step, cell, marked, boxes,
             return False
         c, s = np.cos((k + 0.5) * sector), np.sin((k + 0.5) * sector)
         for box in range(len(boxes)):
-            turn, low_x, high_x, low_y, high_y = boxes[box]
-            middle_x, middle_y = (low_x + high_x) / 2, (low_y + high_y) / 2
-            half_x, half_y = (high_x - low_x) / 2, (high_y - low_y) / 2
-            extra = step * sector / 2 + cell / 2  # rounding of heading and position
-            to_x, to_y = x + c * middle_x - s * middle_y, y + s * middle_x + c * middle_y
-            wide_x, wide_y = (
-                abs(c) * half_x + abs(s) * half_y + extra,
-                abs(s) * half_x + abs(c) * half_y + extra,
-            )
-            to_k = (k + int(turn)) % sectors
-            low_i, high_i = np.round((to_x - wide_x - west) / cell), np.round((to_x + wide_x - west) / cell)
-            low_j, high_j = np.round((to_y - wide_y - south) / cell), np.round((to_y + wide_y - south) / cell)
-            for to_i in range(int(low_i), int(high_i) + 1):
-                for to_j in range(int(low_j), int(high_j) + 1):
-                    # A cell beyond the grid has left the surroundings, so there is no proof.
-                    if not (0 <= to_i <= 2 * side and 0 <= to_j <= 2 * side):
-                        return False
-                    if marked[to_i, to_j, to_k]:
-                        continue
-                    blocked = False
-                    for point in range(1, _CHECKED_POINTS + 1):
-                        share = point / _CHECKED_POINTS
-                        at_i = int(np.round(i + share * (to_i - i)))
-                        at_j = int(np.round(j + share * (to_j - j)))
-                        at_x, at_y = west + at_i * cell, south + at_j * cell
-                        if np.isnan(distances[at_i, at_j]):
-                            distances[at_i, at_j] = _obstacle_distance(at_x, at_y, grid)
-                        from_end = np.hypot(at_x - end_x, at_y - end_y)
-                        required = min(clearance, (from_end - loose - slack) / 2)
-                        if distances[at_i, at_j] + slack < required:
-                            blocked = True
-                            break
-                    if blocked:
+            turn, low_x, high_x, low_y, high_y = _turned_box(boxes[box], c, s, extra)
+            first_i, last_i = _nearest(x + low_x - west, cell), _nearest(x + high_x - west, cell)
+            first_j, last_j = _nearest(y + low_y - south, cell), _nearest(y + high_y - south, cell)
+            to_k = (k + turn) % sectors
+            # A cell beyond the grid has left the surroundings, so there is no proof.
+            if first_i < 0 or first_j < 0 or last_i > 2 * side or last_j > 2 * side:
+                return False
+            for to_i in range(first_i, last_i + 1):
+                for to_j in range(first_j, last_j + 1):
+                    step = i, j, to_i, to_j
+                    if marked[to_i, to_j, to_k] or _is_blocked(
+                        step, (west, south), body, reach, slack, distances, grid
+                    ):
                         continue
                     marked[to_i, to_j, to_k] = True
                     stack[count, 0], stack[count, 1], stack[count, 2] = to_i, to_j, to_k
@@ -334,6 +316,76 @@ def _exhausts_cells(end, other, curvature, clearance, step, cell, marked, boxes,
                     if total + 1 >= max_cells:
                         return False
     return True
+
+
+@kernel_only
+def _nearest(position, cell):  # type: ignore[no-untyped-def]
+    """Return the nearest cell of a position."""
+    return int(np.round(position / cell))
+
+
+@kernel_only
+def _turned_box(box, c, s, extra):  # type: ignore[no-untyped-def]
+    """Return turn and bounds of a box of `_step_boxes` after a rotation and a widening (m)."""
+    turn, low_x, high_x, low_y, high_y = box
+    x, y = (low_x + high_x) / 2, (low_y + high_y) / 2
+    half_x, half_y = (high_x - low_x) / 2, (high_y - low_y) / 2
+    to_x, to_y = c * x - s * y, s * x + c * y
+    wide_x = abs(c) * half_x + abs(s) * half_y + extra
+    wide_y = abs(s) * half_x + abs(c) * half_y + extra
+    return int(turn), to_x - wide_x, to_x + wide_x, to_y - wide_y, to_y + wide_y
+
+
+@kernel_only
+def _is_blocked(step, origin, body, reach, slack, distances, grid):  # type: ignore[no-untyped-def]
+    """Return whether a point on the way between two cells is closer to an obstacle than w'.
+
+    Args:
+        step: column and row of both cells.
+        origin: x and y of the first cell, m.
+        body: point E and its uncertainty, as `_body_end`.
+        reach: steps and cells.
+        slack: deviation from the chord and rounding to cells, m.
+        distances: distance of each cell from the obstacles, m; NaN: not computed yet.
+        grid: obstacles and bounds.
+    """
+    i, j, to_i, to_j = step
+    for point in range(1, _CHECKED_POINTS + 1):
+        share = point / _CHECKED_POINTS
+        at_i, at_j = int(np.round(i + share * (to_i - i))), int(np.round(j + share * (to_j - j)))
+        x, y = origin[0] + at_i * reach.cell, origin[1] + at_j * reach.cell
+        if np.isnan(distances[at_i, at_j]):
+            distances[at_i, at_j] = _obstacle_distance(x, y, grid)
+        from_end = np.hypot(x - body[0], y - body[1])
+        required = min(reach.clearance, (from_end - body[2] - slack) / 2)
+        if distances[at_i, at_j] + slack < required:
+            return True
+    return False
+
+
+@kernel_only
+def _mark_end(end, cell, marked, stack):  # type: ignore[no-untyped-def]
+    """Mark and stack the cells of all poses within the tolerances of an end.
+
+    Returns:
+        Number of cells; -1 if the stack is full.
+    """
+    sectors, side = marked.shape[2], marked.shape[0] // 2
+    rim, sector = int(np.ceil(end[3] / cell)) + 1, 2 * np.pi / sectors
+    fan = min(int(np.ceil(end[4] / sector)) + 1, sectors // 2)
+    middle = int(np.floor((end[2] / (2 * np.pi) - np.floor(end[2] / (2 * np.pi))) * sectors))
+    count = 0
+    for i in range(side - rim, side + rim + 1):
+        for j in range(side - rim, side + rim + 1):
+            if np.hypot(i - side, j - side) * cell <= end[3] + cell:
+                for k in range(middle - fan, middle + fan + 1):
+                    if not marked[i, j, k % sectors]:
+                        marked[i, j, k % sectors] = True
+                        stack[count, 0], stack[count, 1], stack[count, 2] = i, j, k % sectors
+                        count += 1
+                        if count + 1 >= len(stack):
+                            return -1
+    return count
 
 
 @kernel_only

@@ -80,6 +80,36 @@ def path_from_arcs(start: Pose, arcs: list[tuple[float, float]], footprint: Foot
     return tuple(segments)
 
 
+class Steps(NamedTuple):
+    """Short steps along a path, for integrals over its length.
+
+    Attributes:
+        poses: x, y (m) and heading (rad) in the middle of each step, shape (n, 3).
+        lengths: length of each step, m, shape (n,).
+        left: left edge of the footprint, m, shape (n,).
+        right: right edge of the footprint, m, shape (n,).
+    """
+
+    poses: np.ndarray
+    lengths: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+
+
+def path_steps(segments: Sequence[Segment], footprint: Footprint, spacing: float) -> Steps:
+    """Return steps of at most `spacing` (m) along a path."""
+    rows: list[tuple[float, ...]] = []
+    for segment in segments:
+        count = max(math.ceil(segment.length / spacing), 1)
+        row, middles = footprint.at(segment.curvature), ((k + 0.5) / count for k in range(count))
+        rows += [
+            (*segment.pose(share * segment.length), segment.length / count, row.left, row.right)
+            for share in middles
+        ]
+    table = np.array(rows, dtype=float).reshape(-1, 6)
+    return Steps(table[:, :3], *table[:, 3:].T)
+
+
 class PathPoint(NamedTuple):
     """Position relative to a path: s and n, m; heading and curvature of the path at s, rad and 1/m."""
 

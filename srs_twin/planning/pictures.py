@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from srs_twin.planning.footprint import Footprint
     from srs_twin.planning.path import Segment
-    from srs_twin.planning.problem import Plan
+    from srs_twin.planning.problem import Plan, Problem
     from srs_twin.planning.search_tree import SearchTrace
 
 _SPACING_M = 0.01
@@ -85,27 +85,22 @@ def following_plot(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> F
     return figure
 
 
-def plan_plot(
-    metadata: Mapping[str, object], segments: Sequence[Segment], footprint: Footprint, title: str
-) -> Figure:
+def plan_plot(problem: Problem, segments: Sequence[Segment], title: str) -> Figure:
     """Return a plot of a plan without runs.
 
     Args:
-        metadata: "world" and "goal" as plain data.
+        problem: world, goal and footprint of the plan.
         segments: path; empty without one.
-        footprint: footprint of the plan.
         title: title of the plot.
     """
-    figure, axes = _sheet(metadata, segments, footprint)
+    figure, axes = _sheet(_metadata(problem), segments, problem.footprint)
     axes.set_title(title, fontsize=10, wrap=True)
     return figure
 
 
-def search_plot(
-    metadata: Mapping[str, object], segments: Sequence[Segment], footprint: Footprint, trace: SearchTrace
-) -> Figure:
+def search_plot(problem: Problem, segments: Sequence[Segment], trace: SearchTrace) -> Figure:
     """Return a plot of a plan with the arcs of its search; other arguments as for `plan_plot`."""
-    figure, axes = _sheet(metadata, segments, footprint)
+    figure, axes = _sheet(_metadata(problem), segments, problem.footprint)
     counts = Counter(trace.reasons).most_common(3)
     text = ", ".join(f"{count} at {name}" for name, count in counts)
     rejected = f"{len(trace.rejected)} rejected arcs" + (f": {text}" if text else "")
@@ -120,6 +115,11 @@ def search_plot(
     axes.legend(loc="best", fontsize=8, frameon=False)
     axes.set_title("Search: explored and rejected arcs, and the plan", fontsize=10)
     return figure
+
+
+def _metadata(problem: Problem) -> dict[str, Any]:
+    """Return world and goal as in the metadata of a follower."""
+    return {"world": asdict(problem.world), "goal": asdict(problem.goal)}
 
 
 def _sheet(

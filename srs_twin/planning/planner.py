@@ -25,10 +25,10 @@ import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.planning.best_first import best_first
-from srs_twin.planning.collision import Checker, obstacle_at
-from srs_twin.planning.footprint import Footprint, Transient, validate_footprint
-from srs_twin.planning.path import Segment, path_from_arcs
-from srs_twin.planning.problem import Plan, Problem, Settings
+from srs_twin.planning.collision import Checker, obstacle_shapes
+from srs_twin.planning.footprint import Footprint, Transient
+from srs_twin.planning.path import Segment, path_from_arcs, path_steps
+from srs_twin.planning.problem import Plan, Problem, Settings, check_problem
 from srs_twin.planning.reference_planners import greedy, rrt_connect
 from srs_twin.planning.touch import narrowed, plan_with_touch
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
@@ -39,9 +39,6 @@ PLANNERS: dict[str, Callable[[Problem, Settings], Plan]] = {
     "ompl": rrt_connect,
 }
 """Planners by name; `ompl` needs the extra of that name."""
-
-_MAX_COORDINATE_M = 2000.0
-"""Largest coordinate of start and goal, m; cell indices of the search are limited."""
 
 _WIDTH_STEPS = (0.1, 0.2, 0.4, 0.8, 1.6)
 """Widths added to both edges to find paths with more clearance, in widths of the straight body."""
@@ -71,18 +68,17 @@ def plan(problem: Problem, settings: Settings | None = None, *, planner: str = "
     """
     if planner not in PLANNERS:
         raise UnknownNameError("planner", planner, PLANNERS)
-    touch = settings.touch_limits if settings else None
+    settings = settings or Settings()
+    touch = settings.touch_limits
     if touch and planner != "best_first":
         raise InputError(f"planner '{planner}' keeps clear of obstacles; best_first can plan with touch")
     firm = narrowed(problem, touch, 1.0) if touch else problem
-    _check_problem(firm)
+    check_problem(firm)
     _compile()
     begun = time.perf_counter()
-    if touch and settings:
-        result = plan_with_touch(best_first, problem, settings)
-    else:
-        result = PLANNERS[planner](problem, settings or Settings())
-    if result.found and settings and settings.clearance_weight > 0:
+    search = PLANNERS[planner]
+    result = plan_with_touch(search, problem, settings) if touch else search(problem, settings)
+    if result.found and settings.clearance_weight > 0:
         result = _lowest_cost(result, problem, settings)
     return replace(result, seconds=time.perf_counter() - begun, problem=firm)
 
@@ -103,9 +99,7 @@ def _lowest_cost(first: Plan, problem: Problem, settings: Settings) -> Plan:
         result = best_first(wider, short)
         if not result.found:
             break
-        # Speeds and offsets are those of the body itself.
-        arcs = [(segment.curvature, segment.length) for segment in result.segments]
-        plans.append(replace(result, segments=path_from_arcs(problem.start, arcs, problem.footprint)))
+        plans.append(result.with_edges_of(problem))
     return min(plans, key=lambda result: _cost(result, problem, width, settings.clearance_weight))
 
 
@@ -113,24 +107,14 @@ def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
     """Return the length of a path plus the cost of small clearances, m."""
     import shapely
 
-    world, body = problem.world, problem.footprint
-    poses, edges, steps = [], [], []
-    for segment in result.segments:
-        count = max(math.ceil(segment.length / _COST_SPACING_M), 1)
-        row = body.at(segment.curvature)
-        poses += [segment.pose((k + 0.5) / count * segment.length) for k in range(count)]
-        edges += [max(row.left, row.right)] * count
-        steps += [segment.length / count] * count
-    points = shapely.points([(pose.x, pose.y) for pose in poses])
+    steps = path_steps(result.segments, problem.footprint, _COST_SPACING_M)
+    points = shapely.points(steps.poses[:, :2])
     distance = np.full(len(points), np.inf)
-    for circle in world.obstacles:
-        centre = shapely.Point(circle.x, circle.y)
-        distance = np.minimum(distance, shapely.distance(points, centre) - circle.radius)
-    for polygon in world.polygons:
-        distance = np.minimum(distance, shapely.distance(points, shapely.Polygon(polygon.corners)))
+    for _, core, radius in obstacle_shapes(problem.world):
+        distance = np.minimum(distance, shapely.distance(points, core) - radius)
     # Use the distance of the wider edge on both sides: a simple bound.
-    clearance = np.maximum(distance - edges, 0.0)
-    return float(np.dot(steps, 1 + weight * np.exp(-clearance / width)))
+    clearance = np.maximum(distance - np.maximum(steps.left, steps.right), 0.0)
+    return float(np.dot(steps.lengths, 1 + weight * np.exp(-clearance / width)))
 
 
 @functools.cache
@@ -144,56 +128,6 @@ def _compile() -> None:
     change = Transient(-0.3, 0.3, left=0.01, right=0.01, length=0.05)
     body = replace(Footprint.box(0.06, 0.0, speed=0.1, curvature=2.0), transients=(change,))
     best_first(Problem(Pose(0.0, 0.0, 0.0), Goal(2.3, 0.0, 0.3, radius=0.05), world, body), Settings())
-
-
-def _check_problem(problem: Problem) -> None:
-    """Raise an error for a problem that cannot be solved as stated."""
-    validate_footprint(problem.footprint)
-    start, goal = problem.start, problem.goal
-    _check_poses(start, goal)
-    _check_world(problem.world)
-    for name, x, y in (("start", start.x, start.y), ("goal", goal.x, goal.y)):
-        if hit := obstacle_at(problem.world, x, y):
-            relation = "outside" if hit.startswith("the bounds") else "inside"
-            raise InputError(f"{name} ({x:g}, {y:g}) is {relation} {hit}")
-    if hit := Checker(problem.world, problem.footprint).first_collision(start):
-        verb = "leaves" if hit.startswith("the bounds") else "touches"
-        raise InputError(f"start ({start.x:g}, {start.y:g}): the straight body's footprint {verb} {hit}")
-
-
-def _check_poses(start: Pose, goal: Goal) -> None:
-    angles = (start.heading, goal.heading or 0.0)
-    if not all(math.isfinite(angle) and abs(angle) <= 100 for angle in angles):
-        raise InputError(
-            f"headings {angles[0]:g} and {angles[1]:g} rad: must be finite and between -100 and 100"
-        )
-    for name, x, y in (("start", start.x, start.y), ("goal", goal.x, goal.y)):
-        if not (abs(x) <= _MAX_COORDINATE_M and abs(y) <= _MAX_COORDINATE_M):
-            raise InputError(
-                f"{name} ({x:g}, {y:g}) m: must be finite and between "
-                f"-{_MAX_COORDINATE_M:g} and {_MAX_COORDINATE_M:g}"
-            )
-    if not (0 <= goal.radius < math.inf and 0 <= goal.heading_tolerance <= math.pi):
-        raise InputError(
-            f"goal: radius {goal.radius:g} m must not be below 0, heading_tolerance "
-            f"{goal.heading_tolerance:g} rad must be between 0 and pi"
-        )
-
-
-def _check_world(world: World) -> None:
-    import shapely
-
-    for k, circle in enumerate(world.obstacles):
-        if not (math.isfinite(circle.x) and math.isfinite(circle.y) and 0 < circle.radius < math.inf):
-            raise InputError(f"obstacle {k + 1}: numbers must be finite and the radius above 0")
-    for k, polygon in enumerate(world.polygons):
-        finite = all(math.isfinite(value) for corner in polygon.corners for value in corner)
-        if len(polygon.corners) < 3 or not finite or not shapely.Polygon(polygon.corners).is_valid:
-            raise InputError(
-                f"polygon {k + 1}: needs at least three finite corners and sides that do not cross"
-            )
-    if world.bounds and not all(low < high for low, high in (world.bounds.x, world.bounds.y)):
-        raise InputError("bounds: the lower limit comes first and must be below the upper limit")
 
 
 def with_transitions(segments: Sequence[Segment], footprint: Footprint) -> tuple[Segment, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from typing import ClassVar
@@ -12,15 +12,19 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.planning.arcs import Primitives
-from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.collision import Checker, obstacle_at
+from srs_twin.planning.footprint import Footprint, validate_footprint
 from srs_twin.planning.infeasibility import min_path_length
-from srs_twin.planning.path import Segment
+from srs_twin.planning.path import Segment, path_from_arcs
 from srs_twin.planning.search_tree import SearchTree
 from srs_twin.robot.world import Goal, Pose, World
 from srs_twin.trajectory import HtmlResult
 
 _MAX_LEVELS = 5
 """Largest number of levels; arcs of the fifth level are 16 times shorter than those of the first."""
+
+_MAX_COORDINATE_M = 2000.0
+"""Largest coordinate of start and goal, m; cell indices of the search are limited."""
 
 _KINK_ROUNDING = 1e-6
 """Largest heading jump that is a rounding error, rad."""
@@ -124,6 +128,60 @@ class Problem:
     primitives: Primitives | None = None
 
 
+def check_problem(problem: Problem) -> None:
+    """Check that a problem can be solved as stated.
+
+    Raises:
+        InputError: start or goal is in an obstacle or outside the bounds, or a number is not allowed.
+    """
+    validate_footprint(problem.footprint)
+    start, goal = problem.start, problem.goal
+    _check_poses(start, goal)
+    _check_world(problem.world)
+    for name, x, y in (("start", start.x, start.y), ("goal", goal.x, goal.y)):
+        if hit := obstacle_at(problem.world, x, y):
+            relation = "outside" if hit.startswith("the bounds") else "inside"
+            raise InputError(f"{name} ({x:g}, {y:g}) is {relation} {hit}")
+    if hit := Checker(problem.world, problem.footprint).first_collision(start):
+        verb = "leaves" if hit.startswith("the bounds") else "touches"
+        raise InputError(f"start ({start.x:g}, {start.y:g}): the straight body's footprint {verb} {hit}")
+
+
+def _check_poses(start: Pose, goal: Goal) -> None:
+    angles = (start.heading, goal.heading or 0.0)
+    if not all(math.isfinite(angle) and abs(angle) <= 100 for angle in angles):
+        raise InputError(
+            f"headings {angles[0]:g} and {angles[1]:g} rad: must be finite and between -100 and 100"
+        )
+    for name, x, y in (("start", start.x, start.y), ("goal", goal.x, goal.y)):
+        if not (abs(x) <= _MAX_COORDINATE_M and abs(y) <= _MAX_COORDINATE_M):
+            raise InputError(
+                f"{name} ({x:g}, {y:g}) m: must be finite and between "
+                f"-{_MAX_COORDINATE_M:g} and {_MAX_COORDINATE_M:g}"
+            )
+    if not (0 <= goal.radius < math.inf and 0 <= goal.heading_tolerance <= math.pi):
+        raise InputError(
+            f"goal: radius {goal.radius:g} m must not be below 0, heading_tolerance "
+            f"{goal.heading_tolerance:g} rad must be between 0 and pi"
+        )
+
+
+def _check_world(world: World) -> None:
+    import shapely
+
+    for k, circle in enumerate(world.obstacles):
+        if not (math.isfinite(circle.x) and math.isfinite(circle.y) and 0 < circle.radius < math.inf):
+            raise InputError(f"obstacle {k + 1}: numbers must be finite and the radius above 0")
+    for k, polygon in enumerate(world.polygons):
+        finite = all(math.isfinite(value) for corner in polygon.corners for value in corner)
+        if len(polygon.corners) < 3 or not finite or not shapely.Polygon(polygon.corners).is_valid:
+            raise InputError(
+                f"polygon {k + 1}: needs at least three finite corners and sides that do not cross"
+            )
+    if world.bounds and not all(low < high for low, high in (world.bounds.x, world.bounds.y)):
+        raise InputError("bounds: the lower limit comes first and must be below the upper limit")
+
+
 class Outcome(StrEnum):
     """Outcome of planning; `Plan.reason` explains it.
 
@@ -207,6 +265,19 @@ class Plan(HtmlResult):
         jumps = (abs(math.remainder(b.start.heading - a.end.heading, 2 * math.pi)) for a, b in pairs)
         largest = max(jumps, default=0.0)
         return largest if largest > _KINK_ROUNDING else 0.0
+
+    def after(self, begin: tuple[Segment, ...]) -> Plan:
+        """Return the plan with additional segments before its path."""
+        done = math.fsum(segment.length for segment in begin)
+        touches = self.touches and tuple(
+            replace(touch, begin=touch.begin + done, end=touch.end + done) for touch in self.touches
+        )
+        return replace(self, segments=(*begin, *self.segments), touches=touches)
+
+    def with_edges_of(self, problem: Problem) -> Plan:
+        """Return the plan of a body with other edges, with the offsets and speeds of the problem's body."""
+        arcs = [(segment.curvature, segment.length) for segment in self.segments]
+        return replace(self, segments=path_from_arcs(problem.start, arcs, problem.footprint))
 
     def samples(self, spacing: float = 0.01) -> np.ndarray:
         """Return poses (x, y, heading) along the path at most `spacing` (m) apart, shape (n, 3)."""

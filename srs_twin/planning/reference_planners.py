@@ -29,19 +29,21 @@ library seeds its random numbers once per process and its budget is wall time, s
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 from srs_twin.errors import InputError
 from srs_twin.planning.arcs import Primitives
-from srs_twin.planning.best_first import shorten_path
 from srs_twin.planning.collision import Checker, ObstacleGrid
 from srs_twin.planning.dubins import ArcSequence, dubins_path, shortest_path
-from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.moves import (
+    MoveSet,
+    follow_dubins_path,
+    initial_state,
+    make_move_set,
+    shorten_path,
+)
 from srs_twin.planning.path import Segment, make_segment, path_from_arcs
 from srs_twin.planning.problem import Outcome, Plan, Problem, Settings
-from srs_twin.planning.search_kernels import MoveSet, follow_dubins_path, initial_state
-from srs_twin.planning.search_tree import make_move_set
 from srs_twin.robot.world import Pose
 
 G_STEP_M = 0.001
@@ -69,7 +71,7 @@ def greedy(problem: Problem) -> Plan:
     if problem.goal.heading is None:
         raise InputError("planner greedy needs a goal with a heading: its second branch starts there")
     forward = Checker(problem.world, problem.footprint)
-    backward = Checker(problem.world, reversed_footprint(problem.footprint))
+    backward = Checker(problem.world, problem.footprint.backward)
     tips = [problem.start, Pose(problem.goal.x, problem.goal.y, problem.goal.heading + math.pi)]
     branches: list[Branch] = [[], []]
     for turn in range(2 * _MAX_BRANCH_ARCS):
@@ -103,21 +105,6 @@ def arc_through(pose: Pose, x: float, y: float) -> tuple[float, float]:
         return 0.0, distance
     sine = math.sin(bearing)
     return 2 * sine / distance, distance * bearing / sine if abs(sine) > 1e-9 else math.inf
-
-
-def reversed_footprint(footprint: Footprint) -> Footprint:
-    """Return the footprint of a body that follows the same paths in the opposite direction."""
-    return replace(
-        footprint,
-        offsets=tuple(-value for value in reversed(footprint.offsets)),
-        curvatures=tuple(-value for value in reversed(footprint.curvatures)),
-        speeds=footprint.speeds[::-1],
-        left=footprint.right[::-1],
-        right=footprint.left[::-1],
-        ahead=footprint.behind,
-        behind=footprint.ahead,
-        transients=(),
-    )
 
 
 def _best_child(tip: Pose, other: Pose, arcs: Primitives, checker: Checker) -> tuple[float, Pose] | None:

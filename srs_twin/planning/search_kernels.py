@@ -10,8 +10,7 @@ are a plan. The open list is a binary heap. The closed set is a hash table with 
 later node replaces it only if its path is shorter. This makes the search finite, and also incomplete: another
 pose of the same cell might have had a free continuation.
 
-The kernels pass an arc state, a tuple with the pose (x, y, heading) at the end of an arc, the move that led
-there, and the transient of the last changes of offset: extra left and right width and remaining length, m.
+Arc states are those of `moves`.
 """
 
 from __future__ import annotations
@@ -21,10 +20,11 @@ from typing import NamedTuple
 import numpy as np
 
 from srs_twin.compute.compiled import compiled, kernel_only
-from srs_twin.planning.arcs import arc_collides, arc_end
+from srs_twin.planning.arcs import arc_end
 from srs_twin.planning.collision import ObstacleGrid
 from srs_twin.planning.dubins import dubins_path
 from srs_twin.planning.guidance import GridHeuristic, grid_distance
+from srs_twin.planning.moves import MoveSet, follow_arc, follow_dubins_path
 
 NODES = 0
 """Index in `Frontier.counts`: created nodes."""
@@ -171,36 +171,6 @@ def _copy_cells(frontier, larger):  # type: ignore[no-untyped-def]
             larger.owners[_key_slot(larger, frontier.cells[old])] = frontier.owners[old]
 
 
-class MoveSet(NamedTuple):
-    """Arcs that the snake can follow.
-
-    Attributes:
-        curvatures: curvatures, rising, 1/m, shape (n,).
-        left: left edge of the footprint for each curvature, m, shape (n,).
-        right: right edge of the footprint for each curvature, m, shape (n,).
-        transients: extra left width, extra right width and length (m) of the transient after a change from
-            one curvature to another, shape (n + 1, n, 3); row n: at the start.
-        primitives: indices of the curvatures that lead to a node's children, shape (m,).
-        radius_factors: turning radii of the tested Dubins paths relative to the smallest one, 1 first,
-            shape (k,).
-        dubins_moves: for each factor the indices of right turn, straight line and left turn, shape (k, 3).
-        length: length of a primitive, m.
-        ahead: extent of the body ahead of the centre of mass, m.
-        behind: extent of the body behind the centre of mass, m.
-    """
-
-    curvatures: np.ndarray
-    left: np.ndarray
-    right: np.ndarray
-    transients: np.ndarray
-    primitives: np.ndarray
-    radius_factors: np.ndarray
-    dubins_moves: np.ndarray
-    length: float
-    ahead: float
-    behind: float
-
-
 class Target(NamedTuple):
     """Goal of a search.
 
@@ -265,8 +235,8 @@ def add_root(frontier, x, y, heading, spec):  # type: ignore[no-untyped-def]
     slot = cell_slot(frontier, x, y, heading, spec.cell, spec.sector)
     bound = lower_bound(x, y, heading, spec.target)
     if frontier.owners[slot] == 0:
-        root = _add_node(frontier, slot, x, y, heading, 0.0, bound, 0.0, 0.0, 0.0)
-        frontier.links[root, 0], frontier.links[root, 1] = -1, spec.moves.curvatures.shape[0]
+        link = -1, spec.moves.curvatures.shape[0]
+        root = _add_node(frontier, slot, link, (x, y, heading), (0.0, bound), (0.0, 0.0, 0.0))
         push(frontier, root, bound)
 
 
@@ -326,8 +296,8 @@ def _try_arc(frontier, node, move, spec, best):  # type: ignore[no-untyped-def]
     bound = lower_bound(to_x, to_y, to_heading, spec.target)
     if cost + bound >= best:
         return
-    child = _add_node(frontier, slot, to_x, to_y, to_heading, cost, bound, state[4], state[5], state[6])
-    frontier.links[child, 0], frontier.links[child, 1] = node, move
+    pose = to_x, to_y, to_heading
+    child = _add_node(frontier, slot, (node, move), pose, (cost, bound), state[4:])
     push(frontier, child, cost + spec.weight * max(bound, grid_distance(spec.heuristic, to_x, to_y)))
 
 
@@ -360,22 +330,32 @@ def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[n
             free, state = follow_arc(state, moves.dubins_moves[factor, 1 + turn], length, moves, grid)
             if not free:
                 return
-    child = _add_node(frontier, slot, to_x, to_y, to_heading, cost, bound, state[4], state[5], state[6])
-    frontier.links[child, 0] = node
-    frontier.links[child, 1] = -1 - passage * moves.dubins_moves.shape[0] - factor
+    link, pose = (node, -1 - passage * moves.dubins_moves.shape[0] - factor), (to_x, to_y, to_heading)
+    child = _add_node(frontier, slot, link, pose, (cost, bound), state[4:])
     push(frontier, child, cost + spec.weight * max(bound, grid_distance(spec.heuristic, to_x, to_y)))
 
 
 @kernel_only
-def _add_node(frontier, slot, x, y, heading, cost, bound, left, right, lasting):  # type: ignore[no-untyped-def]
-    """Add a node as the owner of its cell and return its number."""
+def _add_node(frontier, slot, link, pose, costs, transient):  # type: ignore[no-untyped-def]
+    """Add a node as the owner of its cell and return its number.
+
+    Args:
+        frontier: state of the search.
+        slot: slot of the cell.
+        link: parent and move, as in `Frontier.links`.
+        pose: x, y and heading.
+        costs: path length so far, and lower bound on the rest, m.
+        transient: extra left and right width and remaining length, m.
+    """
     # The new node replaces the former owner of the cell, which is skipped when it is popped.
     child = frontier.counts[NODES]
     frontier.counts[NODES] += 1
     frontier.owners[slot] = child + 1
+    frontier.links[child, 0], frontier.links[child, 1] = link
     row = frontier.nodes[child]
-    row[0], row[1], row[2], row[3], row[4] = x, y, heading, cost, bound
-    row[5], row[6], row[7] = left, right, lasting
+    row[0], row[1], row[2] = pose
+    row[3], row[4] = costs
+    row[5], row[6], row[7] = transient
     return child
 
 
@@ -412,54 +392,3 @@ def _connects_to_goal(frontier, node, spec, best):  # type: ignore[no-untyped-de
     if cost + path[3] + path[4] + path[5] >= best:
         return False
     return follow_dubins_path(state, path, spec.moves, spec.grid)[0]
-
-
-@compiled
-def initial_state(x, y, heading, moves):  # type: ignore[no-untyped-def]
-    """Return the arc state at the start of a path, without a previous move."""
-    return x, y, heading, len(moves.curvatures), 0.0, 0.0, 0.0
-
-
-@compiled
-def follow_dubins_path(state, path, moves, grid):  # type: ignore[no-untyped-def]
-    """Return whether a path of `dubins.dubins_path` is free, and the arc state at its end."""
-    free = True
-    for piece in range(3):
-        if path[3 + piece] > 0:
-            move = moves.dubins_moves[0, 1 + int(path[piece])]
-            free, state = follow_arc(state, move, path[3 + piece], moves, grid)
-            if not free:
-                break
-    return free, state
-
-
-@compiled
-def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def]
-    """Return whether an arc is free, and the arc state at its end.
-
-    Args:
-        state: arc state at its start (module docstring).
-        move: index of its curvature.
-        length: its length, m.
-        moves: arcs that the snake can follow.
-        grid: obstacles and bounds.
-    """
-    x, y, heading, before, left, right, lasting = state
-    if lasting <= 0:
-        left, right, lasting = 0.0, 0.0, 0.0
-    # Overlapping transients: the larger width and length of each.
-    change = moves.transients[before, move]
-    left, right, lasting = max(left, change[0]), max(right, change[1]), max(lasting, change[2])
-    curvature, ahead, behind = moves.curvatures[move], moves.ahead, moves.behind
-    # The first part of the arc has the wider edges, the rest the steady ones.
-    first = min(lasting, length)
-    free = True
-    if first > 0:
-        wide = moves.left[move] + left, moves.right[move] + right
-        free = not arc_collides(x, y, heading, curvature, first, ahead, behind, wide[0], wide[1], grid)
-        x, y, heading = arc_end(x, y, heading, curvature, first)
-    if free and first < length:
-        edges = moves.left[move], moves.right[move]
-        free = not arc_collides(x, y, heading, curvature, length - first, ahead, behind, *edges, grid)
-    x, y, heading = arc_end(x, y, heading, curvature, length - first)
-    return free, (x, y, heading, move, left, right, lasting - first)

@@ -9,10 +9,11 @@ from itertools import product
 
 import numpy as np
 
-from srs_twin.planning.arcs import Primitives, arc_end
-from srs_twin.planning.collision import nearest_obstacle
+from srs_twin.planning.arcs import arc_end
+from srs_twin.planning.collision import nearest_obstacles
 from srs_twin.planning.dubins import ArcSequence, shortest_path
 from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.moves import follow_arc
 from srs_twin.planning.search_kernels import (
     ARRIVED,
     CONNECTED,
@@ -22,14 +23,12 @@ from srs_twin.planning.search_kernels import (
     NODES,
     OPEN,
     Frontier,
-    MoveSet,
     SearchSpec,
     Target,
     add_root,
     empty_frontier,
     enlarged,
     expand,
-    follow_arc,
 )  # fmt: skip
 from srs_twin.robot.world import Goal, Pose, World
 
@@ -44,51 +43,11 @@ _GOAL_SPREAD = (0.0, -0.7, 0.7)
 """Coordinates of backward start positions in units of the goal's radius, so small that corners are within
 it."""
 
-_RADIUS_FACTORS = (1.0, 2.0, 5.0)
-"""Turning radii for the approach to narrow passages, relative to the smallest; wide turns have small
-transients."""
-
 _ARC_POINTS = 5
 """Points of an arc in a trace."""
 
 MAX_TRACED_NODES = 3000
 """Nodes of a search whose rejected arcs are traced."""
-
-
-def make_move_set(primitives: Primitives, footprint: Footprint) -> MoveSet:
-    """Return the arcs of a search: the primitives, the tightest and wider turns, and straight ahead.
-
-    Raises:
-        InputError: a primitive is tighter than the footprint allows.
-    """
-    right, left = footprint.tightest
-    both = min(right, left)
-    own = [*primitives.curvatures, -right, -both, 0.0, both, left]
-    wide = [side * both / factor for factor in _RADIUS_FACTORS for side in (-1, 1)]
-    # Rounding merges equal curvatures; clipping keeps them within the footprint.
-    curvatures = np.unique(np.round([*own, *wide], 12))
-    curvatures = np.clip(curvatures, -right, left)
-    rows = [footprint.at(float(k)) for k in curvatures]
-    offsets = [row.offset for row in rows]
-    transients = [[footprint.transient(a, b) for b in offsets] for a in offsets]
-    transients.append([(0.0, 0.0, 0.0)] * len(offsets))
-    indices = np.unique([np.argmin(abs(curvatures - k)) for k in own])
-    turns = [
-        [np.argmin(abs(curvatures - side * both / factor)) for side in (-1, 0, 1)]
-        for factor in _RADIUS_FACTORS
-    ]
-    return MoveSet(
-        curvatures,
-        np.array([row.left for row in rows]),
-        np.array([row.right for row in rows]),
-        np.array(transients),
-        indices,
-        np.array(_RADIUS_FACTORS),
-        np.array(turns),
-        primitives.length,
-        footprint.ahead,
-        footprint.behind,
-    )
 
 
 def make_target(goal: Goal, footprint: Footprint) -> Target:
@@ -97,17 +56,6 @@ def make_target(goal: Goal, footprint: Footprint) -> Target:
     pose = goal.x, goal.y, goal.heading or 0.0
     radii = (1 - _BOUND_SLACK) / max(right, left), 1 / min(right, left)
     return Target(*pose, goal.heading is None, goal.radius, goal.heading_tolerance, *radii)
-
-
-def reverse_moves(moves: MoveSet) -> MoveSet:
-    """Return the moves along the same paths in the opposite direction: sides and ends exchanged."""
-    last = len(moves.curvatures) - 1
-    reverse, left, right = (values[::-1].copy() for values in (-moves.curvatures, moves.right, moves.left))
-    # Backward search is used only without transients, which make paths depend on the direction.
-    transients = np.zeros_like(moves.transients)
-    turns, primitives = last - moves.dubins_moves[:, ::-1], last - moves.primitives[::-1]
-    reach = moves.length, moves.behind, moves.ahead
-    return MoveSet(reverse, left, right, transients, primitives, moves.radius_factors, turns, *reach)
 
 
 class SearchTree:
@@ -210,7 +158,7 @@ def trace_search(trees: Sequence[SearchTree], world: World) -> SearchTrace:
         trees: trees at the end of the search.
         world: obstacles and bounds.
     """
-    arcs, rejected, reasons, passages = [], [], [], np.empty((0, 4))
+    arcs, rejected, passages = [], [], np.empty((0, 4))
     for tree in trees:
         frontier, moves = tree.frontier, tree.spec.moves
         count = int(frontier.counts[NODES])
@@ -231,16 +179,15 @@ def trace_search(trees: Sequence[SearchTree], world: World) -> SearchTrace:
             state = (*pose[:3], before if before >= 0 else int(moves.dubins_moves[0, 1]), *pose[5:8])
             for move in moves.primitives:
                 if not follow_arc(state, move, moves.length, moves, tree.spec.grid)[0]:
-                    arc = _arc_points(pose, moves.curvatures[move], moves.length)
-                    rejected.append(arc)
-                    reasons.append(nearest_obstacle(world, *map(float, arc[-1])))
+                    rejected.append(_arc_points(pose, moves.curvatures[move], moves.length))
         passages = np.vstack([passages, tree.spec.passages])
     ends = [arc_end(x, y, heading, 0.0, length)[:2] for x, y, heading, length in passages]
+    collided = np.array(rejected).reshape(-1, _ARC_POINTS, 2)
     return SearchTrace(
         np.array(arcs).reshape(-1, _ARC_POINTS, 2),
         np.stack([passages[:, :2], np.array(ends).reshape(-1, 2)], axis=1),
-        np.array(rejected).reshape(-1, _ARC_POINTS, 2),
-        tuple(reasons),
+        collided,
+        tuple(nearest_obstacles(world, collided[:, -1])),
         sum(int(tree.frontier.counts[NODES]) for tree in trees),
     )
 

@@ -22,14 +22,14 @@ include the margin of the plan, because the body may leave its path by that much
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from srs_twin.planning.collision import obstacle_shapes
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.path import Segment, path_from_arcs
+from srs_twin.planning.path import Segment, path_steps
 from srs_twin.planning.problem import Plan, Problem, Settings, Touch, TouchLimits
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.robot.world import Bounds
@@ -94,15 +94,13 @@ def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Pla
     for level in _LEVELS:
         result = search(narrowed(problem, limits, level), short if level < 1 else settings)
         if result.found:
-            # Offsets and speeds are those of the body with its full edges.
-            arcs = [(segment.curvature, segment.length) for segment in result.segments]
-            segments = path_from_arcs(problem.start, arcs, problem.footprint)
-            overlaps = _overlaps(segments, problem, limits)
+            result = result.with_edges_of(problem)
+            overlaps = _overlaps(result.segments, problem, limits)
             cost = float(overlaps.steps @ (1 + overlaps.force.sum(axis=0) / limits.floor))
             if cost < lowest:
                 touches = overlaps.touches()
                 reason = "a path on which the body leans on obstacles" if touches else result.reason
-                best, lowest = replace(result, segments=segments, touches=touches, reason=reason), cost
+                best, lowest = replace(result, touches=touches, reason=reason), cost
     # Without a path, the search with the narrowest edges has the reason.
     return replace(result, touches=()) if best is None else best
 
@@ -142,26 +140,16 @@ def _overlaps(segments: Sequence[Segment], problem: Problem, limits: TouchLimits
     """Return the overlaps of the full edges of a problem along a path, and the estimated forces."""
     import shapely
 
-    world, body = problem.world, problem.footprint
-    poses, rows, steps = [], [], []
-    for segment in segments:
-        count = max(math.ceil(segment.length / _SPACING_M), 1)
-        poses += [tuple(segment.pose((k + 0.5) / count * segment.length)) for k in range(count)]
-        rows += [body.at(segment.curvature)] * count
-        steps += [segment.length / count] * count
-    x, y, heading = np.array(poses, dtype=float).reshape(-1, 3).T
-    points, lengths = shapely.points(x, y), np.array(steps)
-    left, right = (np.array([getattr(row, name) for row in rows]) for name in ("left", "right"))
-    shapes = [(shapely.Point(c.x, c.y), c.radius) for c in world.obstacles]
-    shapes += [(shapely.Polygon(p.corners), 0.0) for p in world.polygons]
+    path, shapes = path_steps(segments, problem.footprint, _SPACING_M), obstacle_shapes(problem.world)
+    x, y, heading = path.poses.T
+    points, lengths = shapely.points(x, y), path.lengths
     depth, force = np.zeros((2, len(shapes), len(lengths)))
-    for k, (shape, radius) in enumerate(shapes):
-        nearest = shapely.get_coordinates(shapely.shortest_line(points, shape)).reshape(-1, 2, 2)[:, 1]
+    for k, (_, core, radius) in enumerate(shapes):
+        nearest = shapely.get_coordinates(shapely.shortest_line(points, core)).reshape(-1, 2, 2)[:, 1]
         dx, dy = nearest[:, 0] - x, nearest[:, 1] - y
-        edge = np.where(np.cos(heading) * dy > np.sin(heading) * dx, left, right)
+        edge = np.where(np.cos(heading) * dy > np.sin(heading) * dx, path.left, path.right)
         depth[k] = np.maximum(edge - (np.hypot(dx, dy) - radius), 0.0)
         share = np.arccos(np.clip(1 - depth[k] / np.maximum(edge - limits.core, 1e-9), -1, 1)) / np.pi
         force[k] = share * np.minimum(limits.stiffness * depth[k], limits.floor)
-    names = [f"obstacle {k}" for k in range(1, len(world.obstacles) + 1)]
-    names += [f"polygon {k}" for k in range(1, len(world.polygons) + 1)]
+    names = [name for name, *_ in shapes]
     return _Overlaps(names, np.cumsum(lengths) - lengths / 2, lengths, depth, force)

@@ -177,7 +177,7 @@ def planner_success(planner: str, draws: int) -> Numbers:
     from scipy.stats import spearmanr
 
     from srs_twin.planning.arcs import Primitives
-    from srs_twin.planning.footprint import load_footprint
+    from srs_twin.planning.footprint_file import load_footprint
     from srs_twin.planning.planner import plan
     from srs_twin.planning.problem import Problem
     from srs_twin.robot.random_worlds import FIG54_GOAL, FIG54_SITES, FIG54_START, fig54_world
@@ -243,7 +243,7 @@ def turn_limit(speed_m_s: float, radius_m: float) -> Numbers:
 
 def footprint_edges(footprint: str) -> Numbers:
     """Return a footprint's width when straight, and its shift at the largest curvature, m (Table 9)."""
-    from srs_twin.planning.footprint import load_footprint
+    from srs_twin.planning.footprint_file import load_footprint
 
     body = load_footprint(footprint)
     straight, tight = body.at(0.0), body.at(max(body.curvatures))

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from plan_sampling import deepest, depth_in, swept_points
 
-from srs_twin.planning.footprint import Footprint, load_footprint
+from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.path import path_from_arcs
 from srs_twin.planning.problem import Outcome, Plan, Problem
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World

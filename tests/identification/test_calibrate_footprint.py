@@ -26,12 +26,8 @@ from srs_twin.identification.footprint import (
 from srs_twin.identification.paths import SteadyPath
 from srs_twin.io.documents import dump_yaml, parse_yaml
 from srs_twin.io.files import shipped_folder
-from srs_twin.planning.footprint import (
-    load_footprint,
-    load_footprint_file,
-    save_footprint,
-    validate_footprint,
-)
+from srs_twin.planning.footprint import validate_footprint
+from srs_twin.planning.footprint_file import load_footprint, load_footprint_file, save_footprint
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Problem
 from srs_twin.robot.world import Circle, Goal, Pose, World

@@ -43,9 +43,9 @@ def drawn(arc) -> shapely.Polygon:
 
 
 def touches(arc, circles=NO_CIRCLES, sides=NO_SIDES, bounds=ANYWHERE) -> bool:
-    pose, k, length, ahead, behind, left, right = arc
+    pose, k, length, *extent = arc
     around = ObstacleGrid(circles, sides, bounds, *build_grid(circles, sides))
-    return arc_collides(*pose, k, length, ahead, behind, left, right, around)
+    return arc_collides(tuple(pose), k, length, tuple(extent), around)
 
 
 @given(ARC, st.integers(0, 2**32 - 1))

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from srs_twin.planning.arcs import Primitives
-from srs_twin.planning.collision import Checker, nearest_obstacle, obstacle_at, obstacle_grid
+from srs_twin.planning.collision import Checker, nearest_obstacles, obstacle_at, obstacle_grid
 from srs_twin.planning.footprint import Footprint, Transient
 from srs_twin.planning.guidance import find_passages
 from srs_twin.planning.infeasibility import min_path_length
+from srs_twin.planning.moves import follow_arc, initial_state, make_move_set
 from srs_twin.planning.path import path_from_arcs
-from srs_twin.planning.search_kernels import follow_arc, initial_state
-from srs_twin.planning.search_tree import make_move_set
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 BODY = Footprint(
@@ -105,18 +104,14 @@ def test_nearest_compares_each_bound_with_obstacles(wall):
         a, b = near[0] - (gap + 0.1) * east, near[1] - (gap + 0.1) * north
         return Polygon(tuple((a + u, b + v) for u, v in ((-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1))))
 
-    for gap, found in ((0.11, 0), (0.09, 1)):
+    points = np.array([near, beyond])
+    for gap, found in ((0.11, "bounds"), (0.09, "")):
         disc = Circle(near[0] - (gap + 0.3) * east, near[1] - (gap + 0.3) * north, 0.3)
-        assert nearest_obstacle(World((disc,), ROOM), *near) == ("bounds", "obstacle 1")[found]
-        assert (
-            nearest_obstacle(World(bounds=ROOM, polygons=(box(gap),)), *near)
-            == ("bounds", "polygon 1")[found]
-        )
-        assert nearest_obstacle(World((disc,), ROOM), *beyond) == "bounds"
-    assert (
-        nearest_obstacle(World(polygons=(box(0.2),)), *near) == "polygon 1"
-        and nearest_obstacle(World(), *near) == ""
-    )
+        assert nearest_obstacles(World((disc,), ROOM), points) == [found or "obstacle 1", "bounds"]
+        walls = World(bounds=ROOM, polygons=(box(gap),))
+        assert nearest_obstacles(walls, points[:1]) == [found or "polygon 1"]
+    assert nearest_obstacles(World(polygons=(box(0.2),)), points) == ["polygon 1"] * 2
+    assert nearest_obstacles(World(), points) == ["", ""]
 
 
 def test_crossing_a_bound_is_reported_on_each_side(wall):

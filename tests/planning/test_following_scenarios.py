@@ -12,10 +12,10 @@ from srs_twin import InputError, Trajectory, load_scenario
 from srs_twin.errors import InputFileError
 from srs_twin.experiment import prepare
 from srs_twin.io.documents import dump_yaml
+from srs_twin.planning.follow_file import FollowFile
 from srs_twin.planning.follower import Follower
 from srs_twin.planning.metrics import FOLLOWING_UNITS, PLAN_UNITS
 from srs_twin.planning.pictures import following_plot
-from srs_twin.planning.scenario import FollowFile
 from srs_twin.robot.random_worlds import fig54_world
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.studies.sweep.points import Experiment, Point

@@ -12,14 +12,8 @@ from hypothesis import strategies as st
 
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.files import shipped_folder, shipped_names
-from srs_twin.planning.footprint import (
-    Footprint,
-    Transient,
-    load_footprint,
-    load_footprint_file,
-    save_footprint,
-    validate_footprint,
-)
+from srs_twin.planning.footprint import Footprint, Transient, validate_footprint
+from srs_twin.planning.footprint_file import load_footprint, load_footprint_file, save_footprint
 
 # Table 8 as printed: offset, speed, left, right, radius.
 TABLE_8 = (

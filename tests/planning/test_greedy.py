@@ -13,10 +13,11 @@ from plan_sampling import TOUCH, deepest
 
 from srs_twin.errors import InputError
 from srs_twin.planning.arcs import Primitives, arc_end
-from srs_twin.planning.footprint import Footprint, load_footprint
+from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Outcome, Problem
-from srs_twin.planning.reference_planners import arc_through, reversed_footprint
+from srs_twin.planning.reference_planners import arc_through
 from srs_twin.robot.random_worlds import FIG54_GOAL, FIG54_START, fig54_world
 from srs_twin.robot.world import Circle, Goal, Pose, World
 
@@ -113,8 +114,8 @@ def test_success_falls_with_obstacles_and_the_default_solves_what_greedy_solves(
 
 def test_reversing_a_footprint_twice_restores_it():
     body = load_footprint("gen4_table8")
-    back = reversed_footprint(body)
-    assert reversed_footprint(back) == body
+    back = body.backward
+    assert back.backward == body
     for k in body.curvatures:
         assert (back.at(-k).left, back.at(-k).right) == (body.at(k).right, body.at(k).left)
 

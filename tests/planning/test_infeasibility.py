@@ -15,7 +15,7 @@ from witnessed_worlds import KINDS, bodies, drawn
 
 from srs_twin.planning.arcs import arc_end
 from srs_twin.planning.collision import obstacle_grid
-from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.infeasibility import COARSE, FINE, _step_boxes, prove_unreachable
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Problem

@@ -10,8 +10,15 @@ import pytest
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.identification import excursions
 from srs_twin.planning.follower import ENDINGS
-from srs_twin.planning.footprint import load_footprint_file, save_footprint
-from srs_twin.planning.margins import LOST_M, ConditionsFile, ExcursionsFile, excursion_quantile, margin_for
+from srs_twin.planning.footprint_file import (
+    LOST_M,
+    ConditionsFile,
+    ExcursionsFile,
+    excursion_quantile,
+    load_footprint_file,
+    margin_for,
+    save_footprint,
+)
 from srs_twin.scenario.loading import load_scenario
 
 CONDITIONS = {

@@ -14,12 +14,11 @@ from witnessed_worlds import bodies, walls
 
 from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.collision import Checker, obstacle_grid
-from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.guidance import find_passages
+from srs_twin.planning.moves import follow_arc, initial_state, make_move_set
 from srs_twin.planning.path import path_from_arcs
 from srs_twin.planning.planner import plan
-from srs_twin.planning.search_kernels import follow_arc, initial_state
-from srs_twin.planning.search_tree import make_move_set
 from srs_twin.robot.world import Bounds, Circle, Polygon, Pose, World
 
 BODY = load_footprint("gen4_table8")

@@ -16,12 +16,14 @@ from plan_worlds import drawn_problem
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.planning.arcs import Primitives, arc_end
-from srs_twin.planning.footprint import Footprint, load_footprint
+from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.infeasibility import is_disconnected
+from srs_twin.planning.moves import make_move_set
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Outcome, Problem, Settings
 from srs_twin.planning.search_kernels import lower_bound
-from srs_twin.planning.search_tree import make_move_set, make_target
+from srs_twin.planning.search_tree import make_target
 from srs_twin.robot.random_worlds import FIG54_BOUNDS, FIG54_GOAL, FIG54_START, fig54_world, random_circles
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
@@ -317,7 +319,7 @@ def test_random_worlds_repeat_for_a_seed_and_keep_their_gaps():
 
 COMPILED_LATER = """
 import sys
-from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
 from srs_twin.planning import planner
 from srs_twin.planning.problem import Problem

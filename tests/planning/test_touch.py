@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 from snakes import robot
 
 from srs_twin.errors import InputError
-from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Plan, Problem, Settings
 from srs_twin.planning.touch import touch_limits

@@ -11,7 +11,7 @@ from plan_sampling import TOUCH, deepest, joints, misses
 
 from srs_twin.planning import planner
 from srs_twin.planning.arcs import arc_end
-from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.path import Segment, path_from_arcs
 from srs_twin.planning.planner import plan, plan_with_transitions, with_transitions
 from srs_twin.planning.problem import Problem, Settings

@@ -13,7 +13,7 @@ from plan_sampling import TOUCH, deepest
 
 from srs_twin.cli import main
 from srs_twin.errors import InputError
-from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Problem
 from srs_twin.robot.world import Goal, Pose, World

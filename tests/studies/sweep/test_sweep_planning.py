@@ -12,7 +12,7 @@ from small import execute, here, write
 
 from srs_twin.errors import InputFileError
 from srs_twin.planning.arcs import Primitives
-from srs_twin.planning.footprint import load_footprint
+from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Problem
 from srs_twin.robot.random_worlds import FIG54_GOAL, FIG54_START, fig54_world

@@ -1,0 +1,165 @@
+"""Section `controller: follow` of a scenario (Section 5.2.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from srs_twin.control.base import Controller
+from srs_twin.control.camera import Camera
+from srs_twin.planning.follower import Conditions, Follower
+from srs_twin.planning.footprint import Footprint
+from srs_twin.planning.footprint_file import SPREADS, ConditionsFile
+from srs_twin.planning.scenario import PlannerSection, ScenarioPlanner
+from srs_twin.planning.steering import BearingLaw, PathLaw, Steering
+from srs_twin.robot.file import RobotFile
+from srs_twin.robot.spec import RobotSpec
+from srs_twin.scenario.controllers import ControllerContext, ControllerSection, GaitFile, LearningFile
+from srs_twin.scenario.fields import Contradiction, FileSections, Section, quantity
+
+
+class CameraFile(Section):
+    """Motion capture of a follower."""
+
+    constructors = (Camera,)
+
+    rate_hz: float = quantity(5.0, 10_000.0)
+    """Frames per second."""
+    position_noise_m: float = quantity(0.0, 1.0)
+    """RMS noise of x and y."""
+    heading_noise_rad: float = quantity(0.0, 3.0)
+    """RMS noise of the heading."""
+
+
+class FollowFile(ControllerSection):
+    """Follower of a plan by the offset of a gait (Section 5.2.2); requires a planner."""
+
+    constructors = (PathLaw, BearingLaw, Conditions)
+    only = {
+        ("follower", "bearing"): ("gain_per_rad", "node_m", "near_m"),
+        ("follower", "path"): ("lookahead_m", "settle_m"),
+    }
+
+    kind: Literal["follow"]
+    """Controller."""
+    follower: Literal["bearing", "path"] = "path"
+    """Steering law; bearing: that of the dissertation, towards one node after the other; path: feedback of
+    the cross-track error with curvature feedforward."""
+    gait: Annotated[GaitFile | LearningFile, Field(discriminator="kind")]
+    """Gait that is steered."""
+    delay_s: float = quantity(0.0, 10.0, 0.1)
+    """Command delay."""
+    camera: CameraFile = CameraFile()
+    """Motion capture."""
+    gain_per_rad: float | None = quantity(0.001, 100.0, None)
+    """Offset per bearing error (bearing; default {default:g})."""
+    node_m: float | None = quantity(0.001, 100.0, None)
+    """Distance between nodes (bearing; default {default:g})."""
+    near_m: float | None = quantity(0.001, 100.0, None)
+    """Distance at which a node counts as reached (bearing; default {default:g})."""
+    lookahead_m: float | None = quantity(0.001, 100.0, None)
+    """Path length over which a cross-track error decays (path; default {default:g})."""
+    settle_m: float | None = quantity(0.0, 100.0, None)
+    """Response length of the curvature to a change of offset (path; default: from the transients of the
+    footprint, {default:g} without any)."""
+    replan_beyond_m: float | None = quantity(0.001, 100.0, None)
+    """Cross-track error at which a new plan is requested (default: no new plans)."""
+    replans: int = quantity(0, 1000)
+    """Largest number of new plans."""
+
+    @model_validator(mode="after")
+    def _leaves_the_offset_alone(self) -> FollowFile:
+        if self.gait.offset != 0:
+            raise ValueError("the follower sets the offset; remove gait.offset")
+        return self
+
+    @property
+    def gait_section(self) -> ControllerSection:
+        """See `ControllerSection.gait_section`."""
+        return self.gait
+
+    def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
+        """See `ControllerSection.contradictions_with`."""
+        if file.section("planner") is None:
+            yield ("controller",), "kind: follow needs a plan; add planner", False
+        if file.start.run is not None:
+            yield ("start", "from"), "a plan begins at one pose; set it by x_m, y_m and heading_rad", True
+
+    def controller(self, context: ControllerContext) -> Controller:
+        """See `ControllerSection.controller`; plans on the first call.
+
+        Raises:
+            InputError: start or goal is not possible, or the extra `ompl` is missing.
+        """
+        planner: ScenarioPlanner = context.products["planner"]
+        body, settle, problem = planner.footprint, self._settle(planner.footprint), planner.problem
+        law: Steering = PathLaw(body, **self.arguments(PathLaw) | {"settle": settle})
+        if self.follower == "bearing":
+            law = BearingLaw(**self.arguments(BearingLaw))
+        return Follower(
+            self.gait.controller(context),
+            law,
+            planner.plan(),
+            problem.goal,
+            body,
+            Conditions(
+                self.camera.build(),
+                self.delay_s,
+                settle,
+                self.replan_beyond_m,
+                self.replans,
+                getattr(planner.file, "run_up_m", 0.0),
+            ),
+            body=problem.footprint,
+            world=problem.world,
+            replan=None if planner.file.kind == "given" else planner.plan_from,
+            leans=planner.file.touch is not None,
+        )
+
+    def conditions(
+        self, plant: str, contact: str | None, chambers: str, robot: RobotFile, planner: PlannerSection
+    ) -> ConditionsFile:
+        """Return the conditions of following, for margins with a probability.
+
+        Args:
+            plant: "analytical" or "twin".
+            contact: contact of the twin; None for the analytical model.
+            chambers: kind of pneumatics.
+            robot: robot file, with the spreads of its modules.
+            planner: section of the scenario.
+        """
+        spreads = {name: getattr(robot.modules, name, None) for name in SPREADS}
+        return ConditionsFile.model_validate(
+            {
+                **{name: spread.value for name, spread in spreads.items() if spread is not None},
+                "plant": plant,
+                "contact": contact,
+                "chambers": chambers,
+                "follower": self.follower,
+                "turn_share": planner.turn_share,
+                "delay_s": self.delay_s,
+                "position_noise_m": self.camera.position_noise_m,
+                "heading_noise_rad": self.camera.heading_noise_rad,
+                "run_up_m": getattr(planner, "run_up_m", 0.0),
+            }
+        )
+
+    def _settle(self, footprint: Footprint) -> float:
+        """Return the response length ℓ, m."""
+        if self.settle_m is not None:
+            return self.settle_m
+        return footprint.settle or self.parameters["settle"].default
+
+    def layouts(self, products: Mapping[str, Any]) -> tuple[str, ...]:
+        """See `ControllerSection.layouts`."""
+        return self.gait.layouts(products)
+
+    def check(self, spec: RobotSpec, tick: float) -> None:
+        """See `ControllerSection.check`."""
+        self.gait.check(spec, tick)
+
+    def warnings(self, limit: float) -> Iterator[str]:
+        """See `ControllerSection.warnings`."""
+        return self.gait.warnings(limit)

@@ -1,0 +1,355 @@
+"""Footprint files: tables of footprints with sources, and the excursions of followers beyond them.
+
+A file contains the table of a `Footprint` in the form of Table 8; each column has a unit, a status and a
+source. The published footprints are in calibration/footprints; `srs-twin calibrate footprint` measures new
+ones.
+
+Margins with a probability: for each condition of following, the file contains the largest excursions of n
+runs on random paths beyond the edges of their footprint. With a probability of at least k/(n + 1), the
+excursion of a new run from the same distribution is at most the k-th smallest of them, for any distribution
+(split conformal prediction: Vovk et al. 2005; Lei et al. 2018). The margin of probability p has
+k = ⌈(n + 1) p⌉.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from srs_twin.errors import InputError
+from srs_twin.io.documents import Document, Loc, dump_yaml
+from srs_twin.io.files import find_file, write_text
+from srs_twin.io.validation import StrictModel, load_model
+from srs_twin.planning.footprint import COLUMNS, Footprint, Transient, find_problems
+from srs_twin.plants.twin.mjcf.numerics import UNSTATED_CONTACT, ContactName
+from srs_twin.robot.sourced import Record, Status, bounded
+
+MEASURED_ON_TWIN = "measured on the twin"
+"""First words of the source of curvatures that were measured on a twin."""
+
+Share = Annotated[float, bounded(0.0, 1.0)]
+Excursion = Annotated[float, bounded(-10.0, 1e3)]
+Runs = Annotated[list[Excursion], Field(min_length=1, max_length=10_000)]
+LOST_M = 1e3
+"""Excursion that represents a run that did not arrive, m."""
+
+Rows = Field(min_length=3, max_length=101)
+Offsets = Record[Annotated[list[Annotated[float, bounded(-1.0, 1.0)]], Rows], Literal["1"]]
+Curvatures = Record[Annotated[list[Annotated[float, bounded(-100.0, 100.0)]], Rows], Literal["1/m"]]
+Speeds = Record[Annotated[list[Annotated[float, bounded(1e-3, 10.0)]], Rows], Literal["m/s"]]
+Edges = Record[Annotated[list[Annotated[float, bounded(1e-3, 10.0)]], Rows], Literal["m"]]
+Reach = Record[Annotated[float, bounded(0.0, 10.0)], Literal["m"]]
+
+Offset = Annotated[float, bounded(-1.0, 1.0)]
+Metres = Annotated[float, bounded(0.0, 10.0)]
+Shift = Annotated[float, bounded(-10.0, 10.0)]
+Spreads = Annotated[list[Annotated[float, bounded(0.0, 100.0)]], Rows]
+
+
+class ConditionsFile(StrictModel):
+    """Conditions of runs with a follower."""
+
+    plant: Literal["analytical", "twin"]
+    """Plant of the runs."""
+    contact: ContactName | None = None
+    """Contact of the twin (default preloaded); the analytical model has none."""
+    chambers: Literal["lag", "orifice"] = "lag"
+    """Model of the chambers."""
+    follower: Literal["bearing", "path"]
+    """Steering law."""
+    gain_spread: Share = 0.0
+    """Spread of the modules' gains, 0 to 1."""
+    tau_spread: Share = 0.0
+    """Spread of their time constants, 0 to 1."""
+    bias_spread_rad: Share = 0.0
+    """Spread of their rest bends, rad, 0 to 1."""
+    turn_share: Share
+    """Share of the tightest turns in plans, 0 to 1."""
+    delay_s: Annotated[float, bounded(0.0, 10.0)]
+    """Command delay, s, 0 to 10."""
+    position_noise_m: Share
+    """Position noise of the camera, m, 0 to 1."""
+    heading_noise_rad: Annotated[float, bounded(0.0, 3.0)]
+    """Heading noise of the camera, rad, 0 to 3."""
+    run_up_m: Annotated[float, bounded(0.0, 100.0)]
+    """Length of the straight run-up, m, 0 to 100."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _state_contact(cls, data: object) -> object:
+        if isinstance(data, dict) and data.get("plant") == "twin" and data.get("contact") is None:
+            return {**data, "contact": UNSTATED_CONTACT}
+        return data
+
+    @model_validator(mode="after")
+    def _only_of_a_twin(self) -> ConditionsFile:
+        if self.plant != "twin" and self.contact is not None:
+            raise ValueError(f"contact {self.contact} belongs to plant twin; the {self.plant} model has none")
+        return self
+
+    def covers(self, other: ConditionsFile) -> bool:
+        """Return whether results under these conditions are also bounds for other conditions.
+
+        The other conditions must agree in plant, contact, chambers, follower and run-up, and must not be more
+        difficult in any other number.
+        """
+        same = ("plant", "contact", "chambers", "follower", "run_up_m")
+        return all(getattr(self, name) == getattr(other, name) for name in same) and all(
+            getattr(self, name) >= getattr(other, name) - 1e-12 for name in _DIFFICULTIES
+        )
+
+    def excess_difficulty(self, other: ConditionsFile) -> float:
+        """Return the sum of the relative differences to conditions that these cover."""
+        pairs = ((getattr(self, name), getattr(other, name)) for name in _DIFFICULTIES)
+        return sum((own - covered) / own for own, covered in pairs if own > covered)
+
+
+SPREADS = ("gain_spread", "tau_spread", "bias_spread_rad")
+"""Keys of the standard deviations of module parameters, as in a robot file."""
+_DIFFICULTIES = (*SPREADS, "turn_share", "delay_s", "position_noise_m", "heading_noise_rad")
+"""Keys that make following more difficult as they increase."""
+
+
+class ExcursionsFile(StrictModel):
+    """Largest excursion of each run, m; 1000: the run did not arrive."""
+
+    conditions: ConditionsFile
+    """Conditions of the runs."""
+    source: str = Field(min_length=1, max_length=1000)
+    """Source of the measurements."""
+    path_m: Runs
+    """Largest excursion of each run, rising, m."""
+    run_up_m: Runs | None = None
+    """Largest excursion of each run on the straight run-up, rising, m."""
+
+
+class TransientFile(StrictModel):
+    """Deviation from the steady footprint after one change of offset."""
+
+    from_offset: Offset
+    """Offset before, -1 to 1."""
+    to_offset: Offset
+    """Offset after, -1 to 1."""
+    left_m: Metres
+    """Extra width of the left edge, m, 0 to 10."""
+    right_m: Metres
+    """Extra width of the right edge, m, 0 to 10."""
+    length_m: Metres
+    """Length of the path with wider edges, m, 0 to 10."""
+    dx_m: Shift = 0.0
+    """Jump of the path along itself, m, -10 to 10 (default 0)."""
+    dy_m: Shift = 0.0
+    """Jump of the path to its left, m, -10 to 10 (default 0)."""
+    dheading_rad: Annotated[float, bounded(-3.15, 3.15)] = 0.0
+    """Turn of the path to the left, rad, -3.15 to 3.15 (default 0)."""
+
+    def transient(self) -> Transient:
+        """Return the change as a `Transient`."""
+        return Transient(*self.model_dump().values())
+
+
+class TransientsFile(StrictModel):
+    """Measured changes of offset."""
+
+    status: Status
+    """Status of the numbers."""
+    source: str = Field(min_length=1, max_length=1000)
+    """Source of the measurements."""
+    changes: Annotated[list[TransientFile], Field(min_length=1, max_length=200)]
+    """List of changes of offset."""
+
+
+class SpreadFile(StrictModel):
+    """Standard deviations of repeated measurements of the columns, one per offset."""
+
+    source: str = Field(min_length=1, max_length=1000)
+    """Repeated measurement and definition of the spread."""
+    curvature_per_m: Spreads
+    """Spread of the curvature, 1/m, 0 to 100."""
+    speed_m_s: Spreads
+    """Spread of the speed, m/s, 0 to 100."""
+    left_m: Spreads
+    """Spread of the left edge, m, 0 to 100."""
+    right_m: Spreads
+    """Spread of the right edge, m, 0 to 100."""
+
+
+_KEYS = dict(zip(COLUMNS, ("offset", "curvature_per_m", "speed_m_s", "left_m", "right_m"), strict=True))
+"""Columns of `Footprint` → keys in the file."""
+
+
+class FootprintFile(StrictModel):
+    """Footprint file; its columns have one value per offset."""
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60)
+    """Short name."""
+    title: str = Field(min_length=1, max_length=200)
+    """Title of one line."""
+    robot: str = Field(min_length=1, max_length=200)
+    """Robot of this footprint."""
+    contact: ContactName | None = None
+    """Contact of the twin of the measurement (default: none, not measured on a twin)."""
+    offset: Offsets
+    """Gait offsets, rising, -1 to 1; positive turns left."""
+    curvature_per_m: Curvatures
+    """Curvature of the path, 1/m, positive to the left, -100 to 100."""
+    speed_m_s: Speeds
+    """Speed of the centre of mass, m/s, 0.001 to 10."""
+    left_m: Edges
+    """Distance of the left edge from the path, m, 0.001 to 10."""
+    right_m: Edges
+    """Distance of the right edge from the path, m, 0.001 to 10."""
+    ahead_m: Reach
+    """Distance from the centre of mass to the head along the path, m, 0 to 10."""
+    behind_m: Reach
+    """Distance from the centre of mass to the tail along the path, m, 0 to 10."""
+    spread: SpreadFile | None = None
+    """Repeatability, if measured."""
+    transients: TransientsFile | None = None
+    """Changes of offset, if measured."""
+    excursions: Annotated[list[ExcursionsFile], Field(max_length=100)] | None = None
+    """Excursions of followers, if measured, for margins with a probability."""
+
+    @property
+    def twin_contact(self) -> ContactName | None:
+        """Contact of the twin of the measurement; None: not measured on a twin."""
+        measured = self.curvature_per_m.source.startswith(MEASURED_ON_TWIN)
+        return self.contact or (UNSTATED_CONTACT if measured else None)
+
+    def mismatch(self, contact: ContactName) -> str | None:
+        """Return a warning if the contact of a twin differs from that of the measurement, or None."""
+        own = self.twin_contact
+        if own in (None, contact):
+            return None
+        return (
+            f"{self.name} was measured on a twin with contact {own}, but this twin has contact "
+            f"{contact}; `srs-twin calibrate footprint {self.robot} --contact {contact}` measures one"
+        )
+
+    def footprint(self) -> Footprint:
+        """Return the footprint without sources."""
+        columns = {name: tuple(getattr(self, key).value) for name, key in _KEYS.items()}
+        changes = self.transients.changes if self.transients else []
+        return Footprint(
+            self.name,
+            self.title,
+            **columns,
+            ahead=self.ahead_m.value,
+            behind=self.behind_m.value,
+            transients=tuple(change.transient() for change in changes),
+        )
+
+    def contradictions(self) -> Iterator[tuple[Loc, str]]:
+        """Yield the location and message of each inconsistency."""
+        rows = len(self.offset.value)
+        for key in (*_KEYS.values(),)[1:] if self.spread else ():
+            count = len(getattr(self.spread, key))
+            if count != rows:
+                yield ("spread", key), f"{count} values for {rows} offsets"
+        for name, message in find_problems(self.footprint()):
+            yield (_KEYS[name], "value"), message
+
+
+def load_footprint_file(name_or_path: str | os.PathLike[str]) -> FootprintFile:
+    """Load and check a footprint file, given by a shipped name (gen4_table8) or a path.
+
+    Raises:
+        InputError: the file is not found or cannot be read.
+        InputFileError: the file is not valid; lists all problems.
+    """
+    return load_model(FootprintFile, find_file("footprint", name_or_path))
+
+
+def load_footprint(name_or_path: str | os.PathLike[str]) -> Footprint:
+    """Load a footprint, given by a shipped name (gen4_table8) or a path.
+
+    Raises:
+        InputError, InputFileError: as `load_footprint_file`.
+    """
+    return load_footprint_file(name_or_path).footprint()
+
+
+def save_footprint(file: FootprintFile, path: str | os.PathLike[str], *, header: Sequence[str] = ()) -> None:
+    """Write a footprint file atomically.
+
+    Args:
+        file: the footprint file.
+        path: path of the file.
+        header: lines of a comment at the top.
+
+    Raises:
+        InputFileError: the table is not a valid footprint.
+        InputError: the file cannot be written.
+    """
+    document = Document(os.fspath(path))
+    for loc, message in file.contradictions():
+        document.report(loc, message)
+    document.raise_problems()
+    comment = "".join(f"# {line}\n" for line in header)
+    write_text(path, comment + dump_yaml(file.model_dump(mode="json", exclude_none=True), compact=True))
+
+
+@dataclass(frozen=True)
+class Margin:
+    """Width added to the edges of a footprint.
+
+    Attributes:
+        path: margin along the path, m.
+        run_up: margin on the straight run-up, m.
+    """
+
+    path: float = 0.0
+    run_up: float = 0.0
+
+
+def excursion_quantile(excursions: Sequence[float], probability: float) -> float:
+    """Return the excursion of a new run that is not exceeded with a probability, m; at least 0.
+
+    Raises:
+        InputError: too few runs, or too many of them did not arrive.
+    """
+    count = len(excursions)
+    # The tolerance absorbs rounding of products such as 20 · 0.95.
+    rank = math.ceil((count + 1) * probability - 1e-9)
+    if rank > count:
+        least = math.ceil(probability / (1 - probability) - 1e-9)
+        raise InputError(f"a margin of probability {probability:g} needs at least {least} runs, not {count}")
+    excursion = sorted(excursions)[rank - 1]
+    if excursion >= LOST_M:
+        raise InputError(f"there is no margin of probability {probability:g}: too many runs did not arrive")
+    return max(excursion, 0.0)
+
+
+def margin_for(
+    measured: Sequence[ExcursionsFile], probability: float, conditions: Sequence[ConditionsFile]
+) -> Margin:
+    """Return the margin for a run under each of several conditions.
+
+    Args:
+        measured: excursions of a footprint file.
+        probability: probability that a whole run stays within the margin.
+        conditions: conditions of the run, one per plant.
+
+    Raises:
+        InputError: no measurement covers the conditions, or it has too few runs.
+    """
+    paths, run_ups = [0.0], [0.0]
+    for condition in conditions:
+        covering = [block for block in measured if block.conditions.covers(condition)]
+        if not covering:
+            items = condition.model_dump(exclude_none=True).items()
+            text = ", ".join(f"{key} {value}" for key, value in items)
+            raise InputError(
+                f"no excursions are measured for {text}; `srs-twin calibrate margin` measures them"
+            )
+        # Use one block only: the smallest quantile of several blocks would be exceeded more often than
+        # stated.
+        block = min(covering, key=lambda block: block.conditions.excess_difficulty(condition))
+        paths.append(excursion_quantile(block.path_m, probability))
+        run_ups.append(excursion_quantile(block.run_up_m or [0.0] * len(block.path_m), probability))
+    return Margin(max(paths), max(run_ups))

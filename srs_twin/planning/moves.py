@@ -1,0 +1,244 @@
+"""Moves of a search: arcs with edges that are widened by transients, and shortening of paths by them.
+
+The kernels pass an arc state, a tuple with the pose (x, y, heading) at the end of an arc, the move that led
+there, and the transient of the last changes of offset: extra left and right width and remaining length, m.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from srs_twin.compute.compiled import allocating, compiled, kernel_only
+from srs_twin.planning.arcs import Primitives, arc_collides, arc_end
+from srs_twin.planning.collision import ObstacleGrid
+from srs_twin.planning.dubins import ArcSequence, dubins_path
+from srs_twin.planning.footprint import Footprint
+from srs_twin.robot.world import Pose
+
+_RADIUS_FACTORS = (1.0, 2.0, 5.0)
+"""Turning radii for the approach to narrow passages, relative to the smallest; wide turns have small
+transients."""
+
+_SHORTENING_ROUNDS = 4
+"""Largest number of shortening rounds."""
+_MIN_SAVING = 1e-4
+"""Saved fraction of the path length below which shortening ends."""
+_RETREAT = 0.97
+"""Ratio of the distances of successive tries; their number then grows only with the logarithm of the
+distance."""
+
+
+class MoveSet(NamedTuple):
+    """Arcs that the snake can follow.
+
+    Attributes:
+        curvatures: curvatures, rising, 1/m, shape (n,).
+        left: left edge of the footprint for each curvature, m, shape (n,).
+        right: right edge of the footprint for each curvature, m, shape (n,).
+        transients: extra left width, extra right width and length (m) of the transient after a change from
+            one curvature to another, shape (n + 1, n, 3); row n: at the start.
+        primitives: indices of the curvatures that lead to a node's children, shape (m,).
+        radius_factors: turning radii of the tested Dubins paths relative to the smallest one, 1 first,
+            shape (k,).
+        dubins_moves: for each factor the indices of right turn, straight line and left turn, shape (k, 3).
+        length: length of a primitive, m.
+        ahead: extent of the body ahead of the centre of mass, m.
+        behind: extent of the body behind the centre of mass, m.
+    """
+
+    curvatures: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    transients: np.ndarray
+    primitives: np.ndarray
+    radius_factors: np.ndarray
+    dubins_moves: np.ndarray
+    length: float
+    ahead: float
+    behind: float
+
+
+def make_move_set(primitives: Primitives, footprint: Footprint) -> MoveSet:
+    """Return the arcs of a search: the primitives, the tightest and wider turns, and straight ahead.
+
+    Raises:
+        InputError: a primitive is tighter than the footprint allows.
+    """
+    right, left = footprint.tightest
+    both = min(right, left)
+    own = [*primitives.curvatures, -right, -both, 0.0, both, left]
+    wide = [side * both / factor for factor in _RADIUS_FACTORS for side in (-1, 1)]
+    # Rounding merges equal curvatures; clipping keeps them within the footprint.
+    curvatures = np.unique(np.round([*own, *wide], 12))
+    curvatures = np.clip(curvatures, -right, left)
+    rows = [footprint.at(float(k)) for k in curvatures]
+    offsets = [row.offset for row in rows]
+    transients = [[footprint.transient(a, b) for b in offsets] for a in offsets]
+    transients.append([(0.0, 0.0, 0.0)] * len(offsets))
+    indices = np.unique([np.argmin(abs(curvatures - k)) for k in own])
+    turns = [
+        [np.argmin(abs(curvatures - side * both / factor)) for side in (-1, 0, 1)]
+        for factor in _RADIUS_FACTORS
+    ]
+    return MoveSet(
+        curvatures,
+        np.array([row.left for row in rows]),
+        np.array([row.right for row in rows]),
+        np.array(transients),
+        indices,
+        np.array(_RADIUS_FACTORS),
+        np.array(turns),
+        primitives.length,
+        footprint.ahead,
+        footprint.behind,
+    )
+
+
+@compiled
+def initial_state(x, y, heading, moves):  # type: ignore[no-untyped-def]
+    """Return the arc state at the start of a path, without a previous move."""
+    return x, y, heading, len(moves.curvatures), 0.0, 0.0, 0.0
+
+
+@compiled
+def follow_dubins_path(state, path, moves, grid):  # type: ignore[no-untyped-def]
+    """Return whether a path of `dubins.dubins_path` is free, and the arc state at its end."""
+    free = True
+    for piece in range(3):
+        if path[3 + piece] > 0:
+            move = moves.dubins_moves[0, 1 + int(path[piece])]
+            free, state = follow_arc(state, move, path[3 + piece], moves, grid)
+            if not free:
+                break
+    return free, state
+
+
+@compiled
+def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def]
+    """Return whether an arc is free, and the arc state at its end.
+
+    Args:
+        state: arc state at its start (module docstring).
+        move: index of its curvature.
+        length: its length, m.
+        moves: arcs that the snake can follow.
+        grid: obstacles and bounds.
+    """
+    x, y, heading, before, left, right, lasting = state
+    if lasting <= 0:
+        left, right, lasting = 0.0, 0.0, 0.0
+    # Overlapping transients: the larger width and length of each.
+    change = moves.transients[before, move]
+    left, right, lasting = max(left, change[0]), max(right, change[1]), max(lasting, change[2])
+    curvature, ahead, behind = moves.curvatures[move], moves.ahead, moves.behind
+    # The first part of the arc has the wider edges, the rest the steady ones.
+    first = min(lasting, length)
+    free = True
+    if first > 0:
+        wide = moves.left[move] + left, moves.right[move] + right
+        free = not arc_collides((x, y, heading), curvature, first, (ahead, behind, *wide), grid)
+        x, y, heading = arc_end(x, y, heading, curvature, first)
+    if free and first < length:
+        edges = moves.left[move], moves.right[move]
+        free = not arc_collides((x, y, heading), curvature, length - first, (ahead, behind, *edges), grid)
+    x, y, heading = arc_end(x, y, heading, curvature, length - first)
+    return free, (x, y, heading, move, left, right, lasting - first)
+
+
+def shorten_path(
+    start: Pose, path: ArcSequence, moves: MoveSet, grid: ObstacleGrid, radius: float
+) -> ArcSequence:
+    """Return a collision-free path with the same ends that is not longer.
+
+    Args:
+        start: pose at the start.
+        path: collision-free path, with curvatures of the moves.
+        moves: arcs that the snake can follow.
+        grid: obstacles and bounds.
+        radius: turning radius of Dubins paths, m.
+    """
+    arcs = [(c, length) for c, length in path if length > 0]
+    indices = np.array([np.argmin(abs(moves.curvatures - c)) for c, _ in arcs], dtype=np.int64)
+    lengths = np.array([length for _, length in arcs])
+    for turn in range(_SHORTENING_ROUNDS):
+        before = math.fsum(lengths)
+        # Divide the path more finely in each round, so that short cuts can begin and end at other poses.
+        counts = np.ceil(lengths * (2 + turn) / radius).astype(np.int64)
+        pieces = np.repeat(indices, counts), np.repeat(lengths / counts, counts)
+        indices, lengths = _cut_corners(*start, *pieces, moves, grid, radius)
+        if math.fsum(lengths) > before * (1 - _MIN_SAVING):
+            break
+    return list(zip(moves.curvatures[indices].tolist(), lengths.tolist(), strict=True))
+
+
+@allocating
+def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Follow a path and take the longest free short cut from each pose; return moves and lengths (m).
+
+    Args:
+        x, y, heading: pose at the start, m and rad.
+        indices: move of each piece, shape (n,).
+        lengths: length of each piece, m, shape (n,).
+        moves, grid, radius: as for `shorten_path`.
+    """
+    count = len(indices)
+    state, distances = initial_state(x, y, heading, moves), np.zeros(count + 1)
+    states = [state]  # arc states of the original path, at the ends of its pieces
+    for k in range(count):
+        _, state = follow_arc(state, indices[k], lengths[k], moves, grid)
+        states.append(state)
+        distances[k + 1] = distances[k] + lengths[k]
+    new_indices, new_lengths, size = np.empty(3 * count, dtype=np.int64), np.empty(3 * count), 0
+    state, k = initial_state(x, y, heading, moves), 0
+    while k < count:
+        last = count
+        while last > k:
+            pose = states[last]
+            path = dubins_path(state[0], state[1], state[2], pose[0], pose[1], pose[2], False, radius)
+            if path[3] + path[4] + path[5] < distances[last] - distances[k] - 1e-9:
+                free, end = follow_dubins_path(state, path, moves, grid)
+                # The transient of the last change widens the edges on the path that follows.
+                if free and _stays_free(end, last, indices, lengths, states, moves, grid):
+                    break
+            # Try nearer poses, in steps that shrink with the distance.
+            last = k + min(last - k - 1, int(_RETREAT * (last - k)))
+        if last > k:
+            for piece in range(3):
+                if path[3 + piece] > 0:
+                    move = moves.dubins_moves[0, 1 + int(path[piece])]
+                    size = _append_arc(new_indices, new_lengths, size, move, path[3 + piece])
+            state, k = end, last
+        else:
+            size = _append_arc(new_indices, new_lengths, size, indices[k], lengths[k])
+            _, state = follow_arc(state, indices[k], lengths[k], moves, grid)
+            k += 1
+    return new_indices[:size], new_lengths[:size]
+
+
+@kernel_only
+def _append_arc(indices, lengths, size, move, length):  # type: ignore[no-untyped-def]
+    """Append an arc to a path or extend its last arc if the moves are equal; return the number of arcs."""
+    if size > 0 and indices[size - 1] == move:
+        lengths[size - 1] += length
+        return size
+    indices[size], lengths[size] = move, length
+    return size + 1
+
+
+@allocating
+def _stays_free(state, k, indices, lengths, states, moves, grid):  # type: ignore[no-untyped-def]
+    """Return whether the path from piece k on stays free if it begins with another arc state."""
+    while k < len(indices):
+        before, left, right, lasting = state[3], state[4], state[5], state[6]
+        original = states[k]
+        covered = left <= original[4] and right <= original[5] and lasting <= original[6]
+        if before == original[3] and (lasting <= 0 or covered):
+            return True
+        free, state = follow_arc(state, indices[k], lengths[k], moves, grid)
+        if not free:
+            return False
+        k += 1
+    return True
