@@ -16,12 +16,13 @@ from dataclasses import replace
 import numpy as np
 
 from srs_twin import Gait, Trajectory, load_robot
-from srs_twin.identification.actuator import Response, StaticTable, fit_actuator, fit_static, predict_response
+from srs_twin.identification.actuator import Response, fit_actuator, predict_response
 from srs_twin.identification.estimate import FitEstimate
 from srs_twin.identification.fit_file import array_hash
 from srs_twin.identification.friction import CoastingTest, Pulls, fit_coasting, fit_pulls
 from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion
 from srs_twin.identification.parameters import with_values
+from srs_twin.identification.static_tables import StaticTable, fit_static
 from srs_twin.plants.analytical.floor import slide, spin_share
 from srs_twin.pneumatics import Schedule
 from srs_twin.pneumatics.chambers import air_bend

@@ -20,7 +20,6 @@ import re
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +36,7 @@ from srs_twin.scenario.provenance import versions
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 from offset_runs import fit_offsets, offset_runs, predicted
 from published_tables import PublishedRun, published_runs
-from table8 import FITTED, STUDIES, UNKNOWN, drive_of, held_values, place, shipped, values_of
+from table8 import FITTED, STUDIES, UNKNOWN, drive_of, held_values, place, shipped, values_of, with_averages
 
 
 def main() -> None:
@@ -89,17 +88,16 @@ def fit(study: str, threads: int | None = None) -> FitFile:
         besides=(*held, *STUDIES[study].asked), validation=kept, starting=start, threads=threads,
     )  # fmt: skip
     data = [run.data_set("fit") for run in fitted_rows] + [run.data_set("validation") for run in kept]
-    make = partial(
-        fit_file, result, name=f"gen4_table8_{study}", title=title(study, held), robot="gen4",
+    bare = fit_file(
+        result, name=f"gen4_table8_{study}", title=title(study, held), robot="gen4",
         method="offsets", command=command(study), versions=versions(), data=data,
     )  # fmt: skip
-    bare = make()
     if bare.unidentified():
         raise InputError(
             f"{result.text()}\n{', '.join(bare.unidentified())} cannot be identified: fix one of them"
         )
     # Predict with the rounded values in the file.
-    return make(averages=averages(rows, replace(drive, spec=apply_fit(bare, drive.spec)), threads))
+    return with_averages(bare, averages(rows, replace(drive, spec=apply_fit(bare, drive.spec)), threads))
 
 
 def title(study: str, held: Iterable[str]) -> str:

@@ -9,56 +9,41 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from srs_twin.cli.console import RunCounter, console, interruptible, new_table, say
+from srs_twin.cli.console import console, interruptible, new_table, say
 from srs_twin.cli.options import (
-    NO_CHANGES,
-    ChangeOptions,
     FloorOption,
-    JobsOption,
     JsonOption,
     OverwriteOption,
-    PressureOption,
     QuietOption,
     RobotArgument,
-    ScenarioArgument,
     argument,
     expand_option_groups,
-    jobs_option,
     option,
-    parse_plants,
     print_json,
 )
 from srs_twin.errors import InputError
 from srs_twin.identification.fitting import (
     NOTHING_WRITTEN,
+    DataOptions,
     FilesArgument,
     FindOption,
     FitOptions,
     FitOutput,
     RobotOption,
     ValidateOption,
-    check_name,
     parse_names,
-    print_table,
 )
+from srs_twin.identification.footprint_command import footprint, margin
 from srs_twin.io.files import display_path
-from srs_twin.recordings.commands import FrequencyOption, OffsetOption, ReadingOptions, ValvesOption
+from srs_twin.recordings.commands import FrequencyOption, OffsetOption, ReadingOptions
 
 if TYPE_CHECKING:
-    from srs_twin.identification.footprint import FootprintMeasurement
-    from srs_twin.planning.footprint import Transient
-    from srs_twin.recordings.recording import Recording
-    from srs_twin.recordings.takes import RecordingReader
+    from srs_twin.identification.locomotion import GaitRun
+    from srs_twin.identification.static_tables import NamedRecordings, StaticTable
     from srs_twin.robot.spec import RobotSpec
-
-
-FOOTPRINTS = "calibration/footprints"
 
 _LOCOMOTION = "friction.mu_t,friction.mu_n,geometry.rigid_gap_m,bending.stiffness_nm_per_rad"
 """Parameters that `calibrate locomotion` fits by default."""
-
-_FREQUENCY_HZ = {"gait": 2.0, "ilc": 1.5}
-"""Default gait frequency of a footprint, by controller."""
 
 _DEFAULT_READING = ReadingOptions()
 _DEFAULT_OUTPUT = FitOptions()
@@ -148,7 +133,6 @@ def design(
     """
     import numpy as np
 
-    from srs_twin.cli.console import console, new_table
     from srs_twin.identification.design import choose_experiments
     from srs_twin.robot.file import load_robot, load_robot_file
     from srs_twin.robot.priors import Priors
@@ -187,10 +171,7 @@ def design(
 def actuator(
     context: typer.Context,
     files: FilesArgument,
-    robot: RobotOption,
-    valves: ValvesOption = None,
-    validate: ValidateOption = None,
-    pressure: PressureOption = None,
+    data: DataOptions,
     find: FindOption = None,
     offset: OffsetOption = None,
     static: Annotated[bool, option("--static")] = False,
@@ -206,45 +187,67 @@ def actuator(
         static: Fit plateaus of constant pressure in recordings, and write them to NAME.table.csv.
         starts: Number of searches.
     """
-    output = FitOutput.from_options(context, "actuator", robot, fit)
-    from srs_twin.identification import actuator as fits
+    output = FitOutput.from_options(context, "actuator", data.robot, fit)
+    from srs_twin.identification.actuator import Response, fit_actuator
+    from srs_twin.identification.static_tables import is_static_table, read_static_table
     from srs_twin.robot.file import load_robot
 
-    spec, kept, names = load_robot(robot), validate or [], parse_names(find)
-
-    def finish_static(tables: list[fits.StaticTable], validation: list[fits.StaticTable]) -> None:
-        with output.progress() as watch:
-            fitted = [fits.merge_tables(tables)] if static else tables
-            estimate = fits.fit_static(fitted, spec, names=names, validation=validation, watch=watch)
-        title = f"Actuators of {spec.name} from held pressures"
-        output.finish(estimate, "static", title, tables, validation)
-        if static:
-            fits.write_static_table(fitted[0], path := output.path.with_suffix(".table.csv"))
-            say(f"{len(fitted[0].bend)} plateaus in {display_path(path)}", quiet=fit.quiet)
-
-    if _all_of_kind([*files, *kept], fits.is_static_table, "table of constant pressures", "recording"):
-        _refuse_option(valves, "--valves", "tables of constant pressures have no log")
+    spec, kept, names = load_robot(data.robot), data.validate or [], parse_names(find)
+    if _all_of_kind([*files, *kept], is_static_table, "table of constant pressures", "recording"):
+        _refuse_option(data.valves, "--valves", "tables of constant pressures have no log")
         _refuse_option(static, "--static", "tables of constant pressures already contain plateaus")
-        finish_static(*([fits.read_static_table(path, spec) for path in paths] for paths in (files, kept)))
+        tables, kept_tables = ([read_static_table(path, spec) for path in paths] for paths in (files, kept))
+        _fit_static(output, spec, names, tables, kept_tables)
         return
-    reader = markers.reader(offset_s=offset)
-    supply = _supply(spec, pressure)
-    recordings, count = _read_recordings([*files, *kept], valves, reader, spec, fit.quiet), len(files)
+    reader, supply = markers.reader(offset_s=offset), data.supply_pa(spec)
+    recordings, kept_recordings = data.recordings(files, reader, spec, quiet=fit.quiet)
     if static:
-        tables = fits.plateau_tables(recordings[:count], spec, supply)
-        validation_tables = [
-            fits.StaticTable.from_recording(recording, path, spec, supply)
-            for path, recording in recordings[count:]
-        ]
-        finish_static(tables, validation_tables)
+        _fit_plateaus(output, spec, names, supply, recordings, kept_recordings)
         return
-    responses = [fits.Response.from_recording(recording, path, supply) for path, recording in recordings]
-    fitted, validation = responses[:count], responses[count:]
+    fitted, validation = (
+        [Response.from_recording(recording, path, supply) for path, recording in named]
+        for named in (recordings, kept_recordings)
+    )
     with output.progress() as watch:
-        estimate = fits.fit_actuator(
-            fitted, spec, names=names, validation=validation, starts=starts, watch=watch
-        )
+        estimate = fit_actuator(fitted, spec, names=names, validation=validation, starts=starts, watch=watch)
     output.finish(estimate, "actuator", f"Actuators of {spec.name} from responses", fitted, validation)
+
+
+def _fit_plateaus(
+    output: FitOutput,
+    spec: RobotSpec,
+    names: list[str] | None,
+    supply_pa: float,
+    recordings: NamedRecordings,
+    validation: NamedRecordings,
+) -> None:
+    """Fit the plateaus of recordings and write them as a table."""
+    from srs_twin.identification import static_tables
+
+    tables = static_tables.plateau_tables(recordings, spec, supply_pa)
+    kept = [static_tables.StaticTable.from_recording(r, path, spec, supply_pa) for path, r in validation]
+    merged = static_tables.merge_tables(tables)
+    _fit_static(output, spec, names, tables, kept, merged)
+    static_tables.write_static_table(merged, path := output.path.with_suffix(".table.csv"))
+    say(f"{len(merged.bend)} plateaus in {display_path(path)}", quiet=output.quiet)
+
+
+def _fit_static(
+    output: FitOutput,
+    spec: RobotSpec,
+    names: list[str] | None,
+    tables: list[StaticTable],
+    validation: list[StaticTable],
+    merged: StaticTable | None = None,
+) -> None:
+    """Fit static tables, or one table with the points of all of them."""
+    from srs_twin.identification.static_tables import fit_static
+
+    with output.progress() as watch:
+        fitted = tables if merged is None else [merged]
+        estimate = fit_static(fitted, spec, names=names, validation=validation, watch=watch)
+    title = f"Actuators of {spec.name} from held pressures"
+    output.finish(estimate, "static", title, tables, validation)
 
 
 @app.command()
@@ -252,10 +255,7 @@ def actuator(
 def locomotion(
     context: typer.Context,
     files: FilesArgument,
-    robot: RobotOption,
-    valves: ValvesOption = None,
-    validate: ValidateOption = None,
-    pressure: PressureOption = None,
+    data: DataOptions,
     find: FindOption = _LOCOMOTION,
     plant: Annotated[str, option("--plant NAME")] = "analytical",
     model: Annotated[str | None, option("--model NAME")] = None,
@@ -277,32 +277,26 @@ def locomotion(
         against: Compared signals: averages, shapes or both.
         starts: Number of searches. [default: 3; 1 with the twin's shapes]
     """
-    output = FitOutput.from_options(context, "locomotion", robot, fit)
-    from srs_twin.identification.locomotion import PlantModel, fit_locomotion, gait_run, measured_length
+    output = FitOutput.from_options(context, "locomotion", data.robot, fit)
+    from srs_twin.identification.locomotion import PlantModel, fit_locomotion, measured_length
     from srs_twin.identification.parameters import with_values
-    from srs_twin.recordings.takes import starts_at_rest
     from srs_twin.robot.file import load_robot
 
-    spec, kept, names = load_robot(robot), validate or [], parse_names(find) or []
+    spec, names = load_robot(data.robot), parse_names(find) or []
     plant_model = PlantModel(plant, _plant_settings(plant, model, law))
     reader = markers.reader(offset_s=offset, gait_frequency_hz=frequency)
-    supply, count = _supply(spec, pressure), len(files)
+    supply = data.supply_pa(spec)  # checked before the recordings are read
     with interruptible(NOTHING_WRITTEN):
-        recordings = _read_recordings([*files, *kept], valves, reader, spec, fit.quiet)
-        length = measured_length([recording for _, recording in recordings[:count]], spec, names)
+        recordings, kept = data.recordings(files, reader, spec, quiet=fit.quiet)
+        length = measured_length([recording for _, recording in recordings], spec, names)
         if length is not None:  # bends and centre of mass depend on the length, so read the recordings again
             spec = with_values(spec, {length.name: length.value or 0.0})
-            recordings = _read_recordings([*files, *kept], valves, reader, spec, quiet=True)
-            length = measured_length([recording for _, recording in recordings[:count]], spec, names)
-    for path, recording in recordings:
-        if not starts_at_rest(recording):
-            warning = f"warning: {path}: chambers are filling at the start; the plants start with empty ones"
-            say(warning, quiet=fit.quiet)
-    runs = [gait_run(recording, path, supply) for path, recording in recordings]
-    fitted, validation = runs[:count], runs[count:]
+            recordings, kept = data.recordings(files, reader, spec, quiet=True)
+            length = measured_length([recording for _, recording in recordings], spec, names)
+    runs, validation = (_gait_runs(named, supply, fit.quiet) for named in (recordings, kept))
     with output.progress() as watch:
         estimate = fit_locomotion(
-            fitted,
+            runs,
             spec,
             names,
             model=plant_model,
@@ -314,7 +308,19 @@ def locomotion(
             known=[length] if length else [],
         )
     title = f"Locomotion of {spec.name} against the {plant} plant"
-    output.finish(estimate, "locomotion", title, fitted, validation)
+    output.finish(estimate, "locomotion", title, runs, validation)
+
+
+def _gait_runs(recordings: NamedRecordings, supply_pa: float, quiet: bool) -> list[GaitRun]:
+    """Return recordings as gait runs, with a warning if chambers are filling at the start."""
+    from srs_twin.identification.locomotion import gait_run
+    from srs_twin.recordings.takes import starts_at_rest
+
+    for path, recording in recordings:
+        if not starts_at_rest(recording):
+            warning = f"warning: {path}: chambers are filling at the start; the plants start with empty ones"
+            say(warning, quiet=quiet)
+    return [gait_run(recording, path, supply_pa) for path, recording in recordings]
 
 
 @app.command()
@@ -365,29 +371,6 @@ def _all_of_kind(files: Sequence[str], is_first: Callable[[str], bool], first: s
     return kinds[0]
 
 
-def _read_recordings(
-    files: Sequence[str], valves: Sequence[str] | None, reader: RecordingReader, spec: RobotSpec, quiet: bool
-) -> list[tuple[str, Recording]]:
-    """Return (path, recording with its log) of each file, and print their summaries."""
-    from srs_twin.recordings.takes import logs_of
-
-    recordings = []
-    for path, log in zip(files, logs_of(files, valves or []), strict=True):
-        recording = reader.take(path, log, spec)
-        say(recording.summary.text(), "", quiet=quiet)
-        recordings.append((path, recording))
-    return recordings
-
-
-def _supply(spec: RobotSpec, pressure_kpa: float | None) -> float:
-    """Return the gauge pressure of the supply, Pa."""
-    if pressure_kpa is None:
-        return spec.supply.nominal
-    if not 0.1 <= pressure_kpa <= 2000.0:
-        raise InputError(f"--pressure: {pressure_kpa:g} kPa is not allowed; it must be from 0.1 to 2000")
-    return 1e3 * pressure_kpa
-
-
 def _plant_settings(plant: str, model: str | None, law: str | None) -> dict[str, str]:
     """Return the settings of a fit's plant."""
     if plant == "analytical":
@@ -402,166 +385,5 @@ def _refuse_option(value: object, option: str, why: str) -> None:
         raise InputError(f"{option}: remove this option; {why}")
 
 
-@app.command()
-@expand_option_groups
-def footprint(
-    robot: RobotArgument,
-    controller: Annotated[str, option("--controller NAME")] = "gait",
-    frequency: Annotated[float | None, option("--frequency HZ")] = None,
-    pressure: PressureOption = None,
-    target: Annotated[float, option("--target RAD")] = 0.7,
-    plant: Annotated[str, option("--plant NAME")] = "twin",
-    contact: Annotated[str | None, option("--contact NAME")] = None,
-    chambers: Annotated[str, option("--chambers NAME")] = "lag",
-    offsets: Annotated[str | None, option("--offsets LIST")] = None,
-    transients: Annotated[bool, option("--transients/--no-transients")] = True,
-    periods: Annotated[int, option("--periods N")] = 6,
-    phases: Annotated[int, option("--phases N")] = 4,
-    threads: Annotated[int | None, jobs_option("--threads -j N")] = None,
-    out: Annotated[str, option("--out DIR")] = FOOTPRINTS,
-    name: Annotated[str | None, option("--name NAME")] = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    as_json: JsonOption = False,
-) -> None:
-    """Measure the area swept at each offset.
-
-    With --transients, the area swept during changes of offset is measured as well.
-
-    Options:
-        controller: Controller: gait (open loop) or ilc (learning).
-        frequency: Gait frequency. [default: 2, ilc 1.5]
-        target: Target bend amplitude of ilc, rad.
-        plant: Simulated plant: twin or analytical.
-        contact: Contact of the twin, loaded or preloaded. [default: the twin's]
-        chambers: Pneumatic model: lag, or orifice for compressible flow.
-        offsets: Offsets, e.g. --offsets=-0.3,0,0.3. [default: -0.4 to 0.4; ilc: -0.3 to 0.3]
-        transients: Also measure changes of offset.
-        periods: Measured gait periods of each run.
-        phases: Runs per offset, with different initial phases.
-        out: Output folder.
-        name: Name of the footprint and its file. [default: ROBOT_CONTROLLER]
-    """
-    requested_offsets = None if offsets is None else _parse_numbers(offsets)
-    from srs_twin.identification.footprint import (
-        GaitSetup,
-        check_same_study,
-        footprint_file,
-        footprint_study,
-        header_lines,
-    )
-    from srs_twin.io.files import check_output_folder
-    from srs_twin.planning.footprint_file import save_footprint
-    from srs_twin.robot.file import load_robot
-    from srs_twin.scenario.provenance import versions
-
-    spec = load_robot(robot)
-    supply = spec.supply.nominal if pressure is None else 1000 * pressure
-    frequency_hz = _FREQUENCY_HZ.get(controller, 1.0) if frequency is None else frequency
-    setup = GaitSetup(
-        spec, frequency_hz, supply, controller, target, plant, chambers=chambers, contact=contact
-    )
-    changes = None if transients else ()
-    study = footprint_study(setup, offsets=requested_offsets, changes=changes, periods=periods, phases=phases)
-    file_name = check_name(f"{spec.name}_{controller}" if name is None else name, "--name")
-    path = Path(out) / f"{file_name}.yaml"
-    if not overwrite:
-        check_same_study(path, study, robot, file_name)
-    check_output_folder(path.parent, (path.name,))
-    with interruptible(NOTHING_WRITTEN), RunCounter(file_name, study.runs, quiet=quiet) as counting:
-        measured = study.measure(threads=threads, progress=lambda done: counting(failed=False))
-    file = footprint_file(measured, file_name)
-    if as_json:
-        print_json(file.model_dump(mode="json", exclude_none=True))
-    elif not quiet:
-        _print_footprint(measured)
-    save_footprint(file, path, header=header_lines(study, robot, file_name, versions()))
-    say(f"footprint in {display_path(path)}", quiet=quiet)
-
-
-@app.command()
-@expand_option_groups
-def margin(
-    scenario: ScenarioArgument,
-    runs: Annotated[int, option("--runs N", min=20, max=10_000)] = 100,
-    plants: Annotated[str | None, option("--plants LIST")] = None,
-    jobs: JobsOption = None,
-    out: Annotated[str, option("--out DIR")] = FOOTPRINTS,
-    changes: ChangeOptions = NO_CHANGES,
-    quiet: QuietOption = False,
-    as_json: JsonOption = False,
-) -> None:
-    """Measure excursions from a followed path.
-
-    Random paths are followed under the conditions of a scenario. The excursions are written to the footprint
-    file, from which planner.margin_probability derives a margin.
-
-    Options:
-        runs: Number of runs on each plant.
-        plants: Plants: analytical, twin or both. [default: the scenario's]
-        out: Output folder of the footprint file.
-    """
-    from srs_twin.identification.excursions import measure_excursions
-    from srs_twin.io.documents import Override
-    from srs_twin.io.files import check_output_folder, find_file, read_text
-    from srs_twin.planning.footprint_file import load_footprint_file, save_footprint
-    from srs_twin.planning.footprint_file import excursion_quantile
-    from srs_twin.scenario.loading import load_scenario
-
-    # Remove the margin of the scenario, which would hide the excursions to be measured.
-    no_margin = Override("a margin to be measured", ("planner", "margin_probability"), None)
-    loaded = load_scenario(scenario, set=[*changes.changes(), no_margin])
-    plant_names = parse_plants(plants) or list(loaded.plants)
-    assert loaded.file.section("planner") is not None, "a change of the planner requires one"
-    source = find_file("footprint", loaded.file.section("planner").footprint)
-    path = Path(out) / f"{load_footprint_file(source).name}.yaml"
-    check_output_folder(path.parent, (path.name,))
-    total = runs * len(plant_names)
-    with interruptible(NOTHING_WRITTEN), RunCounter(loaded.name, total, quiet=quiet) as counting:
-        measured = [
-            measure_excursions(loaded, plant, runs, workers=jobs, progress=lambda: counting(failed=False))
-            for plant in plant_names
-        ]
-    file = load_footprint_file(source)
-    new_conditions = [result.conditions for result in measured]
-    kept = [old for old in file.excursions or () if old.conditions not in new_conditions]
-    comments = [line[2:] for line in read_text(source).splitlines() if line.startswith("# ")]
-    save_footprint(file.model_copy(update={"excursions": [*kept, *measured]}), path, header=comments)
-    if as_json:
-        print_json([result.model_dump(mode="json", exclude_none=True) for result in measured])
-    elif not quiet:
-        table = new_table("plant", "half of the runs", "90 %", "95 %", "all, mm")
-        for result in measured:
-            quantiles = [excursion_quantile(result.path_m, share) for share in (0.5, 0.9, 0.95)] + [
-                result.path_m[-1]
-            ]
-            table.add_row(result.conditions.plant, *(f"{1000 * value:.0f}" for value in quantiles))
-        console().print(table)
-    say(f"excursions in {display_path(path)}", quiet=quiet)
-
-
-def _parse_numbers(text: str) -> list[float]:
-    """Return the numbers in a list such as -0.3,0,0.3, in ascending order.
-
-    Raises:
-        InputError: an entry is not a number.
-    """
-    try:
-        return sorted(float(number) for number in text.split(","))
-    except ValueError:
-        raise InputError(f"--offsets: '{text}' is not a list of numbers such as -0.3,0,0.3") from None
-
-
-def _print_footprint(measured: FootprintMeasurement) -> None:
-    """Print the tables of steady paths and transients."""
-    from srs_twin.identification.footprint import table_rows
-
-    print_table(("offset", "speed m/s", "curvature 1/m", "left m", "right m"), table_rows(measured))
-    if measured.transients:
-        headings = ("offset", "left m", "right m", "over m", "dx m", "dy m", "dheading rad")
-        print_table(headings, map(_transient_row, measured.transients))
-
-
-def _transient_row(change: Transient) -> tuple[str, ...]:
-    numbers = (change.left, change.right, change.length, change.dx, change.dy, change.dheading)
-    return f"{change.before:g} to {change.after:g}", *(f"{number:.3f}" for number in numbers)
+for _command in (footprint, margin):
+    app.command()(expand_option_groups(_command))

@@ -1,21 +1,8 @@
-r"""Fit estimate: parameter values, their uncertainty, and the directions that the data do not determine.
+r"""Result of a fit: parameter values with verdicts, and residuals.
 
-**Verdicts.** Let J be the Jacobian of the weighted residuals by the coordinates z of `parameters`, s_k its
-singular values with directions v_k, and E the difference between two Jacobians with steps h and 2h, an
-estimate of the error of J. A direction is *unidentifiable* if the effect of moving along it is within the
-error of the derivatives:
-
-$$ s_k \le 2\,\lVert E v_k \rVert \quad\text{or}\quad s_k \le 10^{-6} s_1 . $$
-
-The other directions have the standard error σ/s_k. A parameter is not identifiable if more than a tenth of it
-lies in the unidentifiable directions, or if its standard error in z is 1 or more (a factor e in either
-direction), as the data then add little to its bounds. Up to a standard error of 0.1 it is identified, in
-between weakly identified. A smaller component in an unidentifiable direction adds the variance within the
-bounds.
-
-The verdicts assume that the model is right. If the weighted residuals, all or those of one kind of signal,
-exceed their noise by more than `MAX_RESIDUAL_SCALE`, no parameter is identified. The interval is then only
-the scatter about the best value under a wrong model, and the verdict is "cannot tell".
+The verdicts of `identifiability` assume that the model is right. If the weighted residuals, all or those of
+one kind of signal, exceed their noise by more than `MAX_RESIDUAL_SCALE`, no parameter is identified. The
+interval is then only the scatter about the best value under a wrong model, and the verdict is "cannot tell".
 
 **Independent samples.** Residuals of neighbouring samples are correlated, because cameras and filters smooth
 the noise and because of model errors. With their autocorrelation ρ_k, n samples determine a mean as well as
@@ -40,7 +27,6 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.identification.parameters import FreeParameter
 from srs_twin.trajectory import HtmlResult
 
 IDENTIFIED_ERROR = 0.1
@@ -49,69 +35,10 @@ IDENTIFIED_ERROR = 0.1
 UNIDENTIFIABLE_ERROR = 1.0
 """Standard error in z from which a parameter is not identifiable."""
 
-MAX_UNIDENTIFIABLE_SHARE = 0.1
-"""Component in the unidentifiable directions above which a parameter is not identifiable."""
-
 MAX_RESIDUAL_SCALE = 2.0
 """Largest RMS of weighted residuals, per kind of signal, with which a model explains the data."""
 
 MISFIT_MESSAGE = "the model does not explain the data; these intervals do not hold"
-
-_DERIVATIVE_ERRORS = 2.0
-"""Singular value, as a multiple of the error of the derivatives, up to which a direction is
-unidentifiable."""
-
-_RELATIVE_CUTOFF = 1e-6
-"""Singular value relative to the largest up to which a direction is unidentifiable (rounding)."""
-
-
-@dataclass(frozen=True)
-class Identifiability:
-    """Covariance and unidentifiable directions of a Jacobian, in coordinates z.
-
-    Attributes:
-        covariance: covariance of the parameters, shape (n, n).
-        share: component of each parameter in the unidentifiable directions, shape (n,).
-        directions: unidentifiable directions, shape (directions, n).
-    """
-
-    covariance: np.ndarray
-    share: np.ndarray
-    directions: np.ndarray
-
-    @property
-    def errors(self) -> np.ndarray:
-        """Standard errors, shape (n,)."""
-        return np.sqrt(np.diag(self.covariance))
-
-    def is_unidentifiable(self, i: int) -> bool:
-        """Return whether parameter i is not identifiable."""
-        return bool(self.share[i] > MAX_UNIDENTIFIABLE_SHARE or self.errors[i] >= UNIDENTIFIABLE_ERROR)
-
-
-def identifiability(
-    jacobian: np.ndarray, error: np.ndarray, noise: float, widths: np.ndarray
-) -> Identifiability:
-    """Return the identifiability of parameters from a Jacobian (module docstring).
-
-    Args:
-        jacobian: J, shape (samples, n).
-        error: E, same shape.
-        noise: σ of a weighted residual, multiplied by the square root of the correlation time.
-        widths: distance between the bounds of each parameter in z, shape (n,).
-    """
-    _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
-    derivative_error = np.linalg.norm(error @ directions.T, axis=0)
-    undetermined = (singular <= _DERIVATIVE_ERRORS * derivative_error) | (
-        singular <= _RELATIVE_CUTOFF * singular.max(initial=0.0)
-    )
-    determined, unidentifiable = directions[~undetermined], directions[undetermined]
-    covariance = (determined.T * (noise / singular[~undetermined]) ** 2) @ determined
-    # Without data the prior remains: uniform between the bounds, with the variance width²/12.
-    prior_std = (np.abs(unidentifiable) @ widths) / np.sqrt(12)
-    covariance += (unidentifiable.T * prior_std**2) @ unidentifiable
-    return Identifiability(covariance, np.linalg.norm(unidentifiable, axis=0), unidentifiable)
-
 
 Verdict = Literal["identified", "weakly identified", "cannot tell", "not identifiable"]
 Role = Literal["fit", "validation"]
@@ -297,59 +224,6 @@ def describe_misfit(residuals: Sequence[Residual]) -> Iterator[str]:
         growing = ", growing with time" if is_growing else ""
         where = f", most in {name}" if (name := worst.name.rpartition(" ")[0]) else ""
         yield f"residuals of {kind}: {scale:.3g} times the noise{where}{growing}"
-
-
-_MIN_COMPONENT = 0.05
-"""Component of a unit direction below which a parameter is not listed."""
-
-
-def describe_bound(parameter: FreeParameter, z: float) -> str:
-    """Return the reason why a parameter whose search ended at a bound has no value."""
-    lower = z - parameter.coordinate(parameter.low) < parameter.coordinate(parameter.high) - z
-    bound, side = (parameter.low, "lower") if lower else (parameter.high, "upper")
-    return f"the best fit is at the {side} bound, {bound:g} {parameter.unit}, or beyond"
-
-
-def describe_unidentifiable(
-    parameters: tuple[FreeParameter, ...], inside: np.ndarray, known: Identifiability, index: int
-) -> str:
-    """Return the reason why a parameter inside its bounds has no value.
-
-    Args:
-        parameters: parameters of the search.
-        inside: indices of the parameters that did not end at a bound.
-        known: identifiability of those.
-        index: index of the parameter among them.
-    """
-    rows = [row for row in known.directions if abs(row[index]) > _MIN_COMPONENT]
-    components = [(inside[k], abs(row[k])) for row in rows for k in range(len(row)) if k != index]
-    others = sorted({parameters[i].name for i, component in components if component > _MIN_COMPONENT})
-    if not rows:
-        return f"its standard error in z is {known.errors[index]:.2g}, 1 or more"
-    if not others:
-        return "the residuals do not depend on it"
-    return f"only a combination of it with {', '.join(others)} has an effect"
-
-
-def unidentifiable_directions(
-    parameters: tuple[FreeParameter, ...], inside: np.ndarray, known: Identifiability
-) -> tuple[dict[str, float], ...]:
-    """Return the unidentifiable directions as name → component, the largest component positive.
-
-    Args:
-        parameters: see `describe_unidentifiable`.
-        inside: see `describe_unidentifiable`.
-        known: see `describe_unidentifiable`.
-    """
-    names = [parameters[i].name for i in inside]
-    rows = []
-    for row in known.directions:
-        signed = row * np.sign(row[np.argmax(np.abs(row))])
-        components = zip(names, signed, strict=True)
-        rows.append(
-            {name: round(float(value), 3) for name, value in components if abs(value) > _MIN_COMPONENT}
-        )
-    return tuple(rows)
 
 
 MIN_CORRELATED_SAMPLES = 20

@@ -14,12 +14,12 @@ import numpy as np
 
 from srs_twin.compute.workers import run_tasks
 from srs_twin.errors import InputError
+from srs_twin.planning.follow_file import FollowFile
 from srs_twin.planning.follower import ENDINGS, Follower
 from srs_twin.planning.footprint_file import LOST_M, ExcursionsFile
 from srs_twin.planning.metrics import beyond, following
 from srs_twin.planning.path import path_from_arcs
 from srs_twin.planning.problem import Outcome, Plan
-from srs_twin.planning.follow_file import FollowFile
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.world import Goal, Pose, World
 from srs_twin.rollout import rollout

@@ -10,7 +10,7 @@ import hashlib
 import math
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
@@ -280,23 +280,16 @@ class FitFile(StrictModel, HtmlResult):
         yield from _check_correlation(self.correlation, count)
 
 
-def fit_file(
-    estimate: FitEstimate,
-    *,
-    data: Sequence[DataSet],
-    averages: Mapping[str, tuple[dict[str, float], dict[str, float]]] | None = None,
-    **about: Any,
-) -> FitFile:
+def fit_file(estimate: FitEstimate, *, data: Sequence[DataSet], **about: Any) -> FitFile:
     """Return the fit file of an estimate.
 
     Args:
         estimate: result of the fit.
         data: all data with their roles.
-        averages: name of a data set → measured averages, and those of the plant with the fitted values.
         **about: name, title, robot, method, command and versions of the `FitFile`.
 
     Raises:
-        InputError: data have both roles, or predictions are given although a parameter has no value.
+        InputError: data have both roles.
     """
     check_disjoint(data)
     rows = [k for k, parameter in enumerate(estimate.parameters) if parameter.value is not None]
@@ -309,29 +302,15 @@ def fit_file(
         converged=estimate.converged,
         misfit=[line[:1000] for line in estimate.misfit] or None,
     )
-    file = FitFile(
+    return FitFile(
         **about,
-        data=[_data_entry(data_set, (averages or {}).get(data_set.name, (None, None))) for data_set in data],
+        data=[DataEntry(**asdict(entry)) for entry in data],
         held={key: _rounded(value) for key, value in estimate.held.items()},
         parameters=[_parameter_entry(parameter) for parameter in estimate.parameters],
         correlation=[[round(float(v), 6) for v in row] for row in matrix],
         cancels=[dict(direction) for direction in estimate.cancels],
         quality=quality,
     )
-    if averages and (missing := file.unidentified()):
-        raise InputError(
-            f"{file.name}: {', '.join(missing)} has no value, so nothing can be predicted; fix one of the "
-            "parameters at a value"
-        )
-    return file
-
-
-def _data_entry(data: DataSet, averages: tuple[Mapping[str, float] | None, ...]) -> DataEntry:
-    measured, predicted = (
-        None if average is None else {name: float(f"{value:.6g}") for name, value in average.items()}
-        for average in averages
-    )
-    return DataEntry(**asdict(data), measured=measured, predicted=predicted)
 
 
 def write_fit(file: FitFile, path: str | os.PathLike[str]) -> Path:

@@ -15,12 +15,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from srs_twin.cli.console import Display, console, interruptible, new_table, say
-from srs_twin.cli.options import JsonOption, QuietOption, argument, option, print_json
+from srs_twin.cli.options import JsonOption, PressureOption, QuietOption, argument, option, print_json
 from srs_twin.errors import InputError
+from srs_twin.recordings.commands import ValvesOption
 
 if TYPE_CHECKING:
     from srs_twin.identification.estimate import FitEstimate, Role
     from srs_twin.identification.fit_file import Data, FitFile, Method
+    from srs_twin.identification.static_tables import NamedRecordings
+    from srs_twin.recordings.takes import RecordingReader
+    from srs_twin.robot.spec import RobotSpec
 
 
 FITS = "calibration/fits"
@@ -34,6 +38,42 @@ ValidateOption = Annotated[list[str] | None, option("--validate FILE", _VALIDATE
 
 _FIND = "Parameters to fit, e.g. friction.mu_t,friction.mu_n."
 FindOption = Annotated[str | None, option("--find NAMES", _FIND)]
+
+
+@dataclass(frozen=True)
+class DataOptions:
+    """Robot, logs and validation data of a fit to recordings with logs."""
+
+    robot: RobotOption
+    valves: ValvesOption = None
+    validate: ValidateOption = None
+    pressure: PressureOption = None
+
+    def supply_pa(self, spec: RobotSpec) -> float:
+        """Return the gauge pressure of the supply, Pa.
+
+        Raises:
+            InputError: the pressure is not allowed.
+        """
+        if self.pressure is None:
+            return spec.supply.nominal
+        if not 0.1 <= self.pressure <= 2000.0:
+            raise InputError(f"--pressure: {self.pressure:g} kPa is not allowed; it must be from 0.1 to 2000")
+        return 1e3 * self.pressure
+
+    def recordings(
+        self, files: Sequence[str], reader: RecordingReader, spec: RobotSpec, *, quiet: bool
+    ) -> tuple[NamedRecordings, NamedRecordings]:
+        """Return the recordings of the fit and of the validation with their logs, and print summaries."""
+        from srs_twin.recordings.takes import logs_of
+
+        paths = [*files, *(self.validate or ())]
+        recordings = []
+        for path, log in zip(paths, logs_of(paths, self.valves or []), strict=True):
+            recording = reader.take(path, log, spec)
+            say(recording.summary.text(), "", quiet=quiet)
+            recordings.append((path, recording))
+        return recordings[: len(files)], recordings[len(files) :]
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,11 @@ different initial phases of the gait, and each change of offset at several phase
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from srs_twin.comparison.gait import GaitWindow
@@ -31,9 +28,7 @@ from srs_twin.identification.paths import (
     combine_transients,
     measure_transient,
 )
-from srs_twin.io.files import display_path, read_text
 from srs_twin.planning.footprint import Transient
-from srs_twin.planning.footprint_file import FootprintFile
 from srs_twin.plants.base import Plant
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings, as_contact
 from srs_twin.pneumatics import KINDS
@@ -229,11 +224,11 @@ class FootprintMeasurement:
     periods: int
 
 
-MIN_OFFSETS = 3
-MAX_OFFSETS = 101
-MIN_PERIODS = 3
-MAX_PERIODS = 200
-MAX_PHASES = 64
+_OFFSETS = (3, 101)
+"""Smallest and largest number of offsets; a planner interpolates between three or more."""
+
+_LIMITS = {"periods": (3, 200), "phases": (1, 64)}
+"""Smallest and largest number of measured gait periods, and of phases of the gait."""
 
 
 @dataclass(frozen=True)
@@ -266,16 +261,16 @@ class FootprintStudy:
         if not all(b > a for a, b in zip(self.offsets, self.offsets[1:], strict=False)):
             raise InputError(f"{message}; give each once, in ascending order")
         both_sides = self.offsets and self.offsets[0] < 0 < self.offsets[-1]
-        if not (both_sides and MIN_OFFSETS <= len(self.offsets) <= MAX_OFFSETS):
-            raise InputError(f"{message}; a planner needs {MIN_OFFSETS} to {MAX_OFFSETS}, on both sides of 0")
+        fewest, most = _OFFSETS
+        if not (both_sides and fewest <= len(self.offsets) <= most):
+            raise InputError(f"{message}; a planner needs {fewest} to {most}, on both sides of 0")
         for before, after in self.changes:
             if before == after or not {before, after} <= set(self.offsets):
                 raise InputError(
                     f"a change from offset {before:g} to {after:g} is not allowed; it must be between two "
                     "measured offsets"
                 )
-        limits = {"periods": (MIN_PERIODS, MAX_PERIODS), "phases": (1, MAX_PHASES)}
-        for name, (low, high) in limits.items():
+        for name, (low, high) in _LIMITS.items():
             value = getattr(self, name)
             if not low <= value <= high:
                 raise InputError(f"{name} {value} is not allowed; it must be from {low} to {high}")
@@ -421,157 +416,3 @@ def default_changes(offsets: Sequence[float]) -> tuple[tuple[float, float], ...]
             if half is not None:
                 pairs += [(0.0, half), (half, 0.0)]
     return tuple(pairs)
-
-
-_DIGITS = 4
-"""Decimals of values in a footprint file."""
-
-_SPREADS = {"curvature_per_m": "curvature", "speed_m_s": "speed", "left_m": "left", "right_m": "right"}
-"""Key of a footprint file's spread → attribute of `SteadyPath`."""
-
-
-def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
-    """Return a measurement as the content of a file, with unit, status and source of each column."""
-    setup, paths, source = measured.setup, measured.steady, _source(measured)
-    edge = "as curvature_per_m; the farthest that any repeat reached"
-    # The straight snake at the start is longer than during the gait, so its length is an upper bound.
-    body = setup.spec.geometry
-    straight = round((body.body_length + body.width) / 2, _DIGITS)
-
-    def record(value: object, unit: str, source: str) -> dict[str, object]:
-        return {"value": value, "unit": unit, "status": "calibrated", "source": source}
-
-    content: dict[str, object] = {
-        "name": name,
-        "title": f"{setup.spec.title.split(':')[0]}, {setup.frequency:g} Hz, "
-        f"{setup.supply_pa / 1000:.4g} kPa, as measured on {_plant_text(setup)}",
-        "robot": setup.spec.name,
-        "contact": setup.twin_contact,
-        "offset": record(list(measured.offsets), "1", "chosen"),
-        "curvature_per_m": record(_column(paths, "curvature"), "1/m", source),
-        "speed_m_s": record(_column(paths, "speed"), "m/s", "as curvature_per_m; along the arc"),
-        "left_m": record(_column(paths, "left"), "m", edge),
-        "right_m": record(_column(paths, "right"), "m", "as left_m"),
-        "ahead_m": record(max(*_column(paths, "ahead"), straight), "m", "as left_m, or straight"),
-        "behind_m": record(max(*_column(paths, "behind"), straight), "m", "as ahead_m"),
-        "spread": {
-            "source": f"half the range over {measured.repeats} phases of the gait at the start",
-            **{key: _column(measured.spread, name) for key, name in _SPREADS.items()},
-        },
-    }
-    if measured.transients:
-        content["transients"] = {
-            "status": "calibrated",
-            "source": f"as curvature_per_m, each change at {measured.repeats} phases of the gait: the widest "
-            "and longest of them, and the mean jump",
-            "changes": [_change_entry(transient) for transient in measured.transients],
-        }
-    return FootprintFile.model_validate(content)
-
-
-def calibrate_command(study: FootprintStudy, robot: str, name: str) -> str:
-    """Return the command that repeats a measurement.
-
-    Args:
-        study: study of the footprint.
-        robot: robot as given, a name or a path.
-        name: name of the footprint.
-    """
-    setup = study.setup
-    words = [
-        f"srs-twin calibrate footprint {robot} --name {name} --controller {setup.controller}",
-        f"--frequency {setup.frequency:g} --pressure {setup.supply_pa / 1000:.9g}",
-    ]
-    if setup.controller == "ilc":
-        words.append(f"--target {setup.target:g}")
-    if setup.plant != "twin":
-        words.append(f"--plant {setup.plant}")
-    else:
-        words.append(f"--contact {setup.twin_contact}")
-    if setup.chambers != "lag":
-        words.append(f"--chambers {setup.chambers}")
-    if study.offsets != setup.offsets:
-        words.append("--offsets=" + ",".join(f"{offset:g}" for offset in study.offsets))
-    if study.changes != default_changes(study.offsets):
-        words.append("--no-transients")
-    words.append(f"--periods {study.periods} --phases {study.phases}")
-    return " ".join(words)
-
-
-def header_lines(study: FootprintStudy, robot: str, name: str, versions: Mapping[str, str]) -> list[str]:
-    """Return the comment lines of a footprint file; the first two identify the study."""
-    with_versions = ", ".join(f"{package} {version}" for package, version in versions.items())
-    return [*_identity(study, robot, name), f"with: {with_versions}"]
-
-
-def robot_hash(spec: RobotSpec) -> str:
-    """Return the SHA-256 of a robot's values in SI units that differ from their defaults.
-
-    A new parameter whose default has no effect does not change the hash.
-    """
-
-    def non_defaults(section: object) -> object:
-        if not is_dataclass(section):
-            return section
-        values = {field: getattr(section, field.name) for field in fields(section)}
-        return {field.name: non_defaults(value) for field, value in values.items() if value != field.default}
-
-    return hashlib.sha256(repr(non_defaults(spec)).encode()).hexdigest()
-
-
-def check_same_study(path: Path, study: FootprintStudy, robot: str, name: str) -> None:
-    """Check that an existing file is from the same study, which may be replaced.
-
-    Raises:
-        InputError: the file is from another study, or cannot be read.
-    """
-    if not os.path.lexists(path):
-        return
-    first = [line.removeprefix("# ") for line in read_text(path).splitlines()[:2]]
-    if first != _identity(study, robot, name):
-        raise InputError(
-            f"{display_path(path)}: the file exists with another footprint; --overwrite replaces it; --name "
-            "or --out choose another file"
-        )
-
-
-def _identity(study: FootprintStudy, robot: str, name: str) -> list[str]:
-    return [
-        f"measured by: {calibrate_command(study, robot, name)}",
-        f"robot {study.setup.spec.name}, sha256 of its numbers: {robot_hash(study.setup.spec)}",
-    ]
-
-
-def _column(paths: Sequence[SteadyPath], key: str) -> list[float]:
-    # Adding 0.0 turns -0.0, to which a straight path may round, into 0.0.
-    return [round(getattr(path, key), _DIGITS) + 0.0 for path in paths]
-
-
-def _change_entry(transient: Transient) -> dict[str, float]:
-    keys = ("from_offset", "to_offset", "left_m", "right_m", "length_m", "dx_m", "dy_m", "dheading_rad")
-    values = dict(zip(keys, astuple(transient), strict=True))
-    return {key: round(value, _DIGITS) + 0.0 for key, value in values.items()}
-
-
-def _source(measured: FootprintMeasurement) -> str:
-    return (
-        f"measured on {_plant_text(measured.setup)} by `srs-twin calibrate footprint`, over "
-        f"{measured.periods} gait periods at each of {measured.repeats} phases of the gait at the start"
-    )
-
-
-def _plant_text(setup: GaitSetup) -> str:
-    if not isinstance(setup.plant, str):
-        return "a custom plant"
-    named = {"twin": "the twin", "analytical": "the analytical model compliant"}[setup.plant]
-    return named if setup.chambers == "lag" else f"{named} with {setup.chambers} chambers"
-
-
-def table_rows(measured: FootprintMeasurement) -> list[Sequence[str]]:
-    """Return the rows of the printed table: offset, then speed, curvature and edges with their spread."""
-    rows: list[Sequence[str]] = []
-    for offset, path, spread in zip(measured.offsets, measured.steady, measured.spread, strict=True):
-        names = ("speed", "curvature", "left", "right")
-        cells = (f"{getattr(path, name):.4f} ± {getattr(spread, name):.4f}" for name in names)
-        rows.append((f"{offset:g}", *cells))
-    return rows

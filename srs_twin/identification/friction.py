@@ -53,8 +53,6 @@ _NAMES = ("friction.mu_t", "friction.mu_n")
 _DIRECTIONS = ("along", "across")
 """Directions of pulls and coasting, in the order of `_NAMES`."""
 
-_MIN_PULLS = 2
-
 
 @dataclass(frozen=True)
 class Pulls:
@@ -154,7 +152,7 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
 def _parameter(k: int, values: np.ndarray, mean: float, variance: float, error: float) -> Parameter:
     from scipy import stats
 
-    if len(values) < _MIN_PULLS:
+    if not len(values):  # one alone is refused
         why = f"there are no pulls {_DIRECTIONS[k]}"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
     if error >= UNIDENTIFIABLE_ERROR * mean:

@@ -5,8 +5,8 @@ coordinates z of `parameters`. The Jacobian uses central differences, which keep
 small. For a model with kinks the search is repeated with a coarse step from its end point. An optional first
 stage uses only residuals that vary monotonically over a large range of the parameters. For a crawling robot
 these are the bends: path and heading are informative only within a few per cent, because with larger errors
-the simulated robot turns in another direction. The search is deterministic; further starts are drawn from a
-seed.
+the simulated robot turns in another direction. The search is deterministic; further starts are drawn with a
+fixed seed.
 
 **Intervals.** With S the sum at the estimate, n samples equivalent to n/τ independent ones
 (`correlation_time`) and p parameters, the covariance is
@@ -38,21 +38,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.identification.estimate import (
-    IDENTIFIED_ERROR,
-    MISFIT_MESSAGE,
-    FitEstimate,
-    Identifiability,
-    Parameter,
-    Residual,
-    Verdict,
-    correlation_time,
-    describe_bound,
-    describe_unidentifiable,
-    explains_data,
-    identifiability,
-    unidentifiable_directions,
-)
+from srs_twin.identification.estimate import FitEstimate, Residual, correlation_time, explains_data
+from srs_twin.identification.identifiability import Accuracy, identifiability
 from srs_twin.identification.parameters import FreeParameter
 
 Values = Mapping[str, float]
@@ -150,8 +137,8 @@ class Search:
             raise InputError("a fit needs at least one free parameter; name one")
         self.low = np.array([unknown.coordinate(unknown.low) for unknown in unknowns])
         self.high = np.array([unknown.coordinate(unknown.high) for unknown in unknowns])
-        first = np.array([unknown.coordinate(unknown.start) for unknown in unknowns])
-        weighted = self.weighted(first)
+        self.start = np.array([unknown.coordinate(unknown.start) for unknown in unknowns])
+        weighted = self.weighted(self.start)
         if len(weighted) <= len(unknowns):
             raise InputError(
                 f"{len(weighted)} samples cannot determine {len(unknowns)} parameters; more data are needed"
@@ -286,14 +273,13 @@ def _weighted(residuals: Sequence[Residual]) -> np.ndarray:
     return np.concatenate(weighted) if weighted else np.zeros(0)
 
 
-def select_starts(search: Search, count: int, seed: int) -> list[np.ndarray]:
+def select_starts(search: Search, count: int) -> list[np.ndarray]:
     """Return the first start and the best of many points drawn about it, at a minimum distance."""
-    first = np.array([unknown.coordinate(unknown.start) for unknown in search.unknowns])
-    rng = np.random.default_rng(seed)
-    shifts = rng.uniform(-_START_RANGE, _START_RANGE, (_CANDIDATES_PER_START * (count - 1), len(first)))
-    candidates = [np.clip(first + shift, search.low, search.high) for shift in shifts]
+    size = (_CANDIDATES_PER_START * (count - 1), len(search.start))
+    shifts = np.random.default_rng(0).uniform(-_START_RANGE, _START_RANGE, size)
+    candidates = [np.clip(search.start + shift, search.low, search.high) for shift in shifts]
     candidates.sort(key=search.start_cost)
-    starts = [first]
+    starts = [search.start]
     for z in candidates:
         distances = [np.linalg.norm(z - start) for start in starts]
         if len(starts) < count and all(distance > _MIN_START_DISTANCE for distance in distances):
@@ -314,7 +300,6 @@ def least_squares(
     *,
     options: SearchOptions | None = None,
     starts: int = 1,
-    seed: int = 0,
     held: Values | None = None,
     watch: Watch | None = None,
     validation: Residuals | None = None,
@@ -329,7 +314,6 @@ def least_squares(
         options: settings of the search; default: those of a smooth model.
         starts: number of searches; the first from the parameters' own starts, the others from the best of
             many points drawn about them.
-        seed: random seed of these points.
         held: values that the estimates depend on, to be stored in the result.
         watch: progress callback.
         validation: residuals that are evaluated only at the end, for slow models.
@@ -340,7 +324,7 @@ def least_squares(
             finite at the start.
     """
     search = Search(residuals, tuple(unknowns), options or SearchOptions(), watch)
-    ends = [search.run(start) for start in select_starts(search, starts, seed)]
+    ends = [search.run(start) for start in select_starts(search, starts)]
     best = min(ends, key=lambda end: end.cost)
     estimate = _estimate(search, best, ends, held or {}, refit)
     if validation is None:
@@ -351,6 +335,7 @@ def least_squares(
 def _estimate(
     search: Search, best: SearchResult, ends: Sequence[SearchResult], held: Values, refit: Refit | None
 ) -> FitEstimate:
+    """Return the values of the best search with their accuracy."""
     from scipy import stats
 
     z, unknowns = best.z, search.unknowns
@@ -364,7 +349,8 @@ def _estimate(
     at_bound = has_effect & ((z - search.low < _BOUND_DISTANCE) | (search.high - z < _BOUND_DISTANCE))
     inside = np.flatnonzero(~at_bound)
     widths = (search.high - search.low)[inside]
-    known = identifiability(jacobian[:, inside], error[:, inside], noise, widths)
+    names = [unknowns[i].name for i in inside]
+    known = identifiability(jacobian[:, inside], error[:, inside], noise, widths, names)
     bias, explained = np.zeros(len(z)), explains_data(residuals, scale)
     if refit is not None and explained:
         errors = np.full(len(z), np.inf)
@@ -372,37 +358,16 @@ def _estimate(
         bias, change = _iterate_bias(search, z, refit, errors)
         terms = np.stack([bias, change])[:, inside]
         known = replace(known, covariance=known.covariance + terms.T @ terms)
+    limit = stats.chi2.ppf(LEVEL, len(unknowns)) * variance * samples / independent
+    spread = _spread_of_minima(best, ends, limit)
     quantile = float(stats.t.ppf(0.5 + LEVEL / 2, freedom))
-    cost_limit = stats.chi2.ppf(LEVEL, len(unknowns))
-    spread = _spread_of_minima(best, ends, variance * samples / independent, cost_limit)
-    parameters, kept = [], []
-    for i, unknown in enumerate(unknowns):
-        if unknown.nuisance:
-            continue
-        index = int(np.searchsorted(inside, i))
-        why = ""
-        if at_bound[i]:
-            why = describe_bound(unknown, z[i])
-        elif known.is_unidentifiable(index):
-            why = describe_unidentifiable(unknowns, inside, known, index)
-        if why:
-            parameters.append(Parameter(unknown.name, unknown.unit, "not identifiable", why=why))
-        else:
-            std = float(known.errors[index])
-            parameter = _parameter(unknown, float(z[i]), std, quantile, spread[i], best.converged)
-            if 2 * bias[i] ** 2 > std**2:
-                true = unknown.value(z[i] - bias[i])
-                why = f"mostly model error: a fit to the reference with {true:.4g} gives this value"
-                parameter = replace(parameter, why="; ".join(filter(None, (parameter.why, why))))
-            if not explained:
-                parameter = replace(parameter, verdict="cannot tell", why=f"{MISFIT_MESSAGE}: {_SPREAD_ONLY}")
-            parameters.append(parameter)
-        kept.append(i)
-    correlation = _correlation(parameters, kept, inside, known)
-    directions = unidentifiable_directions(unknowns, inside, known)
+    accuracy = Accuracy(unknowns, z, best.converged, inside, known, bias, spread, quantile, explained)
+    kept = [i for i, unknown in enumerate(unknowns) if not unknown.nuisance]
+    parameters = tuple(accuracy.parameter(i) for i in kept)
+    correlation = accuracy.correlation(parameters, kept)
     counts = (samples, float(independent))
     return FitEstimate(
-        tuple(parameters), correlation, residuals, directions, *counts, scale, held, best.converged
+        parameters, correlation, residuals, known.cancels, *counts, scale, held, best.converged
     )
 
 
@@ -437,42 +402,14 @@ def _iterate_bias(
 _MAX_REFITS = 5
 """Largest number of fits to data of the reference; the bias of gait fits converges within three to five."""
 
-_SPREAD_ONLY = "the spread about the best value under a wrong model"
 
+def _spread_of_minima(best: SearchResult, ends: Sequence[SearchResult], limit: float) -> np.ndarray:
+    """Return the largest distance in z, per parameter, to a minimum that fits as well as the best.
 
-def _parameter(
-    unknown: FreeParameter, z: float, error: float, quantile: float, spread: float, converged: bool
-) -> Parameter:
-    value = unknown.value(z)
-    verdict: Verdict = "identified" if error <= IDENTIFIED_ERROR else "weakly identified"
-    why = "" if verdict == "identified" else "its standard error is large"
-    if not converged:
-        verdict, why = "weakly identified", "the search did not converge"
-    if spread > max(IDENTIFIED_ERROR, 2 * quantile * error):
-        verdict, why = "weakly identified", "another start gives a different value with an equally good fit"
-    low, high = unknown.value(z - quantile * error), unknown.value(z + quantile * error)
-    return Parameter(unknown.name, unknown.unit, verdict, value, unknown.slope(value) * error, low, high, why)
-
-
-def _spread_of_minima(
-    best: SearchResult, ends: Sequence[SearchResult], variance: float, limit: float
-) -> np.ndarray:
-    """Return the largest distance in z, per parameter, to a minimum that fits as well as the best."""
-    minima = [end.z for end in ends if 2 * (end.cost - best.cost) <= limit * variance]
+    Args:
+        best: result with the smallest sum of squares.
+        ends: results of all searches.
+        limit: difference of the sums of squares up to which both fit equally well.
+    """
+    minima = [end.z for end in ends if 2 * (end.cost - best.cost) <= limit]
     return np.asarray(np.abs(np.array(minima) - best.z).max(axis=0))
-
-
-def _correlation(
-    parameters: Sequence[Parameter], kept: Sequence[int], inside: np.ndarray, known: Identifiability
-) -> np.ndarray:
-    """Return the correlation of parameters with values, NaN elsewhere, shape (parameters, parameters)."""
-    matrix = np.full((len(parameters), len(parameters)), np.nan)
-    rows = [k for k, parameter in enumerate(parameters) if parameter.value is not None]
-    if rows:
-        indices = np.searchsorted(inside, [kept[k] for k in rows])
-        # Without noise all errors are 0; the floor avoids 0/0.
-        errors = np.maximum(known.errors[indices], 1e-150)
-        scaled = known.covariance[np.ix_(indices, indices)] / np.outer(errors, errors)
-        matrix[np.ix_(rows, rows)] = np.clip(scaled, -1.0, 1.0)
-        matrix[rows, rows] = 1.0
-    return matrix

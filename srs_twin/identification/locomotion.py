@@ -244,6 +244,51 @@ _Data = tuple[GaitRun, dict[str, np.ndarray], Role]
 """Run, its measured signals and its role."""
 
 
+@dataclass(frozen=True)
+class _Comparison:
+    """Comparison of runs with a plant.
+
+    Attributes:
+        model: plant.
+        spec: robot before changes of its parameters.
+        against: compared signals, one of `AGAINST`.
+    """
+
+    model: PlantModel
+    spec: RobotSpec
+    against: str
+
+    def data(self, run: GaitRun, role: Role) -> _Data:
+        """Return a run with its measured signals."""
+        return run, signals(run.trajectory, None, self.against, run.name), role
+
+    def simulated(self, data: Sequence[_Data], plant: PlantModel, values: Mapping[str, float]) -> list[_Data]:
+        """Return data of the same runs as simulated by another plant."""
+        robot = with_values(self.spec, values)
+        return [self.data(replace(run, trajectory=plant.simulate(run, robot)), role) for run, _, role in data]
+
+    def residuals(self, data: Sequence[_Data], values: Mapping[str, float]) -> list[Residual]:
+        """Return the residuals of data for parameters of the robot."""
+        robot = with_values(self.spec, values)
+        result: list[Residual] = []
+        for run, measured, role in data:
+            try:
+                simulation = self.model.simulate(run, robot)
+                predicted = signals(simulation, run.trajectory, self.against, run.name)
+                differences = {name: measured[name] - predicted[name] for name in measured}
+            except DivergedError:
+                differences = {
+                    name: np.full_like(signal, _DIVERGED_RESIDUAL) for name, signal in measured.items()
+                }
+            for name, difference in differences.items():
+                scale, unit = NOISE[name if name in NOISE else name.rpartition("_")[0]]
+                bend_error = run.trajectory.columns.get(name.replace("bend", "bend_error"))
+                if "bend" in name and bend_error is not None:
+                    scale = max(scale, float(np.sqrt(np.mean(bend_error**2))))
+                result.append(Residual(f"{run.name} {name}", unit, difference, scale, role))
+        return result
+
+
 def fit_locomotion(
     runs: Sequence[GaitRun],
     spec: RobotSpec,
@@ -279,70 +324,35 @@ def fit_locomotion(
     """
     if against not in AGAINST:
         raise UnknownNameError("residual", against, AGAINST)
-    model = model or PlantModel()
-    spec = with_values(
-        spec, {parameter.name: parameter.value for parameter in known if parameter.value is not None}
-    )
-    unknowns = free_parameters(
-        spec, [name for name in names if all(name != parameter.name for parameter in known)]
-    )
-    data = [
-        (run, signals(run.trajectory, None, against, run.name), role)
-        for run, role in assign_roles("gait runs", runs, validation)
-    ]
-
-    residuals = partial(_residuals, model, spec, against)
-    options = model.search_options(against)
+    values = {parameter.name: parameter.value for parameter in known if parameter.value is not None}
+    spec = with_values(spec, values)
+    measured = {parameter.name for parameter in known}
+    unknowns = free_parameters(spec, [name for name in names if name not in measured])
+    comparison = _Comparison(model or PlantModel(), spec, against)
+    data = [comparison.data(run, role) for run, role in assign_roles("gait runs", runs, validation)]
     fitted = [entry for entry in data if entry[2] == "fit"]
-    validation_residuals = partial(residuals, [entry for entry in data if entry[2] != "fit"])
+    kept = [entry for entry in data if entry[2] != "fit"]
+    if not unknowns and known:
+        return FitEstimate((), np.zeros((0, 0)), tuple(comparison.residuals(data, {}))).with_fixed(known)
+    options = comparison.model.search_options(against)
 
     def refit(values: Mapping[str, float]) -> dict[str, float]:
         assert reference is not None
-        robot, simulated = with_values(spec, values), []
-        for run, _, role in fitted:
-            copy = replace(run, trajectory=reference.simulate(run, robot))
-            simulated.append((copy, signals(copy.trajectory, None, against, run.name), role))
+        simulated = comparison.simulated(fitted, reference, values)
+        search = Search(partial(comparison.residuals, simulated), unknowns, options, None)
         # Start the search where the fit started, so that both end in the same local minimum.
-        search = Search(partial(residuals, simulated), unknowns, options, None)
-        start = np.array([unknown.coordinate(unknown.start) for unknown in unknowns])
-        return search.values(search.run(start).z)
+        return search.values(search.run(search.start).z)
 
-    if not unknowns and known:
-        all_residuals = (*residuals(fitted, {}), *validation_residuals({}))
-        return FitEstimate((), np.zeros((0, 0)), all_residuals).with_fixed(known)
     estimate = least_squares(
-        partial(residuals, fitted),
+        partial(comparison.residuals, fitted),
         unknowns,
         options=options,
         starts=starts,
         watch=watch,
-        validation=validation_residuals,
+        validation=partial(comparison.residuals, kept),
         refit=None if reference is None else refit,
     )
     return estimate.with_fixed(known)
-
-
-def _residuals(
-    model: PlantModel, spec: RobotSpec, against: str, data: Sequence[_Data], values: Mapping[str, float]
-) -> list[Residual]:
-    """Return the residuals of runs for parameters of a robot."""
-    robot = with_values(spec, values)
-    result: list[Residual] = []
-    for run, measured, role in data:
-        try:
-            predicted = signals(model.simulate(run, robot), run.trajectory, against, run.name)
-            differences = {name: measured[name] - predicted[name] for name in measured}
-        except DivergedError:
-            differences = {
-                name: np.full_like(signal, _DIVERGED_RESIDUAL) for name, signal in measured.items()
-            }
-        for name, difference in differences.items():
-            scale, unit = NOISE[name if name in NOISE else name.rpartition("_")[0]]
-            bend_error = run.trajectory.columns.get(name.replace("bend", "bend_error"))
-            if "bend" in name and bend_error is not None:
-                scale = max(scale, float(np.sqrt(np.mean(bend_error**2))))
-            result.append(Residual(f"{run.name} {name}", unit, difference, scale, role))
-    return result
 
 
 def signals(

@@ -1,8 +1,10 @@
 """Path planning with footprints, and following of plans (Section 5.2).
 
-`plan(problem)` returns a `Plan`. The planner searches over arcs (`search_kernels`, `search_tree`,
-`best_first`) with exact collision checks of the footprint (`arcs`, `collision`). `infeasibility` proves that
-no path exists. `follower` and `steering` follow a plan by the offset of a gait.
+`plan(problem)` returns a `Plan`. The planner searches over arcs and Dubins paths (`moves`, `dubins`) with
+exact collision checks of the footprint (`arcs`, `collision`). Trees (`search_kernels`, `search_tree`) grow
+from start and goal (`best_first`). If that does not succeed at once, `infeasibility` tries to prove that no
+path exists, and `guidance` leads a tree around obstacles and through narrow passages. `follower` and
+`steering` follow a plan by the offset of a gait.
 """
 
 from srs_twin.extensions import lazy

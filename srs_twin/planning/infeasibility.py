@@ -338,7 +338,7 @@ def _turned_box(box, c, s, extra):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _is_blocked(step, origin, body, reach, slack, distances, grid):  # type: ignore[no-untyped-def]
-    """Return whether a point on the way between two cells is closer to an obstacle than w'.
+    """Return whether a point along a step between two cells is closer to an obstacle than w'.
 
     Args:
         step: column and row of both cells.

@@ -63,8 +63,9 @@ def values() -> dict[tuple[str, str], str]:
     """Return command and parameter → default that the command takes, in the help's words."""
     from srs_twin.cli.new import _BEND_RAD, _SERVO_BEND_RAD
     from srs_twin.comparison.diff import Tolerances
-    from srs_twin.identification.command import _FREQUENCY_HZ, _plant_settings
+    from srs_twin.identification.command import _plant_settings
     from srs_twin.identification.footprint import GaitSetup
+    from srs_twin.identification.footprint_command import _FREQUENCY_HZ
     from srs_twin.identification.replay_command import _plants
     from srs_twin.recordings.takes import RecordingReader
     from srs_twin.robot.file import load_robot

@@ -19,9 +19,10 @@ import numpy as np
 from published_tables import PublishedRun
 
 from srs_twin.errors import DivergedError, InputError
-from srs_twin.identification.estimate import FitEstimate, Parameter, Residual, Role, identifiability
+from srs_twin.identification.estimate import FitEstimate, Parameter, Residual, Role
 from srs_twin.identification.fit_file import DataSet, array_hash, assign_roles
 from srs_twin.identification.footprint import GaitSetup, steady_path
+from srs_twin.identification.identifiability import identifiability
 from srs_twin.identification.least_squares import SearchOptions, least_squares
 from srs_twin.identification.parameters import FreeParameter, free_parameters, with_values
 from srs_twin.identification.paths import SteadyPath
@@ -164,7 +165,8 @@ def _hidden(
     fine, coarse = jacobian(_STEP), jacobian(2 * _STEP)
     noise = estimate.residual_scale * math.sqrt(estimate.samples / estimate.independent)
     widths = np.array([item.coordinate(item.high) - item.coordinate(item.low) for item in everything])
-    known = identifiability(fine, coarse - fine, noise, widths)
+    names = [item.name for item in everything]
+    known = identifiability(fine, coarse - fine, noise, widths, names)
     if not known.is_unidentifiable(-1):
         return None
     size = float(np.abs(fine[:, -1]).max())

@@ -9,6 +9,7 @@ from pathlib import Path
 from box_edges import WIDTH, BoxEdges, fit_width
 
 from srs_twin import load_robot
+from srs_twin.errors import InputError
 from srs_twin.identification.fit_file import FitFile, fit_file, load_fit
 from srs_twin.identification.footprint import GaitSetup
 from srs_twin.io.files import data_root
@@ -101,21 +102,38 @@ def edges(fitted: FitFile, role: str) -> list[BoxEdges]:
     return result
 
 
+def with_averages(fit: FitFile, averages: Mapping[str, tuple[dict[str, float], dict[str, float]]]) -> FitFile:
+    """Return a fit with averages as measured and as predicted with the fitted values, by name of the data."""
+    if missing := fit.unidentified():
+        raise InputError(
+            f"{fit.name}: {', '.join(missing)} has no value, so nothing can be predicted; fix one"
+        )
+    data = []
+    for entry in fit.data:
+        measured, predicted = (
+            {name: float(f"{value:.6g}") for name, value in average.items()}
+            for average in averages[entry.name]
+        )
+        data.append(entry.model_copy(update={"measured": measured, "predicted": predicted}))
+    return fit.model_copy(update={"data": data})
+
+
 def fit_body_width() -> FitFile:
     """Fit the width to three rows and predict all rows."""
     moves, spec = load_fit(place(PLANT)), load_robot("gen4")
     fitted, kept = edges(moves, "fit"), edges(moves, "validation")
     result = fit_width(fitted, spec, validation=kept)
     change = result.values[WIDTH] - spec.geometry.width
-    return fit_file(
+    fit = fit_file(
         result, name="gen4_table8_width", title="Generation 4's width from Table 8's boxes at 0 and ±0.3",
         robot="gen4", method="edges", command="uv run python benchmarks/table8_width.py", versions=versions(),
         data=[item.data_set("fit") for item in fitted] + [item.data_set("validation") for item in kept],
-        averages={
-            f"offset {item.offset:g}": (_named(*item.measured), _named(*item.of_width(change)))
-            for item in [*fitted, *kept]
-        },
     )  # fmt: skip
+    averages = {
+        f"offset {item.offset:g}": (_named(*item.measured), _named(*item.of_width(change)))
+        for item in [*fitted, *kept]
+    }
+    return with_averages(fit, averages)
 
 
 def _named(left: float, right: float) -> dict[str, float]:

@@ -13,7 +13,7 @@ from harness import Contents, MakeFile, Malformed
 from hypothesis import strategies as st
 
 from srs_twin import load_robot
-from srs_twin.identification.actuator import read_static_table
+from srs_twin.identification.static_tables import read_static_table
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.signals.logs import read_valves
 

@@ -15,17 +15,11 @@ from synthetic_takes import Take
 
 from srs_twin import AnalyticalSnake, Controller, Trajectory, load_robot, rollout
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.identification.actuator import (
-    Response,
-    StaticTable,
-    default_actuator_parameters,
-    fit_actuator,
-    fit_static,
-    read_static_table,
-)
+from srs_twin.identification.actuator import Response, default_actuator_parameters, fit_actuator
 from srs_twin.identification.fit_file import array_hash, data_sets, fit_file, trajectory_hash, write_fit
 from srs_twin.identification.fitted_robot import fitted_robot
 from srs_twin.identification.parameters import free_parameters, parameter_names, with_values
+from srs_twin.identification.static_tables import StaticTable, fit_static, read_static_table
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.recordings.signals.clock import join

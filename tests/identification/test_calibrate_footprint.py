@@ -16,12 +16,14 @@ from srs_twin.identification.footprint import (
     FootprintMeasurement,
     FootprintStudy,
     GaitSetup,
+    footprint_study,
+    steady_path,
+)
+from srs_twin.identification.footprint_report import (
     calibrate_command,
     footprint_file,
-    footprint_study,
     header_lines,
     robot_hash,
-    steady_path,
 )
 from srs_twin.identification.paths import SteadyPath
 from srs_twin.io.documents import dump_yaml, parse_yaml

@@ -11,7 +11,7 @@ from benchmark_runs import run_benchmark
 from conftest import ROOT
 from offset_runs import OffsetRun, fit_offsets, offset_runs, predicted
 from published_tables import published_runs
-from table8 import FITTED, LENGTH, STUDIES, drive_of, held_values, shipped, values_of
+from table8 import FITTED, LENGTH, STUDIES, drive_of, held_values, shipped, values_of, with_averages
 
 from srs_twin import load_robot
 from srs_twin.errors import InputError
@@ -96,9 +96,10 @@ def test_what_cancels_has_no_number_and_nothing_is_predicted_with_the_robots_own
     assert found.rms("fit") < 0.01 and found.rms("validation") < 0.01
     about = {"name": "x", "title": "x", "robot": "gen4", "method": "offsets", "command": "x", "versions": {}}
     data = [run.data_set("fit") for run in measured(OFFSETS)]
-    assert fit_file(found, **about, data=data).unidentified() == ["friction.mu_t", "friction.mu_n"]
+    fit = fit_file(found, **about, data=data)
+    assert fit.unidentified() == ["friction.mu_t", "friction.mu_n"]
     with pytest.raises(InputError, match=r"x: friction.mu_t, friction.mu_n has no value, .* fix one"):
-        fit_file(found, **about, data=data, averages={"offset 0": ({"speed_m_s": 0.1}, {"speed_m_s": 0.1})})
+        with_averages(fit, {})
 
 
 def test_the_same_row_cannot_fit_and_validate(lawful):

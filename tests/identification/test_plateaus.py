@@ -14,7 +14,10 @@ from synthetic_takes import Take, write_motive
 from srs_twin import AnalyticalSnake, Trajectory, load_robot, rollout
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError
-from srs_twin.identification.actuator import (
+from srs_twin.identification.estimate import FitEstimate
+from srs_twin.identification.fit_file import load_fit
+from srs_twin.identification.parameters import with_values
+from srs_twin.identification.static_tables import (
     StaticTable,
     _noise_scale,
     fit_static,
@@ -24,9 +27,6 @@ from srs_twin.identification.actuator import (
     read_static_table,
     write_static_table,
 )
-from srs_twin.identification.estimate import FitEstimate
-from srs_twin.identification.fit_file import load_fit
-from srs_twin.identification.parameters import with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.pneumatics.recorded import RecordedPressures

@@ -1,0 +1,205 @@
+r"""Identifiability of the parameters of a fit, and the accuracy of their values.
+
+Let J be the Jacobian of the weighted residuals by the coordinates z of `parameters`, s_k its singular values
+with directions v_k, and E the difference between two Jacobians with steps h and 2h, an estimate of the error
+of J. A direction is *unidentifiable* if the effect of moving along it is within the
+error of the derivatives:
+
+$$ s_k \le 2\,\lVert E v_k \rVert \quad\text{or}\quad s_k \le 10^{-6} s_1 . $$
+
+The other directions have the standard error σ/s_k. A parameter is not identifiable if more than a tenth of it
+lies in the unidentifiable directions, or if its standard error in z is 1 or more (a factor e in either
+direction), as the data then add little to its bounds. Up to a standard error of 0.1 it is identified, in
+between weakly identified. A smaller component in an unidentifiable direction adds the variance within the
+bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from srs_twin.identification.estimate import (
+    IDENTIFIED_ERROR,
+    MISFIT_MESSAGE,
+    UNIDENTIFIABLE_ERROR,
+    Parameter,
+    Verdict,
+)
+from srs_twin.identification.parameters import FreeParameter
+
+MAX_UNIDENTIFIABLE_SHARE = 0.1
+"""Component in the unidentifiable directions above which a parameter is not identifiable."""
+
+_DERIVATIVE_ERRORS = 2.0
+"""Singular value, as a multiple of the error of the derivatives, up to which a direction is
+unidentifiable."""
+
+_RELATIVE_CUTOFF = 1e-6
+"""Singular value relative to the largest up to which a direction is unidentifiable (rounding)."""
+
+_MIN_COMPONENT = 0.05
+"""Component of a unit direction below which a parameter is not listed."""
+
+_SPREAD_ONLY = "the spread about the best value under a wrong model"
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """Covariance and unidentifiable directions of a Jacobian, in coordinates z.
+
+    Attributes:
+        covariance: covariance of the parameters, shape (n, n).
+        share: component of each parameter in the unidentifiable directions, shape (n,).
+        directions: unidentifiable directions, shape (directions, n).
+        names: names of the parameters, n.
+    """
+
+    covariance: np.ndarray
+    share: np.ndarray
+    directions: np.ndarray
+    names: tuple[str, ...]
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Standard errors, shape (n,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def is_unidentifiable(self, i: int) -> bool:
+        """Return whether parameter i is not identifiable."""
+        return bool(self.share[i] > MAX_UNIDENTIFIABLE_SHARE or self.errors[i] >= UNIDENTIFIABLE_ERROR)
+
+    def describe(self, i: int) -> str:
+        """Return the reason why parameter i is not identifiable."""
+        rows = [row for row in self.directions if abs(row[i]) > _MIN_COMPONENT]
+        components = [(name, k, abs(row[k])) for row in rows for k, name in enumerate(self.names) if k != i]
+        others = sorted({name for name, _, component in components if component > _MIN_COMPONENT})
+        if not rows:
+            return f"its standard error in z is {self.errors[i]:.2g}, 1 or more"
+        if not others:
+            return "the residuals do not depend on it"
+        return f"only a combination of it with {', '.join(others)} has an effect"
+
+    @property
+    def cancels(self) -> tuple[dict[str, float], ...]:
+        """Unidentifiable directions as name → component, the largest component positive."""
+        rows = []
+        for row in self.directions:
+            components = zip(self.names, row * np.sign(row[np.argmax(np.abs(row))]), strict=True)
+            rows.append(
+                {name: round(float(value), 3) for name, value in components if abs(value) > _MIN_COMPONENT}
+            )
+        return tuple(rows)
+
+
+def identifiability(
+    jacobian: np.ndarray, error: np.ndarray, noise: float, widths: np.ndarray, names: Iterable[str]
+) -> Identifiability:
+    """Return the identifiability of parameters from a Jacobian (module docstring).
+
+    Args:
+        jacobian: J, shape (samples, n).
+        error: E, same shape.
+        noise: σ of a weighted residual, multiplied by the square root of the correlation time.
+        widths: distance between the bounds of each parameter in z, shape (n,).
+        names: names of the parameters, n.
+    """
+    _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
+    derivative_error = np.linalg.norm(error @ directions.T, axis=0)
+    undetermined = (singular <= _DERIVATIVE_ERRORS * derivative_error) | (
+        singular <= _RELATIVE_CUTOFF * singular.max(initial=0.0)
+    )
+    determined, unidentifiable = directions[~undetermined], directions[undetermined]
+    covariance = (determined.T * (noise / singular[~undetermined]) ** 2) @ determined
+    # Without data the prior remains: uniform between the bounds, with the variance width²/12.
+    prior_std = (np.abs(unidentifiable) @ widths) / np.sqrt(12)
+    covariance += (unidentifiable.T * prior_std**2) @ unidentifiable
+    share = np.linalg.norm(unidentifiable, axis=0)
+    return Identifiability(covariance, share, unidentifiable, tuple(names))
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Accuracy of the result of a search.
+
+    Attributes:
+        unknowns: free parameters, n.
+        z: estimate, shape (n,).
+        converged: whether the search converged.
+        inside: indices of the parameters that did not end at a bound.
+        known: covariance and unidentifiable directions of those.
+        bias: bias by model error in z, shape (n,).
+        spread: largest distance in z to a minimum that fits as well, shape (n,).
+        quantile: half width of a confidence interval in standard errors.
+        explained: whether the model explains the data.
+    """
+
+    unknowns: tuple[FreeParameter, ...]
+    z: np.ndarray
+    converged: bool
+    inside: np.ndarray
+    known: Identifiability
+    bias: np.ndarray
+    spread: np.ndarray
+    quantile: float
+    explained: bool
+
+    def parameter(self, i: int) -> Parameter:
+        """Return parameter i with verdict and interval."""
+        unknown, z, index = self.unknowns[i], float(self.z[i]), int(np.searchsorted(self.inside, i))
+        lost = ""
+        if i not in self.inside:
+            lost = _describe_bound(unknown, z)
+        elif self.known.is_unidentifiable(index):
+            lost = self.known.describe(index)
+        if lost:
+            return Parameter(unknown.name, unknown.unit, "not identifiable", why=lost)
+        error, value = float(self.known.errors[index]), unknown.value(z)
+        verdict, why = self._verdict(error, self.spread[i])
+        if 2 * self.bias[i] ** 2 > error**2:
+            true = unknown.value(z - self.bias[i])
+            model_error = f"mostly model error: a fit to the reference with {true:.4g} gives this value"
+            why = "; ".join(filter(None, (why, model_error)))
+        if not self.explained:
+            verdict, why = "cannot tell", f"{MISFIT_MESSAGE}: {_SPREAD_ONLY}"
+        half = self.quantile * error
+        low, high = unknown.value(z - half), unknown.value(z + half)
+        std = unknown.slope(value) * error
+        return Parameter(unknown.name, unknown.unit, verdict, value, std, low, high, why)
+
+    def _verdict(self, error: float, spread: float) -> tuple[Verdict, str]:
+        """Return the verdict on a parameter with a value, and its reason."""
+        if spread > max(IDENTIFIED_ERROR, 2 * self.quantile * error):
+            return "weakly identified", "another start gives a different value with an equally good fit"
+        if not self.converged:
+            return "weakly identified", "the search did not converge"
+        if error > IDENTIFIED_ERROR:
+            return "weakly identified", "its standard error is large"
+        return "identified", ""
+
+    def correlation(self, parameters: Sequence[Parameter], kept: Sequence[int]) -> np.ndarray:
+        """Return the correlation of parameters with values, NaN elsewhere, shape (parameters, parameters).
+
+        Args:
+            parameters: parameters of the result.
+            kept: their indices among the free parameters.
+        """
+        matrix = np.full((len(parameters), len(parameters)), np.nan)
+        rows = [k for k, parameter in enumerate(parameters) if parameter.value is not None]
+        if rows:
+            indices = np.searchsorted(self.inside, [kept[k] for k in rows])
+            # Without noise all errors are 0; the floor avoids 0/0.
+            errors = np.maximum(self.known.errors[indices], 1e-150)
+            scaled = self.known.covariance[np.ix_(indices, indices)] / np.outer(errors, errors)
+            matrix[np.ix_(rows, rows)] = np.clip(scaled, -1.0, 1.0)
+            matrix[rows, rows] = 1.0
+        return matrix
+
+
+def _describe_bound(parameter: FreeParameter, z: float) -> str:
+    """Return the reason why a parameter whose search ended at a bound has no value."""
+    lower = z - parameter.coordinate(parameter.low) < parameter.coordinate(parameter.high) - z
+    bound, side = (parameter.low, "lower") if lower else (parameter.high, "upper")
+    return f"the best fit is at the {side} bound, {bound:g} {parameter.unit}, or beyond"
