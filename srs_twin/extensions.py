@@ -29,13 +29,13 @@ COMMANDS = {
 
 CONTROLLERS = {
     "compliant_gait": "srs_twin.scenario.compliant_gait:CompliantGaitFile",
-    "replay": "srs_twin.recordings.scenario:ReplayFile",
+    "replay": "srs_twin.recordings.takes:ReplayFile",
     "follow": "srs_twin.planning.follow_file:FollowFile",
 }
 """Kinds of `controller` in a scenario, as sections that build the controller."""
 
 SECTIONS = {
-    "recording": "srs_twin.recordings.scenario:RECORDING",
+    "recording": "srs_twin.recordings.takes:RECORDING",
     "planner": "srs_twin.planning.scenario:PLANNER",
 }
 """Additional sections of a scenario (`scenario.fields.SectionEntry`)."""

@@ -145,7 +145,8 @@ def expand_option_groups(command: Callable[..., None]) -> Callable[..., None]:
         if name in groups:
             members = list(inspect.signature(groups[name]).parameters.values())
             annotations = get_type_hints(groups[name], include_extras=True)
-            help_texts |= _parse_docstring(groups[name])[1]
+            for kind in groups[name].__mro__[:-1]:
+                help_texts |= _parse_docstring(kind)[1]
         keyword = inspect.Parameter.KEYWORD_ONLY
         parameters += [
             member.replace(kind=keyword, annotation=annotations[member.name]) for member in members

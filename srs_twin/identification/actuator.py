@@ -24,8 +24,7 @@ from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.parameters import FreeParameter, free_parameters, per_segment, with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
-from srs_twin.recordings.recording import Recording
-from srs_twin.recordings.signals.valve_log import ValveLog
+from srs_twin.recordings.recording import Recording, ValveLog
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 

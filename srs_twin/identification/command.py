@@ -314,10 +314,9 @@ def locomotion(
 def _gait_runs(recordings: NamedRecordings, supply_pa: float, quiet: bool) -> list[GaitRun]:
     """Return recordings as gait runs, with a warning if chambers are filling at the start."""
     from srs_twin.identification.locomotion import gait_run
-    from srs_twin.recordings.takes import starts_at_rest
 
     for path, recording in recordings:
-        if not starts_at_rest(recording):
+        if not recording.starts_at_rest():
             warning = f"warning: {path}: chambers are filling at the start; the plants start with empty ones"
             say(warning, quiet=quiet)
     return [gait_run(recording, path, supply_pa) for path, recording in recordings]

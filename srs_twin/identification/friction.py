@@ -42,7 +42,8 @@ from srs_twin.identification.least_squares import LEVEL, Watch, least_squares
 from srs_twin.identification.parameters import FreeParameter, free_parameters
 from srs_twin.plants.analytical.floor import slide, spin_share
 from srs_twin.recordings.body.trajectories import moving_slope
-from srs_twin.recordings.csv_table import CsvColumn, CsvTable, first_line_names, read_file, read_table
+from srs_twin.recordings.csv_table import CsvColumn, CsvTable, first_line_names, read_table
+from srs_twin.recordings.recorded_file import read_file
 from srs_twin.recordings.signals.units import LENGTHS
 from srs_twin.robot.friction import LAWS
 from srs_twin.robot.spec import GRAVITY, RobotSpec

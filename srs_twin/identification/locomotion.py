@@ -30,7 +30,7 @@ from srs_twin.pneumatics import Pneumatics
 from srs_twin.pneumatics.recorded import RecordedPressures
 from srs_twin.recordings.body.trajectories import numbered_columns
 from srs_twin.recordings.recording import Recording
-from srs_twin.recordings.takes import NO_MARKERS, commands, only_bends, pressures
+from srs_twin.recordings.takes import NO_MARKERS
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import rollout
 from srs_twin.trajectory import Trajectory
@@ -43,10 +43,10 @@ def gait_run(recording: Recording, name: str, supply_pa: float) -> GaitRun:
         InputError: the recording has no log, or only bends.
     """
     trajectory = recording.trajectory
-    if only_bends(trajectory):
+    if recording.only_bends:
         raise InputError(f"{name}: {NO_MARKERS}")
-    controller = Replay(commands(recording, name), trajectory.metadata.get("gait_frequency_hz"))
-    logged = pressures(recording)
+    controller = Replay(recording.commands(name), trajectory.metadata.get("gait_frequency_hz"))
+    logged = recording.pressures()
     chambers = logged and partial(_recorded_pressures, *logged, supply_pa)
     return GaitRun(trajectory, controller, supply_pa, name, chambers)
 

@@ -45,7 +45,8 @@ from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.parameters import free_parameters, per_segment, with_values
 from srs_twin.io.files import write_text
 from srs_twin.pneumatics.chambers import air_bend
-from srs_twin.recordings.csv_table import first_line_names, read_file, read_table
+from srs_twin.recordings.csv_table import first_line_names, read_table
+from srs_twin.recordings.recorded_file import read_file
 from srs_twin.recordings.recording import Recording
 from srs_twin.recordings.signals.gaps import MIN_FRAMES
 from srs_twin.recordings.signals.logs import SIDES

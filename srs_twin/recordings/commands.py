@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +17,7 @@ from srs_twin.cli.options import JsonOption, OverwriteOption, QuietOption, argum
 from srs_twin.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
+    from srs_twin.recordings.inspection import Scene
     from srs_twin.recordings.takes import RecordingReader
 
 
@@ -37,7 +39,42 @@ FrequencyOption = Annotated[
 
 
 @dataclass(frozen=True)
-class ReadingOptions:
+class TableOptions:
+    """Options on information that a file lacks or that cannot be detected.
+
+    Options:
+        map: Recording map: quantities of markers and columns (docs/logs.md).
+        units: Unit of lengths if the file states none: m, cm, mm, in, ft.
+        rate: Frames per second if the file has no time.
+        columns: Column names of a plain file without a header, e.g. time,x_1,y_1.
+        separator: Cell separator of a plain file: , ; | tab or space. [default: detected]
+        decimal: Decimal mark of a plain file. [default: detected]
+    """
+
+    map: Annotated[str | None, option("--map FILE.yaml")] = None
+    units: Annotated[str | None, option("--units UNIT")] = None
+    rate: Annotated[float | None, option("--rate HZ")] = None
+    columns: Annotated[str | None, option("--columns NAMES")] = None
+    separator: Annotated[str | None, option("--separator CHARACTER")] = None
+    decimal: Annotated[str | None, option("--decimal CHARACTER")] = None
+
+    def map_data(self, markers: Sequence[str] = ()) -> dict[str, Any]:
+        """Return the map with the other options as plain data; `markers` are those of `given_map`.
+
+        Raises:
+            InputFileError: the map is invalid.
+        """
+        from srs_twin.recordings.recording_map import given_map
+
+        options = {
+            "units": self.units, "rate_hz": self.rate, "columns": self.columns, "separator": self.separator,
+            "decimal": self.decimal,
+        }  # fmt: skip
+        return given_map(self.map, options, markers)
+
+
+@dataclass(frozen=True)
+class ReadingOptions(TableOptions):
     """Options of `RecordingReader`.
 
     Options:
@@ -45,12 +82,6 @@ class ReadingOptions:
         layout: Markers: auto, single, head, pair, middles or head_middles.
         head: Name of the marker at the head. [default: the end in the direction of motion]
         longest_gap: Longest gap that is interpolated, s. [default: 0.2]
-        map: Recording map: quantities of markers and columns (docs/logs.md).
-        units: Unit of lengths if the file states none: m, cm, mm, in, ft.
-        rate: Frames per second if the file has no time.
-        columns: Column names of a plain file without a header, e.g. time,x_1,y_1.
-        separator: Cell separator of a plain file: , ; | tab or space. [default: detected]
-        decimal: Decimal mark of a plain file. [default: detected]
         marker: Position of a marker, e.g. "tip=connector 3" or "m1=middle 1" (repeatable).
     """
 
@@ -58,25 +89,13 @@ class ReadingOptions:
     layout: Annotated[str, option("--layout NAME")] = "auto"
     head: Annotated[str | None, option("--head MARKER")] = None
     longest_gap: Annotated[float | None, option("--longest-gap S")] = None
-    map: Annotated[str | None, option("--map FILE.yaml")] = None
-    units: Annotated[str | None, option("--units UNIT")] = None
-    rate: Annotated[float | None, option("--rate HZ")] = None
-    columns: Annotated[str | None, option("--columns NAMES")] = None
-    separator: Annotated[str | None, option("--separator CHARACTER")] = None
-    decimal: Annotated[str | None, option("--decimal CHARACTER")] = None
     marker: Annotated[list[str] | None, option("--marker NAME=PLACE")] = None
 
     def given(self) -> dict[str, Any]:
         """Return the given options by the names of `RecordingReader`'s attributes; a map is plain data."""
-        from srs_twin.recordings.recording_map import given_map
-
-        options = {
-            "units": self.units, "rate_hz": self.rate, "columns": self.columns, "separator": self.separator,
-            "decimal": self.decimal,
-        }  # fmt: skip
         values = {
             "up": self.up, "layout": self.layout, "head": self.head, "longest_gap_s": self.longest_gap,
-            "map": given_map(self.map, options, self.marker or ()),
+            "map": self.map_data(self.marker or ()) or None,
         }  # fmt: skip
         return {name: value for name, value in values.items() if value is not None}
 
@@ -93,15 +112,13 @@ class ReadingOptions:
         return RecordingReader(**given | {"map": read_map(given.get("map", {}))}, **more)
 
 
+_DEFAULT_TABLE = TableOptions()
+
+
 def inspect(
     files: Annotated[list[str], argument("FILE", "Recordings of markers, or logs.")],
     robot: Annotated[str | None, option("--robot -r ROBOT")] = None,
-    map: Annotated[str | None, option("--map FILE.yaml")] = None,
-    units: Annotated[str | None, option("--units UNIT")] = None,
-    rate: Annotated[float | None, option("--rate HZ")] = None,
-    columns: Annotated[str | None, option("--columns NAMES")] = None,
-    separator: Annotated[str | None, option("--separator CHARACTER")] = None,
-    decimal: Annotated[str | None, option("--decimal CHARACTER")] = None,
+    table: TableOptions = _DEFAULT_TABLE,
     picture: Annotated[str | None, option("--picture FILE.png")] = None,
     write_map: Annotated[str | None, option("--write-map FILE.yaml")] = None,
     overwrite: OverwriteOption = False,
@@ -114,12 +131,6 @@ def inspect(
 
     Options:
         robot: Shipped robot or robot file with which the recording is checked.
-        map: Recording map with the known columns and markers (docs/logs.md).
-        units: Unit of lengths if the file states none: m, cm, mm, in, ft.
-        rate: Frames per second if the file has no time.
-        columns: Column names of a plain file without a header, e.g. time,x_1,y_1.
-        separator: Cell separator of a plain file: , ; | tab or space. [default: detected]
-        decimal: Decimal mark of a plain file. [default: detected]
         picture: Output picture of the markers from above; with several files, the name of each is put in
             front.
         write_map: File for the proposed map.
@@ -127,13 +138,10 @@ def inspect(
     from srs_twin.io.files import check_output_folder, escape_unprintable, write_text
     from srs_twin.recordings.facts import in_words, proposed_map
     from srs_twin.recordings.inspection import inspect_file
-    from srs_twin.recordings.recording_map import given_map, read_map
+    from srs_twin.recordings.recording_map import read_map
     from srs_twin.robot.file import load_robot
 
-    options = {"units": units, "rate_hz": rate}
-    options |= {"columns": columns, "separator": separator, "decimal": decimal}
-    known = read_map(given_map(map, options, ()) or {})
-    spec = None if robot is None else load_robot(robot)
+    known, spec = read_map(table.map_data()), None if robot is None else load_robot(robot)
     for name, target in (("--picture", picture), ("--write-map", write_map)):
         if target is not None:
             check_output_folder(Path(target).parent, (Path(target).name,), option=name)
@@ -144,20 +152,16 @@ def inspect(
         try:
             facts, scene = inspect_file(path, known, spec)
         except InputError as error:
-            said = str(error)
-            failed.append(said if Path(path).name in said else f"{path}: {said}")
+            message = str(error)
+            failed.append(message if Path(path).name in message else f"{path}: {message}")
             continue
         found.append(facts)
         if not as_json:
             print(escape_unprintable(in_words(facts), keep="\n"))
         if picture is not None and scene is not None:
-            from srs_twin.recordings.pictures import markers_view
-            from srs_twin.viewing.plots.style import save
-
             place = Path(picture)
             place = place if len(files) == 1 else place.with_name(f"{Path(path).stem}_{place.name}")
-            save(markers_view(scene), place)
-            say(f"picture in {place}")
+            _save_picture(scene, place)
     if as_json:
         print_json([facts.document() for facts in found])
     if write_map is not None and found:
@@ -165,6 +169,14 @@ def inspect(
         say(f"proposed map in {write_map}")
     if failed:
         raise InputError("\n".join(failed))
+
+
+def _save_picture(scene: Scene, path: Path) -> None:
+    from srs_twin.recordings.inspection import markers_view
+    from srs_twin.viewing.plots.style import save
+
+    save(markers_view(scene), path)
+    say(f"picture in {path}")
 
 
 _FORMATS = ("mcap", "csv", "npz")

@@ -1,87 +1,29 @@
-"""Recorded CSV files: headers with units, rows of numbers, and errors with line and column.
+"""Columns of plain tables: names with units, their meanings in a map, and values in SI.
 
 A plain table names its columns in the first line: ``x_1``, ``x_1_mm``, ``pressure_plus_2 (kPa)``,
-``time_ms``. Columns without a unit are in SI. Arrow reads the numbers. Comments, separator and decimal mark
-are detected (`laid_out`), or given as a `Dialect`.
+``time_ms``. Columns without a unit are in SI.
 """
 
 from __future__ import annotations
 
-import csv
-import hashlib
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from decimal import Decimal
-from functools import cached_property
-from pathlib import Path
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.io.files import decode_text, display_path, require_file
+from srs_twin.recordings.recorded_file import AS_FOUND, Dialect, RecordedFile, laid_out, read_file
 from srs_twin.recordings.signals.units import TIMES, bracketed, clean, is_clock, symbol, unit_of
 
 CLOCK = {"time": TIMES}
 """Column of the time; `is_clock` lists its names."""
 
-MAX_BYTES = 256 << 20
-"""Largest size of a file: twice that of an hour of ten markers at 120 Hz."""
-
-MAX_HEADER_BYTES = 4 << 20
-"""Largest size of a header; a recording in which thousands of markers come and go has one of 1 MB."""
-
-MAX_VALUES = 1 << 26
-"""Largest number of rows times columns: half a gigabyte of numbers."""
-
-MAX_COLUMNS = 20_000
-"""Largest number of columns."""
-
-BLANK = ["", "NaN", "nan", "NAN", "-nan", "null", "NULL", "N/A", "n/a"]
-"""Contents of a cell without a value."""
-
-_PEEK = 1 << 16
-"""Number of bytes from which a format is identified."""
-_BLOCK = 8 << 20
-"""Number of bytes that Arrow reads at once; no line may be longer."""
 _LISTED = 5
 """Largest number of columns in a message."""
-_EMPTY_LINE = re.compile(rb"^[ \t,]*\r?$", re.MULTILINE)
-_NUMBER = re.compile(
-    r"\s*(?:[-+]?(?=.?\d)[\d.,]+(?:[eE][-+]?\d+)?|nan|\d{4}-\d\d-\d\d[T ][\d:.,Z]+)?\s*", re.IGNORECASE
-)
-_COMMENT = re.compile(r"\s*#|sep=.$", re.IGNORECASE)  # "sep=" is an Excel directive
-_ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
-_DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:")
-# A comma that cannot separate thousands: 0,5 or 1234,5 or 1,25 or 1,2345.
-_DECIMAL_COMMA = re.compile(rb"(?<![\d,])(?:0|\d{4,}),\d|\d,(?:\d{1,2}|\d{4,})(?![\d,])")
-_SEPARATOR_NAMES = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "spaces", "|": "bars"}
-_EPOCH_RANGE = (1e9, 4.2e9)
-"""Range of times that count as times since 1970, s: 2001 to 2103."""
-_MAX_EPOCH_STEP = 100.0
-"""Largest step between rows for times since 1970, s: larger ones mean a wrong unit."""
-_MAX_COMMENT_LINES = 1000
-"""Largest number of comment lines above the header."""
-
-
-class Dialect(NamedTuple):
-    """Layout of a plain table; empty values are detected.
-
-    Attributes:
-        columns: names of the columns, for a file whose first line has none.
-        separator: separator of cells; a space means runs of spaces and tabs.
-        decimal: decimal mark, "." or ",".
-    """
-
-    columns: tuple[str, ...] = ()
-    separator: str = ""
-    decimal: str = ""
-
-
-AS_FOUND = Dialect()
-"""Dialect that is detected."""
+_NAME = re.compile(r"([A-Za-z][A-Za-z_]*?)(?:_(\d{1,3})([a-z])?)?(?:[_ ]+([^\W\d_]+(?:/\w+)?|%))?")
 
 
 class TimedRows(NamedTuple):
@@ -100,377 +42,6 @@ class TimedRows(NamedTuple):
     epoch_ns: int | None
 
 
-@dataclass(frozen=True)
-class RecordedFile:
-    """Recorded file in memory.
-
-    Attributes:
-        name: name for messages.
-        data: contents.
-        separator: separator of cells.
-        decimal: decimal mark.
-        body: contents with normalised separators, if cells are separated by runs of spaces.
-        names: names of the columns of a plain table.
-        header_lines: number of lines above its rows.
-        notes: notes on the layout.
-        problem: reason why it cannot be read as a table; empty if it can.
-    """
-
-    name: str
-    data: bytes
-    separator: str = ","
-    decimal: str = "."
-    body: bytes | None = None
-    names: tuple[str, ...] = ()
-    header_lines: int = 1
-    notes: tuple[str, ...] = ()
-    problem: str = ""
-
-    @cached_property
-    def raw(self) -> bytes:
-        """Contents without a byte order mark."""
-        return self.data.removeprefix(b"\xef\xbb\xbf") if self.body is None else self.body
-
-    @cached_property
-    def first_line(self) -> str:
-        """First line that is not blank."""
-        wide = self.data.startswith(
-            (b"\xff\xfe", b"\xfe\xff")
-        )  # the error for UTF-16 is raised when it is read
-        text = self.data.removeprefix(b"\xef\xbb\xbf").decode("utf-16" if wide else "utf-8", "replace")
-        return next((line for line in text.splitlines() if line.strip()), "")
-
-    @property
-    def title(self) -> str:
-        """First cell of that line."""
-        return re.split(r"[,\t]", self.first_line)[0].strip(' "')
-
-    @cached_property
-    def sha256(self) -> str:
-        """SHA-256 checksum of the file, hexadecimal."""
-        return hashlib.sha256(self.data).hexdigest()
-
-    def error(self, problem: str, line: int | None = None, column: int | None = None) -> InputError:
-        """Return an error with the position in the file; lines and columns (cells) are counted from 1."""
-        position = "".join(f":{number}" for number in (line, column) if number is not None)
-        return InputError(f"{self.name}{position}: {problem}")
-
-    def head(self, lines: int, after: int = 0) -> list[list[str]]:
-        """Return the stripped cells of some lines after the first `after` lines.
-
-        Raises:
-            InputError: the lines are longer than any header, or are not CSV.
-        """
-        start = self._start_of(after)
-        split = self.raw[start : start + MAX_HEADER_BYTES].split(b"\n", lines)
-        if len(split) <= lines and len(self.raw) > start + MAX_HEADER_BYTES:
-            problem = f"the header, or a line, is longer than {MAX_HEADER_BYTES >> 20} MB"
-            raise self.error(problem, after + len(split))
-        rows = []
-        for number, line in enumerate(split[:lines], start=after + 1):
-            text = line.decode("utf-8", "replace").rstrip("\r")
-            try:
-                cells = next(csv.reader([text], delimiter=self.separator, strict=True), [])
-            except csv.Error as error:
-                raise self.error(f"the line is not CSV ({error})", number) from error
-            rows.append([cell.strip() for cell in cells])
-        return rows
-
-    def _start_of(self, line: int) -> int:
-        """Return the position of a line, counted from 0; the end of the file if there are fewer lines."""
-        start = 0
-        for _ in range(line):
-            start = self.raw.find(b"\n", start) + 1 or len(self.raw)
-        return start
-
-    def rows(
-        self, header_lines: int, columns: Sequence[int], width: int, *, section: bool = False
-    ) -> tuple[np.ndarray, list[str]]:
-        """Read the rows below a header.
-
-        A last line without a line end may be cut, also inside a number. It is left out, with a note.
-
-        Args:
-            header_lines: number of lines of the header.
-            columns: columns to read, counted from 0.
-            width: number of cells per row.
-            section: whether the rows end at an empty line instead of the end of the file.
-
-        Returns:
-            Numbers, shape (rows, columns), NaN for cells that are blank or not finite; and notes.
-
-        Raises:
-            InputError: there are no rows or too many values, a row has more or fewer cells, or a cell is not
-                a number.
-        """
-        raw, start, notes = self.raw, self._start_of(header_lines), []
-        stop = self._end_of(start, section=section)
-        if stop < len(raw) and not section:
-            line = raw.count(b"\n", 0, stop) + 1
-            notes.append(f"line {line}, the last one, has no line end and may be cut: left out")
-        # The first row is checked before the remaining ones are parsed.
-        first = raw[start : max(raw.find(b"\n", start, stop), start)]
-        cells = first.count(self.separator.encode()) + 1
-        if first.strip() and b'"' not in first and cells != width:
-            raise self.error(f"{cells} cells, but the header has {width}", header_lines + 1)
-        count = raw.count(b"\n", start, stop)
-        if width > MAX_COLUMNS or count * width > MAX_VALUES:
-            limit = f"at most {MAX_COLUMNS} columns and {MAX_VALUES} cells are read"
-            raise self.error(f"{count} rows of {width} cells; {limit}")
-        cut = memoryview(raw)[start:stop]
-        table = self._parsed(cut, header_lines, columns, width) if count else []
-        if not table or not len(table[0]):
-            raise self.error("the header has no rows below it", header_lines + 1)
-        values = np.stack([column.to_numpy() for column in table], axis=1)
-        infinite = np.isinf(values)
-        if infinite.any():
-            notes.append(f"{int(infinite.sum())} infinite numbers: read as missing")
-            values[infinite] = np.nan
-        return values, notes
-
-    def _end_of(self, start: int, *, section: bool = False) -> int:
-        """Return the end of the rows: after their last line end, or at an empty line."""
-        end = _EMPTY_LINE.search(self.raw, start) if section else None
-        return max(start, end.start() if end else self.raw.rfind(b"\n") + 1)
-
-    def times(self, clock: int, unit: str) -> tuple[np.ndarray, list[str], int | None]:
-        """Read the times of the rows of a plain table; times since 1970 are converted to begin at 0.
-
-        Args:
-            clock: column of the times, which are numbers or dates, counted from 0.
-            unit: unit of numbers; empty means s, or the unit in which they are times since 1970.
-
-        Returns:
-            Times, shape (rows,), s; notes; and the value subtracted from times since 1970, ns, or None.
-
-        Raises:
-            InputError: as `rows`, or a row has no time.
-        """
-        import pyarrow as pa
-
-        top, start, width = self.header_lines, self._start_of(self.header_lines), len(self.names)
-        cut, notes = memoryview(self.raw)[start : self._end_of(start)], list[str]()
-        first = _cells(bytes(cut[:_BLOCK]).split(b"\n", 1)[0].decode("utf-8", "replace"), self.separator)
-        exact: list[Any] = []
-        if clock < len(first) and _DATE.match(first[clock]):
-            kind, unit = pa.timestamp("ns", "UTC" if _ZONE.search(first[clock]) else None), "ns"
-            exact = self._parsed(cut, top, [clock], width, kind)[0].cast(pa.int64()).to_pylist()
-            time = np.array(exact, dtype=float)
-        else:
-            values, notes = self.rows(top, [clock], width)
-            time = values[:, 0]
-        if (missing := np.isnan(time)).any():
-            raise self.error("the row has no time", top + 1 + int(missing.argmax()), clock + 1)
-        if not exact:
-            since_1970 = _epoch_unit(time, unit)
-            if not since_1970:
-                with np.errstate(over="ignore"):
-                    return time * TIMES[unit or "s"], notes, None
-            # Use exact numbers: a double resolves times since 1970 only to 256 ns.
-            (texts,), unit = self._parsed(cut, top, [clock], width, pa.string()), since_1970
-            exact = [Decimal(text.replace(self.decimal, ".")) for text in texts.to_pylist()]
-        origin = min(exact)
-        since = np.array([float(value - origin) for value in exact]) * TIMES[unit]
-        epoch_ns = round(origin * round(TIMES[unit] * 1e9))
-        notes.append(f"time since 1970 in {unit}: {epoch_ns // 10**9}.{epoch_ns % 10**9:09d} s subtracted")
-        return since, notes, epoch_ns
-
-    def _parsed(
-        self, cut: memoryview, header_lines: int, columns: Sequence[int], width: int, kind: Any = None
-    ) -> list[Any]:
-        """Return the columns of rows as read by Arrow, as numbers or as another type."""
-        import pyarrow as pa
-        from pyarrow.csv import ConvertOptions, ParseOptions, ReadOptions, read_csv
-
-        names = [str(k) for k in range(width)]
-        chosen = [names[k] for k in columns]
-        uneven: list[Any] = []
-
-        def refuse(row: Any) -> str:
-            uneven.append(row)
-            return "error"
-
-        # Arrow reports the row of an error only with a single thread.
-        reading = ReadOptions(column_names=names, use_threads=False, block_size=_BLOCK)
-        parsing = ParseOptions(delimiter=self.separator, invalid_row_handler=refuse, newlines_in_values=False)
-        converting = ConvertOptions(
-            column_types=dict.fromkeys(chosen, kind or pa.float64()), include_columns=chosen,
-            null_values=BLANK, quoted_strings_can_be_null=True, decimal_point=self.decimal,
-        )  # fmt: skip
-        try:
-            return list(read_csv(pa.py_buffer(cut), reading, parsing, converting).columns)
-        except (pa.ArrowException, OSError) as error:
-            if uneven:
-                problem = f"{uneven[0].actual_columns} cells, but the header has {width}"
-                raise self.error(problem, header_lines + (uneven[0].number or 0)) from error
-            raise self._not_a_number(
-                bytes(cut).split(b"\n"), header_lines + 1, columns, str(error)
-            ) from error
-
-    def _not_a_number(
-        self, lines: Sequence[bytes], first: int, columns: Sequence[int], reported: str
-    ) -> InputError:
-        """Return an error for the first cell that is not a number, because Arrow does not report its line."""
-        marks = str.maketrans(",.", ".,") if self.decimal == "," else {}
-        for number, line in enumerate(lines, start=first):
-            cells = _cells(line.decode("utf-8", "replace").rstrip("\r"), self.separator)
-            for column in columns:
-                text = cells[column].strip() if column < len(cells) else ""
-                try:
-                    float("nan" if text in BLANK else text.translate(marks))
-                except ValueError:
-                    comma = ", or use --decimal ',' for decimal commas" if re.search(r"\d,\d", text) else ""
-                    problem = f"'{text[:60]}' is not a number; give a number or leave the cell empty{comma}"
-                    return self.error(problem, number, column + 1)
-        return self.error(f"no rows of numbers ({' '.join(reported.split())[:200]})", first)
-
-
-def recording_file(path: str | os.PathLike[str]) -> Path:
-    """Return the file of a recording; the file of a ROS 2 bag is inside a folder.
-
-    Raises:
-        InputError: it is missing, or the folder does not contain exactly one such file.
-    """
-    place = Path(path)
-    inside = place.glob("*") if (place / "metadata.yaml").is_file() else ()
-    bags = sorted(file for file in inside if file.suffix in (".db3", ".mcap"))
-    if len(bags) > 1:
-        names = ", ".join(file.name for file in bags[:3])
-        raise InputError(
-            f"{display_path(place)}: the folder has {len(bags)} bags; give one of them ({names}, …)"
-        )
-    return require_file(bags[0] if bags else place, suffix=".csv")
-
-
-def start_of(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> RecordedFile:
-    """Read the first bytes of a file as a table.
-
-    Raises:
-        InputError: the file is missing or cannot be read.
-    """
-    place = recording_file(path)
-    return laid_out(RecordedFile(display_path(place), _bytes(place, _PEEK)), dialect)
-
-
-def read_bytes(path: str | os.PathLike[str]) -> RecordedFile:
-    """Read a recorded file of any kind.
-
-    Raises:
-        InputError: the file is missing, not a regular file, not readable, empty, or too large.
-    """
-    place = recording_file(path)
-    file = RecordedFile(display_path(place), _bytes(place, MAX_BYTES + 1))
-    if len(file.data) > MAX_BYTES:
-        megabytes, limit = place.stat().st_size / (1 << 20), MAX_BYTES >> 20
-        raise file.error(f"{megabytes:.0f} MB; at most {limit} MB are read (export a shorter recording)")
-    if not file.raw.strip():
-        raise file.error("the file is empty; a recording has a header and rows of numbers")
-    return file
-
-
-def _bytes(place: Path, limit: int) -> bytes:
-    """Return the first bytes of a file."""
-    try:
-        with place.open("rb") as stream:
-            return stream.read(limit)
-    except OSError as error:
-        raise InputError(f"{display_path(place)}: cannot be read ({error.strerror})") from error
-
-
-def read_file(path: str | os.PathLike[str]) -> RecordedFile:
-    """Read a recorded text file.
-
-    Raises:
-        InputError: as `read_bytes`, or the file is not UTF-8 text.
-    """
-    file = read_bytes(path)
-    # A byte order mark of UTF-16 gets its own error; any other zero byte cannot be in a CSV file.
-    zero = file.data.find(b"\0")
-    if zero >= 0 and not file.data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise file.error(f"not a text file (byte {zero + 1} is 0x00); use a CSV file")
-    if not file.data.isascii():
-        decode_text(file.data, file.name)
-    return file
-
-
-def laid_out(file: RecordedFile, dialect: Dialect = AS_FOUND) -> RecordedFile:
-    """Return a file with its names, separator and decimal mark, as given or detected from its first lines."""
-    if file.names or file.problem:
-        return file
-    start = file.raw[:MAX_HEADER_BYTES].split(b"\n", _MAX_COMMENT_LINES)
-    lines = [line.decode("utf-8", "replace").strip("\r") for line in start[:_MAX_COMMENT_LINES]]
-    top = next((k for k, line in enumerate(lines) if line.strip() and not _COMMENT.match(line)), 0)
-    header, row = lines[top], next(filter(str.strip, lines[top + 1 :]), "")
-    comments = [line.lstrip("# ") for line in lines[:top] if line.strip()]
-    separator, notes, problem = dialect.separator or _separator(header, row), [], ""
-    if len(start) == 1 and len(file.raw) > MAX_HEADER_BYTES:
-        problem = f"the header, or a line, is longer than {MAX_HEADER_BYTES >> 20} MB"
-    names, header_lines = _cells(header, separator), top + 1
-    numbers = [bool(_NUMBER.fullmatch(cell)) for cell in names if cell.strip()]
-    if any(numbers) if dialect.columns else numbers and all(numbers):
-        above, header_lines = _cells(comments[-1], separator) if comments else [], top
-        if dialect.columns:
-            names = list(dialect.columns)
-        elif len(above) == len(names) and not any(map(_NUMBER.fullmatch, above)):
-            names, comments = above, comments[:-1]
-        else:
-            example = "--columns time,x_1,y_1,… (columns: [time, …] in a map)"
-            problem, names = f"{len(names)} numbers but no names of columns; give {example}", []
-    elif dialect.columns:
-        notes.append("the file names its columns: the names of --columns or of the map are not used")
-    if comments:
-        notes.append(f"{len(comments)} lines of comments above the names skipped")
-    if separator == " ":
-        file = replace(file, body=b"\n".join(b" ".join(line.split()) for line in file.raw.split(b"\n")))
-    rows, decimal = file._start_of(header_lines), dialect.decimal or "."
-    if not dialect.decimal and separator != "," and file.raw.find(b",", rows) >= 0:
-        decimal = ","
-        if not _DECIMAL_COMMA.search(file.raw, rows):
-            problem = problem or (
-                "commas in numbers may be decimal marks or separate thousands: give --decimal ',' or '.'"
-            )
-    if separator == decimal and '"' not in row:
-        problem = f"'{decimal}' cannot separate cells and decimals: give another --separator"
-    if separator + decimal != ",.":
-        notes.append(
-            f"cells separated by {_SEPARATOR_NAMES[separator]}, "
-            f"decimal {'commas' if decimal == ',' else 'points'}"
-        )
-    return replace(
-        file, separator=separator, decimal=decimal, names=tuple(clean(name) for name in names),
-        header_lines=header_lines, notes=tuple(notes), problem=problem,
-    )  # fmt: skip
-
-
-def _cells(line: str, separator: str) -> list[str]:
-    if separator == " ":
-        return line.split()
-    try:
-        return next(csv.reader([line], delimiter=separator), [])
-    except csv.Error:
-        return [line]
-
-
-def _separator(header: str, row: str) -> str:
-    """Return the separator that gives both lines the same number of cells; commas come last."""
-    present, words = [mark for mark in ";\t|," if mark in header], header.split()
-    by_spaces = present in ([], [","]) and len(words) == len(row.split()) > 1
-    if by_spaces and (not present or all(_NUMBER.fullmatch(word) and word[-1] != "," for word in words)):
-        return " "
-    fitting = (mark for mark in present if len(_cells(header, mark)) == len(_cells(row, mark)) > 1)
-    return next(fitting, "," if "," in present else (*present, ",")[0])
-
-
-def _epoch_unit(time: np.ndarray, stated: str) -> str:
-    """Return the unit of times since 1970, stated or by their size and steps; empty for other times."""
-    step = 0.0 if stated or len(time) < 2 else float(np.median(np.diff(np.sort(time))))
-    for unit in [stated] if stated else ("s", "ms", "us", "ns"):
-        low, high = (limit / TIMES[unit] for limit in _EPOCH_RANGE)
-        if low <= time.min() <= high and step * TIMES[unit] < _MAX_EPOCH_STEP:
-            return unit
-    return ""
-
-
 def first_line_names(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> list[str]:
     """Return the names of a table's columns in lower case; empty if it has none.
 
@@ -478,9 +49,6 @@ def first_line_names(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) 
         InputError: the file cannot be read.
     """
     return [name.lower() for name in laid_out(read_file(path), dialect).names]
-
-
-_NAME = re.compile(r"([A-Za-z][A-Za-z_]*?)(?:_(\d{1,3})([a-z])?)?(?:[_ ]+([^\W\d_]+(?:/\w+)?|%))?")
 
 
 @dataclass(frozen=True)
@@ -580,10 +148,6 @@ class CsvTable:
             return TimedRows(np.arange(len(values)) / rate, values, [*notes, counted], None)
         time, noted, epoch_ns = self.file.times(clock.place, clock.unit)
         return TimedRows(time, values, list(dict.fromkeys([*notes, *noted])), epoch_ns)
-
-    def unused_columns(self) -> list[str]:
-        """Return a note on the columns that were not used; empty if all were."""
-        return not_used(self.unused)
 
 
 def not_used(names: Sequence[str]) -> list[str]:

@@ -9,13 +9,14 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import cast
+from os.path import commonprefix
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.recordings.body.floor import map_to_floor
-from srs_twin.recordings.body.markers import (
+from srs_twin.recordings.body.layout import (
     LAYOUT_SIZES,
     MIN_COVERAGE,
     body_order,
@@ -24,15 +25,7 @@ from srs_twin.recordings.body.markers import (
 )
 from srs_twin.recordings.body.shape import marker_noise
 from srs_twin.recordings.body.tracking import pairwise_distances, track_markers
-from srs_twin.recordings.csv_table import (
-    CLOCK,
-    Meaning,
-    RecordedFile,
-    laid_out,
-    read_file,
-    read_table,
-    start_of,
-)
+from srs_twin.recordings.csv_table import CLOCK, Meaning, read_table
 from srs_twin.recordings.facts import (
     DistanceFacts,
     HeadFacts,
@@ -46,6 +39,7 @@ from srs_twin.recordings.formats import identify, read_markers, read_topics
 from srs_twin.recordings.formats.base import MarkerTable, axis_columns, in_unit
 from srs_twin.recordings.formats.tables import PlainCsv
 from srs_twin.recordings.formats.topics import RecordedTopics
+from srs_twin.recordings.recorded_file import RecordedFile, laid_out, read_file, start_of
 from srs_twin.recordings.recording import bodies_as_pairs, in_slots, read_motion, without_foreign_tracks
 from srs_twin.recordings.recording_map import LOG_NAME, QUANTITIES, RecordingMap, Up, canonical_key
 from srs_twin.recordings.signals.gaps import MIN_FRAMES, FrameGrid, at_frames, frame_grid, runs
@@ -59,6 +53,9 @@ from srs_twin.recordings.signals.units import (
     symbol,
 )
 from srs_twin.robot.spec import RobotSpec
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _RIGID_NOISE_RATIO = 1.3
 """Variation of a distance, divided by that from noise, below which two markers are on one rigid part, 1."""
@@ -116,14 +113,10 @@ def inspect_file(
         if not axis_columns(file.names) and not any(name.lower().startswith("x_1") for name in file.names):
             return _with_proposal(_table_facts(file, map)), None
     topics = read_topics(path)
-    if topics is not None and topics.markers is None and topics.signals:
+    markers = topics.markers if topics else None
+    if topics is not None and markers is None and topics.signals:
         return _with_proposal(_topics_facts(topics, kind, map)), None
-    if topics is not None and topics.markers is not None:
-        table = in_unit(topics.markers, map.units)
-    else:
-        table = read_markers(
-            path, rate_hz=map.rate_hz, unit=map.units, scale_m=map.scale_m, dialect=map.dialect
-        )
+    table = read_markers(path, map.unstated) if markers is None else in_unit(markers, map.units)
     facts, scene = _motion_facts(map.applied(table), map)
     if spec is not None:
         facts.robot = _robot_facts(path, map, spec)
@@ -224,13 +217,7 @@ def _body_facts(
         facts.notes.append(f"{len(complete)} frames have all {count} lasting markers")
         return Scene(places, names, (), (), facts.file)
     noise, (median, spread) = marker_noise(places), distance_statistics(complete)
-    closest = np.nanmin(median, axis=0)
-    constant = spread < _RIGID_NOISE_RATIO * np.sqrt(2) * noise
-    rigid = constant & (median <= 1.5 * np.minimum.outer(closest, closest))
-    # On a body that bends little, many distances are nearly constant. Only one of them can belong to a rigid
-    # part, because a marker has only one partner there.
-    single = rigid.sum(axis=0) == 1
-    pairs = tuple((int(a), int(b)) for a, b in np.argwhere(np.triu(rigid & single & single[:, None])))
+    pairs = _rigid_pairs(median, spread, noise)
     try:
         order = tuple(body_order(complete).tolist())
     except InputError as error:
@@ -253,6 +240,17 @@ def _body_facts(
     heads = _heads(complete[:, list(order)], frames.period, order, pairs, near) if len(order) > 2 else []
     facts.head = [HeadFacts(marker=names[end], why=reason) for end, reason in heads]
     return Scene(places, names, order, pairs, facts.file)
+
+
+def _rigid_pairs(median: np.ndarray, spread: np.ndarray, noise: float) -> tuple[tuple[int, int], ...]:
+    """Return the pairs of markers on one rigid part, from all distances and the noise of a coordinate, m."""
+    closest = np.nanmin(median, axis=0)
+    constant = spread < _RIGID_NOISE_RATIO * np.sqrt(2) * noise
+    rigid = constant & (median <= 1.5 * np.minimum.outer(closest, closest))
+    # On a body that bends little, many distances are nearly constant. Only one of them can belong to a rigid
+    # part, because a marker has only one partner there.
+    single = rigid.sum(axis=0) == 1
+    return tuple((int(a), int(b)) for a, b in np.argwhere(np.triu(rigid & single & single[:, None])))
 
 
 def _marker_names(origin: np.ndarray, labels: Sequence[str], facts: RecordingFacts) -> tuple[str, ...]:
@@ -411,3 +409,37 @@ def _pressure(unit: str, why: str, low: float, high: float, map: RecordingMap) -
     smallest, largest = (PRESSURES[unit] * value for value in (low, high))
     absolute = "; " + ABSOLUTE if not map.ambient and looks_absolute(np.array([smallest])) else ""
     return f"pressure, {unit}{why}: {smallest / 1e3:g} to {largest / 1e3:g} kPa{absolute}"
+
+
+def markers_view(scene: Scene) -> Figure:
+    """Plot the markers from above: paths, the chain at three times, rigid pairs, direction of motion."""
+    from srs_twin.viewing.plots.style import GOAL_COLOR, PLUS_COLOR, finish, panels
+
+    places = scene.places
+    low, high = np.nanmin(places, axis=(0, 1)), np.nanmax(places, axis=(0, 1))
+    wide, deep = np.maximum(high - low, 1e-3)
+    figure, (axes,) = panels(float(np.clip(8.0 * deep / wide + 1.4, 2.8, 7.0)))
+    axes.plot(*places.reshape(len(places), -1, 2).transpose(2, 0, 1), color="0.8", linewidth=0.6, zorder=1)
+    complete = np.flatnonzero(np.isfinite(places[..., 0]).all(axis=1))
+    if complete.size:
+        order = list(scene.order) or list(range(places.shape[1]))
+        for moment, shade in zip(complete[[0, len(complete) // 2, -1]], ("0.55", "0.35", "0.1"), strict=True):
+            along = places[moment, order]
+            axes.plot(
+                *along.T, "o-" if scene.order else "o", color=shade, markersize=4, linewidth=1.2, zorder=2
+            )
+            for pair in scene.rigid:
+                axes.plot(*places[moment, list(pair)].T, color=PLUS_COLOR, linewidth=2.5, zorder=3)
+        same = len(commonprefix(scene.names)) if len(scene.names) > 1 else 0
+        for name, place in zip(scene.names, places[complete[0]], strict=True):
+            said = name[same:] or name
+            axes.annotate(said, place, (1, 4), textcoords="offset points", rotation=60, fontsize=7)
+        start, end = (places[complete[k]].mean(axis=0) for k in (0, -1))
+        if np.hypot(*(end - start)) > 0.05 * wide:
+            axes.annotate(
+                "", end, start, arrowprops={"arrowstyle": "->", "color": GOAL_COLOR, "linewidth": 1.2}
+            )
+    axes.set_aspect("equal", adjustable="datalim")
+    title = f"{places.shape[1]} markers; lines: order along the body at the first, middle and last frame"
+    finish(axes, "y (m)", "x (m)", title=title)
+    return figure

@@ -1,4 +1,4 @@
-"""Measured motion of a robot as a trajectory, read from motion capture (`read_motion`)."""
+"""Recorded motion of a robot as a trajectory, with its log of valves (`read_motion`, `ValveLog`)."""
 
 from __future__ import annotations
 
@@ -6,28 +6,21 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError, check_choice
-from srs_twin.recordings.body.floor import UPS, FloorPlane, foreign_tracks, map_to_floor
-from srs_twin.recordings.body.markers import (
-    LAYOUTS,
-    CapturedMarkers,
-    TrackedBody,
-    check_scale,
-    robot_markers,
-    select_layout,
-    tracked_body,
-)
+from srs_twin.plants.base import Pose
+from srs_twin.pneumatics import Schedule
+from srs_twin.recordings.body.floor import UPS, FloorPlane, map_to_floor
+from srs_twin.recordings.body.layout import LAYOUTS, check_scale, foreign_tracks, robot_markers
+from srs_twin.recordings.body.markers import CapturedMarkers, TrackedBody, select_layout, tracked_body
 from srs_twin.recordings.body.tracking import MAX_MARKERS, pack_slots, track_markers
 from srs_twin.recordings.body.trajectories import LogSummary, MarkerCounts, body_trajectory
 from srs_twin.recordings.formats import read_markers
 from srs_twin.recordings.formats.base import MarkerTable
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 from srs_twin.recordings.signals.gaps import (
-    INTERPOLATIONS,
     MIN_FRAMES,
     FrameGrid,
     at_frames,
@@ -40,10 +33,6 @@ from srs_twin.recordings.signals.gaps import (
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
-if TYPE_CHECKING:
-    from srs_twin.recordings.signals.valve_log import ValveLog
-
-
 LONGEST_GAP = 0.2
 """Longest gap that is filled by default, s; the trajectory is cut at longer gaps."""
 
@@ -53,6 +42,106 @@ _MIN_JUMP = 0.06
 """Smallest jump of an outlier, relative to the segment length, 1."""
 _REACH = 0.8
 """Largest distance of a marker from its expected position, relative to the segment length, 1."""
+
+_MIN_OPENINGS = 4
+"""Smallest number of openings of a chamber from which a gait frequency is computed."""
+_MAX_UNEVENNESS = 0.05
+"""Largest deviation of an opening from a periodic one, in periods."""
+_CARRIER_S = 0.07
+"""Shortest interval between two openings of a gait, s; those of a carrier are shorter."""
+_STILL_S = 1e-9
+"""Tolerance of times, s."""
+_MAX_EMPTY_PA = 1e3
+"""Largest gauge pressure of an empty chamber, Pa."""
+
+
+@dataclass(frozen=True)
+class ValveLog:
+    """Log of valve states or pressures.
+
+    Attributes:
+        kind: "valve" or "pressure".
+        time: ascending, shape (rows,), s.
+        values: valve states, which hold until the next row, or gauge pressures (Pa), shape (rows, segments,
+            2), columns + and − chamber.
+        source: name of the file.
+        sha256: checksum of the file.
+        corrections: texts on sorting, conversions and assumptions.
+        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file is another one.
+        holds: whether pressures hold until the next row, as set points do; otherwise they are interpolated.
+    """
+
+    kind: str
+    time: np.ndarray
+    values: np.ndarray
+    source: str
+    sha256: str
+    corrections: tuple[str, ...]
+    epoch_ns: int | None = None
+    holds: bool = False
+
+    def shifted(self, offset: float) -> ValveLog:
+        """Return the log with `offset` (s) added to its times."""
+        return replace(self, time=self.time + offset)
+
+    def schedule(self) -> Schedule:
+        """Return the valve states as a schedule from the first row to the last.
+
+        Raises:
+            InputError: the log contains pressures.
+        """
+        if self.kind != "valve":
+            raise InputError(f"{self.source}: a log of pressures has no schedule of valves")
+        states = self.values.astype(np.int8)
+        changes = np.append(0, np.flatnonzero((states[1:] != states[:-1]).any(axis=(1, 2))) + 1)
+        return Schedule(
+            float(self.time[-1] - self.time[0]), self.time[changes] - self.time[0], states[changes]
+        )
+
+    def at(self, time: np.ndarray) -> np.ndarray:
+        """Return the values at times inside the log, shape (times, segments, 2)."""
+        if self.kind == "valve" or self.holds:
+            return held_values(time + 1e-9, self.time, self.values)
+        flat = self.values.reshape(len(self.time), -1)
+        columns = [np.interp(time, self.time, column) for column in flat.T]
+        return np.stack(columns, axis=-1).reshape(len(time), *self.values.shape[1:])
+
+    def breakpoints(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return times and pressures for linear interpolation as in `at`; two for each step of set points."""
+        if not self.holds:
+            return self.time, self.values
+        time = np.repeat(self.time, 2)[1:]
+        # The last instant before a step.
+        time[1::2] = np.nextafter(time[1::2], -np.inf)
+        return time, np.repeat(self.values, 2, axis=0)[:-1]
+
+    def gait_frequency(self) -> float | None:
+        """Return the frequency at which all chambers open periodically, Hz; None if they do not.
+
+        The first opening is ignored, because a gait may begin within a period. Successive openings of a
+        carrier, which are shorter than those of any gait, count as one.
+        """
+        if self.kind != "valve":
+            return None
+        opened = (self.values[1:] == 1) & (self.values[:-1] != 1)
+        periods = []
+        for column in opened.reshape(len(opened), -1).T:
+            times = self.time[1:][column]
+            times = times[np.append(True, np.diff(times) > _CARRIER_S)[: len(times)]][1:]
+            if len(times) < _MIN_OPENINGS:
+                return None
+            gaps = np.diff(times)
+            period = float(gaps.mean())
+            if np.abs(gaps - period).max() > _MAX_UNEVENNESS * period:
+                return None
+            periods.append(period)
+        period = float(np.mean(periods))
+        return 1 / period if np.ptp(periods) <= _MAX_UNEVENNESS * period else None
+
+
+def held_values(time: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the values of the last row at or before each time, or else those of the first row."""
+    return np.asarray(values[np.maximum(np.searchsorted(rows, time, side="right") - 1, 0)])
 
 
 @dataclass(frozen=True)
@@ -72,6 +161,60 @@ class Recording:
     summary: LogSummary
     valves: ValveLog | None = None
     epoch_ns: int | None = None
+
+    @property
+    def only_bends(self) -> bool:
+        """Whether it contains only bends."""
+        return bool(self.trajectory.metadata.get("bends_only"))
+
+    def pressures(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return recorded pressures; None if valve states were recorded.
+
+        Returns:
+            Times from the first sample on (rows,), s, and gauge pressures (rows, segments, 2), Pa.
+        """
+        if self.valves is None or self.valves.kind == "valve":
+            return None
+        time, values = self.valves.breakpoints()
+        return time - self.trajectory.time[0], values
+
+    def commands(self, name: str) -> Schedule:
+        """Return the valve states from the first sample on; all vent if pressures were recorded.
+
+        Args:
+            name: name of the recording in messages.
+
+        Raises:
+            InputError: there is no log.
+        """
+        log, time = self.valves, self.trajectory.time
+        if log is None:
+            raise InputError(f"{name}: no log of valves or pressures; join one with the recording")
+        if log.kind != "valve":
+            vented = np.full((1, *log.values.shape[1:]), -1, dtype=np.int8)
+            return Schedule(float(time[-1] - time[0]), np.zeros(1), vented)
+        schedule = log.schedule()
+        begin = min(max(float(time[0] - log.time[0]), 0.0), schedule.span - _STILL_S)
+        return schedule.slice(begin, schedule.span)
+
+    def starts_at_rest(self) -> bool:
+        """Return whether the chambers are empty at the start, like those of a plant."""
+        if self.valves is None:
+            return True
+        before = self.valves.values[self.valves.time <= self.trajectory.time[0] + _STILL_S]
+        empty = before == -1 if self.valves.kind == "valve" else np.abs(before) < _MAX_EMPTY_PA
+        return bool(empty.all())
+
+    def start_pose(self) -> Pose:
+        """Return the initial pose of the body: its mean until the first valve opens."""
+        trajectory, log = self.trajectory, self.valves
+        moves = trajectory.time[0]
+        if log is not None:
+            busy = (log.values > (0 if log.kind == "valve" else _MAX_EMPTY_PA)).any(axis=(1, 2))
+            moves = log.time[np.argmax(busy)] if busy.any() else trajectory.time[-1]
+        still = trajectory.time <= max(moves, trajectory.time[0]) + _STILL_S
+        x, y = trajectory.com[still].mean(axis=0)
+        return float(x), float(y), float(trajectory["heading"][still].mean())
 
 
 @contextmanager
@@ -95,7 +238,6 @@ def read_motion(
     head: str | None = None,
     map: RecordingMap = NO_MAP,
     longest_gap_s: float = LONGEST_GAP,
-    fill: str = "spline",
     gait_frequency_hz: float | None = None,
 ) -> Recording:
     """Read a measured motion.
@@ -104,11 +246,10 @@ def read_motion(
         path: a recording in one of `formats.FORMATS`.
         spec: the recorded robot.
         up: vertical axis of the file, one of `floor.UPS`.
-        layout: marker layout, one of `body.markers.LAYOUTS`.
+        layout: marker layout, one of `body.layout.LAYOUTS`.
         head: name of the column of the marker at the head; None for the end towards which the robot crawls.
         map: places of markers and rigid bodies, and information that the file lacks.
         longest_gap_s: longest gap that is filled, between the samples around it, s.
-        fill: interpolation of gaps, "spline" or "linear".
         gait_frequency_hz: gait frequency for the metrics; None if the motion is not periodic.
 
     Returns:
@@ -116,47 +257,65 @@ def read_motion(
 
     Raises:
         InputError: the file cannot be used; the message names the place and a remedy.
-        UnknownNameError: `up`, `layout`, `fill` or `head` is an unknown name.
+        UnknownNameError: `up`, `layout` or `head` is an unknown name.
     """
     if not 0 <= longest_gap_s <= 10:
         raise InputError(f"longest_gap_s {longest_gap_s!r} is not allowed; it must be from 0 to 10 s")
     check_choice("up", up, UPS)
-    check_choice("fill", fill, INTERPOLATIONS)
     if layout not in LAYOUTS:
         raise UnknownNameError("layout", layout, LAYOUTS)
-    table = read_markers(path, rate_hz=map.rate_hz, unit=map.units, scale_m=map.scale_m, dialect=map.dialect)
-    up = map.up if map.up and up == "auto" else up
+    table = read_markers(path, map.unstated)
     with named_in_errors(table.name):
         table = bodies_as_pairs(map.applied(table))
-        geometry = spec.geometry
         frames = frame_grid(table.time)
-        floor = map_to_floor(table.points, up, table.usual_up)
-        slots, columns = in_slots(table, at_frames(floor.points, frames))
-        gap_frames = max(1, round(longest_gap_s / frames.period))
-        # A wrong unit is reported before the markers are tracked with distances from the robot.
-        check_scale(slots[..., :2], spec)
-        tracks, columns, unassigned = track_markers(slots, columns, gap_frames, _REACH * geometry.pitch)
-        tracks, columns, foreign, notes = without_foreign_tracks(tracks, columns, table)
-        layouts, chosen = robot_markers(
-            tracks, geometry.connectors, geometry.pitch, layout, len(table.places)
-        )
-        left_out = int((~np.isnan(np.delete(tracks, chosen, axis=1)[..., 0])).sum())
-        points = tracks[:, chosen]
-        jumps = outliers(points, _MIN_JUMP * geometry.pitch)
-        points[jumps] = np.nan
-        kept = _kept_frames(frames, points, longest_gap_s)
-        time = frames.time[kept]
-        origin = np.where(np.isnan(points[kept][..., 0]), -1, columns[kept][:, chosen])
-        complete_points = fill_gaps(time, points[kept], fill)
-        other = foreign + left_out + unassigned
-        markers = CapturedMarkers(table, layouts[0], time, complete_points, origin, int(jumps.sum()), other)
+        floor = map_to_floor(table.points, map.up if map.up and up == "auto" else up, table.usual_up)
+        points = at_frames(floor.points, frames)
+        layouts, markers, notes = _captured_markers(table, spec, frames, points, layout, longest_gap_s)
         markers = select_layout(markers, layouts, spec, head)
         body = tracked_body(markers, spec, head)
         texts = *table.corrections, *frames.corrections, *floor.corrections, *notes, *body.corrections
         counts, hidden = _counts(frames, floor, markers, body), int(markers.missing.sum())
-        summary = LogSummary.from_file(table, table.kind, frames, kept, hidden, texts, counts)
+        summary = LogSummary.from_file(table, table.kind, frames, markers.time, hidden, texts, counts)
         trajectory = body_trajectory(body, markers, spec, summary, gait_frequency_hz)
         return Recording(trajectory, summary, epoch_ns=table.epoch_ns)
+
+
+def _captured_markers(
+    table: MarkerTable,
+    spec: RobotSpec,
+    frames: FrameGrid,
+    points: np.ndarray,
+    layout: str,
+    longest_gap_s: float,
+) -> tuple[list[str], CapturedMarkers, list[str]]:
+    """Return the possible layouts, the markers of the robot with the first of them, and notes.
+
+    Args:
+        table: the file.
+        spec: the robot.
+        frames: its frames.
+        points: in floor coordinates, shape (frames, columns, 3), m.
+        layout: one of `LAYOUTS`.
+        longest_gap_s: longest gap that is filled, s.
+    """
+    geometry = spec.geometry
+    slots, columns = in_slots(table, points)
+    # A wrong unit is reported before the markers are tracked with distances from the robot.
+    check_scale(slots[..., :2], spec)
+    gap_frames = max(1, round(longest_gap_s / frames.period))
+    tracks, columns, unassigned = track_markers(slots, columns, gap_frames, _REACH * geometry.pitch)
+    tracks, columns, foreign, notes = without_foreign_tracks(tracks, columns, table)
+    layouts, chosen = robot_markers(tracks, geometry.connectors, geometry.pitch, layout, len(table.places))
+    left_out = int((~np.isnan(np.delete(tracks, chosen, axis=1)[..., 0])).sum())
+    tracks = tracks[:, chosen]
+    jumps = outliers(tracks, _MIN_JUMP * geometry.pitch)
+    tracks[jumps] = np.nan
+    kept = _kept_frames(frames, tracks, longest_gap_s)
+    time = frames.time[kept]
+    origin = np.where(np.isnan(tracks[kept][..., 0]), -1, columns[kept][:, chosen])
+    filled, other = fill_gaps(time, tracks[kept], 3), foreign + left_out + unassigned
+    markers = CapturedMarkers(table, layouts[0], time, filled, origin, int(jumps.sum()), other)
+    return layouts, markers, notes
 
 
 def _kept_frames(frames: FrameGrid, points: np.ndarray, longest_gap_s: float) -> slice:

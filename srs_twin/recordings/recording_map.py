@@ -13,8 +13,9 @@ from pydantic import Field
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.documents import Document, load_yaml
 from srs_twin.io.validation import StrictModel, load_model, validate
-from srs_twin.recordings.csv_table import Dialect, Meaning
-from srs_twin.recordings.formats.base import MarkerTable
+from srs_twin.recordings.csv_table import Meaning
+from srs_twin.recordings.formats.base import MarkerTable, Unstated
+from srs_twin.recordings.recorded_file import Dialect
 from srs_twin.recordings.signals.units import ANGLES, PRESSURES, SHARES, TIMES, bracketed, symbol
 
 LOG_NAME = re.compile(
@@ -129,6 +130,11 @@ class RecordingMap(StrictModel):
         separator = self.separator or ""
         return Dialect(tuple(self.columns), _SEPARATORS.get(separator, separator), self.decimal or "")
 
+    @property
+    def unstated(self) -> Unstated:
+        """Information that the file of the markers may lack."""
+        return Unstated(self.rate_hz, self.units, self.scale_m, self.dialect)
+
     def meanings(self, kinds: Collection[str]) -> dict[str, Meaning]:
         """Return column → meaning, for the columns of a log with these quantities."""
         meanings = {}
@@ -181,8 +187,8 @@ def log_meaning(key: str) -> tuple[str, str, str]:
     return kind, "_".join(filter(None, [kind, side, match[6]])), unit
 
 
-def given_map(path: str | None, options: Mapping[str, Any], markers: Sequence[str]) -> dict[str, Any] | None:
-    """Return a map from a file and options, which have precedence, as plain data, or None.
+def given_map(path: str | None, options: Mapping[str, Any], markers: Sequence[str]) -> dict[str, Any]:
+    """Return a map from a file and options, which have precedence, as plain data.
 
     Args:
         path: map file.
@@ -214,7 +220,7 @@ def given_map(path: str | None, options: Mapping[str, Any], markers: Sequence[st
         if match:
             entry = {match[1]: int(match[2]), **({"side": match[3]} if match[3] else {})}
         data["markers"] = {**data.get("markers", {}), name: entry}
-    return data or None
+    return data
 
 
 def read_map(data: Mapping[str, Any]) -> RecordingMap:

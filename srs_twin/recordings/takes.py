@@ -1,36 +1,48 @@
-"""Recordings with the logs of their valves, for fits and replays.
+"""Recordings with the logs of their valves, for fits, and the sections of a scenario that replay one.
 
 The default log of ``walk.csv`` is ``walk.valves.csv`` in the same folder.
 """
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar
 
-import numpy as np
-
-from srs_twin.errors import InputError
-from srs_twin.plants.base import Pose
-from srs_twin.pneumatics import Schedule
+from srs_twin.control.base import Controller
+from srs_twin.control.replay import Replay, layouts_for
+from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.io.documents import Document
+from srs_twin.pneumatics import Pneumatics
+from srs_twin.pneumatics.recorded import RecordedPressures
 from srs_twin.recordings.formats import BAG_SUFFIXES
-from srs_twin.recordings.recording import LONGEST_GAP, Recording, read_motion
+from srs_twin.recordings.recording import LONGEST_GAP, Recording, ValveLog, read_motion
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 from srs_twin.recordings.signals.clock import join
-from srs_twin.recordings.signals.logs import is_bend_log, read_bends, read_valves
-from srs_twin.recordings.signals.valve_log import ValveLog
+from srs_twin.recordings.signals.logs import is_bend_log, on_bench, read_bends, read_valves
 from srs_twin.robot.spec import RobotSpec
+from srs_twin.scenario.controllers import ControllerContext, ControllerSection
+from srs_twin.scenario.fields import (
+    Contradiction,
+    ExtensionSection,
+    FilePath,
+    FileSections,
+    Line,
+    Loading,
+    SectionEntry,
+    constructor_default,
+    quantity,
+)
 from srs_twin.trajectory import Trajectory
 
 _LOG = ".valves.csv"
 NO_MARKERS = "bends alone do not tell where a robot crawled; markers are wanted"
-_LEAST_OPENINGS = 4
-_EVEN = 0.05  # largest deviation of an opening from a periodic one, in periods
-_CARRIER = 0.07  # s: shortest interval between two openings of a gait; those of a carrier are shorter
-_STILL = 1e-9  # s
+_ROUNDING_S = 1e-6
+"""Largest excess of a run's duration over its recording, due to rounding, s."""
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -39,7 +51,7 @@ class RecordingReader:
 
     Attributes:
         up: axis of the file that points up, one of `floor.UPS`.
-        layout: marker layout, one of `body.LAYOUTS`.
+        layout: marker layout, one of `body.layout.LAYOUTS`.
         head: name of the column of the marker at the head; None: the end towards which the robot crawls.
         map: recording map: quantities of markers and columns.
         longest_gap_s: longest gap that is filled, s.
@@ -97,7 +109,7 @@ class RecordingReader:
         except InputError:
             self.body(path, spec)  # read first, so its errors come first: the default log is named after it
             raise
-        return self.joined(self.body(path, spec, repeats(log)), log, spec, one_file=path == valves)
+        return self.joined(self.body(path, spec, log.gait_frequency()), log, spec, one_file=path == valves)
 
 
 def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
@@ -128,82 +140,148 @@ def _log_of(take: Path) -> str:
     return str(take if own and not os.path.lexists(beside) else beside)
 
 
-def repeats(log: ValveLog) -> float | None:
-    """Return the frequency at which all chambers open periodically, Hz; None if they do not.
+class ReplayFile(ControllerSection):
+    """Controller that replays recorded valve states or pressures; requires a recording."""
 
-    The first opening is ignored, because a gait may begin within a period. Successive openings of a carrier,
-    which are shorter than those of any gait, count as one.
-    """
-    if log.kind != "valve":
-        return None
-    opened = (log.values[1:] == 1) & (log.values[:-1] != 1)
-    periods = []
-    for column in opened.reshape(len(opened), -1).T:
-        times = log.time[1:][column]
-        times = times[np.append(True, np.diff(times) > _CARRIER)[: len(times)]][1:]
-        if len(times) < _LEAST_OPENINGS:
+    kind: Literal["replay"]
+    """Kind of controller."""
+
+    def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
+        """See `ControllerSection.contradictions_with`."""
+        if file.section("recording") is None:
+            yield ("controller",), "kind: replay has nothing to replay; give recording as well", False
+
+    def is_ready(self, products: Mapping[str, Any]) -> bool:
+        """See `ControllerSection.is_ready`."""
+        return products.get("recording") is not None
+
+    def layouts(self, products: Mapping[str, Any]) -> tuple[str, ...]:
+        """See `ControllerSection.layouts`."""
+        recording = products.get("recording")
+        return layouts_for(recording.commands(self.kind).states) if recording else ()
+
+    def controller(self, context: ControllerContext) -> Controller:
+        """See `ControllerSection.controller`."""
+        recording: Recording = context.products["recording"]
+        return Replay(
+            recording.commands(context.name), recording.trajectory.metadata.get("gait_frequency_hz")
+        )
+
+
+class RecordingFile(ExtensionSection):
+    """Recorded motion of a robot with its log (docs/logs.md); paths are relative to the current folder."""
+
+    constructors = (RecordingReader,)
+    measures = True
+
+    motion: FilePath
+    """Motion capture file (docs/logs.md#file-formats), or for a bench a CSV file with time,bend_1,…."""
+    valves: FilePath | None = None
+    """Log of valves or pressures, a plain CSV or MCAP file (default: NAME.valves.csv in the same folder)."""
+    offset_s: float | None = quantity(-1e9, 1e9)
+    """Clock offset added to the times of the log (default: estimated)."""
+    gait_frequency_hz: float | None = quantity(0.01, 50.0)
+    """Gait frequency (default: the frequency of the valve pattern)."""
+    up: Literal["auto", "x", "y", "z", "-x", "-y", "-z"] = constructor_default()
+    """Upward axis of the file."""
+    layout: Literal["auto", "single", "head", "pair", "middles", "head_middles"] = constructor_default()
+    """Marker layout."""
+    map: RecordingMap = constructor_default()
+    """Recording map: quantities of markers, rigid bodies and columns (docs/logs.md#recording-map)."""
+    head: Line | None = constructor_default()
+    """Column of the marker at the head (default: the end in the direction of motion)."""
+    longest_gap_s: float = quantity(0.0, 10.0)
+    """Longest gap that is interpolated."""
+
+    def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
+        """See `ExtensionSection.contradictions_with`."""
+        if not isinstance(file.controller, ReplayFile):
+            yield ("recording",), "nobody replays it; set controller.kind: replay", True
+
+    def read(self, loading: Loading) -> Recording | None:
+        """See `ExtensionSection.read`."""
+        recording = self._recording(loading)
+        if recording is not None:
+            loading.warnings += self._check(loading.document, loading.file, recording)
+        return recording
+
+    def resolve(self, document: dict[str, Any], file: FileSections, product: Recording | None) -> None:
+        """See `ExtensionSection.resolve`."""
+        if product is None:
+            return
+        # Store absolute paths, so that the run can be read from any folder.
+        for key in document["recording"].keys() & {"motion", "valves"}:
+            document["recording"][key] = str(Path(document["recording"][key]).resolve())
+        if product.pressures() is not None:
+            del document["pneumatics"]
+        if not file.bench and "start" not in file.model_fields_set:
+            x, y, heading = product.start_pose()
+            document["start"] = {"x_m": x, "y_m": y, "heading_rad": math.remainder(heading, 2 * math.pi)}
+
+    def chambers(
+        self, product: Recording, robot: RobotSpec, supply_pa: float, layout: str
+    ) -> Pneumatics | None:
+        """See `ExtensionSection.chambers`."""
+        recorded = product.pressures()
+        return recorded and RecordedPressures(robot, *recorded, supply_pa=supply_pa, layout=layout)
+
+    def measured(self, product: Recording) -> Trajectory:
+        """See `ExtensionSection.measured`."""
+        return product.trajectory
+
+    def _recording(self, loading: Loading) -> Recording | None:
+        """Return the recording joined with its log; report errors at the key of the file."""
+        document, file = loading.document, loading.file
+        reader, spec = self.build(), loading.robot.spec(file.seed)
+        (path,) = logs_of([self.motion], [self.valves] if self.valves else [])
+        log = _read(document, "valves", lambda: read_valves(path, spec, self.map))
+        frequency = log.gait_frequency() if log else None
+        body = _read(document, "motion", lambda: reader.body(self.motion, spec, frequency))
+        if body is None or log is None:
             return None
-        gaps = np.diff(times)
-        period = float(gaps.mean())
-        if np.abs(gaps - period).max() > _EVEN * period:
+        if not file.bench and body.only_bends:
+            document.report(("recording", "motion"), f"{NO_MARKERS}, or bench: true")
             return None
-        periods.append(period)
-    period = float(np.mean(periods))
-    return 1 / period if np.ptp(periods) <= _EVEN * period else None
+        one_file = path == self.motion
+        joined = _read(document, "offset_s", lambda: reader.joined(body, log, spec, one_file=one_file))
+        if joined is None or not file.bench:
+            return joined
+        return _read(document, "motion", lambda: on_bench(joined, spec))
 
-
-def only_bends(trajectory: Trajectory) -> bool:
-    """Return whether a recording contains only bends."""
-    return bool(trajectory.metadata.get("bends_only"))
-
-
-def pressures(recording: Recording) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return recorded pressures; None if valve states were recorded.
-
-    Returns:
-        Times from the recording's first sample on (rows,), s, and gauge pressures (rows, segments, 2), Pa.
-    """
-    log = recording.valves
-    if log is None or log.kind == "valve":
-        return None
-    time, values = log.breakpoints()
-    return time - recording.trajectory.time[0], values
-
-
-def commands(recording: Recording, name: str) -> Schedule:
-    """Return the valve states from the first sample on; all vent if pressures were recorded.
-
-    Raises:
-        InputError: there is no log.
-    """
-    log = recording.valves
-    if log is None:
-        raise InputError(f"{name}: no log of valves or pressures; join one with the recording")
-    if log.kind != "valve":
-        vented = np.full((1, *log.values.shape[1:]), -1, dtype=np.int8)
+    def _check(self, document: Document, file: FileSections, recording: Recording) -> list[str]:
+        """Report settings of a scenario that contradict the recording; return warnings."""
         time = recording.trajectory.time
-        return Schedule(float(time[-1] - time[0]), np.zeros(1), vented)
-    schedule = log.schedule()
-    begin = min(max(float(recording.trajectory.time[0] - log.time[0]), 0.0), schedule.span - _STILL)
-    return schedule.slice(begin, schedule.span)
+        span = float(time[-1] - time[0])
+        if file.duration_s > span + _ROUNDING_S:
+            text = f"{file.duration_s:g} s is longer than the recording's {span:.4g} s"
+            document.report(("duration_s",), text)
+        if recording.pressures() is not None and "pneumatics" in file.model_fields_set:
+            text = "the recording holds pressures, which chambers then have; take it out"
+            document.report(("pneumatics",), text, at_key=True)
+        if recording.starts_at_rest():
+            return []
+        return ["recording: it begins while chambers hold air; the plants begin straight and at rest"]
 
 
-def starts_at_rest(recording: Recording) -> bool:
-    """Return whether the chambers are empty at the start of a recording, like those of a plant."""
-    log = recording.valves
-    if log is None:
-        return True
-    before = log.values[log.time <= recording.trajectory.time[0] + _STILL]
-    return bool((before == -1).all() if log.kind == "valve" else (np.abs(before) < 1e3).all())
+def _read(document: Document, key: str, read: Callable[[], Result]) -> Result | None:
+    """Call a function that reads the file of a key; report its errors at this key."""
+    try:
+        return read()
+    except UnknownNameError as error:
+        # The file exists, so report the missing marker or column instead.
+        document.report(("recording", "head" if document.get("recording", "head") else "map"), str(error))
+    except InputError as error:
+        document.report(("recording", key), str(error))
+    return None
 
 
-def start_pose(recording: Recording) -> Pose:
-    """Return the initial pose of the body: its mean until the first valve opens."""
-    trajectory, log = recording.trajectory, recording.valves
-    moves = trajectory.time[0]
-    if log is not None:
-        busy = (log.values > (0 if log.kind == "valve" else 1e3)).any(axis=(1, 2))
-        moves = log.time[np.argmax(busy)] if busy.any() else trajectory.time[-1]
-    still = trajectory.time <= max(moves, trajectory.time[0]) + _STILL
-    x, y = trajectory.com[still].mean(axis=0)
-    return float(x), float(y), float(trajectory["heading"][still].mean())
+def _input_files(section: Mapping[str, Any]) -> Iterator[str]:
+    motion, valves = str(section.get("motion")), section.get("valves")
+    yield from (motion, *logs_of([motion], [valves] if valves else []))
+
+
+RECORDING = SectionEntry(
+    RecordingFile | None,
+    "What was measured of the robot, to replay and to hold the plants against (controller.kind: replay).",
+    _input_files,
+)

@@ -15,7 +15,7 @@ from scipy.integrate import simpson
 from srs_twin.errors import check_choice
 from srs_twin.io.files import atomic_write
 from srs_twin.recordings.body.floor import MAPS
-from srs_twin.recordings.body.markers import LAYOUTS
+from srs_twin.recordings.body.layout import LAYOUTS
 from srs_twin.recordings.formats.motion_capture import MOTIVE_LENGTHS
 from srs_twin.recordings.signals.units import LENGTHS
 from srs_twin.trajectory import Trajectory

@@ -163,7 +163,7 @@ STATIC_MALFORMED: tuple[Malformed, ...] = (
 
 _READ_MARKERS, _READ_FILE = (
     "srs_twin.recordings.formats:read_markers",
-    "srs_twin.recordings.csv_table:read_file",
+    "srs_twin.recordings.recorded_file:read_file",
 )
 # Name, valid file, reading function, malformed files, and the function for a separate process.
 TABLES = (

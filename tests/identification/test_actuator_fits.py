@@ -22,9 +22,9 @@ from srs_twin.identification.parameters import free_parameters, parameter_names,
 from srs_twin.identification.static_tables import StaticTable, fit_static, read_static_table
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
+from srs_twin.recordings.recording import ValveLog
 from srs_twin.recordings.signals.clock import join
 from srs_twin.recordings.signals.logs import read_valves
-from srs_twin.recordings.signals.valve_log import ValveLog
 from srs_twin.robot.spec import RobotSpec
 
 MODULE = load_robot("gen4_module")

@@ -24,10 +24,10 @@ from srs_twin.identification.fit_file import load_fit
 from srs_twin.identification.friction import is_pull_table, read_pull_table
 from srs_twin.identification.locomotion import gait_run
 from srs_twin.pneumatics import Schedule
+from srs_twin.recordings.recording import ValveLog
 from srs_twin.recordings.signals.clock import join
 from srs_twin.recordings.signals.logs import read_valves
-from srs_twin.recordings.signals.valve_log import ValveLog
-from srs_twin.recordings.takes import logs_of, repeats, start_pose, starts_at_rest
+from srs_twin.recordings.takes import logs_of
 from srs_twin.robot.spec import GRAVITY
 
 EXAMPLE = ROOT / "calibration/examples/my_snake"
@@ -294,9 +294,9 @@ def test_the_frequency_of_a_gait_is_estimated(tmp_path, frequency):
     truth = motion(8.0, frequency=frequency)
     path = tmp_path / "v.csv"
     path.write_text(valve_csv(truth, 0.0, 8.0, 3.0))
-    assert repeats(read_valves(path, SPEC)) == pytest.approx(frequency, rel=0.01)
+    assert read_valves(path, SPEC).gait_frequency() == pytest.approx(frequency, rel=0.01)
     path.write_text(valve_csv(truth, 0.0, 1.2 / frequency, 3.0))
-    assert repeats(read_valves(path, SPEC)) is None
+    assert read_valves(path, SPEC).gait_frequency() is None
 
 
 @pytest.mark.parametrize("carrier", [20.0, 30.0, 50.0])
@@ -304,9 +304,9 @@ def test_the_frequency_of_a_gait_is_not_that_of_its_carrier(carrier):
     clock = np.arange(0.0, 6.0, 0.002)
     filling = (clock * 1.5 % 1 < 0.5)[:, None, None] & (clock * carrier % 1 < 0.6)[:, None, None]
     states = np.where(np.broadcast_to(filling, (len(clock), 4, 2)), 1.0, -1.0)
-    assert repeats(ValveLog("valve", clock, states, "x", "", ())) == pytest.approx(1.5, rel=0.02)
+    assert ValveLog("valve", clock, states, "x", "", ()).gait_frequency() == pytest.approx(1.5, rel=0.02)
     always = np.where(np.broadcast_to((clock * carrier % 1 < 0.6)[:, None, None], states.shape), 1.0, -1.0)
-    assert repeats(ValveLog("valve", clock, always, "x", "", ())) is None
+    assert ValveLog("valve", clock, always, "x", "", ()).gait_frequency() is None
 
 
 @pytest.mark.slow
@@ -320,7 +320,7 @@ def test_a_recording_is_converted_to_a_run(tmp_path):
     again = rollout(AnalyticalSnake(SPEC, supply_pa=48e3), run.controller, 3.5)
     assert again["bend_1"] == pytest.approx(truth["bend_1"][: len(again)], abs=0.2)
     assert np.sqrt(np.mean((again["bend_1"] - truth["bend_1"][: len(again)]) ** 2)) < 0.06
-    begin = start_pose(take)
+    begin = take.start_pose()
     assert begin[:2] == pytest.approx(tuple(truth.com[0] * [1, 1]), abs=2e-3)
     pressures = tmp_path / "p.csv"
     names = [f"pressure_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus")]
@@ -337,8 +337,8 @@ def test_a_recording_is_converted_to_a_run(tmp_path):
     difference = by_pressures["bend_1"] - truth["bend_1"][:351]
     assert np.abs(difference).max() < 2 * swing / SPEC.actuator.tau_fill * tau
     assert np.sqrt((difference**2).mean()) < 0.01
-    assert starts_at_rest(other) and not starts_at_rest(join(
-        recorded(tmp_path, Take(layout="pair")), read_valves(path, SPEC), SPEC, offset=-3.1))  # fmt: skip
+    late = join(recorded(tmp_path, Take(layout="pair")), read_valves(path, SPEC), SPEC, offset=-3.1)
+    assert other.starts_at_rest() and not late.starts_at_rest()
 
 
 def test_the_stored_command_line_can_be_pasted_into_a_shell(tmp_path, monkeypatch):

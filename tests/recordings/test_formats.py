@@ -23,9 +23,10 @@ from recorded import SPEC, motion
 from synthetic_takes import Take, write_motive
 
 from srs_twin import InputError
-from srs_twin.recordings.csv_table import read_bytes
 from srs_twin.recordings.formats import FORMATS, bags, identify, read_markers, read_topics, topics
+from srs_twin.recordings.formats.base import Unstated
 from srs_twin.recordings.inspection import inspect_file
+from srs_twin.recordings.recorded_file import read_bytes
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.recording_map import RecordingMap
 
@@ -36,7 +37,7 @@ NAMES = [f"snake{k}" for k in range(MARKERS)]
 TIME = np.arange(FRAMES) / RATE
 PIXEL = 0.002  # m
 ORIGIN = 1_700_000_000_123_456_789  # ns
-TABLE = {"rate_hz": RATE, "scale_m": PIXEL}
+TABLE = Unstated(RATE, scale_m=PIXEL)
 
 
 def truth(axes=3):
@@ -312,7 +313,7 @@ def same(found, points=TRUTH, *, time=TIME, most=1e-6):
 def test_formats_are_known_by_their_content(tmp_path, kind):
     path = written(tmp_path, FILES[kind](), "take.bin")
     assert identify(path) == kind
-    assert read_markers(path, **TABLE).kind.startswith(kind)
+    assert read_markers(path, TABLE).kind.startswith(kind)
 
 
 def test_vicon_positions_and_rotations_are_read(tmp_path):
@@ -357,7 +358,7 @@ def test_qualisys_export_kinds_and_clocks(tmp_path):
     external = good.replace(b"FREQUENCY\t100\r", b"FREQUENCY\tEXT\r")
     with pytest.raises(InputError, match="frame rate 'EXT' is not allowed"):
         read_markers(written(tmp_path, external))
-    same(read_markers(written(tmp_path, external), rate_hz=RATE))
+    same(read_markers(written(tmp_path, external), Unstated(RATE)))
     timed = qualisys(columns=True).replace(b"FREQUENCY\t100\r", b"FREQUENCY\tEXT\r")
     same(read_markers(written(tmp_path, timed)))
 
@@ -365,14 +366,14 @@ def test_qualisys_export_kinds_and_clocks(tmp_path):
 @pytest.mark.parametrize("animals", [False, True])
 def test_deeplabcut_positions_are_scaled(tmp_path, animals):
     path = written(tmp_path, deeplabcut(animals=animals))
-    same(found := read_markers(path, **TABLE), TRUTH[..., :2])
+    same(found := read_markers(path, TABLE), TRUTH[..., :2])
     assert found.labels == (("s0:head", "s0:tail", "s1:head", "s1:tail") if animals else tuple(NAMES))
     assert "y reversed, because it points down in images" in found.corrections
     with pytest.raises(InputError, match=r"give `rate_hz` .* and `scale_m` "):
         read_markers(path)
     with pytest.raises(InputError, match=r"give `scale_m` "):
-        read_markers(path, rate_hz=RATE)
-    same(read_markers(path, rate_hz=RATE, unit="m"), TRUTH[..., :2] / PIXEL, most=1e-3)
+        read_markers(path, Unstated(rate_hz=RATE))
+    same(read_markers(path, Unstated(rate_hz=RATE, unit="m")), TRUTH[..., :2] / PIXEL, most=1e-3)
 
 
 @pytest.mark.parametrize("version", ["1.0", "1.1", "1.2", "1.23", "1.24", "1.25"])
@@ -551,7 +552,7 @@ def refusals(folder, kind, seed):
     for number, content in enumerate(damaged(made, seed)):
         path, began = written(folder, content), time.perf_counter()
         try:
-            found = read_markers(path, **TABLE)
+            found = read_markers(path, TABLE)
         except InputError as error:
             assert "take.data" in str(error) and "\n" not in str(error) and len(str(error)) < 600, number
             refused += 1
@@ -654,10 +655,10 @@ def test_a_missing_library_is_reported_with_its_installation(tmp_path, monkeypat
 
 
 def test_size_limits_apply_to_all_formats(tmp_path, monkeypatch):
-    monkeypatch.setattr("srs_twin.recordings.csv_table.MAX_BYTES", 1 << 10)
+    monkeypatch.setattr("srs_twin.recordings.recorded_file.MAX_BYTES", 1 << 10)
     for content in FILES.values():
         with pytest.raises(InputError, match="MB; at most 0 MB are read"):
-            read_markers(written(tmp_path, content() + b"\n" * (1 << 20)), **TABLE)
+            read_markers(written(tmp_path, content() + b"\n" * (1 << 20)), TABLE)
 
 
 STATED = {
@@ -678,15 +679,15 @@ def test_a_unit_in_conflict_with_the_file_is_refused(tmp_path, kind):
         "--units; correct one"
     )
     with pytest.raises(InputError, match=words):
-        read_markers(path, unit="ft")
+        read_markers(path, Unstated(unit="ft"))
     with pytest.raises(InputError, match=words):
         inspect_file(path, RecordingMap(units="ft"), None)
-    same_unit, alone = read_markers(path, unit=STATED[kind]), read_markers(path)
+    same_unit, alone = read_markers(path, Unstated(unit=STATED[kind])), read_markers(path)
     assert np.array_equal(same_unit.points, alone.points, equal_nan=True)
 
 
 def test_a_unit_that_the_file_lacks_is_used(tmp_path):
     path = written(tmp_path, c3d_file(unit="", scale=1e2))
-    found = read_markers(path, unit="cm")
+    found = read_markers(path, Unstated(unit="cm"))
     same(found, most=1e-5)
     assert "POINT:UNITS is missing: cm assumed" in found.corrections

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from srs_twin import load_robot
-from srs_twin.recordings.body.markers import robot_markers
-from srs_twin.recordings.body.shape import LengthModel, MarkerPlacement, fit_shape
+from srs_twin.recordings.body.frame_fit import MarkerPlacement
+from srs_twin.recordings.body.layout import robot_markers
+from srs_twin.recordings.body.shape import LengthModel, fit_shape
 from srs_twin.recordings.body.tracking import track_markers
 
 GEOMETRY = load_robot("gen2").geometry

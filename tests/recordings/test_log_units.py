@@ -11,6 +11,7 @@ from snakes import chain
 from srs_twin import InputError, load_robot
 from srs_twin.recordings.facts import in_words
 from srs_twin.recordings.formats import read_markers
+from srs_twin.recordings.formats.base import Unstated
 from srs_twin.recordings.inspection import inspect_file
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap, read_map
 from srs_twin.recordings.signals.logs import read_bends, read_valves
@@ -164,11 +165,11 @@ def test_conflict_of_header_and_map_names_both_units(tmp_path):
         InputError,
         match=r"'x_1 \(cm\)' is in cm according to its name, but in mm according to the map or --units",
     ):
-        read_markers(path, unit="mm")
+        read_markers(path, Unstated(unit="mm"))
     path.write_text("tip_x [cm],tip_y [cm],time\n" + "1,2,0\n" * 3)
     with pytest.raises(InputError, match="is in cm according to its name, but in mm"):
-        read_markers(path, unit="mm")
-    assert read_markers(path, unit="cm").points[0, 0].tolist() == [0.01, 0.02]
+        read_markers(path, Unstated(unit="mm"))
+    assert read_markers(path, Unstated(unit="cm")).points[0, 0].tolist() == [0.01, 0.02]
 
 
 def test_chambers_called_pa_and_pb_have_no_unit(tmp_path):

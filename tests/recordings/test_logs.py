@@ -218,10 +218,9 @@ def test_long_gaps_cut_the_recording(tmp_path):
     assert bridged.summary.markers.longest_filled_s == pytest.approx(0.51)
 
 
-@pytest.mark.parametrize("fill", ["spline", "linear"])
-def test_short_gaps_are_filled_within_a_millimetre(tmp_path, fill):
+def test_short_gaps_are_filled_within_a_millimetre(tmp_path):
     take = Take(layout="head", noise=0.0, lost=0.02, gap_frames=1.0)
-    place, _, _, measured = errors(recorded(tmp_path, take, fill=fill), motion())
+    place, _, _, measured = errors(recorded(tmp_path, take), motion())
     assert 1e-9 < place[~measured].max() < 3e-3
     assert np.sqrt((place[~measured] ** 2).mean()) < 1e-3
 

@@ -12,10 +12,10 @@ from synthetic_takes import Take
 
 from srs_twin import InputError, load_robot
 from srs_twin.cli import main
-from srs_twin.recordings.csv_table import Dialect
 from srs_twin.recordings.formats import read_markers
-from srs_twin.recordings.formats.base import axis_columns
+from srs_twin.recordings.formats.base import Unstated, axis_columns
 from srs_twin.recordings.inspection import inspect_file
+from srs_twin.recordings.recorded_file import Dialect
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap, read_map
 from srs_twin.recordings.signals.clock import join
@@ -44,7 +44,7 @@ def frame():
 
 def check(path, digits, scale=1.0, **given):
     """Compare a file with the motion: rate, duration, count, and positions to half the last digit."""
-    table = read_markers(path, **given)
+    table = read_markers(path, Unstated(**given))
     grid = frame_grid(table.time)
     assert len(table.time) == FRAMES and table.time[0] == 0
     assert 1 / grid.period == pytest.approx(RATE, rel=1e-4)
@@ -352,7 +352,7 @@ def test_positions_in_pixels_need_a_scale(tmp_path):
     path = tmp_path / "video.csv"
     rows = "".join(f"{k / 50},{10 + k},20,{110 + k},20\n" for k in range(50))
     path.write_text("time,a_x,a_y,b_x,b_y\n" + rows)
-    found = read_markers(path, unit="px", scale_m=0.001)
+    found = read_markers(path, Unstated(unit="px", scale_m=0.001))
     assert found.points[0].tolist() == [[0.01, 0.02], [0.11, 0.02]]
     with pytest.raises(InputError, match=r"video\.csv: units px need scale_m"):
-        read_markers(path, unit="px")
+        read_markers(path, Unstated(unit="px"))

@@ -134,7 +134,7 @@ def test_options_have_precedence_over_the_map_file(tmp_path):
     assert found.markers["lamp"] == "ignore"
     with pytest.raises(InputError, match="--marker: 'base:1' is not allowed; use NAME=connector 1"):
         given_map(None, {}, ["base:1"])
-    assert given_map(None, {"units": None}, []) is None
+    assert given_map(None, {"units": None}, []) == {}
 
 
 def log_file(path, columns, rows):

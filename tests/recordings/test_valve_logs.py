@@ -13,10 +13,10 @@ from synthetic_takes import Take
 
 from srs_twin import InputError
 from srs_twin.recordings.formats.topics import RecordedTopics
+from srs_twin.recordings.recording import ValveLog
 from srs_twin.recordings.recording_map import RecordingMap
 from srs_twin.recordings.signals.clock import driven_bends, estimate_offset, join
 from srs_twin.recordings.signals.logs import log_of_topics, read_valves
-from srs_twin.recordings.signals.valve_log import ValveLog
 
 pytestmark = pytest.mark.fast
 

@@ -43,14 +43,6 @@ _MAX_SHIFT = 1e-3
 """Displacement of high markers relative to low ones, by a tilt, above which the recording is levelled, m."""
 _PLANE_RATIO = 3.0
 """Ratio of the spread in a plane to that normal to it, 1, above which the plane is determined."""
-_SAME_HEIGHT = 0.05
-"""Height difference from most markers up to which a marker is assumed to be on the robot, m."""
-_CONSTANT_HEIGHT = 0.02
-"""Range of the height up to which a marker at another height may be on the robot, m."""
-_MAX_DISTANCE_RANGE = 0.5
-"""Largest range of the distance of such a marker from a marker of the robot, relative to the distance, 1."""
-_MIN_MOTION_RATIO = 0.2
-"""Smallest motion of such a marker relative to that marker of the robot, 1."""
 _MAX_TILT = np.radians(3.0)
 """Tilt above which the recording is levelled."""
 _MAX_AXIS_TILT = np.radians(30.0)
@@ -102,55 +94,6 @@ def map_to_floor(points: np.ndarray, up: str, usual: str) -> FloorPlane:
         rotated = f"axes rotated: floor x is {x}, floor y is {y} of the file"
         notes.append("y reversed, because up is -z" if planar else rotated)
     return FloorPlane(up, mapped, tuple(notes))
-
-
-def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
-    """Return the tracks that do not belong to the robot, with reasons.
-
-    A marker at another height than most, for example on a mast, belongs to the robot if it keeps this height
-    and its distance from another marker of the robot, and moves together with that one.
-
-    Args:
-        tracks: in floor coordinates, shape (frames, tracks, 3), m.
-    """
-    visible = np.isfinite(tracks[..., 0])
-    usual = np.quantile(tracks[visible][:, 2], 0.5, method="lower") if visible.any() else 0.0
-    heights = [tracks[visible[:, k], k, 2] for k in range(tracks.shape[1])]
-    different = [
-        k for k, height in enumerate(heights) if height.size and abs(np.median(height) - usual) > _SAME_HEIGHT
-    ]
-    robot = [k for k, height in enumerate(heights) if height.size and k not in different]
-    height_range = {k: _range(heights[k]) for k in different}
-    candidates = [k for k in different if height_range[k] <= _CONSTANT_HEIGHT]
-    # A marker may be attached to a marker that has itself just been accepted.
-    while accepted := [
-        k for k in candidates if any(_move_together(tracks[:, [k, other], :2]) for other in robot)
-    ]:
-        robot += accepted
-        candidates = [k for k in candidates if k not in accepted]
-    reasons = {}
-    for k in (k for k in different if k not in robot):
-        varies = f"its height varies by {1e3 * height_range[k]:.0f} mm"
-        reason = varies if height_range[k] > _CONSTANT_HEIGHT else "does not move with the other markers"
-        reasons[k] = f"{1e3 * np.median(heights[k]):.0f} mm high, {reason}"
-    return reasons
-
-
-def _range(values: np.ndarray) -> float:
-    """Return the range between the 5 % and the 95 % quantile."""
-    low, high = np.quantile(values, [0.05, 0.95])
-    return float(high - low)
-
-
-def _move_together(pair: np.ndarray) -> bool:
-    """Return whether two tracks move together, given their positions, shape (frames, 2, 2), m."""
-    pair = pair[np.isfinite(pair).all(axis=(1, 2))]
-    if len(pair) < 2:
-        return False
-    distance = np.linalg.norm(pair[:, 0] - pair[:, 1], axis=-1)
-    motion, other_motion = np.linalg.norm(pair - np.median(pair, axis=0), axis=-1).mean(axis=0)
-    rigid = _range(distance) <= _MAX_DISTANCE_RANGE * np.median(distance) + _CONSTANT_HEIGHT / 2
-    return bool(rigid and motion >= _MIN_MOTION_RATIO * other_motion)
 
 
 def _find_floor(points: np.ndarray, usual: str) -> tuple[str, np.ndarray, list[str]]:

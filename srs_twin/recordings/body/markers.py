@@ -1,13 +1,4 @@
-"""Assignment of tracked markers to the body: layout, order along the body, and head.
-
-Layouts: ``single`` has one marker per connector; ``head`` has one more ahead of the head, which gives its
-heading; ``pair`` has two per connector, along or across the body, as the first and third robot of the
-dissertation (Sections 2.3.1 and 2.3.2); ``middles`` has one per connector and one at the middle of each
-segment; ``head_middles`` has these and one more ahead of the head.
-
-The distance between neighbours along the body is at most the length of a straight segment, while other
-markers are sometimes farther apart. The body is therefore the minimum spanning tree of the largest distances.
-Markers on the same rigid part keep their distance.
+"""Assignment of tracked markers to the body: layout, head, and the shape that fits them.
 
 Errors raised here do not name the file; `read_motion` adds its name.
 """
@@ -18,60 +9,20 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.recordings.body.shape import (
-    BodyShape,
-    LengthModel,
-    MarkerPlacement,
-    fit_shape,
-    length_model,
-    marker_offsets,
-)
-from srs_twin.recordings.body.tracking import pairwise_distances, sample_frames
+from srs_twin.recordings.body.frame_fit import MarkerPlacement, marker_offsets
+from srs_twin.recordings.body.layout import body_order, forward_distance, rigid_pairs, unit_hint
+from srs_twin.recordings.body.shape import BodyShape, LengthModel, fit_shape, length_model
+from srs_twin.recordings.body.tracking import sample_frames
 from srs_twin.recordings.formats.base import MarkerTable
-from srs_twin.recordings.signals.units import LENGTHS
 from srs_twin.robot.spec import RobotSpec
-
-
-class LayoutSize(NamedTuple):
-    """Number of markers of a layout: N per_connector + extra, for N connectors."""
-
-    per_connector: int
-    extra: int
-
-
-LAYOUT_SIZES = {
-    "single": LayoutSize(1, 0),
-    "head": LayoutSize(1, 1),
-    "pair": LayoutSize(2, 0),
-    "middles": LayoutSize(2, -1),
-    "head_middles": LayoutSize(2, 0),
-}
-"""Layout → number of markers."""
-
-LAYOUTS = ("auto", *LAYOUT_SIZES)
-"""Names of the layouts; "auto" determines it from the markers."""
 
 Places = dict[int, tuple[int, str]]
 """Marker → station (0, 2, … are the connectors, head first; 1, 3, … the middles of segments) and side."""
 
-MIN_COVERAGE = 0.2
-"""Smallest fraction of the frames on which a marker of the robot is visible, 1."""
-_MAX_NEIGHBOUR_PITCH = 2.0
-"""Distance to the nearest marker, in segment lengths, above which a marker is not on the robot."""
-_MIN_EXTENT = 0.1
-"""Smallest extent of all markers, in lengths of the straight body: no body bends into a smaller space."""
-_MAX_NEAREST_PITCH = 2.5
-"""Largest distance of the two nearest markers, in segment lengths."""
-_DISTANCE_FRAMES = 2000
-"""Number of sampled frames from which distances are computed."""
-_NEIGHBOUR_FRAMES = 300
-"""Number of sampled frames on which neighbours are searched."""
 _MIN_CRAWLED = 0.1
 """Smallest forward distance that determines which end is the head, in body lengths."""
 _NOTED_LENGTH = 0.02
@@ -88,178 +39,6 @@ _MAX_LENGTH_RATIO = 1.15
 """Measured length of a segment, divided by that of the robot, that its shortest length must not exceed, 1."""
 _MIN_LENGTH_RATIO = 0.85
 """Measured length of a segment, divided by that of the robot, that its largest length must reach, 1."""
-
-
-def robot_markers(
-    points: np.ndarray, connectors: int, pitch: float, layout: str, named: int
-) -> tuple[list[str], np.ndarray]:
-    """Select the markers of the robot.
-
-    Args:
-        points: positions of all tracks, shape (frames, tracks, 2), m.
-        connectors: N.
-        pitch: length of a straight segment, m.
-        layout: one of `LAYOUTS`; "auto" selects the layouts whose number of markers is visible.
-        named: number of columns whose names state a place on the robot; 0 if there are none.
-
-    Returns:
-        Possible layouts (["named"] for named columns), and the tracks of the robot's markers.
-
-    Raises:
-        InputError: there are too few or too many markers.
-    """
-    visible = ~np.isnan(points[..., 0])
-    coverage = visible.mean(axis=0)
-    candidates = np.flatnonzero(coverage >= MIN_COVERAGE)
-    if len(candidates) > connectors and not named:
-        # A marker of the robot has a neighbour on most of the frames on which it is visible.
-        limit = _MAX_NEIGHBOUR_PITCH * pitch
-        has_neighbour = (pairwise_distances(points[:, candidates], _NEIGHBOUR_FRAMES) < limit).any(axis=2)
-        sampled = visible[sample_frames(len(points), _NEIGHBOUR_FRAMES)][:, candidates]
-        candidates = candidates[has_neighbour.sum(axis=0) > 0.5 * sampled.sum(axis=0)]
-    counts = {name: size.per_connector * connectors + size.extra for name, size in LAYOUT_SIZES.items()}
-    if named:
-        layout, counts = "named", {"named": named}
-    possible = [layout]
-    if layout == "auto":
-        # Count the markers on the same frame: a marker that was hidden for long may have become two tracks.
-        jobs_option = visible[:, candidates].sum(axis=1)
-        count = int(np.quantile(jobs_option, 0.95, method="lower")) if candidates.size else 0
-        possible = [name for name, required in counts.items() if required == count]
-    required = counts[possible[0]] if possible else -1
-    if required < 0 or len(candidates) < required:
-        raise InputError(_wrong_number(len(candidates), connectors, counts, coverage))
-    best = np.argsort(-coverage[candidates], kind="stable")[:required]
-    return possible, np.sort(candidates[best])
-
-
-def _wrong_number(candidates: int, connectors: int, counts: dict[str, int], coverage: np.ndarray) -> str:
-    listed = ", ".join(f"{count} ({layout})" for layout, count in counts.items())
-    shares = ", ".join(f"{100 * share:.0f} %" for share in sorted(coverage, reverse=True)[:12])
-    return (
-        f"{candidates} markers may belong to the robot, but {connectors} connectors have {listed}; the "
-        f"tracks are visible on {shares} of the frames. Give --layout, export without other markers, or give "
-        "the place of each marker in a map (--map)"
-    )
-
-
-def body_order(points: np.ndarray) -> np.ndarray:
-    """Return the markers in their order along the body, from one of its ends.
-
-    Args:
-        points: shape (frames, markers, 2), m.
-
-    Raises:
-        InputError: the markers are not along one line.
-    """
-    from scipy.sparse.csgraph import depth_first_order, minimum_spanning_tree
-
-    # The quantile replaces the maximum, because a few frames may be wrong. An offset is added because a
-    # sparse graph has no edges of length 0.
-    tree = minimum_spanning_tree(
-        np.quantile(pairwise_distances(points, _DISTANCE_FRAMES), 0.98, axis=0) + 1.0
-    )
-    neighbours = np.bincount(np.concatenate(tree.nonzero()), minlength=points.shape[1])
-    ends = np.flatnonzero(neighbours == 1)
-    if len(ends) != 2:
-        raise InputError(f"the markers are not along one body: {len(ends)} of them are at an end")
-    return np.asarray(depth_first_order(tree, ends[0], directed=False, return_predecessors=False))
-
-
-def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
-    """Return the pairs of markers with a constant distance, shape (connectors, 2).
-
-    Raises:
-        InputError: there are no such pairs.
-    """
-    median, spread = distance_statistics(points)
-    score = spread + 0.02 * median
-    pairs: list[tuple[int, int]] = []
-    free = set(range(points.shape[1]))
-    rows, columns = np.triu_indices(len(score), k=1)
-    for k in np.argsort(score[rows, columns], kind="stable"):
-        a, b = int(rows[k]), int(columns[k])
-        if {a, b} <= free:
-            pairs.append((a, b))
-            free -= {a, b}
-    # The distance of adjacent pairs along the body may equal that of their markers; the order is unique then.
-    try:
-        in_order = [(int(a), int(b)) for a, b in body_order(points).reshape(-1, 2)]
-    except InputError:
-        in_order = pairs
-    pairs = min(pairs, in_order, key=lambda option: sum(score[a, b] for a, b in option))
-    worst = max(spread[a, b] / max(median[a, b], 1e-9) for a, b in pairs)
-    if len(pairs) != connectors or worst > 0.2:
-        raise InputError(
-            f"no {connectors} pairs of markers keep their distance (one changes by {100 * worst:.0f} %); "
-            "are there two at each connector? Give --layout"
-        )
-    return np.array(pairs)
-
-
-def distance_statistics(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return medians and standard deviations of all distances, both of shape (markers, markers), m.
-
-    The standard deviations are computed from quartiles; a few wrong frames have no effect.
-    """
-    distance = pairwise_distances(points, _DISTANCE_FRAMES)
-    # NaN for a marker and itself, and for two markers that are never visible on the same frame.
-    distance[:, np.isnan(distance).all(axis=0)] = np.inf
-    with np.errstate(invalid="ignore"):
-        low, median, high = np.nanquantile(distance, [0.25, 0.5, 0.75], axis=0)
-        # 0.74 converts the interquartile range of normal values to their standard deviation.
-        return median, np.nan_to_num(0.74 * (high - low), nan=np.inf)
-
-
-def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
-    """Check, before the markers are tracked, that their distances fit the robot.
-
-    Args:
-        points: in slots, shape (frames, slots, 2), m.
-        spec: the robot.
-
-    Raises:
-        InputError: the two nearest markers are farther apart than neighbours can be, or all are too close
-            together.
-    """
-    pitch, straight = spec.geometry.pitch, spec.segments * spec.geometry.pitch
-    distance = pairwise_distances(points, _DISTANCE_FRAMES)
-    distance = distance[np.isfinite(distance).any(axis=(1, 2))]
-    if not len(distance):
-        raise InputError(
-            f"no frame has two visible markers; the robot needs {spec.segments + 1} or more of them"
-        )
-    nearest, farthest = (np.median(extreme(distance, axis=(1, 2))) for extreme in (np.nanmin, np.nanmax))
-    if nearest > _MAX_NEAREST_PITCH * pitch or farthest < _MIN_EXTENT * straight:
-        raise InputError(
-            f"markers are {1e3 * nearest:.4g} to {1e3 * farthest:.4g} mm apart, the connectors of "
-            f"{spec.name} {1e3 * pitch:.4g} mm{unit_hint(float(farthest / straight))}"
-        )
-
-
-def unit_hint(ratio: float) -> str:
-    """Return a hint at the unit of length, for lengths that are `ratio` times the expected ones."""
-    for unit, factor in LENGTHS.items():
-        for correction, preposition in ((factor, "in"), (1 / factor, "not in")):
-            if factor != 1 and 0.7 < ratio * correction < 1.1:
-                return f"; are the lengths {preposition} {unit}?"
-    return "; is it this robot?"
-
-
-def forward_distance(period: float, points: np.ndarray) -> float:
-    """Return the distance travelled towards the first marker, m; negative towards the last one.
-
-    Args:
-        period: time between frames, s.
-        points: in order along the body, shape (frames, N, 2), m.
-    """
-    stride = max(1, round(0.25 / period))
-    sampled = points[::stride] if len(points) > stride else points[[0, -1]]
-    centre, axis = sampled.mean(axis=1), sampled[:, 0] - sampled[:, -1]
-    axis = axis / np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-9)
-    return float(
-        sum(((b - a) * (u + v) / 2).sum() for (a, u), (b, v) in pairwise(zip(centre, axis, strict=True)))
-    )
 
 
 @dataclass(frozen=True)
@@ -321,21 +100,6 @@ class TrackedBody:
     spacing: np.ndarray
     head: str
     corrections: tuple[str, ...]
-
-    @property
-    def position(self) -> np.ndarray:
-        """Connectors, shape (frames, N, 2), m."""
-        return np.stack([self.shape.connector.real, self.shape.connector.imag], axis=-1)
-
-    @property
-    def theta(self) -> np.ndarray:
-        """Headings of the connectors, unwrapped, shape (frames, N), rad."""
-        return self.shape.theta
-
-    @property
-    def bend(self) -> np.ndarray:
-        """q_j = θ_j − θ_{j+1}, shape (frames, segments), rad."""
-        return np.asarray(self.theta[:, :-1] - self.theta[:, 1:])
 
 
 def tracked_body(markers: CapturedMarkers, spec: RobotSpec, head: str | None) -> TrackedBody:

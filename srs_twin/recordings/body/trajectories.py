@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from srs_twin.recordings.body.markers import CapturedMarkers, TrackedBody
-from srs_twin.recordings.csv_table import RecordedFile
 from srs_twin.recordings.formats.base import MarkerTable
+from srs_twin.recordings.recorded_file import RecordedFile
 from srs_twin.recordings.signals.gaps import FrameGrid
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
@@ -36,7 +36,7 @@ class MarkerCounts:
         header_frames: number of frames that the header states; None if it states none.
         frames_missing: number of frames that the file skips, which were inserted.
         columns: number of columns of positions in the file.
-        layout: one of `body.markers.LAYOUTS`, or "named".
+        layout: one of `body.layout.LAYOUTS`, or "named".
         head: text on how the head was determined.
         up: vertical axis of the file.
         samples_seen: number of positions in the file.
@@ -100,7 +100,7 @@ class LogSummary:
 
     @classmethod
     def from_file(
-        cls, source: MarkerTable | RecordedFile, kind: str, frames: FrameGrid, kept: slice, filled: int,
+        cls, source: MarkerTable | RecordedFile, kind: str, frames: FrameGrid, time: np.ndarray, filled: int,
         corrections: Iterable[str], markers: MarkerCounts | None = None,
     ) -> LogSummary:  # fmt: skip
         """Return the summary of a file for the frames that are kept.
@@ -109,14 +109,13 @@ class LogSummary:
             source: the file.
             kind: file format.
             frames: frames of the file.
-            kept: frames of the trajectory.
+            time: times of the frames that are kept, s.
             filled: number of interpolated samples.
             corrections: texts on other changes and assumptions.
             markers: numbers on the markers; None for a bend log.
         """
-        used, time, start = int((frames.rows >= 0).sum()), frames.time[kept], float(frames.time[kept][0])
-        head = source.name, source.sha256, kind, used, 1 / frames.period, filled
-        return cls(*head, len(time), start, float(time[-1]), tuple(corrections), markers)
+        head = source.name, source.sha256, kind, int((frames.rows >= 0).sum()), 1 / frames.period, filled
+        return cls(*head, len(time), float(time[0]), float(time[-1]), tuple(corrections), markers)
 
     def text(self) -> str:
         """Return the summary as text, one fact per line."""
@@ -197,22 +196,22 @@ def body_trajectory(
     gait_frequency_hz: float | None,
 ) -> Trajectory:
     """Return the trajectory of a tracked body; the masses of the robot give the centre of mass."""
-    mass_fraction = spec.mass.array() / spec.mass.total
-    com = np.einsum("i,fij->fj", mass_fraction, body.position)
-    heading = body.theta.mean(axis=1)
-    rates = moving_slope(markers.time, np.column_stack([com, heading, body.bend]))
+    shape, mass_fraction = body.shape, spec.mass.array() / spec.mass.total
+    com = np.einsum("i,fij->fj", mass_fraction, shape.position)
+    heading = shape.theta.mean(axis=1)
+    rates = moving_slope(markers.time, np.column_stack([com, heading, shape.bend]))
     columns = {
         "time": markers.time,
-        **pose_columns(com @ [1, 1j], heading, body.position @ [1, 1j], body.theta),
-        **numbered_columns("bend", body.bend),
+        **pose_columns(com @ [1, 1j], heading, shape.position @ [1, 1j], shape.theta),
+        **numbered_columns("bend", shape.bend),
         "com_velocity_x": rates[:, 0],
         "com_velocity_y": rates[:, 1],
         "yaw_rate": rates[:, 2],
         **numbered_columns("bend_rate", rates[:, 3:]),
-        **numbered_columns("bend_error", body.shape.bend_error),
-        **numbered_columns("length", body.shape.length),
+        **numbered_columns("bend_error", shape.bend_error),
+        **numbered_columns("length", shape.length),
         **numbered_columns("filled", body.missing.astype(float)),
-        "residual": body.shape.residual,
+        "residual": shape.residual,
     }
     return measured_trajectory(columns, spec, summary, gait_frequency_hz)
 

@@ -13,9 +13,9 @@ from pathlib import Path
 from srs_twin import extensions
 from srs_twin.errors import InputError
 from srs_twin.io.files import escape_unprintable
-from srs_twin.recordings.csv_table import AS_FOUND, Dialect, read_bytes, read_file, start_of
 from srs_twin.recordings.formats.base import Format, MarkerTable, Unstated, in_unit
 from srs_twin.recordings.formats.topics import Bag, RecordedTopics
+from srs_twin.recordings.recorded_file import AS_FOUND, Dialect, read_bytes, read_file, start_of
 
 _FORMATS: tuple[Format, ...] = tuple(format() for _, format in extensions.objects(extensions.FORMATS))
 """Formats in the order in which they are tried."""
@@ -24,6 +24,7 @@ FORMATS = tuple(format.name for format in _FORMATS)
 BAG_SUFFIXES = tuple(format.suffix for format in _FORMATS if isinstance(format, Bag))
 """Usual suffixes of bags, which may contain logs as well as positions."""
 
+_NOTHING = Unstated()
 _TABLE = "save a table with the first line time,NAME_x,NAME_y,… as CSV"
 _EXPORT = "export CSV or C3D instead"
 # Suffix or pattern of the first bytes, description, remedy.
@@ -65,30 +66,19 @@ def identify(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> str:
     return _format(path, dialect).name
 
 
-def read_markers(
-    path: str | os.PathLike[str],
-    *,
-    rate_hz: float | None = None,
-    unit: str | None = None,
-    scale_m: float | None = None,
-    dialect: Dialect = AS_FOUND,
-) -> MarkerTable:
+def read_markers(path: str | os.PathLike[str], unstated: Unstated = _NOTHING) -> MarkerTable:
     """Read the markers of a recording in any of `FORMATS`.
 
     Args:
         path: recording.
-        rate_hz: frames per second, if the file does not state it (DeepLabCut, plain CSV without a time,
-            Qualisys with an external clock).
-        unit: unit of length, if the file does not state it (DeepLabCut, plain CSV).
-        scale_m: size of a pixel, m (DeepLabCut).
-        dialect: layout of a plain table, if it cannot be detected.
+        unstated: information that the file lacks.
 
     Raises:
         InputError: the file cannot be read; the message names file, line, column and what is allowed.
     """
-    format = _format(path, dialect)
+    format = _format(path, unstated.dialect)
     file = read_bytes(path) if format.binary else read_file(path)
-    return in_unit(format.read(file, Unstated(rate_hz, unit, scale_m, dialect)), unit)
+    return in_unit(format.read(file, unstated), unstated.unit)
 
 
 def _format(path: str | os.PathLike[str], dialect: Dialect) -> Format:

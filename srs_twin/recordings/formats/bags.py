@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from contextlib import closing
 from typing import final
 
-from srs_twin.recordings.csv_table import RecordedFile
 from srs_twin.recordings.formats.topics import (
     Bag,
     ChunkError,
@@ -19,6 +18,7 @@ from srs_twin.recordings.formats.topics import (
     check_unpacked,
     unpacked,
 )
+from srs_twin.recordings.recorded_file import RecordedFile
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 _MCAP_SCHEMA, _MCAP_CHANNEL, _MCAP_MESSAGE, _MCAP_CHUNK = 0x03, 0x04, 0x05, 0x06

@@ -14,7 +14,7 @@ import numpy as np
 
 from srs_twin.errors import InputError, did_you_mean
 from srs_twin.io.files import escape_unprintable
-from srs_twin.recordings.csv_table import AS_FOUND, Dialect, RecordedFile
+from srs_twin.recordings.recorded_file import AS_FOUND, Dialect, RecordedFile
 from srs_twin.recordings.signals.units import LENGTHS, bracketed, clean, symbol
 
 MAX_DISTANCE = 1e3
@@ -37,10 +37,10 @@ class Unstated(NamedTuple):
     """Information that a file may lack, from a map or options.
 
     Attributes:
-        rate_hz: frames per second.
-        unit: unit of length.
-        scale_m: size of a pixel, m.
-        dialect: layout of a plain table.
+        rate_hz: frames per second (DeepLabCut, plain CSV without a time, Qualisys with an external clock).
+        unit: unit of length (DeepLabCut, plain CSV).
+        scale_m: size of a pixel, m (DeepLabCut, plain CSV).
+        dialect: layout of a plain table, if it cannot be detected.
     """
 
     rate_hz: float | None = None

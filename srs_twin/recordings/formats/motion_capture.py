@@ -13,7 +13,6 @@ import numpy as np
 
 from srs_twin.errors import did_you_mean
 from srs_twin.io.files import escape_unprintable
-from srs_twin.recordings.csv_table import MAX_HEADER_BYTES, RecordedFile
 from srs_twin.recordings.formats.base import (
     Format,
     MarkerTable,
@@ -26,6 +25,7 @@ from srs_twin.recordings.formats.base import (
     marker_rows,
     marker_table,
 )
+from srs_twin.recordings.recorded_file import MAX_HEADER_BYTES, RecordedFile
 from srs_twin.recordings.signals.units import ANGLES
 
 MOTIVE_LENGTHS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm", "Inches": "in", "Feet": "ft"}
@@ -76,20 +76,8 @@ class Motive(Format):
             allowed = "allowed: 1.0 to 1.29 (export again from Motive 2 or 3)"
             raise file.error(f"Format Version '{version[:20]}' cannot be read; {allowed}", 1, 2)
         top, positions, quaternions = _columns(file, lines)
-        kinds = Counter(column.kind or "no type" for column in positions)
-        kind = next((name for name in MOTIVE_KINDS if name in kinds), None)
-        if kind is None:
-            types = ", ".join(sorted({column.kind for column in positions})) or "none"
-            raise file.error(
-                f"the header has no positions of markers (types with positions: {types}; allowed: "
-                f"{', '.join(MOTIVE_KINDS)})",
-                top,
-            )
-        given = header.get("Length Units", "")
-        unit = MOTIVE_LENGTHS.get(given.capitalize())
-        if unit is None:
-            hint, allowed = did_you_mean(given, MOTIVE_LENGTHS), ", ".join(MOTIVE_LENGTHS)
-            raise file.error(f"Length Units '{given[:20]}' is not known{hint}; allowed: {allowed}", 1)
+        kind, notes = _kind_to_read(file, positions, top)
+        unit = _motive_unit(file, header.get("Length Units", ""))
         rates = (header.get(f"{name} Frame Rate", "") for name in ("Export", "Capture"))
         rate = next((float(text) for text in rates if is_rate(text)), None)
         markers = [column for column in positions if column.kind == kind]
@@ -98,30 +86,48 @@ class Motive(Format):
         }
         rotated = [k for k, column in enumerate(markers) if column.name in rotation_columns]
         others = [rotation_columns[markers[k].name] + axis for k in rotated for axis in range(4)]
-        time, points, quaternion_values, notes = marker_rows(
-            file,
-            top,
-            len(lines[top - 1]),
-            [column.place for column in markers],
-            clock=(0, 1),
-            rate=rate,
-            others=others,
-        )
-        rotations = np.full((len(time), len(markers), 4), np.nan) if rotated else None
-        if rotations is not None:
-            rotations[:, rotated] = quaternion_values.reshape(len(time), -1, 4)
-        skipped = sorted((other, count) for other, count in kinds.items() if other != kind)
-        notes += [f"{count} columns of positions of type {other} skipped" for other, count in skipped]
-        if kind != MOTIVE_KINDS[0]:
-            notes.append(f"no columns of type {MOTIVE_KINDS[0]}: positions of type {kind} used")
-        frames, names = (
-            announced(header.get("Total Exported Frames", "")),
-            [column.name for column in markers],
-        )
+        first, width = [column.place for column in markers], len(lines[top - 1])
+        rows = marker_rows(file, top, width, first, clock=(0, 1), rate=rate, others=others)
+        rotations = None
+        if rotated:
+            rotations = np.full((len(rows.time), len(markers), 4), np.nan)
+            rotations[:, rotated] = rows.others.reshape(len(rows.time), -1, 4)
+        frames = announced(header.get("Total Exported Frames", ""))
+        names, notes = [column.name for column in markers], rows.notes + notes
         return marker_table(
-            file, f"{self.name} {version}", time, points, names, notes, unit=unit, header_frames=frames,
-            rotations=rotations,
+            file, f"{self.name} {version}", rows.time, rows.points, names, notes, unit=unit,
+            header_frames=frames, rotations=rotations,
         )  # fmt: skip
+
+
+def _kind_to_read(file: RecordedFile, positions: list[_Column], top: int) -> tuple[str, list[str]]:
+    """Return the type of the columns that are read, and notes on the others.
+
+    Raises:
+        InputError: no column has a type that can be on the robot.
+    """
+    kinds = Counter(column.kind or "no type" for column in positions)
+    kind = next((name for name in MOTIVE_KINDS if name in kinds), None)
+    if kind is None:
+        types = ", ".join(sorted({column.kind for column in positions})) or "none"
+        raise file.error(
+            f"the header has no positions of markers (types with positions: {types}; allowed: "
+            f"{', '.join(MOTIVE_KINDS)})",
+            top,
+        )
+    skipped = sorted((other, count) for other, count in kinds.items() if other != kind)
+    notes = [f"{count} columns of positions of type {other} skipped" for other, count in skipped]
+    if kind != MOTIVE_KINDS[0]:
+        notes.append(f"no columns of type {MOTIVE_KINDS[0]}: positions of type {kind} used")
+    return kind, notes
+
+
+def _motive_unit(file: RecordedFile, given: str) -> str:
+    unit = MOTIVE_LENGTHS.get(given.capitalize())
+    if unit is None:
+        hint, allowed = did_you_mean(given, MOTIVE_LENGTHS), ", ".join(MOTIVE_LENGTHS)
+        raise file.error(f"Length Units '{given[:20]}' is not known{hint}; allowed: {allowed}", 1)
+    return unit
 
 
 def _columns(file: RecordedFile, lines: list[list[str]]) -> tuple[int, list[_Column], list[_Column]]:
@@ -152,6 +158,8 @@ def _columns(file: RecordedFile, lines: list[list[str]]) -> tuple[int, list[_Col
 
 
 _SECTIONS = ("Trajectories", "Objects", "Devices", "Joints", "Segments", "Model Outputs", "Events", "Forces")
+_VICON_AXES = {"Trajectories": ["X", "Y", "Z"], "Objects": ["TX", "TY", "TZ"]}
+"""Section that is read → columns of a position; the first one that a file has is used."""
 _SECTION = re.compile(rb'^"?(%s)"?[ \t,]*\r?$' % "|".join(_SECTIONS).encode(), re.MULTILINE)
 
 
@@ -171,21 +179,12 @@ class Vicon(Format):
         Raises:
             InputError: the file cannot be read; the message names file, line, column and what is allowed.
         """
-        from scipy.spatial.transform import Rotation
-
-        sections = [(title[1].decode(), title.start()) for title in _SECTION.finditer(file.raw)]
-        start_of_section = dict(reversed(sections))
-        axes_of_section = {"Trajectories": ["X", "Y", "Z"], "Objects": ["TX", "TY", "TZ"]}
-        section = next((title for title in axes_of_section if title in start_of_section), None)
-        if section is None:
-            titles = ", ".join(dict.fromkeys(title for title, _ in sections))
-            raise file.error(f"no section Trajectories (sections: {titles}); export trajectories from Nexus")
-        section_start, position_axes = start_of_section[section], axes_of_section[section]
-        above = file.raw.count(b"\n", 0, section_start) + 1
+        section, above, notes = _vicon_section(file)
+        position_axes = _VICON_AXES[section]
         lines = file.head(4, above)
         if len(lines) < 4 or lines[2][:2] != ["Frame", "Sub Frame"]:
-            required = f"'{section}' must be followed by rate, names, 'Frame,Sub Frame,…' and units"
-            raise file.error(f"the header is cut: {required}", above + 1)
+            required = "must be followed by rate, names, 'Frame,Sub Frame,…' and units"
+            raise file.error(f"the header is cut: '{section}' {required}", above + 1)
         rate = frame_rate(file, "".join(lines[0][:1]), above + 1)
         axes, width = lines[2], len(lines[2])
         names, units = ((line + [""] * width)[:width] for line in (lines[1], lines[3]))
@@ -198,33 +197,44 @@ class Vicon(Format):
             k: axes.index("RX", max(k - 4, 2), k) for k in positions if "RX" in axes[max(k - 4, 2) : k]
         }
         others = [column for k, begin in rotation_starts.items() for column in range(begin, k)]
-        frame, points, angles, notes = marker_rows(
-            file, above + 4, width, positions, rate=1.0, others=others, section=True
-        )
-        rotations, end = np.full((*points.shape[:2], 4), np.nan), 0
-        for k, begin in rotation_starts.items():
-            rotation, end = angles[:, end : end + k - begin], end + k - begin
-            if rotation.shape[1] < 4:
-                rotation = Rotation.from_rotvec(rotation * ANGLES.get(units[begin].lower(), 1.0)).as_quat()
-            rotations[:, positions.index(k)] = rotation
-        notes += [f"section {title} skipped" for title, start in sections if start != section_start]
+        rows = marker_rows(file, above + 4, width, positions, rate=1.0, others=others, section=True)
+        rotations, notes = None, rows.notes + notes
         if rotation_starts:
             notes.append("RX, RY, RZ read as a rotation vector, or with RW as a quaternion")
+            rotations, end = np.full((*rows.points.shape[:2], 4), np.nan), 0
+            for k, begin in rotation_starts.items():
+                rotation, end = rows.others[:, end : end + k - begin], end + k - begin
+                rotations[:, positions.index(k)] = _quaternions(rotation, units[begin])
         labels = [
             names[rotation_starts.get(k, k)].removeprefix("Global Angle ") or f"column {k + 1}"
             for k in positions
         ]
-        time = (frame - 1) / rate
         return marker_table(
-            file,
-            self.name,
-            time,
-            points,
-            labels,
-            notes,
-            unit=lengths,
-            rotations=rotations if rotation_starts else None,
-        )
+            file, self.name, (rows.time - 1) / rate, rows.points, labels, notes, unit=lengths,
+            rotations=rotations,
+        )  # fmt: skip
+
+
+def _vicon_section(file: RecordedFile) -> tuple[str, int, list[str]]:
+    """Return the title of the section that is read, the number of its line, and notes on other sections."""
+    sections = [(title[1].decode(), title.start()) for title in _SECTION.finditer(file.raw)]
+    start_of_section = dict(reversed(sections))
+    section = next((title for title in _VICON_AXES if title in start_of_section), None)
+    if section is None:
+        titles = ", ".join(dict.fromkeys(title for title, _ in sections))
+        raise file.error(f"no section Trajectories (sections: {titles}); export trajectories from Nexus")
+    begin = start_of_section[section]
+    skipped = [f"section {title} skipped" for title, start in sections if start != begin]
+    return section, file.raw.count(b"\n", 0, begin) + 1, skipped
+
+
+def _quaternions(rotation: np.ndarray, unit: str) -> np.ndarray:
+    """Return quaternions from rotation vectors in a unit, or from quaternions."""
+    from scipy.spatial.transform import Rotation
+
+    if rotation.shape[1] == 4:
+        return rotation
+    return np.asarray(Rotation.from_rotvec(rotation * ANGLES.get(unit.lower(), 1.0)).as_quat())
 
 
 _QTM_LINE = re.compile(rb"(?!NULL|NAN)[A-Z][A-Z0-9_]+[\t\r ]|Frame\t")

@@ -9,16 +9,7 @@ from typing import final
 
 import numpy as np
 
-from srs_twin.recordings.csv_table import (
-    CLOCK,
-    CsvColumn,
-    CsvTable,
-    Dialect,
-    RecordedFile,
-    laid_out,
-    not_used,
-    read_table,
-)
+from srs_twin.recordings.csv_table import CLOCK, CsvColumn, CsvTable, not_used, read_table
 from srs_twin.recordings.formats.base import (
     Format,
     MarkerTable,
@@ -30,6 +21,7 @@ from srs_twin.recordings.formats.base import (
     marker_rows,
     marker_table,
 )
+from srs_twin.recordings.recorded_file import Dialect, RecordedFile, laid_out
 from srs_twin.recordings.signals.units import LENGTHS, is_clock
 
 _AXES_LINE = 5

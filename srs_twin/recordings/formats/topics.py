@@ -24,8 +24,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from srs_twin.io.files import escape_unprintable
-from srs_twin.recordings.csv_table import MAX_BYTES, MAX_COLUMNS, MAX_VALUES, RecordedFile
 from srs_twin.recordings.formats.base import Format, MarkerTable, Unstated, decoding, marker_table
+from srs_twin.recordings.recorded_file import MAX_BYTES, MAX_COLUMNS, MAX_VALUES, RecordedFile
 
 _MIN_EPOCH_NS = 10**17
 """Smallest log time that counts as a time since 1970, ns."""

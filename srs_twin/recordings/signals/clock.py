@@ -22,10 +22,9 @@ from srs_twin.errors import InputError
 from srs_twin.pneumatics import LagPneumatics
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.recordings.body.trajectories import numbered_columns
-from srs_twin.recordings.recording import Recording, named_in_errors
+from srs_twin.recordings.recording import Recording, ValveLog, named_in_errors
 from srs_twin.recordings.signals.gaps import MIN_FRAMES
 from srs_twin.recordings.signals.logs import SIDES
-from srs_twin.recordings.signals.valve_log import ValveLog
 from srs_twin.robot.spec import RobotSpec
 
 MIN_OVERLAP = 0.5

@@ -104,8 +104,6 @@ def at_frames(values: np.ndarray, frames: FrameGrid) -> np.ndarray:
     return np.asarray(picked)
 
 
-INTERPOLATIONS = ("spline", "linear")
-"""Interpolations of gaps: cubic spline or straight line."""
 _NEIGHBOURS = np.array([-2, -1, 1, 2])
 """Samples, relative to the tested one, from which its position is predicted."""
 _OUTLIER_RATIO = 8.0
@@ -200,19 +198,19 @@ def longest_complete(time: np.ndarray, points: np.ndarray, longest: float) -> sl
     return best
 
 
-def fill_gaps(time: np.ndarray, points: np.ndarray, interpolation: str) -> np.ndarray:
+def fill_gaps(time: np.ndarray, points: np.ndarray, degree: int) -> np.ndarray:
     """Interpolate the gaps of tracks; the first and the last frame must be known.
 
     Args:
         time: shape (frames,), s.
         points: NaN where they are unknown, shape (frames, tracks, axes).
-        interpolation: "spline" (cubic, twice continuously differentiable) or "linear".
+        degree: degree of the spline: 3, or 1 for straight lines; tracks with few samples get straight lines.
     """
     from scipy.interpolate import make_interp_spline
 
     result = points.copy()
     for track, missing in zip(result.swapaxes(0, 1), np.isnan(points[..., 0]).T, strict=True):
         if missing.any():
-            degree = 3 if interpolation == "spline" and (~missing).sum() > 3 else 1
-            track[missing] = make_interp_spline(time[~missing], track[~missing], degree)(time[missing])
+            own_degree = degree if (~missing).sum() > degree else 1
+            track[missing] = make_interp_spline(time[~missing], track[~missing], own_degree)(time[missing])
     return result

@@ -29,19 +29,11 @@ from srs_twin.recordings.body.trajectories import (
     numbered_columns,
     pose_columns,
 )
-from srs_twin.recordings.csv_table import (
-    CLOCK,
-    CsvTable,
-    Meaning,
-    RecordedFile,
-    laid_out,
-    read_file,
-    read_table,
-    start_of,
-)
+from srs_twin.recordings.csv_table import CLOCK, CsvTable, Meaning, not_used, read_table
 from srs_twin.recordings.formats import read_topics
 from srs_twin.recordings.formats.topics import RecordedTopics
-from srs_twin.recordings.recording import Recording, named_in_errors
+from srs_twin.recordings.recorded_file import RecordedFile, laid_out, read_file, start_of
+from srs_twin.recordings.recording import Recording, ValveLog, held_values, named_in_errors
 from srs_twin.recordings.recording_map import NO_MAP, QUANTITIES, RecordingMap, log_meaning
 from srs_twin.recordings.signals.gaps import (
     MIN_FRAMES,
@@ -52,7 +44,6 @@ from srs_twin.recordings.signals.gaps import (
     time_order,
 )
 from srs_twin.recordings.signals.units import ABSOLUTE, clean, looks_absolute, symbol
-from srs_twin.recordings.signals.valve_log import ValveLog, held_values
 from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import RobotSpec
 
@@ -137,9 +128,9 @@ def read_bends(
     notes += frames.corrections
     if not any(column.unit for column in chosen):
         notes.append("bends without a unit are assumed to be in rad")
-    notes += table.unused_columns()
-    summary = LogSummary.from_file(table.file, "bend log", frames, kept, unknown, notes)
-    columns = _clamped_body(kept_time, fill_gaps(kept_time, tracks[kept], "linear")[..., 0], spec)
+    notes += not_used(table.unused)
+    summary = LogSummary.from_file(table.file, "bend log", frames, kept_time, unknown, notes)
+    columns = _clamped_body(kept_time, fill_gaps(kept_time, tracks[kept], 1)[..., 0], spec)
     trajectory = measured_trajectory(columns, spec, summary, gait_frequency_hz)
     return Recording(trajectory, summary, epoch_ns=epoch_ns)
 
@@ -203,7 +194,7 @@ def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap
     (kind,) = kinds
     chosen = table.per_segment([f"{kind}_{side}" for side in SIDES], spec.name, spec.segments)
     time, values, notes, epoch_ns = table.read_timed(clock, chosen)
-    units, unused = [column.unit for column in chosen], table.unused_columns()
+    units, unused = [column.unit for column in chosen], not_used(table.unused)
 
     def error(row: int, k: int, problem: str) -> InputError:
         return table.error(chosen[k], f"{chosen[k].text}: {problem}", row)
