@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import errno
 import gc
 import io
@@ -58,6 +59,8 @@ def main(argv: list[str] | None = None) -> None:
     """
     sys.stdout, sys.stderr = _without_broken_pipes(sys.stdout), _without_broken_pipes(sys.stderr)
     gc.set_threshold(_GC_THRESHOLD)
+    # Without objects to collect, the interpreter ends 0.7 s earlier; the system frees their memory anyway.
+    atexit.register(gc.freeze)
     warnings.formatwarning = _format_warning  # type: ignore[assignment]
     try:
         for argument in sys.argv[1:] if argv is None else argv:

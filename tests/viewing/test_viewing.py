@@ -528,9 +528,12 @@ def test_report_contains_results_and_expectations(report, parsed):
     assert rows["mujoco"] == ["mujoco", "3.17"]
 
 
-def test_report_needs_neither_rerun_nor_pyplot():
+def test_twin_and_report_need_neither_rerun_nor_pyplot_nor_glfw(monkeypatch):
+    """Without MUJOCO_GL, MuJoCo imports glfw, which starts a process to look for its library."""
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
     code = (
-        "import sys, srs_twin.viewing.html.report; print({'rerun', 'matplotlib.pyplot'} & sys.modules.keys())"
+        "import sys, srs_twin.plants.twin.snake, srs_twin.viewing.html.report\n"
+        "print({'rerun', 'matplotlib.pyplot', 'glfw'} & sys.modules.keys())"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout.strip() == "set()"

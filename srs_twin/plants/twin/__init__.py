@@ -1,1 +1,7 @@
 """The MuJoCo twin: model, physics, contacts and batches of twins."""
+
+import os
+
+# Simulation needs no display, but MuJoCo and dm_control would search for one. Rendering sets the variable
+# earlier.
+os.environ.setdefault("MUJOCO_GL", "disabled")

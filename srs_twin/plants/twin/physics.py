@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import os
 import threading
 from collections import deque
 from collections.abc import Mapping
@@ -11,30 +10,25 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
+from dm_control import mujoco as dm
+from mujoco import rollout as mujoco_rollout
 
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import Stateful
 from srs_twin.plants.base import Pose
 from srs_twin.plants.twin.contact_loaded import LoadedStepper
 from srs_twin.plants.twin.internal_joints import InternalJoints, bend_joints
+from srs_twin.plants.twin.mjcf.model import scene_mjcf
+from srs_twin.plants.twin.mjcf.numerics import ModelSettings, PreloadedContact
+from srs_twin.plants.twin.mjcf.surroundings import hulls as hull_names
+from srs_twin.plants.twin.mjcf.surroundings import object_force_sensor, object_names
+from srs_twin.plants.twin.mjcf.wheels import preload_force, static_loads, treads
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import equivalent_linear_pressure, free_extensions, vector_bends
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
-
-# Simulation needs no display. dm_control would search for one and warn; rendering sets the variable earlier.
-os.environ.setdefault("MUJOCO_GL", "disabled")
-
-import mujoco  # noqa: E402
-from dm_control import mujoco as dm  # noqa: E402
-from mujoco import rollout as mujoco_rollout  # noqa: E402
-
-from srs_twin.plants.twin.mjcf.model import scene_mjcf  # noqa: E402
-from srs_twin.plants.twin.mjcf.numerics import ModelSettings, PreloadedContact  # noqa: E402
-from srs_twin.plants.twin.mjcf.surroundings import hulls as hull_names  # noqa: E402
-from srs_twin.plants.twin.mjcf.surroundings import object_force_sensor, object_names  # noqa: E402
-from srs_twin.plants.twin.mjcf.wheels import preload_force, static_loads, treads  # noqa: E402
 
 
 @dataclass(frozen=True)
